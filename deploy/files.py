@@ -1,0 +1,137 @@
+"""Files: written whole or not at all, hashed, and never executed on reading."""
+
+import contextlib
+import hashlib
+import json
+import os
+import tempfile
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from .errors import UserError
+
+
+@contextlib.contextmanager
+def replacing(path, mode="wb"):
+    """Open a temporary file beside ``path`` that takes its place when the block succeeds.
+
+    Parameters
+    ----------
+    path : path-like
+        The file to write.  Missing parent folders are made.
+    mode : str
+        ``"wb"``, or ``"w"`` for text in UTF-8.
+
+    Yields
+    ------
+    file object
+        Open for writing.  On any exception, an interruption included, it is removed and whatever
+        was at ``path`` stays as it was.
+
+    Raises
+    ------
+    UserError
+        The folder or file cannot be written.
+    """
+    path = Path(path)
+    temporary = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=str(path.parent), prefix="." + path.name + ".")
+        options = {} if "b" in mode else {"encoding": "utf-8", "newline": "\n"}
+        with os.fdopen(handle, mode, **options) as file:
+            yield file
+        os.chmod(temporary, 0o666 & ~_umask())  # mkstemp makes files that only their owner can read
+        os.replace(temporary, str(path))
+        temporary = None
+    except OSError as error:
+        raise UserError(
+            f"{path}: cannot write ({error.strerror or error}); "
+            "check the folder's permissions and the free space"
+        ) from error
+    finally:
+        if temporary is not None:
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+
+
+def _umask():
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def write_json(path, value):
+    """Write ``value`` as JSON in UTF-8, indented, whole or not at all."""
+    with replacing(path, "w") as file:
+        json.dump(value, file, indent=2, ensure_ascii=False, allow_nan=False)
+        file.write("\n")
+
+
+def read_json(path, remedy):
+    """Read a JSON object.
+
+    Parameters
+    ----------
+    path : path-like
+    remedy : str
+        What the user can do if the file is missing or damaged; ends the error's line.
+
+    Raises
+    ------
+    UserError
+        The file is missing, unreadable, or not a JSON object.
+    """
+    try:
+        with open(str(path), encoding="utf-8") as file:
+            value = json.load(file)
+    except OSError as error:
+        raise UserError(f"{path}: cannot read ({error.strerror or error}); {remedy}") from error
+    except ValueError as error:
+        raise UserError(f"{path}: not valid JSON ({error}); {remedy}") from error
+    if not isinstance(value, dict):
+        raise UserError(f"{path}: not a JSON object; {remedy}")
+    return value
+
+
+def write_arrays(path, compress=True, **arrays):
+    """Write named arrays as ``.npz``, whole or not at all, the same bytes for the same arrays."""
+    kind = zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED
+    # Not numpy.savez: it stamps each member with the time of day, and a bundle's id is a hash.
+    with replacing(path) as file, zipfile.ZipFile(file, "w", kind) as archive:
+        for name in sorted(arrays):
+            member = zipfile.ZipInfo(name + ".npy", date_time=(1980, 1, 1, 0, 0, 0))
+            member.compress_type = kind
+            member.external_attr = 0o644 << 16
+            with archive.open(member, "w", force_zip64=True) as stream:
+                np.lib.format.write_array(stream, np.asarray(arrays[name]), allow_pickle=False)
+
+
+def read_arrays(path, remedy):
+    """Read every array of an ``.npz`` file into a dict, refusing pickled objects.
+
+    Raises
+    ------
+    UserError
+        The file is missing, damaged, or holds anything but plain arrays.
+    """
+    try:
+        with np.load(str(path), allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except OSError as error:
+        raise UserError(f"{path}: cannot read ({error.strerror or error}); {remedy}") from error
+    except (ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        raise UserError(f"{path}: damaged or not an .npz of plain arrays; {remedy}") from error
+    except Exception as error:  # zlib.error and whatever else a damaged archive provokes
+        raise UserError(f"{path}: damaged ({type(error).__name__}); {remedy}") from error
+
+
+def sha256_of(path):
+    """Hexadecimal SHA-256 of a file's content."""
+    digest = hashlib.sha256()
+    with open(str(path), "rb") as file:
+        for block in iter(lambda: file.read(1 << 20), b""):
+            digest.update(block)
+    return digest.hexdigest()

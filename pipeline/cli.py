@@ -1,0 +1,71 @@
+"""The command ``stmnist``: joins the verbs and turns errors into one line and an exit status."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+# Must be set before TensorFlow is first imported by a verb.
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
+import click
+import typer
+
+from deploy import __version__
+from deploy.errors import CheckFailed, UserError
+from models.notation import NotationError
+from pipeline.commands import data
+
+app = typer.Typer(
+    help="From event-based touch to a spiking network on Loihi.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+app.add_typer(data.app, name="data")
+
+
+@app.callback(invoke_without_command=True)
+def root(
+    version: bool = typer.Option(False, "--version", help="Print the version and stop."),
+):
+    """From event-based touch to a spiking network on Loihi."""
+    if version:
+        print(__version__)
+        raise typer.Exit
+
+
+def main(arguments=None):
+    """Run the command; the entry point of the script ``stmnist``.
+
+    Exit status 0: done; 1: a check failed; 2: wrong usage or bad input; 130: interrupted.
+    """
+    try:
+        status = app(args=arguments, prog_name="stmnist", standalone_mode=False)
+    except click.exceptions.Abort:
+        status = _say("interrupted; the same command goes on where it stopped", 130)
+    except KeyboardInterrupt:
+        status = _say("interrupted; the same command goes on where it stopped", 130)
+    except click.UsageError as error:
+        context = error.ctx.command_path if error.ctx else "stmnist"
+        status = _say(f"{error.format_message()} (see '{context} --help')", 2)
+    except click.ClickException as error:
+        status = _say(error.format_message(), 2)
+    except CheckFailed as error:
+        status = _say(str(error), 1)
+    except (UserError, NotationError) as error:
+        status = _say(str(error), 2)
+    except BrokenPipeError:  # the reader, such as head, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        status = 0
+    sys.exit(status or 0)
+
+
+def _say(message, status):
+    print("stmnist: " + " ".join(message.split()), file=sys.stderr)
+    return status
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,7 @@
+"""``stmnist data``: recordings - import, inspect, simulate, count, draw."""
+
+from __future__ import annotations
+
+import typer
+
+app = typer.Typer(help="Recordings: read, look at, make, count, draw.", no_args_is_help=True)

@@ -1,0 +1,50 @@
+"""Progress bars on standard error: with an estimate on a terminal, silent elsewhere."""
+
+from __future__ import annotations
+
+import contextlib
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+console = Console(stderr=True)
+
+
+@contextlib.contextmanager
+def progress(label: str, total: int):
+    """Show a bar while the block runs.
+
+    Parameters
+    ----------
+    label : str
+        What is being done, such as ``"import"``.
+    total : int
+        Steps until done.
+
+    Yields
+    ------
+    callable
+        ``advance(n=1, note=None)``: n more steps are done; ``note`` is shown beside the label.
+    """
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task(label, total=total)
+
+        def advance(n=1, note=None):
+            description = label if note is None else f"{label} {note}"
+            bar.update(task, advance=n, description=description)
+
+        yield advance

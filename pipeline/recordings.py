@@ -1,0 +1,214 @@
+"""Recordings in memory: physical events as columns, one row an event.
+
+The published files hold one column per decoder tick.  The ACES decoder reports one physical event
+in several ticks in a row (16 ns apart), so :func:`merge_bursts` joins those and keeps the number of
+columns beside each event; :func:`expand_bursts` is its inverse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+N_TAXELS = 100
+"""Taxels of the array, 10 x 10 (paper, Section 2.1)."""
+
+TICK_NS = 16
+"""Period of the decoder's time grid in nanoseconds: 62.5 MHz, which the paper rounds to 63 MHz."""
+
+DURATION_S = 2.0
+"""Length of a recording in seconds (paper, Section 2.2)."""
+
+GRID = 10
+"""Taxels along each side of the array."""
+
+
+@dataclass(frozen=True)
+class Events:
+    """Physical events of one recording, in order of time.
+
+    Attributes
+    ----------
+    time_ns : ndarray of int64, shape (n,)
+        Time of the first tick of each event, in nanoseconds from the start of the recording.
+    taxel : ndarray of uint8, shape (n,)
+        Row index in ``spiketrain``, that is the taxel address less one, 0 to 99.
+    polarity : ndarray of int8, shape (n,)
+        1 for ON (pressure rises), -1 for OFF (pressure falls).
+    columns : ndarray of uint16, shape (n,)
+        Columns of ``spiketrain`` that the event takes up, at least 1.
+    """
+
+    time_ns: np.ndarray
+    taxel: np.ndarray
+    polarity: np.ndarray
+    columns: np.ndarray
+
+    def __post_init__(self):
+        for name, dtype in EVENT_DTYPES.items():
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), dtype))
+        if len({getattr(self, name).shape for name in EVENT_DTYPES}) != 1 or self.time_ns.ndim != 1:
+            raise ValueError("Events: the four columns must be one-dimensional and equally long")
+
+    def __len__(self):
+        return len(self.time_ns)
+
+
+EVENT_DTYPES = {
+    "time_ns": np.int64,
+    "taxel": np.uint8,
+    "polarity": np.int8,
+    "columns": np.uint16,
+}
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where recordings come from.
+
+    Attributes
+    ----------
+    name : str
+        File or folder name without its path, or a description of the simulation.
+    sha256 : str
+        Hash over the content (of the files, or of the simulation's settings and version).
+    simulated : bool
+        True if the recordings were not made on a real skin.
+    """
+
+    name: str
+    sha256: str
+    simulated: bool
+
+
+@dataclass(frozen=True)
+class TaxelMap:
+    """Position of each taxel on the array, zero-based.
+
+    Attributes
+    ----------
+    x : ndarray of int, shape (100,)
+        Row of the tactile image, from the top.  The paper's X is this plus one.
+    y : ndarray of int, shape (100,)
+        Column of the tactile image, from the left.  The paper's Y is this plus one.
+    """
+
+    x: np.ndarray = field(default_factory=lambda: np.arange(N_TAXELS) % GRID)
+    y: np.ndarray = field(default_factory=lambda: np.arange(N_TAXELS) // GRID)
+
+
+@dataclass(frozen=True)
+class Recordings:
+    """A set of labelled recordings; the events of all of them stand in the same four columns.
+
+    Attributes
+    ----------
+    events : Events
+        Events of recording 0, then of recording 1, and so on.
+    offsets : ndarray of int64, shape (n_samples + 1,)
+        ``events`` of recording i are those from ``offsets[i]`` to ``offsets[i + 1]``.
+    labels : ndarray of int64, shape (n_samples,)
+        The digit, 0 to 9.
+    ids : tuple of str
+        A name for each recording that does not change from import to import, such as
+        ``"3/0042.mat"``.
+    writers : ndarray of int64, shape (n_samples,)
+        The writer, from 0; -1 where it is not known.
+    source : Source
+    taxels : TaxelMap
+    """
+
+    events: Events
+    offsets: np.ndarray
+    labels: np.ndarray
+    ids: tuple
+    writers: np.ndarray
+    source: Source
+    taxels: TaxelMap = field(default_factory=TaxelMap)
+
+    def __len__(self):
+        return len(self.labels)
+
+    def __getitem__(self, index: int) -> Events:
+        span = slice(self.offsets[index], self.offsets[index + 1])
+        return Events(*(getattr(self.events, name)[span] for name in EVENT_DTYPES))
+
+    @property
+    def sample_of_event(self) -> np.ndarray:
+        """Index of the recording each event belongs to, shape (n_events,)."""
+        return np.repeat(np.arange(len(self)), np.diff(self.offsets))
+
+    def with_taxels(self, taxels: TaxelMap) -> Recordings:
+        """The same recordings read with another lookup table."""
+        return replace(self, taxels=taxels)
+
+
+def collect(parts, labels, ids, writers, source, taxels=None) -> Recordings:
+    """Join the events of single recordings.
+
+    Parameters
+    ----------
+    parts : sequence of Events
+    labels, ids, writers : sequences
+        One entry a recording.
+    source : Source
+    taxels : TaxelMap, optional
+    """
+    columns = (
+        np.concatenate([getattr(part, name) for part in parts]) if parts else np.empty(0, dtype)
+        for name, dtype in EVENT_DTYPES.items()
+    )
+    return Recordings(
+        events=Events(*columns),
+        offsets=np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.int64),
+        labels=np.asarray(labels, np.int64),
+        ids=tuple(ids),
+        writers=np.asarray(writers, np.int64),
+        source=source,
+        taxels=taxels or TaxelMap(),
+    )
+
+
+def merge_bursts(time_ns, taxel, polarity) -> Events:
+    """Join decoder ticks that report the same physical event.
+
+    Columns belong to one event when they stand next to each other in the file, exactly one tick
+    (16 ns) apart, with the same taxel and polarity.
+
+    Parameters
+    ----------
+    time_ns, taxel, polarity : array_like, shape (n_columns,)
+        In increasing order of time.
+
+    Returns
+    -------
+    Events
+    """
+    time_ns, taxel, polarity = (np.asarray(a) for a in (time_ns, taxel, polarity))
+    if len(time_ns) == 0:
+        return Events(time_ns, taxel, polarity, np.empty(0, np.uint16))
+    new = np.ones(len(time_ns), bool)
+    new[1:] = (
+        (np.diff(time_ns) != TICK_NS) | (taxel[1:] != taxel[:-1]) | (polarity[1:] != polarity[:-1])
+    )
+    first = np.flatnonzero(new)
+    columns = np.diff(np.append(first, len(time_ns)))
+    return Events(time_ns[first], taxel[first], polarity[first], columns)
+
+
+def expand_bursts(events: Events):
+    """The inverse of :func:`merge_bursts`: one row a decoder tick.
+
+    Returns
+    -------
+    time_ns, taxel, polarity : ndarrays, shape (n_columns,)
+    """
+    repeats = events.columns.astype(np.int64)
+    start = np.repeat(np.cumsum(repeats) - repeats, repeats)
+    tick = np.arange(repeats.sum()) - start
+    return (
+        np.repeat(events.time_ns, repeats) + TICK_NS * tick,
+        np.repeat(events.taxel, repeats),
+        np.repeat(events.polarity, repeats),
+    )
