@@ -1,4 +1,4 @@
-"""The stages of a run: each reads what the one before wrote, and is redone only when out of date."""
+"""The stages of a run: each reads what the one before wrote, and is redone only if out of date."""
 
 from __future__ import annotations
 
