@@ -15,6 +15,7 @@ from deploy import __version__
 from deploy.errors import CheckFailed, UserError
 from models.notation import NotationError
 from pipeline.commands import check, data, run
+from pipeline.commands import skin as _skin  # noqa: F401 - adds its verbs to data.app
 
 app = typer.Typer(
     help="From event-based touch to a spiking network on Loihi.",
