@@ -57,20 +57,20 @@ def events_by_taxel(recordings: Recordings, index: int) -> Figure:
         Which of them.
     """
     events, taxels = recordings[index], recordings.taxels
-    figure = Figure(figsize=(11, 8), layout="constrained")
-    figure.suptitle(
-        f"{_title(recordings, index)}: events of each taxel, 0 to {DURATION_S:g} s, "
-        "ON up (red), OFF down (black)"
-    )
-    panels = figure.subplots(GRID, GRID, sharex=True, sharey=True)
-    seconds = events.time_ns * 1e-9
-    for taxel in range(N_TAXELS):
-        axes = panels[taxels.x[taxel], taxels.y[taxel]]
-        for polarity, colour in ((1, ON), (-1, OFF)):
-            mine = (events.taxel == taxel) & (events.polarity == polarity)
-            axes.vlines(seconds[mine], 0, polarity, colour, linewidth=0.6)
-        axes.set(xlim=(0, DURATION_S), ylim=(-1.2, 1.2), xticks=[], yticks=[])
-        axes.text(0.97, 0.95, taxel + 1, fontsize=6, ha="right", va="top", transform=axes.transAxes)
+    figure = Figure(figsize=(11, 9), layout="constrained")
+    axes = figure.subplots()
+    # One cell a taxel: time runs from its left to its right, zero is its middle.
+    x = taxels.y[events.taxel] - 0.5 + events.time_ns * 1e-9 / DURATION_S
+    zero = taxels.x[events.taxel]
+    for polarity, colour, label in ((1, ON, "ON, up"), (-1, OFF, "OFF, down")):
+        mine = events.polarity == polarity
+        tip = zero[mine] - 0.4 * polarity
+        axes.vlines(x[mine], zero[mine], tip, colour, linewidth=0.6, label=label)
+    for taxel, (row, column) in enumerate(zip(taxels.x, taxels.y, strict=True)):
+        axes.text(column - 0.47, row - 0.3, taxel + 1, fontsize=7, color="0.5")
+    _cells(axes)
+    axes.set(title=f"{_title(recordings, index)}: each taxel's events, 0 to {DURATION_S:g} s")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.03), ncols=2, frameon=False)
     return figure
 
 
@@ -81,12 +81,8 @@ def layout(taxels: TaxelMap) -> Figure:
     for taxel, (x, y) in enumerate(zip(taxels.x, taxels.y, strict=True)):
         axes.text(y, x - 0.12, taxel + 1, ha="center", va="center", weight="bold", fontsize=11)
         axes.text(y, x + 0.22, f"({x + 1},{y + 1})", ha="center", va="center", fontsize=8)
-    axes.set_xticks(np.arange(GRID + 1) - 0.5, [])
-    axes.set_yticks(np.arange(GRID + 1) - 0.5, [])
-    axes.grid(color="0.7")
-    axes.set(xlim=(-0.5, GRID - 0.5), ylim=(GRID - 0.5, -0.5), aspect="equal")
-    axes.tick_params(length=0)
-    axes.set(xlabel="Y", ylabel="X", title="Taxel addresses and (X, Y)")
+    _cells(axes)
+    axes.set(aspect="equal", title="Taxel addresses and (X, Y)")
     return figure
 
 
@@ -116,6 +112,17 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
         for axes, index in zip(row, chosen, strict=False):
             _show(axes, images[index])
     return figure
+
+
+def _cells(axes):
+    """A grid of taxels, numbered as the paper does."""
+    edges = np.arange(GRID + 1) - 0.5
+    axes.hlines(edges, -0.5, GRID - 0.5, "0.8", linewidth=0.8)
+    axes.vlines(edges, -0.5, GRID - 0.5, "0.8", linewidth=0.8)
+    axes.set_xticks(range(GRID), range(1, GRID + 1))
+    axes.set_yticks(range(GRID), range(1, GRID + 1))
+    axes.tick_params(length=0)
+    axes.set(xlim=(-0.5, GRID - 0.5), ylim=(GRID - 0.5, -0.5), xlabel="Y", ylabel="X")
 
 
 def _show(axes, image):

@@ -87,7 +87,7 @@ def stats(
     if as_json:
         print(json.dumps(_as_json(recordings, table, against_paper), indent=2))
         return
-    console = Console(width=None if Console().is_terminal else 140)
+    console = Console(width=None if Console().is_terminal else 180)
     kind = "simulated" if recordings.source.simulated else "recorded"
     shown = Table(title=f"{recordings.source.name} ({kind}), {len(recordings)} samples: mean (SD)")
     shown.add_column("")
@@ -171,9 +171,13 @@ def plot(
 ):
     """Draw recordings as the paper does.
 
-    recording: the tactile image as it grows, above a raster of 100 taxels over 2 s (ON red, OFF
-    black); events: each taxel's events at its place; layout: addresses and (X, Y); sheet: tactile
-    images of random samples of each digit.
+    recording: the tactile image as it grows, above a raster of 100 taxels over 2 s.
+
+    events: each taxel's events, at its place on the array.
+
+    layout: taxel addresses and their (X, Y).
+
+    sheet: tactile images of random samples of each digit.
     """
     from pipeline import data_figures  # Matplotlib takes a second to import
 
@@ -268,6 +272,10 @@ def difficulty(
         )
 
 
+NOISES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
+AT_ONCE = (1, 10, 30, 100)
+
+
 @app.command("aces")
 def aces_(
     trials: Annotated[int, typer.Option(help="Trials of each condition.", min=1)] = 20,
@@ -276,7 +284,7 @@ def aces_(
 ):
     """Measure what the shared wire loses: encode, add noise, decode, compare."""
     p = parameters.load().aces
-    conditions = [(noise, n) for noise in (0.0, 0.1, 0.2, 0.3, 0.4, 0.5) for n in (1, 10, 30, 100)]
+    conditions = [(noise, n) for noise in NOISES for n in AT_ONCE]
     rows = []
     with progress("aces", len(conditions)) as advance:
         for index, (noise, at_once) in enumerate(conditions):
