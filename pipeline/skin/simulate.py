@@ -98,11 +98,7 @@ def simulate(
         A digit is asked for that no trace shows.
     """
     parameters = parameters or settings.load()
-    counts = [
-        int(n) for n in (SAMPLES_PER_DIGIT if samples_per_digit is None else samples_per_digit)
-    ]
-    if len(counts) != 10 or min(counts) < 0:
-        raise ValueError("samples_per_digit: ten numbers, none below 0")
+    counts = _counts(samples_per_digit)
     samples = _samples(seed, counts, parameters.writers.count, traces)
     batches = [samples[first : first + BATCH] for first in range(0, len(samples), BATCH)]
     parts = []
@@ -111,18 +107,34 @@ def simulate(
         parts += done
         if advance:
             advance(len(done))
-    about = f"simulated, seed {seed}"
     return collect(
         parts,
         labels=[sample.digit for sample in samples],
         ids=[sample.name for sample in samples],
         writers=[sample.writer for sample in samples],
-        source=Source(
-            name=f"{about}, recorded handwriting" if traces else about,
-            sha256=_sha256(seed, counts, parameters, traces),
-            simulated=True,
-        ),
+        source=source_of(seed, counts, parameters, traces),
     )
+
+
+def source_of(seed=0, samples_per_digit=None, parameters=None, traces=None) -> Source:
+    """What :func:`simulate` of the same arguments will give, by name and hash, without the work."""
+    parameters = parameters or settings.load()
+    content = [VERSION, int(seed), _counts(samples_per_digit), parameters.fingerprint()]
+    digest = hashlib.sha256(json.dumps(content).encode())
+    for trace in traces or ():
+        digest.update(np.array([trace.digit, trace.writer]).tobytes())
+        for stroke in trace.strokes:
+            digest.update(np.ascontiguousarray(stroke).tobytes())
+    name = f"simulated, seed {seed}" + (", recorded handwriting" if traces else "")
+    return Source(name, digest.hexdigest(), True)
+
+
+def _counts(samples_per_digit):
+    counts = SAMPLES_PER_DIGIT if samples_per_digit is None else samples_per_digit
+    counts = [int(n) for n in counts]
+    if len(counts) != 10 or min(counts) < 0:
+        raise ValueError("samples_per_digit: ten numbers, none below 0")
+    return counts
 
 
 def _samples(seed, counts, n_writers, traces):
@@ -145,17 +157,6 @@ def _samples(seed, counts, n_writers, traces):
             Sample(digit, index, pool[one].writer, pool[one]) for index, one in enumerate(chosen)
         ]
     return samples
-
-
-def _sha256(seed, counts, parameters, traces):
-    digest = hashlib.sha256()
-    settings = [VERSION, int(seed), counts, parameters.fingerprint()]
-    digest.update(json.dumps(settings).encode())
-    for trace in traces or ():
-        digest.update(np.array([trace.digit, trace.writer]).tobytes())
-        for stroke in trace.strokes:
-            digest.update(np.ascontiguousarray(stroke).tobytes())
-    return digest.hexdigest()
 
 
 def _batch(seed, samples, p):
