@@ -85,6 +85,7 @@ def _records(bundle, part, responses: Responses) -> list:
             "decided_at": int(responses.decided_at[i]),
             "decisions": [int(decision) for decision in responses.decisions[i]],
             "spikes": {name: int(counts[i]) for name, counts in responses.spikes.items()},
+            "operations": {name: int(counts[i]) for name, counts in responses.operations.items()},
         }
         for i, index in enumerate(range(part.start, part.stop))
     ]
@@ -96,7 +97,7 @@ def _partial_file(out: Path, header: dict):
     path = out.with_name("." + out.name + ".partial")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        file = open(str(path), "a+", encoding="utf-8")
+        file = open(str(path), "a+", encoding="utf-8")  # noqa: SIM115 - closed by "with" below
     except OSError as error:
         raise UserError(f"{out}: cannot write ({error.strerror}); choose another --out") from error
     with file:
@@ -104,7 +105,7 @@ def _partial_file(out: Path, header: dict):
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             raise UserError(
-                f"{out}: another process is writing this result; wait for it or choose another --out"
+                f"{out}: another process is writing this result; wait for it or use another --out"
             ) from None
         done = _resume(file, header)
 

@@ -35,7 +35,7 @@ class Feed:
         self.images = self.blank[None]
 
     def __call__(self, t):
-        sample, step = divmod(int(round(t / DT)) - 1, self.period)
+        sample, step = divmod(round(float(t) / DT) - 1, self.period)
         return self.images[sample] if step < self.steps else self.blank
 
 

@@ -1,0 +1,72 @@
+"""From a moving pen to the signal of every taxel: contact, film, gain, vibration, noise."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import lfilter
+
+from pipeline.recordings import GRID, TaxelMap
+
+_PLACE = np.arange(GRID)
+_TAXELS = TaxelMap()
+
+
+def press(motion, gain, least, rng, p):
+    """The signal of the taxels that a pen reaches.
+
+    The force of the tip (0.5 mm, half a taxel) spreads in the film and its cover; over the taxels
+    it falls off as a Gaussian of standard deviation ``p.spread``.  The piezoresistive film follows
+    at once with one part of its answer and lags behind with the rest, so it comes back from a
+    pressure later than it took it up (hysteresis).  A sliding tip scrapes: each taxel's pressure
+    vibrates in proportion to itself and to the speed, up to ``p.scrape_speed``.
+
+    Parameters
+    ----------
+    motion : pipeline.skin.handwriting.Motion
+    gain : ndarray of float, shape (100,)
+        Of each taxel.
+    least : float
+        Taxels whose signal stays below are left out.
+    rng : numpy.random.Generator
+    p : pipeline.skin.parameters.Skin
+
+    Returns
+    -------
+    taxels : ndarray of int, shape (n,)
+    signal : ndarray of float32, shape (n_times, n)
+    """
+    step = motion.time_s[1] - motion.time_s[0]
+    rows = np.exp(-0.5 * ((motion.down[:, None] - _PLACE) / p.spread) ** 2).astype(np.float32)
+    columns = np.exp(-0.5 * ((motion.right[:, None] - _PLACE) / p.spread) ** 2).astype(np.float32)
+    rows *= motion.force[:, None].astype(np.float32)
+    jolts, landings = _jolts(motion, rng, p)
+    reach = (
+        rows.max(axis=0)[_TAXELS.x] * columns.max(axis=0)[_TAXELS.y] + jolts.max(axis=0)
+    ) * gain
+    taxels = np.flatnonzero(reach > least)
+    signal = rows[:, _TAXELS.x[taxels]] * columns[:, _TAXELS.y[taxels]]
+    for row, jolt in zip(landings, jolts, strict=True):
+        decay = np.exp(-np.arange(len(signal) - row) * step / p.jolt_s)
+        signal[row:] += np.outer(decay, jolt[taxels])
+    signal *= gain[taxels].astype(np.float32)
+    speed = np.hypot(np.gradient(motion.down, step), np.gradient(motion.right, step))
+    scrape = p.scrape * np.minimum(speed / p.scrape_speed, 1)
+    lag = np.float32(np.exp(-step / p.creep_s))
+    late = lfilter([1 - lag], np.array([1, -lag], np.float32), signal, axis=0)
+    signal += np.float32(p.creep) * (late.astype(np.float32) - signal)
+    vibration = rng.standard_normal(signal.shape, np.float32)
+    signal *= 1 + scrape[:, None].astype(np.float32) * vibration
+    return taxels, signal
+
+
+def _jolts(motion, rng, p):
+    """What each taxel feels of the shaking whenever the pen comes down or lifts.
+
+    Returns
+    -------
+    jolts : ndarray of float, shape (n_landings, 100)
+    rows : ndarray of int, shape (n_landings,)
+    """
+    rows = np.flatnonzero(np.diff((motion.force > 0.1 * motion.force.max()).astype(int))) + 1
+    strength = p.jolt * np.exp(p.jolt_spread * rng.standard_normal())
+    return strength * rng.standard_exponential((len(rows), len(_TAXELS.x))), rows

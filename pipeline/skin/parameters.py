@@ -1,0 +1,181 @@
+"""Settings of the simulated rig, read from ``parameters.toml`` and ``calibration.json``."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import importlib.resources
+import json
+import tomllib
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Writers:
+    """Standard deviations between persons; see ``parameters.toml`` for units."""
+
+    count: int
+    habit: float
+    slant: float
+    tilt: float
+    height: float
+    width: float
+    place: tuple
+    tempo: float
+    force: float
+    scrape: float
+    sloppiness: float
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Standard deviations from one digit of a person to the next."""
+
+    other_allograph: float
+    wobble: float
+    roundness: float
+    slant: float
+    tilt: float
+    size: float
+    place: tuple
+    tempo: float
+    force: float
+    scrape: float
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """How a plan becomes a movement."""
+
+    stroke_s: float
+    stroke_taxels: float
+    isochrony: float
+    overlap: float
+    sigma: float
+    landing_s: float
+    lift: float
+    onset_s: tuple
+    waver: float
+    waver_s: float
+    end_s: float
+
+
+@dataclass(frozen=True)
+class Skin:
+    """How the film and the taxels take up a force."""
+
+    spread: float
+    creep: float
+    creep_s: float
+    gain: float
+    gain_drift: float
+    scrape: float
+    scrape_speed: float
+    lean: tuple
+    jolt: float
+    jolt_spread: float
+    jolt_s: float
+
+
+@dataclass(frozen=True)
+class Receptor:
+    """When a taxel fires."""
+
+    threshold: float
+    refractory_s: float
+    poll_s: float
+    clock: float
+    off_spread: float
+
+
+@dataclass(frozen=True)
+class Aces:
+    """How the decoder reports an event."""
+
+    pulses: int
+    signature_s: float
+    most_shared: int
+    on_ns: float
+    off_ns: float
+    level: float
+    shortest: int
+    noise: float
+
+
+@dataclass(frozen=True)
+class Form:
+    """What was fitted for one digit.
+
+    Attributes
+    ----------
+    height, width : float
+        Usual size of the plan's box, in taxels.
+    down, right : float
+        Usual centre of the box, in taxels from the first one's centre.
+    force : float
+        Logarithm of the usual force.
+    spread : float
+        Factor on the variation of force and tempo between samples.
+    off : float
+        Logarithm of the OFF threshold over the ON threshold.
+    """
+
+    height: float
+    width: float
+    down: float
+    right: float
+    force: float
+    spread: float
+    off: float
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Everything that the simulation depends on but the seed and the sample counts."""
+
+    writers: Writers
+    trials: Trials
+    kinematics: Kinematics
+    skin: Skin
+    receptor: Receptor
+    aces: Aces
+    forms: tuple
+
+    def fingerprint(self) -> str:
+        """Hexadecimal SHA-256 over every value."""
+        text = json.dumps(dataclasses.asdict(self), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _folder():
+    return importlib.resources.files(__package__)
+
+
+@functools.cache
+def load() -> Parameters:
+    """The built-in settings."""
+    text = tomllib.loads(_folder().joinpath("parameters.toml").read_text("utf-8"))
+    fitted = json.loads(_folder().joinpath("calibration.json").read_text("utf-8"))
+    sections = {
+        field.name: _typed(field.name, text[field.name])
+        for field in dataclasses.fields(Parameters)
+        if field.name != "forms"
+    }
+    forms = tuple(Form(**fitted["forms"][str(digit)]) for digit in range(10))
+    return Parameters(**sections, forms=forms)
+
+
+_SECTIONS = {
+    "writers": Writers,
+    "trials": Trials,
+    "kinematics": Kinematics,
+    "skin": Skin,
+    "receptor": Receptor,
+    "aces": Aces,
+}
+
+
+def _typed(name, values):
+    plain = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
+    return _SECTIONS[name](**plain)

@@ -1,0 +1,72 @@
+"""Fast-adapting receptors: a taxel fires when its pressure has changed, and only then.
+
+After an event the taxel is blind while its pulse signature goes out (the refractory time); from
+then on its own clock looks again and again, and it fires as soon as the signal stands off that of
+its last event by more than a threshold, ON for a rise and OFF for a fall.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def fire(signal, on, off, step_s, refractory_s, poll_s):
+    """Events of many taxels at once.
+
+    Between two samples the signal is taken as a straight line; an event stands at the first look
+    of the taxel's clock at which the threshold has been crossed.
+
+    Parameters
+    ----------
+    signal : ndarray of float, shape (n_times, n_channels)
+        The receptors are adapted to the first row.
+    on, off : ndarrays of float, shape (n_channels,)
+        Thresholds, above 0, for a rise and a fall.
+    step_s : float
+        Time between rows of ``signal``; no more than the refractory time.
+    refractory_s, poll_s : float or ndarray, shape (n_channels,)
+        Blind time after an event, and time between two looks.
+
+    Returns
+    -------
+    time_s : ndarray of float, shape (n_events,)
+        From the first row of ``signal`` on.
+    channel : ndarray of int, shape (n_events,)
+    polarity : ndarray of int8, shape (n_events,)
+        1 for ON, -1 for OFF.  In no particular order.
+    """
+    signal = np.asarray(signal)
+    n_times, n_channels = signal.shape
+    refractory_s = np.broadcast_to(refractory_s, n_channels)
+    poll_s = np.broadcast_to(poll_s, n_channels)
+    reference = signal[0].copy()
+    upper, lower = reference + on, reference - off
+    ready = np.zeros(n_channels)
+    times, channels, polarities = [], [], []
+    for row in range(1, n_times):
+        now = signal[row]
+        crossed = np.flatnonzero((now > upper) | (now < lower))
+        if len(crossed) == 0:
+            continue
+        end = row * step_s
+        crossed = crossed[ready[crossed] < end]
+        if len(crossed) == 0:
+            continue
+        value, before = now[crossed], signal[row - 1, crossed]
+        rises = value > upper[crossed]
+        limit = np.where(rises, upper[crossed], lower[crossed])
+        move = value - before
+        share = np.where(move != 0, (limit - before) / np.where(move != 0, move, 1), 0)
+        at = end - step_s + step_s * np.clip(share, 0, 1)
+        looks = np.ceil(np.maximum(at - ready[crossed], 0) / poll_s[crossed])
+        at = ready[crossed] + looks * poll_s[crossed]
+        times.append(at)
+        channels.append(crossed)
+        polarities.append(np.where(rises, 1, -1).astype(np.int8))
+        ready[crossed] = at + refractory_s[crossed]
+        reference[crossed] = value
+        upper[crossed] = value + on[crossed]
+        lower[crossed] = value - off[crossed]
+    if not times:
+        return np.empty(0), np.empty(0, int), np.empty(0, np.int8)
+    return np.concatenate(times), np.concatenate(channels), np.concatenate(polarities)
