@@ -7,7 +7,7 @@ readout's bias); the decision at a step is the class with the highest score.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Dict
 
 import numpy as np
@@ -27,11 +27,14 @@ class Responses:
         Decision at each step; -1 before the readout starts.
     spikes : dict of str to ndarray of int, shape (n_samples,)
         Spikes of each layer while the sample was shown and in the gap after it.
+    notes : dict
+        What only this target can tell of the stream, such as a board's timing; plain values.
     """
 
     scores: np.ndarray
     decisions: np.ndarray
     spikes: Dict[str, np.ndarray]
+    notes: dict = field(default_factory=dict)
 
     @property
     def predictions(self) -> np.ndarray:

@@ -14,6 +14,7 @@ import numpy as np
 
 from .errors import UserError
 from .foreign import nengo_loihi
+from .hardware import run_loihi
 from .network import build
 from .network_spec import NetworkSpec
 from .presentation import Responses, join, read_output, streams_of
@@ -43,6 +44,7 @@ TARGETS: Dict[str, Callable] = {
     "nengo": run_nengo,
     "simreal": run_simreal,
     "emulator": run_emulator,
+    "loihi": run_loihi,
 }
 
 

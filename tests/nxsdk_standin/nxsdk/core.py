@@ -273,6 +273,6 @@ class N2Core:
 
     def sent(self):
         """Spikes on their way: ``(chip, core, type, axon, atom)`` of each."""
-        for source in np.flatnonzero(self.spike):
-            for kind, _, atom, chip, core, axon in self.axons.get(int(source), ()):
+        for source in np.flatnonzero(self.spike).tolist():
+            for kind, _, atom, chip, core, axon in self.axons.get(source, ()):
                 yield chip, core, kind, axon, atom

@@ -30,28 +30,43 @@ class Executor:
 
 
 class Probe:
-    """The time series of one compartment's ``u``, ``v`` or ``spike``."""
+    """The time series of one compartment."""
 
-    def __init__(self, core, compartment, attribute):
-        self.core, self.compartment, self.attribute = core, compartment, attribute
+    def __init__(self):
         self.timeSeries = types.SimpleNamespace(data=[])
 
+
+class Recorder:
+    """Takes down ``u``, ``v`` or ``spike`` of some compartments of a core, for their probes."""
+
+    def __init__(self, core, compartments, attribute):
+        self.core, self.compartments, self.attribute = core, compartments, attribute
+        self.probes = [Probe() for _ in compartments]
+        self.rows = []
+
     def record(self):
-        self.timeSeries.data.append(int(getattr(self.core, self.attribute)[self.compartment]))
+        self.rows.append(getattr(self.core, self.attribute)[self.compartments])
+
+    def hand_over(self, missing):
+        """Give the rows since the last time to the probes, without the last ``missing``."""
+        rows = np.array(self.rows[: len(self.rows) - missing], dtype=np.int64)
+        for probe, column in zip(self.probes, rows.T, strict=True):
+            probe.timeSeries.data += column.tolist()
+        self.rows.clear()
 
 
 class Monitor:
     def __init__(self):
-        self.probes = []
+        self.recorders = []
 
     def probe(self, core, compartments, attribute):
         if attribute not in ("u", "v", "spike"):
             raise BoardError(f"no such state: {attribute}")
-        probes = [Probe(core, int(i), attribute) for i in np.atleast_1d(compartments)]
-        self.probes += probes
+        recorder = Recorder(core, np.array(compartments, dtype=int), attribute)
+        self.recorders.append(recorder)
         if attribute == "spike":
-            N2SpikeProbe.probeDict[len(N2SpikeProbe.probeDict)] = probes
-        return probes
+            N2SpikeProbe.probeDict[len(N2SpikeProbe.probeDict)] = recorder.probes
+        return recorder.probes
 
 
 class N2Board:
@@ -124,8 +139,8 @@ class N2Board:
                 self.executor.started = False
                 raise
             self._advance()
-        for probe in self.monitor.probes if FAULTS.short_probes else ():
-            del probe.timeSeries.data[-FAULTS.short_probes :]
+        for recorder in self.monitor.recorders:
+            recorder.hand_over(FAULTS.short_probes)
 
     def _advance(self):
         self.step += 1
@@ -137,8 +152,8 @@ class N2Board:
         for core in self.cores.values():
             core.update()
         self.in_flight = [spike for core in self.cores.values() for spike in core.sent()]
-        for probe in self.monitor.probes:
-            probe.record()
+        for recorder in self.monitor.recorders:
+            recorder.record()
 
     def finishRun(self):
         pass
