@@ -122,22 +122,35 @@ def _partial_file(out: Path, header: dict):
             raise UserError(
                 f"{out}: another process is writing this result; wait for it or use another --out"
             ) from None
-        done = _resume(file, header)
+        with _disk_errors(path):
+            done = _resume(file, header)
 
         def append(record):
-            try:
-                file.write(json.dumps(record) + "\n")
-                file.flush()
-                os.fsync(file.fileno())
-            except OSError as error:
-                raise UserError(
-                    f"{path}: cannot write ({error.strerror}); the streams before this one are "
-                    "safe: free some space and run the same command again"
-                ) from error
+            with _disk_errors(path):
+                _write_now(file, json.dumps(record) + "\n")
 
         yield done, append
         with contextlib.suppress(OSError):
             path.unlink()
+
+
+@contextlib.contextmanager
+def _disk_errors(path):
+    try:
+        yield
+    except OSError as error:
+        raise UserError(
+            f"{path}: cannot write ({error.strerror}); the streams saved before are safe: "
+            "free some space and run the same command again"
+        ) from error
+
+
+def _write_now(file, text):
+    """Append without a buffer, which a file on a full disk would flush once more as it closes."""
+    rest = text.encode()
+    while rest:
+        rest = rest[os.write(file.fileno(), rest) :]
+    os.fsync(file.fileno())
 
 
 def _resume(file, header):
@@ -149,9 +162,9 @@ def _resume(file, header):
         sound = bool(done) and done[0] == header and all("samples" in r for r in done[1:])
     except (ValueError, TypeError):
         sound = False
-    keep = lines if sound else [json.dumps(header)]
-    file.seek(0)
-    file.truncate()
-    file.write("".join(line + "\n" for line in keep))
-    file.flush()
+    if sound:
+        file.truncate(len("".join(line + "\n" for line in lines).encode()))
+    else:
+        file.truncate(0)
+        _write_now(file, json.dumps(header) + "\n")
     return done[1:] if sound else []

@@ -11,7 +11,7 @@ from . import __version__
 from .bundle import RESULTS, read_bundle
 from .checks import run_check
 from .errors import CheckFailed, UserError
-from .hardware import Settings
+from .hardware import Settings, settings_for
 from .plan import make_plan, plan_text
 from .results import compare, read_result
 from .targets import TARGETS
@@ -87,6 +87,8 @@ def _parser():
 
 
 def _check(options):
+    given = {name: getattr(options, name) for name in vars(Settings())}
+    settings = settings_for(options.target, **given)
     bundle = read_bundle(options.bundle)
     out = options.out or options.bundle / RESULTS / f"{options.target}.json"
     total, done = len(bundle.checks), 0
@@ -97,22 +99,11 @@ def _check(options):
         if sys.stderr.isatty():
             print(f"\r{options.target}: {done} of {total} samples", end="", file=sys.stderr)
 
-    result = run_check(bundle, options.target, out, options.seed, advance, _settings(options))
+    result = run_check(bundle, options.target, out, options.seed, advance, settings)
     if sys.stderr.isatty():
         print(file=sys.stderr)
     print(summary(result))
     print(f"written to {out}")
-
-
-def _settings(options):
-    """The board's settings for target loihi; an option of it for another target is a mistake."""
-    given = {name: getattr(options, name) for name in vars(Settings())}
-    if options.target == "loihi":
-        return Settings(**given)
-    for name, default in vars(Settings()).items():
-        if given[name] != default:
-            raise UserError(f"--{name} is for --target loihi, not for {options.target}")
-    return None
 
 
 def _plan(options):

@@ -62,6 +62,22 @@ class Settings:
                 raise UserError(f"--{name} must be at least {least}")
 
 
+def settings_for(target: str, **given) -> Optional[Settings]:
+    """Settings from a command's options.
+
+    Raises
+    ------
+    UserError
+        A board's option was given for another target.
+    """
+    if target == "loihi":
+        return Settings(**given)
+    for name, default in vars(Settings()).items():
+        if given[name] != default:
+            raise UserError(f"--{name} is for --target loihi, not for {target}")
+    return None
+
+
 class BoardLost(Exception):
     """The connection failed or broke, or less came back than the board was asked for."""
 

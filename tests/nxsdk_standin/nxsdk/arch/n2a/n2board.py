@@ -50,7 +50,7 @@ class Recorder:
     def hand_over(self, missing):
         """Give the rows since the last time to the probes, without the last ``missing``."""
         rows = np.array(self.rows[: len(self.rows) - missing], dtype=np.int64)
-        for probe, column in zip(self.probes, rows.T, strict=True):
+        for probe, column in zip(self.probes, rows.T):
             probe.timeSeries.data += column.tolist()
         self.rows.clear()
 
