@@ -22,7 +22,7 @@ from .foreign import nengo_loihi
 from .network import build
 from .network_spec import NetworkSpec
 from .plan import require_fit
-from .presentation import Responses, read_output
+from .presentation import Responses, show
 
 POWER_BINS = 1024
 """Bins of the board's energy probe, spread over the steps of a stream."""
@@ -79,7 +79,7 @@ def settings_for(target: str, **given) -> Optional[Settings]:
 
 
 class BoardLost(Exception):
-    """The connection failed or broke, or less came back than the board was asked for."""
+    """The connection failed or broke, or fewer steps came back than the board was asked for."""
 
 
 def nxsdk_version() -> str:
@@ -150,7 +150,6 @@ def run_loihi(spec: NetworkSpec, streams, seed=0, settings=None) -> Iterator[Res
 
 def _run_stream(spec, images, seed, settings):
     built = build(spec, seed)
-    built.feed.images = images
     steps = built.feed.period * len(images)
     begun = time.perf_counter()
     with _environment(settings):
@@ -164,7 +163,7 @@ def _run_stream(spec, images, seed, settings):
                 sim.__enter__()
             connected_at = time.perf_counter()
             with _board_errors():
-                outputs, spikes = _show(spec, built, sim, images)
+                responses = show(spec, built, sim, images)
             ended_at = time.perf_counter()
         finally:
             _close(sim)
@@ -180,23 +179,7 @@ def _run_stream(spec, images, seed, settings):
     }
     if settings.energy:
         notes["power"] = _measured_power(board)
-    return replace(read_output(spec, outputs, spikes), notes=notes)
-
-
-def _show(spec, built, sim, images):
-    """Run sample by sample; every probe must hand back one row a step."""
-    period, shown = built.feed.period, spec.presentation.steps
-    outputs, spikes = [], {name: [] for name in built.spikes}
-    for _ in images:
-        sim.run_steps(period)
-        for name, probe in built.spikes.items():
-            rows = np.asarray(sim.data[probe])
-            if len(rows) != period:
-                raise BoardLost(f"{len(rows)} of {period} steps of layer {name} came back")
-            spikes[name].append(int(np.count_nonzero(rows)))
-        outputs.append(np.array(sim.data[built.output][:shown]))
-        sim.clear_probes()
-    return np.array(outputs), spikes
+    return replace(responses, notes=notes)
 
 
 def _simulator(network, settings):
@@ -219,8 +202,6 @@ def _board_errors():
     """
     try:
         yield
-    except BoardLost:
-        raise
     except Exception as error:
         text = " ".join(str(error).split()) or type(error).__name__
         if "AxonCfg" in text:

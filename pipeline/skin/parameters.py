@@ -21,9 +21,10 @@ class Writers:
     tilt: float
     height: float
     width: float
-    place: float
+    place: tuple
     tempo: float
     force: float
+    scrape: float
     sloppiness: float
 
 
@@ -37,9 +38,10 @@ class Trials:
     slant: float
     tilt: float
     size: float
-    place: float
+    place: tuple
     tempo: float
     force: float
+    scrape: float
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,10 @@ class Skin:
     gain_drift: float
     scrape: float
     scrape_speed: float
-    noise: float
+    lean: tuple
+    jolt: float
+    jolt_spread: float
+    jolt_s: float
 
 
 @dataclass(frozen=True)
@@ -81,15 +86,21 @@ class Receptor:
     refractory_s: float
     poll_s: float
     clock: float
+    off_spread: float
 
 
 @dataclass(frozen=True)
 class Aces:
     """How the decoder reports an event."""
 
-    on_columns: tuple
-    off_columns: tuple
-    longer: tuple
+    pulses: int
+    signature_s: float
+    most_shared: int
+    on_ns: float
+    off_ns: float
+    level: float
+    shortest: int
+    noise: float
 
 
 @dataclass(frozen=True)
