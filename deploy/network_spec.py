@@ -155,7 +155,7 @@ class Presentation:
     """How samples are shown and read; every target follows it step by step.
 
     Samples come in streams.  A stream starts from a fresh network; in it each sample follows
-    ``gap`` steps of a blank image and is shown for ``steps`` steps, and the network goes on from the
+    ``gap`` steps of a blank image and is shown for ``steps`` steps.  The network goes on from the
     state that it is in, because a board cannot be reset between samples.  The gap comes first, so
     that every sample, the first of a stream too, meets a network at rest under its bias currents.
 
