@@ -7,7 +7,6 @@ import warnings
 import nengo
 import numpy as np
 import pytest
-from fast_networks import Watching, images_for, random_spec, reference
 from hypothesis import HealthCheck, Phase, event, given, reject, settings
 from hypothesis import strategies as st
 
@@ -20,6 +19,7 @@ from deploy.foreign import nengo_loihi
 from deploy.network_spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
 from deploy.presentation import join
 from deploy.targets import run_emulator
+from tests.deploy.fast_networks import Watching, images_for, random_spec, reference
 
 pytest.importorskip("numba")
 
