@@ -7,12 +7,13 @@ readout's bias); the decision at a step is the class with the highest score.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from typing import Dict
 
 import numpy as np
 
 from .network_spec import DT, NetworkSpec
+from .operations import synaptic_operations
 
 
 @dataclass(frozen=True)
@@ -26,12 +27,18 @@ class Responses:
     decisions : ndarray of int, shape (n_samples, steps)
         Decision at each step; -1 before the readout starts.
     spikes : dict of str to ndarray of int, shape (n_samples,)
-        Spikes of each layer while the sample was shown and in the gap after it.
+        Spikes of each layer while the sample was shown and in the gap before it.
+    operations : dict of str to ndarray of int, shape (n_samples,)
+        Synaptic operations by the layer that receives them, in the same time.
+    notes : dict
+        What only this target can tell of the stream, such as a board's timing; plain values.
     """
 
     scores: np.ndarray
     decisions: np.ndarray
     spikes: Dict[str, np.ndarray]
+    operations: Dict[str, np.ndarray]
+    notes: dict = field(default_factory=dict)
 
     @property
     def predictions(self) -> np.ndarray:
@@ -46,12 +53,48 @@ class Responses:
         return np.where(differs.any(1), steps + 1 - np.argmax(differs[:, ::-1], 1), 1)
 
 
+class ShortOfSteps(Exception):
+    """A simulator or board handed back fewer steps than it was asked for."""
+
+
 def streams_of(n_samples: int, stream_length: int) -> list:
     """Cut samples 0 to n_samples - 1 into streams, as slices in order."""
     return [
         slice(start, min(start + stream_length, n_samples))
         for start in range(0, n_samples, stream_length)
     ]
+
+
+def show(spec: NetworkSpec, built, sim, images) -> Responses:
+    """Show one stream to a simulator, or to a board that NengoLoihi drives, and read the answers.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    built : Built
+        The network that ``sim`` runs.
+    sim : nengo.Simulator or nengo_loihi.Simulator
+        Fresh.
+    images : ndarray, shape (n_samples, n_pixels)
+
+    Raises
+    ------
+    ShortOfSteps
+        The simulator handed back fewer steps than it was asked for.
+    """
+    built.feed.images = images
+    period, gap = built.feed.period, spec.presentation.gap
+    outputs, spikes = [], {name: [] for name in built.spikes}
+    for _ in images:  # sample by sample, so that the probes hold no more than one sample's steps
+        sim.run_steps(period)
+        for name, probe in built.spikes.items():
+            rows = sim.data[probe]
+            if len(rows) != period:
+                raise ShortOfSteps(f"{len(rows)} of {period} steps of layer {name} came back")
+            spikes[name].append(np.count_nonzero(rows, axis=0))
+        outputs.append(np.array(sim.data[built.output][gap:]))
+        sim.clear_probes()
+    return read_output(spec, np.array(outputs), {n: np.array(c) for n, c in spikes.items()})
 
 
 def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Responses:
@@ -63,7 +106,8 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
     output : ndarray, shape (n_samples, steps, n_classes)
         The readout's value at each step that a sample is shown for: decoded on the host, or spikes
         of the output neurons (``amplitude / dt`` in a step with a spike).
-    spikes : dict of str to ndarray, shape (n_samples,)
+    spikes : dict of str to ndarray of int, shape (n_samples, n_neurons)
+        Spikes of each neuron of each spiking layer, the gap before the sample included.
 
     Returns
     -------
@@ -77,7 +121,12 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
     scores = np.cumsum(window, axis=1) / counts + bias
     decisions = np.full(output.shape[:2], -1)
     decisions[:, start:] = np.argmax(_settled(scores), axis=2)
-    return Responses(scores[:, -1], decisions, {k: np.asarray(v) for k, v in spikes.items()})
+    return Responses(
+        scores=scores[:, -1],
+        decisions=decisions,
+        spikes={name: counts.sum(axis=-1) for name, counts in spikes.items()},
+        operations=synaptic_operations(spec, spikes),
+    )
 
 
 def _settled(scores):
@@ -91,10 +140,15 @@ def _settled(scores):
 def join(parts) -> Responses:
     """Put the responses to successive samples together."""
     parts = list(parts)
+
+    def joined(name):
+        values = [getattr(part, name) for part in parts]
+        if isinstance(values[0], dict):
+            return {key: np.concatenate([value[key] for value in values]) for key in values[0]}
+        return np.concatenate(values)
+
     return Responses(
-        np.concatenate([part.scores for part in parts]),
-        np.concatenate([part.decisions for part in parts]),
-        {name: np.concatenate([part.spikes[name] for part in parts]) for name in parts[0].spikes},
+        **{entry.name: joined(entry.name) for entry in fields(Responses) if entry.name != "notes"}
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from .errors import UserError
 from .files import read_json
 from .foreign import nengo_loihi
+from .operations import multiply_accumulates
 from .statistics import mcnemar, wilson_interval
 
 SCHEMA = "stmnist-check/1"
@@ -37,7 +38,8 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
     seed : int
     samples : list of dict
         One a sample of the bundle's check, in its order: ``id``, ``label``, ``prediction``,
-        ``scores``, ``decided_at``, ``decisions`` (each step's), ``spikes`` (each layer's).
+        ``scores``, ``decided_at``, ``decisions`` (each step's), ``spikes`` and ``operations`` (each
+        layer's).
     wall_seconds : float
         Time spent on the samples, over all sessions.
     extra : dict, optional
@@ -54,7 +56,10 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
     right = decisions == labels[:, None]
     correct = int(right[:, -1].sum())
     extra = dict(extra or {})
-    layers = list(samples[0]["spikes"])
+
+    def total(name):
+        return {layer: sum(s[name][layer] for s in samples) for layer in samples[0][name]}
+
     return {
         "schema": SCHEMA,
         "target": target,
@@ -71,22 +76,29 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
             {key: sample[key] for key in ("id", "label", "prediction", "scores", "decided_at")}
             for sample in samples
         ],
-        "spikes": {name: sum(sample["spikes"][name] for sample in samples) for name in layers},
+        "spikes": total("spikes"),
+        "synaptic_operations": total("operations"),
+        "multiply_accumulates": multiply_accumulates(bundle.spec),
         "wall_seconds": wall_seconds,
         "versions": {**versions(), **extra.pop("versions", {})},
         **extra,
     }
 
 
-def read_result(path) -> dict:
+def read_result(path, remedy="run 'stmnist check run' again") -> dict:
     """Read a result and make sure that it is one.
+
+    Parameters
+    ----------
+    path : path-like
+    remedy : str
+        What the user can do if the file is missing or damaged; ends the error's line.
 
     Raises
     ------
     UserError
         The file is missing, damaged, of another schema, or contradicts itself.
     """
-    remedy = "run 'stmnist check run' again"
     result = read_json(path, remedy)
     if result.get("schema") != SCHEMA:
         raise UserError(
@@ -101,6 +113,8 @@ def read_result(path) -> dict:
             and abs(right / len(samples) - result["accuracy"]) < 1e-9
             and isinstance(result["bundle"], str)
             and isinstance(result["target"], str)
+            and len([float(bound) for bound in result["accuracy_ci95"]]) == 2
+            and {"simulated", "spikes", "wall_seconds", "steps_per_sample"} <= result.keys()
         )
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
         raise UserError(f"{path}: not a whole check result ({error!r}); {remedy}") from error
