@@ -200,7 +200,7 @@ def _check_schema(path, found, known):
 def zipapp_bytes() -> bytes:
     """This package as a zipapp, the same bytes for the same source files."""
     package = Path(__file__).resolve().parent
-    main = "import sys\n\nfrom deploy.cli import main\n\nsys.exit(main())\n"
+    main = 'import runpy\n\nrunpy.run_module("deploy", run_name="__main__")\n'
     members = {"__main__.py": main.encode()}
     for source in sorted(package.rglob("*.py")):
         members[source.relative_to(package.parent).as_posix()] = source.read_bytes()
