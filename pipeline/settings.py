@@ -217,7 +217,8 @@ def parse_assignments(assignments) -> dict:
 def _toml(value):
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(_toml, value)) + "]"
-    return json.dumps(value, ensure_ascii=False)  # the same for text, numbers and booleans
+    # The same for text, numbers and booleans, but for one character that only TOML escapes.
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _changed(settings, changes, origin, prefix):
@@ -254,7 +255,11 @@ def _coerced(value, default, origin, name):
         if not isinstance(value, (list, tuple)):
             fail("a list")
         return tuple(_coerced(entry, default[0], origin, name) for entry in value)
-    return value if isinstance(value, str) else fail("text")
+    try:
+        value.encode()
+    except (AttributeError, UnicodeEncodeError):
+        fail("text (in UTF-8)")
+    return value
 
 
 def _validate(s: Settings, origin):

@@ -29,12 +29,8 @@ EMULATOR = result("emulator", [0, 1, 2, 3, 4, 5, 0, 0, 8, 1])  # 7 right, 1 diff
 
 def test_the_ladder_by_hand():
     first, second, third = climb([CNN, RATE, EMULATOR])
-    assert (first.stage, first.accuracy, first.drop, first.disagreements) == (
-        "cnn",
-        0.9,
-        None,
-        None,
-    )
+    assert (first.stage, first.accuracy) == ("cnn", 0.9)
+    assert (first.drop, first.disagreements, first.mcnemar_p) == (None, None, None)
     assert second.drop == pytest.approx(0.3)
     assert second.disagreements == 4
     assert second.mcnemar_p == pytest.approx(2 * 0.5**3)

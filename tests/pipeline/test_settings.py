@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deploy.errors import UserError
+from deploy.files import write_json
 from deploy.network_spec import Presentation
 from pipeline.run_folder import RunFolder, is_current, stamp_of
 from pipeline.settings import Settings, parse_assignments, read_settings, write_settings
@@ -46,7 +47,8 @@ BAD = [
     ("text", {"cnn": {"epochs": "3"}}, "'cnn.epochs' must be a whole number, not '3'"),
     ("fraction", {"cnn": {"epochs": 3.5}}, "'cnn.epochs' must be a whole number, not 3.5"),
     ("boolean", {"cnn": {"epochs": True}}, "'cnn.epochs' must be a whole number, not True"),
-    ("number", {"data": {"source": 3}}, "'data.source' must be text, not 3"),
+    ("number", {"data": {"source": 3}}, "'data.source' must be text .*, not 3"),
+    ("no UTF-8", {"data": {"source": "\udcff.zip"}}, "'data.source' must be text"),
     ("no boolean", {"data": {"skip_bad": 1}}, "'data.skip_bad' must be true or false, not 1"),
     ("no list", {"snn": {"max_rates": 100}}, "'snn.max_rates' must be a list"),
     ("list of text", {"snn": {"max_rates": ["a"]}}, "'snn.max_rates' must be a number"),
@@ -107,7 +109,7 @@ def test_assignments_of_the_command_line():
             "snn.max_rates=[1, 2.5]",
             "data.skip_bad=true",
             "data.source=x=y",
-        ]  # fmt: skip
+        ]
     )
     assert values == {
         "seed": 3,
@@ -141,7 +143,7 @@ def test_a_stage_is_current_only_with_its_files_and_its_stamp(tmp_path):
     assert stamp != stamp_of("data", 1, {"a": [1, 3]})
     metrics, weights = tmp_path / "metrics.json", tmp_path / "weights.npz"
     assert not is_current(metrics, stamp, weights)
-    metrics.write_text('{"made_from": "%s"}' % stamp)
+    write_json(metrics, {"made_from": stamp})
     assert not is_current(metrics, stamp, weights)
     weights.write_bytes(b"")
     assert is_current(metrics, stamp, weights)
