@@ -302,6 +302,9 @@ def _validate(s: Settings, origin):
          "for a tactile image of 10x10")  # fmt: skip
     need(len(architecture.convs) >= 1, "cnn.architecture", "a network with a convolution")
     need(architecture.outputs == 10, "cnn.architecture", "a network with an output for each digit")
+    on_chip = architecture.convs[1:] if s.deployment.first_layer == "host" else architecture.convs
+    need(s.deployment.pop_type == 32 or not any(conv.filters % 4 for conv in on_chip),
+         "deployment.pop_type", "32 unless filters on the chip come in multiples of 4")  # fmt: skip
     need(1 <= len(s.snn.max_rates) <= len(architecture.convs) and min(s.snn.max_rates) > 0,
          "snn.max_rates",
          f"1 to {len(architecture.convs)} rates above 0, one a convolution")  # fmt: skip

@@ -77,6 +77,7 @@ BAD = [
     ("phase", {"deployment": {"input_phase": 1}}, "from 0 to below 1"),
     ("synapse", {"deployment": {"synapse": -1}}, "'deployment.synapse' must be 0 or more"),
     ("pop type", {"deployment": {"pop_type": 8}}, "16 or 32"),
+    ("pop 16 of 6", {"deployment": {"pop_type": 16}}, "filters on the chip come in multiples of 4"),
     ("no steps", {"presentation": {"steps": 0}}, "'presentation.steps' must be 1 or more"),
     ("gap", {"presentation": {"gap": -1}}, "'presentation.gap' must be 0 or more"),
     ("late readout", {"presentation": {"steps": 15}}, r"below presentation.steps \(15\)"),
