@@ -31,8 +31,8 @@ class Recording(NamedTuple):
     ----------
     output : (n_streams, n_samples, period, n_outputs) array
         What the output probe sees at every step of every sample, its gap included.
-    counts : dict of str to (n_streams, n_samples) int array
-        Spikes of each layer during each sample and its gap.
+    counts : dict of str to (n_streams, n_samples, n_neurons) int array
+        Spikes of each neuron of each layer during each sample and its gap.
     overflows : (n_layers, 3) int array
         See `arrays.Steps`.
     spikes : dict of str to (n_streams, n_samples * period, n_neurons) bool array, or None
@@ -71,7 +71,7 @@ class Emulation:
         ----------
         images : (n_streams, n_samples, n_pixels) array
         steps, gap : int
-            For how many steps each image is shown, and a blank one after it.
+            For how many steps each image is shown, and a blank one before it.
         record : bool
             Keep every spike.
         memory : int
@@ -95,7 +95,7 @@ class Emulation:
             outputs, counts = [], collections.Counter()
             for first in range(0, steps + gap, at_once):
                 last = min(first + at_once, steps + gap)
-                shown = [drive if step < steps else blank for step in range(first, last)]
+                shown = [drive if step >= gap else blank for step in range(first, last)]
                 inputs = _host_spikes(host, shown, network.n_inputs)
                 done = self.kernel.advance(state, inputs)
                 outputs.append(stage.advance(done.spikes, done.decoded))
@@ -115,13 +115,13 @@ class Emulation:
         )
 
     def _counts(self, inputs, done, output):
-        """(label, spikes of each stream) of every layer in these steps."""
+        """(label, spikes of each stream's neurons) of every layer in these steps."""
         for label, part in self._inputs():
-            yield label, np.count_nonzero(inputs[:, :, part], axis=(1, 2))
-        for index, layer in enumerate(self.program.network.layers):
-            yield layer.label, done.counts[:, :, index].sum(axis=1)
+            yield label, inputs[:, :, part].sum(axis=1, dtype=np.int32)
+        for layer in self.program.network.layers:
+            yield layer.label, done.counts[:, layer.position]
         if self.program.output.neurons is not None:
-            yield self.program.output.neurons.label, np.count_nonzero(output, axis=(1, 2))
+            yield self.program.output.neurons.label, np.count_nonzero(output, axis=1)
 
     def _spikes(self, inputs, done, output):
         spikes = {label: inputs[:, :, part].astype(bool) for label, part in self._inputs()}
@@ -208,7 +208,7 @@ def run_fast(spec, streams, seed=0, kernel=None, threads=1, memory=MEMORY) -> It
     try:
         for recording in _in_order(run, _batches(streams, size), threads):
             overflows += recording.overflows
-            for index, output in enumerate(recording.output[:, :, :shown]):
+            for index, output in enumerate(recording.output[:, :, gap:]):
                 counts = {name: recording.counts[name][index] for name in spec.spiking_layers}
                 yield read_output(spec, output, counts)
     finally:
