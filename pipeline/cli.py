@@ -15,6 +15,7 @@ from deploy import __version__
 from deploy.errors import CheckFailed, UserError
 from models.notation import NotationError
 from pipeline.commands import check, data, run
+from pipeline.commands import deploy as deployment
 
 app = typer.Typer(
     help="From event-based touch to a spiking network on Loihi.",
@@ -28,6 +29,7 @@ app.command()(run.train)
 app.command()(run.convert)
 app.add_typer(check.app, name="check")
 app.command()(run.ladder)
+app.add_typer(deployment.app, name="deploy")
 
 
 @app.callback(invoke_without_command=True)
