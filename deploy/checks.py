@@ -18,6 +18,9 @@ from .presentation import Responses, streams_of
 from .results import result_of, versions
 from .targets import target_named
 
+KEYS = {"id", "label", "prediction", "scores", "decided_at", "decisions", "spikes", "operations"}
+"""What the partial file holds of each sample."""
+
 
 def run_check(
     bundle: Bundle,
@@ -113,7 +116,8 @@ def _partial_file(out: Path, header: dict):
     path = out.with_name("." + out.name + ".partial")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        file = open(str(path), "a+", encoding="utf-8")  # noqa: SIM115 - closed by "with" below
+        # closed by "with" below; what is not UTF-8 is a damaged line, see _resume
+        file = open(str(path), "a+", encoding="utf-8", errors="replace")  # noqa: SIM115
     except OSError as error:
         raise UserError(f"{out}: cannot write ({error.strerror}); choose another --out") from error
     with file:
@@ -160,8 +164,8 @@ def _resume(file, header):
     lines = file.read().split("\n")[:-1]  # what follows the last newline was cut short
     try:
         done = [json.loads(line) for line in lines]
-        sound = bool(done) and done[0] == header and all("samples" in r for r in done[1:])
-    except (ValueError, TypeError):
+        sound = bool(done) and done[0] == header and all(map(_is_record, done[1:]))
+    except ValueError:
         sound = False
     if sound:
         file.truncate(len("".join(line + "\n" for line in lines).encode()))
@@ -169,3 +173,14 @@ def _resume(file, header):
         file.truncate(0)
         _write_now(file, json.dumps(header) + "\n")
     return done[1:] if sound else []
+
+
+def _is_record(value):
+    """True for what :func:`run_check` appends; a line may have been damaged since."""
+    return (
+        isinstance(value, dict)
+        and isinstance(value.get("seconds"), float)
+        and isinstance(value.get("samples"), list)
+        and all(isinstance(sample, dict) for sample in value["samples"])
+        and all(sample.keys() >= KEYS for sample in value["samples"])
+    )

@@ -13,6 +13,7 @@ import nengo
 import numpy as np
 
 from .errors import UserError
+from .fast.run import run_fast
 from .foreign import nengo_loihi
 from .hardware import run_loihi
 from .network import build
@@ -44,6 +45,7 @@ TARGETS: Dict[str, Callable] = {
     "nengo": run_nengo,
     "simreal": run_simreal,
     "emulator": run_emulator,
+    "fast": run_fast,
     "loihi": run_loihi,
 }
 
