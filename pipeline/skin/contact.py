@@ -18,7 +18,8 @@ def press(motion, gain, least, rng, p):
     it falls off as a Gaussian of standard deviation ``p.spread``.  The piezoresistive film follows
     at once with one part of its answer and lags behind with the rest, so it comes back from a
     pressure later than it took it up (hysteresis).  A sliding tip scrapes: each taxel's pressure
-    vibrates in proportion to itself and to the speed, up to ``p.scrape_speed``.
+    vibrates in proportion to itself and to the speed, up to ``p.scrape_speed``.  Each taxel has a
+    little noise of its own besides.
 
     Parameters
     ----------
@@ -53,10 +54,11 @@ def press(motion, gain, least, rng, p):
     speed = np.hypot(np.gradient(motion.down, step), np.gradient(motion.right, step))
     scrape = p.scrape * np.minimum(speed / p.scrape_speed, 1)
     lag = np.float32(np.exp(-step / p.creep_s))
-    late = lfilter([1 - lag], np.array([1, -lag], np.float32), signal, axis=0)
-    signal += np.float32(p.creep) * (late.astype(np.float32) - signal)
-    vibration = rng.standard_normal(signal.shape, np.float32)
-    signal *= 1 + scrape[:, None].astype(np.float32) * vibration
+    late = lfilter(np.array([1 - lag]), np.array([1, -lag], np.float32), signal, axis=0)
+    signal += np.float32(p.creep) * (late - signal)
+    # Two independent noises are one with the root of the sum of their squares.
+    restless = np.hypot(scrape[:, None].astype(np.float32) * signal, np.float32(p.noise))
+    signal += restless * rng.standard_normal(signal.shape, np.float32)
     return taxels, signal
 
 

@@ -24,10 +24,6 @@ MOST_TURN = 3.6
 """Largest turn of a stroke in radians; close to a full turn its circle would grow without bound."""
 
 
-ALLOGRAPHS = Path(__file__).with_name("allographs.toml")
-"""Ways of writing each digit."""
-
-
 @dataclass(frozen=True)
 class Plan:
     """Points that the pen aims at.
@@ -120,6 +116,11 @@ NOBODY = Writer(
 """A writer without any traits, to hold the pen for recorded handwriting."""
 
 
+def read_allographs() -> dict:
+    """``allographs.toml`` as plain values: ways of writing, by digit."""
+    return tomllib.loads(Path(__file__).with_name("allographs.toml").read_text("utf-8"))["digit"]
+
+
 @functools.cache
 def allographs() -> tuple:
     """Ways of writing each digit, from ``allographs.toml``.
@@ -129,7 +130,7 @@ def allographs() -> tuple:
     tuple of tuple of (float, Plan)
         For each digit, the share of writers with the habit, and the plan in a box of unit size.
     """
-    digits = tomllib.loads(ALLOGRAPHS.read_text("utf-8"))["digit"]
+    digits = read_allographs()
     return tuple(
         tuple((entry["share"], _plan(entry["path"])) for entry in digits[str(digit)])
         for digit in range(10)
@@ -283,10 +284,10 @@ def move(plan: Plan, tempo: float, step_s: float, start_s: float, p) -> Motion:
     Returns
     -------
     Motion
-        From ``p.landing_s`` before the first stroke to as long after the last one.
+        From ``p.landing_s`` before the first stroke to ``p.settle_s`` after the last one.
     """
     begin, last = _timing(plan, tempo, p)
-    time = np.arange(-p.landing_s, begin[-1] + last[-1] + p.landing_s, step_s)
+    time = np.arange(-p.landing_s, begin[-1] + last[-1] + p.settle_s, step_s)
     # A lognormal whose reach on either side of the median is the stroke's time.
     median = last / (2 * np.sinh(LOGNORMAL_REACH * p.sigma))
     onset = begin - median * np.exp(-LOGNORMAL_REACH * p.sigma)

@@ -57,6 +57,7 @@ class Kinematics:
     sigma: float
     landing_s: float
     lift: float
+    settle_s: float
     onset_s: tuple
     waver: float
     waver_s: float
@@ -78,6 +79,7 @@ class Skin:
     jolt: float
     jolt_spread: float
     jolt_s: float
+    noise: float
 
 
 @dataclass(frozen=True)

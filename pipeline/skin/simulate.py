@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import itertools
 import json
 from dataclasses import dataclass, replace
 
@@ -11,20 +12,13 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from deploy.errors import UserError
-from pipeline.recordings import (
-    GRID,
-    N_TAXELS,
-    Recordings,
-    Source,
-    TaxelMap,
-    collect,
-)
+from pipeline.recordings import GRID, N_TAXELS, Recordings, Source, TaxelMap, collect
 from pipeline.skin import aces, handwriting, unipen
 from pipeline.skin import parameters as settings
 from pipeline.skin.contact import press
 from pipeline.skin.receptors import fire
 
-VERSION = 2
+VERSION = 4
 """Goes into the hash of the recordings; raise it with any change of what is simulated."""
 
 SAMPLES_PER_DIGIT = (697, 690, 699, 690, 690, 693, 698, 704, 697, 695)
@@ -120,7 +114,8 @@ def source_of(seed=0, samples_per_digit=None, parameters=None, traces=None) -> S
     """What :func:`simulate` of the same arguments will give, by name and hash, without the work."""
     parameters = parameters or settings.load()
     content = [VERSION, int(seed), _counts(samples_per_digit), parameters.fingerprint()]
-    digest = hashlib.sha256(json.dumps(content).encode() + handwriting.ALLOGRAPHS.read_bytes())
+    content.append(handwriting.read_allographs())
+    digest = hashlib.sha256(json.dumps(content).encode())
     for trace in traces or ():
         digest.update(np.array([trace.digit, trace.writer]).tobytes())
         for stroke in trace.strokes:
@@ -166,7 +161,8 @@ def _batch(seed, samples, p):
     touches = []
     for sample in samples:
         rng = np.random.default_rng([seed, 2, sample.digit, sample.index])
-        touches.append(_touch(sample, people, gain, rng, p))
+        who = people[sample.writer] if sample.trace is None else handwriting.NOBODY
+        touches.append(_touch(sample, who, gain, rng, p))
     return _receive(touches, p)
 
 
@@ -177,13 +173,13 @@ def array_gain(rng, p):
     return np.exp(lean + p.gain * rng.standard_normal(N_TAXELS))
 
 
-def motion(sample, people, rng, p):
+def motion(sample, who, rng, p):
     """The pen's movement over the skin for one recording, force included.
 
     Parameters
     ----------
     sample : Sample
-    people : sequence of Writer
+    who : pipeline.skin.handwriting.Writer
     rng : numpy.random.Generator
     p : Parameters
 
@@ -192,7 +188,6 @@ def motion(sample, people, rng, p):
     pipeline.skin.handwriting.Motion
     """
     form, kinematics = p.forms[sample.digit], p.kinematics
-    who = people[sample.writer] if sample.trace is None else handwriting.NOBODY
     start = rng.uniform(*kinematics.onset_s)
     # Nobody is ever out of all proportion.
     faster, harder = np.clip(rng.standard_normal(2), -2.5, 2.5)
@@ -210,7 +205,7 @@ def motion(sample, people, rng, p):
         write = functools.partial(unipen.move, sample.trace, place)
         length = unipen.length_s(sample.trace, place, kinematics)
     # Nobody takes longer than the recording lasts.
-    tempo = max(tempo, length / (kinematics.end_s - start - kinematics.landing_s))
+    tempo = max(tempo, length / (kinematics.end_s - start - kinematics.settle_s))
     moved = write(tempo, STEP_S, start, kinematics)
     return replace(moved, force=np.exp(force) * moved.force * _waver(moved, rng, kinematics))
 
@@ -222,10 +217,9 @@ def _waver(motion, rng, p):
     return np.exp(p.waver * np.interp(along, np.arange(len(knots)), knots))
 
 
-def _touch(sample, people, gain, rng, p):
+def _touch(sample, who, gain, rng, p):
     form = p.forms[sample.digit]
-    moved = motion(sample, people, rng, p)
-    who = people[sample.writer] if sample.trace is None else handwriting.NOBODY
+    moved = motion(sample, who, rng, p)
     rough = np.exp(who.scrape + p.trials.scrape * rng.standard_normal())
     skin = replace(p.skin, scrape=p.skin.scrape * rough)
     gain = gain * np.exp(p.skin.gain_drift * rng.standard_normal(N_TAXELS))
@@ -243,10 +237,11 @@ def _receive(touches, p):
     """Receptors of all recordings of a batch side by side, then each recording's read-out."""
     first = np.cumsum([0] + [len(touch.taxels) for touch in touches])
     rows = max(len(touch.signal) for touch in touches)
-    # One row before the pen comes, when nobody touches the skin.
+    # One row before the pen comes, when nobody touches the skin; nothing changes after the end.
     signal = np.zeros((rows + 1, first[-1]), np.float32)
-    for touch, begin, end in zip(touches, first, first[1:], strict=False):
+    for touch, (begin, end) in zip(touches, itertools.pairwise(first), strict=True):
         signal[1 : 1 + len(touch.signal), begin:end] = touch.signal
+        signal[1 + len(touch.signal) :, begin:end] = touch.signal[-1]
     widths = np.diff(first)
     clock = np.concatenate([touch.clock for touch in touches])
     time, channel, polarity = fire(

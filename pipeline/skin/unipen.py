@@ -136,7 +136,7 @@ def move(trace: Trace, place, tempo: float, step_s: float, start_s: float, p) ->
     strokes = [place(stroke) for stroke in trace.strokes]
     clock = _timing(strokes, tempo, p)
     end = clock[-1][-1]
-    time = np.arange(-p.landing_s, end + p.landing_s, step_s)
+    time = np.arange(-p.landing_s, end + p.settle_s, step_s)
     path = PchipInterpolator(np.concatenate(clock), np.concatenate(strokes))
     down, right = path(np.clip(time, 0, end)).T
     lands, lifts = np.array([(stroke[0], stroke[-1]) for stroke in clock]).T

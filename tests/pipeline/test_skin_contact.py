@@ -10,7 +10,7 @@ from pipeline.skin.contact import press
 from pipeline.skin.handwriting import Motion
 
 P = parameters.load().skin
-QUIET = replace(P, scrape=0.0, jolt=0.0)
+QUIET = replace(P, scrape=0.0, jolt=0.0, noise=0.0)
 STEP = 1e-3
 
 
@@ -58,7 +58,7 @@ def test_only_a_sliding_tip_scrapes():
     n = 1000
     still = resting(5, 5, np.ones(n))
     sliding = replace(still, right=np.linspace(4, 6, n) + 0.0)
-    p = replace(P, jolt=0.0)
+    p = replace(P, jolt=0.0, noise=0.0)
 
     def restless(motion):
         _, signal = press(motion, np.ones(100), 0.5, np.random.default_rng(1), p)
@@ -70,6 +70,6 @@ def test_only_a_sliding_tip_scrapes():
 
 def test_landing_jolts_taxels_far_away():
     landing = resting(1, 1, np.concatenate([np.zeros(50), np.ones(200)]))
-    far = image(replace(landing), replace(P, scrape=0.0, jolt=0.5), row=50)[6:, 6:]
+    far = image(replace(landing), replace(QUIET, jolt=0.5), row=50)[6:, 6:]
     assert (far > 0.05).any()
     assert image(landing, QUIET, row=50)[6:, 6:].max() < 1e-6

@@ -107,6 +107,16 @@ def test_gaps_between_events_are_those_of_the_real_recording(recordings):
     assert np.mean(np.abs(steps - np.round(steps)) < 0.3) > 0.85
 
 
+def test_a_recording_does_not_depend_on_those_beside_it():
+    # The same writer's first 2 and 5, in a batch of their own and among others.
+    among = simulate(1, FEW, jobs=1)
+    alone = simulate(1, [0, 0, 8, 0, 0, 8, 0, 0, 0, 0], jobs=1)
+    for name in ("2/0000", "2/0007", "5/0003"):
+        one, other = (every[every.ids.index(name)] for every in (among, alone))
+        for column in EVENT_DTYPES:
+            np.testing.assert_array_equal(getattr(one, column), getattr(other, column))
+
+
 def test_counts_must_be_ten():
     with pytest.raises(ValueError, match="ten numbers"):
         simulate(0, [1, 2, 3])

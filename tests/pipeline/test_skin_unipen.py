@@ -53,7 +53,8 @@ def test_written_on_the_skin(tmp_path):
     assert (motion.down[0], motion.right[0]) == pytest.approx((1, 3))
     assert motion.time_s[-1] - motion.time_s[0] == pytest.approx(
         unipen.length_s(trace, lambda points: 8 * points + 5, P.kinematics)
-        + 2 * P.kinematics.landing_s,
+        + P.kinematics.landing_s
+        + P.kinematics.settle_s,
         abs=2e-3,
     )
 
