@@ -68,7 +68,8 @@ class Layer:
 class Network:
     """The chip's part of a network.
 
-    Compartments are ordered by layer and segment, not as NengoLoihi orders its blocks; `layers`
+    It is feed-forward: spikes go from inputs and layers to later layers.  Compartments are ordered
+    by layer and segment, not as NengoLoihi orders its blocks; `layers`
     and `emulator_order` lead back.  Sources of spikes are the inputs from the host followed by
     the compartments.
 
@@ -97,6 +98,11 @@ class Network:
     def n(self):
         """Number of compartments."""
         return len(self.bias)
+
+    def slice_of(self, layer):
+        """The compartments of a layer, by its index."""
+        mine = np.flatnonzero(self.segments.layer == layer)
+        return slice(int(self.segments.start[mine[0]]), int(self.segments.stop[mine[-1]]))
 
     @property
     def largest_sums(self):
