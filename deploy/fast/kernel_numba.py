@@ -55,7 +55,7 @@ class Wiring(NamedTuple):
 def wiring(network: Network) -> Wiring:
     """Cut the rows of the weight matrix into runs and share the equal ones."""
     weights = network.weights
-    dtype = np.int16 if network.largest_sums.max() < 2**15 else np.int32
+    dtype = network.weight_type
     pool, places, size = [], {}, 0
     first, place, target, length = [0], [], [], []
     for row in range(weights.shape[0]):

@@ -3,6 +3,9 @@
 The same integers, and the same decoded sums to the last bit, as `kernel_numba`, for hosts without
 Numba.  A layer's input at all steps is known when the layers before it are done, so that only what
 carries over from one step to the next is done step by step.
+
+The integers are kept in float64, where they are exact and ``decay(x, r)``, which is
+``trunc(x * r / 4096)``, takes two operations: x has at most 31 bits and a sign, r 13 bits.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ class Kernel:
     decoders : (n, n_outputs) float64 array
     """
 
-    bytes_per_spike = 12
+    bytes_per_spike = 16
     """Memory that a call takes for each compartment, stream and step, about."""
 
     def __init__(self, network: Network, decoders):
@@ -41,15 +44,12 @@ class Kernel:
         overflows = np.zeros((len(network.layers), 3), np.int64)
         for layer, over in zip(self._layers, overflows):
             part = layer.compartments
-            u, v, waiting = (
-                np.ascontiguousarray(array[:, part])
-                for array in (state.current, state.voltage, state.refractory)
-            )
+            u, v = state.current[:, part].astype(float), state.voltage[:, part].astype(float)
+            waiting = state.refractory[:, part].astype(np.int8)
             total = layer.gather(arriving[:-1], spikes[:-1])
             layer.filter(total, u, over)
             layer.fire(total, v, waiting, spikes[1:, :, part])
-            state.current[:, part] = u
-            state.voltage[:, part] = v
+            state.current[:, part], state.voltage[:, part] = u, v
             state.refractory[:, part] = waiting
         state.inputs, state.spikes = arriving[-1].copy(), spikes[-1].copy()
         by_stream = np.ascontiguousarray(spikes[1:].transpose(1, 0, 2))
@@ -74,60 +74,69 @@ class _Layer:
         segments = network.segments
         mine = segments.layer == index
         lengths = (segments.stop - segments.start)[mine]
-        for name in ("keep_u", "keep_v", "v_min", "v_max", "refractory", "shift"):
-            values = getattr(segments, name)[mine]
+
+        def value(name, dtype=float):
+            values = getattr(segments, name)[mine].astype(dtype)
             # A number where it is the same for all is quicker than an array.
-            same = np.all(values == values[0])
-            setattr(self, name, values[0] if same else np.repeat(values, lengths))
-        self.bias = network.bias[self.compartments]
-        self.threshold = network.threshold[self.compartments]
+            return values[0] if np.all(values == values[0]) else np.repeat(values, lengths)
+
+        self.keep_u, self.keep_v = value("keep_u") / 4096, value("keep_v") / 4096
+        self.v_min, self.v_max = value("v_min"), value("v_max")
+        self.refractory, self.scale = value("refractory", np.int8), 2.0 ** value("shift")
+        self.bias = network.bias[self.compartments].astype(float)
+        self.threshold = network.threshold[self.compartments].astype(float)
         self.can_overflow = bool(network.can_overflow[mine].any())
-        columns = network.weights.tocsc()[:, self.compartments].tocsr()
+        highest = self.threshold.max() + network.largest_inputs[mine].max()
+        self.can_reach_v_max = self.can_overflow or bool(highest >= np.min(self.v_max))
+        self.dtype = network.weight_type
+        columns = network.weights.astype(self.dtype).tocsc()[:, self.compartments].tocsr()
         self.from_inputs = _in_use(columns[: network.n_inputs])
         self.from_chip = _in_use(columns[network.n_inputs :])
 
     def gather(self, arriving, spikes):
-        """Sum of the weights of the spikes that arrive at each step, int32."""
-        n_steps, n_streams, _ = arriving.shape
-        n = self.compartments.stop - self.compartments.start
-        total = np.zeros((n_steps, n_streams, n), np.int32)
+        """Sum of the weights of the spikes that arrive at each step."""
+        shape = (*arriving.shape[:2], self.compartments.stop - self.compartments.start)
+        total = np.zeros(shape, self.dtype)
         for source, (sources, weights) in ((arriving, self.from_inputs), (spikes, self.from_chip)):
             if len(weights):
-                part = source[:, :, sources].reshape(n_steps * n_streams, -1)
-                total += (_sparse(part, np.int32) @ weights).reshape(total.shape)
-        total <<= self.shift
-        return total
+                part = source[:, :, sources].reshape(shape[0] * shape[1], -1)
+                total += (_sparse(part, self.dtype) @ weights).reshape(shape)
+        return np.multiply(total, self.scale, dtype=float)
 
-    def filter(self, total, u, overflows):
-        """Replace the sums ``q`` by ``wrap(u + bias)``; ``u`` becomes the last current."""
+    def filter(self, q, u, overflows):
+        """Replace ``q`` by ``wrap(u + bias)``; ``u`` becomes the last current."""
         if self.can_overflow:
-            overflows[0] += _wrap(total, Q_BITS)
-        for q in total:
-            _decay(u, self.keep_u, signed=True)
-            u += q
+            overflows[0] += _wrap(q, Q_BITS)
+        for current in q:
+            _decay(u, self.keep_u)
+            u += current
             if self.can_overflow:
                 overflows[1] += _wrap(u, U_BITS)
-            q[:] = u
-        total += self.bias
+            current[:] = u
+        q += self.bias
         if self.can_overflow:
-            overflows[2] += _wrap(total, U_BITS)
+            overflows[2] += _wrap(q, U_BITS)
 
     def fire(self, total, v, waiting, spikes):
         """Integrate ``total`` into the voltage ``v`` and write the spikes."""
-        signed, waits = bool(np.any(self.v_min < 0)), bool(np.any(self.refractory))
-        for u, out in zip(total, spikes):
-            _decay(v, self.keep_v, signed)
+        waits = bool(np.any(self.refractory))
+        for u, fires in zip(total, spikes.view(bool)):
+            _decay(v, self.keep_v)
             v += u
             np.maximum(v, self.v_min, out=v)
-            np.minimum(v, self.v_max, out=v)
+            if self.can_reach_v_max:
+                np.minimum(v, self.v_max, out=v)
+            above = v > self.threshold
             if waits:
-                np.copyto(v, 0, where=waiting > 0)
-            fires = v > self.threshold
-            np.copyto(v, 0, where=fires)
-            if waits:
-                waiting -= waiting > 0
-                np.copyto(waiting, self.refractory, where=fires)
-            out[:] = fires
+                held = waiting > 0
+                fired = above & ~held
+                waiting -= held
+                waiting += fired * self.refractory
+                fires[:] = fired
+                above |= held
+            else:
+                fires[:] = above
+            np.putmask(v, above, 0)
 
 
 def _in_use(weights):
@@ -150,22 +159,13 @@ def _wrap(x, bits):
     """Two's complement with a sign, in place; returns how many numbers that changed."""
     if x.max() < 2**bits and x.min() >= -(2**bits):
         return 0
-    spare = 31 - bits
-    wrapped = (x << spare) >> spare
+    wrapped = (x + 2**bits) % 2 ** (bits + 1) - 2**bits
     over = np.count_nonzero(wrapped != x)
     x[:] = wrapped
     return over
 
 
-def _decay(x, keep, signed):
-    """sign(x) * floor(|x| * keep / 4096) in place and within int32; see `kernel_numba._decay`."""
-    low = x & 4095
-    low *= keep
-    if signed:
-        towards_zero = x >> 31
-        towards_zero &= 4095
-        low += towards_zero
-    low >>= 12
-    x >>= 12
-    x *= keep
-    x += low
+def _decay(x, share):
+    """x <- sign(x) * floor(|x| * share), exactly, for integers x and 4096 * share."""
+    x *= share
+    np.trunc(x, out=x)
