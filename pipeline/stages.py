@@ -167,7 +167,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
     from pipeline import nengodl, training
     from pipeline.conversion import to_spec
 
-    weights = _weights(run.snn, settings)
+    weights, cnn_weights = _weights(run.snn, settings), _weights(run.cnn, settings)
     chosen = draw_check_samples(dataset.split.test, settings.check.samples, settings.seed)
     recordings = dataset.recordings
     images = dataset.images[chosen]
@@ -190,7 +190,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
     bundle = write_bundle(run.bundle, spec, checks)
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
 
-    cnn = training.cnn_logits(settings, _weights(run.cnn, settings), images)
+    cnn = training.cnn_logits(settings, cnn_weights, images)
     rate = training.rate_logits(settings, weights, images)
     answers = {"cnn": cnn[:, None], "rate-lif": rate[:, None]}
     begun = time.perf_counter()
