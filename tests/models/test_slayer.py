@@ -179,7 +179,7 @@ ARCHITECTURE = notation.parse("5x5x2-3c2-4c3-3o")
 
 @pytest.fixture(scope="module")
 def small():
-    network = slayer.SpikingNetwork(ARCHITECTURE, NEURON, 7, conv_scale=6, dense_scale=9)
+    network = slayer.SpikingNetwork(ARCHITECTURE, NEURON, 7, conv_scale=8, dense_scale=14)
     events = (np.random.default_rng(5).random((2, STEPS, 5, 5, 2)) < 0.1).astype(np.uint8)
     return network, events
 
@@ -256,7 +256,7 @@ def test_weight_gradients_agree_with_finite_differences(reference, small):
 
 def test_training_lowers_the_loss(small):
     _, events = small
-    network = slayer.SpikingNetwork(ARCHITECTURE, NEURON, 7, conv_scale=6, dense_scale=9)
+    network = slayer.SpikingNetwork(ARCHITECTURE, NEURON, 7, conv_scale=8, dense_scale=14)
     desired = np.array([[8.0, 1, 1], [1, 1, 8]], np.float32)
     optimizer = tf.keras.optimizers.Adam(0.02)
     losses = []
