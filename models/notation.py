@@ -104,7 +104,7 @@ def parse(text: str) -> Architecture:
         if filters < 1 or kernel < 1:
             fail(position, "has a zero")
         if kernel > min(rows, columns):
-            fail(position, f"does not fit: its kernel is larger than the {rows}x{columns} before it")
+            fail(position, f"does not fit: its kernel is larger than its {rows}x{columns} input")
         rows, columns = rows - kernel + 1, columns - kernel + 1
         convs.append(Conv(filters, kernel))
     return Architecture(input_shape, tuple(convs), int(output[1]))

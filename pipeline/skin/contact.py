@@ -11,7 +11,7 @@ _PLACE = np.arange(GRID)
 _TAXELS = TaxelMap()
 
 
-def press(motion, gain, rng, p):
+def press(motion, gain, least, rng, p):
     """The signal of the taxels that a pen reaches.
 
     The force of the tip (0.5 mm, half a taxel) spreads in the film and its cover; over the taxels
@@ -25,22 +25,29 @@ def press(motion, gain, rng, p):
     motion : pipeline.skin.handwriting.Motion
     gain : ndarray of float, shape (100,)
         Of each taxel.
+    least : float
+        Taxels whose signal stays below are left out.
     rng : numpy.random.Generator
     p : pipeline.skin.parameters.Skin
 
     Returns
     -------
     taxels : ndarray of int, shape (n,)
-        Those whose signal is more than noise.
     signal : ndarray of float32, shape (n_times, n)
     """
     step = motion.time_s[1] - motion.time_s[0]
     rows = np.exp(-0.5 * ((motion.down[:, None] - _PLACE) / p.spread) ** 2).astype(np.float32)
     columns = np.exp(-0.5 * ((motion.right[:, None] - _PLACE) / p.spread) ** 2).astype(np.float32)
     rows *= motion.force[:, None].astype(np.float32)
-    reach = (rows.max(axis=0)[_TAXELS.x] * columns.max(axis=0)[_TAXELS.y]) * gain
-    taxels = np.flatnonzero(reach > p.noise)
+    jolts, landings = _jolts(motion, rng, p)
+    reach = (
+        rows.max(axis=0)[_TAXELS.x] * columns.max(axis=0)[_TAXELS.y] + jolts.max(axis=0)
+    ) * gain
+    taxels = np.flatnonzero(reach > least)
     signal = rows[:, _TAXELS.x[taxels]] * columns[:, _TAXELS.y[taxels]]
+    for row, jolt in zip(landings, jolts, strict=True):
+        decay = np.exp(-np.arange(len(signal) - row) * step / p.jolt_s)
+        signal[row:] += np.outer(decay, jolt[taxels])
     signal *= gain[taxels].astype(np.float32)
     speed = np.hypot(np.gradient(motion.down, step), np.gradient(motion.right, step))
     scrape = p.scrape * np.minimum(speed / p.scrape_speed, 1)
@@ -50,3 +57,16 @@ def press(motion, gain, rng, p):
     vibration = rng.standard_normal(signal.shape, np.float32)
     signal *= 1 + scrape[:, None].astype(np.float32) * vibration
     return taxels, signal
+
+
+def _jolts(motion, rng, p):
+    """What each taxel feels of the shaking whenever the pen comes down or lifts.
+
+    Returns
+    -------
+    jolts : ndarray of float, shape (n_landings, 100)
+    rows : ndarray of int, shape (n_landings,)
+    """
+    rows = np.flatnonzero(np.diff((motion.force > 0.1 * motion.force.max()).astype(int))) + 1
+    strength = p.jolt * np.exp(p.jolt_spread * rng.standard_normal())
+    return strength * rng.standard_exponential((len(rows), len(_TAXELS.x))), rows

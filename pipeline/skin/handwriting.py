@@ -228,10 +228,14 @@ def move(plan: Plan, tempo: float, step_s: float, start_s: float, p) -> Motion:
     straight = np.abs(plan.turns) < 1e-6
     radius = arc / np.where(straight, 1, plan.turns)
     right = np.where(
-        straight, arc * share * np.cos(heading), radius * (np.sin(heading + turned) - np.sin(heading))
+        straight,
+        arc * share * np.cos(heading),
+        radius * (np.sin(heading + turned) - np.sin(heading)),
     )
     down = np.where(
-        straight, arc * share * np.sin(heading), radius * (np.cos(heading) - np.cos(heading + turned))
+        straight,
+        arc * share * np.sin(heading),
+        radius * (np.cos(heading) - np.cos(heading + turned)),
     )
     return Motion(
         time_s=start_s + time,

@@ -40,6 +40,7 @@ class Trials:
     place: float
     tempo: float
     force: float
+    scrape: float
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,10 @@ class Skin:
     gain_drift: float
     scrape: float
     scrape_speed: float
-    noise: float
+    lean: tuple
+    jolt: float
+    jolt_spread: float
+    jolt_s: float
 
 
 @dataclass(frozen=True)

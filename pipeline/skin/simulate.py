@@ -9,8 +9,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from joblib import Parallel, delayed
 
-from pipeline.recordings import N_TAXELS, TICK_NS, Events, Recordings, Source, collect
-from pipeline.skin import handwriting, parameters as settings
+from pipeline.recordings import (
+    GRID,
+    N_TAXELS,
+    TICK_NS,
+    Events,
+    Recordings,
+    Source,
+    TaxelMap,
+    collect,
+)
+from pipeline.skin import handwriting
+from pipeline.skin import parameters as settings
 from pipeline.skin.contact import press
 from pipeline.skin.receptors import fire
 
@@ -107,7 +117,11 @@ def _people(seed, p):
         handwriting.writer(np.random.default_rng([seed, 1, who]), p.writers)
         for who in range(p.writers.count)
     ]
-    gain = np.exp(p.skin.gain * np.random.default_rng([seed, 0]).standard_normal(N_TAXELS))
+    taxels = TaxelMap()
+    centre = (GRID - 1) / 2
+    lean = p.skin.lean[0] * (taxels.x - centre) + p.skin.lean[1] * (taxels.y - centre)
+    scatter = np.random.default_rng([seed, 0]).standard_normal(N_TAXELS)
+    gain = np.exp(lean + p.skin.gain * scatter)
     return people, gain
 
 
@@ -121,8 +135,11 @@ def _touch(digit, who, gain, rng, p):
     motion = handwriting.move(placed, tempo, STEP_S, start, p.kinematics)
     motion = _cut(motion, p.kinematics.end_s)
     motion = replace(motion, force=force * motion.force * _waver(motion, rng, p.kinematics))
+    skin = replace(
+        p.skin, scrape=p.skin.scrape * np.exp(form.spread * p.trials.scrape * rng.standard_normal())
+    )
     gain = gain * np.exp(p.skin.gain_drift * rng.standard_normal(N_TAXELS))
-    taxels, signal = press(motion, gain, rng, p.skin)
+    taxels, signal = press(motion, gain, p.receptor.threshold / 2, rng, skin)
     return Touch(
         start_s=motion.time_s[0],
         taxels=taxels,
@@ -168,7 +185,9 @@ def _receive(touches, p):
     for index, touch in enumerate(touches):
         mine = order[bounds[index] : bounds[index + 1]]
         taxel = touch.taxels[channel[mine] - first[index]]
-        parts.append(_read_out(touch, time[mine] + touch.start_s - STEP_S, taxel, polarity[mine], p))
+        parts.append(
+            _read_out(touch, time[mine] + touch.start_s - STEP_S, taxel, polarity[mine], p)
+        )
     return parts
 
 

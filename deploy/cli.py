@@ -1,0 +1,140 @@
+"""The command line of ``deploy.pyz``: the check, where only NengoLoihi is installed."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from . import __version__
+from .bundle import RESULTS, read_bundle
+from .checks import run_check
+from .errors import CheckFailed, UserError
+from .results import compare, read_result
+from .targets import TARGETS
+
+
+def main(arguments=None) -> int:
+    """Run the command.
+
+    Returns
+    -------
+    int
+        0 done, 1 a check failed, 2 wrong usage or bad input, 130 interrupted.
+    """
+    try:
+        options = _parser().parse_args(arguments)
+        options.run(options)
+        return 0
+    except CheckFailed as error:
+        return _say(error, 1)
+    except UserError as error:
+        return _say(error, 2)
+    except KeyboardInterrupt:
+        return _say("interrupted; the same command goes on where it stopped", 130)
+
+
+def _say(message, status):
+    print("deploy: " + " ".join(str(message).split()), file=sys.stderr)
+    return status
+
+
+def _parser():
+    parser = argparse.ArgumentParser(
+        prog="deploy.pyz", description="Run a bundle's check where only NengoLoihi is installed."
+    )
+    parser.add_argument("--version", action="version", version=__version__)
+    verbs = parser.add_subparsers(metavar="VERB")
+    parser.set_defaults(run=lambda _: parser.error("which verb? check or compare"))
+    check = verbs.add_parser("check", help="let a target answer the bundle's samples")
+    check.add_argument("bundle", type=Path, help="the bundle's folder")
+    check.add_argument("--target", required=True, metavar="T", help=", ".join(TARGETS))
+    check.add_argument("--out", type=Path, help="the result (default: BUNDLE/checks/TARGET.json)")
+    check.add_argument("--seed", type=int, default=0)
+    check.set_defaults(run=_check)
+    pair = verbs.add_parser("compare", help="set two results side by side")
+    pair.add_argument("a", type=Path)
+    pair.add_argument("b", type=Path)
+    pair.add_argument("--max-disagreements", type=int, metavar="N")
+    pair.add_argument("--max-accuracy-drop", type=float, metavar="X")
+    pair.set_defaults(run=_compare)
+    return parser
+
+
+def _check(options):
+    bundle = read_bundle(options.bundle)
+    out = options.out or options.bundle / RESULTS / f"{options.target}.json"
+    total, done = len(bundle.checks), 0
+
+    def advance(n):
+        nonlocal done
+        done += n
+        if sys.stderr.isatty():
+            print(f"\r{options.target}: {done} of {total} samples", end="", file=sys.stderr)
+
+    result = run_check(bundle, options.target, out, options.seed, advance)
+    if sys.stderr.isatty():
+        print(file=sys.stderr)
+    print(summary(result))
+    print(f"written to {out}")
+
+
+def _compare(options):
+    comparison = compare(read_result(options.a), read_result(options.b))
+    print(comparison_text(comparison))
+    enforce(comparison, options.max_disagreements, options.max_accuracy_drop)
+
+
+def summary(result: dict) -> str:
+    """A check result in a few lines."""
+    low, high = result["accuracy_ci95"]
+    spikes = ", ".join(
+        f"{name} {count / result['n_samples']:.0f}" for name, count in result["spikes"].items()
+    )
+    return (
+        f"{result['target']}: accuracy {result['accuracy']:.3f} (95 % interval {low:.3f} to "
+        f"{high:.3f}) on {result['n_samples']} {_kind(result)}samples of "
+        f"{result['steps_per_sample']} steps\nspikes a sample: {spikes}\n"
+        f"{result['wall_seconds']:.1f} s, {result['n_samples'] / result['wall_seconds']:.1f} "
+        "samples a second"
+    )
+
+
+def _kind(result):
+    return "simulated " if result.get("simulated") else ""
+
+
+def comparison_text(comparison, shown: int = 10) -> str:
+    """A comparison in a few lines, with the first samples that differ."""
+    (a, b), differ = comparison.targets, comparison.disagreements
+    lines = [
+        f"{a} {comparison.accuracies[0]:.3f}, {b} {comparison.accuracies[1]:.3f}, "
+        f"drop {comparison.accuracy_drop:+.3f}",
+        f"{len(differ)} of {comparison.n_samples} predictions differ "
+        f"({len(differ) / comparison.n_samples:.1%}); McNemar p = {comparison.p_value:.3g}",
+    ]
+    if differ:
+        lines.append(f"{'sample':<24} {'label':>5} {a:>9} {b:>9}")
+        lines += [f"{s['id']:<24} {s['label']:>5} {s['a']:>9} {s['b']:>9}" for s in differ[:shown]]
+    if len(differ) > shown:
+        lines.append(f"and {len(differ) - shown} more")
+    return "\n".join(lines)
+
+
+def enforce(comparison, max_disagreements=None, max_accuracy_drop=None):
+    """Fail if a comparison is past a limit.
+
+    Raises
+    ------
+    CheckFailed
+        Naming the limit and what was found.
+    """
+    count = len(comparison.disagreements)
+    if max_disagreements is not None and count > max_disagreements:
+        raise CheckFailed(f"{count} disagreements, more than the {max_disagreements} allowed")
+    # An accuracy is a fraction of n samples: half a millionth is rounding, not a lost sample.
+    if max_accuracy_drop is not None and comparison.accuracy_drop > max_accuracy_drop + 5e-7:
+        raise CheckFailed(
+            f"accuracy drops by {comparison.accuracy_drop:.4f}, "
+            f"more than the {max_accuracy_drop:g} allowed"
+        )

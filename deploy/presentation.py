@@ -1,0 +1,103 @@
+"""Streams of samples, and what is read from the output at each step.
+
+A run of a target over samples gives, for each sample, the output at each of its steps.  The score
+of a class at a step is the mean of its output from ``readout_start`` up to that step (plus the
+readout's bias); the decision at a step is the class with the highest score.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Dict
+
+import numpy as np
+
+from .network_spec import DT, NetworkSpec
+
+
+@dataclass(frozen=True)
+class Responses:
+    """What the network answered to some samples.
+
+    Attributes
+    ----------
+    scores : ndarray, shape (n_samples, n_classes)
+        At the last step.
+    decisions : ndarray of int, shape (n_samples, steps)
+        Decision at each step; -1 before the readout starts.
+    spikes : dict of str to ndarray of int, shape (n_samples,)
+        Spikes of each layer while the sample was shown and in the gap after it.
+    """
+
+    scores: np.ndarray
+    decisions: np.ndarray
+    spikes: Dict[str, np.ndarray]
+
+    @property
+    def predictions(self) -> np.ndarray:
+        """Decision at the last step, shape (n_samples,)."""
+        return self.decisions[:, -1]
+
+    @property
+    def decided_at(self) -> np.ndarray:
+        """Step (from 1) from which each sample's decision no longer changes, shape (n_samples,)."""
+        differs = self.decisions != self.decisions[:, -1:]
+        steps = self.decisions.shape[1]
+        return np.where(differs.any(1), steps + 1 - np.argmax(differs[:, ::-1], 1), 1)
+
+
+def streams_of(n_samples: int, stream_length: int) -> list:
+    """Cut samples 0 to n_samples - 1 into streams, as slices in order."""
+    return [
+        slice(start, min(start + stream_length, n_samples))
+        for start in range(0, n_samples, stream_length)
+    ]
+
+
+def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Responses:
+    """Turn a target's raw output into scores and decisions.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    output : ndarray, shape (n_samples, steps, n_classes)
+        The readout's value at each step that a sample is shown for: decoded on the host, or spikes
+        of the output neurons (``amplitude / dt`` in a step with a spike).
+    spikes : dict of str to ndarray, shape (n_samples,)
+
+    Returns
+    -------
+    Responses
+    """
+    start = spec.presentation.readout_start
+    readout = spec.layers[-1]
+    bias = readout.bias if readout.neurons is None else 0.0
+    window = output[:, start:]
+    counts = np.arange(1, window.shape[1] + 1)[:, None]
+    scores = np.cumsum(window, axis=1) / counts + bias
+    decisions = np.full(output.shape[:2], -1)
+    decisions[:, start:] = np.argmax(_settled(scores), axis=2)
+    return Responses(scores[:, -1], decisions, {k: np.asarray(v) for k, v in spikes.items()})
+
+
+def _settled(scores):
+    """Round away the last bits, so that equal scores tie alike on every target.
+
+    Targets add the same spikes in another order; a tie must not be broken by that.
+    """
+    return np.round(scores, 9)
+
+
+def join(parts) -> Responses:
+    """Put the responses to successive samples together."""
+    parts = list(parts)
+    return Responses(
+        np.concatenate([part.scores for part in parts]),
+        np.concatenate([part.decisions for part in parts]),
+        {name: np.concatenate([part.spikes[name] for part in parts]) for name in parts[0].spikes},
+    )
+
+
+def seconds_per_sample(spec: NetworkSpec) -> float:
+    """Time that one sample takes on the network's own clock, gap included."""
+    return (spec.presentation.steps + spec.presentation.gap) * DT
