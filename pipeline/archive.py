@@ -6,6 +6,7 @@ The layout is ``data_submission/<digit>/*.mat``; the digit folders may stand at 
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import zipfile
@@ -14,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import joblib
-import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import replacing, sha256_of
@@ -214,8 +214,6 @@ def _add(archive, name, content):
 
 
 def _shown(progress, label, total):
-    import contextlib
-
     return progress(label, total) if progress else contextlib.nullcontext(lambda n: None)
 
 
@@ -274,16 +272,3 @@ def _read_members(path, names):
         except BadRecording as error:
             results.append(str(error))
     return results
-
-
-def without(recordings: Recordings, keep) -> Recordings:
-    """The recordings with the given indices only."""
-    keep = np.asarray(keep)
-    return collect(
-        [recordings[i] for i in keep],
-        recordings.labels[keep],
-        [recordings.ids[i] for i in keep],
-        recordings.writers[keep],
-        recordings.source,
-        recordings.taxels,
-    )

@@ -14,7 +14,7 @@ import typer
 from deploy import __version__
 from deploy.errors import CheckFailed, UserError
 from models.notation import NotationError
-from pipeline.commands import data
+from pipeline.commands import check, data, run
 
 app = typer.Typer(
     help="From event-based touch to a spiking network on Loihi.",
@@ -24,6 +24,10 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 app.add_typer(data.app, name="data")
+app.command()(run.train)
+app.command()(run.convert)
+app.add_typer(check.app, name="check")
+app.command()(run.ladder)
 
 
 @app.callback(invoke_without_command=True)

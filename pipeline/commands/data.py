@@ -2,6 +2,89 @@
 
 from __future__ import annotations
 
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
 import typer
 
+from deploy.errors import UserError
+from pipeline.commands import options
+from pipeline.matfiles import BadRecording, read_recording
+from pipeline.recordings import Events, expand_bursts
+from pipeline.sources import load_recordings
+
 app = typer.Typer(help="Recordings: read, look at, make, count, draw.", no_args_is_help=True)
+
+
+@app.command("import")
+def import_(
+    source: Annotated[str, typer.Argument(help="ST-MNIST zip or folder.")],
+    skip_bad: Annotated[
+        bool, typer.Option("--skip-bad", help="Leave out files that cannot be read.")
+    ] = False,
+    jobs: options.Jobs = 2,
+    as_json: options.Json = False,
+):
+    """Read recordings once and keep them in the cache, so that the next start is quick."""
+    recordings = load_recordings(source, skip_bad=skip_bad, jobs=jobs, warn=_warn)
+    counts = np.bincount(recordings.labels, minlength=10).tolist()
+    facts = {
+        "source": recordings.source.name,
+        "sha256": recordings.source.sha256,
+        "simulated": recordings.source.simulated,
+        "samples": len(recordings),
+        "samples_per_digit": counts,
+        "events": len(recordings.events),
+        "columns": int(recordings.events.columns.sum(dtype=np.int64)),
+    }
+    if as_json:
+        print(json.dumps(facts, indent=2))
+        return
+    kind = "simulated recordings" if recordings.source.simulated else "recordings"
+    print(f"{len(recordings)} {kind} in {facts['source']}; of each digit: {counts}")
+    print(f"{facts['events']} physical events in {facts['columns']} columns")
+
+
+@app.command()
+def inspect(
+    file: Annotated[Path, typer.Argument(help="One recording, a MAT file.")],
+    as_json: options.Json = False,
+):
+    """Print one recording's facts."""
+    try:
+        recording = read_recording(file.read_bytes())
+    except OSError as error:
+        raise UserError(f"{file}: cannot read ({error.strerror}); check the path") from error
+    except BadRecording as error:
+        raise UserError(f"{file}: {error}; expected a recording as ST-MNIST has them") from error
+    facts = {"simulated": recording.simulated, **recording_facts(recording.events)}
+    if as_json:
+        print(json.dumps(facts, indent=2))
+        return
+    print(
+        f"{file.name}{' (simulated)' if recording.simulated else ''}: "
+        f"{facts['columns']} columns, {facts['events']} physical events "
+        f"({facts['on']} ON, {facts['off']} OFF) of {facts['taxels']} taxels, "
+        f"{facts['t_first_s']:.4f} s to {facts['t_last_s']:.4f} s"
+    )
+
+
+def recording_facts(events: Events) -> dict:
+    """Counts and times of one recording: columns as in the file, the others physical events."""
+    times, _, _ = expand_bursts(events)
+    return {
+        "columns": len(times),
+        "events": len(events),
+        "on": int((events.polarity == 1).sum()),
+        "off": int((events.polarity == -1).sum()),
+        "t_first_s": float(times[0] * 1e-9),
+        "t_last_s": float(times[-1] * 1e-9),
+        "taxels": len(np.unique(events.taxel)),
+    }
+
+
+def _warn(line):
+    print(line, file=sys.stderr)

@@ -73,9 +73,7 @@ def simulate(seed=0, samples_per_digit=None, jobs=2, advance=None, parameters=No
     Recordings
     """
     parameters = parameters or settings.load()
-    counts = [int(n) for n in (samples_per_digit or SAMPLES_PER_DIGIT)]
-    if len(counts) != 10 or min(counts) < 0:
-        raise ValueError("samples_per_digit: ten numbers, none below 0")
+    counts = _counts(samples_per_digit)
     samples = [
         (digit, index, index * parameters.writers.count // counts[digit])
         for digit in range(10)
@@ -93,13 +91,22 @@ def simulate(seed=0, samples_per_digit=None, jobs=2, advance=None, parameters=No
         labels=[digit for digit, _, _ in samples],
         ids=[f"{digit}/{index:04d}" for digit, index, _ in samples],
         writers=[who for _, _, who in samples],
-        source=Source(f"simulated, seed {seed}", _sha256(seed, counts, parameters), True),
+        source=source_of(seed, counts, parameters),
     )
 
 
-def _sha256(seed, counts, parameters):
-    text = json.dumps([VERSION, int(seed), counts, parameters.fingerprint()])
-    return hashlib.sha256(text.encode()).hexdigest()
+def source_of(seed=0, samples_per_digit=None, parameters=None) -> Source:
+    """What :func:`simulate` of the same arguments will give, by name and hash, without the work."""
+    parameters = parameters or settings.load()
+    text = json.dumps([VERSION, int(seed), _counts(samples_per_digit), parameters.fingerprint()])
+    return Source(f"simulated, seed {seed}", hashlib.sha256(text.encode()).hexdigest(), True)
+
+
+def _counts(samples_per_digit):
+    counts = [int(n) for n in (samples_per_digit or SAMPLES_PER_DIGIT)]
+    if len(counts) != 10 or min(counts) < 0:
+        raise ValueError("samples_per_digit: ten numbers, none below 0")
+    return counts
 
 
 def _batch(seed, samples, p):

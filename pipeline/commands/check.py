@@ -1,0 +1,60 @@
+"""``stmnist check``: the 200-sample check."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Optional
+
+import typer
+
+from deploy.bundle import read_bundle
+from deploy.checks import run_check
+from deploy.cli import comparison_text, enforce, summary
+from deploy.results import compare as compare_results
+from deploy.results import read_result
+from deploy.targets import TARGETS
+from pipeline.commands import options
+from pipeline.progress import progress
+
+app = typer.Typer(help="The check that every target answers.", no_args_is_help=True)
+
+
+@app.command()
+def run(
+    bundle: Annotated[Path, typer.Argument(help="The bundle's folder.")],
+    target: Annotated[str, typer.Option(help=f"One of {', '.join(TARGETS)}.")],
+    out: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(help="The result (default: checks/TARGET.json beside the bundle)."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed given to the simulator.")] = 0,
+    as_json: options.Json = False,
+):
+    """Let a target answer the bundle's samples; an interrupted check goes on where it stopped."""
+    opened = read_bundle(bundle)
+    path = out or opened.path.absolute().parent / "checks" / f"{target}.json"
+    with progress(f"check {target}", len(opened.checks)) as advance:
+        result = run_check(opened, target, path, seed, advance)
+    print(json.dumps(result, indent=2) if as_json else f"{summary(result)}\nwritten to {path}")
+
+
+@app.command()
+def compare(
+    a: Annotated[Path, typer.Argument(help="A result, JSON.")],
+    b: Annotated[Path, typer.Argument(help="Another of the same bundle.")],
+    max_disagreements: Annotated[
+        Optional[int],  # noqa: UP045
+        typer.Option(help="Exit with status 1 if more predictions differ."),
+    ] = None,
+    max_accuracy_drop: Annotated[
+        Optional[float],  # noqa: UP045
+        typer.Option(help="Exit with status 1 if B is less accurate by more than this."),
+    ] = None,
+    as_json: options.Json = False,
+):
+    """Set two results side by side: agreement, McNemar's test, the first samples that differ."""
+    comparison = compare_results(read_result(a), read_result(b))
+    as_text = json.dumps(comparison.to_json(), indent=2) if as_json else comparison_text(comparison)
+    print(as_text)
+    enforce(comparison, max_disagreements, max_accuracy_drop)

@@ -1,0 +1,97 @@
+"""NengoDL: the trained network with its neurons exchanged for LIF, rate-based or spiking.
+
+The only module that touches NengoDL.  Its ``Converter`` sets gain to its scale and bias to 0, with
+which a LIF neuron stays silent up to an activation of 1; both are set here to what the network was
+trained with (``J = 1 + gain * z``).
+"""
+
+from __future__ import annotations
+
+import logging
+import warnings
+
+import nengo
+import numpy as np
+import tensorflow as tf
+
+from models.cnn import build_cnn, set_weights
+from models.lif import gain_for
+from models.notation import parse
+from models.quantised import eight_bits
+from pipeline.settings import Settings
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")
+    import nengo_dl
+
+logging.getLogger("nengo_dl").setLevel(logging.ERROR)
+
+
+def run(
+    settings: Settings, weights: dict, images, steps: int, spiking: bool = True, batch: int = 100
+) -> np.ndarray:
+    """Run the converted network on images, each from a fresh state.
+
+    Parameters
+    ----------
+    settings : Settings
+    weights : dict
+        Of the rate-based network.
+    images : ndarray, shape (n_samples, 10, 10, 1)
+        Fed in as constant currents.
+    steps : int
+        Steps of 1 ms; 1 is enough for the rate-based neurons.
+    spiking : bool
+        Spiking LIF neurons; False for rate-based ones.
+    batch : int
+        Samples side by side.
+
+    Returns
+    -------
+    ndarray, shape (n_samples, steps, 10)
+        Logits at each step, the readout's bias included.
+    """
+    snn = settings.snn
+    model = build_cnn(
+        parse(settings.cnn.architecture),
+        activation=lambda index: tf.keras.layers.Activation(tf.nn.relu),
+    )
+    if snn.recipe == "loihi":
+        weights = {
+            name: eight_bits(array).numpy()
+            if name.startswith("conv") and array.ndim == 4
+            else array
+            for name, array in weights.items()
+        }
+    set_weights(model, weights)
+    kind = nengo.LIF if spiking else nengo.LIFRate
+    converter = nengo_dl.Converter(
+        model,
+        swap_activations={tf.nn.relu: kind()},
+        synapse=(settings.deployment.synapse or None) if spiking else None,
+        inference_only=True,
+    )
+    for index in range(len(parse(settings.cnn.architecture).convs)):
+        ensemble = converter.layers[model.get_layer(f"conv{index + 1}_neurons").output].ensemble
+        ensemble.neuron_type = kind(
+            tau_rc=snn.tau_rc, tau_ref=snn.tau_ref, amplitude=1 / snn.max_rate(index)
+        )
+        ensemble.gain = np.full(
+            ensemble.n_neurons, gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
+        )
+        ensemble.bias = np.ones(ensemble.n_neurons)
+    output = converter.outputs[model.output]
+    output.synapse = None
+    images = np.asarray(images, np.float32).reshape(len(images), 1, -1)
+    padding = -len(images) % batch  # NengoDL runs whole batches only
+    padded = np.concatenate([images, np.zeros((padding, *images.shape[1:]), np.float32)])
+    with nengo_dl.Simulator(
+        converter.net, minibatch_size=batch, progress_bar=False, seed=settings.seed
+    ) as simulator:
+        results = [
+            simulator.predict_on_batch({converter.inputs[model.input]: np.repeat(part, steps, 1)})[
+                output
+            ]
+            for part in np.split(padded, len(padded) // batch)
+        ]
+    return np.concatenate(results)[: len(images)]

@@ -1,0 +1,126 @@
+"""A run's folder: where each artifact is, what it was made from, and who is writing to it."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from deploy.errors import UserError
+from deploy.files import read_json
+from pipeline.settings import Settings, read_settings, write_settings
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """Paths of a run's artifacts.
+
+    Attributes
+    ----------
+    path : Path
+    """
+
+    path: Path
+
+    @property
+    def experiment(self) -> Path:
+        """Every setting, resolved."""
+        return self.path / "experiment.toml"
+
+    @property
+    def dataset(self) -> Path:
+        """What the recordings were."""
+        return self.path / "dataset.json"
+
+    @property
+    def cnn(self) -> Path:
+        """Weights, history and metrics of the CNN."""
+        return self.path / "cnn"
+
+    @property
+    def snn(self) -> Path:
+        """Weights, history and metrics of the rate-based network."""
+        return self.path / "snn"
+
+    @property
+    def bundle(self) -> Path:
+        """What is deployed."""
+        return self.path / "bundle"
+
+    @property
+    def ladder(self) -> Path:
+        """The loss ladder."""
+        return self.path / "ladder.json"
+
+    def check(self, stage: str) -> Path:
+        """Result of a target or stage on the check's samples."""
+        return self.path / "checks" / f"{stage}.json"
+
+    def resolve_settings(self, base: Path | None, changes: dict) -> Settings:
+        """Settings of this run: those of its folder or of a file, with changes; written back.
+
+        Parameters
+        ----------
+        base : Path, optional
+            A TOML file that takes the place of the run's own settings.
+        changes : dict
+            From the command line.
+
+        Raises
+        ------
+        UserError
+            A file or value is wrong, or the folder cannot be written.
+        """
+        if base is not None:
+            settings = read_settings(base)
+        elif self.experiment.exists():
+            settings = read_settings(self.experiment)
+        else:
+            settings = Settings()
+        settings = settings.with_values(changes, "command line")
+        if not self.experiment.exists() or read_settings(self.experiment) != settings:
+            write_settings(self.experiment, settings)
+        return settings
+
+    @contextlib.contextmanager
+    def locked(self):
+        """Keep a second process from working in this run.
+
+        Raises
+        ------
+        UserError
+            One is.
+        """
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            lock = (self.path / ".lock").open("w")
+        except OSError as error:
+            raise UserError(
+                f"{self.path}: cannot write ({error.strerror}); choose another RUN"
+            ) from error
+        with lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise UserError(
+                    f"{self.path}: another process is working in this run; "
+                    "wait for it or choose another RUN"
+                ) from None
+            yield
+
+
+def stamp_of(*parts) -> str:
+    """Hash of plain values that an artifact is made from."""
+    text = json.dumps(parts, sort_keys=True, default=list)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def is_current(metrics: Path, stamp: str, *artifacts: Path) -> bool:
+    """True if the artifacts are there and ``metrics`` says that they were made from ``stamp``."""
+    if not metrics.exists() or not all(path.exists() for path in artifacts):
+        return False
+    remedy = "delete it and run the command again"
+    return read_json(metrics, remedy).get("made_from") == stamp

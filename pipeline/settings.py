@@ -1,0 +1,301 @@
+"""Every setting of an experiment, with its default, in one place; kept in ``experiment.toml``."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+
+from deploy.errors import UserError
+from deploy.files import replacing
+from models.notation import NotationError, parse
+from pipeline.images import AGGREGATIONS, NORMALISATIONS
+
+
+@dataclass(frozen=True)
+class Data:
+    """Which recordings."""
+
+    source: str = "simulated"
+    """``"simulated"``, or the path of an ST-MNIST zip or folder."""
+    simulation_seed: int = 0
+    """Seed of simulated recordings; the experiment's own seed does not change them."""
+    samples_per_digit: int = 0
+    """Simulated recordings of each digit; 0 for the published numbers, 6,953 in all."""
+    skip_bad: bool = False
+    """Leave out files that cannot be read instead of stopping."""
+
+
+@dataclass(frozen=True)
+class Image:
+    """How events become a tactile image; see :mod:`pipeline.images`."""
+
+    aggregation: str = "count"
+    normalisation: str = "max"
+
+
+@dataclass(frozen=True)
+class Split:
+    """Which samples are for what."""
+
+    test_fraction: float = 0.2
+    """Share of all samples (paper: 80-20 splits)."""
+    validation_fraction: float = 0.0
+    """Share of the training samples that is kept for choosing settings."""
+
+
+@dataclass(frozen=True)
+class CNN:
+    """The convolutional network and its training (paper, Section 3.2.1)."""
+
+    architecture: str = "10x10-6c4-24c3-10o"
+    epochs: int = 20
+    batch_size: int = 32
+    """Not given in the paper; Keras's default."""
+    learning_rate: float = 0.001
+    """Not given in the paper; Keras's default for RMSProp."""
+
+
+@dataclass(frozen=True)
+class SNN:
+    """Training with rate-based LIF neurons (paper, Section 3.2.2)."""
+
+    recipe: str = "loihi"
+    """``"loihi"``: forward pass with the chip's rates and weights, from the CNN's weights;
+    ``"paper"``: plain rate-based LIF, from new weights."""
+    epochs: int = 20
+    batch_size: int = 32
+    learning_rate: float = 0.001
+    max_rates: tuple = (150.0, 150.0)
+    """Spikes a second of each convolution's neurons at activation 1; the last entry holds for all
+    convolutions after it."""
+    tau_rc: float = 0.02
+    """Membrane time constant in seconds."""
+    tau_ref: float = 0.001
+    """Refractory period in seconds."""
+
+    def max_rate(self, index: int) -> float:
+        """Of convolution ``index``, from 0."""
+        return self.max_rates[min(index, len(self.max_rates) - 1)]
+
+
+@dataclass(frozen=True)
+class Deployment:
+    """How the spiking network is laid out; see :mod:`deploy.network_spec`."""
+
+    first_layer: str = "chip"
+    """``"chip"``: the image becomes spikes in an input layer on the host, all convolutions are on
+    the chip; ``"host"``: the first convolution's neurons are on the host, fed with currents."""
+    readout: str = "host"
+    """``"host"``: output decoded from the last convolution's spikes; ``"chip"``: ten neurons."""
+    input_rate: float = 500.0
+    """Spikes a second of a pixel of value 1."""
+    input_phase: float = 0.5
+    """Voltage of the input neurons at the start of a stream."""
+    synapse: float = 0.005
+    """Time constant in seconds of the low-pass on every spiking connection; 0 for none."""
+    pop_type: int = 32
+
+
+@dataclass(frozen=True)
+class Presentation:
+    """How samples are shown; see :class:`deploy.network_spec.Presentation`."""
+
+    steps: int = 100
+    gap: int = 20
+    readout_start: int = 15
+    stream_length: int = 10
+
+
+@dataclass(frozen=True)
+class Check:
+    """The check that every target answers."""
+
+    samples: int = 200
+    """Drawn from the test split (paper: 200 random test samples)."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All settings of an experiment."""
+
+    seed: int = 0
+    """Of the split, the training and the choice of the check's samples."""
+    data: Data = field(default_factory=Data)
+    image: Image = field(default_factory=Image)
+    split: Split = field(default_factory=Split)
+    cnn: CNN = field(default_factory=CNN)
+    snn: SNN = field(default_factory=SNN)
+    deployment: Deployment = field(default_factory=Deployment)
+    presentation: Presentation = field(default_factory=Presentation)
+    check: Check = field(default_factory=Check)
+
+    def with_values(self, changes: dict, origin: str) -> Settings:
+        """These settings with some changed.
+
+        Parameters
+        ----------
+        changes : dict
+            As read from TOML: ``{"seed": 1, "cnn": {"epochs": 5}}``.
+        origin : str
+            Where they come from, for the error's line.
+
+        Raises
+        ------
+        UserError
+            An unknown setting, or a value of the wrong kind or out of range.
+        """
+        settings = _changed(self, changes, origin, "")
+        _validate(settings, origin)
+        return settings
+
+    def to_json(self) -> dict:
+        """As plain values."""
+        return asdict(self)
+
+
+def read_settings(path) -> Settings:
+    """Read ``experiment.toml``.
+
+    Raises
+    ------
+    UserError
+        It cannot be read, is not TOML, or has an unknown or wrong setting.
+    """
+    try:
+        values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UserError(f"{path}: cannot read ({error.strerror}); check the path") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UserError(f"{path}: not valid TOML ({error}); mend or delete it") from error
+    return Settings().with_values(values, str(path))
+
+
+def write_settings(path, settings: Settings):
+    """Write every setting, resolved; inverse of :func:`read_settings`."""
+    sections = settings.to_json()
+    lines = ["# Every setting of this experiment; what each means is in pipeline/settings.py."]
+    lines += [f"{k} = {_toml(v)}" for k, v in sections.items() if not isinstance(v, dict)]
+    for name, section in sections.items():
+        if isinstance(section, dict):
+            lines += ["", f"[{name}]", *(f"{k} = {_toml(v)}" for k, v in section.items())]
+    with replacing(path, "w") as file:
+        file.write("\n".join(lines) + "\n")
+
+
+def parse_assignments(assignments) -> dict:
+    """Turn ``["cnn.epochs=5", "seed=1"]`` into nested values.
+
+    Values are read as TOML, and as plain text where that fails.
+
+    Raises
+    ------
+    UserError
+        An entry is not of the form ``name=value``.
+    """
+    values: dict = {}
+    for assignment in assignments:
+        name, equals, text = assignment.partition("=")
+        if not equals or not name.strip():
+            raise UserError(f"--set {assignment!r}: expected section.name=value")
+        try:
+            value = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            value = text.strip()
+        *sections, last = name.strip().split(".")
+        place = values
+        for section in sections:
+            place = place.setdefault(section, {})
+        place[last] = value
+    return values
+
+
+def _toml(value):
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return json.dumps(value, ensure_ascii=False)  # the same for text, numbers and booleans
+
+
+def _changed(settings, changes, origin, prefix):
+    known = {entry.name: getattr(settings, entry.name) for entry in fields(settings)}
+    values = {}
+    for name, value in changes.items():
+        full = prefix + name
+        if name not in known:
+            raise UserError(
+                f"{origin}: unknown setting {full!r}; known here: {', '.join(sorted(known))}"
+            )
+        default = known[name]
+        if hasattr(default, "__dataclass_fields__"):
+            if not isinstance(value, dict):
+                raise UserError(f"{origin}: {full!r} is a section, write it as [{full}]")
+            values[name] = _changed(default, value, origin, full + ".")
+        else:
+            values[name] = _coerced(value, default, origin, full)
+    return replace(settings, **values)
+
+
+def _coerced(value, default, origin, name):
+    def fail(kind):
+        raise UserError(f"{origin}: {name!r} must be {kind}, not {value!r}")
+
+    if isinstance(default, bool):
+        return value if isinstance(value, bool) else fail("true or false")
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if isinstance(default, int):
+        return value if number and isinstance(value, int) else fail("a whole number")
+    if isinstance(default, float):
+        return float(value) if number else fail("a number")
+    if isinstance(default, tuple):
+        if not isinstance(value, (list, tuple)):
+            fail("a list")
+        return tuple(_coerced(entry, default[0], origin, name) for entry in value)
+    return value if isinstance(value, str) else fail("text")
+
+
+def _validate(s: Settings, origin):
+    def need(condition, name, expected):
+        if not condition:
+            raise UserError(f"{origin}: {name!r} must be {expected}")
+
+    need(s.seed >= 0, "seed", "0 or more")
+    need(s.data.samples_per_digit >= 0, "data.samples_per_digit", "0 or more")
+    need(s.image.aggregation in AGGREGATIONS, "image.aggregation", _one_of(AGGREGATIONS))
+    need(s.image.normalisation in NORMALISATIONS, "image.normalisation", _one_of(NORMALISATIONS))
+    need(0 < s.split.test_fraction < 1, "split.test_fraction", "between 0 and 1")
+    need(0 <= s.split.validation_fraction < 1, "split.validation_fraction", "from 0 to below 1")
+    for name, training in (("cnn", s.cnn), ("snn", s.snn)):
+        need(training.epochs >= 1, f"{name}.epochs", "1 or more")
+        need(training.batch_size >= 1, f"{name}.batch_size", "1 or more")
+        need(training.learning_rate > 0, f"{name}.learning_rate", "above 0")
+    need(s.snn.recipe in ("loihi", "paper"), "snn.recipe", _one_of(("loihi", "paper")))
+    need(s.snn.tau_rc > 0, "snn.tau_rc", "above 0")
+    need(s.snn.tau_ref >= 0, "snn.tau_ref", "0 or more")
+    for name in ("first_layer", "readout"):
+        need(getattr(s.deployment, name) in ("chip", "host"), f"deployment.{name}",
+             _one_of(("chip", "host")))  # fmt: skip
+    need(0 < s.deployment.input_rate <= 1000, "deployment.input_rate", "above 0, at most 1000")
+    need(0 <= s.deployment.input_phase < 1, "deployment.input_phase", "from 0 to below 1")
+    need(s.deployment.synapse >= 0, "deployment.synapse", "0 or more")
+    need(s.deployment.pop_type in (16, 32), "deployment.pop_type", "16 or 32")
+    need(s.presentation.steps >= 1, "presentation.steps", "1 or more")
+    need(s.presentation.gap >= 0, "presentation.gap", "0 or more")
+    need(0 <= s.presentation.readout_start < s.presentation.steps, "presentation.readout_start",
+         f"from 0 to below presentation.steps ({s.presentation.steps})")  # fmt: skip
+    need(s.presentation.stream_length >= 1, "presentation.stream_length", "1 or more")
+    need(s.check.samples >= 1, "check.samples", "1 or more")
+    try:
+        architecture = parse(s.cnn.architecture)
+    except NotationError as error:
+        raise UserError(f"{origin}: 'cnn.architecture': {error}") from error
+    need(architecture.input_shape == (10, 10, 1), "cnn.architecture",
+         "for a tactile image of 10x10")  # fmt: skip
+    need(len(architecture.convs) >= 1, "cnn.architecture", "a network with a convolution")
+    need(1 <= len(s.snn.max_rates) <= len(architecture.convs) and min(s.snn.max_rates) > 0,
+         "snn.max_rates",
+         f"1 to {len(architecture.convs)} rates above 0, one a convolution")  # fmt: skip
+
+
+def _one_of(values):
+    return "one of " + ", ".join(values)
