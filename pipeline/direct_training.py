@@ -14,24 +14,7 @@ from deploy.errors import UserError
 from deploy.files import read_arrays, write_arrays
 from models.notation import parse
 from models.slayer import SpikeResponse, SpikingNetwork, spike_count_loss, spike_counts
-
-
-@dataclass(frozen=True)
-class Slayer:
-    """The network and its training."""
-
-    architecture: str = "10x10x2-6c2-24c3-10o"
-    bins: int = 200
-    """Time steps; of two seconds, so 10 ms each (paper)."""
-    epochs: int = 100
-    batch_size: int = 32
-    """Not given in the paper."""
-    learning_rate: float = 0.01
-    """Not given in the paper; the SLAYER authors' own for their examples, as is the optimiser."""
-    true_count: float = 60.0
-    """Desired spikes of the output neuron of the right digit (paper)."""
-    false_count: float = 10.0
-    """Desired spikes of each other output neuron (paper)."""
+from pipeline.settings import Slayer
 
 
 @dataclass(frozen=True)
@@ -139,9 +122,7 @@ class _Trainer:
         self.optimizer = tf.keras.optimizers.Adam(settings.learning_rate, amsgrad=True)
         self.optimizer.build(network.kernels)
         outputs = np.eye(network.architecture.outputs, dtype=np.float32)[labels]
-        self.desired = settings.false_count + outputs * (
-            settings.true_count - settings.false_count
-        )
+        self.desired = settings.false_count + outputs * (settings.true_count - settings.false_count)
         # On the CPU whatever else there is: the frames stay where they are, bytes as they are.
         with tf.device("CPU"):
             frames = tf.constant(frames)

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from pipeline.direct_training import Slayer, layer_spikes, train_slayer
+from pipeline.direct_training import layer_spikes, train_slayer
+from pipeline.settings import Slayer
 
 SETTINGS = Slayer(
     architecture="10x10x2-4c2-6c3-3o", bins=40, epochs=6, batch_size=8, learning_rate=0.05,
