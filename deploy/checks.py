@@ -85,6 +85,7 @@ def _records(bundle, part, responses: Responses) -> list:
             "decided_at": int(responses.decided_at[i]),
             "decisions": [int(decision) for decision in responses.decisions[i]],
             "spikes": {name: int(counts[i]) for name, counts in responses.spikes.items()},
+            "operations": {name: int(counts[i]) for name, counts in responses.operations.items()},
         }
         for i, index in enumerate(range(part.start, part.stop))
     ]

@@ -91,10 +91,14 @@ def summary(result: dict) -> str:
     spikes = ", ".join(
         f"{name} {count / result['n_samples']:.0f}" for name, count in result["spikes"].items()
     )
+    operations = sum(result["synaptic_operations"].values()) / result["n_samples"]
+    macs = sum(result["multiply_accumulates"].values())
     return (
         f"{result['target']}: accuracy {result['accuracy']:.3f} (95 % interval {low:.3f} to "
         f"{high:.3f}) on {result['n_samples']} {_kind(result)}samples of "
         f"{result['steps_per_sample']} steps\nspikes a sample: {spikes}\n"
+        f"synaptic operations a sample: {operations:.0f}, {operations / macs:.2f} times the CNN's "
+        f"{macs} multiply-accumulates\n"
         f"{result['wall_seconds']:.1f} s, {result['n_samples'] / result['wall_seconds']:.1f} "
         "samples a second"
     )

@@ -6,13 +6,13 @@ neuron types.  Nothing here needs that, and it costs some ten seconds at every s
 
 import sys
 
-_absent = "tensorflow" not in sys.modules
-if _absent:
-    sys.modules["tensorflow"] = None  # makes "import tensorflow" raise ImportError
+# None in sys.modules makes an import of that name raise ImportError.
+_hidden = [name for name in ("tensorflow", "nengo_dl") if name not in sys.modules]
+sys.modules.update(dict.fromkeys(_hidden))
 try:
     import nengo_loihi
 finally:
-    if _absent:
-        del sys.modules["tensorflow"]
+    for _name in _hidden:
+        del sys.modules[_name]
 
 __all__ = ["nengo_loihi"]

@@ -7,12 +7,13 @@ readout's bias); the decision at a step is the class with the highest score.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Dict
 
 import numpy as np
 
 from .network_spec import DT, NetworkSpec
+from .operations import synaptic_operations
 
 
 @dataclass(frozen=True)
@@ -27,11 +28,14 @@ class Responses:
         Decision at each step; -1 before the readout starts.
     spikes : dict of str to ndarray of int, shape (n_samples,)
         Spikes of each layer while the sample was shown and in the gap after it.
+    operations : dict of str to ndarray of int, shape (n_samples,)
+        Synaptic operations by the layer that receives them, in the same time.
     """
 
     scores: np.ndarray
     decisions: np.ndarray
     spikes: Dict[str, np.ndarray]
+    operations: Dict[str, np.ndarray]
 
     @property
     def predictions(self) -> np.ndarray:
@@ -63,7 +67,8 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
     output : ndarray, shape (n_samples, steps, n_classes)
         The readout's value at each step that a sample is shown for: decoded on the host, or spikes
         of the output neurons (``amplitude / dt`` in a step with a spike).
-    spikes : dict of str to ndarray, shape (n_samples,)
+    spikes : dict of str to ndarray of int, shape (n_samples, n_neurons)
+        Spikes of each neuron of each spiking layer, the gap after the sample included.
 
     Returns
     -------
@@ -77,7 +82,12 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
     scores = np.cumsum(window, axis=1) / counts + bias
     decisions = np.full(output.shape[:2], -1)
     decisions[:, start:] = np.argmax(_settled(scores), axis=2)
-    return Responses(scores[:, -1], decisions, {k: np.asarray(v) for k, v in spikes.items()})
+    return Responses(
+        scores=scores[:, -1],
+        decisions=decisions,
+        spikes={name: counts.sum(axis=-1) for name, counts in spikes.items()},
+        operations=synaptic_operations(spec, spikes),
+    )
 
 
 def _settled(scores):
@@ -91,11 +101,14 @@ def _settled(scores):
 def join(parts) -> Responses:
     """Put the responses to successive samples together."""
     parts = list(parts)
-    return Responses(
-        np.concatenate([part.scores for part in parts]),
-        np.concatenate([part.decisions for part in parts]),
-        {name: np.concatenate([part.spikes[name] for part in parts]) for name in parts[0].spikes},
-    )
+
+    def joined(name):
+        values = [getattr(part, name) for part in parts]
+        if isinstance(values[0], dict):
+            return {key: np.concatenate([value[key] for value in values]) for key in values[0]}
+        return np.concatenate(values)
+
+    return Responses(*(joined(entry.name) for entry in fields(Responses)))
 
 
 def seconds_per_sample(spec: NetworkSpec) -> float:

@@ -12,6 +12,7 @@ import numpy as np
 from .errors import UserError
 from .files import read_json
 from .foreign import nengo_loihi
+from .operations import multiply_accumulates
 from .statistics import mcnemar, wilson_interval
 
 SCHEMA = "stmnist-check/1"
@@ -37,7 +38,8 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
     seed : int
     samples : list of dict
         One a sample of the bundle's check, in its order: ``id``, ``label``, ``prediction``,
-        ``scores``, ``decided_at``, ``decisions`` (each step's), ``spikes`` (each layer's).
+        ``scores``, ``decided_at``, ``decisions`` (each step's), ``spikes`` and ``operations`` (each
+        layer's).
     wall_seconds : float
         Time spent on the samples, over all sessions.
     extra : dict, optional
@@ -54,7 +56,10 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
     right = decisions == labels[:, None]
     correct = int(right[:, -1].sum())
     extra = dict(extra or {})
-    layers = list(samples[0]["spikes"])
+
+    def total(name):
+        return {layer: sum(s[name][layer] for s in samples) for layer in samples[0][name]}
+
     return {
         "schema": SCHEMA,
         "target": target,
@@ -71,7 +76,9 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
             {key: sample[key] for key in ("id", "label", "prediction", "scores", "decided_at")}
             for sample in samples
         ],
-        "spikes": {name: sum(sample["spikes"][name] for sample in samples) for name in layers},
+        "spikes": total("spikes"),
+        "synaptic_operations": total("operations"),
+        "multiply_accumulates": multiply_accumulates(bundle.spec),
         "wall_seconds": wall_seconds,
         "versions": {**versions(), **extra.pop("versions", {})},
         **extra,

@@ -109,9 +109,10 @@ def _run(spec: NetworkSpec, streams: Iterable, seed, simulator) -> Iterator[Resp
                 sim.run_steps(built.feed.period, **_quiet(sim))
                 outputs.append(np.array(sim.data[built.output][:shown]))
                 for name, probe in built.spikes.items():
-                    spikes[name].append(int(np.count_nonzero(sim.data[probe])))
+                    spikes[name].append(np.count_nonzero(sim.data[probe], axis=0))
                 sim.clear_probes()
-        yield read_output(spec, np.array(outputs), spikes)
+        counts = {name: np.array(rows) for name, rows in spikes.items()}
+        yield read_output(spec, np.array(outputs), counts)
 
 
 def _quiet(sim):

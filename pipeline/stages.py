@@ -1,4 +1,4 @@
-"""The stages of a run: each reads what the one before wrote, and is redone only when out of date."""
+"""The stages of a run: each reads what the one before wrote, and is redone only if out of date."""
 
 from __future__ import annotations
 
@@ -261,7 +261,7 @@ def _samples(bundle, logits):
     steps = bundle.spec.presentation.steps if logits.shape[1] > 1 else 1
     decisions = np.full((len(logits), steps), -1)
     decisions[:, steps - logits.shape[1] :] = np.argmax(logits, axis=2)
-    responses = Responses(logits[:, -1], decisions, {})
+    responses = Responses(logits[:, -1], decisions, {}, {})
     return [
         {
             "id": bundle.checks.ids[i],
@@ -271,6 +271,7 @@ def _samples(bundle, logits):
             "decided_at": int(responses.decided_at[i]),
             "decisions": decisions[i].tolist(),
             "spikes": {},
+            "operations": {},
         }
         for i in range(len(logits))
     ]

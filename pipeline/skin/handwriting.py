@@ -15,10 +15,13 @@ import tomllib
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import expit, ndtr, ndtri
 
 LOGNORMAL_REACH = 2.3
 """Standard deviations of the logarithm of time on either side that count as a stroke's length."""
+
+MOST_TURN = 3.6
+"""Largest turn of a stroke in radians; close to a full turn its circle would grow without bound."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +79,8 @@ class Writer:
         Logarithm of this person's factor on the size of digits.
     down, right : float
         Where this person writes, off the usual place, in taxels.
-    tempo, force : float
-        Logarithm of the factor on speed and force.
+    tempo, force, scrape : float
+        Logarithm of the factor on the speed, the force, and the vibration of the sliding tip.
     sloppiness : float
         Factor on the variation from one digit to the next.
     """
@@ -92,7 +95,25 @@ class Writer:
     right: float
     tempo: float
     force: float
+    scrape: float
     sloppiness: float
+
+
+NOBODY = Writer(
+    allographs=(0,) * 10,
+    habits=(),
+    slant=0.0,
+    tilt=0.0,
+    height=0.0,
+    width=0.0,
+    down=0.0,
+    right=0.0,
+    tempo=0.0,
+    force=0.0,
+    scrape=0.0,
+    sloppiness=1.0,
+)
+"""A writer without any traits, to hold the pen for recorded handwriting."""
 
 
 @functools.cache
@@ -121,35 +142,59 @@ def _plan(path):
     )
 
 
-def writer(rng, p) -> Writer:
-    """Draw a person.
+def writers(rng, p) -> tuple:
+    """Draw the people of an experiment.
+
+    Each trait takes as many equally likely values as there are people, dealt out at random, so
+    that every group is like every other on the whole and no seed gets only light-handed people.
 
     Parameters
     ----------
     rng : numpy.random.Generator
     p : pipeline.skin.parameters.Writers
+
+    Returns
+    -------
+    tuple of Writer
     """
-    choices = tuple(
-        int(rng.choice(len(ways), p=[share for share, _ in ways])) for ways in allographs()
+    deal = _Deal(rng, p.count)
+    choices = np.array([deal.choices([share for share, _ in ways]) for ways in allographs()])
+    traits = {
+        name: getattr(p, name) * deal.normal()
+        for name in ("slant", "tilt", "height", "width", "tempo", "force", "scrape")
+    }
+    down, right, sloppiness = (deal.normal() for _ in range(3))
+    return tuple(
+        Writer(
+            allographs=tuple(int(choice) for choice in choices[:, who]),
+            habits=tuple(
+                p.habit * rng.standard_normal(ways[choice][1].points.shape)
+                for ways, choice in zip(allographs(), choices[:, who], strict=True)
+            ),
+            **{name: float(values[who]) for name, values in traits.items()},
+            down=float(p.place[0] * down[who]),
+            right=float(p.place[1] * right[who]),
+            sloppiness=float(np.exp(p.sloppiness * sloppiness[who])),
+        )
+        for who in range(p.count)
     )
-    habits = tuple(
-        p.habit * rng.standard_normal(ways[choice][1].points.shape)
-        for ways, choice in zip(allographs(), choices, strict=True)
-    )
-    slant, tilt, height, width, down, right, tempo, force, sloppiness = rng.standard_normal(9)
-    return Writer(
-        allographs=choices,
-        habits=habits,
-        slant=p.slant * slant,
-        tilt=p.tilt * tilt,
-        height=p.height * height,
-        width=p.width * width,
-        down=p.place * down,
-        right=p.place * right,
-        tempo=p.tempo * tempo,
-        force=p.force * force,
-        sloppiness=float(np.exp(p.sloppiness * sloppiness)),
-    )
+
+
+class _Deal:
+    """Stratified draws for a group: quantiles in random order."""
+
+    def __init__(self, rng, count):
+        self.rng, self.count = rng, count
+
+    def normal(self):
+        """Standard normal quantiles, in random order."""
+        return ndtri((self.rng.permutation(self.count) + 0.5) / self.count)
+
+    def choices(self, shares):
+        """Indices that occur as often as their shares ask for, in random order."""
+        level = (np.arange(self.count) + self.rng.random()) / self.count
+        chosen = np.searchsorted(np.cumsum(shares) / np.sum(shares), level)
+        return self.rng.permutation(np.minimum(chosen, len(shares) - 1))
 
 
 def plan(digit: int, who: Writer, rng, p, form) -> Plan:
@@ -170,34 +215,57 @@ def plan(digit: int, who: Writer, rng, p, form) -> Plan:
     if rng.random() < p.other_allograph:
         choice = int(rng.choice(len(ways), p=[share for share, _ in ways]))
     base = ways[choice][1]
-    sloppy = who.sloppiness
-    wobble = p.wobble * sloppy * rng.standard_normal(base.points.shape)
     habit = who.habits[digit] if choice == who.allographs[digit] else 0.0
-    points = base.points + habit + wobble - 0.5
-    slant, tilt, height, width, down, right = rng.standard_normal(6)
-    points = points * [
-        form.height * np.exp(who.height + p.size * sloppy * height),
-        form.width * np.exp(who.width + p.size * sloppy * width),
+    wobble = p.wobble * who.sloppiness * rng.standard_normal(base.points.shape)
+    rounder = p.roundness * who.sloppiness * rng.standard_normal(len(base.turns))
+    place = placing(who, rng, p, form.height, form.width, form.down, form.right)
+    return Plan(
+        points=place(base.points - 0.5 + habit + wobble),
+        turns=np.clip(base.turns * np.exp(rounder), -MOST_TURN, MOST_TURN),
+        in_air=base.in_air,
+    )
+
+
+def placing(who: Writer, rng, p, height, width, down, right):
+    """How a digit's box comes to lie on the skin this time.
+
+    Parameters
+    ----------
+    who : Writer
+    rng : numpy.random.Generator
+    p : pipeline.skin.parameters.Trials
+    height, width, down, right : float
+        Usual size and centre of the box, in taxels.
+
+    Returns
+    -------
+    callable
+        From points of shape (n, 2) in a unit box around 0 to points in taxels.
+    """
+    slant, tilt, higher, wider, lower, righter = who.sloppiness * rng.standard_normal(6)
+    scale = [
+        height * np.exp(who.height + p.size * higher),
+        width * np.exp(who.width + p.size * wider),
     ]
-    shear = who.slant + p.slant * sloppy * slant
-    angle = who.tilt + p.tilt * sloppy * tilt
-    points[:, 1] -= np.tan(shear) * points[:, 0]
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    centre = [
-        form.down + who.down + p.place * sloppy * down,
-        form.right + who.right + p.place * sloppy * right,
-    ]
-    turns = base.turns * np.exp(p.roundness * sloppy * rng.standard_normal(len(base.turns)))
-    return Plan(points @ turn.T + centre, np.clip(turns, -3.6, 3.6), base.in_air)
+    shear = np.array([[1, 0], [-np.tan(who.slant + p.slant * slant), 1]])
+    angle = who.tilt + p.tilt * tilt
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    centre = [down + who.down + p.place[0] * lower, right + who.right + p.place[1] * righter]
+    return lambda points: points * scale @ shear.T @ turn.T + centre
+
+
+def length_s(plan: Plan, p) -> float:
+    """Seconds from the first stroke's start to the last one's end, at tempo 1."""
+    begin, last = _timing(plan, 1.0, p)
+    return float(begin[-1] + last[-1])
 
 
 def move(plan: Plan, tempo: float, step_s: float, start_s: float, p) -> Motion:
     """Carry out a plan.
 
     Stroke ``i`` starts while the one before it still moves.  At time ``t`` it has covered the share
-    ``F_i(t)``, a lognormal distribution function, of its arc; since the arc is a circle's, the
-    pen's position is a sum in closed form (Plamondon and Djioua 2006, equations 5 to 7,
-    integrated).
+    ``F_i(t)``, a lognormal distribution function, of its arc.  Since the arc is a circle's, the
+    stroke's displacement is known in closed form, and the pen's is the sum over the strokes.
 
     Parameters
     ----------
@@ -208,52 +276,65 @@ def move(plan: Plan, tempo: float, step_s: float, start_s: float, p) -> Motion:
     step_s, start_s : float
         Time step, and time of setting off, in seconds.
     p : pipeline.skin.parameters.Kinematics
-    """
-    chord = np.diff(plan.points, axis=0)
-    length = np.hypot(*chord.T)
-    half = plan.turns / 2
-    arc = length * np.where(half == 0, 1, half / np.sin(np.where(half == 0, 1, half)))
-    # Isochrony: a stroke of twice the length takes less than twice the time.
-    last = p.stroke_s * (np.maximum(arc, 0.3) / p.stroke_taxels) ** p.isochrony / tempo
-    begin = np.concatenate([[0.0], np.cumsum(last[:-1] * (1 - p.overlap))])
-    time = np.arange(0, begin[-1] + last[-1] + 2 * p.landing_s, step_s) - p.landing_s
 
-    # Lognormal from begin to begin + last: reaches of its logarithm on either side of the median.
+    Returns
+    -------
+    Motion
+        From ``p.landing_s`` before the first stroke to as long after the last one.
+    """
+    begin, last = _timing(plan, tempo, p)
+    time = np.arange(-p.landing_s, begin[-1] + last[-1] + p.landing_s, step_s)
+    # A lognormal whose reach on either side of the median is the stroke's time.
     median = last / (2 * np.sinh(LOGNORMAL_REACH * p.sigma))
     onset = begin - median * np.exp(-LOGNORMAL_REACH * p.sigma)
     since = np.maximum(time[:, None] - onset, 1e-9)
     share = ndtr(np.log(since / median) / p.sigma)  # (time, stroke)
-    heading = np.arctan2(chord[:, 0], chord[:, 1]) - half
-    turned = plan.turns * share
-    straight = np.abs(plan.turns) < 1e-6
-    radius = arc / np.where(straight, 1, plan.turns)
-    right = np.where(
-        straight,
-        arc * share * np.cos(heading),
-        radius * (np.sin(heading + turned) - np.sin(heading)),
-    )
-    down = np.where(
-        straight,
-        arc * share * np.sin(heading),
-        radius * (np.cos(heading) - np.cos(heading + turned)),
-    )
+
+    chord = np.diff(plan.points, axis=0)
+    heading = np.arctan2(chord[:, 0], chord[:, 1]) - plan.turns / 2
+    # Half the turn so far, on either side of the chord so far: no special case for straight lines.
+    half = plan.turns * share / 2
+    covered = _arc(plan) * share * np.sinc(half / np.pi)
     return Motion(
         time_s=start_s + time,
-        down=plan.points[0, 0] + down.sum(axis=1),
-        right=plan.points[0, 1] + right.sum(axis=1),
-        force=_on_skin(time, begin, last, plan.in_air, p),
+        down=plan.points[0, 0] + (covered * np.sin(heading + half)).sum(axis=1),
+        right=plan.points[0, 1] + (covered * np.cos(heading + half)).sum(axis=1),
+        force=on_skin(time, *_contacts(plan, begin, last, p), p),
     )
 
 
-def _on_skin(time, begin, last, in_air, p):
-    """Force from 0 in the air to 1 on the skin, rising and falling smoothly."""
-    force = np.zeros(len(time))
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], in_air, [True]]).astype(int)))
-    for first, after in edges.reshape(-1, 2):
-        # The pen is down before it sets off and lifted as it comes to rest.
-        here, gone = begin[first], begin[after - 1] + last[after - 1] * p.lift
-        width = p.landing_s / 4
-        rise = 1 / (1 + np.exp(-(time - here) / width))
-        fall = 1 / (1 + np.exp((time - gone) / width))
-        force = np.maximum(force, rise * fall)
+def _arc(plan):
+    """Length of each stroke along its arc."""
+    return np.hypot(*np.diff(plan.points, axis=0).T) / np.sinc(plan.turns / (2 * np.pi))
+
+
+def _timing(plan, tempo, p):
+    """Start and length in time of each stroke."""
+    # Isochrony: a stroke of twice the length takes less than twice the time.
+    arc = np.maximum(_arc(plan), 0.3)
+    last = p.stroke_s * (arc / p.stroke_taxels) ** p.isochrony / tempo
+    return np.concatenate([[0.0], np.cumsum(last[:-1] * (1 - p.overlap))]), last
+
+
+def _contacts(plan, begin, last, p):
+    """Times at which the pen comes down and is lifted."""
+    down = ~plan.in_air
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], down, [False]]).astype(int)))
+    first, after = edges.reshape(-1, 2).T
+    return begin[first], begin[after - 1] + p.lift * last[after - 1]
+
+
+def on_skin(time, lands, lifts, p):
+    """Force over time: 0 in the air and 1 on the skin, rising and falling smoothly.
+
+    Parameters
+    ----------
+    time : ndarray of float, shape (n,)
+    lands, lifts : ndarrays of float, shape (n_contacts,)
+    p : pipeline.skin.parameters.Kinematics
+    """
+    width = p.landing_s / 4
+    rise = expit((time[:, None] - lands) / width)
+    fall = expit((lifts - time[:, None]) / width)
+    force = (rise * fall).max(axis=1)
     return np.where(force < 0.02, 0.0, force)

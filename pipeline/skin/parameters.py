@@ -21,9 +21,10 @@ class Writers:
     tilt: float
     height: float
     width: float
-    place: float
+    place: tuple
     tempo: float
     force: float
+    scrape: float
     sloppiness: float
 
 
@@ -37,7 +38,7 @@ class Trials:
     slant: float
     tilt: float
     size: float
-    place: float
+    place: tuple
     tempo: float
     force: float
     scrape: float
@@ -85,15 +86,21 @@ class Receptor:
     refractory_s: float
     poll_s: float
     clock: float
+    off_spread: float
 
 
 @dataclass(frozen=True)
 class Aces:
     """How the decoder reports an event."""
 
-    on_columns: tuple
-    off_columns: tuple
-    longer: tuple
+    pulses: int
+    signature_s: float
+    most_shared: int
+    on_ns: float
+    off_ns: float
+    level: float
+    shortest: int
+    noise: float
 
 
 @dataclass(frozen=True)

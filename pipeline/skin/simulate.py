@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 from dataclasses import dataclass, replace
@@ -9,17 +10,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from joblib import Parallel, delayed
 
+from deploy.errors import UserError
 from pipeline.recordings import (
     GRID,
     N_TAXELS,
-    TICK_NS,
-    Events,
     Recordings,
     Source,
     TaxelMap,
     collect,
 )
-from pipeline.skin import handwriting
+from pipeline.skin import aces, handwriting, unipen
 from pipeline.skin import parameters as settings
 from pipeline.skin.contact import press
 from pipeline.skin.receptors import fire
@@ -41,6 +41,21 @@ Fixed, so that the bytes do not depend on the processes.
 
 
 @dataclass(frozen=True)
+class Sample:
+    """What is to be recorded: a digit by a writer, or as a trace shows it."""
+
+    digit: int
+    index: int
+    writer: int
+    trace: unipen.Trace | None = None
+
+    @property
+    def name(self):
+        """Its id; the same whatever else is simulated."""
+        return f"{self.digit}/{self.index:04d}"
+
+
+@dataclass(frozen=True)
 class Touch:
     """One recording up to the taxels' signal, before the receptors."""
 
@@ -48,11 +63,12 @@ class Touch:
     taxels: np.ndarray
     signal: np.ndarray
     off: float
-    longer: np.ndarray
-    rng: np.random.Generator
+    clock: np.ndarray
 
 
-def simulate(seed=0, samples_per_digit=None, jobs=2, advance=None, parameters=None) -> Recordings:
+def simulate(
+    seed=0, samples_per_digit=None, jobs=2, advance=None, parameters=None, traces=None
+) -> Recordings:
     """Recordings as the paper's rig would have made them.  They are simulated, and say so.
 
     Parameters
@@ -67,149 +83,183 @@ def simulate(seed=0, samples_per_digit=None, jobs=2, advance=None, parameters=No
         Called with the number of recordings that are done since the last call.
     parameters : pipeline.skin.parameters.Parameters, optional
         Default: the built-in ones.
+    traces : sequence of pipeline.skin.unipen.Trace, optional
+        Recorded handwriting to press on the skin instead of simulated hands.
 
     Returns
     -------
     Recordings
+
+    Raises
+    ------
+    ValueError
+        Counts that are not ten numbers of 0 or more.
+    UserError
+        A digit is asked for that no trace shows.
     """
     parameters = parameters or settings.load()
     counts = _counts(samples_per_digit)
-    samples = [
-        (digit, index, index * parameters.writers.count // counts[digit])
-        for digit in range(10)
-        for index in range(counts[digit])
-    ]
+    samples = _samples(seed, counts, parameters.writers.count, traces)
     batches = [samples[first : first + BATCH] for first in range(0, len(samples), BATCH)]
     parts = []
     work = (delayed(_batch)(seed, batch, parameters) for batch in batches)
     for done in Parallel(n_jobs=jobs, return_as="generator")(work):
-        parts += [Events(*columns) for columns in done]
+        parts += done
         if advance:
             advance(len(done))
     return collect(
         parts,
-        labels=[digit for digit, _, _ in samples],
-        ids=[f"{digit}/{index:04d}" for digit, index, _ in samples],
-        writers=[who for _, _, who in samples],
-        source=source_of(seed, counts, parameters),
+        labels=[sample.digit for sample in samples],
+        ids=[sample.name for sample in samples],
+        writers=[sample.writer for sample in samples],
+        source=source_of(seed, counts, parameters, traces),
     )
 
 
-def source_of(seed=0, samples_per_digit=None, parameters=None) -> Source:
+def source_of(seed=0, samples_per_digit=None, parameters=None, traces=None) -> Source:
     """What :func:`simulate` of the same arguments will give, by name and hash, without the work."""
     parameters = parameters or settings.load()
-    text = json.dumps([VERSION, int(seed), _counts(samples_per_digit), parameters.fingerprint()])
-    return Source(f"simulated, seed {seed}", hashlib.sha256(text.encode()).hexdigest(), True)
+    content = [VERSION, int(seed), _counts(samples_per_digit), parameters.fingerprint()]
+    digest = hashlib.sha256(json.dumps(content).encode())
+    for trace in traces or ():
+        digest.update(np.array([trace.digit, trace.writer]).tobytes())
+        for stroke in trace.strokes:
+            digest.update(np.ascontiguousarray(stroke).tobytes())
+    name = f"simulated, seed {seed}" + (", recorded handwriting" if traces else "")
+    return Source(name, digest.hexdigest(), True)
 
 
 def _counts(samples_per_digit):
-    counts = [int(n) for n in (samples_per_digit or SAMPLES_PER_DIGIT)]
+    counts = SAMPLES_PER_DIGIT if samples_per_digit is None else samples_per_digit
+    counts = [int(n) for n in counts]
     if len(counts) != 10 or min(counts) < 0:
         raise ValueError("samples_per_digit: ten numbers, none below 0")
     return counts
 
 
+def _samples(seed, counts, n_writers, traces):
+    if traces is None:
+        return [
+            Sample(digit, index, index * n_writers // count)
+            for digit, count in enumerate(counts)
+            for index in range(count)
+        ]
+    samples = []
+    for digit, count in enumerate(counts):
+        pool = [trace for trace in traces if trace.digit == digit]
+        if count and not pool:
+            raise UserError(f"the recorded handwriting has no {digit}; ask for none of it")
+        # All of the pool once, in random order, before any comes twice.
+        deal = np.random.default_rng([seed, 3, digit])
+        rounds = [deal.permutation(len(pool)) for _ in range(-(-count // max(len(pool), 1)))]
+        chosen = np.concatenate([np.empty(0, int), *rounds])[:count]
+        samples += [
+            Sample(digit, index, pool[one].writer, pool[one]) for index, one in enumerate(chosen)
+        ]
+    return samples
+
+
 def _batch(seed, samples, p):
-    """Columns of Events for some recordings; runs in a process of its own."""
-    people, gain = _people(seed, p)
-    touches = [
-        _touch(digit, people[who], gain, np.random.default_rng([seed, 2, digit, index]), p)
-        for digit, index, who in samples
-    ]
+    """Events of some recordings; runs in a process of its own."""
+    people = handwriting.writers(np.random.default_rng([seed, 1]), p.writers)
+    gain = array_gain(np.random.default_rng([seed, 0]), p.skin)
+    touches = []
+    for sample in samples:
+        rng = np.random.default_rng([seed, 2, sample.digit, sample.index])
+        touches.append(_touch(sample, people, gain, rng, p))
     return _receive(touches, p)
 
 
-def _people(seed, p):
-    people = [
-        handwriting.writer(np.random.default_rng([seed, 1, who]), p.writers)
-        for who in range(p.writers.count)
-    ]
-    taxels = TaxelMap()
-    centre = (GRID - 1) / 2
-    lean = p.skin.lean[0] * (taxels.x - centre) + p.skin.lean[1] * (taxels.y - centre)
-    scatter = np.random.default_rng([seed, 0]).standard_normal(N_TAXELS)
-    gain = np.exp(lean + p.skin.gain * scatter)
-    return people, gain
+def array_gain(rng, p):
+    """Gain of each taxel of one array, shape (100,): from taxel to taxel, and leaning."""
+    taxels, centre = TaxelMap(), (GRID - 1) / 2
+    lean = p.lean[0] * (taxels.x - centre) + p.lean[1] * (taxels.y - centre)
+    return np.exp(lean + p.gain * rng.standard_normal(N_TAXELS))
 
 
-def _touch(digit, who, gain, rng, p):
-    form = p.forms[digit]
-    placed = handwriting.plan(digit, who, rng, p.trials, form)
-    tempo, force, off = rng.standard_normal(3)
-    tempo = np.exp(form.spread * (who.tempo + p.trials.tempo * tempo))
-    force = np.exp(form.force + form.spread * (who.force + p.trials.force * force))
-    start = rng.uniform(*p.kinematics.onset_s)
-    motion = handwriting.move(placed, tempo, STEP_S, start, p.kinematics)
-    motion = _cut(motion, p.kinematics.end_s)
-    motion = replace(motion, force=force * motion.force * _waver(motion, rng, p.kinematics))
-    skin = replace(
-        p.skin, scrape=p.skin.scrape * np.exp(form.spread * p.trials.scrape * rng.standard_normal())
-    )
-    gain = gain * np.exp(p.skin.gain_drift * rng.standard_normal(N_TAXELS))
-    taxels, signal = press(motion, gain, p.receptor.threshold / 2, rng, skin)
-    return Touch(
-        start_s=motion.time_s[0],
-        taxels=taxels,
-        signal=signal,
-        off=p.receptor.threshold * np.exp(form.off + 0.1 * off),
-        longer=np.asarray(p.aces.longer),
-        rng=rng,
-    )
+def motion(sample, people, rng, p):
+    """The pen's movement over the skin for one recording, force included.
 
+    Parameters
+    ----------
+    sample : Sample
+    people : sequence of Writer
+    rng : numpy.random.Generator
+    p : Parameters
 
-def _cut(motion, end_s):
-    keep = motion.time_s < end_s
-    return replace(motion, **{name: getattr(motion, name)[keep] for name in vars(motion)})
+    Returns
+    -------
+    pipeline.skin.handwriting.Motion
+    """
+    form, kinematics = p.forms[sample.digit], p.kinematics
+    who = people[sample.writer] if sample.trace is None else handwriting.NOBODY
+    start = rng.uniform(*kinematics.onset_s)
+    tempo = np.exp(form.spread * (who.tempo + p.trials.tempo * rng.standard_normal()))
+    force = form.force + form.spread * (who.force + p.trials.force * rng.standard_normal())
+    if sample.trace is None:
+        plan = handwriting.plan(sample.digit, who, rng, p.trials, form)
+        write = functools.partial(handwriting.move, plan)
+        length = handwriting.length_s(plan, kinematics)
+    else:
+        steady = replace(p.trials, slant=0.0, tilt=0.0)  # the trace has its own
+        place = handwriting.placing(
+            who, rng, steady, form.height, form.height, form.down, form.right
+        )
+        write = functools.partial(unipen.move, sample.trace, place)
+        length = unipen.length_s(sample.trace, place, kinematics)
+    # Nobody takes longer than the recording lasts.
+    tempo = max(tempo, length / (kinematics.end_s - start - kinematics.landing_s))
+    moved = write(tempo, STEP_S, start, kinematics)
+    return replace(moved, force=np.exp(force) * moved.force * _waver(moved, rng, kinematics))
 
 
 def _waver(motion, rng, p):
     """Slow changes of the force along the way, geometric mean 1."""
-    length = motion.time_s[-1] - motion.time_s[0]
-    knots = rng.standard_normal(int(length / p.waver_s) + 3)
     along = (motion.time_s - motion.time_s[0]) / p.waver_s
+    knots = rng.standard_normal(int(along[-1]) + 2)
     return np.exp(p.waver * np.interp(along, np.arange(len(knots)), knots))
+
+
+def _touch(sample, people, gain, rng, p):
+    form = p.forms[sample.digit]
+    moved = motion(sample, people, rng, p)
+    who = people[sample.writer] if sample.trace is None else handwriting.NOBODY
+    rough = form.spread * (who.scrape + p.trials.scrape * rng.standard_normal())
+    skin = replace(p.skin, scrape=p.skin.scrape * np.exp(rough))
+    gain = gain * np.exp(p.skin.gain_drift * rng.standard_normal(N_TAXELS))
+    taxels, signal = press(moved, gain, p.receptor.threshold / 2, rng, skin)
+    return Touch(
+        start_s=moved.time_s[0],
+        taxels=taxels,
+        signal=signal,
+        off=p.receptor.threshold * np.exp(form.off + p.receptor.off_spread * rng.standard_normal()),
+        clock=np.exp(p.receptor.clock * np.abs(rng.standard_normal(len(taxels)))),
+    )
 
 
 def _receive(touches, p):
     """Receptors of all recordings of a batch side by side, then each recording's read-out."""
-    widths = [touch.signal.shape[1] for touch in touches]
-    first = np.concatenate([[0], np.cumsum(widths)])
-    rows = max(touch.signal.shape[0] for touch in touches) + 1
-    signal = np.zeros((rows, first[-1]), np.float32)  # row 0: nobody touches the skin
-    clock = np.empty(first[-1])
-    off = np.empty(first[-1], np.float32)
-    for touch, at, width in zip(touches, first, widths, strict=False):
-        signal[1 : 1 + len(touch.signal), at : at + width] = touch.signal
-        clock[at : at + width] = np.exp(p.receptor.clock * touch.rng.standard_normal(width))
-        off[at : at + width] = touch.off
-    on = np.full(first[-1], p.receptor.threshold, np.float32)
-    refractory = p.receptor.refractory_s * np.maximum(clock, 1)
-    time, channel, polarity = fire(signal, on, off, STEP_S, refractory, p.receptor.poll_s * clock)
-    sample = np.searchsorted(first, channel, side="right") - 1
-    order = np.argsort(sample, kind="stable")
-    bounds = np.searchsorted(sample[order], np.arange(len(touches) + 1))
-    parts = []
-    for index, touch in enumerate(touches):
-        mine = order[bounds[index] : bounds[index + 1]]
-        taxel = touch.taxels[channel[mine] - first[index]]
-        parts.append(
-            _read_out(touch, time[mine] + touch.start_s - STEP_S, taxel, polarity[mine], p)
-        )
-    return parts
-
-
-def _read_out(touch, time_s, taxel, polarity, p):
-    """Bursts of decoder ticks, no two in the same tick: columns of Events."""
-    order = np.argsort(time_s, kind="stable")
-    time_s, taxel, polarity = time_s[order], taxel[order], polarity[order]
-    longer = touch.rng.random(len(time_s))
-    columns = np.where(
-        polarity > 0,
-        np.where(longer < touch.longer[0], p.aces.on_columns[1], p.aces.on_columns[0]),
-        np.where(longer < touch.longer[1], p.aces.off_columns[1], p.aces.off_columns[0]),
+    first = np.cumsum([0] + [len(touch.taxels) for touch in touches])
+    rows = max(len(touch.signal) for touch in touches)
+    # One row before the pen comes, when nobody touches the skin.
+    signal = np.zeros((rows + 1, first[-1]), np.float32)
+    for touch, begin, end in zip(touches, first, first[1:], strict=False):
+        signal[1 : 1 + len(touch.signal), begin:end] = touch.signal
+    widths = np.diff(first)
+    clock = np.concatenate([touch.clock for touch in touches])
+    time, channel, polarity = fire(
+        signal,
+        on=np.full(first[-1], p.receptor.threshold, np.float32),
+        off=np.repeat(np.float32([touch.off for touch in touches]), widths),
+        step_s=STEP_S,
+        refractory_s=p.receptor.refractory_s * clock,
+        poll_s=p.receptor.poll_s * clock,
     )
-    # The decoder reports one taxel a tick: a burst that would start within another waits for it.
-    tick = np.round(time_s * 1e9 / TICK_NS).astype(np.int64)
-    before = np.cumsum(columns) - columns
-    tick = before + np.maximum.accumulate(tick - before)
-    return tick * TICK_NS, taxel, polarity, columns
+    sample = np.repeat(np.arange(len(touches)), widths)[channel]
+    events = []
+    for index, touch in enumerate(touches):
+        mine = np.flatnonzero(sample == index)
+        seconds = time[mine] + touch.start_s - STEP_S
+        taxel = touch.taxels[channel[mine] - first[index]]
+        events.append(aces.bursts(1e9 * seconds, taxel, polarity[mine], p.aces))
+    return events

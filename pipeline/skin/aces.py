@@ -1,0 +1,231 @@
+"""ACES: all taxels share one wire, each event is a pulse signature, the decoder takes them apart.
+
+Asynchronously Coded Electronic Skin (W. W. Lee et al., "A neuro-inspired artificial peripheral
+nervous system for scalable electronic skins", Science Robotics 4, 2019; paper, Section 2.1).  A
+taxel sends, without waiting for anybody, a few short pulses at delays that are its own.  Signatures
+may overlap on the wire.  The decoder samples the wire on a 16 ns grid and correlates it with each
+taxel's signature at every tick.
+
+What is not published is inferred from the one recording at hand: its events come as bursts of
+4 or 5 ticks (ON) or 2 or 3 (OFF), in nearly equal parts.  That is what a correlator reports when
+the pulses of an ON event are some 71 ns wide and those of an OFF event some 39 ns, so the width
+carries the polarity and the length of a burst follows from where the event falls on the grid.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from pipeline.recordings import N_TAXELS, TICK_NS, Events
+
+SIGNATURE_SEED = 2020
+"""Of the random search for signatures; part of the simulated hardware, not of a data set."""
+
+LONGEST_BURST = 6
+"""Ticks after which a taxel's reports can no longer belong to the same event."""
+
+FIRST_LOOK = 4
+"""Pulses that are correlated at every tick; the rest only where these are there."""
+
+
+@functools.cache
+def signatures(pulses: int, length_s: float, most_shared: int) -> np.ndarray:
+    """A signature for each taxel.
+
+    Delays are drawn at random and kept if, slid along any signature kept before at any offset, no
+    more than ``most_shared`` pulses meet.
+
+    Parameters
+    ----------
+    pulses : int
+        In a signature.
+    length_s : float
+        From the first pulse to the end of the last, at most.
+    most_shared : int
+
+    Returns
+    -------
+    ndarray of int64, shape (100, pulses)
+        Delays in ticks, the first 0, increasing.
+    """
+    rng = np.random.default_rng(SIGNATURE_SEED)
+    ticks = round(length_s * 1e9 / TICK_NS)
+    kept = []
+    while len(kept) < N_TAXELS:
+        rest = np.sort(rng.choice(np.arange(2 * LONGEST_BURST, ticks), pulses - 1, replace=False))
+        new = np.concatenate([[0], rest])
+        if np.diff(new).min() > 2 * LONGEST_BURST and all(
+            _most_shared(new, other) <= most_shared for other in [*kept, new]
+        ):
+            kept.append(new)
+    return np.array(kept)
+
+
+def _most_shared(one, other):
+    """Pulses of two signatures that meet at the worst offset (within a burst's length)."""
+    gaps = np.subtract.outer(one, other).ravel()
+    gaps = np.sort(gaps[gaps != 0] if one is other else gaps)
+    return int((np.searchsorted(gaps, gaps + LONGEST_BURST) - np.arange(len(gaps))).max())
+
+
+def bursts(time_ns, taxel, polarity, p) -> Events:
+    """What the decoder reports when nothing is lost on the wire: the short way.
+
+    An event at ``t`` whose pulses are ``w`` wide is seen at every tick from ``t`` to just before
+    ``t + w``.
+
+    Parameters
+    ----------
+    time_ns : ndarray of float, shape (n,)
+        Off the grid.
+    taxel, polarity : ndarrays of int, shape (n,)
+    p : pipeline.skin.parameters.Aces
+
+    Returns
+    -------
+    Events
+        In order of time, no two in the same tick.
+    """
+    first, columns = _ticks(time_ns, polarity, p)
+    return in_turn(first, taxel, polarity, columns)
+
+
+def _ticks(time_ns, polarity, p):
+    """First tick and number of ticks at which a pulse sent at ``time_ns`` is high."""
+    width = np.where(np.asarray(polarity) > 0, p.on_ns, p.off_ns)
+    first = np.ceil(np.asarray(time_ns) / TICK_NS).astype(np.int64)
+    return first, np.ceil((time_ns + width) / TICK_NS).astype(np.int64) - first
+
+
+def in_turn(tick, taxel, polarity, columns) -> Events:
+    """Events in order of time; one that would start within another's burst waits for its end.
+
+    In the published arrays no two taxels report in the same tick.
+    """
+    order = np.lexsort((taxel, tick))
+    tick, columns = np.asarray(tick)[order], np.asarray(columns)[order]
+    before = np.cumsum(columns) - columns
+    tick = before + np.maximum.accumulate(tick - before)
+    return Events(tick * TICK_NS, np.asarray(taxel)[order], np.asarray(polarity)[order], columns)
+
+
+def encode(time_ns, taxel, polarity, p, start_ns, n_ticks) -> np.ndarray:
+    """The sum of all signatures on the wire, sampled on the grid, without noise.
+
+    Parameters
+    ----------
+    time_ns, taxel, polarity
+        As in :func:`bursts`.
+    p : pipeline.skin.parameters.Aces
+    start_ns : int
+        Time of the first sample, on the grid.
+    n_ticks : int
+        What is sent outside these samples is lost.
+
+    Returns
+    -------
+    ndarray of float32, shape (n_ticks,)
+        In heights of a pulse.
+    """
+    delays = signatures(p.pulses, p.signature_s, p.most_shared)[np.asarray(taxel, int)]
+    wire = np.zeros(n_ticks, np.float32)
+    for first, columns, delay in zip(*_ticks(time_ns, polarity, p), delays, strict=True):
+        ticks = (first + delay - start_ns // TICK_NS)[:, None] + np.arange(columns)
+        wire[ticks[(ticks >= 0) & (ticks < n_ticks)]] += 1  # a signature meets itself nowhere
+    return wire
+
+
+def decode(wire, p, start_ns) -> Events:
+    """Which taxel fired when, from the samples of the wire.
+
+    Each sample is limited to a pulse's height, so that where many signatures meet no other one is
+    seen that was not sent; then the wire is correlated with every signature at every tick.  Ticks
+    at which at least ``p.level`` pulses are there, next to each other, are one event; its length
+    tells ON from OFF.
+
+    Parameters
+    ----------
+    wire : ndarray of float32, shape (n_ticks,)
+    p : pipeline.skin.parameters.Aces
+    start_ns : int
+        Time of the first sample, on the grid.
+
+    Returns
+    -------
+    Events
+        Those whose whole signature lies within the samples.
+    """
+    wire = np.clip(wire, 0, 1)
+    found = []
+    for taxel, delays in enumerate(signatures(p.pulses, p.signature_s, p.most_shared)):
+        n = len(wire) - delays[-1]
+        # The first pulses alone rule out nearly every tick, as each adds at most 1.
+        first = sum(wire[delay : delay + n] for delay in delays[:FIRST_LOOK])
+        ticks = np.flatnonzero(first >= p.level - (p.pulses - FIRST_LOOK))
+        ticks = ticks[wire[ticks[:, None] + delays].sum(axis=1) >= p.level]
+        if len(ticks) == 0:
+            continue
+        bounds = np.flatnonzero(np.diff(ticks) > 2) + 1
+        begin = ticks[np.concatenate([[0], bounds])]
+        length = ticks[np.concatenate([bounds, [len(ticks)]]) - 1] - begin + 1
+        whole = length >= p.shortest
+        found.append((begin[whole], np.full(whole.sum(), taxel), length[whole]))
+    if not found:
+        return in_turn(*(np.empty(0, int),) * 4)
+    begin, taxel, length = (np.concatenate(column) for column in zip(*found, strict=True))
+    polarity = np.where(length * TICK_NS > (p.on_ns + p.off_ns) / 2, 1, -1)
+    return in_turn(begin + start_ns // TICK_NS, taxel, polarity, length)
+
+
+def round_trip(at_once, noise, trials, rng, p) -> dict:
+    """How well events come through the wire when many taxels fire within one signature's length.
+
+    Parameters
+    ----------
+    at_once : int
+        Taxels that fire within the same ``p.signature_s``; at most 100.
+    noise : float
+        Standard deviation of a sample of the wire, in heights of a pulse.
+    trials : int
+    rng : numpy.random.Generator
+    p : pipeline.skin.parameters.Aces
+
+    Returns
+    -------
+    dict
+        ``found``: share of events that were reported for the right taxel within a burst's length of
+        the right time; ``polarity``: share of those with the right polarity; ``false``: other
+        events reported, for each event sent; ``timing_ns``: root mean square of the time error of
+        those found; ``sent``: events sent.
+    """
+    length_ns = p.signature_s * 1e9
+    n_ticks = int(3 * length_ns / TICK_NS)
+    found = right = false = sent = 0
+    errors = []
+    for _ in range(trials):
+        taxel = rng.permutation(N_TAXELS)[:at_once]
+        time_ns = length_ns * (0.5 + rng.random(at_once))
+        polarity = rng.choice([-1, 1], at_once)
+        wire = encode(time_ns, taxel, polarity, p, 0, n_ticks)
+        wire += noise * rng.standard_normal(n_ticks, np.float32)
+        events = decode(wire, p, 0)
+        sent += at_once
+        late = events.time_ns[:, None] - time_ns
+        match = (events.taxel[:, None] == taxel) & (np.abs(late) <= LONGEST_BURST * TICK_NS)
+        report, event = np.nonzero(match)
+        _, once = np.unique(event, return_index=True)
+        report, event = report[once], event[once]
+        found += len(event)
+        false += len(events) - len(event)
+        right += int((events.polarity[report] == polarity[event]).sum())
+        errors.append(late[report, event])
+    errors = np.concatenate(errors)
+    return {
+        "found": found / sent,
+        "polarity": right / max(found, 1),
+        "false": false / sent,
+        "timing_ns": float(np.sqrt(np.mean(errors**2))) if found else float("nan"),
+        "sent": sent,
+    }
