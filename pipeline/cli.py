@@ -14,7 +14,7 @@ import typer
 from deploy import __version__
 from deploy.errors import CheckFailed, UserError
 from models.notation import NotationError
-from pipeline.commands import benchmark, check, data, run
+from pipeline.commands import benchmark, check, data, report, run
 
 app = typer.Typer(
     help="From event-based touch to a spiking network on Loihi.",
@@ -29,6 +29,7 @@ app.command()(run.convert)
 app.add_typer(check.app, name="check")
 app.command()(run.ladder)
 app.add_typer(benchmark.app, name="benchmark")
+app.command("report")(report.report_)
 
 
 @app.callback(invoke_without_command=True)
