@@ -2,19 +2,22 @@
 #
 # Variables: DATA (ST-MNIST zip or folder; default: simulated), RUN (default runs/default),
 # SEED (default 0), SAMPLES (default 200), STEPS (of 1 ms; default 100), JOBS (default 2),
-# TARGET (of make check; default emulator).  Unset ones leave a run's own settings as they are.
+# TARGET (of make check; default emulator), BOARD and PARTITION (of make loihi-hardware).
+# Unset ones leave a run's own settings as they are.
 
 RUN ?= runs/default
 JOBS ?= 2
 TARGET ?= emulator
 PYTHON ?= python3.11
+PYTHON38 ?= python3.8
 
 BIN := .venv/bin
 STMNIST := $(BIN)/stmnist
 SOURCE_OPTIONS := $(if $(DATA),--data "$(DATA)") $(if $(SEED),--seed $(SEED)) --jobs $(JOBS)
+BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $(PARTITION))
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
 
-.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report test lint clean help
+.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report test lint setup-inrc test-inrc clean help
 .DEFAULT_GOAL := help
 
 setup: .venv/installed  ## Make .venv with everything pinned in constraints.txt (2.5 GB)
@@ -39,8 +42,9 @@ convert: setup  ## Train with rate LIF neurons, make them spike, write RUN/bundl
 loihi-emulate: setup  ## The main job: everything up to the loss ladder on the Loihi emulator
 	@$(STMNIST) ladder $(RUN) $(OPTIONS)
 
-loihi-hardware: convert  ## The same samples on a Loihi board (needs NxSDK)
-	@$(STMNIST) check run $(RUN)/bundle --target loihi
+loihi-hardware: convert  ## The same samples on a Loihi board (needs NxSDK; BOARD, PARTITION)
+	@$(STMNIST) deploy plan $(RUN)/bundle
+	@$(STMNIST) check run $(RUN)/bundle --target loihi $(BOARD_OPTIONS)
 
 check: convert  ## The bundle's check on TARGET, next to the reference simulator's answers
 	@$(STMNIST) check run $(RUN)/bundle --target nengo
@@ -53,6 +57,18 @@ test: setup  ## Run the tests
 lint: setup  ## Check style
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
+
+setup-inrc: .venv-inrc/installed  ## Make .venv-inrc, the Python 3.8 of an INRC host, for the tests
+
+.venv-inrc/installed: deploy/inrc/requirements.txt
+	@$(PYTHON38) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 8))' 2>/dev/null || \
+	  { echo "setup-inrc: '$(PYTHON38)' is not a Python 3.8; name one with PYTHON38=/path/to/python3.8" >&2; exit 2; }
+	@$(PYTHON38) -m venv --clear .venv-inrc
+	@.venv-inrc/bin/pip install -qq -r deploy/inrc/requirements.txt
+	@touch $@
+
+test-inrc: setup setup-inrc  ## Show that a copied bundle gives the same result on Python 3.8
+	@$(BIN)/python -m pytest tests/deploy/test_travel.py -k python_38
 
 clean:  ## Remove the run RUN; the cache and .venv stay
 	@rm -rf $(RUN)

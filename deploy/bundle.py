@@ -32,7 +32,7 @@ NETWORK_SCHEMA = "stmnist-bundle/1"
 MANIFEST_SCHEMA = "stmnist-manifest/1"
 FILES = ("network.json", "weights.npz", "checks.npz", "deploy.pyz")
 RESULTS = "checks"
-_REMEDY = "make the bundle again with 'stmnist convert', or copy it again"
+_REMEDY = "delete the folder and make it again with 'stmnist convert', or copy it again"
 
 
 @dataclass(frozen=True)
@@ -107,14 +107,29 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
         hashes = {name: sha256_of(temporary / name) for name in FILES}
         write_json(temporary / "MANIFEST.json", {"schema": MANIFEST_SCHEMA, "files": hashes})
         read_bundle(temporary)
-        if path.exists():
-            shutil.rmtree(str(path))
-        os.replace(str(temporary), str(path))
+        _exchange(temporary, path)
     except OSError as error:
         raise UserError(f"{path}: cannot write ({error.strerror or error}); free space?") from error
     finally:
         shutil.rmtree(str(temporary), ignore_errors=True)
     return read_bundle(path)
+
+
+def _exchange(new, path):
+    """Put a folder in the place of another in one go, so that there is never half of one."""
+    if not path.exists():
+        os.replace(str(new), str(path))
+        return
+    earlier = Path(tempfile.mkdtemp(dir=str(path.parent), prefix=".bundle."))
+    try:
+        os.replace(str(path), str(earlier / path.name))
+        try:
+            os.replace(str(new), str(path))
+        except BaseException:
+            os.replace(str(earlier / path.name), str(path))
+            raise
+    finally:
+        shutil.rmtree(str(earlier), ignore_errors=True)
 
 
 def read_bundle(path) -> Bundle:
@@ -166,7 +181,7 @@ def _read_checks(path, spec):
             seed=int(arrays["seed"]),
         )
         count = len(checks.labels)
-        fits = checks.images.shape == (count, *spec.input_shape) and len(checks.ids) == count
+        fits = checks.images.shape == (count, *spec.input_shape) and len(checks.ids) == count >= 1
     except (KeyError, ValueError, TypeError) as error:
         raise UserError(f"{path}: not the samples of a check ({error}); {_REMEDY}") from error
     if not fits:
@@ -185,7 +200,7 @@ def _check_schema(path, found, known):
 def zipapp_bytes() -> bytes:
     """This package as a zipapp, the same bytes for the same source files."""
     package = Path(__file__).resolve().parent
-    main = "import sys\n\nfrom deploy.cli import main\n\nsys.exit(main())\n"
+    main = 'import runpy\n\nrunpy.run_module("deploy", run_name="__main__")\n'
     members = {"__main__.py": main.encode()}
     for source in sorted(package.rglob("*.py")):
         members[source.relative_to(package.parent).as_posix()] = source.read_bytes()

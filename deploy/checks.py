@@ -8,16 +8,28 @@ import json
 import os
 import time
 from pathlib import Path
+from typing import Optional
 
 from .bundle import Bundle
 from .errors import UserError
 from .files import write_json
+from .hardware import Settings, describe
 from .presentation import Responses, streams_of
 from .results import result_of, versions
 from .targets import target_named
 
+KEYS = {"id", "label", "prediction", "scores", "decided_at", "decisions", "spikes", "operations"}
+"""What the partial file holds of each sample."""
 
-def run_check(bundle: Bundle, target: str, out, seed: int = 0, advance=None) -> dict:
+
+def run_check(
+    bundle: Bundle,
+    target: str,
+    out,
+    seed: int = 0,
+    advance=None,
+    settings: Optional[Settings] = None,
+) -> dict:
     """Let a target answer the bundle's samples and write the result.
 
     After each stream its answers are appended to ``.<name>.partial`` beside the result; a run that
@@ -33,6 +45,8 @@ def run_check(bundle: Bundle, target: str, out, seed: int = 0, advance=None) -> 
     seed : int
     advance : callable, optional
         Called with the number of samples done since the last call, resumed ones included.
+    settings : Settings, optional
+        Which board, for target ``loihi``.
 
     Returns
     -------
@@ -45,6 +59,7 @@ def run_check(bundle: Bundle, target: str, out, seed: int = 0, advance=None) -> 
         Unknown target, unwritable result, or another process is writing it.
     """
     run = target_named(target)
+    options = {} if settings is None else {"settings": settings}
     out = Path(out)
     streams = streams_of(len(bundle.checks), bundle.spec.presentation.stream_length)
     images = bundle.checks.images.reshape(len(bundle.checks), -1)
@@ -55,16 +70,20 @@ def run_check(bundle: Bundle, target: str, out, seed: int = 0, advance=None) -> 
         begun = time.perf_counter()
         remaining = streams[len(done) :]
         for part, responses in zip(
-            remaining, run(bundle.spec, [images[s] for s in remaining], seed)
+            remaining, run(bundle.spec, [images[s] for s in remaining], seed, **options)
         ):
             now = time.perf_counter()
             record = {"samples": _records(bundle, part, responses), "seconds": now - begun}
+            if responses.notes:
+                record["notes"] = responses.notes
             begun = now
             append(record)
             done.append(record)
             _advance(advance, record)
         samples = [sample for record in done for sample in record["samples"]]
-        result = result_of(bundle, target, seed, samples, sum(r["seconds"] for r in done))
+        notes = [record["notes"] for record in done if "notes" in record]
+        extra = describe(notes) if notes else None
+        result = result_of(bundle, target, seed, samples, sum(r["seconds"] for r in done), extra)
         write_json(out, result)
     return result
 
@@ -97,7 +116,8 @@ def _partial_file(out: Path, header: dict):
     path = out.with_name("." + out.name + ".partial")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        file = open(str(path), "a+", encoding="utf-8")  # noqa: SIM115 - closed by "with" below
+        # closed by "with" below; what is not UTF-8 is a damaged line, see _resume
+        file = open(str(path), "a+", encoding="utf-8", errors="replace")  # noqa: SIM115
     except OSError as error:
         raise UserError(f"{out}: cannot write ({error.strerror}); choose another --out") from error
     with file:
@@ -107,22 +127,35 @@ def _partial_file(out: Path, header: dict):
             raise UserError(
                 f"{out}: another process is writing this result; wait for it or use another --out"
             ) from None
-        done = _resume(file, header)
+        with _disk_errors(path):
+            done = _resume(file, header)
 
         def append(record):
-            try:
-                file.write(json.dumps(record) + "\n")
-                file.flush()
-                os.fsync(file.fileno())
-            except OSError as error:
-                raise UserError(
-                    f"{path}: cannot write ({error.strerror}); the streams before this one are "
-                    "safe: free some space and run the same command again"
-                ) from error
+            with _disk_errors(path):
+                _write_now(file, json.dumps(record) + "\n")
 
         yield done, append
         with contextlib.suppress(OSError):
             path.unlink()
+
+
+@contextlib.contextmanager
+def _disk_errors(path):
+    try:
+        yield
+    except OSError as error:
+        raise UserError(
+            f"{path}: cannot write ({error.strerror}); the streams saved before are safe: "
+            "free some space and run the same command again"
+        ) from error
+
+
+def _write_now(file, text):
+    """Append without a buffer, which a file on a full disk would flush once more as it closes."""
+    rest = text.encode()
+    while rest:
+        rest = rest[os.write(file.fileno(), rest) :]
+    os.fsync(file.fileno())
 
 
 def _resume(file, header):
@@ -131,12 +164,23 @@ def _resume(file, header):
     lines = file.read().split("\n")[:-1]  # what follows the last newline was cut short
     try:
         done = [json.loads(line) for line in lines]
-        sound = bool(done) and done[0] == header and all("samples" in r for r in done[1:])
-    except (ValueError, TypeError):
+        sound = bool(done) and done[0] == header and all(map(_is_record, done[1:]))
+    except ValueError:
         sound = False
-    keep = lines if sound else [json.dumps(header)]
-    file.seek(0)
-    file.truncate()
-    file.write("".join(line + "\n" for line in keep))
-    file.flush()
+    if sound:
+        file.truncate(len("".join(line + "\n" for line in lines).encode()))
+    else:
+        file.truncate(0)
+        _write_now(file, json.dumps(header) + "\n")
     return done[1:] if sound else []
+
+
+def _is_record(value):
+    """True for what :func:`run_check` appends; a line may have been damaged since."""
+    return (
+        isinstance(value, dict)
+        and isinstance(value.get("seconds"), float)
+        and isinstance(value.get("samples"), list)
+        and all(isinstance(sample, dict) for sample in value["samples"])
+        and all(sample.keys() >= KEYS for sample in value["samples"])
+    )

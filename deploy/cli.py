@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from . import __version__
 from .bundle import RESULTS, read_bundle
 from .checks import run_check
 from .errors import CheckFailed, UserError
+from .hardware import Settings, settings_for
+from .plan import make_plan, plan_text
 from .results import compare, read_result
 from .targets import TARGETS
 
@@ -45,13 +48,35 @@ def _parser():
     )
     parser.add_argument("--version", action="version", version=__version__)
     verbs = parser.add_subparsers(metavar="VERB")
-    parser.set_defaults(run=lambda _: parser.error("which verb? check or compare"))
+    parser.set_defaults(run=lambda _: parser.error("which verb? check, compare or plan"))
     check = verbs.add_parser("check", help="let a target answer the bundle's samples")
     check.add_argument("bundle", type=Path, help="the bundle's folder")
     check.add_argument("--target", required=True, metavar="T", help=", ".join(TARGETS))
     check.add_argument("--out", type=Path, help="the result (default: BUNDLE/checks/TARGET.json)")
     check.add_argument("--seed", type=int, default=0)
+    board = check.add_argument_group("target loihi")
+    defaults = Settings()
+    board.add_argument("--board", help="name of a board (default: the cluster's choice)")
+    board.add_argument("--partition", help="SLURM partition (default: the board is on this host)")
+    board.add_argument("--chips", type=int, default=defaults.chips, metavar="N")
+    board.add_argument(
+        "--attempts", type=int, default=defaults.attempts, metavar="N",
+        help="how often a stream is begun before giving up (default: %(default)s)",
+    )  # fmt: skip
+    board.add_argument(
+        "--wait", type=float, default=defaults.wait, metavar="S",
+        help="seconds before the second attempt, doubled for each further one "
+        "(default: %(default)s)",
+    )  # fmt: skip
+    board.add_argument(
+        "--energy", action="store_true", help="measure power, where there is a probe"
+    )
     check.set_defaults(run=_check)
+    plan = verbs.add_parser("plan", help="what the network takes of each core, and whether it fits")
+    plan.add_argument("bundle", type=Path, help="the bundle's folder")
+    plan.add_argument("--chips", type=int, default=defaults.chips, metavar="N")
+    plan.add_argument("--json", action="store_true", help="for a program to read")
+    plan.set_defaults(run=_plan)
     pair = verbs.add_parser("compare", help="set two results side by side")
     pair.add_argument("a", type=Path)
     pair.add_argument("b", type=Path)
@@ -62,6 +87,8 @@ def _parser():
 
 
 def _check(options):
+    given = {name: getattr(options, name) for name in vars(Settings())}
+    settings = settings_for(options.target, **given)
     bundle = read_bundle(options.bundle)
     out = options.out or options.bundle / RESULTS / f"{options.target}.json"
     total, done = len(bundle.checks), 0
@@ -72,11 +99,18 @@ def _check(options):
         if sys.stderr.isatty():
             print(f"\r{options.target}: {done} of {total} samples", end="", file=sys.stderr)
 
-    result = run_check(bundle, options.target, out, options.seed, advance)
+    result = run_check(bundle, options.target, out, options.seed, advance, settings)
     if sys.stderr.isatty():
         print(file=sys.stderr)
     print(summary(result))
     print(f"written to {out}")
+
+
+def _plan(options):
+    plan = make_plan(read_bundle(options.bundle).spec, options.chips)
+    print(json.dumps(plan.to_json(), indent=2) if options.json else plan_text(plan))
+    if plan.problems:
+        raise UserError("the network does not fit: " + plan.problems[0])
 
 
 def _compare(options):

@@ -89,7 +89,7 @@ def read_json(path, remedy):
             value = json.load(file)
     except OSError as error:
         raise UserError(f"{path}: cannot read ({error.strerror or error}); {remedy}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: not valid JSON ({error}); {remedy}") from error
     if not isinstance(value, dict):
         raise UserError(f"{path}: not a JSON object; {remedy}")

@@ -175,6 +175,8 @@ class Presentation:
     stream_length: int = 10
 
     def __post_init__(self):
+        whole = all(type(getattr(self, entry.name)) is int for entry in fields(self))
+        _require(whole, "presentation", "its entries must be whole numbers")
         _require(self.steps >= 1, "presentation", "steps must be at least 1")
         _require(self.gap >= 0, "presentation", "gap must not be negative")
         _require(0 <= self.readout_start < self.steps, "presentation",
@@ -298,7 +300,7 @@ class NetworkSpec:
             )
         except KeyError as error:
             raise UserError(f"network description: {error} is missing") from error
-        except (TypeError, AttributeError) as error:
+        except (TypeError, AttributeError, ValueError, IndexError, OverflowError) as error:
             raise UserError(f"network description: a value of the wrong kind ({error})") from error
 
 

@@ -7,7 +7,7 @@ readout's bias); the decision at a step is the class with the highest score.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Dict
 
 import numpy as np
@@ -30,12 +30,15 @@ class Responses:
         Spikes of each layer while the sample was shown and in the gap after it.
     operations : dict of str to ndarray of int, shape (n_samples,)
         Synaptic operations by the layer that receives them, in the same time.
+    notes : dict
+        What only this target can tell of the stream, such as a board's timing; plain values.
     """
 
     scores: np.ndarray
     decisions: np.ndarray
     spikes: Dict[str, np.ndarray]
     operations: Dict[str, np.ndarray]
+    notes: dict = field(default_factory=dict)
 
     @property
     def predictions(self) -> np.ndarray:
@@ -50,12 +53,48 @@ class Responses:
         return np.where(differs.any(1), steps + 1 - np.argmax(differs[:, ::-1], 1), 1)
 
 
+class ShortOfSteps(Exception):
+    """A simulator or board handed back fewer steps than it was asked for."""
+
+
 def streams_of(n_samples: int, stream_length: int) -> list:
     """Cut samples 0 to n_samples - 1 into streams, as slices in order."""
     return [
         slice(start, min(start + stream_length, n_samples))
         for start in range(0, n_samples, stream_length)
     ]
+
+
+def show(spec: NetworkSpec, built, sim, images) -> Responses:
+    """Show one stream to a simulator, or to a board that NengoLoihi drives, and read the answers.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    built : Built
+        The network that ``sim`` runs.
+    sim : nengo.Simulator or nengo_loihi.Simulator
+        Fresh.
+    images : ndarray, shape (n_samples, n_pixels)
+
+    Raises
+    ------
+    ShortOfSteps
+        The simulator handed back fewer steps than it was asked for.
+    """
+    built.feed.images = images
+    period, shown = built.feed.period, spec.presentation.steps
+    outputs, spikes = [], {name: [] for name in built.spikes}
+    for _ in images:  # sample by sample, so that the probes hold no more than one sample's steps
+        sim.run_steps(period)
+        for name, probe in built.spikes.items():
+            rows = sim.data[probe]
+            if len(rows) != period:
+                raise ShortOfSteps(f"{len(rows)} of {period} steps of layer {name} came back")
+            spikes[name].append(np.count_nonzero(rows, axis=0))
+        outputs.append(np.array(sim.data[built.output][:shown]))
+        sim.clear_probes()
+    return read_output(spec, np.array(outputs), {n: np.array(c) for n, c in spikes.items()})
 
 
 def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Responses:
@@ -108,7 +147,9 @@ def join(parts) -> Responses:
             return {key: np.concatenate([value[key] for value in values]) for key in values[0]}
         return np.concatenate(values)
 
-    return Responses(*(joined(entry.name) for entry in fields(Responses)))
+    return Responses(
+        **{entry.name: joined(entry.name) for entry in fields(Responses) if entry.name != "notes"}
+    )
 
 
 def seconds_per_sample(spec: NetworkSpec) -> float:

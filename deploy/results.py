@@ -85,15 +85,20 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
     }
 
 
-def read_result(path) -> dict:
+def read_result(path, remedy="run 'stmnist check run' again") -> dict:
     """Read a result and make sure that it is one.
+
+    Parameters
+    ----------
+    path : path-like
+    remedy : str
+        What the user can do if the file is missing or damaged; ends the error's line.
 
     Raises
     ------
     UserError
         The file is missing, damaged, of another schema, or contradicts itself.
     """
-    remedy = "run 'stmnist check run' again"
     result = read_json(path, remedy)
     if result.get("schema") != SCHEMA:
         raise UserError(
@@ -108,6 +113,8 @@ def read_result(path) -> dict:
             and abs(right / len(samples) - result["accuracy"]) < 1e-9
             and isinstance(result["bundle"], str)
             and isinstance(result["target"], str)
+            and len([float(bound) for bound in result["accuracy_ci95"]]) == 2
+            and {"simulated", "spikes", "wall_seconds", "steps_per_sample"} <= result.keys()
         )
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
         raise UserError(f"{path}: not a whole check result ({error!r}); {remedy}") from error

@@ -13,10 +13,12 @@ import nengo
 import numpy as np
 
 from .errors import UserError
+from .fast.run import run_fast
 from .foreign import nengo_loihi
+from .hardware import run_loihi
 from .network import build
 from .network_spec import NetworkSpec
-from .presentation import Responses, join, read_output, streams_of
+from .presentation import Responses, join, show, streams_of
 
 
 def run_nengo(spec, streams, seed=0) -> Iterator[Responses]:
@@ -43,6 +45,8 @@ TARGETS: Dict[str, Callable] = {
     "nengo": run_nengo,
     "simreal": run_simreal,
     "emulator": run_emulator,
+    "fast": run_fast,
+    "loihi": run_loihi,
 }
 
 
@@ -98,22 +102,7 @@ def _loihi_simulator(network, target):
 
 
 def _run(spec: NetworkSpec, streams: Iterable, seed, simulator) -> Iterator[Responses]:
-    shown = spec.presentation.steps
     for images in streams:
         built = build(spec, seed)
-        built.feed.images = images
-        outputs, spikes = [], {name: [] for name in built.spikes}
         with simulator(built.network) as sim:
-            # Sample by sample, so that the probes hold no more than one sample's steps.
-            for _ in images:
-                sim.run_steps(built.feed.period, **_quiet(sim))
-                outputs.append(np.array(sim.data[built.output][:shown]))
-                for name, probe in built.spikes.items():
-                    spikes[name].append(np.count_nonzero(sim.data[probe], axis=0))
-                sim.clear_probes()
-        counts = {name: np.array(rows) for name, rows in spikes.items()}
-        yield read_output(spec, np.array(outputs), counts)
-
-
-def _quiet(sim):
-    return {"progress_bar": False} if isinstance(sim, nengo.Simulator) else {}
+            yield show(spec, built, sim, images)

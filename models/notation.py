@@ -49,6 +49,17 @@ class Architecture:
             shapes.append((rows - conv.kernel + 1, columns - conv.kernel + 1, conv.filters))
         return tuple(shapes)
 
+    @property
+    def weight_shapes(self) -> dict:
+        """Shape of each trained array by name, ``"conv1.kernel"`` to ``"output.bias"``."""
+        shapes = {}
+        for index, (conv, before) in enumerate(zip(self.convs, self.shapes, strict=False)):
+            kernel = (conv.kernel, conv.kernel, before[2], conv.filters)
+            shapes |= {f"conv{index + 1}.kernel": kernel, f"conv{index + 1}.bias": kernel[-1:]}
+        rows, columns, channels = self.shapes[-1]
+        shapes["output.kernel"] = (rows * columns * channels, self.outputs)
+        return {**shapes, "output.bias": (self.outputs,)}
+
     def __str__(self):
         size = self.input_shape[:2] if self.input_shape[2] == 1 else self.input_shape
         convs = [f"{conv.filters}c{conv.kernel}" for conv in self.convs]

@@ -29,6 +29,7 @@ from pipeline.matfiles import (
 from pipeline.recordings import Recordings, Source, collect
 
 LOOKUP_TABLE = "lut.mat"
+DIGITS = tuple("0123456789")
 CHUNK = 32
 """Files that a worker reads at a time: enough to hide the hand-over, few enough for the bar."""
 
@@ -63,11 +64,14 @@ def list_source(path) -> Listing:
         No such file or folder, not a zip, a damaged zip, or nothing in it looks like ST-MNIST.
     """
     path = Path(path)
-    refused, recordings, tables = [], [], []
+    refused, recordings, tables, seen = [], [], [], set()
     for name, problem in _members(path):
         member = PurePosixPath(name)
         if problem is None and (member.is_absolute() or ".." in member.parts):
             problem = "its path leaves the archive"
+        elif problem is None and name in seen:
+            problem = "is in the archive twice"
+        seen.add(name)
         hidden = member.name.startswith(".") or "__MACOSX" in member.parts
         if hidden or member.suffix.lower() != ".mat":
             if problem:
@@ -77,7 +81,7 @@ def list_source(path) -> Listing:
             refused.append((name, problem))
         elif member.name.lower() == LOOKUP_TABLE:
             tables.append(name)
-        elif len(member.parts) >= 2 and member.parts[-2] in "0123456789":
+        elif len(member.parts) >= 2 and member.parts[-2] in DIGITS:
             recordings.append((name, int(member.parts[-2])))
         else:
             refused.append((name, "is not in a folder named for a digit, 0 to 9"))
@@ -239,7 +243,7 @@ def _members(path: Path):
                 for info in archive.infolist()
                 if not info.is_dir()
             ]
-    except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError) as error:
+    except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, ValueError) as error:
         raise UserError(
             f"{path}: not a zip archive, or cut short ({error}); download it again"
         ) from error

@@ -71,9 +71,12 @@ def load(key: str) -> Recordings | None:
             source=Source(name, sha256, bool(arrays["simulated"])),
             taxels=TaxelMap(arrays["x"], arrays["y"]),
         )
-    except (KeyError, ValueError) as error:
+        n = len(recordings)
+        whole = recordings.offsets[-1] == len(recordings.events)
+        whole = whole and len(recordings.ids) == len(recordings.offsets) - 1 == n
+    except (KeyError, ValueError, TypeError, IndexError) as error:
         raise UserError(f"{path}: damaged cache ({error}); {remedy}") from error
-    if recordings.offsets[-1] != len(recordings.events) or len(recordings.ids) != len(recordings):
+    if not whole:
         raise UserError(f"{path}: damaged cache; {remedy}")
     return recordings
 

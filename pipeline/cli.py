@@ -8,13 +8,19 @@ import sys
 # Must be set before TensorFlow is first imported by a verb.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
-import click
 import typer
 
 from deploy import __version__
 from deploy.errors import CheckFailed, UserError
 from models.notation import NotationError
 from pipeline.commands import benchmark, check, data, report, run
+
+# Typer brings its own copy of Click from some version on: these are the classes that it raises.
+UsageError = typer.BadParameter.__base__
+ClickException = UsageError.__base__
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
 
 app = typer.Typer(
     help="From event-based touch to a spiking network on Loihi.",
@@ -49,14 +55,15 @@ def main(arguments=None):
     """
     try:
         status = app(args=arguments, prog_name="stmnist", standalone_mode=False)
-    except click.exceptions.Abort:
-        status = _say("interrupted; the same command goes on where it stopped", 130)
-    except KeyboardInterrupt:
-        status = _say("interrupted; the same command goes on where it stopped", 130)
-    except click.UsageError as error:
+        if status == INTERRUPTED:  # Typer turns an interruption into this status
+            raise KeyboardInterrupt
+    except (KeyboardInterrupt, typer.Abort):
+        status = _say("interrupted; the same command goes on where it stopped", INTERRUPTED)
+    except UsageError as error:
         context = error.ctx.command_path if error.ctx else "stmnist"
-        status = _say(f"{error.format_message()} (see '{context} --help')", 2)
-    except click.ClickException as error:
+        problem = error.format_message().rstrip(".") or "a command is missing"
+        status = _say(f"{problem} (see '{context} --help')", 2)
+    except ClickException as error:
         status = _say(error.format_message(), 2)
     except CheckFailed as error:
         status = _say(str(error), 1)
@@ -65,6 +72,9 @@ def main(arguments=None):
     except BrokenPipeError:  # the reader, such as head, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 0
+    except OSError as error:  # what no module foresaw: a full disk, a folder that may not be read
+        where = f"{error.filename}: " if error.filename else ""
+        status = _say(f"{where}{error.strerror or error}; check the path and its permissions", 2)
     sys.exit(status or 0)
 
 

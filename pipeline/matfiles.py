@@ -71,12 +71,19 @@ def read_recording(content: bytes) -> MatRecording:
     variables = read_variables(content, (VARIABLE, "simulated", "writer"))
     if VARIABLE not in variables:
         raise BadRecording(f"has no variable {VARIABLE!r}")
-    simulated, writer = (np.ravel(variables.get(name, [])) for name in ("simulated", "writer"))
+    simulated, writer = (_number(variables.get(name)) for name in ("simulated", "writer"))
     return MatRecording(
         events=events_of(variables[VARIABLE]),
-        simulated=bool(simulated.size and simulated[0]),
-        writer=int(writer[0]) if writer.size else -1,
+        simulated=bool(simulated),
+        writer=-1 if writer is None else int(writer),
     )
+
+
+def _number(variable):
+    """A variable's value if it is one finite number; else another's use of the name, and None."""
+    values = np.ravel([] if variable is None else variable)
+    is_number = values.size == 1 and values.dtype.kind in "fiub" and np.isfinite(values[0])
+    return values[0] if is_number else None
 
 
 def events_of(spiketrain) -> Events:

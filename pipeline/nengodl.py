@@ -24,7 +24,10 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore")
     import nengo_dl
 
-logging.getLogger("nengo_dl").setLevel(logging.ERROR)
+# A missing GPU and functions traced once a network are no news to the user.
+warnings.filterwarnings("ignore", "No GPU support", module="nengo_dl")
+for _name in ("nengo_dl", "tensorflow"):
+    logging.getLogger(_name).setLevel(logging.ERROR)
 
 
 def run(

@@ -60,7 +60,7 @@ class RunFolder:
         return self.path / "checks" / f"{stage}.json"
 
     def resolve_settings(self, base: Path | None, changes: dict) -> Settings:
-        """Settings of this run: those of its folder or of a file, with changes; written back.
+        """Settings of this run: those of its folder or of a file, with changes.
 
         Parameters
         ----------
@@ -72,7 +72,7 @@ class RunFolder:
         Raises
         ------
         UserError
-            A file or value is wrong, or the folder cannot be written.
+            A file or value is wrong.
         """
         if base is not None:
             settings = read_settings(base)
@@ -80,10 +80,18 @@ class RunFolder:
             settings = read_settings(self.experiment)
         else:
             settings = Settings()
-        settings = settings.with_values(changes, "command line")
+        return settings.with_values(changes, "command line")
+
+    def save_settings(self, settings: Settings):
+        """Keep the settings for the next command, unless they are there already.
+
+        Raises
+        ------
+        UserError
+            The folder cannot be written.
+        """
         if not self.experiment.exists() or read_settings(self.experiment) != settings:
             write_settings(self.experiment, settings)
-        return settings
 
     @contextlib.contextmanager
     def locked(self):

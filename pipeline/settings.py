@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import tomllib
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
@@ -226,6 +227,8 @@ def parse_assignments(assignments) -> dict:
         place = values
         for section in sections:
             place = place.setdefault(section, {})
+            if not isinstance(place, dict):
+                raise UserError(f"--set {assignment!r}: {section!r} has a value of its own too")
         place[last] = value
     return values
 
@@ -265,7 +268,7 @@ def _coerced(value, default, origin, name):
     if isinstance(default, int):
         return value if number and isinstance(value, int) else fail("a whole number")
     if isinstance(default, float):
-        return float(value) if number else fail("a number")
+        return float(value) if number and math.isfinite(value) else fail("a number")
     if isinstance(default, tuple):
         if not isinstance(value, (list, tuple)):
             fail("a list")
@@ -278,7 +281,8 @@ def _validate(s: Settings, origin):
         if not condition:
             raise UserError(f"{origin}: {name!r} must be {expected}")
 
-    need(s.seed >= 0, "seed", "0 or more")
+    need(0 <= s.seed < 2**31, "seed", f"from 0 to {2**31 - 1}")
+    need(0 <= s.data.simulation_seed < 2**31, "data.simulation_seed", f"from 0 to {2**31 - 1}")
     need(s.data.samples_per_digit >= 0, "data.samples_per_digit", "0 or more")
     need(s.image.aggregation in AGGREGATIONS, "image.aggregation", _one_of(AGGREGATIONS))
     need(s.image.normalisation in NORMALISATIONS, "image.normalisation", _one_of(NORMALISATIONS))
@@ -290,7 +294,7 @@ def _validate(s: Settings, origin):
         need(training.learning_rate > 0, f"{name}.learning_rate", "above 0")
     need(s.snn.recipe in ("loihi", "paper"), "snn.recipe", _one_of(("loihi", "paper")))
     need(s.snn.tau_rc > 0, "snn.tau_rc", "above 0")
-    need(s.snn.tau_ref >= 0, "snn.tau_ref", "0 or more")
+    need(s.snn.tau_ref > 0, "snn.tau_ref", "above 0")
     for name in ("first_layer", "readout"):
         need(getattr(s.deployment, name) in ("chip", "host"), f"deployment.{name}",
              _one_of(("chip", "host")))  # fmt: skip
@@ -311,9 +315,12 @@ def _validate(s: Settings, origin):
     need(architecture.input_shape == (10, 10, 1), "cnn.architecture",
          "for a tactile image of 10x10")  # fmt: skip
     need(len(architecture.convs) >= 1, "cnn.architecture", "a network with a convolution")
+    need(architecture.outputs == 10, "cnn.architecture", "a network with an output for each digit")
     need(1 <= len(s.snn.max_rates) <= len(architecture.convs) and min(s.snn.max_rates) > 0,
          "snn.max_rates",
          f"1 to {len(architecture.convs)} rates above 0, one a convolution")  # fmt: skip
+    need(max(s.snn.max_rates) * s.snn.tau_ref < 1, "snn.max_rates",
+         f"below 1 / snn.tau_ref = {1 / s.snn.tau_ref:g} spikes a second")  # fmt: skip
 
 
 def _parsed(architecture, name, origin):

@@ -16,6 +16,7 @@ from deploy.files import read_arrays, read_json, write_arrays, write_json
 from deploy.presentation import Responses
 from deploy.results import read_result, result_of
 from deploy.statistics import wilson_interval
+from models.notation import parse
 from pipeline.images import tactile_images
 from pipeline.progress import progress
 from pipeline.recordings import Recordings
@@ -25,6 +26,7 @@ from pipeline.sources import load_recordings
 from pipeline.splits import Split, draw_check_samples, random_split
 
 REMEDY = "delete its folder and run the command again"
+REMEDY_CHECK = "delete it and run the command again"
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,10 @@ class Dataset:
 
 
 def open_dataset(run: RunFolder, settings: Settings, jobs: int = 2, warn=None) -> Dataset:
-    """Load, split and draw the recordings of a run; write ``dataset.json``.
+    """Load, split and draw the recordings of a run; keep its settings; write ``dataset.json``.
+
+    The settings are kept only now that the recordings are there and enough: a mistaken path or
+    number of samples must not stick to the run.
 
     Raises
     ------
@@ -72,6 +77,7 @@ def open_dataset(run: RunFolder, settings: Settings, jobs: int = 2, warn=None) -
         raise UserError(
             f"{data.source}: {error}; ask for fewer (SAMPLES, or check.samples) or give more data"
         ) from error
+    run.save_settings(settings)
     write_json(
         run.dataset,
         {
@@ -121,7 +127,7 @@ def train_rates(run: RunFolder, settings: Settings, dataset: Dataset, say=print)
         return read_json(metrics, REMEDY)
     from pipeline import training
 
-    cnn_weights = read_arrays(run.cnn / "weights.npz", REMEDY)
+    cnn_weights = _weights(run.cnn, settings)
     begun = time.perf_counter()
     with progress("train rate-lif", settings.snn.epochs) as advance:
         trained = training.train_rate_network(
@@ -161,7 +167,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
     from pipeline import nengodl, training
     from pipeline.conversion import to_spec
 
-    weights = read_arrays(run.snn / "weights.npz", REMEDY)
+    weights = _weights(run.snn, settings)
     chosen = draw_check_samples(dataset.split.test, settings.check.samples, settings.seed)
     recordings = dataset.recordings
     images = dataset.images[chosen]
@@ -184,7 +190,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
     bundle = write_bundle(run.bundle, spec, checks)
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
 
-    cnn = training.cnn_logits(settings, read_arrays(run.cnn / "weights.npz", REMEDY), images)
+    cnn = training.cnn_logits(settings, _weights(run.cnn, settings), images)
     rate = training.rate_logits(settings, weights, images)
     answers = {"cnn": cnn[:, None], "rate-lif": rate[:, None]}
     begun = time.perf_counter()
@@ -206,14 +212,24 @@ def check(run: RunFolder, settings: Settings, bundle: Bundle, target: str, say=p
     path = run.check(target)
     if _answers(path, bundle):
         say(f"{target}: up to date ({path})")
-        return read_result(path)
+        return read_result(path, REMEDY_CHECK)
     with progress(f"check {target}", len(bundle.checks)) as advance:
         return run_check(bundle, target, path, settings.seed, advance)
 
 
 def _answers(path, bundle):
     """True if there is a result of this bundle."""
-    return path.exists() and read_result(path)["bundle"] == bundle.id
+    return path.exists() and read_result(path, REMEDY_CHECK)["bundle"] == bundle.id
+
+
+def _weights(folder, settings):
+    """The trained arrays in a folder, made sure to fit the architecture."""
+    path = folder / "weights.npz"
+    weights = read_arrays(path, REMEDY)
+    shapes = parse(settings.cnn.architecture).weight_shapes
+    if {name: array.shape for name, array in weights.items()} != shapes:
+        raise UserError(f"{path}: not the weights of {settings.cnn.architecture}; {REMEDY}")
+    return weights
 
 
 def _cnn_stamp(settings, dataset):

@@ -11,11 +11,15 @@ import typer
 from deploy.bundle import read_bundle
 from deploy.checks import run_check
 from deploy.cli import comparison_text, enforce, summary
+from deploy.hardware import Settings as HardwareSettings
+from deploy.hardware import settings_for
 from deploy.results import compare as compare_results
 from deploy.results import read_result
 from deploy.targets import TARGETS
 from pipeline.commands import options
 from pipeline.progress import progress
+
+BOARD = {"rich_help_panel": "Target loihi"}
 
 app = typer.Typer(help="The check that every target answers.", no_args_is_help=True)
 
@@ -29,13 +33,43 @@ def run(
         typer.Option(help="The result (default: checks/TARGET.json beside the bundle)."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed given to the simulator.")] = 0,
+    board: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(help="Name of a board (default: the cluster's choice).", **BOARD),
+    ] = None,
+    partition: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(help="SLURM partition (default: the board is on this host).", **BOARD),
+    ] = None,
+    chips: Annotated[
+        int, typer.Option(help="Chips that may be used.", **BOARD)
+    ] = HardwareSettings.chips,
+    attempts: Annotated[
+        int, typer.Option(help="How often a stream is begun before giving up.", **BOARD)
+    ] = HardwareSettings.attempts,
+    wait: Annotated[
+        float,
+        typer.Option(help="Seconds before the second attempt, then twice as long.", **BOARD),
+    ] = HardwareSettings.wait,
+    energy: Annotated[
+        bool, typer.Option("--energy", help="Measure power if the board can.", **BOARD)
+    ] = False,
     as_json: options.Json = False,
 ):
     """Let a target answer the bundle's samples; an interrupted check goes on where it stopped."""
+    settings = settings_for(
+        target,
+        board=board,
+        partition=partition,
+        chips=chips,
+        attempts=attempts,
+        wait=wait,
+        energy=energy,
+    )
     opened = read_bundle(bundle)
     path = out or opened.path.absolute().parent / "checks" / f"{target}.json"
     with progress(f"check {target}", len(opened.checks)) as advance:
-        result = run_check(opened, target, path, seed, advance)
+        result = run_check(opened, target, path, seed, advance, settings)
     print(json.dumps(result, indent=2) if as_json else f"{summary(result)}\nwritten to {path}")
 
 

@@ -1,0 +1,250 @@
+"""Streams of samples through a compiled network, several streams side by side."""
+
+from __future__ import annotations
+
+import collections
+import concurrent.futures
+import sys
+import warnings
+from typing import Iterator, NamedTuple
+
+import numpy as np
+
+from ..errors import UserError
+from ..network import build
+from ..network_spec import DT
+from ..presentation import Responses, read_output
+from . import kernel_numpy
+from .arrays import OVERFLOWS, State
+from .from_nengo import Program, compile_network
+from .host import OutputStage, Population
+
+KERNELS = ("numba", "numpy")
+MEMORY = 32 << 20
+"""Bytes that the spikes of one call of a kernel may take, about a tenth of what a thread takes."""
+
+
+class Recording(NamedTuple):
+    """What a batch of streams gave.
+
+    Attributes
+    ----------
+    output : (n_streams, n_samples, period, n_outputs) array
+        What the output probe sees at every step of every sample, its gap included.
+    counts : dict of str to (n_streams, n_samples) int array
+        Spikes of each layer during each sample and its gap.
+    overflows : (n_layers, 3) int array
+        See `arrays.Steps`.
+    spikes : dict of str to (n_streams, n_samples * period, n_neurons) bool array, or None
+        Every spike of each layer, where that was asked for.
+    """
+
+    output: np.ndarray
+    counts: dict
+    overflows: np.ndarray
+    spikes: dict = None
+
+
+class Emulation:
+    """A program and the kernel that runs it.
+
+    Parameters
+    ----------
+    program : Program
+    kernel : str, optional
+        ``"numba"`` or ``"numpy"``; default: Numba where it is installed.
+
+    Raises
+    ------
+    UserError
+        There is no such kernel here.
+    """
+
+    def __init__(self, program: Program, kernel=None):
+        self.program = program
+        self.kernel = _kernel(kernel)(program.network, program.output.decoders)
+
+    def run(self, images, steps, gap, record=False, memory=MEMORY) -> Recording:
+        """Show streams of images, each to a fresh network.
+
+        Parameters
+        ----------
+        images : (n_streams, n_samples, n_pixels) array
+        steps, gap : int
+            For how many steps each image is shown, and a blank one after it.
+        record : bool
+            Keep every spike.
+        memory : int
+            Bytes that the spikes of one call of the kernel may take; the result is the same.
+
+        Returns
+        -------
+        Recording
+        """
+        program, network = self.program, self.program.network
+        images = np.asarray(images, float)
+        n_streams, n_samples, n_pixels = images.shape
+        state = State.fresh(network, n_streams)
+        host = [Population(neurons, n_streams, program.dt) for neurons in program.inputs]
+        stage = OutputStage(program.output, n_streams, program.dt)
+        blank = np.repeat(program.drive(np.zeros((1, n_pixels))), n_streams, axis=0)
+        at_once = max(1, memory // (n_streams * (network.n + network.n_inputs)))
+        overflows, samples, kept = 0, [], []
+        for index in range(n_samples):
+            drive = program.drive(images[:, index])
+            outputs, counts = [], collections.Counter()
+            for first in range(0, steps + gap, at_once):
+                last = min(first + at_once, steps + gap)
+                shown = [drive if step < steps else blank for step in range(first, last)]
+                inputs = _host_spikes(host, shown, network.n_inputs)
+                done = self.kernel.advance(state, inputs)
+                outputs.append(stage.advance(done.spikes, done.decoded))
+                overflows = overflows + done.overflows
+                for label, n in self._counts(inputs, done, outputs[-1]):
+                    counts[label] = counts[label] + n
+                if record:
+                    kept.append(self._spikes(inputs, done, outputs[-1]))
+            samples.append((np.concatenate(outputs, axis=1), counts))
+        return Recording(
+            output=np.stack([output for output, _ in samples], axis=1),
+            counts={k: np.stack([c[k] for _, c in samples], axis=1) for k in samples[0][1]},
+            overflows=overflows,
+            spikes={k: np.concatenate([part[k] for part in kept], axis=1) for k in kept[0]}
+            if record
+            else None,
+        )
+
+    def _counts(self, inputs, done, output):
+        """(label, spikes of each stream) of every layer in these steps."""
+        for label, part in self._inputs():
+            yield label, np.count_nonzero(inputs[:, :, part], axis=(1, 2))
+        for index, layer in enumerate(self.program.network.layers):
+            yield layer.label, done.counts[:, :, index].sum(axis=1)
+        if self.program.output.neurons is not None:
+            yield self.program.output.neurons.label, np.count_nonzero(output, axis=(1, 2))
+
+    def _spikes(self, inputs, done, output):
+        spikes = {label: inputs[:, :, part].astype(bool) for label, part in self._inputs()}
+        for layer in self.program.network.layers:
+            spikes[layer.label] = done.spikes[:, :, layer.position].astype(bool)
+        if self.program.output.neurons is not None:
+            spikes[self.program.output.neurons.label] = output != 0
+        return spikes
+
+    def _inputs(self):
+        start = 0
+        for neurons in self.program.inputs:
+            yield neurons.label, slice(start, start + neurons.n)
+            start += neurons.n
+
+
+def _host_spikes(host, drives, n_inputs):
+    """Spikes of the host's input neurons, shape (n_streams, n_steps, n_inputs) uint8."""
+    spikes = np.empty((len(drives[0]), len(drives), n_inputs), np.uint8)
+    with np.errstate(divide="ignore"):
+        for step, drive in enumerate(drives):
+            start = 0
+            for population in host:
+                part = slice(start, start + population.n)
+                np.not_equal(population.step(drive[:, part]), 0, out=spikes[:, step, part])
+                start = part.stop
+    return spikes
+
+
+def _kernel(name):
+    if name not in (None, *KERNELS):
+        raise UserError(f"no kernel {name!r}; the kernels are {', '.join(KERNELS)}")
+    if name == "numpy":
+        return kernel_numpy.Kernel
+    try:
+        from . import kernel_numba
+    except ImportError as error:
+        if name == "numba":
+            raise UserError(
+                f"the kernel 'numba' needs Numba ({error}): pip install numba"
+            ) from None
+        return kernel_numpy.Kernel
+    if not kernel_numba.is_compiled():
+        print("fast: compiling, once; this takes some ten seconds", file=sys.stderr, flush=True)
+    return kernel_numba.Kernel
+
+
+def compile_spec(spec, seed=0) -> Program:
+    """Compile a bundle's network."""
+    built = build(spec, seed)
+    source = next(node for node in built.network.all_nodes if node.output is built.feed)
+    return compile_network(built.network, source, built.output, DT)
+
+
+def run_fast(spec, streams, seed=0, kernel=None, threads=1, memory=MEMORY) -> Iterator[Responses]:
+    """NengoLoihi's emulator, the same integers and spikes, many streams at once.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    streams : iterable of (n_samples, n_pixels) array
+    seed : int
+    kernel : str, optional
+        See `Emulation`.
+    threads : int
+        How many batches of streams to run at a time.
+    memory : int
+        Bytes that the spikes of a batch may take.
+
+    Yields
+    ------
+    Responses
+        Of each stream, in order.  Nothing depends on how streams are batched.
+    """
+    emulation = Emulation(compile_spec(spec, seed), kernel)
+    shown, gap = spec.presentation.steps, spec.presentation.gap
+    network = emulation.program.network
+    size = max(1, memory // ((shown + gap) * (network.n + network.n_inputs)))
+    overflows = np.zeros((len(network.layers), len(OVERFLOWS)), np.int64)
+
+    def run(batch):
+        return emulation.run(np.stack(batch), shown, gap, memory=memory)
+
+    try:
+        for recording in _in_order(run, _batches(streams, size), threads):
+            overflows += recording.overflows
+            for index, output in enumerate(recording.output[:, :, :shown]):
+                counts = {name: recording.counts[name][index] for name in spec.spiking_layers}
+                yield read_output(spec, output, counts)
+    finally:
+        _warn_of(overflows, network.layers)
+
+
+def _batches(streams, size):
+    """Lists of up to ``size`` successive streams of one length."""
+    batch = []
+    for stream in streams:
+        if batch and (len(batch) == size or len(stream) != len(batch[0])):
+            yield batch
+            batch = []
+        batch.append(stream)
+    if batch:
+        yield batch
+
+
+def _in_order(function, items, threads):
+    """``map`` in some threads, without running further ahead than they need."""
+    if threads == 1:
+        yield from map(function, items)
+        return
+    with concurrent.futures.ThreadPoolExecutor(threads) as pool:
+        waiting = collections.deque()
+        for item in items:
+            waiting.append(pool.submit(function, item))
+            if len(waiting) > threads:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+
+
+def _warn_of(overflows, layers):
+    for layer, counts in zip(layers, overflows):
+        if counts.any():
+            found = ", ".join(f"{n} in {name}" for n, name in zip(counts, OVERFLOWS) if n)
+            message = f"layer {layer.label!r}: overflows of the chip's integers: {found}"
+            warnings.warn(message, RuntimeWarning, stacklevel=3)

@@ -1,0 +1,54 @@
+"""Is this host one that the bundle runs on?  Asked before anything else is imported.
+
+Only the standard library is imported here: with versions that do not fit, importing NengoLoihi is
+what fails, and it fails with a traceback.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+
+try:
+    from importlib.metadata import PackageNotFoundError, version
+except ImportError:  # Python 3.7 and earlier, refused below
+    version = None
+
+OLDEST_PYTHON = (3, 8)
+PACKAGES = {
+    "numpy": ((1, 17), (2,), "NengoLoihi 1.1 fails with NumPy 2"),
+    "scipy": ((1, 4), (2,), ""),
+    "nengo": ((3, 1), (4,), "NengoLoihi 1.1 was made for Nengo 3.1 and 3.2"),
+    "nengo-loihi": ((1, 1), (1, 2), "the bundle was made with NengoLoihi 1.1"),
+}
+"""Package: oldest version that will do, first one that will not, and why."""
+
+
+def complaint():
+    """What is wrong with this host, in one line.
+
+    Returns
+    -------
+    str or None
+        None if it is fit.
+    """
+    if sys.version_info < OLDEST_PYTHON or version is None:
+        found = ".".join(str(n) for n in sys.version_info[:3])
+        return f"Python {found} is too old; use Python 3.8 or later"
+    for package, (oldest, first_not, reason) in PACKAGES.items():
+        wanted = f"{package}>={_dotted(oldest)},<{_dotted(first_not)}"
+        remedy = f"pip install '{wanted}'" + (f" ({reason})" if reason else "")
+        try:
+            found = version(package)
+        except PackageNotFoundError:
+            return f"{package} is not installed; {remedy}"
+        number = tuple(int(n) for n in re.findall(r"\d+", found)[:3])
+        if number < oldest:
+            return f"{package} {found} is too old; {remedy}"
+        if number >= first_not:
+            return f"{package} {found} is too new; {remedy}"
+    return None
+
+
+def _dotted(number):
+    return ".".join(str(n) for n in number)

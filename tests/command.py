@@ -1,0 +1,37 @@
+"""Ways to run the command ``stmnist``."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def call(*arguments) -> int:
+    """Run it in this process and return its exit status; ``capsys`` has what it printed."""
+    from pipeline.cli import main
+
+    try:
+        main([str(argument) for argument in arguments])
+    except SystemExit as end:
+        return int(end.code or 0)
+    raise AssertionError("the command ended without an exit status")
+
+
+def environment(**more) -> dict:
+    """For a process of its own that imports this repository's packages."""
+    return {**os.environ, "PYTHONPATH": str(ROOT), **more}
+
+
+def start(*arguments, **options) -> subprocess.Popen:
+    """Start it as a process of its own, in a group of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "pipeline.cli", *map(str, arguments)],
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        **options,
+    )

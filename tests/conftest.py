@@ -1,0 +1,55 @@
+"""What all tests share: a cache of their own, the data of development, one small run."""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+from tests.command import call
+
+ROOT = Path(__file__).resolve().parent.parent
+DATA = ROOT.parent / "shared" / "data"
+TINY = (
+    *("--set", "data.samples_per_digit=60", "--set", "cnn.epochs=3", "--set", "snn.epochs=2"),
+    *("--samples", "20", "--steps", "40"),
+)
+"""Options of the small run: trained badly, but through every stage."""
+
+settings.register_profile("stmnist", deadline=None)
+settings.load_profile("stmnist")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_cache(tmp_path_factory):
+    """Neither read nor fill the user's cache."""
+    before = os.environ.get("STMNIST_CACHE")
+    os.environ["STMNIST_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+    yield Path(os.environ["STMNIST_CACHE"])
+    if before is None:
+        del os.environ["STMNIST_CACHE"]
+    else:
+        os.environ["STMNIST_CACHE"] = before
+
+
+@pytest.fixture(scope="session")
+def shared_data():
+    """Folder with the data of development, which is no part of the repository."""
+    if not DATA.is_dir():
+        pytest.skip("the development data (shared/data beside the repository) is not here")
+    return DATA
+
+
+@pytest.fixture(scope="session")
+def real_recording(shared_data):
+    """A recording of the published data set."""
+    return shared_data / "sample_stmnist.mat"
+
+
+@pytest.fixture(scope="session")
+def tiny_run(tmp_path_factory):
+    """A finished run, made once with the command; tests copy it before they change it."""
+    folder = tmp_path_factory.mktemp("runs") / "tiny"
+    status = call("ladder", folder, *TINY)
+    assert status == 0, "the small run of the main job failed"
+    return folder

@@ -1,0 +1,12 @@
+"""Fixtures of the deployment tests."""
+
+import pytest
+
+from . import standin
+
+
+@pytest.fixture
+def nxsdk(monkeypatch):
+    """The NxSDK stand-in, in the place of NxSDK; faults start from none."""
+    yield standin.install(monkeypatch)
+    standin.uninstall()

@@ -1,0 +1,93 @@
+"""Small networks with random weights that fire, for tests that need no training."""
+
+import numpy as np
+
+from deploy.bundle import CheckSet, write_bundle
+from deploy.network_spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
+
+LIF = Neurons("lif", amplitude=0.01)
+
+
+def conv(name, input_shape, filters, kernel, rng, pop_type=32, block_shape=None, scale=1.0):
+    """A convolution of LIF neurons on the chip, silent up to an input of about 0."""
+    rows, columns, channels = input_shape
+    weights = rng.normal(size=(kernel, kernel, channels, filters))
+    return Layer(
+        name=name,
+        kind="conv",
+        input_shape=input_shape,
+        shape=(rows - kernel + 1, columns - kernel + 1, filters),
+        placement="chip",
+        neurons=LIF,
+        synapse=0.005,
+        kernel=kernel,
+        block_shape=block_shape,
+        pop_type=pop_type,
+        weights=scale * 3 * weights / np.sqrt(weights[..., 0].size),
+        bias=rng.uniform(0.9, 1.1, filters),
+    )
+
+
+def readout(input_shape, rng, classes=10, on_chip=False):
+    """A linear readout on the host, or a layer of output neurons on the chip."""
+    size = int(np.prod(input_shape))
+    return Layer(
+        name="output",
+        kind="dense",
+        input_shape=input_shape,
+        shape=(classes,),
+        placement="chip" if on_chip else "host",
+        neurons=LIF if on_chip else None,
+        synapse=0.005,
+        kernel=0,
+        block_shape=None,
+        pop_type=32,
+        weights=rng.normal(size=(classes, size)) * (3 if on_chip else 1) / np.sqrt(size),
+        bias=np.full(classes, 1.0) if on_chip else rng.normal(size=classes),
+    )
+
+
+def small_spec(seed=0, on_chip_output=False, **presentation):
+    """6x6-4c3-8c2-10o, shown for a short time."""
+    rng = np.random.default_rng(seed)
+    shown = {"steps": 30, "gap": 5, "readout_start": 8, "stream_length": 3, **presentation}
+    conv1 = conv("conv1", (6, 6, 1), 4, 3, rng)
+    conv2 = conv("conv2", conv1.shape, 8, 2, rng)
+    return NetworkSpec(
+        architecture="6x6-4c3-8c2-10o",
+        input_shape=(6, 6, 1),
+        encoder=Encoder(),
+        layers=(conv1, conv2, readout(conv2.shape, rng, on_chip=on_chip_output)),
+        presentation=Presentation(**shown),
+        provenance={"simulated": True, "weights": "random"},
+    )
+
+
+def paper_spec(seed=0, **presentation):
+    """10x10-6c4-24c3-10o, the size of the paper's network."""
+    rng = np.random.default_rng(seed)
+    conv1 = conv("conv1", (10, 10, 1), 6, 4, rng)
+    conv2 = conv("conv2", conv1.shape, 24, 3, rng)
+    return NetworkSpec(
+        architecture="10x10-6c4-24c3-10o",
+        input_shape=(10, 10, 1),
+        encoder=Encoder(),
+        layers=(conv1, conv2, readout(conv2.shape, rng)),
+        presentation=Presentation(**presentation),
+        provenance={"simulated": True, "weights": "random"},
+    )
+
+
+def random_checks(spec, count, seed=0):
+    """Sparse random images."""
+    rng = np.random.default_rng(seed)
+    shape = (count, *spec.input_shape)
+    images = rng.uniform(size=shape) * (rng.uniform(size=shape) < 0.4)
+    names = tuple(f"random/{i:03d}" for i in range(count))
+    return CheckSet(images, rng.integers(0, 10, count), names, seed)
+
+
+def bundle_at(path, spec=None, count=7):
+    """A bundle of random weights and random images."""
+    spec = spec or small_spec()
+    return write_bundle(path, spec, random_checks(spec, count))

@@ -1,0 +1,290 @@
+"""A copied bundle runs by itself: on this Python, on a real Python 3.8, with a board, at INRC."""
+
+import fcntl
+import json
+import os
+import re
+import resource
+import shutil
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deploy import host
+from deploy.checks import run_check
+
+from .networks import bundle_at, small_spec
+from .standin import STANDIN
+
+ROOT = Path(__file__).parent.parent.parent
+INRC = ROOT / "deploy" / "inrc"
+OLD_PYTHON = ROOT / ".venv-inrc" / "bin" / "python"
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    """A bundle and the emulator's result at home: ``(bundle, result)``."""
+    folder = tmp_path_factory.mktemp("home")
+    bundle = bundle_at(folder / "bundle", small_spec(), 7)
+    return bundle, run_check(bundle, "emulator", folder / "checks" / "emulator.json")
+
+
+@pytest.fixture
+def copied(home, tmp_path):
+    """The bundle as it arrives on another machine."""
+    return Path(shutil.copytree(home[0].path, tmp_path / "copied"))
+
+
+def pyz(bundle, *arguments, python=sys.executable, standin=True, faults=None, **options):
+    """Run ``deploy.pyz`` inside the bundle with nothing of this repository on its path."""
+    environment = {"PATH": os.environ["PATH"], "HOME": os.environ.get("HOME", "/")}
+    if standin:
+        environment["PYTHONPATH"] = str(STANDIN)
+    if faults:
+        environment["NXSDK_STANDIN"] = json.dumps(faults)
+    return subprocess.run(
+        [str(python), "deploy.pyz", *arguments],
+        cwd=bundle, env=environment, capture_output=True, text=True, timeout=300, **options,
+    )  # fmt: skip
+
+
+def one_line(run, status=2):
+    """The single line of a failed command."""
+    assert run.returncode == status, run.stderr
+    (line,) = run.stderr.strip().splitlines()
+    assert line.startswith("deploy: ")
+    return line
+
+
+def same_answers(a, b):
+    return a["samples"] == b["samples"] and a["spikes"] == b["spikes"]
+
+
+def result_in(bundle, target):
+    return json.loads((bundle / "checks" / f"{target}.json").read_text())
+
+
+def test_board_is_found_at_import_and_equals_the_emulator(home, copied):
+    run = pyz(copied, "check", ".", "--target", "loihi", "--partition", "nahuku32")
+    assert run.returncode == 0, run.stderr
+    result = result_in(copied, "loihi")
+    assert same_answers(result, home[1])
+    assert result["hardware"]["partition"] == "nahuku32"
+
+
+def test_board_target_is_never_guessed(home, copied):
+    """With NxSDK importable, target emulator is still the emulator."""
+    faults = {"refuse": 1000}
+    assert pyz(copied, "check", ".", "--target", "emulator", faults=faults).returncode == 0
+    assert same_answers(result_in(copied, "emulator"), home[1])
+
+
+def test_no_nxsdk_is_one_line(copied):
+    line = one_line(pyz(copied, "check", ".", "--target", "loihi", standin=False))
+    assert "needs Intel's NxSDK" in line
+
+
+def test_board_option_for_another_target_is_one_line(copied):
+    line = one_line(pyz(copied, "check", ".", "--target", "emulator", "--board", "b"))
+    assert "--board is for --target loihi" in line
+
+
+def test_too_new_nxsdk_is_one_line(copied):
+    line = one_line(pyz(copied, "check", ".", "--target", "loihi", faults={"version": "2.0"}))
+    assert "NxSDK 2.0 is too new" in line
+
+
+def test_killed_job_goes_on_where_it_was(home, copied):
+    killed = pyz(copied, "check", ".", "--target", "loihi", faults={"kill_at_step": 150})
+    assert killed.returncode == 137
+    partial = copied / "checks" / ".loihi.json.partial"
+    assert len(partial.read_text().splitlines()) == 2  # a header and the first stream
+    assert not (copied / "checks" / "loihi.json").exists()
+    again = pyz(copied, "check", ".", "--target", "loihi")
+    assert again.returncode == 0, again.stderr
+    result = result_in(copied, "loihi")
+    assert same_answers(result, home[1])
+    assert result["hardware"]["connections"] == 3
+    assert not partial.exists()
+
+
+def test_two_jobs_on_one_result(copied):
+    assert pyz(copied, "check", ".", "--target", "loihi").returncode == 0
+    before = (copied / "checks" / "loihi.json").read_bytes()
+    with open(copied / "checks" / ".loihi.json.partial", "a") as other_job:
+        fcntl.flock(other_job, fcntl.LOCK_EX)
+        line = one_line(pyz(copied, "check", ".", "--target", "loihi"))
+    assert "another process is writing this result" in line
+    assert (copied / "checks" / "loihi.json").read_bytes() == before
+
+
+def test_full_disk_keeps_the_result_that_was_there(home, copied):
+    assert pyz(copied, "check", ".", "--target", "emulator").returncode == 0
+    before = (copied / "checks" / "emulator.json").read_bytes()
+
+    def no_room():  # every file ends at 1000 bytes, as on a disk that is full then
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+
+    run = pyz(copied, "check", ".", "--target", "emulator", preexec_fn=no_room)
+    assert "cannot write" in one_line(run)
+    assert (copied / "checks" / "emulator.json").read_bytes() == before
+    assert pyz(copied, "check", ".", "--target", "emulator").returncode == 0
+    assert same_answers(result_in(copied, "emulator"), home[1])
+
+
+def test_plan_runs_from_the_bundle(copied):
+    run = pyz(copied, "plan", ".", "--json", standin=False)
+    assert json.loads(run.stdout)["fits"] is True
+
+
+@pytest.mark.parametrize(
+    ("package", "version", "message"),
+    [
+        ("numpy", "2.1.0", "numpy 2.1.0 is too new; pip install 'numpy>=1.17,<2'"),
+        ("numpy", "1.16.6", "numpy 1.16.6 is too old"),
+        ("nengo", "2.8.0", "nengo 2.8.0 is too old; pip install 'nengo>=3.1,<4'"),
+        ("nengo", "4.1.0", "nengo 4.1.0 is too new"),
+        ("nengo-loihi", "0.10.0", "nengo-loihi 0.10.0 is too old"),
+    ],
+)
+def test_host_with_other_versions_is_one_line(copied, tmp_path, package, version, message):
+    """What a package says of its version is found first on the path, before the real one."""
+    info = tmp_path / "other" / f"{package.replace('-', '_')}-{version}.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: {version}\n")
+    environment = {"PATH": os.environ["PATH"], "PYTHONPATH": str(info.parent)}
+    run = subprocess.run(
+        [sys.executable, "deploy.pyz", "check", ".", "--target", "emulator"],
+        cwd=copied, env=environment, capture_output=True, text=True,
+    )  # fmt: skip
+    assert message in one_line(run)
+
+
+def test_host_without_a_package(monkeypatch):
+    monkeypatch.setattr(host, "PACKAGES", {"no-such-package": ((1,), (2,), "")})
+    assert (
+        host.complaint() == "no-such-package is not installed; pip install 'no-such-package>=1,<2'"
+    )
+
+
+def test_host_with_an_old_python(monkeypatch):
+    monkeypatch.setattr(host, "OLDEST_PYTHON", (3, 99))
+    assert "is too old; use Python" in host.complaint()
+
+
+old_python = pytest.mark.skipif(
+    not OLD_PYTHON.exists(), reason="no Python 3.8 environment; 'make setup-inrc' makes one"
+)
+
+
+@old_python
+def test_python_38_gives_the_same_result(home, copied):
+    """Only numpy, scipy, nengo and nengo-loihi are there, in the versions of INRC hosts."""
+    run = pyz(copied, "check", ".", "--target", "emulator", python=OLD_PYTHON, standin=False)
+    assert run.returncode == 0, run.stderr
+    result = result_in(copied, "emulator")
+    assert result["versions"]["python"].startswith("3.8")
+    assert same_answers(result, home[1])
+    assert set(result) == set(home[1])
+
+
+@old_python
+def test_python_38_drives_a_board(home, copied):
+    run = pyz(copied, "check", ".", "--target", "loihi", python=OLD_PYTHON)
+    assert run.returncode == 0, run.stderr
+    assert same_answers(result_in(copied, "loihi"), home[1])
+
+
+def guide_blocks():
+    return re.findall(r"```sh\n(.*?)```", (INRC / "README.md").read_text(), re.DOTALL)
+
+
+def command(folder, name, text):
+    path = folder / name
+    path.write_text(text)
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+
+
+@pytest.fixture
+def far_away(tmp_path):
+    """Stand-ins for what only INRC has; returns the environment to run the guide in."""
+    commands, remote, jobs = tmp_path / "bin", tmp_path / "inrc", tmp_path / "jobs"
+    for folder in (commands, remote, jobs):
+        folder.mkdir()
+    slurm = ROOT / "tests" / "slurm_standin" / "slurm.py"
+    for name in ("sbatch", "squeue", "sinfo"):
+        command(commands, name, f'#!/bin/bash\nexec "{sys.executable}" "{slurm}" {name} "$@"\n')
+    # "ssh inrc" alone changes into the remote home, as one's terminal does
+    functions = tmp_path / "functions.sh"
+    functions.write_text(
+        f"""
+ssh() {{ shift; if [ $# = 0 ]; then cd "{remote}"; else (cd "{remote}" && "$@"); fi; }}
+scp() {{ local a; a=("${{@/#inrc:/{remote}/}}"); command cp -r "${{a[@]/#-r/--}}"; }}
+conda() {{ case $1 in create|activate) ;; *) return 2;; esac; }}
+pip() {{ [ "$1" = install ] && if [ "$2" = -r ]; then [ -f "$3" ]; fi; }}
+"""
+    )
+    command(commands, "python", f'#!/bin/bash\nexec "{sys.executable}" "$@"\n')
+    command(
+        commands, "stmnist", f'#!/bin/bash\nPYTHONPATH="{ROOT}" exec "{sys.executable}" '
+        '-c "from pipeline.cli import main; main()" "$@"\n',
+    )  # fmt: skip
+    return {
+        "PATH": f"{commands}:{os.environ['PATH']}",
+        "HOME": str(tmp_path),
+        "PYTHONPATH": str(STANDIN),
+        "SLURM_STANDIN": str(jobs),
+        "PARTITION": "nahuku32",
+        "NXSDK": "nxsdk.tar.gz",
+        "BASH_ENV": str(functions),
+    }
+
+
+@pytest.mark.parametrize("script", [INRC / "check.sbatch"])
+def test_script_has_no_syntax_error(script):
+    subprocess.run(["bash", "-n", str(script)], check=True)
+
+
+def test_guide_from_end_to_end(home, far_away, tmp_path):
+    """Every command of the guide, in its order, with stand-ins for what INRC has."""
+    work = tmp_path / "work"
+    shutil.copytree(home[0].path, work / "runs" / "default" / "bundle")
+    (work / "runs" / "default" / "checks").mkdir()
+    shutil.copytree(INRC, work / "deploy" / "inrc")
+    steps = guide_blocks()
+    assert len(steps) == 5
+    steps[4] = f'cd "{work}"\n' + steps[4]  # back home
+    script = "set -euo pipefail\n" + "\n".join(steps)
+    run = subprocess.run(
+        ["bash", "-c", script], cwd=work, env=far_away, capture_output=True, text=True, timeout=300
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert "1 COMPLETED" in run.stdout
+    assert "0 of 7 predictions differ" in run.stdout
+    fetched = json.loads((work / "runs" / "default" / "checks" / "loihi.json").read_text())
+    assert same_answers(fetched, home[1])
+
+
+def test_job_submitted_again_goes_on(home, far_away, tmp_path):
+    shutil.copytree(home[0].path, tmp_path / "bundle")
+    shutil.copy(INRC / "check.sbatch", tmp_path)
+    for faults, state in (({"kill_at_step": 150}, "FAILED 137"), ({}, "COMPLETED")):
+        far_away["NXSDK_STANDIN"] = json.dumps(faults)
+        subprocess.run(
+            ["sbatch", "check.sbatch", "bundle", "nahuku32"],
+            cwd=tmp_path, env=far_away, check=True, capture_output=True,
+        )  # fmt: skip
+        states = sorted((tmp_path / "jobs").iterdir())
+        assert states[-1].read_text() == state
+    assert same_answers(result_in(tmp_path / "bundle", "loihi"), home[1])
+
+
+def test_job_without_arguments_says_how(far_away, tmp_path):
+    run = subprocess.run(
+        ["bash", str(INRC / "check.sbatch")], env=far_away, capture_output=True, text=True
+    )
+    assert run.returncode == 2
+    assert run.stderr.startswith("usage: sbatch check.sbatch BUNDLE PARTITION")

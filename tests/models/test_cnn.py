@@ -1,0 +1,50 @@
+import numpy as np
+import pytest
+
+from models.cnn import build_cnn, get_weights, predict, set_weights
+from models.notation import parse
+
+PAPER = parse("10x10-6c4-24c3-10o")
+
+
+def test_the_papers_network_has_the_notations_weights():
+    weights = get_weights(build_cnn(PAPER))
+    assert {name: array.shape for name, array in weights.items()} == PAPER.weight_shapes
+    assert sum(array.size for array in weights.values()) == 7432
+
+
+def test_weights_round_trip():
+    first, second = build_cnn(PAPER), build_cnn(PAPER)
+    images = np.random.default_rng(0).uniform(size=(3, 10, 10, 1))
+    assert not np.allclose(predict(first, images), predict(second, images))
+    set_weights(second, get_weights(first))
+    np.testing.assert_array_equal(predict(first, images), predict(second, images))
+
+
+def test_the_network_against_numpy():
+    rng = np.random.default_rng(1)
+    small = parse("4x4-2c3-3o")
+    weights = {name: rng.normal(size=shape) for name, shape in small.weight_shapes.items()}
+    model = build_cnn(small)
+    set_weights(model, weights)
+    image = rng.uniform(size=(4, 4))
+    hidden = np.zeros((2, 2, 2))
+    for row in range(2):
+        for column in range(2):
+            patch = image[row : row + 3, column : column + 3, None]
+            hidden[row, column] = (patch * weights["conv1.kernel"][:, :, 0]).sum((0, 1))
+    hidden = np.maximum(hidden + weights["conv1.bias"], 0)
+    expected = hidden.ravel() @ weights["output.kernel"] + weights["output.bias"]
+    np.testing.assert_allclose(predict(model, image[None, ..., None])[0], expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("change", ["missing", "shape"])
+def test_weights_that_do_not_fit_are_named(change):
+    model = build_cnn(PAPER)
+    weights = get_weights(model)
+    if change == "missing":
+        del weights["conv2.bias"]
+    else:
+        weights["conv2.bias"] = np.zeros(23)
+    with pytest.raises(ValueError, match=r"conv2\.bias"):
+        set_weights(model, weights)

@@ -1,0 +1,79 @@
+import nengo
+import numpy as np
+import pytest
+import tensorflow as tf
+
+from deploy.foreign import nengo_loihi
+from models.lif import RateLIF, gain_for, on_chip_time_constants
+
+RATE = 150.0
+
+
+def activations():
+    return np.concatenate([np.linspace(-2, 3, 1001), [1e-6, 0.0, 1.0]])
+
+
+def currents(z, gain):
+    """J as the neuron gets it: threshold 1 at z = 0."""
+    return (gain * z)[:, None], np.ones(1), np.ones(1)
+
+
+@pytest.mark.parametrize(("tau_rc", "tau_ref"), [(0.02, 0.001), (0.02, 0.002), (0.05, 0.004)])
+def test_the_rate_is_that_of_nengos_lif(tau_rc, tau_ref):
+    z = activations()
+    layer = RateLIF(RATE, tau_rc, tau_ref)
+    expected = nengo.LIFRate(tau_rc, tau_ref).rates(*currents(z, layer.gain)).ravel() / RATE
+    np.testing.assert_allclose(layer(z.astype(np.float32)), expected, atol=2e-4)
+
+
+@pytest.mark.parametrize(("tau_rc", "tau_ref"), [(0.02, 0.001), (0.02, 0.002), (0.05, 0.004)])
+def test_in_whole_steps_the_rate_is_that_of_nengo_loihi(tau_rc, tau_ref):
+    z = activations()
+    layer = RateLIF(RATE, tau_rc, tau_ref, whole_steps=True)
+    neurons = nengo_loihi.neurons.LoihiLIF(tau_rc=tau_rc, tau_ref=tau_ref)
+    rates = nengo_loihi.neurons.loihi_lif_rates(neurons, *currents(z, layer.gain), dt=0.001)
+    found = np.asarray(layer(z.astype(np.float32)))
+    expected = rates.ravel() / RATE
+    # At the edge of a step single precision may fall on the other side: one step, and rarely.
+    same = np.isclose(found, expected, rtol=1e-5)
+    assert same.mean() > 0.98
+    near = [np.isclose(1 / found[~same], 1 / expected[~same] + d * RATE / 1000) for d in (-1, 1)]
+    assert np.any(near, axis=0).all()
+    on = found[found > 0]
+    np.testing.assert_allclose(1000 / (on * RATE), np.round(1000 / (on * RATE)), atol=1e-3)
+
+
+def test_one_gives_the_maximum_rate_and_zero_none():
+    layer = RateLIF(RATE)
+    np.testing.assert_allclose(layer(np.float32([1.0, 0.0, -1.0])), [1, 0, 0], atol=1e-5)
+
+
+def test_gain_by_hand():
+    # 1 / r - tau_ref = tau_rc log(1 + 1 / (J - 1)), r = 100 Hz, tau_ref = 2 ms: log(...) = 0.4
+    assert gain_for(100, 0.02, 0.002) == pytest.approx(1 / (np.exp(0.4) - 1))
+
+
+@pytest.mark.parametrize("rate", [0, -5, 500, 1000])
+def test_a_rate_out_of_reach_is_refused(rate):
+    with pytest.raises(ValueError, match="out of reach"):
+        gain_for(rate, 0.02, 0.002)
+
+
+def test_time_constants_on_the_chip():
+    tau_rc, tau_ref = on_chip_time_constants(0.02, 0.0014)
+    assert tau_ref == pytest.approx(0.001)
+    assert -np.expm1(-0.001 / tau_rc) * 4095 == pytest.approx(200)  # 199.7 rounded to an integer
+    assert tau_rc == pytest.approx(0.02, rel=2e-3)
+
+
+@pytest.mark.parametrize("whole_steps", [False, True])
+def test_the_gradient_is_finite_and_never_negative(whole_steps):
+    z = tf.constant(activations(), tf.float32)
+    layer = RateLIF(RATE, whole_steps=whole_steps)
+    with tf.GradientTape() as tape:
+        tape.watch(z)
+        rate = layer(z)
+    gradient = tape.gradient(rate, z).numpy()
+    assert np.isfinite(gradient).all()
+    assert (gradient >= 0).all()
+    assert gradient[np.argmin(np.abs(z - 0.01))] > 0.1  # alive at the threshold
