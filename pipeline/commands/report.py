@@ -12,6 +12,7 @@ import typer
 from deploy.bundle import read_bundle
 from deploy.errors import UserError
 from deploy.files import read_json, replacing
+from deploy.plan import make_plan
 from deploy.results import read_result
 from pipeline import report, table2
 from pipeline.commands import options
@@ -83,7 +84,7 @@ def report_(
             histories={**histories, **curves},
             table2=table,
             answers=answers,
-            plan=None,
+            plan=make_plan(bundle.spec).to_json(),
             replays=replays,
         )
     )
