@@ -168,8 +168,8 @@ class Steps:
     spikes : (n_streams, n_steps, n) uint8 array
     decoded : (n_streams, n_steps, n_outputs) float64 array
         Sum of the decoders of the step's spikes.
-    counts : (n_streams, n_steps, n_layers) int32 array
-        Spikes of each layer.
+    counts : (n_streams, n) int32 array
+        Spikes of each compartment in all the steps.
     overflows : (n_layers, 3) int64 array
         How often a compartment overflowed in a step, for each of `OVERFLOWS`.
     """

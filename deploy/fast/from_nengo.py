@@ -93,8 +93,10 @@ def compile_network(network, source, output, dt=0.001) -> Program:
         model = nengo_loihi.builder.Model(dt=float(dt))
         # precompute=None: NengoLoihi finds out by itself whether the host waits for the chip.
         model.build(network, precompute=None, discretize=True)
-    except (nengo.exceptions.BuildError, nengo.exceptions.ValidationError) as error:
-        raise UserError(f"NengoLoihi cannot build this network: {error}") from error
+    except (nengo.exceptions.NengoException, AssertionError, AttributeError) as error:
+        # Some of its limits are assertions, one of whose messages is itself mistaken.
+        problem = str(error) or "one of its internal limits is not met"
+        raise UserError(f"NengoLoihi cannot build this network: {problem}") from error
     finally:
         source.output = showing
     _refuse_what_is_not_feed_forward(model)
@@ -115,12 +117,10 @@ def _cannot(what, where=None):
 
 
 def _refuse_what_is_not_feed_forward(model):
-    if not model.blocks:
-        raise _cannot("a network with nothing on the chip")
-    if not model.split.precompute:
-        raise _cannot("feedback from the chip through the host to the chip")
     if model.host2chip_pes_senders:
         raise _cannot("learning on the chip")
+    if not model.split.precompute:
+        raise _cannot("feedback from the chip through the host to the chip")
     for item in model.inputs:
         if item.permanent:
             raise _cannot("spikes that are fixed when the network is built", item.label)

@@ -132,7 +132,7 @@ class Kernel:
         spikes = np.zeros((n_streams, n_steps + 1, self._n_words * WORD), np.uint8)
         spikes[:, 0, : network.n] = state.spikes
         decoded = np.zeros((n_streams, n_steps, self._decoders.shape[1]))
-        counts = np.zeros((n_streams, n_steps, len(network.layers)), np.int32)
+        counts = np.zeros((n_streams, network.n), np.int32)
         overflows = np.zeros((len(network.layers), 3), np.int64)
         advance(
             self._wiring,
@@ -261,20 +261,16 @@ def _wrapped_voltages(keep, v_min, v_max, bias, current, voltage):
 
 @_jit()
 def _fire(threshold, voltage, spikes):
-    """Spikes of compartments without a refractory period; returns how many."""
-    n = int32(0)
+    """Spikes of compartments without a refractory period."""
     for i in range(len(voltage)):
         fires = voltage[i] > threshold[i]
         spikes[i] = fires
         voltage[i] = int32(0) if fires else voltage[i]
-        n += int32(fires)
-    return n
 
 
 @_jit()
 def _fire_refractory(period, threshold, voltage, waiting, spikes):
-    """Spikes of compartments that are held at 0 for some steps after each; returns how many."""
-    n = int32(0)
+    """Spikes of compartments that are held at 0 for some steps after each."""
     for i in range(len(voltage)):
         wait = waiting[i]
         v = int32(0) if wait > int32(0) else voltage[i]
@@ -283,8 +279,6 @@ def _fire_refractory(period, threshold, voltage, waiting, spikes):
         voltage[i] = int32(0) if fires else v
         wait = int32(wait - int32(1)) if wait > int32(0) else int32(0)
         waiting[i] = period if fires else wait
-        n += int32(fires)
-    return n
 
 
 @_jit()
@@ -336,12 +330,12 @@ def advance(
                     _currents(keep_u, segments.shift[s], q_part, u_part)
                     _voltages(keep_v, v_min, v_max, bias[part], u_part, v_part)
                 if period:
-                    n = _fire_refractory(period, threshold[part], v_part, waiting[part], row[part])
+                    _fire_refractory(period, threshold[part], v_part, waiting[part], row[part])
                 else:
-                    n = _fire(threshold[part], v_part, row[part])
-                counts[b, t, layer] += n
+                    _fire(threshold[part], v_part, row[part])
             n_events = _collect(words[b, t + 1], events)
             for e in range(n_events):
+                counts[b, events[e]] += 1
                 if decoding[0] <= events[e] < decoding[1]:
                     for k in range(decoders.shape[1]):
                         decoded[b, t, k] += decoders[events[e], k]

@@ -34,10 +34,6 @@ class Kernel:
         self._can_overflow = bool(network.can_overflow.any())
         self._signed = bool((segments.v_min < 0).any())
         self._waits = bool((segments.refractory > 0).any())
-        self._first_of_layer = np.array(
-            [int(np.flatnonzero(segments.layer == i)[0]) for i in range(len(network.layers))]
-        )
-        self._first_of_layer = segments.start[self._first_of_layer]
         self._blocks = _blocks(network)
 
     def advance(self, state: State, inputs) -> Steps:
@@ -46,6 +42,7 @@ class Kernel:
         n_streams, n_steps, _ = inputs.shape
         overflows = np.zeros((len(network.layers), 3), np.int64)
         spikes = np.empty((n_streams, n_steps, network.n), np.uint8)
+        counts = np.zeros((n_streams, network.n), np.int32)
         total = np.empty((n_streams, network.n), np.int32)
         rows = [
             scipy.sparse.csr_matrix((n_streams, len(weights)), dtype=np.int32)
@@ -55,9 +52,9 @@ class Kernel:
             self._gather(state, rows, total)
             self._update(state, total, overflows)
             spikes[:, step] = state.spikes
+            counts += state.spikes
             state.inputs = inputs[:, step]
         state.inputs = state.inputs.copy()
-        counts = np.add.reduceat(spikes, self._first_of_layer, axis=2, dtype=np.int32)
         return Steps(spikes, self._decode(spikes), counts, overflows)
 
     def _gather(self, state, rows, total):

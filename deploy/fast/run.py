@@ -31,8 +31,8 @@ class Recording(NamedTuple):
     ----------
     output : (n_streams, n_samples, period, n_outputs) array
         What the output probe sees at every step of every sample, its gap included.
-    counts : dict of str to (n_streams, n_samples) int array
-        Spikes of each layer during each sample and its gap.
+    counts : dict of str to (n_streams, n_samples, n_neurons) int array
+        Spikes of each neuron of each layer during each sample and its gap.
     overflows : (n_layers, 3) int array
         See `arrays.Steps`.
     spikes : dict of str to (n_streams, n_samples * period, n_neurons) bool array, or None
@@ -115,13 +115,13 @@ class Emulation:
         )
 
     def _counts(self, inputs, done, output):
-        """(label, spikes of each stream) of every layer in these steps."""
+        """(label, spikes of each stream's neurons) of every layer in these steps."""
         for label, part in self._inputs():
-            yield label, np.count_nonzero(inputs[:, :, part], axis=(1, 2))
-        for index, layer in enumerate(self.program.network.layers):
-            yield layer.label, done.counts[:, :, index].sum(axis=1)
+            yield label, inputs[:, :, part].sum(axis=1, dtype=np.int32)
+        for layer in self.program.network.layers:
+            yield layer.label, done.counts[:, layer.position]
         if self.program.output.neurons is not None:
-            yield self.program.output.neurons.label, np.count_nonzero(output, axis=(1, 2))
+            yield self.program.output.neurons.label, np.count_nonzero(output, axis=1)
 
     def _spikes(self, inputs, done, output):
         spikes = {label: inputs[:, :, part].astype(bool) for label, part in self._inputs()}

@@ -1,0 +1,191 @@
+"""Random bundle networks and NengoLoihi's emulator as their reference, step by step."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deploy.foreign import nengo_loihi
+from deploy.network import build
+from deploy.network_spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
+
+LOUD = 300.0
+
+
+def random_neurons(rng):
+    """LIF or rectified linear; refractory 0 to 3 steps; minimum voltages."""
+    if rng.random() < 0.35:
+        return Neurons("relu", amplitude=rng.choice([0.01, 1.0]))
+    return Neurons(
+        "lif",
+        amplitude=rng.choice([0.005, 0.01, 0.02]),
+        tau_rc=rng.choice([0.002, 0.02, 0.1]),
+        tau_ref=rng.choice([0.0, 0.001, 0.002, 0.003]),
+        min_voltage=rng.choice([0.0, 0.0, -0.7, -6.0]),
+    )
+
+
+def random_spec(seed):
+    """Any network that a bundle can describe, but small."""
+    rng = np.random.default_rng(seed)
+    input_shape = shape = (*(int(n) for n in rng.integers(3, 6, 2)), int(rng.integers(1, 3)))
+    layers = []
+    host_input = rng.random() < 0.35
+    # Weights of every size: silent networks, usual ones, and loud ones, whose integers overflow.
+    size = rng.choice([0.0, 0.5, 1.0, 2.0, 3.0, 30.0, LOUD, LOUD])
+    for index in range(rng.integers(2 if host_input else 1, 3)):
+        on_host = host_input and index == 0
+        layers.append(_convolution(rng, f"conv{index + 1}", shape, size, on_host))
+        shape = layers[-1].shape
+    layers.append(_output(rng, shape, size))
+    steps = 40 if size == LOUD else int(rng.integers(6, 30))
+    return NetworkSpec(
+        architecture="random",
+        input_shape=input_shape,
+        encoder=None
+        if host_input
+        else Encoder(rng.choice([200.0, 500.0, 1000.0]), rng.choice([0, 0.5])),
+        layers=tuple(layers),
+        presentation=Presentation(
+            steps=steps,
+            gap=int(rng.integers(0, 7)),
+            readout_start=int(rng.integers(0, steps)),
+            stream_length=2,
+        ),
+    )
+
+
+def _convolution(rng, name, before, size, on_host):
+    kernel = int(rng.integers(1, min(3, *before[:2]) + 1))
+    pop_type = int(rng.choice([16, 32]))
+    filters = int(rng.choice([4, 8] if pop_type == 16 else [1, 3, 4]))
+    after = (before[0] - kernel + 1, before[1] - kernel + 1, filters)
+    block = [int(rng.integers(1, n + 1)) for n in after]
+    if pop_type == 16:  # NengoLoihi's bases are multiples of 4 then
+        block[2] = 4 * int(rng.integers(1, filters // 4 + 1))
+    weights = _weights(rng, 1.0 if on_host else size, (kernel, kernel, before[2], filters))
+    return Layer(
+        name=name,
+        kind="conv",
+        input_shape=before,
+        shape=after,
+        placement="host" if on_host else "chip",
+        neurons=random_neurons(rng),
+        synapse=rng.choice([0.02, 0.1]) if size == LOUD else rng.choice([None, 0.002, 0.005]),
+        kernel=kernel,
+        block_shape=tuple(block),
+        pop_type=pop_type,
+        weights=weights,
+        bias=rng.normal(1.2, 1, filters),
+    )
+
+
+def _weights(rng, size, shape):
+    if size == LOUD:  # all near the largest, and of one sign
+        return size * rng.uniform(0.9, 1, shape) * rng.choice([-1, 1, 1, 1])
+    return rng.normal(0, size, shape)
+
+
+def _output(rng, before, size):
+    classes = int(rng.integers(2, 6))
+    place = rng.choice(["readout", "readout", "host", "chip"])
+    return Layer(
+        name="output",
+        kind="dense",
+        input_shape=before,
+        shape=(classes,),
+        placement="chip" if place == "chip" else "host",
+        neurons=None if place == "readout" else random_neurons(rng),
+        synapse=rng.choice([None, 0.005]),
+        kernel=0,
+        block_shape=(int(rng.integers(1, classes + 1)),) if place == "chip" else None,
+        pop_type=32,
+        weights=_weights(rng, max(size, 1.0), (classes, int(np.prod(before)))),
+        bias=rng.normal(0, 0.5, classes),
+    )
+
+
+def images_for(spec, n, seed=0):
+    """Images between 0 and 1, some pixels of them black, shape (n, n_pixels)."""
+    rng = np.random.default_rng(seed)
+    shape = (n, int(np.prod(spec.input_shape)))
+    return rng.random(shape) * (rng.random(shape) < 0.7)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What NengoLoihi's emulator did with one stream.
+
+    Attributes
+    ----------
+    current, voltage, refractory, spiked : (n_steps, n_compartments) array
+        After each step, in the emulator's order.
+    output : (n_samples, period, n_outputs) array
+    spikes : dict of str to (n_steps, n_neurons) bool array
+    overflows : (n_compartments, 3) int array
+        In q0, current and u2.
+    """
+
+    current: np.ndarray
+    voltage: np.ndarray
+    refractory: np.ndarray
+    spiked: np.ndarray
+    output: np.ndarray
+    spikes: dict
+    overflows: np.ndarray
+
+
+def reference(spec, images) -> Reference:
+    """Run NengoLoihi's own emulator on one stream and write down every state."""
+    built = build(spec)
+    built.feed.images = images
+    log, outputs, spikes = [], [], {name: [] for name in built.spikes}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
+            emulator = sim.sims["emulator"]
+            state, step = emulator.compartment, emulator.step
+            overflows = np.zeros((state.n_compartments, 3), int)
+
+            overflow_signed = nengo_loihi.builder.discretize.overflow_signed
+
+            def counting(x, bits, name=None):
+                _, over = overflow_signed(x, bits=bits, out=x)
+                overflows[:, ("q0", "current", "u2").index(name)] += over
+
+            def logging():
+                step()
+                log.append(
+                    [
+                        a.copy()
+                        for a in (state.current, state.voltage, state.ref_count, state.spiked)
+                    ]
+                )
+
+            state._overflow, emulator.step = counting, logging
+            for _ in images:
+                sim.run_steps(built.feed.period)
+                outputs.append(np.array(sim.data[built.output]))
+                for name, probe in built.spikes.items():
+                    spikes[name].append(np.array(sim.data[probe]) != 0)
+                sim.clear_probes()
+    return Reference(
+        *(np.array(part) for part in zip(*log, strict=True)),
+        output=np.array(outputs),
+        spikes={name: np.concatenate(parts) for name, parts in spikes.items()},
+        overflows=overflows,
+    )
+
+
+class Watching:
+    """A kernel that writes down the state after each call."""
+
+    def __init__(self, kernel):
+        self.kernel, self.log = kernel, []
+
+    def advance(self, state, inputs):
+        steps = self.kernel.advance(state, inputs)
+        self.log.append(replace(state, **{k: v.copy() for k, v in vars(state).items()}))
+        return steps

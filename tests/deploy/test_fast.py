@@ -1,0 +1,358 @@
+"""The target ``fast`` against NengoLoihi's emulator."""
+
+from __future__ import annotations
+
+import warnings
+
+import nengo
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, Phase, event, given, reject, settings
+from hypothesis import strategies as st
+
+from deploy.errors import UserError
+from deploy.fast import kernel_numpy
+from deploy.fast.arrays import OVERFLOWS, State
+from deploy.fast.from_nengo import compile_network
+from deploy.fast.run import Emulation, compile_spec, run_fast
+from deploy.foreign import nengo_loihi
+from deploy.network_spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
+from deploy.presentation import join
+from deploy.targets import run_emulator
+from tests.deploy.fast_networks import Watching, images_for, random_spec, reference
+
+pytest.importorskip("numba")
+
+
+@pytest.mark.slow
+@settings(
+    max_examples=120,
+    deadline=None,
+    phases=[Phase.explicit, Phase.reuse, Phase.generate],  # a seed's network has no simpler one
+    suppress_health_check=[HealthCheck.too_slow],
+)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_identical_to_the_emulator_in_every_compartment_at_every_step(seed):
+    spec = random_spec(seed)
+    images = images_for(spec, spec.presentation.stream_length, seed)
+    try:
+        expected = reference(spec, images)
+    except (nengo.exceptions.BuildError, AssertionError):  # NengoLoihi cannot build it
+        with pytest.raises(UserError, match="NengoLoihi cannot build this network"):
+            quietly(compile_spec, spec)
+        reject()
+    for kernel in ("numba", "numpy"):
+        assert_identical(spec, images, expected, kernel)
+    event(f"overflows: {expected.overflows.any()}")
+    event(f"spikes on the chip: {expected.spiked.any()}")
+    event(f"output: {spec.layers[-1].placement}, neurons {spec.layers[-1].neurons is not None}")
+    event(f"first layer: {spec.layers[0].placement}")
+
+
+def assert_identical(spec, images, expected, kernel):
+    presentation = spec.presentation
+    program = quietly(compile_spec, spec)
+    network = program.network
+
+    # One step a call, to see the state after each.
+    emulation = Emulation(program, kernel)
+    emulation.kernel = watching = Watching(emulation.kernel)
+    by_step = emulation.run(images[None], presentation.steps, presentation.gap, memory=1)
+    assert len(watching.log) == len(expected.current)
+    for step, state in enumerate(watching.log):
+        for name, mine, theirs in (
+            ("current", state.current, expected.current),
+            ("voltage", state.voltage, expected.voltage),
+            ("refractory", state.refractory, expected.refractory),
+            ("spikes", state.spikes, expected.spiked),
+        ):
+            same = np.array_equal(mine[0][network.emulator_order], theirs[step])
+            assert same, f"{kernel}: {name} differs after step {step + 1}"
+
+    # All steps of a sample in a call, as the target does.
+    whole = Emulation(program, kernel).run(
+        images[None], presentation.steps, presentation.gap, record=True
+    )
+    np.testing.assert_allclose(whole.output[0], expected.output, rtol=1e-12, atol=1e-9)
+    assert set(whole.spikes) == set(expected.spikes)
+    for name, spikes in expected.spikes.items():
+        assert np.array_equal(whole.spikes[name][0], spikes), f"{kernel}: spikes of {name} differ"
+        per_sample = spikes.reshape(len(images), -1, spikes.shape[1]).sum(axis=1)
+        assert np.array_equal(whole.counts[name][0], per_sample)
+        if spec.layers[-1].neurons is None or name != "output":
+            assert np.array_equal(by_step.counts[name][0], per_sample)
+    layer_of = np.empty(network.n, int)
+    for index, layer in enumerate(network.layers):
+        layer_of[layer.position] = index
+    overflows = np.zeros_like(whole.overflows)
+    np.add.at(overflows, layer_of[network.emulator_order], expected.overflows)
+    assert np.array_equal(whole.overflows, overflows)
+    assert np.array_equal(by_step.overflows, overflows)
+
+
+def quietly(function, *arguments):
+    """NengoLoihi warns of weights that lose bits; random networks do little else."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return function(*arguments)
+
+
+def paper_spec(scale=2.0, placement="chip", seed=0, **presentation):
+    """The paper's architecture with random weights that make it spike."""
+    rng = np.random.default_rng(seed)
+    lif = Neurons("lif", amplitude=0.01)
+
+    def layer(name, before, after, kernel, size, bias, **changes):
+        values = {
+            "name": name, "kind": "conv", "input_shape": before, "shape": after,
+            "placement": "chip", "neurons": lif, "synapse": 0.005, "kernel": kernel,
+            "block_shape": None, "pop_type": 32,
+            "weights": rng.normal(0, size, (kernel, kernel, before[-1], after[-1])),
+            "bias": np.full(after[-1], bias), **changes,
+        }  # fmt: skip
+        return Layer(**values)
+
+    dense = {"kind": "dense", "placement": "host", "neurons": None}
+    dense["weights"] = rng.normal(0, 0.1, (10, 600))
+    return NetworkSpec(
+        "10x10-6c4-24c3-10o",
+        (10, 10, 1),
+        Encoder() if placement == "chip" else None,
+        (
+            layer("conv1", (10, 10, 1), (7, 7, 6), 4, 0.5 * scale, 0.7, placement=placement),
+            layer("conv2", (7, 7, 6), (5, 5, 24), 3, 0.25 * scale, 0.8, block_shape=(3, 5, 24)),
+            layer("output", (5, 5, 24), (10,), 0, 0, 0.0, **dense),
+        ),
+        Presentation(**presentation),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("placement", ["chip", "host"])
+def test_the_papers_network_is_identical_in_all_compartments(placement):
+    spec = paper_spec(placement=placement, steps=40, gap=10)
+    images = images_for(spec, 2)
+    expected = reference(spec, images)
+    for kernel in ("numba", "numpy"):
+        assert_identical(spec, images, expected, kernel)
+    assert all(spikes.any() for spikes in expected.spikes.values())
+
+
+@pytest.mark.parametrize("kernel", ["numba", "numpy"])
+def test_target_answers_like_the_emulator(kernel):
+    spec = paper_spec(steps=30, gap=5, readout_start=5, stream_length=2)
+    images = images_for(spec, 5)
+    streams = [images[:2], images[2:4], images[4:]]
+    expected = join(run_emulator(spec, streams))
+    answer = join(run_fast(spec, streams, kernel=kernel))
+    np.testing.assert_allclose(answer.scores, expected.scores, atol=1e-9, rtol=0)
+    assert np.array_equal(answer.decisions, expected.decisions)
+    assert list(answer.spikes) == list(expected.spikes)
+    for name in expected.spikes:
+        assert np.array_equal(answer.spikes[name], expected.spikes[name])
+    for name in expected.operations:
+        assert np.array_equal(answer.operations[name], expected.operations[name])
+
+
+@pytest.mark.parametrize("kernel", ["numba", "numpy"])
+def test_a_streams_answer_does_not_depend_on_batch_chunk_or_threads(kernel):
+    spec = paper_spec(steps=20, gap=5, readout_start=0, stream_length=2)
+    images = images_for(spec, 14)
+    streams = [images[i : i + 2] for i in range(0, 14, 2)]
+    alone = [next(iter(run_fast(spec, [stream], kernel=kernel))) for stream in streams]
+    for options in ({}, {"threads": 3}, {"memory": 60_000}, {"memory": 1, "threads": 2}):
+        together = list(run_fast(spec, streams, kernel=kernel, **options))
+        assert len(together) == len(streams)
+        for a, b in zip(alone, together, strict=True):
+            assert np.array_equal(a.scores, b.scores)
+            assert np.array_equal(a.decisions, b.decisions)
+            assert all(np.array_equal(a.spikes[name], b.spikes[name]) for name in a.spikes)
+
+
+def test_both_kernels_decode_to_the_last_bit():
+    program = compile_spec(paper_spec())
+    images = images_for(paper_spec(), 3)[None]
+    numba, numpy = (Emulation(program, k).run(images, 30, 5).output for k in ("numba", "numpy"))
+    assert np.array_equal(numba, numpy)
+
+
+def test_streams_of_unlike_length_come_back_in_order():
+    spec = paper_spec(steps=10, gap=0, readout_start=0)
+    images = images_for(spec, 9)
+    streams = [images[:1], images[1:4], images[4:7], images[7:]]
+    answers = list(run_fast(spec, iter(streams)))
+    assert [len(answer.scores) for answer in answers] == [1, 3, 3, 2]
+    for stream, answer in zip(streams, answers, strict=True):
+        assert np.array_equal(answer.scores, next(run_fast(spec, [stream])).scores)
+
+
+def loud_spec(filters, sign):
+    """36 neurons a filter, all spiking at every other step, onto three with one large weight."""
+    conv = Layer(
+        "conv1", "conv", (6, 6, 1), (6, 6, filters), "chip", Neurons("relu", amplitude=0.01), None,
+        1, None, 32, np.full((1, 1, 1, filters), 1000.0), np.zeros(filters),
+    )  # fmt: skip
+    output = Layer(
+        "output", "dense", (6, 6, filters), (3,), "chip", Neurons("lif", amplitude=1.0), 0.1,
+        0, None, 32, np.full((3, 36 * filters), sign * 3.0), np.array([-9.0, 0.0, 9.0]),
+    )  # fmt: skip
+    presentation = Presentation(steps=60, gap=3, readout_start=0)
+    return NetworkSpec("loud", (6, 6, 1), Encoder(1000.0), (conv, output), presentation)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("filters", "kinds"), [(8, ["q0"]), (3, ["current", "u2"])])
+def test_overflows_are_identical_counted_and_warned_of_by_layer(filters, kinds, sign):
+    spec = loud_spec(filters, sign)
+    images = np.ones((1, 36))
+    expected = reference(spec, images)
+    totals = dict(zip(OVERFLOWS, expected.overflows.sum(axis=0), strict=True))
+    assert set(kinds) <= {kind for kind, n in totals.items() if n}
+    told = ", ".join(f"{n} in {kind}" for kind, n in totals.items() if n)
+    for kernel in ("numba", "numpy"):
+        assert_identical(spec, images, expected, kernel)
+        with pytest.warns(RuntimeWarning, match=f"layer 'output': overflows .*: {told}"):
+            list(run_fast(spec, [images], kernel=kernel))
+
+
+def test_no_warning_without_overflows(recwarn):
+    list(run_fast(paper_spec(steps=5, gap=0, readout_start=0), [images_for(paper_spec(), 1)]))
+    assert not [w for w in recwarn if issubclass(w.category, RuntimeWarning)]
+
+
+def test_silence_gives_zeros():
+    spec = paper_spec(scale=0.0, steps=5, gap=0, readout_start=0)
+    (answer,) = quietly(list, run_fast(spec, [np.zeros((2, 100))]))
+    assert not answer.scores.any()
+    assert answer.spikes["input"].sum() == 0
+
+
+def test_decay_by_hand():
+    x = np.array([0, 1, -1, 4095, -4095, 4096, -4097, 2**23 - 1, -(2**23)], np.int32)
+    decayed = x.copy()
+    kernel_numpy._decay(decayed, np.int32(3354), signed=True)
+    by_hand = [int(np.sign(v)) * (abs(int(v)) * 3354 // 4096) for v in x]
+    assert decayed.tolist() == by_hand
+
+
+def test_unknown_kernel():
+    with pytest.raises(UserError, match="no kernel 'cuda'; the kernels are numba, numpy"):
+        next(run_fast(paper_spec(), [np.zeros((1, 100))], kernel="cuda"))
+
+
+# --- what it refuses --------------------------------------------------------------------------
+
+
+def small_network(**changes):
+    """Node -> host spikes -> chip -> node, and what a test changes in it."""
+    with nengo.Network(seed=0) as network:
+        nengo_loihi.add_params(network)
+        source = nengo.Node(np.zeros(4), label="pixels")
+        encoder = nengo.Ensemble(
+            4, 1, neuron_type=changes.get("encoder", nengo.SpikingRectifiedLinear()),
+            gain=np.ones(4), bias=np.zeros(4), label="input",
+        )  # fmt: skip
+        network.config[encoder].on_chip = False
+        nengo.Connection(source, encoder.neurons, synapse=None)
+        chip = nengo.Ensemble(
+            4, 1, neuron_type=nengo.LIF(), gain=np.ones(4), bias=np.ones(4), label="chip"
+        )
+        nengo.Connection(encoder.neurons, chip.neurons, transform=np.eye(4), synapse=0.005)
+        sink = nengo.Node(changes.get("sink"), size_in=2, label="sink")
+        nengo.Connection(
+            chip.neurons, sink, transform=np.ones((2, 4)), synapse=changes.get("synapse", 0.005)
+        )
+        output = nengo.Probe(sink, synapse=changes.get("probe"))
+    return network, source, encoder, chip, sink, output
+
+
+def refusal(parts):
+    with pytest.raises(UserError, match="the target 'fast' cannot do") as raised:
+        compile_network(parts[0], parts[1], parts[-1])
+    return str(raised.value)
+
+
+def test_compiles_a_network_of_ones_own():
+    network, source, *_, output = small_network()
+    before = source.output
+    program = compile_network(network, source, output)
+    assert program.network.n == 4
+    assert source.output is before
+
+
+def test_refuses_feedback_through_the_host():
+    network, source, encoder, _, sink, output = small_network()
+    with network:
+        nengo.Connection(sink, encoder.neurons, transform=np.ones((4, 2)), synapse=0.01)
+    assert "feedback" in refusal((network, source, output))
+
+
+def test_refuses_learning():
+    network, source, *_, output = small_network()
+    with network:
+        ensemble = nengo.Ensemble(20, 1, neuron_type=nengo.LIF(), label="learner")
+        target = nengo.Node(size_in=1)
+        error = nengo.Node(size_in=1)
+        nengo.Connection(target, error)
+        connection = nengo.Connection(ensemble, target, learning_rule_type=nengo.PES())
+        nengo.Connection(error, connection.learning_rule)
+    assert "learning" in refusal((network, source, output))
+
+
+def test_refuses_noise():
+    network, source, _, chip, _, output = small_network()
+    build = nengo_loihi.builder.Model.build
+
+    def noisy(model, obj, *args, **kwargs):
+        built = build(model, obj, *args, **kwargs)
+        if obj is chip:
+            model.objs[chip]["in"].compartment.enable_noise[:] = True
+        return built
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(nengo_loihi.builder.Model, "build", noisy)
+        assert "noise" in refusal((network, source, output))
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"encoder": nengo.PoissonSpiking(nengo.LIFRate())}, "PoissonSpiking"),
+        ({"synapse": nengo.Alpha(0.005)}, "Alpha"),
+        ({"sink": lambda t, x: x**2}, "a function on the output node"),
+        ({"probe": 0.01}, "a filter"),
+    ],
+)
+def test_refuses_by_name(changes, named):
+    parts = small_network(**changes)
+    assert named in refusal((parts[0], parts[1], parts[-1]))
+
+
+def test_refuses_input_neurons_that_feed_each_other():
+    network, source, encoder, *_, output = small_network()
+    with network:
+        nengo.Connection(encoder.neurons, encoder.neurons, transform=0.1, synapse=None)
+    refusal((network, source, output))
+
+
+def test_refuses_an_output_decoded_on_the_chip():
+    network, source, _, chip, *_ = small_network()
+    with network:
+        output = nengo.Probe(chip)
+    assert "neither a node nor neurons" in refusal((network, source, output))
+
+
+def test_says_what_nengo_loihi_cannot_build():
+    with nengo.Network(seed=0) as network:
+        nengo_loihi.add_params(network)
+        source = nengo.Node(np.zeros(2))
+        sink = nengo.Node(size_in=2)
+        nengo.Connection(source, sink)
+        output = nengo.Probe(sink)
+    with pytest.raises(UserError, match="NengoLoihi cannot build this network: No neurons"):
+        compile_network(network, source, output)
+
+
+def test_fresh_state_is_zero():
+    state = State.fresh(compile_spec(paper_spec()).network, 3)
+    assert state.current.shape == (3, 894)
+    assert not any(getattr(state, name).any() for name in vars(state))
