@@ -144,10 +144,10 @@ def test_a_row_that_was_not_run_says_so(benchmark):
 
 
 SMALL = (
-    "--splits 1 --jobs 1 --kind random --set data.samples_per_digit=12 --set cnn.epochs=1 "
-    "--set snn.epochs=1 --set slayer.epochs=1 --set slayer.bins=20 --set check.samples=5 "
-    "--set presentation.steps=20"
-).split()
+    *("--splits", "1", "--jobs", "1", "--kind", "random", "--set", "data.samples_per_digit=12"),
+    *("--set", "cnn.epochs=1", "--set", "snn.epochs=1", "--set", "slayer.epochs=1"),
+    *("--set", "slayer.bins=20", "--set", "check.samples=5", "--set", "presentation.steps=20"),
+)
 
 
 def run(capsys, *arguments):
@@ -160,13 +160,14 @@ def run(capsys, *arguments):
 def test_the_command_runs_resumes_and_prints(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("STMNIST_CACHE", str(tmp_path / "cache"))
     out = tmp_path / "out"
-    models = ",".join(table2.MODELS)
+    names = ["cnn", "ann-snn", "slayer", "own-loihi"]  # each recipe and each kind of answer once
+    models = ",".join(names)
     status, said = run(capsys, "--out", str(out), "--models", models, *SMALL)
     assert status == 0, said.err
     table = json.loads((out / "table2.json").read_text())
-    assert [row["model"] for row in table["rows"]] == list(table2.MODELS)
+    assert [row["model"] for row in table["rows"]] == names
     assert all(len(row["per_split"]) == 1 for row in table["rows"])
-    assert [row["n_test"] for row in table["rows"]] == [24, 24, 5, 24, 24, 5]
+    assert [row["n_test"] for row in table["rows"]] == [24, 24, 24, 5]
 
     # One result gone, the chain it belongs to is run again, nothing else.
     def refuse(*_):
