@@ -17,7 +17,7 @@ SOURCE_OPTIONS := $(if $(DATA),--data "$(DATA)") $(if $(SEED),--seed $(SEED)) --
 BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $(PARTITION))
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
 
-.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report test lint setup-inrc test-inrc clean help
+.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report test lint setup-inrc test-inrc setup-nir test-nir check-nir clean help
 .DEFAULT_GOAL := help
 
 setup: .venv/installed  ## Make .venv with everything pinned in constraints.txt (2.5 GB)
@@ -69,6 +69,24 @@ setup-inrc: .venv-inrc/installed  ## Make .venv-inrc, the Python 3.8 of an INRC 
 
 test-inrc: setup setup-inrc  ## Show that a copied bundle gives the same result on Python 3.8
 	@$(BIN)/python -m pytest tests/deploy/test_travel.py -k python_38
+
+setup-nir: .venv-nir/installed  ## Make .venv-nir: Norse on PyTorch for the CPU, which reads NIR (1 GB)
+
+.venv-nir/installed: tests/nir_reader/requirements.txt
+	@$(PYTHON) -m venv --clear .venv-nir
+	@.venv-nir/bin/pip install -qq -r tests/nir_reader/requirements.txt
+	@.venv-nir/bin/pip install -qq --no-deps norse==1.1.0
+	@touch $@
+
+test-nir: setup setup-nir  ## Show that Norse gives what the export to NIR should
+	@$(BIN)/python -m pytest tests/deploy/test_nir.py
+
+check-nir: convert setup-nir  ## The check's samples in Norse, compared with checks/emulator.json
+	@$(STMNIST) check run $(RUN)/bundle --target emulator
+	@$(STMNIST) deploy export $(RUN)/bundle --format nir --out $(RUN)/nir/network.nir --inputs $(RUN)/nir/input.npz
+	@.venv-nir/bin/python tests/nir_reader/run_norse.py $(RUN)/nir/network.nir $(RUN)/nir/input.npz $(RUN)/nir/output.npz
+	@$(BIN)/python -m tests.nir_reader.result $(RUN)/bundle $(RUN)/nir/input.npz $(RUN)/nir/output.npz $(RUN)/checks/norse.json
+	@$(STMNIST) check compare $(RUN)/checks/emulator.json $(RUN)/checks/norse.json
 
 clean:  ## Remove the run RUN; the cache and .venv stay
 	@rm -rf $(RUN)

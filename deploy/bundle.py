@@ -84,6 +84,8 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
     the earlier bundle as it was.
     """
     path = Path(path)
+    if path.exists() and not path.is_dir():
+        raise UserError(f"{path}: is a file, not a bundle's folder; move it away")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(dir=str(path.parent), prefix=".bundle."))

@@ -73,7 +73,7 @@ def run_check(
             remaining, run(bundle.spec, [images[s] for s in remaining], seed, **options)
         ):
             now = time.perf_counter()
-            record = {"samples": _records(bundle, part, responses), "seconds": now - begun}
+            record = {"samples": records_of(bundle, part, responses), "seconds": now - begun}
             if responses.notes:
                 record["notes"] = responses.notes
             begun = now
@@ -93,7 +93,8 @@ def _advance(advance, record):
         advance(len(record["samples"]))
 
 
-def _records(bundle, part, responses: Responses) -> list:
+def records_of(bundle: Bundle, part: slice, responses: Responses) -> list:
+    """What is kept of each sample of a part of the check."""
     checks = bundle.checks
     return [
         {

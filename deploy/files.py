@@ -119,13 +119,16 @@ def read_arrays(path, remedy):
     """
     try:
         with np.load(str(path), allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
+            arrays = {name: archive[name] for name in archive.files}
     except OSError as error:
         raise UserError(f"{path}: cannot read ({error.strerror or error}); {remedy}") from error
     except (ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:
         raise UserError(f"{path}: damaged or not an .npz of plain arrays; {remedy}") from error
     except Exception as error:  # zlib.error and whatever else a damaged archive provokes
         raise UserError(f"{path}: damaged ({type(error).__name__}); {remedy}") from error
+    if not all(isinstance(array, np.ndarray) for array in arrays.values()):
+        raise UserError(f"{path}: damaged or not an .npz of plain arrays; {remedy}")
+    return arrays
 
 
 def sha256_of(path):

@@ -29,14 +29,38 @@ class Feed:
     """
 
     def __init__(self, spec):
-        self.period = spec.presentation.steps + spec.presentation.gap
-        self.steps = spec.presentation.steps
+        self.period = spec.presentation.gap + spec.presentation.steps
+        self.gap = spec.presentation.gap
         self.blank = np.zeros(int(np.prod(spec.input_shape)))
         self.images = self.blank[None]
 
     def __call__(self, t):
         sample, step = divmod(round(float(t) / DT) - 1, self.period)
-        return self.images[sample] if step < self.steps else self.blank
+        return self.images[sample] if step >= self.gap else self.blank
+
+
+class EvenSpikes(nengo.SpikingRectifiedLinear):
+    """Evenly spaced spikes that begin from the same phase whenever the input has been blank.
+
+    Parameters
+    ----------
+    phase : float
+        Voltage while there is no input, as a share of the threshold.
+    amplitude : float
+    """
+
+    phase = nengo.params.NumberParam("phase", low=0, high=1)
+
+    def __init__(self, phase=0.5, amplitude=1.0):
+        super().__init__(
+            amplitude=amplitude, initial_state={"voltage": nengo.dists.Choice([phase])}
+        )
+        self.phase = phase
+
+    def step(self, dt, J, output, voltage):
+        """One step of Nengo's neurons, then the reset; arrays of any one shape."""
+        super().step(dt, J, output, voltage)
+        voltage[J <= 0] = self.phase
 
 
 @dataclass(frozen=True)
@@ -130,10 +154,7 @@ def _encoder(spec):
     return nengo.Ensemble(
         int(np.prod(spec.input_shape)),
         1,
-        neuron_type=nengo.SpikingRectifiedLinear(
-            amplitude=1 / encoder.max_rate,
-            initial_state={"voltage": nengo.dists.Choice([encoder.initial_phase])},
-        ),
+        neuron_type=EvenSpikes(encoder.initial_phase, amplitude=1 / encoder.max_rate),
         gain=nengo.dists.Choice([encoder.max_rate]),
         bias=nengo.dists.Choice([0.0]),
         label="input",

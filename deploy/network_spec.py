@@ -55,15 +55,16 @@ class Encoder:
     """How the tactile image becomes spikes: host neurons without leak, one a pixel.
 
     A pixel of value v makes ``max_rate * v`` spikes a second, evenly spaced, each of area
-    1 / ``max_rate``, so that the mean of the spike train is v again.
+    1 / ``max_rate``, so that the mean of the spike train is v again.  A pixel that turns blank
+    forgets what it had summed up, so that a sample's spikes do not depend on the one before it.
 
     Attributes
     ----------
     max_rate : float
         Spikes a second of a pixel of value 1; at most 1 / dt, one spike a step.
     initial_phase : float
-        Voltage at the start of a stream as a share of the threshold.  With 0.5 the number of
-        spikes is the expected number rounded to the nearest, with 0 it is rounded down.
+        Voltage of a blank pixel as a share of the threshold.  With 0.5 the number of spikes is the
+        expected number rounded to the nearest, with 0 it is rounded down.
     """
 
     max_rate: float = 500.0
@@ -153,16 +154,17 @@ class Layer:
 class Presentation:
     """How samples are shown and read; every target follows it step by step.
 
-    Samples come in streams.  A stream starts from a fresh network; in it each sample is shown for
-    ``steps`` steps and followed by ``gap`` steps of a blank image, and the network goes on from the
-    state that it is in, because a board cannot be reset between samples.
+    Samples come in streams.  A stream starts from a fresh network; in it each sample follows
+    ``gap`` steps of a blank image and is shown for ``steps`` steps.  The network goes on from the
+    state that it is in, because a board cannot be reset between samples.  The gap comes first, so
+    that every sample, the first of a stream too, meets a network at rest under its bias currents.
 
     Attributes
     ----------
     steps : int
         Steps (of 1 ms) that a sample is shown for.
     gap : int
-        Blank steps after each sample.
+        Blank steps before each sample.
     readout_start : int
         Steps at the start of each sample that the readout leaves out.
     stream_length : int

@@ -27,7 +27,7 @@ class Responses:
     decisions : ndarray of int, shape (n_samples, steps)
         Decision at each step; -1 before the readout starts.
     spikes : dict of str to ndarray of int, shape (n_samples,)
-        Spikes of each layer while the sample was shown and in the gap after it.
+        Spikes of each layer while the sample was shown and in the gap before it.
     operations : dict of str to ndarray of int, shape (n_samples,)
         Synaptic operations by the layer that receives them, in the same time.
     notes : dict
@@ -83,7 +83,7 @@ def show(spec: NetworkSpec, built, sim, images) -> Responses:
         The simulator handed back fewer steps than it was asked for.
     """
     built.feed.images = images
-    period, shown = built.feed.period, spec.presentation.steps
+    period, gap = built.feed.period, spec.presentation.gap
     outputs, spikes = [], {name: [] for name in built.spikes}
     for _ in images:  # sample by sample, so that the probes hold no more than one sample's steps
         sim.run_steps(period)
@@ -92,7 +92,7 @@ def show(spec: NetworkSpec, built, sim, images) -> Responses:
             if len(rows) != period:
                 raise ShortOfSteps(f"{len(rows)} of {period} steps of layer {name} came back")
             spikes[name].append(np.count_nonzero(rows, axis=0))
-        outputs.append(np.array(sim.data[built.output][:shown]))
+        outputs.append(np.array(sim.data[built.output][gap:]))
         sim.clear_probes()
     return read_output(spec, np.array(outputs), {n: np.array(c) for n, c in spikes.items()})
 
@@ -107,7 +107,7 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
         The readout's value at each step that a sample is shown for: decoded on the host, or spikes
         of the output neurons (``amplitude / dt`` in a step with a spike).
     spikes : dict of str to ndarray of int, shape (n_samples, n_neurons)
-        Spikes of each neuron of each spiking layer, the gap after the sample included.
+        Spikes of each neuron of each spiking layer, the gap before the sample included.
 
     Returns
     -------

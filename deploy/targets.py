@@ -99,6 +99,12 @@ def _loihi_simulator(network, target):
         return nengo_loihi.Simulator(network, target=target, precompute=True)
     except (nengo.exceptions.BuildError, nengo.exceptions.ValidationError) as error:
         raise UserError(f"NengoLoihi cannot build this network: {error}") from error
+    except AttributeError as error:
+        # NengoLoihi trips over its own message where pop_type 16 meets filters not in fours.
+        raise UserError(
+            f"NengoLoihi cannot build this network ({error}); what does not fit a core is said by "
+            "'stmnist deploy plan'"
+        ) from error
 
 
 def _run(spec: NetworkSpec, streams: Iterable, seed, simulator) -> Iterator[Responses]:

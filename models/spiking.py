@@ -61,7 +61,7 @@ def encode(images, steps: int, rate: float, phase: float) -> np.ndarray:
 
 
 def decay_of(tau: float) -> float:
-    """A time constant's decay a step, ``exp(-dt / tau)``, as the 12 bits of a compartment hold it."""
+    """Decay a step, ``exp(-dt / tau)``, as the 12 bits of a compartment hold it."""
     return 1 - round(-np.expm1(-DT / tau) * DECAY_LEVELS) / DECAY_LEVELS if tau else 0.0
 
 

@@ -14,6 +14,8 @@ from deploy import __version__
 from deploy.errors import CheckFailed, UserError
 from models.notation import NotationError
 from pipeline.commands import benchmark, check, data, report, run
+from pipeline.commands import deploy as deployment
+from pipeline.commands import skin as _skin  # noqa: F401 - adds its verbs to data.app
 
 # Typer brings its own copy of Click from some version on: these are the classes that it raises.
 UsageError = typer.BadParameter.__base__
@@ -34,6 +36,7 @@ app.command()(run.train)
 app.command()(run.convert)
 app.add_typer(check.app, name="check")
 app.command()(run.ladder)
+app.add_typer(deployment.app, name="deploy")
 app.add_typer(benchmark.app, name="benchmark")
 app.command("report")(report.report_)
 

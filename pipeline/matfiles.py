@@ -166,11 +166,12 @@ def spiketrain_of(events: Events) -> np.ndarray:
 
 def recording_bytes(recording: MatRecording) -> bytes:
     """A recording as a compressed MATLAB 5 file; inverse of :func:`read_recording`."""
-    variables = {VARIABLE: spiketrain_of(recording.events)}
+    variables = {}  # the events last: without them a file that was cut short is no recording
     if recording.simulated:
         variables["simulated"] = 1.0
     if recording.writer >= 0:
         variables["writer"] = float(recording.writer)
+    variables[VARIABLE] = spiketrain_of(recording.events)
     return _mat_bytes(variables)
 
 

@@ -12,8 +12,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from deploy import __version__
 from deploy.bundle import Bundle
+from deploy.energy import estimate
 from pipeline import charts, statistics
-from pipeline.energy import estimate_energy
 from pipeline.images import aggregate, normalise
 from pipeline.ladder import ladder_json
 from pipeline.recordings import Recordings, collect
@@ -368,8 +368,19 @@ def _energy(inputs):
     counted = [r for r in inputs.results if r["spikes"]]
     if not counted:
         return None
-    rows = estimate_energy(inputs.bundle.spec, counted[-1])
-    return [{"where": w, "count": n, "microjoules": 1e6 * joules} for w, n, joules in rows]
+    got = estimate(inputs.bundle.spec, counted[-1])
+    chip = [layer for layer in got.layers if layer.on_chip]
+    products = sum(layer.multiply_accumulates for layer in got.layers)
+    return {
+        "operations": sum(layer.synaptic_operations for layer in chip),
+        "updates": sum(layer.neuron_updates for layer in chip),
+        "products": products,
+        "microjoules": {
+            "Loihi, layers on the chip": 1e6 * got.chip_joules,
+            "CNN on a CPU": 1e6 * got.cnn_joules("cpu"),
+            "CNN on a GPU, in large batches": 1e6 * got.cnn_joules("gpu"),
+        },
+    }
 
 
 def _activity(inputs):

@@ -236,7 +236,8 @@ def parse_assignments(assignments) -> dict:
 def _toml(value):
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(_toml, value)) + "]"
-    return json.dumps(value, ensure_ascii=False)  # the same for text, numbers and booleans
+    # The same for text, numbers and booleans, but for one character that only TOML escapes.
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _changed(settings, changes, origin, prefix):
@@ -273,7 +274,11 @@ def _coerced(value, default, origin, name):
         if not isinstance(value, (list, tuple)):
             fail("a list")
         return tuple(_coerced(entry, default[0], origin, name) for entry in value)
-    return value if isinstance(value, str) else fail("text")
+    try:
+        value.encode()
+    except (AttributeError, UnicodeEncodeError):
+        fail("text (in UTF-8)")
+    return value
 
 
 def _validate(s: Settings, origin):
@@ -316,6 +321,9 @@ def _validate(s: Settings, origin):
          "for a tactile image of 10x10")  # fmt: skip
     need(len(architecture.convs) >= 1, "cnn.architecture", "a network with a convolution")
     need(architecture.outputs == 10, "cnn.architecture", "a network with an output for each digit")
+    on_chip = architecture.convs[1:] if s.deployment.first_layer == "host" else architecture.convs
+    need(s.deployment.pop_type == 32 or not any(conv.filters % 4 for conv in on_chip),
+         "deployment.pop_type", "32 unless filters on the chip come in multiples of 4")  # fmt: skip
     need(1 <= len(s.snn.max_rates) <= len(architecture.convs) and min(s.snn.max_rates) > 0,
          "snn.max_rates",
          f"1 to {len(architecture.convs)} rates above 0, one a convolution")  # fmt: skip

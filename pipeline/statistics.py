@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 MEASURES = ("on", "off", "x_mean", "y_mean", "x_range", "y_range")
@@ -56,12 +58,16 @@ def table(recordings) -> dict:
     result = {}
     for digit in np.unique(recordings.labels):
         mine = recordings.labels == digit
-        result[int(digit)] = {
-            name: (float(np.nanmean(values[mine])), float(np.nanstd(values[mine], ddof=1)))
-            for name, values in measures.items()
-        }
+        result[int(digit)] = {name: _mean_sd(values[mine]) for name, values in measures.items()}
         result[int(digit)]["samples"] = int(mine.sum())
     return result
+
+
+def _mean_sd(values):
+    """Mean and sample SD of what is not NaN; NaN where there is too little."""
+    values = values[~np.isnan(values)]
+    mean = float(values.mean()) if len(values) else math.nan
+    return mean, float(values.std(ddof=1)) if len(values) > 1 else math.nan
 
 
 _PAPER = {

@@ -20,6 +20,7 @@ from nengo.builder.transforms import ConvInc
 
 from ..errors import UserError
 from ..foreign import nengo_loihi
+from ..network import EvenSpikes
 from .arrays import Layer, Network, Segments
 from .host import HostNeurons, HostOutput
 
@@ -27,6 +28,7 @@ from .host import HostNeurons, HostOutput
 HOST_NEURONS = (
     nengo.LIF,
     nengo.SpikingRectifiedLinear,
+    EvenSpikes,
     nengo_loihi.neurons.LoihiLIF,
     nengo_loihi.neurons.LoihiSpikingRectifiedLinear,
 )

@@ -87,7 +87,7 @@ def _runs(columns):
         return []
     cuts = np.flatnonzero(np.diff(columns) > MAX_GAP) + 1
     edges = [0, *cuts.tolist(), len(columns)]
-    return [slice(a, b) for a, b in zip(edges, edges[1:])]  # noqa: RUF007 (3.8 lacks pairwise)
+    return [slice(a, b) for a, b in zip(edges, edges[1:])]
 
 
 class Kernel:

@@ -71,7 +71,7 @@ class Emulation:
         ----------
         images : (n_streams, n_samples, n_pixels) array
         steps, gap : int
-            For how many steps each image is shown, and a blank one after it.
+            For how many steps each image is shown, and a blank one before it.
         record : bool
             Keep every spike.
         memory : int
@@ -95,7 +95,7 @@ class Emulation:
             outputs, counts = [], collections.Counter()
             for first in range(0, steps + gap, at_once):
                 last = min(first + at_once, steps + gap)
-                shown = [drive if step < steps else blank for step in range(first, last)]
+                shown = [drive if step >= gap else blank for step in range(first, last)]
                 inputs = _host_spikes(host, shown, network.n_inputs)
                 done = self.kernel.advance(state, inputs)
                 outputs.append(stage.advance(done.spikes, done.decoded))
@@ -208,7 +208,7 @@ def run_fast(spec, streams, seed=0, kernel=None, threads=1, memory=MEMORY) -> It
     try:
         for recording in _in_order(run, _batches(streams, size), threads):
             overflows += recording.overflows
-            for index, output in enumerate(recording.output[:, :, :shown]):
+            for index, output in enumerate(recording.output[:, :, gap:]):
                 counts = {name: recording.counts[name][index] for name in spec.spiking_layers}
                 yield read_output(spec, output, counts)
     finally:

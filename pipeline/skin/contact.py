@@ -41,7 +41,8 @@ def press(motion, gain, least, rng, p):
     rows *= motion.force[:, None].astype(np.float32)
     jolts, landings = _jolts(motion, rng, p)
     reach = (
-        rows.max(axis=0)[_TAXELS.x] * columns.max(axis=0)[_TAXELS.y] + jolts.max(axis=0)
+        rows.max(axis=0)[_TAXELS.x] * columns.max(axis=0)[_TAXELS.y]
+        + jolts.max(axis=0, initial=0.0)
     ) * gain
     taxels = np.flatnonzero(reach > least)
     signal = rows[:, _TAXELS.x[taxels]] * columns[:, _TAXELS.y[taxels]]

@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-import importlib.resources
 import json
 import tomllib
 from dataclasses import dataclass
+from pathlib import Path
+
+from deploy.files import write_json
 
 
 @dataclass(frozen=True)
@@ -144,26 +146,42 @@ class Parameters:
 
     def fingerprint(self) -> str:
         """Hexadecimal SHA-256 over every value."""
-        text = json.dumps(dataclasses.asdict(self), sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
+        return _sha256(dataclasses.asdict(self))
+
+    def fingerprint_of_set(self) -> str:
+        """The same without what was fitted, which is only valid for this."""
+        return _sha256({k: v for k, v in dataclasses.asdict(self).items() if k != "forms"})
 
 
-def _folder():
-    return importlib.resources.files(__package__)
+def _sha256(values):
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+
+CALIBRATION = Path(__file__).with_name("calibration.json")
+"""What was fitted, beside ``parameters.toml``, what was set."""
 
 
 @functools.cache
 def load() -> Parameters:
     """The built-in settings."""
-    text = tomllib.loads(_folder().joinpath("parameters.toml").read_text("utf-8"))
-    fitted = json.loads(_folder().joinpath("calibration.json").read_text("utf-8"))
-    sections = {
-        field.name: _typed(field.name, text[field.name])
-        for field in dataclasses.fields(Parameters)
-        if field.name != "forms"
-    }
-    forms = tuple(Form(**fitted["forms"][str(digit)]) for digit in range(10))
-    return Parameters(**sections, forms=forms)
+    values = tomllib.loads(CALIBRATION.with_name("parameters.toml").read_text("utf-8"))
+    fitted = json.loads(CALIBRATION.read_text("utf-8"))["forms"]
+    sections = {name: section(**_tuples(values[name])) for name, section in _SECTIONS.items()}
+    return Parameters(**sections, forms=tuple(Form(**fitted[str(digit)]) for digit in range(10)))
+
+
+def write_calibration(path, parameters: Parameters, about: dict):
+    """Write what was fitted, with how it was.
+
+    Parameters
+    ----------
+    path : path-like
+    parameters : Parameters
+    about : dict
+        Seed and rounds of the fit.
+    """
+    forms = {str(digit): vars(form) for digit, form in enumerate(parameters.forms)}
+    write_json(path, {"fit": {**about, "set": parameters.fingerprint_of_set()}, "forms": forms})
 
 
 _SECTIONS = {
@@ -176,6 +194,5 @@ _SECTIONS = {
 }
 
 
-def _typed(name, values):
-    plain = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
-    return _SECTIONS[name](**plain)
+def _tuples(values):
+    return {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}

@@ -198,7 +198,7 @@ def test_senseless_settings(wrong):
 
 @pytest.mark.slow
 def test_200_samples_of_the_papers_network_equal_the_emulators(nxsdk, tmp_path):
-    bundle = bundle_at(tmp_path / "bundle", paper_spec(steps=50, gap=10), 200)
+    bundle = bundle_at(tmp_path / "bundle", paper_spec(steps=30, gap=5), 200)
     emulated = run_check(bundle, "emulator", tmp_path / "emulator.json")
     executed = run_check(read_bundle(bundle.path), "loihi", tmp_path / "loihi.json")
     assert len({sample["prediction"] for sample in executed["samples"]}) > 2

@@ -12,10 +12,9 @@ import pytest
 
 from deploy.bundle import read_bundle
 from deploy.results import read_result
-from pipeline import energy, report, table2
+from pipeline import report, table2
 from pipeline.replay import replay
 from tests.command import call
-from tests.deploy.networks import paper_spec
 
 BROWSER = next(filter(shutil.which, ("chromium", "chromium-browser", "google-chrome")), None)
 
@@ -207,21 +206,6 @@ def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
             assert len(times) == counted[layer][index]
             assert units.max(initial=0) < played.neurons[layer]
             assert times.max(initial=0) < 12
-
-
-def test_the_energy_of_one_inference_by_hand(tmp_path):
-    spec = paper_spec(steps=100, gap=20)
-    result = {
-        "n_samples": 2,
-        "synaptic_operations": {"conv1": 600, "conv2": 400},
-        "multiply_accumulates": {"conv1": 10_000, "conv2": 20_000},
-    }
-    rows = dict((where, (count, joules)) for where, count, joules in
-                energy.estimate_energy(spec, result))  # fmt: skip
-    assert rows["Loihi, synaptic operations"] == (500, pytest.approx(500 * 27.1e-12))
-    neurons = 7 * 7 * 6 + 5 * 5 * 24
-    assert rows["Loihi, neuron updates"] == (120 * neurons, pytest.approx(120 * neurons * 81e-12))
-    assert rows["CNN on a CPU, multiply-accumulates"] == (30_000, pytest.approx(258e-6))
 
 
 def test_a_history_is_read_back(tmp_path):

@@ -1,0 +1,112 @@
+"""``stmnist deploy``: pre-flight, exports, and the estimate of energy."""
+
+from __future__ import annotations
+
+import io
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Optional
+
+import typer
+
+from deploy.bundle import read_bundle
+from deploy.energy import estimate, estimate_text
+from deploy.errors import UserError
+from deploy.files import replacing, write_arrays
+from deploy.nir_export import input_spikes, write_nir
+from deploy.plan import make_plan, plan_text
+from deploy.rates import firing_rates, rate_summary, rate_warnings, rates_text
+from deploy.results import read_result
+from pipeline.commands import options
+
+app = typer.Typer(help="Before and beside a board: what fits, exports.", no_args_is_help=True)
+
+Bundle = Annotated[Path, typer.Argument(help="The bundle's folder.")]
+
+
+class Format(StrEnum):
+    """What a bundle can be exported to."""
+
+    nir = "nir"
+
+
+@app.command()
+def plan(
+    bundle: Bundle,
+    chips: Annotated[int, typer.Option(help="Chips that may be used.", min=1)] = 1,
+    figure: Annotated[
+        Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
+        typer.Option(help="Draw the placement to this file: .png, .svg or .pdf."),
+    ] = None,
+    as_json: options.Json = False,
+):
+    """Say what the network takes of each core, and refuse one that will not fit (status 2)."""
+    opened = read_bundle(bundle)
+    made = make_plan(opened.spec, chips)
+    images = opened.checks.images[: opened.spec.presentation.stream_length]
+    rates = rate_summary(firing_rates(opened.spec, images)) if not made.problems else {}
+    if as_json:
+        value = made.to_json()
+        value["firing_rates"] = rates
+        value["warnings"] = value["warnings"] + rate_warnings(rates)
+        print(json.dumps(value, indent=2))
+    else:
+        print(plan_text(made))
+        if rates:
+            print(rates_text(rates, len(images)))
+    if figure is not None:
+        _draw(made, figure)
+    if made.problems:
+        raise UserError("the network does not fit: " + made.problems[0])
+
+
+@app.command()
+def export(
+    bundle: Bundle,
+    format: Annotated[Format, typer.Option(help="To what.")],
+    out: Annotated[Path, typer.Option(help="The file to write.")],
+    inputs: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(help="Also write the input spikes of the check's samples, as .npz."),
+    ] = None,
+):
+    """Export the network, so that it reaches other neuromorphic platforms."""
+    opened = read_bundle(bundle)
+    write_nir(out, opened.spec)
+    print(f"written to {out}")
+    if inputs is not None:
+        checks = opened.checks
+        write_arrays(inputs, spikes=input_spikes(opened.spec, checks.images), labels=checks.labels)
+        print(f"input spikes of {len(checks)} samples written to {inputs}")
+
+
+@app.command()
+def energy(
+    bundle: Bundle,
+    result: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Argument(help="A check result (default: checks/emulator.json beside the bundle)."),
+    ] = None,
+    as_json: options.Json = False,
+):
+    """Estimate the energy of an inference from the spikes that a check counted."""
+    opened = read_bundle(bundle)
+    path = result or opened.path.absolute().parent / "checks" / "emulator.json"
+    counted = read_result(path)
+    if counted["bundle"] != opened.id:
+        raise UserError(f"{path}: of another bundle than {bundle}; run the check again")
+    value = estimate(opened.spec, counted)
+    print(json.dumps(value.to_json(), indent=2) if as_json else estimate_text(value))
+
+
+def _draw(made, path):
+    from pipeline.placement import placement_figure
+
+    kind = path.suffix.lstrip(".").lower()
+    if kind not in ("png", "svg", "pdf"):
+        raise UserError(f"{path}: not a picture that can be drawn; use .png, .svg or .pdf")
+    buffer = io.BytesIO()
+    placement_figure(made).savefig(buffer, format=kind, dpi=150)
+    with replacing(path) as file:
+        file.write(buffer.getvalue())

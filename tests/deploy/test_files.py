@@ -1,0 +1,110 @@
+import os
+import zipfile
+
+import numpy as np
+import pytest
+
+from deploy.errors import UserError
+from deploy.files import read_arrays, read_json, replacing, write_arrays, write_json
+
+
+def test_round_trips(tmp_path):
+    value = {"name": "é", "numbers": [1, 2.5, None], "nested": {"a": True}}
+    write_json(tmp_path / "new" / "a.json", value)
+    assert read_json(tmp_path / "new" / "a.json", "") == value
+    arrays = {"x": np.arange(6.0).reshape(2, 3), "names": np.array(["a", "bc"]), "n": np.int64(3)}
+    write_arrays(tmp_path / "a.npz", **arrays)
+    read = read_arrays(tmp_path / "a.npz", "")
+    assert sorted(read) == sorted(arrays)
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(read[name], array)
+        assert read[name].dtype == array.dtype
+
+
+def test_the_same_arrays_make_the_same_bytes(tmp_path):
+    x, y = np.arange(5), np.ones(3)
+    write_arrays(tmp_path / "a.npz", x=x, y=y)
+    write_arrays(tmp_path / "b.npz", y=y, x=x)
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def write_half_and_raise(file, error):
+    file.write("half of")
+    raise error
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_an_interruption_leaves_what_was_there(tmp_path, error):
+    path = tmp_path / "a.txt"
+    path.write_text("before")
+    with pytest.raises(error), replacing(path, "w") as file:
+        write_half_and_raise(file, error)
+    assert path.read_text() == "before"
+    assert os.listdir(tmp_path) == ["a.txt"]
+
+
+def test_what_is_no_json_leaves_what_was_there(tmp_path):
+    write_json(tmp_path / "a.json", {"a": 1})
+    with pytest.raises(ValueError, match="JSON compliant"):
+        write_json(tmp_path / "a.json", {"a": float("nan")})
+    assert read_json(tmp_path / "a.json", "") == {"a": 1}
+    assert os.listdir(tmp_path) == ["a.json"]
+
+
+def test_a_place_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match=r"file/a\.json: cannot write"):
+        write_json(tmp_path / "file" / "a.json", {})
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"{", b'{"a": 1', b"[1, 2]", b"3", b"\xff\xfe", b"[" * 100_000]
+)
+def test_a_broken_json_file_is_one_error_with_the_remedy(tmp_path, content):
+    (tmp_path / "a.json").write_bytes(content)
+    with pytest.raises(UserError, match=r"a\.json: not .*; do this"):
+        read_json(tmp_path / "a.json", "do this")
+    with pytest.raises(UserError, match=r"b\.json: cannot read .*; do this"):
+        read_json(tmp_path / "b.json", "do this")
+
+
+def test_every_flipped_byte_of_an_npz_is_one_error_or_harmless(tmp_path):
+    path = tmp_path / "a.npz"
+    write_arrays(path, x=np.arange(50.0))
+    content = path.read_bytes()
+    refused = 0
+    for position in range(len(content)):
+        damaged = bytearray(content)
+        damaged[position] ^= 0xFF
+        path.write_bytes(damaged)
+        try:
+            read_arrays(path, "do this")
+        except UserError as error:
+            assert str(error).endswith("; do this")  # noqa: PT017
+            refused += 1
+    assert refused > len(content) / 2
+
+
+def test_nothing_pickled_is_read(tmp_path):
+    class Trap:
+        def __reduce__(self):
+            return (os.mkdir, (str(tmp_path / "trapped"),))
+
+    np.savez(tmp_path / "a.npz", x=np.array([Trap()], dtype=object))
+    with pytest.raises(UserError, match=r"not an \.npz of plain arrays"):
+        read_arrays(tmp_path / "a.npz", "")
+    assert not (tmp_path / "trapped").exists()
+
+
+def test_an_npy_file_in_place_of_an_npz(tmp_path):
+    with open(tmp_path / "a.npz", "wb") as file:
+        np.save(file, np.arange(3))
+    with pytest.raises(UserError, match=r"a\.npz"):
+        read_arrays(tmp_path / "a.npz", "")
+
+
+def test_a_zip_of_something_else(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as file:
+        file.writestr("readme.txt", "hello")
+    with pytest.raises(UserError, match=r"not an \.npz of plain arrays"):
+        read_arrays(tmp_path / "a.npz", "")

@@ -1,0 +1,51 @@
+"""Make a check result of what the reader of NIR answered, so that it can be compared.
+
+``python -m tests.nir_reader.result BUNDLE INPUT.npz OUTPUT.npz RESULT.json``
+"""
+
+import sys
+
+import numpy as np
+
+from deploy.bundle import read_bundle
+from deploy.checks import records_of
+from deploy.files import read_arrays, write_json
+from deploy.presentation import read_output
+from deploy.results import result_of
+
+REMEDY = "run 'make check-nir' again"
+
+
+def responses_of(spec, given, answered):
+    """The reader's arrays as the responses of a target.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    given, answered : dict of str to ndarray
+        What went into ``run_norse.py`` and what came out.
+    """
+    spikes = {"input": given["spikes"].sum(1)} if spec.encoder else {}
+    for layer in spec.layers:
+        if layer.neurons is not None:
+            spikes[layer.name] = answered[f"spikes.{layer.name}_neurons"]
+    flat = {
+        name: (np.moveaxis(s, 1, -1) if s.ndim > 2 else s).reshape(len(s), -1).astype(int)
+        for name, s in spikes.items()
+    }
+    readout = spec.layers[-1]
+    bias = readout.bias if readout.neurons is None else 0  # NIR has it in the graph's output
+    shown = answered["outputs"][:, : spec.presentation.steps]
+    return read_output(spec, shown - bias, flat)
+
+
+def main(bundle, given, answered, out):
+    opened = read_bundle(bundle)
+    reader = read_arrays(answered, REMEDY)
+    responses = responses_of(opened.spec, read_arrays(given, REMEDY), reader)
+    samples = records_of(opened, slice(0, len(opened.checks)), responses)
+    write_json(out, result_of(opened, "norse", 0, samples, float(reader["seconds"])))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,159 @@
+import tomllib
+from dataclasses import fields
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deploy.errors import UserError
+from deploy.files import write_json
+from deploy.network_spec import Presentation
+from pipeline.run_folder import RunFolder, is_current, stamp_of
+from pipeline.settings import Settings, parse_assignments, read_settings, write_settings
+
+
+def test_the_papers_numbers_are_the_defaults():
+    settings = Settings()
+    assert settings.cnn.architecture == "10x10-6c4-24c3-10o"
+    assert settings.cnn.epochs == 20
+    assert settings.split.test_fraction == 0.2
+    assert settings.check.samples == 200
+
+
+def test_the_presentation_has_the_bundles_entries():
+    ours = {entry.name for entry in fields(Settings().presentation)}
+    assert ours == {entry.name for entry in fields(Presentation)}
+
+
+@given(
+    seed=st.integers(0, 2**31 - 1),
+    source=st.text(st.characters(exclude_categories=["Cs"]), min_size=1),
+    rates=st.lists(st.floats(1, 900), min_size=1, max_size=2),
+    skip=st.booleans(),
+)
+def test_round_trip(tmp_path_factory, seed, source, rates, skip):
+    changes = {"seed": seed, "data": {"source": source, "skip_bad": skip}}
+    settings = Settings().with_values({**changes, "snn": {"max_rates": rates}}, "here")
+    path = tmp_path_factory.mktemp("settings") / "experiment.toml"
+    write_settings(path, settings)
+    assert read_settings(path) == settings
+    assert set(tomllib.loads(path.read_text())) == {entry.name for entry in fields(Settings)}
+
+
+BAD = [
+    ("epochs", {"epochs": 3}, "unknown setting 'epochs'; known here: .*cnn"),
+    ("cnn.epoch", {"cnn": {"epoch": 3}}, "unknown setting 'cnn.epoch'; known here: .*epochs"),
+    ("section", {"cnn": 3}, r"'cnn' is a section, write it as \[cnn\]"),
+    ("text", {"cnn": {"epochs": "3"}}, "'cnn.epochs' must be a whole number, not '3'"),
+    ("fraction", {"cnn": {"epochs": 3.5}}, "'cnn.epochs' must be a whole number, not 3.5"),
+    ("boolean", {"cnn": {"epochs": True}}, "'cnn.epochs' must be a whole number, not True"),
+    ("number", {"data": {"source": 3}}, "'data.source' must be text .*, not 3"),
+    ("no UTF-8", {"data": {"source": "\udcff.zip"}}, "'data.source' must be text"),
+    ("no boolean", {"data": {"skip_bad": 1}}, "'data.skip_bad' must be true or false, not 1"),
+    ("no list", {"snn": {"max_rates": 100}}, "'snn.max_rates' must be a list"),
+    ("list of text", {"snn": {"max_rates": ["a"]}}, "'snn.max_rates' must be a number"),
+    ("nan", {"cnn": {"learning_rate": float("nan")}}, "'cnn.learning_rate' must be a number"),
+    ("inf", {"snn": {"tau_rc": float("inf")}}, "'snn.tau_rc' must be a number"),
+    ("table", {"seed": {"x": 1}}, "'seed' must be a whole number"),
+    ("negative seed", {"seed": -1}, "'seed' must be from 0"),
+    ("huge seed", {"seed": 2**31}, "'seed' must be from 0"),
+    ("aggregation", {"image": {"aggregation": "total"}}, "one of count, columns"),
+    ("normalisation", {"image": {"normalisation": "mean"}}, "one of max, sum"),
+    ("all test", {"split": {"test_fraction": 1.0}}, "between 0 and 1"),
+    ("no test", {"split": {"test_fraction": 0}}, "between 0 and 1"),
+    ("all validation", {"split": {"validation_fraction": 1}}, "from 0 to below 1"),
+    ("no epochs", {"snn": {"epochs": 0}}, "'snn.epochs' must be 1 or more"),
+    ("no batch", {"cnn": {"batch_size": 0}}, "'cnn.batch_size' must be 1 or more"),
+    ("rate 0", {"cnn": {"learning_rate": 0}}, "'cnn.learning_rate' must be above 0"),
+    ("recipe", {"snn": {"recipe": "magic"}}, "one of loihi, paper"),
+    ("three rates", {"snn": {"max_rates": [1, 2, 3]}}, "1 to 2 rates above 0"),
+    ("no rates", {"snn": {"max_rates": []}}, "1 to 2 rates above 0"),
+    ("rate of nothing", {"snn": {"max_rates": [0]}}, "1 to 2 rates above 0"),
+    ("rate too high", {"snn": {"max_rates": [1000]}}, r"below 1 / snn.tau_ref = 1000"),
+    ("tau_ref", {"snn": {"tau_ref": 0}}, "'snn.tau_ref' must be above 0"),
+    ("placement", {"deployment": {"first_layer": "gpu"}}, "one of chip, host"),
+    ("readout", {"deployment": {"readout": "gpu"}}, "one of chip, host"),
+    ("input rate", {"deployment": {"input_rate": 1001}}, "above 0, at most 1000"),
+    ("phase", {"deployment": {"input_phase": 1}}, "from 0 to below 1"),
+    ("synapse", {"deployment": {"synapse": -1}}, "'deployment.synapse' must be 0 or more"),
+    ("pop type", {"deployment": {"pop_type": 8}}, "16 or 32"),
+    ("pop 16 of 6", {"deployment": {"pop_type": 16}}, "filters on the chip come in multiples of 4"),
+    ("no steps", {"presentation": {"steps": 0}}, "'presentation.steps' must be 1 or more"),
+    ("gap", {"presentation": {"gap": -1}}, "'presentation.gap' must be 0 or more"),
+    ("late readout", {"presentation": {"steps": 15}}, r"below presentation.steps \(15\)"),
+    ("no stream", {"presentation": {"stream_length": 0}}, "1 or more"),
+    ("no samples", {"check": {"samples": 0}}, "'check.samples' must be 1 or more"),
+    ("notation", {"cnn": {"architecture": "10x10-6p2-10o"}}, r"token 2 \('6p2'\)"),
+    ("other image", {"cnn": {"architecture": "12x12-6c4-10o"}}, "tactile image of 10x10"),
+    ("no convolution", {"cnn": {"architecture": "10x10-10o"}}, "a network with a convolution"),
+    ("nine outputs", {"cnn": {"architecture": "10x10-6c4-9o"}}, "an output for each digit"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), [b[1:] for b in BAD], ids=[b[0] for b in BAD])
+def test_a_wrong_setting_is_named(changes, message):
+    with pytest.raises(UserError, match=message) as caught:
+        Settings().with_values(changes, "my.toml")
+    assert str(caught.value).startswith("my.toml: ")
+
+
+def test_a_whole_number_will_do_for_a_fraction():
+    assert Settings().with_values({"snn": {"max_rates": [100]}}, "").snn.max_rates == (100.0,)
+
+
+def test_assignments_of_the_command_line():
+    values = parse_assignments(
+        [
+            "seed=3",
+            "cnn.epochs = 5",
+            "data.source=a b.zip",
+            "snn.max_rates=[1, 2.5]",
+            "data.skip_bad=true",
+            "data.source=x=y",
+        ]
+    )
+    assert values == {
+        "seed": 3,
+        "cnn": {"epochs": 5},
+        "data": {"source": "x=y", "skip_bad": True},
+        "snn": {"max_rates": [1, 2.5]},
+    }
+
+
+@pytest.mark.parametrize(
+    "assignments", [["epochs"], ["=3"], [""], ["cnn=5", "cnn.epochs=3"], ["seed=1", "seed.x=2"]]
+)
+def test_assignments_that_make_no_sense(assignments):
+    with pytest.raises(UserError, match="--set"):
+        parse_assignments(assignments)
+
+
+def test_settings_come_from_folder_file_and_command_line_in_this_order(tmp_path):
+    run = RunFolder(tmp_path / "run")
+    run.save_settings(run.resolve_settings(None, {"seed": 3, "cnn": {"epochs": 7}}))
+    assert run.resolve_settings(None, {}).seed == 3
+    write_settings(tmp_path / "base.toml", Settings().with_values({"cnn": {"epochs": 9}}, ""))
+    resolved = run.resolve_settings(tmp_path / "base.toml", {"seed": 4})
+    assert (resolved.seed, resolved.cnn.epochs) == (4, 9)
+    assert run.resolve_settings(None, {}).cnn.epochs == 7  # until they are saved
+
+
+def test_a_stage_is_current_only_with_its_files_and_its_stamp(tmp_path):
+    stamp = stamp_of("data", 1, {"a": (1, 2)})
+    assert stamp == stamp_of("data", 1, {"a": [1, 2]})
+    assert stamp != stamp_of("data", 1, {"a": [1, 3]})
+    metrics, weights = tmp_path / "metrics.json", tmp_path / "weights.npz"
+    assert not is_current(metrics, stamp, weights)
+    write_json(metrics, {"made_from": stamp})
+    assert not is_current(metrics, stamp, weights)
+    weights.write_bytes(b"")
+    assert is_current(metrics, stamp, weights)
+    assert not is_current(metrics, "other", weights)
+
+
+def test_two_processes_cannot_work_in_one_run(tmp_path):
+    run = RunFolder(tmp_path / "run")
+    with run.locked(), pytest.raises(UserError, match="another process is working"), run.locked():
+        pass
+    with run.locked():
+        pass

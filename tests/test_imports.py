@@ -1,0 +1,119 @@
+"""Imports go one way, and what travels to an INRC host needs nothing that is not there."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deploy.files import read_json
+
+from .command import ROOT, environment
+
+HIDDEN = ("tensorflow", "nengo_dl", "keras", "pipeline", "models", "h5py", "typer", "rich", "numba")
+BARRED = f"""
+import sys, runpy
+class Barred:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {HIDDEN!r}:
+            raise ImportError("not on this host: " + name)
+sys.meta_path.insert(0, Barred())
+sys.modules.pop("numba", None)
+"""
+OF_DEPLOY = {"numpy", "scipy", "nengo", "nengo_loihi", "numba", "nxsdk", "deploy"}
+ALLOWED = {
+    "models": {"models"},
+    "deploy": {"deploy"},
+    "pipeline": {"pipeline", "models", "deploy"},
+}
+
+
+def sources(package):
+    return sorted((ROOT / package).rglob("*.py"))
+
+
+def imported(path):
+    """Top-level names that a source file imports, wherever in it."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            names.add(node.module.split(".")[0])
+    return names
+
+
+@pytest.mark.parametrize("package", sorted(ALLOWED))
+def test_packages_import_one_way(package):
+    ours = {"pipeline", "models", "deploy", "tests"}
+    for path in sources(package):
+        assert imported(path) & ours <= ALLOWED[package], path
+
+
+def test_deploy_imports_what_an_inrc_host_has():
+    for path in sources("deploy"):
+        assert imported(path) <= OF_DEPLOY | set(sys.stdlib_module_names), path
+
+
+def test_each_foreign_world_is_in_one_file():
+    def users(name):
+        return {
+            path.relative_to(ROOT).as_posix()
+            for package in ALLOWED
+            for path in sources(package)
+            if name in imported(path)
+        }
+
+    assert users("nengo_dl") == {"pipeline/nengodl.py"}
+    assert users("nengo_loihi") == {"deploy/foreign.py"}
+
+
+def test_deploy_is_written_for_python_38():
+    for path in sources("deploy"):
+        ast.parse(path.read_text(encoding="utf-8"), feature_version=(3, 8))
+
+
+def run(code, *arguments, cwd=None, path=None):
+    return subprocess.run(
+        [sys.executable, "-c", BARRED + code, *map(str, arguments)],
+        cwd=cwd,
+        env=environment(PYTHONPATH=str(path or "")),
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+
+
+def test_every_module_of_deploy_is_imported_without_tensorflow(tmp_path):
+    modules = [
+        ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        for path in sources("deploy")
+        if path.stem != "__main__" and "numba" not in path.stem
+    ]
+    code = f"""
+import importlib
+for name in {modules!r}:
+    importlib.import_module(name)
+"""
+    done = run(code, cwd=tmp_path, path=ROOT)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_copied_bundle_checks_itself_without_tensorflow(tiny_run, tmp_path):
+    import shutil
+
+    bundle = tmp_path / "bundle"
+    shutil.copytree(tiny_run / "bundle", bundle)
+    code = """
+sys.argv = sys.argv[1:]
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+    done = run(code, "deploy.pyz", "check", ".", "--target", "nengo", cwd=bundle)
+    assert done.returncode == 0, done.stderr
+    assert "nengo: accuracy" in done.stdout
+    ours = read_json(tiny_run / "checks" / "nengo.json", "")
+    theirs = read_json(bundle / "checks" / "nengo.json", "")
+    assert theirs["samples"] == ours["samples"]
+    assert theirs["bundle"] == ours["bundle"]
+    assert Path(tiny_run / "bundle" / "checks").exists() is False
