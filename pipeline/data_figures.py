@@ -137,8 +137,10 @@ def _image(events, until_s, taxels):
 
 
 def _source(recordings):
-    kind = "" if recordings.source.simulated else "recordings, "
-    return kind + recordings.source.name
+    name = recordings.source.name
+    if recordings.source.simulated and "simulated" not in name:
+        return f"{name}, simulated"
+    return name
 
 
 def _title(recordings, index):

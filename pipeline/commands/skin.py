@@ -19,8 +19,10 @@ from pipeline.archive import write_zip
 from pipeline.commands import options
 from pipeline.commands.data import app
 from pipeline.progress import progress
+from pipeline.settings import Settings
 from pipeline.skin import aces, calibrate, parameters, unipen
-from pipeline.skin.simulate import SAMPLES_PER_DIGIT, simulate
+from pipeline.skin import difficulty as measured
+from pipeline.skin.simulate import SAMPLES_PER_DIGIT, simulate, source_of
 from pipeline.sources import SIMULATED, load_recordings
 
 Source = Annotated[str, typer.Option("--data", help="ST-MNIST zip or folder, or 'simulated'.")]
@@ -223,7 +225,9 @@ def calibrate_(
     if not check:
         with progress("calibrate", rounds * sum(SAMPLES_PER_DIGIT)) as advance:
             fitted, _ = calibrate.calibrate(fitted, rounds, seed, jobs, advance=advance)
-        parameters.write_calibration(out, fitted, {"seed": seed, "rounds": rounds})
+        content = source_of(seed, parameters=fitted).sha256
+        about = {"seed": seed, "rounds": rounds, "recordings_sha256": content}
+        parameters.write_calibration(out, fitted, about)
     with progress("simulate", sum(SAMPLES_PER_DIGIT)) as advance:
         recordings = simulate(seed, jobs=jobs, advance=advance, parameters=fitted)
     cells = calibrate.cells(statistics.table(recordings))
@@ -243,26 +247,22 @@ def difficulty(
     data: Source = SIMULATED,
     seed: SimulationSeed = 0,
     splits: Annotated[int, typer.Option(help="Random 80-20 splits.", min=1)] = 10,
-    out: Annotated[
-        Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
-        typer.Option(help="Store the result as JSON."),
-    ] = None,
+    store: Annotated[
+        bool, typer.Option("--store", help="Keep the result beside the simulation's settings.")
+    ] = False,
     jobs: options.Jobs = 2,
 ):
     """Measure how hard the recordings are: the paper's CNN under the paper's protocol."""
-    from pipeline.settings import Settings
-    from pipeline.skin import difficulty as measured  # TensorFlow takes seconds to import
-
     recordings = load_recordings(data, seed, jobs=jobs)
     settings = Settings()
     with progress("train", splits * settings.cnn.epochs) as advance:
         accuracies = measured.measure(recordings, splits, settings, advance)
-    mean, spread = np.mean(accuracies), np.std(accuracies, ddof=1) if splits > 1 else 0.0
+    mean, spread = np.mean(accuracies), np.std(accuracies, ddof=1) if splits > 1 else math.nan
     kind = "simulated" if recordings.source.simulated else "recorded"
     print(f"{kind}: accuracy {mean:.4f} (SD {spread:.4f}) over {splits} splits; paper 0.89 (0.01)")
-    if out is not None:
+    if store:
         write_json(
-            out,
+            measured.RECORD,
             {
                 "source": recordings.source.name,
                 "sha256": recordings.source.sha256,

@@ -52,7 +52,7 @@ An SD of 1403 OFF events at a mean of 810 (paper, Table 1, digit 3), where the O
 BOUNDS = {
     "height": (6.5, 9.0),
     "width": (3.0, 8.6),
-    "down": (4.0, 5.2),
+    "down": (3.8, 5.3),
     "right": (4.0, 5.8),
     "force": (-2.0, 1.0),
     "spread": (0.3, 3.0),

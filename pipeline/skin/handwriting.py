@@ -10,9 +10,9 @@ Cybernetics 72, 1995; R. Plamondon and M. Djioua, Human Movement Science 25, 200
 from __future__ import annotations
 
 import functools
-import importlib.resources
 import tomllib
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.special import expit, ndtr, ndtri
@@ -22,6 +22,10 @@ LOGNORMAL_REACH = 2.3
 
 MOST_TURN = 3.6
 """Largest turn of a stroke in radians; close to a full turn its circle would grow without bound."""
+
+
+ALLOGRAPHS = Path(__file__).with_name("allographs.toml")
+"""Ways of writing each digit."""
 
 
 @dataclass(frozen=True)
@@ -125,8 +129,7 @@ def allographs() -> tuple:
     tuple of tuple of (float, Plan)
         For each digit, the share of writers with the habit, and the plan in a box of unit size.
     """
-    text = importlib.resources.files(__package__).joinpath("allographs.toml").read_text("utf-8")
-    digits = tomllib.loads(text)["digit"]
+    digits = tomllib.loads(ALLOGRAPHS.read_text("utf-8"))["digit"]
     return tuple(
         tuple((entry["share"], _plan(entry["path"])) for entry in digits[str(digit)])
         for digit in range(10)

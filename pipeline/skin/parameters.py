@@ -146,15 +146,8 @@ class Parameters:
 
     def fingerprint(self) -> str:
         """Hexadecimal SHA-256 over every value."""
-        return _sha256(dataclasses.asdict(self))
-
-    def fingerprint_of_set(self) -> str:
-        """The same without what was fitted, which is only valid for this."""
-        return _sha256({k: v for k, v in dataclasses.asdict(self).items() if k != "forms"})
-
-
-def _sha256(values):
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+        text = json.dumps(dataclasses.asdict(self), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
 
 
 CALIBRATION = Path(__file__).with_name("calibration.json")
@@ -178,10 +171,10 @@ def write_calibration(path, parameters: Parameters, about: dict):
     path : path-like
     parameters : Parameters
     about : dict
-        Seed and rounds of the fit.
+        How the fit was made.
     """
     forms = {str(digit): vars(form) for digit, form in enumerate(parameters.forms)}
-    write_json(path, {"fit": {**about, "set": parameters.fingerprint_of_set()}, "forms": forms})
+    write_json(path, {"fit": about, "forms": forms})
 
 
 _SECTIONS = {

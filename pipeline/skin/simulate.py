@@ -24,7 +24,7 @@ from pipeline.skin import parameters as settings
 from pipeline.skin.contact import press
 from pipeline.skin.receptors import fire
 
-VERSION = 1
+VERSION = 2
 """Goes into the hash of the recordings; raise it with any change of what is simulated."""
 
 SAMPLES_PER_DIGIT = (697, 690, 699, 690, 690, 693, 698, 704, 697, 695)
@@ -120,7 +120,7 @@ def source_of(seed=0, samples_per_digit=None, parameters=None, traces=None) -> S
     """What :func:`simulate` of the same arguments will give, by name and hash, without the work."""
     parameters = parameters or settings.load()
     content = [VERSION, int(seed), _counts(samples_per_digit), parameters.fingerprint()]
-    digest = hashlib.sha256(json.dumps(content).encode())
+    digest = hashlib.sha256(json.dumps(content).encode() + handwriting.ALLOGRAPHS.read_bytes())
     for trace in traces or ():
         digest.update(np.array([trace.digit, trace.writer]).tobytes())
         for stroke in trace.strokes:
@@ -194,8 +194,10 @@ def motion(sample, people, rng, p):
     form, kinematics = p.forms[sample.digit], p.kinematics
     who = people[sample.writer] if sample.trace is None else handwriting.NOBODY
     start = rng.uniform(*kinematics.onset_s)
-    tempo = np.exp(form.spread * (who.tempo + p.trials.tempo * rng.standard_normal()))
-    force = form.force + form.spread * (who.force + p.trials.force * rng.standard_normal())
+    # Nobody is ever out of all proportion.
+    faster, harder = np.clip(rng.standard_normal(2), -2.5, 2.5)
+    tempo = np.exp(form.spread * (who.tempo + p.trials.tempo * faster))
+    force = form.force + form.spread * (who.force + p.trials.force * harder)
     if sample.trace is None:
         plan = handwriting.plan(sample.digit, who, rng, p.trials, form)
         write = functools.partial(handwriting.move, plan)
@@ -224,8 +226,8 @@ def _touch(sample, people, gain, rng, p):
     form = p.forms[sample.digit]
     moved = motion(sample, people, rng, p)
     who = people[sample.writer] if sample.trace is None else handwriting.NOBODY
-    rough = form.spread * (who.scrape + p.trials.scrape * rng.standard_normal())
-    skin = replace(p.skin, scrape=p.skin.scrape * np.exp(rough))
+    rough = np.exp(who.scrape + p.trials.scrape * rng.standard_normal())
+    skin = replace(p.skin, scrape=p.skin.scrape * rough)
     gain = gain * np.exp(p.skin.gain_drift * rng.standard_normal(N_TAXELS))
     taxels, signal = press(moved, gain, p.receptor.threshold / 2, rng, skin)
     return Touch(

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from pipeline import cli
 from pipeline.archive import read_source
 from pipeline.commands import skin
 from pipeline.skin import parameters
+from tests.command import call
 
 SEVENS = """\
 .SEGMENT DIGIT 0 ? "7"
@@ -21,21 +21,10 @@ SEVENS = """\
 """
 
 
-@pytest.fixture(autouse=True)
-def cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("STMNIST_CACHE", str(tmp_path / "cache"))
-
-
-def run(*arguments):
-    with pytest.raises(SystemExit) as stop:
-        cli.main(list(map(str, arguments)))
-    return stop.value.code
-
-
 @pytest.fixture
 def archive(tmp_path, capsys):
     path = tmp_path / "few.zip"
-    assert run("data", "simulate", "--out", path, "--samples-per-digit", 3, "--jobs", 1) == 0
+    assert call("data", "simulate", "--out", path, "--samples-per-digit", 3, "--jobs", 1) == 0
     capsys.readouterr()
     return path
 
@@ -44,7 +33,7 @@ def test_simulated_zip_is_read_back_and_counted(archive, capsys):
     recordings = read_source(archive, jobs=1)
     assert recordings.source.simulated
     assert len(recordings) == 30
-    assert run("data", "stats", "--data", archive, "--json", "--jobs", 1) == 0
+    assert call("data", "stats", "--data", archive, "--json", "--jobs", 1) == 0
     stats = json.loads(capsys.readouterr().out)
     assert stats["simulated"] is True
     assert stats["samples"] == 30
@@ -62,11 +51,11 @@ def test_simulated_zip_is_read_back_and_counted(archive, capsys):
 
 
 def test_stats_against_the_paper(archive, capsys):
-    assert run("data", "stats", "--data", archive, "--against-paper", "--json", "--jobs", 1) == 0
+    assert call("data", "stats", "--data", archive, "--against-paper", "--json", "--jobs", 1) == 0
     row = json.loads(capsys.readouterr().out)["digits"]["8"]
     assert row["paper"]["on"] == [1399.14, 898.56]
     assert row["error"]["on"][0] == pytest.approx(row["on"][0] / 1399.14 - 1)
-    assert run("data", "stats", "--data", archive, "--against-paper", "--jobs", 1) == 0
+    assert call("data", "stats", "--data", archive, "--against-paper", "--jobs", 1) == 0
     text = capsys.readouterr().out
     assert "simulated" in text
     assert "1399 (899)" in text
@@ -77,18 +66,18 @@ def test_stats_against_the_paper(archive, capsys):
 def test_plot(what, archive, tmp_path):
     out = tmp_path / f"{what}.png"
     arguments = ["--data", archive, "--sample", "2/0001", "--per-digit", 2, "--jobs", 1]
-    assert run("data", "plot", what, "--out", out, *arguments) == 0
+    assert call("data", "plot", what, "--out", out, *arguments) == 0
     assert out.read_bytes().startswith(b"\x89PNG")
 
 
 def test_plot_mistakes(archive, tmp_path, capsys):
     out = tmp_path / "x.png"
-    assert run("data", "plot", "pie", "--out", out) == 2
+    assert call("data", "plot", "pie", "--out", out) == 2
     assert "choose one of" in capsys.readouterr().err
-    assert run("data", "plot", "sheet", "--out", tmp_path / "x.doc") == 2
+    assert call("data", "plot", "sheet", "--out", tmp_path / "x.doc") == 2
     assert "x.doc" in capsys.readouterr().err
     assert (
-        run("data", "plot", "recording", "--data", archive, "--sample", "none", "--out", out) == 2
+        call("data", "plot", "recording", "--data", archive, "--sample", "none", "--out", out) == 2
     )
     assert "ids are like" in capsys.readouterr().err
     assert not out.exists()
@@ -99,11 +88,11 @@ def test_recorded_handwriting(tmp_path, capsys):
     unipen.write_text(SEVENS)
     out = tmp_path / "written.zip"
     arguments = ["--out", out, "--handwriting", unipen, "--samples-per-digit", 1, "--jobs", 1]
-    assert run("data", "simulate", *arguments) == 2
+    assert call("data", "simulate", *arguments) == 2
     assert "has no 0" in capsys.readouterr().err
     text = "".join(SEVENS.replace('"7"', f'"{digit}"') for digit in range(10))
     unipen.write_text(text)
-    assert run("data", "simulate", *arguments, "--json") == 0
+    assert call("data", "simulate", *arguments, "--json") == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["samples"] == 10
     assert facts["simulated"] is True
@@ -112,17 +101,17 @@ def test_recorded_handwriting(tmp_path, capsys):
 
 
 def test_simulate_mistakes(tmp_path, capsys):
-    assert run("data", "simulate", "--out", tmp_path / "x.tar") == 2
+    assert call("data", "simulate", "--out", tmp_path / "x.tar") == 2
     assert "must end in .zip" in capsys.readouterr().err
     missing = tmp_path / "none.unipen"
-    assert run("data", "simulate", "--out", tmp_path / "x.zip", "--handwriting", missing) == 2
+    assert call("data", "simulate", "--out", tmp_path / "x.zip", "--handwriting", missing) == 2
     assert "none.unipen" in capsys.readouterr().err
 
 
 def test_aces(capsys, monkeypatch):
     monkeypatch.setattr(skin, "NOISES", (0.0, 0.2))
     monkeypatch.setattr(skin, "AT_ONCE", (1, 100))
-    assert run("data", "aces", "--trials", 1, "--json") == 0
+    assert call("data", "aces", "--trials", 1, "--json") == 0
     rows = json.loads(capsys.readouterr().out)
     assert [(row["noise"], row["at_once"]) for row in rows] == [
         (0, 1),

@@ -1,7 +1,5 @@
 """Recorded handwriting: UNIPEN text."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,6 @@ from deploy.errors import UserError
 from pipeline.skin import handwriting, parameters, unipen
 
 P = parameters.load()
-PENDIGITS = Path(__file__).resolve().parents[3] / "shared" / "data" / "pendigits-train.unipen"
 
 SEVEN = """\
 .INCLUDE dene.doc
@@ -83,9 +80,8 @@ def test_missing_file(tmp_path):
         unipen.read(tmp_path / "none")
 
 
-@pytest.mark.skipif(not PENDIGITS.exists(), reason="no ../shared/data/pendigits-train.unipen")
-def test_real_handwriting():
-    traces = unipen.read(PENDIGITS)
+def test_real_handwriting(shared_data):
+    traces = unipen.read(shared_data / "pendigits-train.unipen")
     assert len(traces) == 7494
     assert {trace.writer for trace in traces} == set(range(30))
     assert np.bincount([trace.digit for trace in traces]).min() > 700

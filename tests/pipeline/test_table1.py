@@ -1,15 +1,13 @@
 """The paper's Table 1."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from scipy.io import loadmat
 
 from pipeline import statistics
 from pipeline.matfiles import read_recording
 from pipeline.recordings import Events, Source, TaxelMap, collect
 
-SAMPLE = Path(__file__).resolve().parents[3] / "shared" / "data" / "sample_stmnist.mat"
 SOURCE = Source("by hand", "", False)
 
 
@@ -50,17 +48,14 @@ def test_another_lookup_table():
     assert row["y_range"] == straight["x_range"]
 
 
-@pytest.mark.skipif(not SAMPLE.exists(), reason="no ../shared/data/sample_stmnist.mat")
-def test_the_one_real_recording():
-    recording = read_recording(SAMPLE.read_bytes())
+def test_the_one_real_recording(real_recording):
+    recording = read_recording(real_recording.read_bytes())
     recordings = collect([recording.events], [0], ["real"], [-1], SOURCE)
     measures = {name: values[0] for name, values in statistics.per_sample(recordings).items()}
     assert (measures["on"], measures["off"]) == (1601, 745)
     assert (measures["on_physical"], measures["off_physical"]) == (359, 306)
     # From the array itself, without merging bursts.
-    from scipy.io import loadmat
-
-    rows, _ = np.nonzero(loadmat(SAMPLE)["spiketrain"][:100])
+    rows, _ = np.nonzero(loadmat(real_recording)["spiketrain"][:100])
     assert measures["x_mean"] == pytest.approx((rows % 10 + 1).mean())
     assert measures["y_mean"] == pytest.approx((rows // 10 + 1).mean())
     assert measures["x_range"] == np.ptp(rows % 10)
