@@ -82,6 +82,24 @@ class SNN:
 
 
 @dataclass(frozen=True)
+class Slayer:
+    """Training on the events themselves (paper, Section 3.2.3)."""
+
+    architecture: str = "10x10x2-6c2-24c3-10o"
+    bins: int = 200
+    """Time steps; of two seconds, so 10 ms each (paper)."""
+    epochs: int = 100
+    batch_size: int = 32
+    """Not given in the paper."""
+    learning_rate: float = 0.01
+    """Not given in the paper; that of the SLAYER authors' own examples, as is the optimiser."""
+    true_count: float = 60.0
+    """Desired spikes of the right digit's output neuron (paper)."""
+    false_count: float = 10.0
+    """Desired spikes of each other output neuron (paper)."""
+
+
+@dataclass(frozen=True)
 class Deployment:
     """How the spiking network is laid out; see :mod:`deploy.network_spec`."""
 
@@ -128,6 +146,7 @@ class Settings:
     split: Split = field(default_factory=Split)
     cnn: CNN = field(default_factory=CNN)
     snn: SNN = field(default_factory=SNN)
+    slayer: Slayer = field(default_factory=Slayer)
     deployment: Deployment = field(default_factory=Deployment)
     presentation: Presentation = field(default_factory=Presentation)
     check: Check = field(default_factory=Check)
@@ -274,7 +293,7 @@ def _validate(s: Settings, origin):
     need(s.image.normalisation in NORMALISATIONS, "image.normalisation", _one_of(NORMALISATIONS))
     need(0 < s.split.test_fraction < 1, "split.test_fraction", "between 0 and 1")
     need(0 <= s.split.validation_fraction < 1, "split.validation_fraction", "from 0 to below 1")
-    for name, training in (("cnn", s.cnn), ("snn", s.snn)):
+    for name, training in (("cnn", s.cnn), ("snn", s.snn), ("slayer", s.slayer)):
         need(training.epochs >= 1, f"{name}.epochs", "1 or more")
         need(training.batch_size >= 1, f"{name}.batch_size", "1 or more")
         need(training.learning_rate > 0, f"{name}.learning_rate", "above 0")
@@ -294,10 +313,10 @@ def _validate(s: Settings, origin):
          f"from 0 to below presentation.steps ({s.presentation.steps})")  # fmt: skip
     need(s.presentation.stream_length >= 1, "presentation.stream_length", "1 or more")
     need(s.check.samples >= 1, "check.samples", "1 or more")
-    try:
-        architecture = parse(s.cnn.architecture)
-    except NotationError as error:
-        raise UserError(f"{origin}: 'cnn.architecture': {error}") from error
+    need(s.slayer.bins >= 1, "slayer.bins", "1 or more")
+    need(_parsed(s.slayer.architecture, "slayer.architecture", origin).input_shape == (10, 10, 2),
+         "slayer.architecture", "for 10x10x2, a channel for each polarity")  # fmt: skip
+    architecture = _parsed(s.cnn.architecture, "cnn.architecture", origin)
     need(architecture.input_shape == (10, 10, 1), "cnn.architecture",
          "for a tactile image of 10x10")  # fmt: skip
     need(len(architecture.convs) >= 1, "cnn.architecture", "a network with a convolution")
@@ -310,6 +329,13 @@ def _validate(s: Settings, origin):
          f"1 to {len(architecture.convs)} rates above 0, one a convolution")  # fmt: skip
     need(max(s.snn.max_rates) * s.snn.tau_ref < 1, "snn.max_rates",
          f"below 1 / snn.tau_ref = {1 / s.snn.tau_ref:g} spikes a second")  # fmt: skip
+
+
+def _parsed(architecture, name, origin):
+    try:
+        return parse(architecture)
+    except NotationError as error:
+        raise UserError(f"{origin}: {name!r}: {error}") from error
 
 
 def _one_of(values):
