@@ -42,7 +42,7 @@ def firing_rates(spec: NetworkSpec, images) -> Dict[str, np.ndarray]:
         for _ in images:
             sim.run_steps(built.feed.period)
             for name in on_chip:
-                shown = sim.data[built.spikes[name]][: spec.presentation.steps]
+                shown = sim.data[built.spikes[name]][spec.presentation.gap :]
                 counts[name].append(np.count_nonzero(shown, axis=0))
             sim.clear_probes()
     return {name: np.array(rows) / (spec.presentation.steps * DT) for name, rows in counts.items()}
