@@ -97,7 +97,7 @@ def _advance(advance, record):
 
 def records_of(bundle: Bundle, part: slice, responses: Responses) -> list:
     """What is kept of each sample of a part of the check."""
-    checks = bundle.checks
+    checks, hashes = bundle.checks, responses.spike_hashes
     return [
         {
             "id": checks.ids[index],
@@ -108,6 +108,7 @@ def records_of(bundle: Bundle, part: slice, responses: Responses) -> list:
             "decisions": [int(decision) for decision in responses.decisions[i]],
             "spikes": {name: int(counts[i]) for name, counts in responses.spikes.items()},
             "operations": {name: int(counts[i]) for name, counts in responses.operations.items()},
+            **({} if hashes is None else {"spike_hash": str(hashes[i])}),
         }
         for i, index in enumerate(range(part.start, part.stop))
     ]

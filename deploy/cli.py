@@ -151,6 +151,10 @@ def comparison_text(comparison, shown: int = 10) -> str:
         f"{len(differ)} of {comparison.n_samples} predictions differ "
         f"({len(differ) / comparison.n_samples:.1%}); McNemar p = {comparison.p_value:.3g}",
     ]
+    if comparison.other_spikes == 0:
+        lines.append("every spike of every sample is the same")
+    elif comparison.other_spikes is not None:
+        lines.append(f"spikes differ in {comparison.other_spikes} samples")
     if differ:
         lines.append(f"{'sample':<24} {'label':>5} {a:>9} {b:>9}")
         lines += [f"{s['id']:<24} {s['label']:>5} {s['a']:>9} {s['b']:>9}" for s in differ[:shown]]

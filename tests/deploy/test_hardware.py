@@ -65,7 +65,8 @@ def test_result_has_the_same_schema_and_the_hardware(nxsdk, bundle, emulated, tm
     assert result["versions"]["nxsdk"] == "1.0.0"
     assert all(value > 0 for value in result["timing"].values())
     assert "power" not in result
-    assert compare(read_result(tmp_path / "loihi.json"), emulated).disagreements == []
+    comparison = compare(read_result(tmp_path / "loihi.json"), emulated)
+    assert (comparison.disagreements, comparison.other_spikes) == ([], 0)
 
 
 def test_nxsdk_is_told_board_and_partition_and_only_then(nxsdk, monkeypatch):
@@ -132,9 +133,9 @@ def test_missing_steps_are_noticed(nxsdk, bundle, tmp_path):
 
 
 def test_lost_input_spikes_show_in_the_comparison(nxsdk, bundle, emulated, tmp_path):
-    nxsdk.faults.FAULTS.drop_spikes = 40
+    nxsdk.faults.FAULTS.drop_spikes = 10
     result = run_check(bundle, "loihi", tmp_path / "r.json", settings=PATIENT)
-    assert not same_answers(result, emulated)
+    assert compare(result, emulated).other_spikes >= 1
 
 
 @pytest.mark.parametrize(("version", "wrong"), [("0.8.7", "old"), ("1.1.0", "new")])
