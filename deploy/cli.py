@@ -11,7 +11,7 @@ from . import __version__
 from .bundle import RESULTS, read_bundle
 from .checks import run_check
 from .errors import CheckFailed, UserError
-from .hardware import Settings, settings_for
+from .hardware import Settings, nxsdk_version, settings_for
 from .plan import make_plan, plan_text
 from .results import compare, read_result
 from .targets import TARGETS
@@ -48,7 +48,7 @@ def _parser():
     )
     parser.add_argument("--version", action="version", version=__version__)
     verbs = parser.add_subparsers(metavar="VERB")
-    parser.set_defaults(run=lambda _: parser.error("which verb? check, compare or plan"))
+    parser.set_defaults(run=lambda _: parser.error("which verb? check, compare, plan or board"))
     check = verbs.add_parser("check", help="let a target answer the bundle's samples")
     check.add_argument("bundle", type=Path, help="the bundle's folder")
     check.add_argument("--target", required=True, metavar="T", help=", ".join(TARGETS))
@@ -77,6 +77,8 @@ def _parser():
     plan.add_argument("--chips", type=int, default=defaults.chips, metavar="N")
     plan.add_argument("--json", action="store_true", help="for a program to read")
     plan.set_defaults(run=_plan)
+    board = verbs.add_parser("board", help="say whether this host can drive a board")
+    board.set_defaults(run=lambda _: print(f"NxSDK {nxsdk_version()}: target loihi can be used"))
     pair = verbs.add_parser("compare", help="set two results side by side")
     pair.add_argument("a", type=Path)
     pair.add_argument("b", type=Path)

@@ -30,6 +30,9 @@ LIMITS = {
 }
 """Of one core (Davies et al. 2018, IEEE Micro 38(1); NengoLoihi 1.1, ``block.py``)."""
 
+COLUMNS = ("compartments", "axons in", "axons out", "AxonCfg", "synapse words")
+"""Heads of `LIMITS` in a table."""
+
 REMEDIES = {
     "compartments": "give the layer a block_shape of at most {limit} neurons",
     "input axons": "give the layer a smaller block_shape, so that a core sees fewer pixels",
@@ -42,6 +45,9 @@ REMEDIES = {
 CURRENT_LIMIT = 2**23
 INPUT_LIMIT = 2**21
 """What the current and one step's synaptic input can hold before they wrap around."""
+
+VOLTAGE_LIMIT = 2**23 - 1
+"""Where the membrane voltage is clipped; the nearer the threshold, the less may go beyond it."""
 
 POP16_ATOMS = 32
 POP16_AXONS = 1024
@@ -119,6 +125,7 @@ class Plan:
             "limits": dict(LIMITS),
             "input_limit": INPUT_LIMIT,
             "current_limit": CURRENT_LIMIT,
+            "voltage_limit": VOLTAGE_LIMIT,
             "cores": [asdict(core) for core in self.cores],
             "problems": self.problems,
             "warnings": self.warnings,
@@ -378,7 +385,7 @@ def _warnings(core):
 
 def plan_text(plan: Plan) -> str:
     """A plan in a table and a few lines."""
-    heads = ["layer", "chip.core", "pop", *LIMITS, "input", "current"]
+    heads = ["layer", "at", "pop", *COLUMNS, "input", "current", "threshold"]
     rows = [heads]
     for core in plan.cores:
         cells = [
@@ -390,6 +397,7 @@ def plan_text(plan: Plan) -> str:
         cells += [
             f"{core.worst_input / INPUT_LIMIT:.0%}",
             f"{core.worst_current / CURRENT_LIMIT:.0%}",
+            f"{core.threshold / VOLTAGE_LIMIT:.0%}",
         ]
         rows.append(cells)
     widths = [max(len(row[i]) for row in rows) for i in range(len(heads))]
@@ -398,8 +406,9 @@ def plan_text(plan: Plan) -> str:
         for row in rows
     ]
     lines.append(
-        f"{len(plan.cores)} cores on {plan.chips} chip(s); 'input' and 'current' are the worst "
-        "case that the weights allow, as a share of what wraps around"
+        f"{len(plan.cores)} cores on {plan.chips} chip(s); of each core's limits; 'at': chip.core; "
+        "'pop': type of the axons in\n'input', 'current': worst case that the weights allow, of "
+        "what wraps around; 'threshold': of the highest voltage"
     )
     lines += [f"warning: {line}" for line in plan.warnings]
     lines += [f"does not fit: {line}" for line in plan.problems]
