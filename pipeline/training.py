@@ -12,9 +12,9 @@ from deploy.errors import UserError
 from deploy.files import replacing
 from deploy.operations import convolution_fan_out
 from models.cnn import build_cnn, get_weights, predict, set_weights
-from models.lif import DT, RateLIF
+from models.lif import DT, RateLIF, gain_for
 from models.notation import parse
-from models.quantised import EightBitConv2D
+from models.quantised import OnChipConv2D
 from pipeline.settings import Settings
 
 PERCENTILE = 99.9
@@ -114,8 +114,12 @@ def build_rate_network(settings: Settings) -> tf.keras.Model:
             spike_costs=costs and costs[index],
         )
 
+    def convolution(index, conv, name):
+        gain = gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
+        return OnChipConv2D(conv.filters, conv.kernel, gain, name=name)
+
     try:
-        return build_cnn(architecture, neurons, EightBitConv2D if on_chip else None)
+        return build_cnn(architecture, neurons, convolution if on_chip else None)
     except ValueError as error:
         raise UserError(f"settings: snn.max_rates: {error}") from error
 
