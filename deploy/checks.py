@@ -59,6 +59,8 @@ def run_check(
         Unknown target, unwritable result, or another process is writing it.
     """
     run = target_named(target)
+    if not 0 <= seed < 2**31:
+        raise UserError(f"seed {seed}: must be from 0 to {2**31 - 1}")
     options = {} if settings is None else {"settings": settings}
     out = Path(out)
     streams = streams_of(len(bundle.checks), bundle.spec.presentation.stream_length)
@@ -95,7 +97,7 @@ def _advance(advance, record):
 
 def records_of(bundle: Bundle, part: slice, responses: Responses) -> list:
     """What is kept of each sample of a part of the check."""
-    checks = bundle.checks
+    checks, hashes = bundle.checks, responses.spike_hashes
     return [
         {
             "id": checks.ids[index],
@@ -106,6 +108,7 @@ def records_of(bundle: Bundle, part: slice, responses: Responses) -> list:
             "decisions": [int(decision) for decision in responses.decisions[i]],
             "spikes": {name: int(counts[i]) for name, counts in responses.spikes.items()},
             "operations": {name: int(counts[i]) for name, counts in responses.operations.items()},
+            **({} if hashes is None else {"spike_hash": str(hashes[i])}),
         }
         for i, index in enumerate(range(part.start, part.stop))
     ]
@@ -114,6 +117,8 @@ def records_of(bundle: Bundle, part: slice, responses: Responses) -> list:
 @contextlib.contextmanager
 def _partial_file(out: Path, header: dict):
     """The answers so far, one line a stream after a header line; locked against a second writer."""
+    if out.exists() and not out.is_file():  # said now, not when the answers are there
+        raise UserError(f"{out}: cannot write (not a file); choose another --out")
     path = out.with_name("." + out.name + ".partial")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)

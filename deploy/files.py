@@ -36,6 +36,8 @@ def replacing(path, mode="wb"):
         The folder or file cannot be written.
     """
     path = Path(path)
+    if path.exists() and not path.is_file():  # /dev/null would be gone
+        raise UserError(f"{path}: cannot write (not a file); choose another name")
     temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -94,8 +94,8 @@ def input_spikes(spec: NetworkSpec, images) -> np.ndarray:
 
     Returns
     -------
-    ndarray, shape (n_samples, steps + gap, channels, rows, columns)
-        The encoder's spikes, 0 or 1; without an encoder, the image itself and the blank gap.
+    ndarray, shape (n_samples, gap + steps, channels, rows, columns)
+        The encoder's spikes, 0 or 1; without an encoder, the blank gap and the image itself.
     """
     images = np.asarray(images, float).reshape(len(images), -1)
     # the encoder alone, with a readout of nothing
@@ -109,7 +109,7 @@ def input_spikes(spec: NetworkSpec, images) -> np.ndarray:
     for part in streams_of(len(images), spec.presentation.stream_length):
         if spec.encoder is None:
             shown = np.zeros((part.stop - part.start, _period(spec), size))
-            shown[:, : spec.presentation.steps] = images[part, None]
+            shown[:, spec.presentation.gap :] = images[part, None]
         else:
             built = build(replace(spec, layers=(nothing,)))
             built.feed.images = images[part]
@@ -123,7 +123,7 @@ def input_spikes(spec: NetworkSpec, images) -> np.ndarray:
 
 
 def _period(spec):
-    return spec.presentation.steps + spec.presentation.gap
+    return spec.presentation.gap + spec.presentation.steps
 
 
 def _nir():

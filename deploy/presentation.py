@@ -7,8 +7,9 @@ readout's bias); the decision at a step is the class with the highest score.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
-from typing import Dict
+import hashlib
+from dataclasses import dataclass, field, fields, replace
+from typing import Dict, Optional
 
 import numpy as np
 
@@ -30,6 +31,9 @@ class Responses:
         Spikes of each layer while the sample was shown and in the gap before it.
     operations : dict of str to ndarray of int, shape (n_samples,)
         Synaptic operations by the layer that receives them, in the same time.
+    spike_hashes : ndarray of str, shape (n_samples,), or None
+        Hash of every spike of every layer and step of each sample, its gap included; None from a
+        target that does not keep single spikes.
     notes : dict
         What only this target can tell of the stream, such as a board's timing; plain values.
     """
@@ -38,6 +42,7 @@ class Responses:
     decisions: np.ndarray
     spikes: Dict[str, np.ndarray]
     operations: Dict[str, np.ndarray]
+    spike_hashes: Optional[np.ndarray] = None
     notes: dict = field(default_factory=dict)
 
     @property
@@ -84,17 +89,21 @@ def show(spec: NetworkSpec, built, sim, images) -> Responses:
     """
     built.feed.images = images
     period, gap = built.feed.period, spec.presentation.gap
-    outputs, spikes = [], {name: [] for name in built.spikes}
+    outputs, hashes, spikes = [], [], {name: [] for name in built.spikes}
     for _ in images:  # sample by sample, so that the probes hold no more than one sample's steps
         sim.run_steps(period)
+        every_spike = hashlib.sha256()
         for name, probe in built.spikes.items():
             rows = sim.data[probe]
             if len(rows) != period:
                 raise ShortOfSteps(f"{len(rows)} of {period} steps of layer {name} came back")
             spikes[name].append(np.count_nonzero(rows, axis=0))
+            every_spike.update(np.packbits(np.asarray(rows) != 0, axis=1).tobytes())
+        hashes.append(every_spike.hexdigest()[:16])
         outputs.append(np.array(sim.data[built.output][gap:]))
         sim.clear_probes()
-    return read_output(spec, np.array(outputs), {n: np.array(c) for n, c in spikes.items()})
+    counts = {name: np.array(rows) for name, rows in spikes.items()}
+    return replace(read_output(spec, np.array(outputs), counts), spike_hashes=np.array(hashes))
 
 
 def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Responses:
@@ -147,9 +156,10 @@ def join(parts) -> Responses:
             return {key: np.concatenate([value[key] for value in values]) for key in values[0]}
         return np.concatenate(values)
 
-    return Responses(
-        **{entry.name: joined(entry.name) for entry in fields(Responses) if entry.name != "notes"}
-    )
+    names = [entry.name for entry in fields(Responses) if entry.name != "notes"]
+    if any(part.spike_hashes is None for part in parts):
+        names.remove("spike_hashes")
+    return Responses(**{name: joined(name) for name in names})
 
 
 def seconds_per_sample(spec: NetworkSpec) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from dataclasses import dataclass
-from typing import List
+from typing import List, Optional
 
 import nengo
 import numpy as np
@@ -16,6 +16,9 @@ from .operations import multiply_accumulates
 from .statistics import mcnemar, wilson_interval
 
 SCHEMA = "stmnist-check/1"
+
+PUBLISHED = ("id", "label", "prediction", "scores", "decided_at", "spike_hash")
+"""What a result says of each sample; the last from targets that keep single spikes."""
 
 
 def versions() -> dict:
@@ -72,10 +75,7 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
         "accuracy_ci95": list(wilson_interval(correct, len(samples))),
         "decided_at_median": float(np.median([sample["decided_at"] for sample in samples])),
         "anytime_accuracy": [float(share) for share in right.mean(0)],
-        "samples": [
-            {key: sample[key] for key in ("id", "label", "prediction", "scores", "decided_at")}
-            for sample in samples
-        ],
+        "samples": [{key: sample[key] for key in PUBLISHED if key in sample} for sample in samples],
         "spikes": total("spikes"),
         "synaptic_operations": total("operations"),
         "multiply_accumulates": multiply_accumulates(bundle.spec),
@@ -137,6 +137,9 @@ class Comparison:
         Samples with different predictions: ``id``, ``label``, ``a``, ``b``.
     p_value : float
         McNemar's exact test on right against wrong.
+    other_spikes : int or None
+        Samples in which not every spike of every layer is the same; None where a result does not
+        tell.
     """
 
     targets: tuple
@@ -144,6 +147,7 @@ class Comparison:
     n_samples: int
     disagreements: List[dict]
     p_value: float
+    other_spikes: Optional[int] = None
 
     @property
     def accuracy_drop(self) -> float:
@@ -159,6 +163,7 @@ class Comparison:
             "n_samples": self.n_samples,
             "n_disagreements": len(self.disagreements),
             "mcnemar_p": self.p_value,
+            "other_spikes": self.other_spikes,
             "disagreements": self.disagreements,
         }
 
@@ -180,6 +185,7 @@ def compare(a: dict, b: dict) -> Comparison:
     if of_a != of_b:
         raise UserError("the results are of different samples; run both checks on the same bundle")
     pairs = list(zip(a["samples"], b["samples"]))
+    told = all("spike_hash" in sample for pair in pairs for sample in pair)
     right = [[s["prediction"] == s["label"] for s in result["samples"]] for result in (a, b)]
     return Comparison(
         targets=(a["target"], b["target"]),
@@ -191,4 +197,5 @@ def compare(a: dict, b: dict) -> Comparison:
             if x["prediction"] != y["prediction"]
         ],
         p_value=mcnemar(*right),
+        other_spikes=sum(x["spike_hash"] != y["spike_hash"] for x, y in pairs) if told else None,
     )

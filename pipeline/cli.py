@@ -13,7 +13,7 @@ import typer
 from deploy import __version__
 from deploy.errors import CheckFailed, UserError
 from models.notation import NotationError
-from pipeline.commands import check, data, run
+from pipeline.commands import benchmark, check, data, report, run
 from pipeline.commands import deploy as deployment
 from pipeline.commands import skin as _skin  # noqa: F401 - adds its verbs to data.app
 
@@ -37,6 +37,8 @@ app.command()(run.convert)
 app.add_typer(check.app, name="check")
 app.command()(run.ladder)
 app.add_typer(deployment.app, name="deploy")
+app.add_typer(benchmark.app, name="benchmark")
+app.command("report")(report.report_)
 
 
 @app.callback(invoke_without_command=True)

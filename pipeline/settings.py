@@ -63,11 +63,19 @@ class SNN:
     """Training with rate-based LIF neurons (paper, Section 3.2.2)."""
 
     recipe: str = "loihi"
-    """``"loihi"``: forward pass with the chip's rates and weights, from the CNN's weights;
-    ``"paper"``: plain rate-based LIF, from new weights."""
-    epochs: int = 20
-    batch_size: int = 32
-    learning_rate: float = 0.001
+    """``"loihi"``: the chip's rates and 8-bit weights in the forward pass, noise that stands for
+    the ripple of spikes, starting from the CNN's weights; ``"paper"``: plain rate-based LIF, from
+    new weights, trained as the CNN is."""
+    epochs: int = 0
+    """0 here and in the next two for the recipe's own; see pipeline/training.py."""
+    batch_size: int = 0
+    learning_rate: float = 0.0
+    noise: float = 0.1
+    """Standard deviation of the noise on each neuron's input while training, relative to the
+    activation at ``max_rates``; recipe ``"loihi"`` only."""
+    spike_penalty: float = 0.0
+    """Weight in the loss of the synaptic operations of an inference, in units of the CNN's
+    multiply-accumulates; recipe ``"loihi"`` only."""
     max_rates: tuple = (150.0, 150.0)
     """Spikes a second of each convolution's neurons at activation 1; the last entry holds for all
     convolutions after it."""
@@ -79,6 +87,24 @@ class SNN:
     def max_rate(self, index: int) -> float:
         """Of convolution ``index``, from 0."""
         return self.max_rates[min(index, len(self.max_rates) - 1)]
+
+
+@dataclass(frozen=True)
+class Slayer:
+    """Training on the events themselves (paper, Section 3.2.3)."""
+
+    architecture: str = "10x10x2-6c2-24c3-10o"
+    bins: int = 200
+    """Time steps; of two seconds, so 10 ms each (paper)."""
+    epochs: int = 100
+    batch_size: int = 32
+    """Not given in the paper."""
+    learning_rate: float = 0.01
+    """Not given in the paper; that of the SLAYER authors' own examples, as is the optimiser."""
+    true_count: float = 60.0
+    """Desired spikes of the right digit's output neuron (paper)."""
+    false_count: float = 10.0
+    """Desired spikes of each other output neuron (paper)."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +154,7 @@ class Settings:
     split: Split = field(default_factory=Split)
     cnn: CNN = field(default_factory=CNN)
     snn: SNN = field(default_factory=SNN)
+    slayer: Slayer = field(default_factory=Slayer)
     deployment: Deployment = field(default_factory=Deployment)
     presentation: Presentation = field(default_factory=Presentation)
     check: Check = field(default_factory=Check)
@@ -274,10 +301,12 @@ def _validate(s: Settings, origin):
     need(s.image.normalisation in NORMALISATIONS, "image.normalisation", _one_of(NORMALISATIONS))
     need(0 < s.split.test_fraction < 1, "split.test_fraction", "between 0 and 1")
     need(0 <= s.split.validation_fraction < 1, "split.validation_fraction", "from 0 to below 1")
-    for name, training in (("cnn", s.cnn), ("snn", s.snn)):
+    for name, training in (("cnn", s.cnn), ("slayer", s.slayer)):
         need(training.epochs >= 1, f"{name}.epochs", "1 or more")
         need(training.batch_size >= 1, f"{name}.batch_size", "1 or more")
         need(training.learning_rate > 0, f"{name}.learning_rate", "above 0")
+    for name in ("epochs", "batch_size", "learning_rate", "noise", "spike_penalty"):
+        need(getattr(s.snn, name) >= 0, f"snn.{name}", "0 or more")
     need(s.snn.recipe in ("loihi", "paper"), "snn.recipe", _one_of(("loihi", "paper")))
     need(s.snn.tau_rc > 0, "snn.tau_rc", "above 0")
     need(s.snn.tau_ref > 0, "snn.tau_ref", "above 0")
@@ -294,10 +323,10 @@ def _validate(s: Settings, origin):
          f"from 0 to below presentation.steps ({s.presentation.steps})")  # fmt: skip
     need(s.presentation.stream_length >= 1, "presentation.stream_length", "1 or more")
     need(s.check.samples >= 1, "check.samples", "1 or more")
-    try:
-        architecture = parse(s.cnn.architecture)
-    except NotationError as error:
-        raise UserError(f"{origin}: 'cnn.architecture': {error}") from error
+    need(s.slayer.bins >= 1, "slayer.bins", "1 or more")
+    need(_parsed(s.slayer.architecture, "slayer.architecture", origin).input_shape == (10, 10, 2),
+         "slayer.architecture", "for 10x10x2, a channel for each polarity")  # fmt: skip
+    architecture = _parsed(s.cnn.architecture, "cnn.architecture", origin)
     need(architecture.input_shape == (10, 10, 1), "cnn.architecture",
          "for a tactile image of 10x10")  # fmt: skip
     need(len(architecture.convs) >= 1, "cnn.architecture", "a network with a convolution")
@@ -310,6 +339,13 @@ def _validate(s: Settings, origin):
          f"1 to {len(architecture.convs)} rates above 0, one a convolution")  # fmt: skip
     need(max(s.snn.max_rates) * s.snn.tau_ref < 1, "snn.max_rates",
          f"below 1 / snn.tau_ref = {1 / s.snn.tau_ref:g} spikes a second")  # fmt: skip
+
+
+def _parsed(architecture, name, origin):
+    try:
+        return parse(architecture)
+    except NotationError as error:
+        raise UserError(f"{origin}: {name!r}: {error}") from error
 
 
 def _one_of(values):

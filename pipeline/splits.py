@@ -54,6 +54,47 @@ def random_split(
     return Split(np.sort(train), np.sort(validation), np.sort(test))
 
 
+def writer_split(writers: np.ndarray, seed: int, test_fraction: float = 0.2) -> Split:
+    """Split samples so that nobody wrote both training and test samples.
+
+    Random splits show each test writer's hand in training as well; accuracy on new writers is what
+    a product would see.  Writers are drawn at random for the test part as long as each brings its
+    size nearer to the fraction asked for.
+
+    Parameters
+    ----------
+    writers : ndarray of int, shape (n_samples,)
+        See :class:`pipeline.recordings.Recordings`.
+    seed : int
+    test_fraction : float
+        Share of all samples that is for testing, as nearly as whole writers allow.
+
+    Returns
+    -------
+    Split
+        Without validation samples.
+
+    Raises
+    ------
+    ValueError
+        Writers are not known, or there is only one.
+    """
+    writers = np.asarray(writers)
+    if len(writers) == 0 or writers.min() < 0:
+        raise ValueError("the writers of these recordings are not known")
+    names, sizes = np.unique(writers, return_counts=True)
+    if len(names) < 2:
+        raise ValueError("all recordings are of one writer")
+    wanted, chosen, size = len(writers) * test_fraction, [], 0
+    for index in np.random.default_rng([seed, 0x3217]).permutation(len(names)):
+        nearer = abs(size + sizes[index] - wanted) < abs(size - wanted)
+        if (nearer or not chosen) and len(chosen) < len(names) - 1:
+            chosen.append(names[index])
+            size += sizes[index]
+    in_test = np.isin(writers, chosen)
+    return Split(np.flatnonzero(~in_test), np.empty(0, np.int64), np.flatnonzero(in_test))
+
+
 def draw_check_samples(test: np.ndarray, n_samples: int, seed: int) -> np.ndarray:
     """Draw the samples of the check from the test split (paper, Section 3.2.2: 200 at random).
 

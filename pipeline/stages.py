@@ -129,7 +129,8 @@ def train_rates(run: RunFolder, settings: Settings, dataset: Dataset, say=print)
 
     cnn_weights = _weights(run.cnn, settings)
     begun = time.perf_counter()
-    with progress("train rate-lif", settings.snn.epochs) as advance:
+    epochs = training.snn_recipe(settings.snn).epochs
+    with progress("train rate-lif", epochs) as advance:
         trained = training.train_rate_network(
             settings,
             dataset.part("train"),
@@ -167,7 +168,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
     from pipeline import nengodl, training
     from pipeline.conversion import to_spec
 
-    weights = _weights(run.snn, settings)
+    weights, cnn_weights = _weights(run.snn, settings), _weights(run.cnn, settings)
     chosen = draw_check_samples(dataset.split.test, settings.check.samples, settings.seed)
     recordings = dataset.recordings
     images = dataset.images[chosen]
@@ -190,7 +191,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
     bundle = write_bundle(run.bundle, spec, checks)
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
 
-    cnn = training.cnn_logits(settings, _weights(run.cnn, settings), images)
+    cnn = training.cnn_logits(settings, cnn_weights, images)
     rate = training.rate_logits(settings, weights, images)
     answers = {"cnn": cnn[:, None], "rate-lif": rate[:, None]}
     begun = time.perf_counter()
@@ -239,7 +240,9 @@ def _cnn_stamp(settings, dataset):
 
 
 def _snn_stamp(settings, dataset):
-    return stamp_of(_cnn_stamp(settings, dataset), asdict(settings.snn))
+    # The price of spikes is for those of a whole presentation.
+    steps = settings.presentation.steps if settings.snn.spike_penalty else None
+    return stamp_of(_cnn_stamp(settings, dataset), asdict(settings.snn), steps)
 
 
 def _finish(folder, stamp, trained, logits, dataset, seconds, say, name):

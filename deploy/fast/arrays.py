@@ -68,7 +68,8 @@ class Layer:
 class Network:
     """The chip's part of a network.
 
-    Compartments are ordered by layer and segment, not as NengoLoihi orders its blocks; `layers`
+    It is feed-forward: spikes go from inputs and layers to later layers.  Compartments are ordered
+    by layer and segment, not as NengoLoihi orders its blocks; `layers`
     and `emulator_order` lead back.  Sources of spikes are the inputs from the host followed by
     the compartments.
 
@@ -98,6 +99,11 @@ class Network:
         """Number of compartments."""
         return len(self.bias)
 
+    def slice_of(self, layer):
+        """The compartments of a layer, by its index."""
+        mine = np.flatnonzero(self.segments.layer == layer)
+        return slice(int(self.segments.start[mine[0]]), int(self.segments.stop[mine[-1]]))
+
     @property
     def largest_sums(self):
         """Bound of the magnitude of each compartment's ``q``, without its power of two, int64."""
@@ -105,24 +111,27 @@ class Network:
         return np.bincount(columns, np.abs(self.weights.data), self.n).astype(np.int64)
 
     @property
-    def can_overflow(self):
-        """For each segment, whether its weights and biases leave room for any overflow at all.
+    def largest_inputs(self):
+        """Bound of ``|u + bias|`` in each segment if nothing overflows, int64.
 
         With ``|q| <= Q`` at every step, ``|u|`` stays below ``Q * 4096 / (4096 - keep_u)``.
         """
-        answers = []
-        sums, segments = self.largest_sums, self.segments
-        for start, stop, keep, shift in zip(
-            segments.start.tolist(),
-            segments.stop.tolist(),
-            segments.keep_u.tolist(),
-            segments.shift.tolist(),
-        ):
-            q = int(sums[start:stop].max()) << shift
-            u = -(-q * 4096 // (4096 - keep))
-            bias = int(np.abs(self.bias[start:stop]).max())
-            answers.append(q >= 2**Q_BITS or u + bias >= 2**U_BITS)
-        return np.array(answers)
+        segments = self.segments
+        q = np.maximum.reduceat(self.largest_sums, segments.start) << segments.shift.astype(int)
+        bias = np.maximum.reduceat(np.abs(self.bias.astype(int)), segments.start)
+        return -(-q * 4096 // (4096 - segments.keep_u)) + bias
+
+    @property
+    def can_overflow(self):
+        """For each segment, whether its weights and biases leave room for any overflow at all."""
+        segments = self.segments
+        q = np.maximum.reduceat(self.largest_sums, segments.start) << segments.shift.astype(int)
+        return (q >= 2**Q_BITS) | (self.largest_inputs >= 2**U_BITS)
+
+    @property
+    def weight_type(self):
+        """The smallest type of integer that holds every sum of weights."""
+        return np.int16 if self.largest_sums.max() < 2**15 else np.int32
 
 
 @dataclass

@@ -170,6 +170,7 @@ def _chip(network, model, inputs):
     positions = {b: position[i:j] for b, i, j in zip(blocks, offsets[:-1], offsets[1:])}
 
     weights = _weights(model, inputs, positions, len(order))
+    _refuse_loops(weights, table["layer"])
     segments, weights = _segments(table, weights)
     n_inputs = weights.shape[0] - len(order)
     chip = Network(
@@ -237,6 +238,14 @@ def _weights(model, inputs, positions, n):
         ),
         shape=(n_inputs + n, n),
     ).tocsr()  # adds up what one source sends to one compartment along several axons
+
+
+def _refuse_loops(weights, layer_of):
+    """Layers are in the order in which the network was written: spikes only go forward in it."""
+    n_inputs = weights.shape[0] - len(layer_of)
+    entries = weights[n_inputs:].tocoo()
+    if np.any(layer_of[entries.row] >= layer_of[entries.col]):
+        raise _cannot("connections on the chip back to a layer or to an earlier one")
 
 
 def _fan_out(axon, n_sources):

@@ -87,38 +87,64 @@ class Population:
     """Host neurons of several streams while they run."""
 
     def __init__(self, neurons: HostNeurons, n_streams, dt):
-        self._neurons, self._dt = neurons, dt
+        self.neurons, self._dt = neurons, dt
         shape = (n_streams, neurons.n)
         self._state = {k: np.tile(v, (n_streams, 1)) for k, v in neurons.initial.items()}
         self._output = np.zeros(shape)
         self._filter = Filter(neurons.synapse, shape, dt)
 
-    @property
-    def n(self):
-        """Number of neurons."""
-        return self._neurons.n
-
-    def step(self, drive):
-        """Advance one step.
+    def spikes(self, drive, n_steps, out):
+        """Spikes of some steps in which the drive stays the same.
 
         Parameters
         ----------
         drive : (n_streams, n) array
+        n_steps : int
+        out : (n_streams, n_steps, n) uint8 array
+            Is set to 1 where a neuron spikes, else to 0.
+        """
+        if type(self.neurons.neuron_type) is nengo.SpikingRectifiedLinear and not self.filtered:
+            self._rectified(drive, n_steps, out)
+            return
+        for step in range(n_steps):
+            current = self.current(self._filter(drive)) if self.filtered else drive
+            np.not_equal(self.step(current), 0, out=out[:, step])
+
+    def _rectified(self, drive, n_steps, out):
+        """`nengo.SpikingRectifiedLinear.step` without repeating what stays the same."""
+        voltage = self._state["voltage"]
+        increase = np.maximum(drive, 0) * self._dt
+        whole = np.empty_like(voltage)
+        for step in range(n_steps):
+            voltage += increase
+            np.floor(voltage, out=whole)
+            voltage -= whole
+            np.not_equal(whole, 0, out=out[:, step])
+
+    @property
+    def filtered(self):
+        """Whether there is a filter before the current."""
+        return self.neurons.synapse is not None
+
+    def step(self, current):
+        """Advance one step.
+
+        Parameters
+        ----------
+        current : (n_streams, n) array
 
         Returns
         -------
         (n_streams, n) array
             ``amplitude / dt`` for each spike in the step; overwritten by the next one.
         """
-        neurons, current = self._neurons, drive
-        if neurons.synapse is not None:
-            current = self.current(self._filter(drive))
-        neurons.neuron_type.step(self._dt, current, self._output, **self._state)
+        with np.errstate(divide="ignore"):
+            self.neurons.neuron_type.step(self._dt, current, self._output, **self._state)
         return self._output
 
     def current(self, value):
         """``bias + gain * value``."""
-        return self._neurons.bias + self._neurons.gain * value
+        return self.neurons.bias + self.neurons.gain * value
 
 
 class OutputStage:

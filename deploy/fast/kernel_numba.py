@@ -55,7 +55,7 @@ class Wiring(NamedTuple):
 def wiring(network: Network) -> Wiring:
     """Cut the rows of the weight matrix into runs and share the equal ones."""
     weights = network.weights
-    dtype = np.int16 if network.largest_sums.max() < 2**15 else np.int32
+    dtype = network.weight_type
     pool, places, size = [], {}, 0
     first, place, target, length = [0], [], [], []
     for row in range(weights.shape[0]):
@@ -98,6 +98,9 @@ class Kernel:
     network : Network
     decoders : (n, n_outputs) float64 array
     """
+
+    bytes_per_spike = 1
+    """Memory that a call takes for each compartment, stream and step, about."""
 
     def __init__(self, network: Network, decoders):
         self._network = network
@@ -170,10 +173,18 @@ def _jit(**options):
 
 
 @_jit()
-def _collect(words, events):
-    """List the positions of the bytes that are 1; returns how many."""
-    n = 0
+def _collect(words, in_use, events):
+    """List the positions of the bytes that are 1; returns how many.
+
+    Most words are 0; listing the others first, without a branch, leaves little to mispredict.
+    """
+    n_in_use = 0
     for w in range(len(words)):
+        in_use[n_in_use] = w
+        n_in_use += words[w] != 0
+    n = 0
+    for j in range(n_in_use):
+        w = in_use[j]
         word = words[w]
         while word:
             lowest = word & (~word + uint64(1))
@@ -306,11 +317,12 @@ def advance(
     total = np.zeros(len(bias) + LANES, wiring.pool.dtype)
     events = np.empty(spikes.shape[2], np.int32)
     input_events = np.empty(8 * arriving.shape[2], np.int32)
+    in_use = np.empty(max(arriving.shape[2], words.shape[2]), np.int32)
     for b in range(n_streams):
         u, v, waiting = current[b], voltage[b], refractory[b]
-        n_events = _collect(words[b, 0], events)
+        n_events = _collect(words[b, 0], in_use, events)
         for t in range(n_steps):
-            n_arriving = _collect(arriving[b, t], input_events)
+            n_arriving = _collect(arriving[b, t], in_use, input_events)
             _deliver(wiring, 0, input_events, n_arriving, total)
             _deliver(wiring, n_inputs, events, n_events, total)
             row = spikes[b, t + 1]
@@ -333,7 +345,7 @@ def advance(
                     _fire_refractory(period, threshold[part], v_part, waiting[part], row[part])
                 else:
                     _fire(threshold[part], v_part, row[part])
-            n_events = _collect(words[b, t + 1], events)
+            n_events = _collect(words[b, t + 1], in_use, events)
             for e in range(n_events):
                 counts[b, events[e]] += 1
                 if decoding[0] <= events[e] < decoding[1]:

@@ -1,7 +1,11 @@
-"""The kernel in NumPy and SciPy alone: all streams together, one step after the other.
+"""The kernel in NumPy and SciPy alone: one layer after the other, all streams and steps together.
 
 The same integers, and the same decoded sums to the last bit, as `kernel_numba`, for hosts without
-Numba.
+Numba.  A layer's input at all steps is known when the layers before it are done, so that only what
+carries over from one step to the next is done step by step.
+
+The integers are kept in float64, where they are exact and ``decay(x, r)``, which is
+``trunc(x * r / 4096)``, takes two operations: x has at most 31 bits and a sign, r 13 bits.
 """
 
 from __future__ import annotations
@@ -21,135 +25,147 @@ class Kernel:
     decoders : (n, n_outputs) float64 array
     """
 
+    bytes_per_spike = 16
+    """Memory that a call takes for each compartment, stream and step, about."""
+
     def __init__(self, network: Network, decoders):
         self._network = network
         self._decoders = np.asarray(decoders, np.float64)
-        segments = network.segments
-        lengths = segments.stop - segments.start
-        per_compartment = {
-            name: np.repeat(getattr(segments, name), lengths)
-            for name in ("keep_u", "keep_v", "v_min", "v_max", "refractory", "shift", "layer")
-        }
-        self._of = per_compartment
-        self._can_overflow = bool(network.can_overflow.any())
-        self._signed = bool((segments.v_min < 0).any())
-        self._waits = bool((segments.refractory > 0).any())
-        self._blocks = _blocks(network)
+        self._layers = [_Layer(network, index) for index in range(len(network.layers))]
 
     def advance(self, state: State, inputs) -> Steps:
         """Advance several streams by some steps; see `kernel_numba.Kernel.advance`."""
         network = self._network
         n_streams, n_steps, _ = inputs.shape
+        # Steps first, so that what is done step by step is in one piece.  Row 0 is in flight.
+        arriving = np.concatenate([state.inputs[None], inputs.transpose(1, 0, 2)])
+        spikes = np.empty((n_steps + 1, n_streams, network.n), np.uint8)
+        spikes[0] = state.spikes
         overflows = np.zeros((len(network.layers), 3), np.int64)
-        spikes = np.empty((n_streams, n_steps, network.n), np.uint8)
-        counts = np.zeros((n_streams, network.n), np.int32)
-        total = np.empty((n_streams, network.n), np.int32)
-        rows = [
-            scipy.sparse.csr_matrix((n_streams, len(weights)), dtype=np.int32)
-            for _, _, _, weights in self._blocks
-        ]
-        for step in range(n_steps):
-            self._gather(state, rows, total)
-            self._update(state, total, overflows)
-            spikes[:, step] = state.spikes
-            counts += state.spikes
-            state.inputs = inputs[:, step]
-        state.inputs = state.inputs.copy()
-        return Steps(spikes, self._decode(spikes), counts, overflows)
-
-    def _gather(self, state, rows, total):
-        """Sum the weights of the spikes in flight."""
-        total[:] = 0
-        for spikes, (of_inputs, sources, targets, weights) in zip(rows, self._blocks):
-            arriving = (state.inputs if of_inputs else state.spikes)[:, sources]
-            total[:, targets] += _fill(spikes, arriving) @ weights
-        total <<= self._of["shift"]
-
-    def _update(self, state, q, overflows):
-        of, u, v = self._of, state.current, state.voltage
-        if self._can_overflow:
-            self._wrap(q, Q_BITS, overflows[:, 0])
-        _decay(u, of["keep_u"], signed=True)
-        u += q
-        if self._can_overflow:
-            self._wrap(u, U_BITS, overflows[:, 1])
-        np.add(u, self._network.bias, out=q)
-        if self._can_overflow:
-            self._wrap(q, U_BITS, overflows[:, 2])
-        _decay(v, of["keep_v"], signed=self._signed)
-        v += q
-        np.maximum(v, of["v_min"], out=v)
-        np.minimum(v, of["v_max"], out=v)
-        waiting = state.refractory
-        if self._waits:
-            np.copyto(v, 0, where=waiting > 0)
-        fires = v > self._network.threshold
-        np.copyto(v, 0, where=fires)
-        if self._waits:
-            waiting -= waiting > 0
-            np.copyto(waiting, of["refractory"], where=fires)
-        state.spikes = fires.view(np.uint8)
-
-    def _wrap(self, x, bits, overflows):
-        """Two's complement with a sign, in place; adds up the overflows of each layer."""
-        if x.max() < 2**bits and x.min() >= -(2**bits):
-            return
-        spare = 31 - bits
-        wrapped = (x << spare) >> spare
-        over = np.count_nonzero(wrapped != x, axis=0)
-        np.add.at(overflows, self._of["layer"], over)
-        x[:] = wrapped
+        for layer, over in zip(self._layers, overflows):
+            part = layer.compartments
+            u, v = state.current[:, part].astype(float), state.voltage[:, part].astype(float)
+            waiting = state.refractory[:, part].astype(np.int8)
+            total = layer.gather(arriving[:-1], spikes[:-1])
+            layer.filter(total, u, over)
+            layer.fire(total, v, waiting, spikes[1:, :, part])
+            state.current[:, part], state.voltage[:, part] = u, v
+            state.refractory[:, part] = waiting
+        state.inputs, state.spikes = arriving[-1].copy(), spikes[-1].copy()
+        by_stream = np.ascontiguousarray(spikes[1:].transpose(1, 0, 2))
+        decoded, counts = self._decode(by_stream)
+        return Steps(by_stream, decoded, counts, overflows)
 
     def _decode(self, spikes):
         # SciPy adds the decoders of a row's spikes in their order, whatever the other rows are.
-        flat = spikes.reshape(-1, spikes.shape[2])
-        rows = _fill(scipy.sparse.csr_matrix(flat.shape, dtype=np.float64), flat)
-        return (rows @ self._decoders).reshape(*spikes.shape[:2], -1)
+        n_streams, n_steps, n = spikes.shape
+        rows = _sparse(spikes.reshape(-1, n), np.float64)
+        streams = np.repeat(np.arange(n_streams), np.diff(rows.indptr[::n_steps]))
+        counts = np.bincount(streams * n + rows.indices, minlength=n_streams * n)
+        decoded = (rows @ self._decoders).reshape(n_streams, n_steps, -1)
+        return decoded, counts.reshape(n_streams, n).astype(np.int32)
 
 
-def _blocks(network):
-    """The weights as dense blocks, one a layer and kind of source, cut to the sources in use.
+class _Layer:
+    """A layer's parameters and the steps of its update, on arrays (n_steps, n_streams, n)."""
 
-    Yields (of inputs or of compartments, sources, targets, int32 weights).
-    """
-    blocks = []
-    layer = np.repeat(network.segments.layer, network.segments.stop - network.segments.start)
-    for of_inputs, rows in (
-        (True, network.weights[: network.n_inputs]),
-        (False, network.weights[network.n_inputs :]),
-    ):
-        columns = rows.tocsc()
-        for index in range(len(network.layers)):
-            mine = np.flatnonzero(layer == index)
-            targets = slice(mine[0], mine[-1] + 1)
-            part = columns[:, targets].tocsr()
-            used = np.flatnonzero(np.diff(part.indptr))
-            if len(used):
-                sources = slice(used[0], used[-1] + 1)
-                blocks.append((of_inputs, sources, targets, part[sources].toarray()))
-    return blocks
+    def __init__(self, network, index):
+        self.compartments = network.slice_of(index)
+        segments = network.segments
+        mine = segments.layer == index
+        lengths = (segments.stop - segments.start)[mine]
+
+        def value(name, dtype=float):
+            values = getattr(segments, name)[mine].astype(dtype)
+            # A number where it is the same for all is quicker than an array.
+            return values[0] if np.all(values == values[0]) else np.repeat(values, lengths)
+
+        self.keep_u, self.keep_v = value("keep_u") / 4096, value("keep_v") / 4096
+        self.v_min, self.v_max = value("v_min"), value("v_max")
+        self.refractory, self.scale = value("refractory", np.int8), 2.0 ** value("shift")
+        self.bias = network.bias[self.compartments].astype(float)
+        self.threshold = network.threshold[self.compartments].astype(float)
+        self.can_overflow = bool(network.can_overflow[mine].any())
+        highest = self.threshold.max() + network.largest_inputs[mine].max()
+        self.can_reach_v_max = self.can_overflow or bool(highest >= np.min(self.v_max))
+        self.dtype = network.weight_type
+        columns = network.weights.astype(self.dtype).tocsc()[:, self.compartments].tocsr()
+        self.from_inputs = _in_use(columns[: network.n_inputs])
+        self.from_chip = _in_use(columns[network.n_inputs :])
+
+    def gather(self, arriving, spikes):
+        """Sum of the weights of the spikes that arrive at each step."""
+        shape = (*arriving.shape[:2], self.compartments.stop - self.compartments.start)
+        total = np.zeros(shape, self.dtype)
+        for source, (sources, weights) in ((arriving, self.from_inputs), (spikes, self.from_chip)):
+            if len(weights):
+                part = source[:, :, sources].reshape(shape[0] * shape[1], -1)
+                total += (_sparse(part, self.dtype) @ weights).reshape(shape)
+        return np.multiply(total, self.scale, dtype=float)
+
+    def filter(self, q, u, overflows):
+        """Replace ``q`` by ``wrap(u + bias)``; ``u`` becomes the last current."""
+        if self.can_overflow:
+            overflows[0] += _wrap(q, Q_BITS)
+        for current in q:
+            _decay(u, self.keep_u)
+            u += current
+            if self.can_overflow:
+                overflows[1] += _wrap(u, U_BITS)
+            current[:] = u
+        q += self.bias
+        if self.can_overflow:
+            overflows[2] += _wrap(q, U_BITS)
+
+    def fire(self, total, v, waiting, spikes):
+        """Integrate ``total`` into the voltage ``v`` and write the spikes."""
+        waits = bool(np.any(self.refractory))
+        for u, fires in zip(total, spikes.view(bool)):
+            _decay(v, self.keep_v)
+            v += u
+            np.maximum(v, self.v_min, out=v)
+            if self.can_reach_v_max:
+                np.minimum(v, self.v_max, out=v)
+            above = v > self.threshold
+            if waits:
+                held = waiting > 0
+                fired = above & ~held
+                waiting -= held
+                waiting += fired * self.refractory
+                fires[:] = fired
+                above |= held
+            else:
+                fires[:] = above
+            np.putmask(v, above, 0)
 
 
-def _fill(rows, spikes):
-    """Put spikes of 0 and 1 into a sparse matrix of their shape, whatever it held."""
+def _in_use(weights):
+    """The slice of the sources that reach a layer, and their weights as a dense array."""
+    used = np.flatnonzero(np.diff(weights.indptr))
+    sources = slice(int(used[0]), int(used[-1]) + 1) if len(used) else slice(0, 0)
+    return sources, weights[sources].toarray()
+
+
+def _sparse(spikes, dtype):
+    """Spikes of 0 and 1, shape (rows, n), as a sparse matrix."""
     n_rows, n = spikes.shape
     places = np.flatnonzero(np.ascontiguousarray(spikes).view(bool).ravel())
-    # Set one by one: a constructor that takes them spends longer on checks than a product takes.
-    rows.data = np.ones(len(places), rows.dtype)
-    rows.indices = (places % n).astype(np.int32)
-    rows.indptr = np.searchsorted(places, np.arange(n_rows + 1) * n).astype(np.int32)
-    return rows
+    ends = np.searchsorted(places, np.arange(n_rows + 1) * n)
+    columns = places - np.repeat(np.arange(n_rows) * n, np.diff(ends))
+    return scipy.sparse.csr_matrix((np.ones(len(places), dtype), columns, ends), spikes.shape)
 
 
-def _decay(x, keep, signed):
-    """sign(x) * floor(|x| * keep / 4096) in place and within int32; see `kernel_numba._decay`."""
-    low = x & 4095
-    low *= keep
-    if signed:
-        towards_zero = x >> 31
-        towards_zero &= 4095
-        low += towards_zero
-    low >>= 12
-    x >>= 12
-    x *= keep
-    x += low
+def _wrap(x, bits):
+    """Two's complement with a sign, in place; returns how many numbers that changed."""
+    if x.max() < 2**bits and x.min() >= -(2**bits):
+        return 0
+    wrapped = (x + 2**bits) % 2 ** (bits + 1) - 2**bits
+    over = np.count_nonzero(wrapped != x)
+    x[:] = wrapped
+    return over
+
+
+def _decay(x, share):
+    """x <- sign(x) * floor(|x| * share), exactly, for integers x and 4096 * share."""
+    x *= share
+    np.trunc(x, out=x)

@@ -88,15 +88,15 @@ class Emulation:
         host = [Population(neurons, n_streams, program.dt) for neurons in program.inputs]
         stage = OutputStage(program.output, n_streams, program.dt)
         blank = np.repeat(program.drive(np.zeros((1, n_pixels))), n_streams, axis=0)
-        at_once = max(1, memory // (n_streams * (network.n + network.n_inputs)))
+        at_once = max(1, memory // self.bytes_per_step(n_streams))
         overflows, samples, kept = 0, [], []
         for index in range(n_samples):
             drive = program.drive(images[:, index])
             outputs, counts = [], collections.Counter()
             for first in range(0, steps + gap, at_once):
                 last = min(first + at_once, steps + gap)
-                shown = [drive if step >= gap else blank for step in range(first, last)]
-                inputs = _host_spikes(host, shown, network.n_inputs)
+                dark = min(max(gap - first, 0), last - first)
+                inputs = _host_spikes(host, ((blank, dark), (drive, last - first - dark)))
                 done = self.kernel.advance(state, inputs)
                 outputs.append(stage.advance(done.spikes, done.decoded))
                 overflows = overflows + done.overflows
@@ -113,6 +113,11 @@ class Emulation:
             if record
             else None,
         )
+
+    def bytes_per_step(self, n_streams):
+        """Memory that a step of some streams takes in a call of the kernel, about."""
+        network = self.program.network
+        return n_streams * (network.n + network.n_inputs) * self.kernel.bytes_per_spike
 
     def _counts(self, inputs, done, output):
         """(label, spikes of each stream's neurons) of every layer in these steps."""
@@ -138,16 +143,23 @@ class Emulation:
             start += neurons.n
 
 
-def _host_spikes(host, drives, n_inputs):
-    """Spikes of the host's input neurons, shape (n_streams, n_steps, n_inputs) uint8."""
-    spikes = np.empty((len(drives[0]), len(drives), n_inputs), np.uint8)
-    with np.errstate(divide="ignore"):
-        for step, drive in enumerate(drives):
-            start = 0
-            for population in host:
-                part = slice(start, start + population.n)
-                np.not_equal(population.step(drive[:, part]), 0, out=spikes[:, step, part])
-                start = part.stop
+def _host_spikes(host, shown):
+    """Spikes of the host's input neurons to some drives, each for some steps.
+
+    Returns
+    -------
+    (n_streams, n_steps, n_inputs) uint8 array
+    """
+    n_streams, n_inputs = shown[0][0].shape
+    spikes = np.empty((n_streams, sum(n for _, n in shown), n_inputs), np.uint8)
+    column = 0
+    for population in host:
+        part = slice(column, column + population.neurons.n)
+        first = 0
+        for drive, n_steps in shown:
+            population.spikes(drive[:, part], n_steps, spikes[:, first : first + n_steps, part])
+            first += n_steps
+        column = part.stop
     return spikes
 
 
@@ -165,7 +177,7 @@ def _kernel(name):
             ) from None
         return kernel_numpy.Kernel
     if not kernel_numba.is_compiled():
-        print("fast: compiling, once; this takes some ten seconds", file=sys.stderr, flush=True)
+        print("fast: compiling; this takes some ten seconds", file=sys.stderr, flush=True)
     return kernel_numba.Kernel
 
 
@@ -199,7 +211,7 @@ def run_fast(spec, streams, seed=0, kernel=None, threads=1, memory=MEMORY) -> It
     emulation = Emulation(compile_spec(spec, seed), kernel)
     shown, gap = spec.presentation.steps, spec.presentation.gap
     network = emulation.program.network
-    size = max(1, memory // ((shown + gap) * (network.n + network.n_inputs)))
+    size = max(1, memory // ((shown + gap) * emulation.bytes_per_step(1)))
     overflows = np.zeros((len(network.layers), len(OVERFLOWS)), np.int64)
 
     def run(batch):

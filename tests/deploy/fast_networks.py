@@ -184,6 +184,7 @@ class Watching:
 
     def __init__(self, kernel):
         self.kernel, self.log = kernel, []
+        self.bytes_per_spike = kernel.bytes_per_spike
 
     def advance(self, state, inputs):
         steps = self.kernel.advance(state, inputs)

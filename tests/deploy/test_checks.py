@@ -169,4 +169,6 @@ def test_a_place_that_cannot_be_written(bundle, tmp_path):
         run_check(bundle, "nengo", tmp_path)
     with pytest.raises(UserError, match="no target"):
         run_check(bundle, "gpu", tmp_path / "gpu.json")
-    assert not (tmp_path / "gpu.json").exists()
+    with pytest.raises(UserError, match="seed -1: must be from 0"):
+        run_check(bundle, "nengo", tmp_path / "nengo.json", seed=-1)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

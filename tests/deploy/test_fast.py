@@ -227,11 +227,16 @@ def test_silence_gives_zeros():
 
 
 def test_decay_by_hand():
-    x = np.array([0, 1, -1, 4095, -4095, 4096, -4097, 2**23 - 1, -(2**23)], np.int32)
-    decayed = x.copy()
-    kernel_numpy._decay(decayed, np.int32(3354), signed=True)
-    by_hand = [int(np.sign(v)) * (abs(int(v)) * 3354 // 4096) for v in x]
-    assert decayed.tolist() == by_hand
+    x = np.array([0, 1, -1, 4095, -4095, 4096, -4097, 2**23 - 1, -(2**23)])
+    decayed = x.astype(float)
+    kernel_numpy._decay(decayed, 3354 / 4096)
+    assert decayed.tolist() == [int(np.sign(v)) * (abs(int(v)) * 3354 // 4096) for v in x]
+
+
+def test_wrap_by_hand():
+    x = np.array([0, 7, 8, -8, -9, 23, 24.0])
+    assert kernel_numpy._wrap(x, 3) == 4
+    assert x.tolist() == [0, 7, -8, -8, 7, 7, -8]
 
 
 def test_unknown_kernel():

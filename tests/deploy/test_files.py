@@ -57,6 +57,14 @@ def test_a_place_that_cannot_be_written(tmp_path):
         write_json(tmp_path / "file" / "a.json", {})
 
 
+def test_what_is_no_file_is_not_replaced(tmp_path):
+    os.mkfifo(tmp_path / "pipe")  # as /dev/null is none either
+    for name in ("pipe", "."):
+        with pytest.raises(UserError, match="not a file"):
+            write_json(tmp_path / name, {})
+    assert os.listdir(tmp_path) == ["pipe"]
+
+
 @pytest.mark.parametrize(
     "content", [b"", b"{", b'{"a": 1', b"[1, 2]", b"3", b"\xff\xfe", b"[" * 100_000]
 )

@@ -128,7 +128,7 @@ def run(request):
         (["--max-disagreements", 1], 1, "2 disagreements, more than the 1 allowed"),
         (["--max-accuracy-drop", 0.25], 0, ""),
         (["--max-accuracy-drop", 0.2], 1, "accuracy drops by 0.2500, more than the 0.2 allowed"),
-        (["--max-disagreements", "few"], 2, "few"),
+        (["--max-disagreements", "few"], 2, "--max-disagreements"),
     ],
 )
 def test_limits_and_exit_status(run, pair, capsys, options, status, message):

@@ -35,7 +35,7 @@ def responses_of(spec, given, answered):
     }
     readout = spec.layers[-1]
     bias = readout.bias if readout.neurons is None else 0  # NIR has it in the graph's output
-    shown = answered["outputs"][:, : spec.presentation.steps]
+    shown = answered["outputs"][:, spec.presentation.gap :]
     return read_output(spec, shown - bias, flat)
 
 

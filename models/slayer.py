@@ -1,0 +1,318 @@
+"""SLAYER: spike response neurons trained directly on events (Shrestha and Orchard 2018).
+
+Equations, with the section of "SLAYER: Spike Layer Error Reassignment in Time" (NeurIPS 2018) they
+are from.  Time t counts steps of ``dt``; ``*`` is convolution and ``(x)`` correlation in time; l is
+the layer, W its weights (here a convolution or a dense layer, without bias).
+
+=========================  =====================================================  ===============
+spike response             a = eps * s,  eps(t) = t/tau_s exp(1 - t/tau_s)        Section 2.1
+refractory response        nu(t) = -scale_ref theta t/tau_r exp(1 - t/tau_r)      Section 2.1
+membrane potential         u_l = W_l a_(l-1) + nu * s_l                           Section 2.1
+spikes                     s_l(t) = 1 where u_l(t) >= theta                       Section 2.1
+spike escape rate          rho(t) = scale_rho/tau exp(-abs(u(t) - theta)/tau),    Section 3.2
+                           tau = tau_rho theta
+error of the layer         e_l = W_(l+1)^T delta_(l+1)                            Section 3.3
+credit over time           delta_l = rho_l . (eps (x) e_l)                        Section 3.3
+gradient                   dE/dW_l = sum over t of delta_l(t) a_(l-1)(t)^T        Section 3.3
+error of the output        e(t) = (count - desired count)/T                       Section 3.1
+=========================  =====================================================  ===============
+
+rho stands in for the derivative of a spike with respect to the potential (the stochastic neuron of
+Section 3.2); the correlation spreads an error at time t over the earlier inputs that caused it.
+As in the paper, the refractory feedback takes part in rho through u but is not differentiated.
+
+Both kernels are those of a second-order linear filter, so that a convolution over all of time costs
+a few operations a step whatever the time constant: with d = exp(-1/tau),
+
+    p(t) = d p(t-1) + s(t),    q(t) = d (q(t-1) + p(t-1)),    (eps * s)(t) = e/tau q(t).
+
+Every weight layer handles all steps of all samples at once; only :func:`fire` goes step by step,
+in one loop compiled by XLA that carries both filters, and its gradient is one such loop backwards.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+import tensorflow as tf
+
+from models.notation import Architecture
+
+
+@dataclass(frozen=True)
+class SpikeResponse:
+    """Parameters of a spike response neuron; times in seconds.
+
+    The defaults are those of the authors' published example on a data set of the same kind
+    (N-MNIST): time constants of 10 and 1 steps, theta = 10, refractory scale 2.  The ST-MNIST paper
+    gives none.
+
+    Attributes
+    ----------
+    dt : float
+        Length of a time step; ST-MNIST, Section 3.2.3: bins of 0.01 s.
+    tau_s : float
+        Time constant of the spike response kernel.
+    tau_r : float
+        Time constant of the refractory kernel.
+    scale_ref : float
+        Depth of the refractory response in units of the threshold.
+    theta : float
+        Threshold.
+    tau_rho : float
+        Width of the escape rate in units of the threshold.
+    scale_rho : float
+        Integral of the escape rate on either side of the threshold.
+    """
+
+    dt: float = 0.01
+    tau_s: float = 0.1
+    tau_r: float = 0.01
+    scale_ref: float = 2.0
+    theta: float = 10.0
+    tau_rho: float = 1.0
+    scale_rho: float = 1.0
+
+    def __post_init__(self):
+        for name in ("dt", "tau_s", "tau_r", "theta", "tau_rho"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"SpikeResponse: {name} must be above zero")
+
+    def decay(self, tau: float) -> float:
+        """Factor by which a trace with time constant ``tau`` shrinks in one step."""
+        return float(np.exp(-self.dt / tau))
+
+    def gain(self, tau: float) -> float:
+        """Factor from q to the kernel of unit peak, e/tau with tau in steps."""
+        return float(np.e * self.dt / tau)
+
+
+def spike_response(spikes, neuron: SpikeResponse):
+    """The response a = eps * s to spikes that are not differentiated, such as the input's.
+
+    Parameters
+    ----------
+    spikes : tensor of float32, shape (steps, ...)
+        1 where there is a spike, 0 elsewhere.
+
+    Returns
+    -------
+    tensor of float32, shape (steps, ...)
+    """
+    flat = tf.reshape(spikes, (spikes.shape[0], -1))
+    return tf.stop_gradient(tf.reshape(_respond(flat, neuron), tf.shape(spikes)))
+
+
+def fire(current, neuron: SpikeResponse):
+    """Spikes of a layer, and the response of the next one's synapses to them.
+
+    Parameters
+    ----------
+    current : tensor of float32, shape (steps, ...)
+        W a, the weighted responses of the layer before.
+
+    Returns
+    -------
+    response : tensor, shape (steps, ...)
+        a = eps * s.  Its gradient with respect to ``current`` is delta of the module's docstring.
+    potential : tensor, shape (steps, ...)
+        u, with the refractory response in it; the neuron fires where it reaches theta.  Errors
+        do not flow back through this output.
+    """
+
+    @tf.custom_gradient
+    def fire_with_credit(current):
+        # Else TensorFlow would also prepare to differentiate the loop itself, which XLA cannot.
+        response, potential = _fire(tf.stop_gradient(current), neuron)
+
+        def credit(error, _):
+            return _assign_credit(error, potential, neuron)
+
+        return (response, potential), credit
+
+    # XLA makes one tight loop of a step's neurons when they lie in one dimension.
+    flat = tf.reshape(current, (current.shape[0], -1))
+    response, potential = (tf.reshape(x, tf.shape(current)) for x in fire_with_credit(flat))
+    response.set_shape(current.shape)
+    potential.set_shape(current.shape)
+    return response, tf.stop_gradient(potential)
+
+
+_compiled = functools.partial(tf.function, jit_compile=True, autograph=False)
+
+
+@_compiled
+def _respond(spikes, neuron):
+    decay, gain = neuron.decay(neuron.tau_s), neuron.gain(neuron.tau_s)
+
+    def step(t, traces):
+        p, q = traces
+        q = decay * (q + p)
+        return (decay * p + spikes[t], q), (gain * q,)
+
+    return _scan(step, spikes, traces=2, outputs=1)[0]
+
+
+@_compiled
+def _fire(current, neuron):
+    decay_s, gain_s = neuron.decay(neuron.tau_s), neuron.gain(neuron.tau_s)
+    decay_r = neuron.decay(neuron.tau_r)
+    gain_r = -neuron.scale_ref * neuron.theta * neuron.gain(neuron.tau_r)
+
+    def step(t, traces):
+        p, q, p_r, q_r = traces
+        q, q_r = decay_s * (q + p), decay_r * (q_r + p_r)
+        potential = current[t] + gain_r * q_r
+        spikes = tf.cast(potential >= neuron.theta, current.dtype)
+        return (decay_s * p + spikes, q, decay_r * p_r + spikes, q_r), (gain_s * q, potential)
+
+    return _scan(step, current, traces=4, outputs=2)
+
+
+@_compiled
+def _assign_credit(error, potential, neuron):
+    decay, gain = neuron.decay(neuron.tau_s), neuron.gain(neuron.tau_s)
+    tau = neuron.tau_rho * neuron.theta
+
+    def step(t, traces):
+        p, q = traces
+        q = decay * (q + p)
+        rho = neuron.scale_rho / tau * tf.exp(-tf.abs(potential[t] - neuron.theta) / tau)
+        return (decay * p + error[t], q), (rho * (gain * q),)
+
+    return _scan(step, error, traces=2, outputs=1, backwards=True)[0]
+
+
+def _scan(step, like, traces, outputs, backwards=False):
+    """Run ``step(t, traces) -> traces, outputs`` over time; traces start at zero."""
+    steps = like.shape[0]
+    zeros = tuple(tf.zeros_like(like[0]) for _ in range(traces))
+    arrays = tuple(tf.TensorArray(like.dtype, steps) for _ in range(outputs))
+
+    def body(i, traces, arrays):
+        t = steps - 1 - i if backwards else i
+        traces, values = step(t, traces)
+        arrays = tuple(a.write(t, value) for a, value in zip(arrays, values, strict=True))
+        return i + 1, traces, arrays
+
+    loop = (tf.constant(0), zeros, arrays)
+    *_, arrays = tf.while_loop(lambda i, *_: i < steps, body, loop, maximum_iterations=steps)
+    return tuple(a.stack() for a in arrays)
+
+
+def spike_count_loss(response, potential, desired, neuron: SpikeResponse):
+    """The spike count loss E = 1/2 sum over t of e(t)^2, e(t) = (count - desired)/T, all of time.
+
+    Parameters
+    ----------
+    response, potential : tensors, shape (steps, samples, outputs)
+        Of the output layer, from :func:`fire`.
+    desired : tensor of float32, shape (samples, outputs)
+        Desired spike counts.
+
+    Returns
+    -------
+    scalar tensor
+        Mean over the samples.  Its gradient with respect to ``response`` is e(t)/samples: the paper
+        defines the error where synapses read the output, before credit is spread over time.
+    """
+    steps = response.shape[0]
+    error = tf.stop_gradient((spike_counts(potential, neuron) - desired) / steps)
+    value = 0.5 * steps * tf.reduce_mean(tf.reduce_sum(error**2, -1))
+    carrier = tf.reduce_mean(tf.reduce_sum(error * response, (0, 2)))
+    return value + (carrier - tf.stop_gradient(carrier))
+
+
+def spike_counts(potential, neuron: SpikeResponse):
+    """Number of spikes in all of time, float32, shape (samples, ...)."""
+    return tf.reduce_sum(tf.cast(potential >= neuron.theta, tf.float32), 0)
+
+
+class SpikingNetwork(tf.Module):
+    """Convolutions and a dense output of spike response neurons.
+
+    Parameters
+    ----------
+    architecture : Architecture
+        For example ``notation.parse("10x10x2-6c2-24c3-10o")``.
+    neuron : SpikeResponse
+    seed : int
+        Of the initial weights: uniform in +-scale/sqrt(fan-in).
+    conv_scale, dense_scale : float
+        How far the initial weights reach.  They must be large enough for spikes to reach the
+        output, without which there is no gradient to learn from.
+
+    Attributes
+    ----------
+    kernels : list of Variable
+        Of each convolution, shape (k, k, channels in, filters), and of the dense layer, shape
+        (features in, outputs).
+    """
+
+    def __init__(
+        self,
+        architecture: Architecture,
+        neuron: SpikeResponse | None = None,
+        seed: int = 0,
+        conv_scale: float = 10.0,
+        dense_scale: float = 10.0,
+    ):
+        super().__init__()
+        self.architecture, self.neuron = architecture, neuron or SpikeResponse()
+        rng = np.random.default_rng(seed)
+
+        def uniform(name, scale, shape):
+            reach = scale / np.sqrt(np.prod(shape[:-1]))
+            return tf.Variable(rng.uniform(-reach, reach, shape), dtype=tf.float32, name=name)
+
+        shapes = architecture.shapes
+        self.kernels = [
+            uniform(f"conv{i + 1}", conv_scale, (c.kernel, c.kernel, shapes[i][2], c.filters))
+            for i, c in enumerate(architecture.convs)
+        ]
+        features = int(np.prod(shapes[-1]))
+        self.kernels.append(uniform("output", dense_scale, (features, architecture.outputs)))
+
+    def __call__(self, events):
+        """Run the network on events.
+
+        Parameters
+        ----------
+        events : tensor, shape (samples, steps, rows, columns, channels)
+            1 where there is an event in the step, 0 elsewhere; any type.
+
+        Returns
+        -------
+        response, potential : tensors, shape (steps, samples, outputs)
+            Of the output layer.
+        """
+        *_, output = self.layers(events)
+        return output
+
+    def layers(self, events):
+        """Response and potential of every layer, from the first convolution to the output.
+
+        Returns
+        -------
+        list of (response, potential)
+            Each of shape (steps, samples, rows, columns, filters); the output's as in a call.
+        """
+        spikes = tf.transpose(tf.cast(events, tf.float32), (1, 0, 2, 3, 4))
+        response, results = spike_response(spikes, self.neuron), []
+        for kernel in self.kernels:
+            results.append(fire(_weigh(response, kernel), self.neuron))
+            response = results[-1][0]
+        return results
+
+
+def _weigh(response, kernel):
+    """W a for all steps and samples at once."""
+    steps, samples = response.shape[0], tf.shape(response)[1]
+    if len(kernel.shape) == 2:
+        current = tf.matmul(tf.reshape(response, (-1, kernel.shape[0])), kernel)
+        return tf.reshape(current, (steps, samples, kernel.shape[1]))
+    frames = tf.reshape(response, (-1, *response.shape[2:]))
+    current = tf.nn.conv2d(frames, kernel, strides=1, padding="VALID")
+    return tf.reshape(current, (steps, samples, *current.shape[1:]))

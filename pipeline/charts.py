@@ -1,0 +1,237 @@
+"""Charts as SVG text, coloured by the style sheet of the page they stand in.
+
+Every mark has a class (``s1`` to ``s4`` for series, ``grid``, ``axis``, ``on``, ``off``, ...) and
+no colour of its own, so that one chart serves light, dark and print.  Charts scale with the page
+and are narrow enough to be read on a phone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup, escape
+
+WIDTH, HEIGHT = 440, 260
+LEFT, RIGHT, TOP, BOTTOM = 52, 16, 12, 40
+
+
+@dataclass(frozen=True)
+class Series:
+    """A line of a chart.
+
+    Attributes
+    ----------
+    name : str
+    x, y : sequence of float
+    """
+
+    name: str
+    x: tuple
+    y: tuple
+
+
+def line_chart(series, x_label: str, y_label: str, y_range=None, description="") -> Markup:
+    """Lines over a common x axis; names belong into a legend beside it, see :func:`legend`.
+
+    Parameters
+    ----------
+    series : sequence of Series
+    x_label, y_label : str
+    y_range : tuple of float, optional
+    description : str
+        Read out in place of the picture.
+    """
+    x = np.concatenate([np.asarray(s.x, float) for s in series])
+    y = np.concatenate([np.asarray(s.y, float) for s in series])
+    x_axis = _Axis(x.min(), x.max(), LEFT, WIDTH - RIGHT)
+    low, high = y_range or (y.min(), y.max())
+    y_axis = _Axis(low, high, HEIGHT - BOTTOM, TOP)
+    marks = [_axes(x_axis, y_axis, x_label, y_label)]
+    for number, s in enumerate(series, 1):
+        points = " ".join(f"{x_axis(a):.1f},{y_axis(b):.1f}" for a, b in zip(s.x, s.y, strict=True))
+        if len(s.x) == 1:
+            at = points.split(",")
+            marks.append(f'<circle class="dot s{number}" cx="{at[0]}" cy="{at[1]}" r="3"/>')
+        marks.append(f'<polyline class="line s{number}" points="{points}"/>')
+    return _svg(WIDTH, HEIGHT, marks, description)
+
+
+def interval_chart(rows, x_label: str, description="") -> Markup:
+    """One row a value: a dot with its interval, and a reference mark where there is one.
+
+    Parameters
+    ----------
+    rows : sequence of (name, value, (low, high) or None, reference or None)
+        Accuracies, 0 to 1.
+    x_label : str
+    description : str
+    """
+    numbers = [n for _, value, interval, reference in rows
+               for n in (value, *(interval or ()), reference) if n is not None]  # fmt: skip
+    low = max(0.0, np.floor(min(numbers) * 20) / 20)
+    left, step = 22, 40
+    height = TOP + step * len(rows) + BOTTOM
+    axis = _Axis(low, 1.0, left, WIDTH - left)
+    marks = []
+    for tick in axis.ticks():
+        marks.append(_segment("grid", axis(tick), TOP, axis(tick), height - BOTTOM))
+        marks.append(_text(axis(tick), height - BOTTOM + 18, f"{100 * tick:.0f} %", "middle"))
+    marks.append(_text(WIDTH / 2, height - 4, x_label, "middle"))
+    for number, (name, value, interval, reference) in enumerate(rows):
+        y = TOP + step * (number + 0.7)
+        marks.append(_text(left, y - 12, name, "start"))
+        if reference is not None:
+            marks.append(_segment("reference", axis(reference), y - 10, axis(reference), y + 10))
+        if interval:
+            marks.append(_segment("line s1", axis(interval[0]), y, axis(interval[1]), y))
+        marks.append(f'<circle class="dot s1" cx="{axis(value):.1f}" cy="{y:.1f}" r="4.5"/>')
+    return _svg(WIDTH, height, marks, description)
+
+
+def image(values, description="") -> Markup:
+    """A tactile image: one square a taxel, the darker the more events; negative ones in red."""
+    values = np.asarray(values, float)
+    scale = np.abs(values).max() or 1.0
+    marks = ['<rect class="paper" width="{1}" height="{0}"/>'.format(*values.shape)]
+    for (row, column), value in np.ndenumerate(values / scale):
+        if abs(value) > 0.004:
+            sign = "on" if value > 0 else "off"
+            marks.append(
+                f'<rect class="{sign}" x="{column}" y="{row}" width="1" height="1" '
+                f'fill-opacity="{abs(value):.2f}"/>'
+            )
+    return _svg(values.shape[1], values.shape[0], marks, description, "image")
+
+
+def raster(groups, extent: float, x_label: str, description="", rows=None) -> Markup:
+    """Events or spikes over time.
+
+    Parameters
+    ----------
+    groups : sequence of (class, times, units)
+        Marks of one colour each.
+    extent : float
+        End of the time axis.
+    x_label : str
+    description : str
+    rows : int, optional
+        Height in units; by default the highest unit there is.
+    """
+    rows = rows or max((int(np.max(units)) + 1 for _, _, units in groups if len(units)), default=1)
+    height = 190
+    x_axis = _Axis(0, extent, LEFT, WIDTH - RIGHT, exact=True)
+    y_axis = _Axis(0, rows, height - BOTTOM, TOP, exact=True)
+    marks = [_axes(x_axis, y_axis, x_label, "")]
+    tall = max(1.6, (height - BOTTOM - TOP) / rows)
+    for name, times, units in groups:
+        path = "".join(
+            f"M{x_axis(t):.1f} {y_axis(u + 1):.1f}v{tall:.1f}"
+            for t, u in zip(times, units, strict=True)
+        )
+        marks.append(f'<path class="event {name}" d="{path}"/>')
+    return _svg(WIDTH, height, marks, description)
+
+
+def confusion(matrix, description="") -> Markup:
+    """A confusion matrix: row the digit that was written, column the answer, in counts."""
+    matrix = np.asarray(matrix)
+    size, cell = len(matrix), 30
+    share = matrix / np.maximum(matrix.sum(1, keepdims=True), 1)
+    side = 46 + size * cell
+    marks = []
+    for digit in range(size):
+        at = 46 + (digit + 0.5) * cell
+        marks += [_text(at, 36, digit, "middle"), _text(34, at + 4, digit, "middle")]
+    marks.append(_text(46 + size * cell / 2, 14, "answer", "middle"))
+    marks.append(
+        f'<text class="label" text-anchor="middle" transform="translate(14 {46 + size * cell / 2})'
+        f' rotate(-90)">written</text>'
+    )
+    for (row, column), count in np.ndenumerate(matrix):
+        x, y = 46 + column * cell, 46 + row * cell
+        kind = "on" if row == column else "off"
+        # Errors are few: a root makes one in a hundred visible.
+        opacity = share[row, column] if row == column else min(1.0, share[row, column] ** 0.5)
+        marks.append(
+            f'<rect class="cell" x="{x}" y="{y}" width="{cell}" height="{cell}"/>'
+            f'<rect class="{kind}" x="{x}" y="{y}" width="{cell}" height="{cell}" '
+            f'fill-opacity="{0.75 * opacity:.2f}"/>'
+        )
+        if count:
+            marks.append(_text(x + cell / 2, y + cell / 2 + 4, count, "middle", "count"))
+    return _svg(side, side, marks, description, "square")
+
+
+def legend(names) -> Markup:
+    """Names of a chart's series beside their colours."""
+    items = (
+        f'<li><span class="key s{number}"></span>{escape(name)}</li>'
+        for number, name in enumerate(names, 1)
+    )
+    return Markup('<ul class="legend">' + "".join(items) + "</ul>")
+
+
+class _Axis:
+    """A linear scale from values to places, with ticks at round values."""
+
+    def __init__(self, low, high, start, end, exact=False):
+        if high <= low:
+            high = low + (abs(low) or 1.0)
+        self.step = _round_step((high - low) / 5)
+        if not exact:
+            low = np.floor(low / self.step + 1e-9) * self.step
+            high = np.ceil(high / self.step - 1e-9) * self.step
+        self.low, self.high, self.start, self.end = low, high, start, end
+
+    def __call__(self, value):
+        return self.start + (value - self.low) / (self.high - self.low) * (self.end - self.start)
+
+    def ticks(self):
+        first = np.ceil(self.low / self.step - 1e-9) * self.step
+        return np.arange(first, self.high + self.step * 1e-6, self.step)
+
+    def label(self, value):
+        value = 0.0 if abs(value) < self.step * 1e-6 else value  # no "-0"
+        return f"{value:.6g}"
+
+
+def _round_step(step):
+    magnitude = 10.0 ** np.floor(np.log10(step))
+    return next(m * magnitude for m in (1, 2, 2.5, 5, 10) if m * magnitude >= step * 0.999)
+
+
+def _axes(x_axis, y_axis, x_label, y_label):
+    marks = []
+    for tick in y_axis.ticks():
+        marks.append(_segment("grid", x_axis.start, y_axis(tick), x_axis.end, y_axis(tick)))
+        marks.append(_text(x_axis.start - 7, y_axis(tick) + 4, y_axis.label(tick), "end"))
+    for tick in x_axis.ticks():
+        marks.append(_segment("axis", x_axis(tick), y_axis.start, x_axis(tick), y_axis.start + 4))
+        marks.append(_text(x_axis(tick), y_axis.start + 18, x_axis.label(tick), "middle"))
+    marks.append(_segment("axis", x_axis.start, y_axis.start, x_axis.end, y_axis.start))
+    middle = (x_axis.start + x_axis.end) / 2
+    marks.append(_text(middle, y_axis.start + 35, x_label, "middle"))
+    middle = (y_axis.start + y_axis.end) / 2
+    marks.append(
+        f'<text class="label" text-anchor="middle" transform="translate(13 {middle:.1f}) '
+        f'rotate(-90)">{escape(y_label)}</text>'
+    )
+    return "".join(marks)
+
+
+def _segment(name, x1, y1, x2, y2):
+    return f'<line class="{name}" x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"/>'
+
+
+def _text(x, y, text, anchor, name="label"):
+    return (
+        f'<text class="{name}" x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
+    )
+
+
+def _svg(width, height, marks, description, name="chart"):
+    return Markup(
+        f'<svg class="{name}" viewBox="0 0 {width} {height}" role="img" '
+        f'aria-label="{escape(description)}">{"".join(marks)}</svg>'
+    )

@@ -1,0 +1,121 @@
+"""``stmnist benchmark``: the paper's Table 2."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Optional
+
+import typer
+
+from deploy.errors import CheckFailed, UserError
+from deploy.files import write_json
+from pipeline import table2
+from pipeline.commands import options
+from pipeline.parallel import Failure, run_jobs
+from pipeline.progress import progress
+from pipeline.run_folder import RunFolder
+from pipeline.sources import load_recordings
+from pipeline.table2_summary import summarise, table_text
+
+app = typer.Typer(help="The paper's Table 2, and speed.", no_args_is_help=True)
+
+WITHOUT_SLAYER = tuple(name for name in table2.MODELS if name != "slayer")
+
+
+@app.command("table2")
+def table2_(
+    out: Annotated[
+        Path, typer.Option(help="Folder of the results; splits that are there are not run again.")
+    ] = Path("runs/table2"),
+    splits: Annotated[int, typer.Option(help="Splits of each kind.", min=1)] = 10,
+    models: Annotated[
+        str,
+        typer.Option(
+            help=f"Rows, separated by commas: {', '.join(table2.MODELS)}. Left out by default "
+            "is slayer, which takes about an hour a split."
+        ),
+    ] = ",".join(WITHOUT_SLAYER),
+    kind: Annotated[
+        str,
+        typer.Option(
+            help="Splits: random (the paper's), writers (nobody in both training and test), or "
+            "both; by default both where the writers are known."
+        ),
+    ] = "",
+    data: options.Data = None,
+    seed: options.Seed = None,
+    settings: options.SettingsFile = None,
+    set_: options.Assignments = None,
+    jobs: options.Jobs = 2,
+    scheduler: Annotated[
+        Optional[str],  # noqa: UP045 - Typer reads the annotation at run time
+        typer.Option(help="Address of a Dask scheduler whose workers run the splits."),
+    ] = None,
+    as_json: options.Json = False,
+):
+    """Run the paper's Table 2: mean (SD) over splits, beside the paper's figures.
+
+    Goes on where it was interrupted.  A split that fails is reported and its row is of the others;
+    exit status 1.
+    """
+    names = _names(models)
+    folder = RunFolder(out)
+    with folder.locked():
+        resolved = options.resolve(folder, data, seed, None, None, settings, set_)
+        chosen = resolved.data
+        recordings = load_recordings(
+            chosen.source, chosen.simulation_seed, chosen.samples_per_digit, chosen.skip_bad, jobs
+        )
+        kinds = _kinds(kind, recordings)
+        try:
+            for each in kinds:
+                test = table2.split_of(recordings, resolved, each, resolved.seed).test
+                table2.draw_check_samples(test, resolved.check.samples, resolved.seed)
+        except ValueError as error:
+            raise UserError(
+                f"{chosen.source}: {error}; change --kind, check.samples or the data"
+            ) from error
+        benchmark = table2.Benchmark(
+            resolved, recordings.source.sha256, out.absolute(), kinds, splits, names
+        )
+        todo = table2.plan(benchmark)
+        failures = []
+        with progress("table 2", len(todo)) as advance:
+            for job, result in run_jobs(table2.run, todo, jobs, scheduler):
+                if isinstance(result, Failure):
+                    failures.append((job, result))
+                    print(result.details, file=sys.stderr)
+                else:
+                    table2.write_splits(job, result)
+                advance(1, f"{job.kind} split {job.index}")
+        table = summarise(benchmark, failures)
+        write_json(out / "table2.json", table)
+    print(json.dumps(table, indent=2) if as_json else table_text(table))
+    if failures:
+        raise CheckFailed(
+            f"{len(failures)} of {len(todo)} jobs failed; the same command tries them again"
+        )
+
+
+def _names(models):
+    names = tuple(dict.fromkeys(name.strip() for name in models.split(",") if name.strip()))
+    unknown = [name for name in names if name not in table2.MODELS]
+    if unknown or not names:
+        raise UserError(
+            f"--models {models!r}: no model {(unknown or [''])[0]!r}; "
+            f"the models are {', '.join(table2.MODELS)}"
+        )
+    return tuple(name for name in table2.MODELS if name in names)
+
+
+def _kinds(kind, recordings):
+    known = recordings.writers.min(initial=0) >= 0
+    if kind in ("random", "writers"):
+        return (kind,)
+    if kind == "both" or (kind == "" and known):
+        return table2.KINDS
+    if kind == "":
+        return ("random",)
+    raise UserError(f"--kind {kind!r}: must be random, writers or both")

@@ -1,0 +1,135 @@
+"""``stmnist report``: a run as one HTML file."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Optional
+
+import numpy as np
+import typer
+
+from deploy.bundle import read_bundle
+from deploy.errors import UserError
+from deploy.files import read_json, replacing
+from deploy.plan import make_plan
+from deploy.results import read_result
+from pipeline import report, table2
+from pipeline.commands import options
+from pipeline.ladder import STAGES
+from pipeline.progress import progress
+from pipeline.replay import replay
+from pipeline.run_folder import RunFolder
+from pipeline.settings import read_settings
+from pipeline.sources import load_recordings
+
+REMEDY = "delete it and make it again"
+
+
+def report_(
+    run: options.Run,
+    benchmark: Annotated[
+        Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
+        typer.Option(help="Folder of 'stmnist benchmark table2' (default: table2 beside the run)."),
+    ] = None,
+    out: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(help="The file to write (default: report.html in the run's folder)."),
+    ] = None,
+    jobs: options.Jobs = 2,
+):
+    """Write the run as one self-contained HTML file, with whatever has been measured so far."""
+    folder = RunFolder(run)
+    settings = read_settings(folder.experiment)
+    bundle = read_bundle(folder.bundle)
+    results = _results(folder, bundle)
+    data = settings.data
+    recordings = load_recordings(
+        data.source, data.simulation_seed, data.samples_per_digit, data.skip_bad, jobs
+    )
+    made_from = bundle.spec.provenance.get("source_sha256")
+    if made_from != recordings.source.sha256:
+        raise UserError(
+            f"{folder.bundle}: made from other recordings than {data.source} gives now; "
+            f"run 'stmnist ladder {run}' again"
+        )
+    table, answers, curves = _read_benchmark(benchmark or run.parent / "table2", recordings)
+    histories = {
+        title: report.read_history(path)
+        for title, path in (
+            ("CNN", folder.cnn / "history.csv"),
+            ("Rate LIF", folder.snn / "history.csv"),
+        )
+        if path.exists()
+    }
+    chosen = []
+    if results[-1]["spikes"]:
+        chosen = report.choose_samples(results[-1], bundle.spec.presentation.stream_length)
+    replays = {}
+    with progress("replay samples", len(chosen)) as advance:
+        for index in chosen:
+            replays[index] = replay(bundle, index, settings.seed)
+            advance()
+    html = report.render(
+        report.Inputs(
+            settings=settings,
+            recordings=recordings,
+            bundle=bundle,
+            results=results,
+            metrics={
+                name: read_json(path / "metrics.json", REMEDY)
+                for name, path in (("cnn", folder.cnn), ("snn", folder.snn))
+                if (path / "metrics.json").exists()
+            },
+            histories={**histories, **curves},
+            table2=table,
+            answers=answers,
+            plan=make_plan(bundle.spec).to_json(),
+            replays=replays,
+        )
+    )
+    path = out or run / "report.html"
+    with replacing(path, "w") as file:
+        file.write(html)
+    print(f"report: {path} ({len(html) // 1024} KiB)", file=sys.stderr)
+
+
+def _results(folder, bundle):
+    """The check results of this bundle, in the order of the ladder."""
+    results = [
+        result
+        for stage in STAGES
+        if folder.check(stage).exists()
+        and (result := read_result(folder.check(stage)))["bundle"] == bundle.id
+    ]
+    if not results:
+        raise UserError(
+            f"{folder.path / 'checks'}: no check result of the bundle that is there; "
+            f"run 'stmnist ladder {folder.path}' first"
+        )
+    return results
+
+
+def _read_benchmark(folder, recordings):
+    """Table, answers of the random splits, and SLAYER's learning curves, where they are there."""
+    path = folder / "table2.json"
+    if not path.exists():
+        return None, {}, {}
+    table = read_json(path, REMEDY)
+    if table.get("source_sha256") != recordings.source.sha256:
+        print(f"report: {path} is of other recordings and left out", file=sys.stderr)
+        return None, {}, {}
+    answers, curves = {}, {}
+    for row in table["rows"]:
+        results = [
+            read_json(table2.split_path(folder, "random", index, row["model"]), REMEDY)
+            for index in row["indices"]
+        ]
+        if results:
+            answers[row["model"]] = tuple(
+                np.concatenate([result[key] for result in results])
+                for key in ("labels", "predictions")
+            )
+        if row["model"] == "slayer" and results:
+            curves[f"SNN-SLAYER, split {row['indices'][0]}"] = results[0]["history"]
+    return table, answers, curves

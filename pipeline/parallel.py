@@ -1,0 +1,99 @@
+"""Independent jobs: in processes of this machine, or on a Dask cluster that is there already."""
+
+from __future__ import annotations
+
+import traceback
+import warnings
+from dataclasses import dataclass
+
+from joblib import Parallel, delayed
+
+from deploy.errors import UserError
+
+
+@dataclass(frozen=True)
+class Failure:
+    """What a job raised instead of returning.
+
+    Attributes
+    ----------
+    error : str
+        One line: the exception's type and message.
+    details : str
+        The traceback.
+    """
+
+    error: str
+    details: str
+
+
+def run_jobs(function, jobs, processes: int = 1, scheduler: str | None = None):
+    """Call a function once for each job, and yield what it returns as it comes.
+
+    A job that fails does not stop the others.
+
+    Parameters
+    ----------
+    function : callable
+        Of a module (workers import it), called as ``function(job)``.
+    jobs : sequence
+        Values that can be pickled.
+    processes : int
+        On this machine; with 1 the jobs run in this process, one after the other.
+    scheduler : str, optional
+        Address of a Dask scheduler, such as ``tcp://host:8786``; its workers run the jobs.
+
+    Yields
+    ------
+    job, result
+        In the order in which they end; the result is a :class:`Failure` where the function raised.
+
+    Raises
+    ------
+    UserError
+        There is no scheduler at the address, or Dask is not installed.
+    """
+    jobs = list(jobs)
+    if scheduler is not None:
+        yield from _on_cluster(function, jobs, scheduler)
+    elif processes == 1 or len(jobs) <= 1:
+        for job in jobs:
+            yield _attempt(function, job)
+    else:
+        parallel = Parallel(n_jobs=min(processes, len(jobs)), return_as="generator_unordered")
+        with warnings.catch_warnings():
+            # Workers whose memory has grown are replaced between jobs, which is as it should be.
+            warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
+            yield from parallel(delayed(_attempt)(function, job) for job in jobs)
+
+
+def _attempt(function, job):
+    try:
+        return job, function(job)
+    except Exception as error:
+        message = " ".join(str(error).split()) or "no message"
+        return job, Failure(f"{type(error).__name__}: {message}", traceback.format_exc())
+
+
+def _on_cluster(function, jobs, scheduler):
+    try:
+        from distributed import Client, as_completed
+    except ImportError:
+        raise UserError(
+            "--scheduler needs Dask, which is not installed; pip install 'stmnist-loihi[cluster]'"
+        ) from None
+    try:
+        client = Client(scheduler, timeout=5)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise UserError(
+            f"--scheduler {scheduler}: no Dask scheduler answers there ({type(error).__name__}); "
+            "start one with 'dask scheduler' and give the address that it prints"
+        ) from error
+    with client:
+        tasks = {client.submit(_attempt, function, job, pure=False): job for job in jobs}
+        for task in as_completed(tasks):
+            if task.status == "finished":
+                yield task.result()
+            else:  # the worker died
+                error = task.exception()
+                yield tasks[task], Failure(f"{type(error).__name__}: {error}", "")

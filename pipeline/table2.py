@@ -1,0 +1,291 @@
+"""The paper's Table 2: its four models on the same splits, and this project's recipe beside them.
+
+One job is one split for the models on tactile images (they share the CNN and the conversions), and
+one split of its own for SLAYER, which takes a hundred times as long.  Each answer of a model to a
+split is a file, so that a benchmark that was interrupted goes on with the splits that are missing.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from deploy import __version__
+from deploy.files import read_json, write_json
+from deploy.targets import TARGETS, answer
+from pipeline.images import tactile_images
+from pipeline.run_folder import stamp_of
+from pipeline.settings import Settings
+from pipeline.sources import load_recordings
+from pipeline.splits import Split, draw_check_samples, random_split, writer_split
+
+SCHEMA = "stmnist-table2-split/1"
+REMEDY = "delete it and run the benchmark again"
+KINDS = ("random", "writers")
+
+
+@dataclass(frozen=True)
+class Model:
+    """A row of the table.
+
+    Attributes
+    ----------
+    name : str
+    title : str
+        As printed.
+    paper : tuple of float or None
+        Mean and SD in the paper's Table 2.
+    recipe : str or None
+        Of :class:`pipeline.settings.SNN`; None where no rate-based network takes part.
+    """
+
+    name: str
+    title: str
+    paper: tuple | None
+    recipe: str | None = None
+
+
+MODELS = {
+    model.name: model
+    for model in (
+        Model("cnn", "CNN", (0.89, 0.01)),
+        Model("ann-snn", "ANN-SNN", (0.87, 0.01), "paper"),
+        Model("loihi", "ANN-SNN on Loihi", (0.86, 0.02), "paper"),
+        Model("slayer", "SNN-SLAYER", (0.81, 0.01)),
+        Model("own-ann-snn", "ANN-SNN, trained for the chip", None, "loihi"),
+        Model("own-loihi", "ANN-SNN on Loihi, trained for the chip", None, "loihi"),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """What is to be measured.
+
+    Attributes
+    ----------
+    settings : Settings
+    source_sha256 : str
+        Of the recordings that the settings name.
+    folder : Path
+        Of the results; on a cluster one that all workers see.
+    kinds : tuple of str
+        ``"random"``, ``"writers"``.
+    splits : int
+        Of each kind.
+    models : tuple of str
+        Keys of :data:`MODELS`.
+    """
+
+    settings: Settings
+    source_sha256: str
+    folder: Path
+    kinds: tuple
+    splits: int
+    models: tuple
+
+
+@dataclass(frozen=True)
+class Job:
+    """What one process does at a time.
+
+    Attributes
+    ----------
+    benchmark : Benchmark
+    kind : str
+    index : int
+        Number of the split; its seed is the settings' seed plus it.
+    models : tuple of str
+    """
+
+    benchmark: Benchmark
+    kind: str
+    index: int
+    models: tuple
+
+    @property
+    def seed(self) -> int:
+        """Of the split, the training and the choice of samples."""
+        return self.benchmark.settings.seed + self.index
+
+
+def split_of(recordings, settings: Settings, kind: str, seed: int) -> Split:
+    """The split of a job.
+
+    Raises
+    ------
+    ValueError
+        Too few samples, or writers that are not known.
+    """
+    if kind == "writers":
+        return writer_split(recordings.writers, seed, settings.split.test_fraction)
+    return random_split(len(recordings), seed, settings.split.test_fraction)
+
+
+def loihi_target() -> str:
+    """What stands in for the chip: the fast emulator where there is one, else NengoLoihi's."""
+    return "fast" if "fast" in TARGETS else "emulator"
+
+
+def plan(benchmark: Benchmark) -> list:
+    """Jobs whose results are not there yet, SLAYER's last.
+
+    Returns
+    -------
+    list of Job
+    """
+    on_images = [name for name in benchmark.models if name != "slayer"]
+    on_events = [name for name in benchmark.models if name == "slayer"]
+    jobs = []
+    for group in (on_images, on_events):
+        for kind in benchmark.kinds:
+            for index in range(benchmark.splits):
+                missing = tuple(
+                    name for name in group if read_split(benchmark, kind, index, name) is None
+                )
+                if missing:
+                    jobs.append(Job(benchmark, kind, index, missing))
+    return jobs
+
+
+def split_path(folder: Path, kind: str, index: int, model: str) -> Path:
+    """Where the result of a model on a split is."""
+    return Path(folder) / "splits" / f"{kind}-{index:02d}" / f"{model}.json"
+
+
+def read_split(benchmark: Benchmark, kind: str, index: int, model: str) -> dict | None:
+    """The result of a model on a split, or None if it is missing or of other settings."""
+    path = split_path(benchmark.folder, kind, index, model)
+    if not path.exists():
+        return None
+    result = read_json(path, REMEDY)
+    return result if result.get("made_from") == stamp(benchmark, model) else None
+
+
+def write_splits(job: Job, results: list):
+    """Write what :func:`run` returned."""
+    for result in results:
+        path = split_path(job.benchmark.folder, job.kind, job.index, result["model"])
+        write_json(path, result)
+
+
+def run(job: Job) -> list:
+    """Do a job: train and test its models on its split.
+
+    Returns
+    -------
+    list of dict
+        One a model, ready for :func:`write_splits`.
+    """
+    settings = job.benchmark.settings
+    data = settings.data
+    recordings = load_recordings(
+        data.source, data.simulation_seed, data.samples_per_digit, data.skip_bad, jobs=1
+    )
+    split = split_of(recordings, settings, job.kind, job.seed)
+    work = _run_slayer if job.models == ("slayer",) else _run_on_images
+    return [
+        _result(job, recordings, split, name, *rest) for name, *rest in work(job, recordings, split)
+    ]
+
+
+def _run_on_images(job, recordings, split):
+    from pipeline import nengodl, training  # TensorFlow, in the process that needs it
+    from pipeline.conversion import to_spec
+
+    settings = job.benchmark.settings
+    images = tactile_images(recordings, settings.image.aggregation, settings.image.normalisation)
+    data = images[split.train], recordings.labels[split.train]
+    begun = time.perf_counter()
+    cnn = training.train_cnn(settings, data, job.seed)
+    seconds = time.perf_counter() - begun
+    if "cnn" in job.models:
+        logits = training.cnn_logits(settings, cnn.weights, images[split.test])
+        yield "cnn", split.test, logits.argmax(1), cnn.history, seconds
+    for recipe in ("paper", "loihi"):
+        names = [name for name in job.models if MODELS[name].recipe == recipe]
+        if not names:
+            continue
+        of_recipe = replace(settings, snn=replace(settings.snn, recipe=recipe))
+        begun = time.perf_counter()
+        rate = training.train_rate_network(of_recipe, data, job.seed, cnn.weights)
+        trained = time.perf_counter() - begun
+        for name in names:
+            begun = time.perf_counter()
+            if name.endswith("ann-snn"):
+                shown, start = split.test, settings.presentation.readout_start
+                steps = nengodl.run(
+                    of_recipe, rate.weights, images[shown], settings.presentation.steps
+                )
+                predictions = steps[:, start:].mean(1).argmax(1)
+            else:
+                shown = draw_check_samples(split.test, settings.check.samples, job.seed)
+                logits = None
+                if settings.deployment.readout == "chip":
+                    logits = training.rate_logits(of_recipe, rate.weights, data[0])
+                spec = to_spec(of_recipe, rate.weights, {}, logits)
+                predictions = answer(spec, images[shown], loihi_target(), job.seed).predictions
+            seconds = trained + time.perf_counter() - begun
+            yield name, shown, predictions, rate.history, seconds
+
+
+def _run_slayer(job, recordings, split):
+    from pipeline.direct_training import train_slayer
+    from pipeline.event_frames import bin_events
+
+    slayer = job.benchmark.settings.slayer
+    path = split_path(job.benchmark.folder, job.kind, job.index, "slayer")
+    trained = train_slayer(
+        slayer,
+        bin_events(recordings, slayer.bins),
+        recordings.labels,
+        split.train,
+        split.test,
+        job.seed,
+        path.with_suffix(".npz"),
+    )
+    seconds = sum(row["seconds"] for row in trained.history)
+    yield "slayer", split.test, trained.counts.argmax(1), trained.history, seconds
+
+
+def _result(job, recordings, split, model, shown, predictions, history, seconds):
+    labels = recordings.labels[shown]
+    return {
+        "schema": SCHEMA,
+        "model": model,
+        "split": job.kind,
+        "index": job.index,
+        "seed": job.seed,
+        "simulated": recordings.source.simulated,
+        "source_sha256": recordings.source.sha256,
+        "made_from": stamp(job.benchmark, model),
+        "n_train": len(split.train),
+        "n_test": len(shown),
+        "accuracy": float(np.mean(predictions == labels)),
+        "samples": [int(i) for i in shown],
+        "labels": [int(digit) for digit in labels],
+        "predictions": [int(digit) for digit in predictions],
+        "history": history,
+        "seconds": seconds,
+    }
+
+
+def stamp(benchmark: Benchmark, model: str) -> str:
+    """Hash of all that a model's result depends on, and of nothing else."""
+    settings = benchmark.settings
+    common = (__version__, benchmark.source_sha256, settings.seed, settings.split.test_fraction)
+    if model == "slayer":
+        return stamp_of(*common, asdict(settings.slayer))
+    parts = [asdict(settings.image), asdict(settings.cnn)]
+    if MODELS[model].recipe:
+        parts += [
+            {**asdict(settings.snn), "recipe": MODELS[model].recipe},
+            asdict(settings.deployment),
+            asdict(settings.presentation),
+        ]
+    if model.endswith("loihi"):
+        parts += [asdict(settings.check), loihi_target()]
+    return stamp_of(*common, *parts)

@@ -1,0 +1,338 @@
+"""A mistake is one clear line on standard error with the remedy, status 2, and nothing is lost."""
+
+import json
+import os
+import shutil
+import signal
+import time
+
+import numpy as np
+import pytest
+
+from deploy.files import read_json, write_json
+from deploy.results import read_result
+from pipeline.run_folder import RunFolder
+from pipeline.settings import read_settings
+
+from .command import call, start
+from .pipeline.handmade import archive, good_members
+
+TINY = ["--set", "data.samples_per_digit=60", "--set", "check.samples=20"]
+
+
+@pytest.fixture
+def run(tiny_run, tmp_path):
+    """A copy of the small run, to be broken."""
+    return shutil.copytree(tiny_run, tmp_path / "run")
+
+
+@pytest.fixture
+def refused(capsys):
+    """Call a command that must be refused; its one line is returned."""
+
+    def refuse(*arguments, status=2):
+        capsys.readouterr()
+        assert call(*arguments) == status
+        out, err = capsys.readouterr()
+        lines = [line for line in err.splitlines() if "up to date" not in line]
+        assert len(lines) == 1, err
+        assert lines[0].startswith("stmnist: ")
+        assert "Traceback" not in out + err
+        return lines[0]
+
+    return refuse
+
+
+def content(folder):
+    return {p: p.read_bytes() for p in folder.rglob("*") if p.is_file() and p.name != ".lock"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "a command is missing (see 'stmnist --help')"),
+        (["check"], "a command is missing (see 'stmnist check --help')"),
+        (["fly"], "No such command 'fly'"),
+        (["check", "run"], "Missing argument"),
+        (["check", "run", "x"], "--target"),
+        (["train", "x", "--seed", "one"], "--seed"),
+        (["train", "x", "--fast"], "No such option: --fast"),
+        (["data", "import", "nowhere.zip"], "nowhere.zip: no such file or folder"),
+        (["data", "inspect", "nowhere.mat"], "nowhere.mat: cannot read"),
+        (["check", "run", "nowhere", "--target", "nengo"], "nowhere: no such bundle folder"),
+        (["check", "compare", "a.json", "b.json"], "a.json: cannot read"),
+    ],
+)
+def test_wrong_usage_and_wrong_paths(refused, tmp_path, monkeypatch, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    assert said in refused(*arguments)
+    assert not list(tmp_path.iterdir()) or arguments[0] == "train"
+
+
+def test_a_wrong_path_does_not_stick_to_the_run(refused, run):
+    before = content(run)
+    assert "nowhere.zip: no such file" in refused("ladder", run, "--data", "nowhere.zip")
+    assert content(run) == before
+    assert call("ladder", run) == 0
+
+
+def test_more_samples_than_the_test_split_has(refused, run):
+    before = content(run)
+    line = refused("ladder", run, "--samples", 121)
+    assert "121 samples asked for, the test split has 120" in line
+    assert "SAMPLES" in line
+    assert content(run) == before
+    assert call("ladder", run) == 0
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        ("cnn.epoch=3", "unknown setting 'cnn.epoch'; known here: "),
+        ("cnn.epochs=many", "'cnn.epochs' must be a whole number"),
+        ("cnn=3", "'cnn' is a section"),
+        ("epochs", "expected section.name=value"),
+        ("cnn.architecture=10x10-6p4-10o", "token 2 ('6p4')"),
+        ("presentation.steps=0", "'presentation.steps' must be 1 or more"),
+    ],
+)
+def test_a_wrong_setting_on_the_command_line(refused, run, option, said):
+    before = content(run)
+    assert said in refused("train", run, "--set", option)
+    assert content(run) == before
+
+
+@pytest.mark.parametrize(
+    ("toml", "said"),
+    [
+        ("[cnn]\nepoch = 3\n", "unknown setting 'cnn.epoch'"),
+        ("[cnn]\nepochs = 'three'\n", "'cnn.epochs' must be a whole number"),
+        ("[cnn\n", "not valid TOML"),
+        ("seed = 1\nseed = 2\n", "not valid TOML"),
+        (b"\xff\xfe", "not valid TOML"),
+    ],
+)
+def test_a_broken_experiment_toml(refused, run, toml, said):
+    path = run / "experiment.toml"
+    path.write_bytes(toml if isinstance(toml, bytes) else toml.encode())
+    before = content(run)
+    line = refused("ladder", run)
+    assert said in line
+    assert "experiment.toml" in line
+    assert content(run) == before
+    assert said in refused("train", run.parent / "new", "--settings", path)
+
+
+def test_a_settings_file_that_is_not_there(refused, run):
+    assert "no.toml: cannot read" in refused("train", run, "--settings", "no.toml")
+
+
+def test_a_run_folder_that_cannot_be_written(refused, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    for folder in (tmp_path / "file" / "run", tmp_path / "file"):
+        assert f"{folder}: cannot write" in refused("ladder", folder, *TINY)
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_cache_that_cannot_be_written(refused, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    archive(tmp_path / "st.zip", good_members())
+    monkeypatch.setenv("STMNIST_CACHE", str(tmp_path / "file" / "cache"))
+    assert "cannot write" in refused("data", "import", tmp_path / "st.zip", "--jobs", 1)
+
+
+def test_a_corrupt_cache(refused, tmp_path, monkeypatch):
+    archive(tmp_path / "st.zip", good_members(2))
+    monkeypatch.setenv("STMNIST_CACHE", str(tmp_path / "cache"))
+    command = ("data", "import", tmp_path / "st.zip", "--jobs", 1)
+    assert call(*command) == 0
+    (cached,) = (tmp_path / "cache").glob("recordings-*.npz")
+    damaged = bytearray(cached.read_bytes())
+    damaged[len(damaged) // 2] ^= 0xFF
+    cached.write_bytes(damaged)
+    line = refused(*command)
+    assert str(cached) in line
+    assert "delete it" in line
+    cached.unlink()
+    assert call(*command) == 0
+    (source,) = (tmp_path / "cache").glob("source-*.json")
+    source.write_text("{")
+    assert str(source) in refused(*command)
+
+
+def test_every_bad_recording_is_in_the_one_line(refused, tmp_path):
+    archive(tmp_path / "st.zip", {**good_members(), "3/a.mat": b"x", "4/b.mat": b""})
+    line = refused("data", "import", tmp_path / "st.zip", "--jobs", 1)
+    assert "3/a.mat is not a MAT file" in line
+    assert "4/b.mat is an empty file" in line
+    assert "--skip-bad" in line
+
+
+def test_skipping_them_lists_them_and_goes_on(tmp_path, capsys):
+    archive(tmp_path / "st.zip", {**good_members(), "3/a.mat": b"x", "4/b.mat": b""})
+    command = ("data", "import", tmp_path / "st.zip", "--jobs", 1, "--skip-bad", "--json")
+    assert call(*command) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["samples"] == 10
+    assert "left out 3/a.mat: is not a MAT file" in err
+    assert "left out 4/b.mat: is an empty file" in err
+
+
+def test_too_little_data(refused, tmp_path):
+    archive(tmp_path / "st.zip", good_members())
+    line = refused("train", tmp_path / "run", "--data", tmp_path / "st.zip", "--jobs", 1)
+    assert "200 samples asked for, the test split has 2" in line
+    assert not (tmp_path / "run" / "experiment.toml").exists()
+
+
+def test_a_bundle_with_a_changed_byte(refused, run):
+    path = run / "bundle" / "weights.npz"
+    damaged = bytearray(path.read_bytes())
+    damaged[100] ^= 1
+    path.write_bytes(damaged)
+    before = content(run)
+    for command in (["check", "run", run / "bundle", "--target", "nengo"], ["ladder", run]):
+        line = refused(*command)
+        assert f"{path}: changed since the bundle was made" in line
+        assert "delete the folder" in line
+    assert content(run) == before
+    shutil.rmtree(run / "bundle")
+    assert call("ladder", run) == 0
+
+
+def test_an_unknown_target(refused, run):
+    line = refused("check", "run", run / "bundle", "--target", "gpu")
+    assert "no target 'gpu'; the targets are nengo" in line
+    assert not (run / "checks" / "gpu.json").exists()
+
+
+def test_a_result_of_another_bundle(refused, run):
+    result = read_json(run / "checks" / "emulator.json", "")
+    write_json(run / "other.json", {**result, "bundle": "0" * 64})
+    assert "different bundles" in refused(
+        "check", "compare", run / "checks" / "nengo.json", run / "other.json"
+    )
+
+
+def test_a_result_of_another_bundle_in_the_run_is_made_anew(run):
+    path = run / "checks" / "emulator.json"
+    original = read_result(path)
+    write_json(path, {**original, "bundle": "0" * 64})
+    assert call("ladder", run) == 0
+    again = read_result(path)
+    assert again["bundle"] == original["bundle"]
+    assert again["samples"] == original["samples"]
+
+
+BROKEN = {"empty": b"", "half": None, "text": b"hello", "list": b"[]", "another": b"{}"}
+
+
+@pytest.mark.parametrize(
+    ("stage", "how"), [("cnn", "half"), ("cnn", "another"), *(("nengo", how) for how in BROKEN)]
+)
+def test_a_broken_check_result(refused, run, stage, how):
+    path = run / "checks" / f"{stage}.json"
+    half = path.read_bytes()[: path.stat().st_size // 2]
+    path.write_bytes(half if BROKEN[how] is None else BROKEN[how])
+    before = content(run)
+    line = refused("ladder", run)
+    assert str(path) in line
+    assert "delete it and run the command again" in line
+    assert content(run) == before
+    path.unlink()
+    assert call("ladder", run) == 0
+
+
+@pytest.mark.parametrize("network", ["cnn", "snn"])
+def test_broken_metrics(refused, run, network):
+    path = run / network / "metrics.json"
+    path.write_bytes(path.read_bytes()[:50])
+    line = refused("ladder", run)
+    assert str(path) in line
+    assert "delete it" in line
+    path.write_text("{}")  # says nothing: the stage is done again
+    assert call("train", run) == 0
+
+
+@pytest.mark.parametrize("network", ["cnn", "snn"])
+@pytest.mark.parametrize("how", ["half", "other arrays", "other shape", "pickle"])
+def test_broken_weights(refused, run, network, how):
+    path = run / network / "weights.npz"
+    with np.load(path) as file:
+        arrays = dict(file)
+    if how == "half":
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    elif how == "other arrays":
+        np.savez(path, x=np.zeros(3))
+    else:
+        new = np.zeros((3, 3)) if how == "other shape" else np.array([{}], dtype=object)
+        np.savez(path, **{**arrays, "conv1.kernel": new})
+    shutil.rmtree(run / "bundle")
+    line = refused("convert", run)
+    assert str(path) in line
+    assert "delete its folder and run the command again" in line
+
+
+def stop(process):
+    """Ctrl-C on a terminal: the whole group gets it."""
+    os.killpg(process.pid, signal.SIGINT)
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err, err
+    assert err.splitlines()[-1].startswith("stmnist: interrupted; the same command goes on")
+    return out
+
+
+def until(condition, process, seconds=240):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end, "it never came so far"
+        time.sleep(0.02)
+
+
+def temporaries(folder):
+    kept = {".lock"}
+    return [p for p in folder.rglob(".*") if p.name not in kept]
+
+
+@pytest.mark.slow
+def test_ctrl_c_in_training(tmp_path):
+    folder = RunFolder(tmp_path / "run")
+    many = [*TINY, "--set", "cnn.epochs=100000"]
+    process = start("train", folder.path, *many)
+    until(folder.dataset.exists, process)
+    time.sleep(8)  # TensorFlow's start and some epochs
+    stop(process)
+    assert not temporaries(folder.path)
+    assert not folder.cnn.exists()
+    assert read_settings(folder.experiment).cnn.epochs == 100000
+    assert call("train", folder.path, "--set", "cnn.epochs=1") == 0
+    assert (folder.cnn / "metrics.json").exists()
+
+
+@pytest.mark.slow
+def test_ctrl_c_in_the_simulation_of_recordings(own_cache, tmp_path):
+    before = set(own_cache.iterdir())
+    process = start("train", tmp_path / "run", "--set", "data.samples_per_digit=4000")
+    time.sleep(9)
+    assert process.poll() is None
+    stop(process)
+    assert set(own_cache.iterdir()) == before
+    assert not temporaries(tmp_path / "run")
+
+
+@pytest.mark.slow
+def test_ctrl_c_in_a_check(run):
+    out = run / "checks" / "again.json"
+    partial = out.with_name(".again.json.partial")
+    command = ("check", "run", run / "bundle", "--target", "nengo", "--out", out)
+    process = start(*command)
+    until(lambda: partial.exists() and partial.read_text().count("\n") >= 2, process)
+    if process.poll() is None:
+        stop(process)
+    assert not out.exists()
+    assert temporaries(run) == [partial]
+    assert call(*command) == 0
+    assert not temporaries(run)
+    assert read_result(out)["samples"] == read_result(run / "checks" / "nengo.json")["samples"]
