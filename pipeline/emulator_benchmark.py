@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -309,7 +309,7 @@ def limits(spec: NetworkSpec, images) -> dict:
         steps = chip.advance(state, arriving)
         return time.perf_counter() - begun, steps
 
-    silent = network.__class__(**{**vars(network), "bias": np.zeros_like(network.bias)})
+    silent = replace(network, bias=np.zeros_like(network.bias))
     busy, idle = [], []
     for _ in range(5):  # in turns, for the same reason as above
         taken, steps = seconds(inputs, network)
