@@ -129,7 +129,8 @@ def train_rates(run: RunFolder, settings: Settings, dataset: Dataset, say=print)
 
     cnn_weights = _weights(run.cnn, settings)
     begun = time.perf_counter()
-    with progress("train rate-lif", settings.snn.epochs) as advance:
+    epochs = training.snn_recipe(settings.snn).epochs
+    with progress("train rate-lif", epochs) as advance:
         trained = training.train_rate_network(
             settings,
             dataset.part("train"),
@@ -239,7 +240,9 @@ def _cnn_stamp(settings, dataset):
 
 
 def _snn_stamp(settings, dataset):
-    return stamp_of(_cnn_stamp(settings, dataset), asdict(settings.snn))
+    # The price of spikes is for those of a whole presentation.
+    steps = settings.presentation.steps if settings.snn.spike_penalty else None
+    return stamp_of(_cnn_stamp(settings, dataset), asdict(settings.snn), steps)
 
 
 def _finish(folder, stamp, trained, logits, dataset, seconds, say, name):
