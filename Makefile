@@ -42,7 +42,9 @@ convert: setup  ## Train with rate LIF neurons, make them spike, write RUN/bundl
 loihi-emulate: setup  ## The main job: everything up to the loss ladder on the Loihi emulator
 	@$(STMNIST) ladder $(RUN) $(OPTIONS)
 
-loihi-hardware: convert  ## The same samples on a Loihi board (needs NxSDK; BOARD, PARTITION)
+loihi-hardware: setup  ## The same samples on a Loihi board (needs NxSDK; BOARD, PARTITION)
+	@$(BIN)/python -m deploy board
+	@$(MAKE) --no-print-directory convert
 	@$(STMNIST) deploy plan $(RUN)/bundle
 	@$(STMNIST) check run $(RUN)/bundle --target loihi $(BOARD_OPTIONS)
 

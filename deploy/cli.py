@@ -11,7 +11,7 @@ from . import __version__
 from .bundle import RESULTS, read_bundle
 from .checks import run_check
 from .errors import CheckFailed, UserError
-from .hardware import Settings, settings_for
+from .hardware import Settings, nxsdk_version, settings_for
 from .plan import make_plan, plan_text
 from .results import compare, read_result
 from .targets import TARGETS
@@ -48,7 +48,7 @@ def _parser():
     )
     parser.add_argument("--version", action="version", version=__version__)
     verbs = parser.add_subparsers(metavar="VERB")
-    parser.set_defaults(run=lambda _: parser.error("which verb? check, compare or plan"))
+    parser.set_defaults(run=lambda _: parser.error("which verb? check, compare, plan or board"))
     check = verbs.add_parser("check", help="let a target answer the bundle's samples")
     check.add_argument("bundle", type=Path, help="the bundle's folder")
     check.add_argument("--target", required=True, metavar="T", help=", ".join(TARGETS))
@@ -77,6 +77,8 @@ def _parser():
     plan.add_argument("--chips", type=int, default=defaults.chips, metavar="N")
     plan.add_argument("--json", action="store_true", help="for a program to read")
     plan.set_defaults(run=_plan)
+    board = verbs.add_parser("board", help="say whether this host can drive a board")
+    board.set_defaults(run=lambda _: print(f"NxSDK {nxsdk_version()}: target loihi can be used"))
     pair = verbs.add_parser("compare", help="set two results side by side")
     pair.add_argument("a", type=Path)
     pair.add_argument("b", type=Path)
@@ -134,8 +136,31 @@ def summary(result: dict) -> str:
         f"synaptic operations a sample: {operations:.0f}, {operations / macs:.2f} times the CNN's "
         f"{macs} multiply-accumulates\n"
         f"{result['wall_seconds']:.1f} s, {result['n_samples'] / result['wall_seconds']:.1f} "
-        "samples a second"
+        "samples a second" + _hardware(result)
     )
+
+
+def _hardware(result):
+    """What only a board has to say, in lines of their own."""
+    if "hardware" not in result:
+        return ""
+    board, timing = result["hardware"], result["timing"]
+    phases = ", ".join(
+        f"{phase} {timing[f'{phase}_seconds_per_sample']:.3f} s"
+        for phase in ("build", "connect", "run")
+    )
+    text = (
+        f"\nboard {board['board'] or 'of the cluster'}, partition {board['partition'] or 'none'}, "
+        f"NxSDK {result['versions']['nxsdk']}, {board['connections']} connections; "
+        f"a sample: {phases}"
+    )
+    if "power" in result:
+        power = result["power"]
+        text += (
+            f"\nmeasured power: {power['dynamic_mw']:.3g} mW beside {power['static_mw']:.3g} mW "
+            f"when idle, {power['step_microseconds']:.3g} us a step"
+        )
+    return text
 
 
 def _kind(result):

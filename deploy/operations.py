@@ -16,22 +16,27 @@ from .network_spec import Layer, NetworkSpec
 def fan_out(layer: Layer) -> np.ndarray:
     """Synapses that each neuron of the layer before has onto this layer, shape (n_inputs,).
 
-    In a convolution without padding, neurons near the edge reach fewer positions.
+    Neurons near the edge of a convolution reach fewer positions.
     """
     if layer.kind == "dense":
         return np.full(int(np.prod(layer.input_shape)), layer.size)
-    rows, columns, channels = layer.input_shape
+    return convolution_fan_out(layer.input_shape, layer.kernel, layer.shape[-1])
+
+
+def convolution_fan_out(input_shape, kernel: int, filters: int) -> np.ndarray:
+    """Synapses of each input of a convolution without padding, stride 1, shape (n_inputs,)."""
+    rows, columns, channels = input_shape
     reach = [
         np.minimum.reduce(
             [
                 np.arange(1, n + 1),
                 np.arange(n, 0, -1),
-                np.full(n, min(layer.kernel, n - layer.kernel + 1)),
+                np.full(n, min(kernel, n - kernel + 1)),
             ]
         )
         for n in (rows, columns)
     ]
-    positions = np.outer(*reach) * layer.shape[-1]
+    positions = np.outer(*reach) * filters
     return np.repeat(positions.ravel(), channels)
 
 

@@ -8,9 +8,14 @@ spikes a second (Hunsberger and Eliasmith 2016, eq. 2).  Here ``J = 1 + gain * z
 layer's weighted input, so that the neuron begins to fire at z = 0 as a rectified linear unit does;
 ``gain`` is such that z = 1 gives ``max_rate``, and the output is r / max_rate.
 
-On Loihi a neuron can fire only on whole steps and its time constants are rounded:
+On Loihi a neuron fires on whole steps, so its intervals are rounded up to them, and its time
+constants are rounded.  With a perfectly steady input that makes a staircase of the rate.  The input
+of a deployed neuron is never steady: it ripples with every spike that arrives, so that the interval
+ends anywhere within a step and the rounding adds half a step on average:
 
-    r(J) = 1 / (dt * ceil((tau_ref' + tau_rc' * log(1 + 1 / (J - 1))) / dt))
+    r(J) = 1 / (dt / 2 + tau_ref' + tau_rc' * log(1 + 1 / (J - 1)))
+
+That is the rate trained with here; noise on the input during training stands for the ripple itself.
 """
 
 from __future__ import annotations
@@ -55,8 +60,13 @@ class RateLIF(tf.keras.layers.Layer):
         Spikes a second at z = 1.
     tau_rc, tau_ref : float
         Membrane time constant and refractory period in seconds.
-    whole_steps : bool
-        Forward pass with Loihi's rates (whole-step intervals, discretised time constants).
+    on_chip : bool
+        The mean rate on Loihi, with its rounded intervals and time constants.
+    noise : float
+        Standard deviation of normal noise on z while training.
+    spike_costs : ndarray, shape of one sample, optional
+        What a neuron adds to the training's loss when it fires at ``max_rate``, on the mean over
+        samples.
     smoothing : float
         The backward pass uses the soft LIF of Hunsberger and Eliasmith (2016, eq. 4): J - 1
         replaced by ``smoothing * softplus((J - 1) / smoothing)``.  The rate itself has an infinite
@@ -72,33 +82,37 @@ class RateLIF(tf.keras.layers.Layer):
         max_rate,
         tau_rc=0.02,
         tau_ref=0.001,
-        whole_steps=False,
+        on_chip=False,
+        noise=0.0,
+        spike_costs=None,
         smoothing=0.1,
         **kwargs,
     ):
         super().__init__(**kwargs)
         self.max_rate = max_rate
         self.gain = gain_for(max_rate, tau_rc, tau_ref)
-        self.whole_steps = whole_steps
+        self.noise = noise
+        self.spike_costs = spike_costs
         self.smoothing = smoothing
-        self.tau_rc, self.tau_ref = (
-            on_chip_time_constants(tau_rc, tau_ref) if whole_steps else (tau_rc, tau_ref)
-        )
+        if on_chip:
+            self.tau_rc, refractory = on_chip_time_constants(tau_rc, tau_ref)
+            self.shortest_interval = refractory + DT / 2
+        else:
+            self.tau_rc, self.shortest_interval = tau_rc, tau_ref
 
-    def call(self, inputs):
-        smooth = self._smooth(inputs)
+    def call(self, inputs, training=None):
+        """Rates relative to ``max_rate``; adds the cost of the spikes to the loss in training."""
+        if training and self.noise:
+            inputs = inputs + tf.random.normal(tf.shape(inputs), stddev=self.noise)
+        smooth = self._rate(self.smoothing * tf.math.softplus(self.gain * inputs / self.smoothing))
+        exact = tf.where(inputs > 0, self._rate(self.gain * inputs), 0.0)
         # The value of the exact rate with the gradient of the smooth one.
-        return smooth + tf.stop_gradient(self._exact(inputs) - smooth)
+        rates = smooth + tf.stop_gradient(exact - smooth)
+        if training and self.spike_costs is not None:
+            per_sample = tf.reduce_sum(rates * self.spike_costs, axis=tuple(range(1, inputs.ndim)))
+            self.add_loss(tf.reduce_mean(per_sample))
+        return rates
 
-    def _exact(self, z):
-        excess = self.gain * z
-        period = self.tau_ref + self.tau_rc * tf.math.log1p(1 / tf.maximum(excess, 1e-20))
-        if self.whole_steps:
-            # The hair below one step is for periods that are whole but for rounding.
-            period = DT * tf.math.ceil(period / DT - 1e-4)
-        return tf.where(excess > 1e-20, 1 / (period * self.max_rate), 0.0)
-
-    def _smooth(self, z):
-        excess = self.smoothing * tf.math.softplus(self.gain * z / self.smoothing)
-        period = self.tau_ref + self.tau_rc * tf.math.log1p(1 / tf.maximum(excess, 1e-12))
-        return 1 / (period * self.max_rate)
+    def _rate(self, excess):
+        rise = self.tau_rc * tf.math.log1p(1 / tf.maximum(excess, 1e-12))
+        return 1 / ((self.shortest_interval + rise) * self.max_rate)

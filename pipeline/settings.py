@@ -63,11 +63,19 @@ class SNN:
     """Training with rate-based LIF neurons (paper, Section 3.2.2)."""
 
     recipe: str = "loihi"
-    """``"loihi"``: forward pass with the chip's rates and weights, from the CNN's weights;
-    ``"paper"``: plain rate-based LIF, from new weights."""
-    epochs: int = 20
-    batch_size: int = 32
-    learning_rate: float = 0.001
+    """``"loihi"``: the chip's rates and 8-bit weights in the forward pass, noise that stands for
+    the ripple of spikes, starting from the CNN's weights; ``"paper"``: plain rate-based LIF, from
+    new weights, trained as the CNN is."""
+    epochs: int = 0
+    """0 here and in the next two for the recipe's own; see pipeline/training.py."""
+    batch_size: int = 0
+    learning_rate: float = 0.0
+    noise: float = 0.1
+    """Standard deviation of the noise on each neuron's input while training, relative to the
+    activation at ``max_rates``; recipe ``"loihi"`` only."""
+    spike_penalty: float = 0.0
+    """Weight in the loss of the synaptic operations of an inference, in units of the CNN's
+    multiply-accumulates; recipe ``"loihi"`` only."""
     max_rates: tuple = (150.0, 150.0)
     """Spikes a second of each convolution's neurons at activation 1; the last entry holds for all
     convolutions after it."""
@@ -293,10 +301,12 @@ def _validate(s: Settings, origin):
     need(s.image.normalisation in NORMALISATIONS, "image.normalisation", _one_of(NORMALISATIONS))
     need(0 < s.split.test_fraction < 1, "split.test_fraction", "between 0 and 1")
     need(0 <= s.split.validation_fraction < 1, "split.validation_fraction", "from 0 to below 1")
-    for name, training in (("cnn", s.cnn), ("snn", s.snn), ("slayer", s.slayer)):
+    for name, training in (("cnn", s.cnn), ("slayer", s.slayer)):
         need(training.epochs >= 1, f"{name}.epochs", "1 or more")
         need(training.batch_size >= 1, f"{name}.batch_size", "1 or more")
         need(training.learning_rate > 0, f"{name}.learning_rate", "above 0")
+    for name in ("epochs", "batch_size", "learning_rate", "noise", "spike_penalty"):
+        need(getattr(s.snn, name) >= 0, f"snn.{name}", "0 or more")
     need(s.snn.recipe in ("loihi", "paper"), "snn.recipe", _one_of(("loihi", "paper")))
     need(s.snn.tau_rc > 0, "snn.tau_rc", "above 0")
     need(s.snn.tau_ref > 0, "snn.tau_ref", "above 0")

@@ -143,7 +143,8 @@ def train_rates(run: RunFolder, settings: Settings, dataset: Dataset, say=print)
 
     start = read_weights(run.cnn, settings)
     begun = time.perf_counter()
-    with progress("train rate-lif", settings.snn.epochs) as advance:
+    epochs = training.snn_recipe(settings.snn).epochs
+    with progress("train rate-lif", epochs) as advance:
         trained = training.train_rate_network(
             settings,
             dataset.part("train"),
@@ -277,7 +278,9 @@ def cnn_stamp(settings: Settings, dataset: Dataset) -> str:
 
 def snn_stamp(settings: Settings, dataset: Dataset) -> str:
     """Hash of all that the rate-based network's training depends on."""
-    return stamp_of(cnn_stamp(settings, dataset), asdict(settings.snn))
+    # The price of spikes is for those of a whole presentation.
+    steps = settings.presentation.steps if settings.snn.spike_penalty else None
+    return stamp_of(cnn_stamp(settings, dataset), asdict(settings.snn), steps)
 
 
 def _neurons(settings, weights, images):

@@ -3,21 +3,49 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import tensorflow as tf
 
 from deploy.errors import UserError
 from deploy.files import replacing
-from models.cnn import build_cnn, get_weights, predict, set_weights
-from models.lif import RateLIF
+from deploy.operations import convolution_fan_out
+from models.cnn import activations, build_cnn, get_weights, predict, set_weights
+from models.lif import DT, RateLIF, gain_for
 from models.notation import parse
-from models.quantised import EightBitConv2D
+from models.quantised import OnChipConv2D
 from pipeline.settings import Settings
 
 PERCENTILE = 99.9
 """Of a layer's activations that becomes 1 when a CNN's weights are carried over."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a network is trained.
+
+    Attributes
+    ----------
+    epochs, batch_size : int
+    learning_rate : float
+        At the start.
+    annealed : bool
+        Adam with the learning rate falling to 0 along a half cosine; else RMSProp with a steady one
+        (paper, Section 3.2).
+    """
+
+    epochs: int
+    batch_size: int
+    learning_rate: float
+    annealed: bool = False
+
+
+RECIPES = {
+    "paper": Recipe(epochs=20, batch_size=32, learning_rate=0.001),
+    "loihi": Recipe(epochs=60, batch_size=64, learning_rate=0.002, annealed=True),
+}
+"""Of the rate-based networks, where the settings say 0."""
 
 
 @dataclass(frozen=True)
@@ -58,24 +86,60 @@ def train_cnn(settings: Settings, data, seed: int, validation=None, advance=None
     """
     make_deterministic(seed)
     model = build_cnn(parse(settings.cnn.architecture))
-    history = fit(model, settings.cnn, data, validation, advance)
-    return Trained(get_weights(model), history)
+    cnn = settings.cnn
+    recipe = Recipe(cnn.epochs, cnn.batch_size, cnn.learning_rate)
+    return Trained(get_weights(model), fit(model, recipe, data, validation, advance))
+
+
+def snn_recipe(snn) -> Recipe:
+    """The recipe of the rate-based network, with what the settings change of it."""
+    own = RECIPES[snn.recipe]
+    names = ("epochs", "batch_size", "learning_rate")
+    return replace(own, **{name: getattr(snn, name) or getattr(own, name) for name in names})
 
 
 def build_rate_network(settings: Settings) -> tf.keras.Model:
     """The network with rate-based LIF neurons, as the recipe wants it."""
-    snn = settings.snn
+    snn, architecture = settings.snn, parse(settings.cnn.architecture)
     on_chip = snn.recipe == "loihi"
-    try:
-        return build_cnn(
-            parse(settings.cnn.architecture),
-            activation=lambda index: RateLIF(
-                snn.max_rate(index), snn.tau_rc, snn.tau_ref, whole_steps=on_chip
-            ),
-            convolution=EightBitConv2D if on_chip else None,
+    costs = _spike_costs(settings, architecture) if on_chip and snn.spike_penalty else None
+
+    def neurons(index):
+        return RateLIF(
+            snn.max_rate(index),
+            snn.tau_rc,
+            snn.tau_ref,
+            on_chip=on_chip,
+            noise=snn.noise if on_chip else 0.0,
+            spike_costs=costs and costs[index],
         )
+
+    def convolution(index, conv, name):
+        gain = gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
+        return OnChipConv2D(conv.filters, conv.kernel, gain, name=name)
+
+    try:
+        return build_cnn(architecture, neurons, convolution if on_chip else None)
     except ValueError as error:
         raise UserError(f"settings: snn.max_rates: {error}") from error
+
+
+def _spike_costs(settings, architecture):
+    """Of each layer, the loss when a neuron fires at its ``max_rate`` for a presentation."""
+    shapes = architecture.shapes
+    synapses = [
+        convolution_fan_out(shape, conv.kernel, conv.filters).reshape(shape)
+        for shape, conv in zip(shapes, architecture.convs, strict=False)
+    ]
+    synapses.append(np.full(shapes[-1], architecture.outputs))
+    operations = sum(int(layer.sum()) for layer in synapses)
+    seconds = settings.presentation.steps * DT
+    return [
+        (
+            settings.snn.spike_penalty * settings.snn.max_rate(index) * seconds * layer / operations
+        ).astype(np.float32)
+        for index, layer in enumerate(synapses[1:])
+    ]
 
 
 def train_rate_network(
@@ -84,7 +148,8 @@ def train_rate_network(
     """Train with rate-based LIF neurons (paper, Section 3.2.2).
 
     With ``recipe = "paper"`` from new weights; with ``"loihi"`` from the CNN's, scaled so that the
-    activations fit the neurons' range, with the chip's rates and weights in the forward pass.
+    activations fit the neurons' range, with the chip's rates and weights in the forward pass, noise
+    on the neurons' input, and a price on spikes if the settings have one.
 
     Parameters
     ----------
@@ -101,7 +166,7 @@ def train_rate_network(
     model = build_rate_network(settings)
     if settings.snn.recipe == "loihi":
         set_weights(model, scale_to_unit(settings, cnn_weights, data[0]))
-    history = fit(model, settings.snn, data, validation, advance)
+    history = fit(model, snn_recipe(settings.snn), data, validation, advance)
     return Trained(get_weights(model), history)
 
 
@@ -122,12 +187,8 @@ def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
     architecture = parse(settings.cnn.architecture)
     model = build_cnn(architecture)
     set_weights(model, weights)
-    names = [f"conv{index + 1}" for index in range(len(architecture.convs))]
-    probe = tf.keras.Model(model.input, [model.get_layer(f"{n}_neurons").output for n in names])
-    outputs = probe.predict(images, batch_size=512, verbose=0)
-    outputs = outputs if isinstance(outputs, list) else [outputs]
     scaled, before = dict(weights), 1.0
-    for name, output in zip(names, outputs, strict=True):
+    for name, output in activations(model, images).items():
         scale = max(float(np.percentile(output, PERCENTILE)), 1e-6)
         scaled[f"{name}.kernel"] = weights[f"{name}.kernel"] * before / scale
         scaled[f"{name}.bias"] = weights[f"{name}.bias"] / scale
@@ -136,13 +197,13 @@ def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
     return scaled
 
 
-def fit(model, training, data, validation=None, advance=None) -> list:
-    """Train a model that puts out logits: sparse categorical cross-entropy, RMSProp.
+def fit(model, recipe: Recipe, data, validation=None, advance=None) -> list:
+    """Train a model that puts out logits with sparse categorical cross-entropy.
 
     Parameters
     ----------
     model : tf.keras.Model
-    training : settings with ``epochs``, ``batch_size`` and ``learning_rate``
+    recipe : Recipe
     data, validation : (images, labels)
     advance : callable, optional
 
@@ -151,8 +212,15 @@ def fit(model, training, data, validation=None, advance=None) -> list:
     list of dict
         The history, one row an epoch.
     """
+    if recipe.annealed:
+        batches = -(-len(data[0]) // recipe.batch_size)
+        optimizer = tf.keras.optimizers.Adam(
+            tf.keras.optimizers.schedules.CosineDecay(recipe.learning_rate, batches * recipe.epochs)
+        )
+    else:
+        optimizer = tf.keras.optimizers.RMSprop(recipe.learning_rate)
     model.compile(
-        tf.keras.optimizers.RMSprop(training.learning_rate),
+        optimizer,
         tf.keras.losses.SparseCategoricalCrossentropy(from_logits=True),
         metrics=["accuracy"],
     )
@@ -166,8 +234,8 @@ def fit(model, training, data, validation=None, advance=None) -> list:
 
     model.fit(
         *data,
-        batch_size=training.batch_size,
-        epochs=training.epochs,
+        batch_size=recipe.batch_size,
+        epochs=recipe.epochs,
         validation_data=validation,
         callbacks=[Rows()],
         verbose=0,

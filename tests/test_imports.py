@@ -11,7 +11,18 @@ from deploy.files import read_json
 
 from .command import ROOT, environment
 
-HIDDEN = ("tensorflow", "nengo_dl", "keras", "pipeline", "models", "h5py", "typer", "rich", "numba")
+HIDDEN = (
+    "tensorflow",
+    "nengo_dl",
+    "keras",
+    "pipeline",
+    "models",
+    "h5py",
+    "typer",
+    "rich",
+    "numba",
+    "nir",
+)
 BARRED = f"""
 import sys, runpy
 class Barred:
@@ -21,7 +32,8 @@ class Barred:
 sys.meta_path.insert(0, Barred())
 sys.modules.pop("numba", None)
 """
-OF_DEPLOY = {"numpy", "scipy", "nengo", "nengo_loihi", "numba", "nxsdk", "deploy"}
+OPTIONAL = {"numba", "nir", "nxsdk"}  # imported where they are used, and said if they are missing
+OF_DEPLOY = {"numpy", "scipy", "nengo", "nengo_loihi", "deploy", *OPTIONAL}
 ALLOWED = {
     "models": {"models"},
     "deploy": {"deploy"},

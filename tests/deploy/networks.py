@@ -1,5 +1,7 @@
 """Small networks with random weights that fire, for tests that need no training."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from deploy.bundle import CheckSet, write_bundle
@@ -61,6 +63,13 @@ def small_spec(seed=0, on_chip_output=False, **presentation):
         presentation=Presentation(**shown),
         provenance={"simulated": True, "weights": "random"},
     )
+
+
+def host_first_spec(seed=0):
+    """The small network with its first convolution on the host, which takes the image itself."""
+    spec = small_spec(seed)
+    first = replace(spec.layers[0], placement="host", synapse=None)
+    return replace(spec, encoder=None, layers=(first, *spec.layers[1:]))
 
 
 def paper_spec(seed=0, **presentation):

@@ -6,7 +6,7 @@ from deploy.checks import run_check
 from deploy.energy import LOIHI, MAC, estimate, estimate_text
 from deploy.errors import UserError
 
-from .networks import bundle_at, paper_spec, small_spec
+from .networks import bundle_at, host_first_spec, paper_spec, small_spec
 
 
 def counted(spec, samples=2, **operations):
@@ -49,6 +49,14 @@ def test_from_a_real_check(tmp_path):
     text = estimate_text(value)
     assert text.startswith("ESTIMATE")
     assert value.to_json()["estimate"] is True
+
+
+def test_first_layer_on_the_host_takes_no_part(tmp_path):
+    bundle = bundle_at(tmp_path / "bundle", host_first_spec())
+    result = run_check(bundle, "emulator", tmp_path / "emulator.json")
+    conv1, conv2, _ = estimate(bundle.spec, result).layers
+    assert (conv1.on_chip, conv1.chip_joules) == (False, 0)
+    assert conv2.chip_joules > 0
 
 
 def test_result_without_counts_is_refused():

@@ -8,11 +8,12 @@ import pytest
 from deploy import hardware, targets
 from deploy.bundle import read_bundle
 from deploy.checks import run_check
+from deploy.cli import summary
 from deploy.errors import UserError
 from deploy.hardware import Settings
 from deploy.results import compare, read_result
 
-from .networks import bundle_at, paper_spec, random_checks, small_spec
+from .networks import bundle_at, host_first_spec, paper_spec, random_checks, small_spec
 
 PATIENT = Settings(wait=0)
 
@@ -36,14 +37,18 @@ def same_answers(a, b):
     return a["samples"] == b["samples"] and a["spikes"] == b["spikes"]
 
 
-@pytest.mark.parametrize("on_chip_output", [False, True])
-def test_every_spike_is_the_emulators(nxsdk, on_chip_output):
-    spec = small_spec(on_chip_output=on_chip_output)
+@pytest.mark.parametrize(
+    "spec",
+    [small_spec(), small_spec(on_chip_output=True), host_first_spec()],
+    ids=["small", "output-on-chip", "first-layer-on-host"],
+)
+def test_every_spike_is_the_emulators(nxsdk, spec):
     images = random_checks(spec, 7).images.reshape(7, -1)
     streams = [images[:3], images[3:6], images[6:]]
     for mine, theirs in zip(
         targets.run_loihi(spec, streams), targets.run_emulator(spec, streams), strict=True
     ):
+        np.testing.assert_array_equal(mine.spike_hashes, theirs.spike_hashes)
         np.testing.assert_array_equal(mine.scores, theirs.scores)
         np.testing.assert_array_equal(mine.decisions, theirs.decisions)
         for name, counts in theirs.spikes.items():
@@ -167,6 +172,9 @@ def test_power_is_taken_down_apart_from_idle(nxsdk, bundle, tmp_path):
         "dynamic_mw": 5.0,
         "step_microseconds": 10.0,
     }
+    text = summary(result)
+    assert "board of the cluster, partition none, NxSDK 1.0.0, 3 connections" in text
+    assert "measured power: 5 mW beside 25 mW when idle" in text
 
 
 def test_board_without_energy_probe(nxsdk, bundle, tmp_path):
@@ -199,9 +207,9 @@ def test_senseless_settings(wrong):
 
 @pytest.mark.slow
 def test_200_samples_of_the_papers_network_equal_the_emulators(nxsdk, tmp_path):
-    bundle = bundle_at(tmp_path / "bundle", paper_spec(steps=30, gap=5), 200)
+    bundle = bundle_at(tmp_path / "bundle", paper_spec(steps=30, gap=5, stream_length=25), 200)
     emulated = run_check(bundle, "emulator", tmp_path / "emulator.json")
     executed = run_check(read_bundle(bundle.path), "loihi", tmp_path / "loihi.json")
     assert len({sample["prediction"] for sample in executed["samples"]}) > 2
     assert same_answers(executed, emulated)
-    assert json.loads((tmp_path / "loihi.json").read_text())["hardware"]["connections"] == 20
+    assert json.loads((tmp_path / "loihi.json").read_text())["hardware"]["connections"] == 8

@@ -15,7 +15,7 @@ from deploy.nir_export import input_spikes, nir_graph, write_nir
 from deploy.targets import answer
 
 from ..nir_reader.result import responses_of
-from .networks import paper_spec, random_checks, small_spec
+from .networks import host_first_spec, paper_spec, random_checks, small_spec
 
 nir = pytest.importorskip("nir")
 
@@ -62,13 +62,10 @@ def test_output_neurons_and_rectified_linear_ones():
 
 
 def test_first_layer_on_the_host_takes_the_image():
-    spec = small_spec()
-    host = replace(spec.layers[0], placement="host", synapse=None)
-    spec = replace(spec, encoder=None, layers=(host, *spec.layers[1:]))
+    spec = host_first_spec()
     graph = nir_graph(spec)
-    np.testing.assert_array_equal(
-        graph.nodes["conv1_weights"].weight, host.weights.transpose(3, 2, 0, 1)
-    )
+    weights = spec.layers[0].weights.transpose(3, 2, 0, 1)
+    np.testing.assert_array_equal(graph.nodes["conv1_weights"].weight, weights)
     assert type(graph.nodes["conv1_neurons"]) is nir.LIF
     images = random_checks(spec, 2).images
     fed = input_spikes(spec, images)

@@ -73,7 +73,7 @@ def test_what_is_shown_at_each_step():
     feed = Feed(spec)
     feed.images = np.stack([np.full(36, 0.1), np.full(36, 0.2)])
     shown = [float(feed(step * 0.001)[0]) for step in range(1, 11)]
-    assert shown == [0.1, 0.1, 0.1, 0, 0, 0.2, 0.2, 0.2, 0, 0]
+    assert shown == [0, 0, 0.1, 0.1, 0.1, 0, 0, 0.2, 0.2, 0.2]
     assert seconds_per_sample(spec) == pytest.approx(0.005)
 
 

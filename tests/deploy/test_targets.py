@@ -69,8 +69,8 @@ def test_sample_by_sample_is_the_same_as_in_one_run(target, images):
         sim.run_steps(3 * built.feed.period)
         whole = np.array(sim.data[built.output]).reshape(3, built.feed.period, 10)
         counts = {name: np.array(sim.data[p]) for name, p in built.spikes.items()}
-    start, steps = spec.presentation.readout_start, spec.presentation.steps
-    scores = whole[:, start:steps].mean(1) + spec.layers[-1].bias
+    start = spec.presentation.gap + spec.presentation.readout_start
+    scores = whole[:, start:].mean(1) + spec.layers[-1].bias
     responses = answer(spec, images[:3], target)
     np.testing.assert_allclose(responses.scores, scores, atol=1e-12)
     for name, data in counts.items():

@@ -87,6 +87,11 @@ def test_no_nxsdk_is_one_line(copied):
     assert "needs Intel's NxSDK" in line
 
 
+def test_board_says_whether_there_is_nxsdk(copied):
+    assert pyz(copied, "board").stdout == "NxSDK 1.0.0: target loihi can be used\n"
+    assert "needs Intel's NxSDK" in one_line(pyz(copied, "board", standin=False))
+
+
 def test_board_option_for_another_target_is_one_line(copied):
     line = one_line(pyz(copied, "check", ".", "--target", "emulator", "--board", "b"))
     assert "--board is for --target loihi" in line

@@ -27,20 +27,33 @@ def test_the_rate_is_that_of_nengos_lif(tau_rc, tau_ref):
 
 
 @pytest.mark.parametrize(("tau_rc", "tau_ref"), [(0.02, 0.001), (0.02, 0.002), (0.05, 0.004)])
-def test_in_whole_steps_the_rate_is_that_of_nengo_loihi(tau_rc, tau_ref):
-    z = activations()
-    layer = RateLIF(RATE, tau_rc, tau_ref, whole_steps=True)
+def test_on_the_chip_the_rate_is_nengo_loihis_averaged_over_a_ripple(tau_rc, tau_ref):
+    layer = RateLIF(RATE, tau_rc, tau_ref, on_chip=True)
     neurons = nengo_loihi.neurons.LoihiLIF(tau_rc=tau_rc, tau_ref=tau_ref)
-    rates = nengo_loihi.neurons.loihi_lif_rates(neurons, *currents(z, layer.gain), dt=0.001)
-    found = np.asarray(layer(z.astype(np.float32)))
-    expected = rates.ravel() / RATE
-    # At the edge of a step single precision may fall on the other side: one step, and rarely.
-    same = np.isclose(found, expected, rtol=1e-5)
-    assert same.mean() > 0.98
-    near = [np.isclose(1 / found[~same], 1 / expected[~same] + d * RATE / 1000) for d in (-1, 1)]
-    assert np.any(near, axis=0).all()
-    on = found[found > 0]
-    np.testing.assert_allclose(1000 / (on * RATE), np.round(1000 / (on * RATE)), atol=1e-3)
+    for z in (0.3, 0.6, 1.0, 1.3):
+        # A ripple that moves the end of the interval by one step, evenly within it.
+        interval = 1 / (float(layer(np.float32([z]))[0]) * RATE)
+        ends = interval + 0.001 * (np.arange(400) / 400 - 1)  # half a step around the unrounded one
+        real_tau_rc, real_tau_ref = on_chip_time_constants(tau_rc, tau_ref)
+        j = 1 + 1 / np.expm1((ends - real_tau_ref) / real_tau_rc)
+        rates = nengo_loihi.neurons.loihi_lif_rates(
+            neurons, (j - 1)[:, None], np.ones(1), np.ones(1), dt=0.001
+        )
+        assert np.mean(1 / rates) == pytest.approx(interval, rel=2e-3)
+
+
+def test_noise_is_only_for_training():
+    layer, z = RateLIF(RATE, noise=0.2), np.full(1000, 0.5, np.float32)
+    assert np.ptp(layer(z)) == 0
+    assert np.std(layer(z, training=True)) > 0.05
+
+
+def test_the_price_of_spikes_by_hand():
+    costs = np.float32([1, 10])
+    layer = RateLIF(RATE, spike_costs=costs)
+    rates = layer(np.float32([[1.0, 0.0], [0.0, 1.0]]), training=True).numpy()
+    np.testing.assert_allclose(rates, np.eye(2), atol=1e-5)
+    assert float(layer.losses[0]) == pytest.approx((1 + 10) / 2, rel=1e-4)
 
 
 def test_one_gives_the_maximum_rate_and_zero_none():
@@ -66,10 +79,10 @@ def test_time_constants_on_the_chip():
     assert tau_rc == pytest.approx(0.02, rel=2e-3)
 
 
-@pytest.mark.parametrize("whole_steps", [False, True])
-def test_the_gradient_is_finite_and_never_negative(whole_steps):
+@pytest.mark.parametrize("on_chip", [False, True])
+def test_the_gradient_is_finite_and_never_negative(on_chip):
     z = tf.constant(activations(), tf.float32)
-    layer = RateLIF(RATE, whole_steps=whole_steps)
+    layer = RateLIF(RATE, on_chip=on_chip)
     with tf.GradientTape() as tape:
         tape.watch(z)
         rate = layer(z)
