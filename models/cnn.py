@@ -72,3 +72,26 @@ def set_weights(model: tf.keras.Model, weights: dict):
 def predict(model: tf.keras.Model, images) -> np.ndarray:
     """Logits, shape (n_samples, outputs)."""
     return model.predict(np.asarray(images, np.float32), batch_size=512, verbose=0)
+
+
+def activations(model: tf.keras.Model, images) -> dict:
+    """What the neurons of each convolution put out, by the convolution's name.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n_samples, n_neurons)
+        ``"conv1"``, ...; neurons in the order (row, column, channel).
+    """
+    suffix, images = "_neurons", np.asarray(images, np.float32)
+    layers = [layer for layer in model.layers if layer.name.endswith(suffix)]
+    probe = tf.keras.Model(model.input, {layer.name: layer.output for layer in layers})
+    # Called, not predict(): that would trace a graph for a model that is used once.
+    parts = [
+        probe(images[first : first + 512], training=False) for first in range(0, len(images), 512)
+    ]
+    return {
+        layer.name[: -len(suffix)]: np.concatenate([part[layer.name] for part in parts]).reshape(
+            len(images), -1
+        )
+        for layer in layers
+    }

@@ -11,7 +11,7 @@ import tensorflow as tf
 from deploy.errors import UserError
 from deploy.files import replacing
 from deploy.operations import convolution_fan_out
-from models.cnn import build_cnn, get_weights, predict, set_weights
+from models.cnn import activations, build_cnn, get_weights, predict, set_weights
 from models.lif import DT, RateLIF, gain_for
 from models.notation import parse
 from models.quantised import OnChipConv2D
@@ -187,12 +187,8 @@ def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
     architecture = parse(settings.cnn.architecture)
     model = build_cnn(architecture)
     set_weights(model, weights)
-    names = [f"conv{index + 1}" for index in range(len(architecture.convs))]
-    probe = tf.keras.Model(model.input, [model.get_layer(f"{n}_neurons").output for n in names])
-    outputs = probe.predict(images, batch_size=512, verbose=0)
-    outputs = outputs if isinstance(outputs, list) else [outputs]
     scaled, before = dict(weights), 1.0
-    for name, output in zip(names, outputs, strict=True):
+    for name, output in activations(model, images).items():
         scale = max(float(np.percentile(output, PERCENTILE)), 1e-6)
         scaled[f"{name}.kernel"] = weights[f"{name}.kernel"] * before / scale
         scaled[f"{name}.bias"] = weights[f"{name}.bias"] / scale
