@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import nengo
 import numpy as np
@@ -20,6 +21,7 @@ from deploy.network_spec import Encoder, Layer, NetworkSpec, Neurons, Presentati
 from deploy.presentation import join
 from deploy.targets import run_emulator
 from tests.deploy.fast_networks import Watching, images_for, random_spec, reference
+from tests.deploy.networks import paper_spec
 
 pytest.importorskip("numba")
 
@@ -100,39 +102,12 @@ def quietly(function, *arguments):
         return function(*arguments)
 
 
-def paper_spec(scale=2.0, placement="chip", seed=0, **presentation):
-    """The paper's architecture with random weights that make it spike."""
-    rng = np.random.default_rng(seed)
-    lif = Neurons("lif", amplitude=0.01)
-
-    def layer(name, before, after, kernel, size, bias, **changes):
-        values = {
-            "name": name, "kind": "conv", "input_shape": before, "shape": after,
-            "placement": "chip", "neurons": lif, "synapse": 0.005, "kernel": kernel,
-            "block_shape": None, "pop_type": 32,
-            "weights": rng.normal(0, size, (kernel, kernel, before[-1], after[-1])),
-            "bias": np.full(after[-1], bias), **changes,
-        }  # fmt: skip
-        return Layer(**values)
-
-    dense = {"kind": "dense", "placement": "host", "neurons": None}
-    dense["weights"] = rng.normal(0, 0.1, (10, 600))
-    return NetworkSpec(
-        "10x10-6c4-24c3-10o",
-        (10, 10, 1),
-        Encoder() if placement == "chip" else None,
-        (
-            layer("conv1", (10, 10, 1), (7, 7, 6), 4, 0.5 * scale, 0.7, placement=placement),
-            layer("conv2", (7, 7, 6), (5, 5, 24), 3, 0.25 * scale, 0.8, block_shape=(3, 5, 24)),
-            layer("output", (5, 5, 24), (10,), 0, 0, 0.0, **dense),
-        ),
-        Presentation(**presentation),
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("placement", ["chip", "host"])
 def test_the_papers_network_is_identical_in_all_compartments(placement):
-    spec = paper_spec(placement=placement, steps=40, gap=10)
+    spec = paper_spec(steps=40, gap=10)
+    conv1, conv2, output = spec.layers
+    layers = (replace(conv1, placement=placement), replace(conv2, block_shape=(3, 5, 24)), output)
+    spec = replace(spec, encoder=spec.encoder if placement == "chip" else None, layers=layers)
     images = images_for(spec, 2)
     expected = reference(spec, images)
     for kernel in ("numba", "numpy"):
@@ -224,10 +199,11 @@ def test_no_warning_without_overflows(recwarn):
 
 
 def test_silence_gives_zeros():
-    spec = paper_spec(scale=0.0, steps=5, gap=0, readout_start=0)
-    (answer,) = quietly(list, run_fast(spec, [np.zeros((2, 100))]))
+    spec = paper_spec(steps=5, gap=0, readout_start=0)
+    silent = [replace(layer, bias=np.zeros_like(layer.bias)) for layer in spec.layers]
+    (answer,) = run_fast(replace(spec, layers=silent), [np.zeros((2, 100))])
     assert not answer.scores.any()
-    assert answer.spikes["input"].sum() == 0
+    assert not any(spikes.any() for spikes in answer.spikes.values())
 
 
 def test_decay_by_hand():
