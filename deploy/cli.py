@@ -136,8 +136,31 @@ def summary(result: dict) -> str:
         f"synaptic operations a sample: {operations:.0f}, {operations / macs:.2f} times the CNN's "
         f"{macs} multiply-accumulates\n"
         f"{result['wall_seconds']:.1f} s, {result['n_samples'] / result['wall_seconds']:.1f} "
-        "samples a second"
+        "samples a second" + _hardware(result)
     )
+
+
+def _hardware(result):
+    """What only a board has to say, in lines of their own."""
+    if "hardware" not in result:
+        return ""
+    board, timing = result["hardware"], result["timing"]
+    phases = ", ".join(
+        f"{phase} {timing[f'{phase}_seconds_per_sample']:.3f} s"
+        for phase in ("build", "connect", "run")
+    )
+    text = (
+        f"\nboard {board['board'] or 'of the cluster'}, partition {board['partition'] or 'none'}, "
+        f"NxSDK {result['versions']['nxsdk']}, {board['connections']} connections; "
+        f"a sample: {phases}"
+    )
+    if "power" in result:
+        power = result["power"]
+        text += (
+            f"\nmeasured power: {power['dynamic_mw']:.3g} mW beside {power['static_mw']:.3g} mW "
+            f"when idle, {power['step_microseconds']:.3g} us a step"
+        )
+    return text
 
 
 def _kind(result):

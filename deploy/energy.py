@@ -26,6 +26,7 @@ from typing import List
 from .errors import UserError
 from .network_spec import DT, NetworkSpec
 from .operations import multiply_accumulates
+from .tables import aligned
 
 LOIHI = {"synaptic operation": (23.6 + 3.5) * 1e-12, "neuron update": 81e-12}
 """Joules (Davies et al. 2018)."""
@@ -182,15 +183,10 @@ def estimate_text(value: Estimate) -> str:
         )
     total = [_joules(value.chip_joules), *(_joules(value.cnn_joules(device)) for device in MAC)]
     rows.append(["total", "", "", "", *total])
-    widths = [max(len(row[i]) for row in rows) for i in range(len(heads))]
-    lines = [
-        "  ".join(c.ljust(w) if i < 2 else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths)))
-        for row in rows
-    ]
     return "\n".join(
         [
             "ESTIMATE of the energy of one inference, from published energies per operation",
-            *lines,
+            *aligned(rows, left=2),
             "Loihi: synaptic operations x 27.1 pJ + neuron updates x 81 pJ (Davies et al. 2018)",
             "CNN: (multiply-accumulates + neurons) x 8.6 nJ on a CPU, 0.3 nJ on a GPU "
             "(Degnan et al. 2016)",

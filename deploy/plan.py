@@ -12,23 +12,23 @@ from dataclasses import asdict, dataclass
 from typing import Dict, List, Tuple
 
 import nengo
-import numpy as np
 
 from .errors import UserError
 from .foreign import nengo_loihi
 from .network import build
 from .network_spec import DT, NetworkSpec
+from .resources import (
+    CURRENT_LIMIT,
+    INPUT_LIMIT,
+    LIMITS,
+    VOLTAGE_LIMIT,
+    axon_cfg_registers,
+    used_by,
+    worst_case,
+)
+from .tables import aligned
 
 CORES_PER_CHIP = 128
-
-LIMITS = {
-    "compartments": 1024,
-    "input axons": 4096,
-    "output axons": 4096,
-    "AxonCfg registers": 4096,
-    "synapse words": 16384,
-}
-"""Of one core (Davies et al. 2018, IEEE Micro 38(1); NengoLoihi 1.1, ``block.py``)."""
 
 COLUMNS = ("compartments", "axons in", "axons out", "AxonCfg", "synapse words")
 """Heads of `LIMITS` in a table."""
@@ -42,18 +42,8 @@ REMEDIES = {
     "synapse words": "give the layer a smaller block_shape or fewer filters",
 }
 
-CURRENT_LIMIT = 2**23
-INPUT_LIMIT = 2**21
-"""What the current and one step's synaptic input can hold before they wrap around."""
-
-VOLTAGE_LIMIT = 2**23 - 1
-"""Where the membrane voltage is clipped; the nearer the threshold, the less may go beyond it."""
-
 POP16_ATOMS = 32
 POP16_AXONS = 1024
-AXON_CFGS_PER_AXON = {0: 1, 16: 1, 32: 2}
-BITS_OF_A_WORD = 64
-BITS_OF_A_BLOCK_HEADER = 10
 
 
 @dataclass(frozen=True)
@@ -211,86 +201,19 @@ def _placement(model, chips):
 
 
 def _core_plan(layer, part, chip, core, block, intervals):
-    shared, unshared = axon_cfg_registers(block)
-    worst_input, worst_current = _worst_case(block, intervals)
-    used = {
-        "compartments": int(block.compartment.n_compartments),
-        "input axons": int(sum(synapse.n_axons for synapse in block.synapses)),
-        "output axons": int(sum(axon.axon_slots() for axon in block.axons)),
-        "AxonCfg registers": shared,
-        "synapse words": int(sum(synapse_words(synapse) for synapse in block.synapses)),
-    }
+    worst_input, worst_current = worst_case(block, intervals)
     return CorePlan(
         layer=layer,
         part=part,
         chip=chip,
         core=core,
-        used=used,
-        unshared_axon_cfgs=unshared,
+        used=used_by(block),
+        unshared_axon_cfgs=axon_cfg_registers(block)[1],
         pop_types=tuple(sorted({synapse.pop_type for synapse in block.synapses})),
         threshold=int(block.compartment.vth.max()),
         worst_input=worst_input,
         worst_current=worst_current,
     )
-
-
-def axon_cfg_registers(block):
-    """AxonCfg registers that a block's output axons need.
-
-    A neuron's spikes go out by one contiguous run of AxonCfg registers, one or (pop32) two for each
-    destination.  Neurons of one population, the channels of one pixel, have the same destinations,
-    and may share a run.
-
-    Returns
-    -------
-    shared, unshared : int
-        With and without that sharing.  NengoLoihi counts on it, yet boards have refused networks
-        that passed NengoLoihi's count (its issue 326), so the truth may lie between the two.
-    """
-    destinations = {}
-    for axon in block.axons:
-        synapse = axon.target
-        spikes = axon.map_spikes(np.arange(block.n_neurons))
-        for neuron, spike in enumerate(spikes):
-            if spike is None or _is_dummy(synapse, spike.axon_idx):
-                continue
-            where = (AXON_CFGS_PER_AXON[synapse.pop_type], id(synapse), int(spike.axon_idx))
-            destinations.setdefault(neuron, []).append((synapse.pop_type, where))
-    runs, unshared = {}, 0
-    for neuron, targets in destinations.items():
-        run = tuple(where for _, where in targets)
-        length = sum(registers for registers, *_ in run)
-        unshared += length
-        is_population = all(pop_type for pop_type, _ in targets)
-        runs[run if is_population else (neuron, run)] = length
-    return sum(runs.values()), unshared
-
-
-def _is_dummy(synapse, axon):
-    """Whether an axon reaches nothing; such axons are not put on the chip."""
-    return (
-        synapse.axon_compartment_base(axon) is None
-        or synapse.axon_weights_indices(axon)[0].size == 0
-    )
-
-
-def synapse_words(synapse):
-    """64-bit words of synapse memory, each list of synapses beginning with a new word.
-
-    A list is what one spike reads: an axon's weights, of one atom where it is a population's.
-    NengoLoihi counts the bits of an axon's atoms together, which is a little less.
-    """
-    form = synapse.synapse_cfg
-    bits = form.real_weight_bits + form.delay_bits + form.tag_bits
-    bits += form.real_idx_bits if form.compression == 0 else 0
-    per_block = form.n_synapses + 1
-    words = 0
-    for weights in synapse.weights:
-        atoms, length = weights.shape
-        for first in range(0, length, per_block):
-            n = min(per_block, length - first)
-            words += atoms * -(-(n * bits + BITS_OF_A_BLOCK_HEADER) // BITS_OF_A_WORD)
-    return words
 
 
 def _shortest_intervals(spec, model):
@@ -305,28 +228,6 @@ def _shortest_intervals(spec, model):
         for axon in block.axons:
             intervals[id(axon.target)] = refractory
     return intervals
-
-
-def _worst_case(block, intervals):
-    """Bounds on one step's synaptic input and on the current; see `CorePlan`."""
-    n = block.compartment.n_compartments
-    keep = (4095 - block.compartment.decay_u.astype(float)) / 4096
-    inputs, currents = np.zeros((2, n)), np.zeros((2, n))
-    for synapse in block.synapses:
-        sums = np.zeros((2, n))
-        for axon in range(synapse.n_axons):
-            base = synapse.axon_compartment_base(axon)
-            if base is None:
-                continue
-            for atom in range(synapse.axon_populations(axon)):
-                weights, indices = synapse.axon_weights_indices(axon, atom)
-                np.add.at(sums[0], base + indices, np.maximum(weights, 0))
-                np.add.at(sums[1], base + indices, np.maximum(-weights, 0))
-        inputs += sums
-        currents += sums / (1 - keep ** intervals.get(id(synapse), 1))
-    bias = block.compartment.bias.astype(float)
-    currents += np.stack([np.maximum(bias, 0), np.maximum(-bias, 0)])
-    return int(inputs.max()), int(currents.max())
 
 
 def _problems(core):
@@ -400,11 +301,7 @@ def plan_text(plan: Plan) -> str:
             f"{core.threshold / VOLTAGE_LIMIT:.0%}",
         ]
         rows.append(cells)
-    widths = [max(len(row[i]) for row in rows) for i in range(len(heads))]
-    lines = [
-        "  ".join(c.ljust(w) if i < 3 else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths)))
-        for row in rows
-    ]
+    lines = aligned(rows, left=3)
     lines.append(
         f"{len(plan.cores)} cores on {plan.chips} chip(s); of each core's limits; 'at': chip.core; "
         "'pop': type of the axons in\n'input', 'current': worst case that the weights allow, of "

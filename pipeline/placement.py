@@ -5,7 +5,8 @@ from __future__ import annotations
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from deploy.plan import CORES_PER_CHIP, LIMITS, Plan
+from deploy.plan import CORES_PER_CHIP, Plan
+from deploy.resources import LIMITS
 
 COLUMNS = 16
 COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"]

@@ -8,6 +8,7 @@ import pytest
 from deploy import hardware, targets
 from deploy.bundle import read_bundle
 from deploy.checks import run_check
+from deploy.cli import summary
 from deploy.errors import UserError
 from deploy.hardware import Settings
 from deploy.results import compare, read_result
@@ -171,6 +172,9 @@ def test_power_is_taken_down_apart_from_idle(nxsdk, bundle, tmp_path):
         "dynamic_mw": 5.0,
         "step_microseconds": 10.0,
     }
+    text = summary(result)
+    assert "board of the cluster, partition none, NxSDK 1.0.0, 3 connections" in text
+    assert "measured power: 5 mW beside 25 mW when idle" in text
 
 
 def test_board_without_energy_probe(nxsdk, bundle, tmp_path):

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy import plan as planning
 from deploy.errors import UserError
 from deploy.foreign import nengo_loihi
 from deploy.network import build
 from deploy.network_spec import Encoder, NetworkSpec, Presentation
-from deploy.plan import LIMITS, make_plan, plan_text, require_fit
+from deploy.plan import make_plan, plan_text, require_fit
+from deploy.resources import LIMITS, synapse_words
 
 from .networks import conv, paper_spec, readout, small_spec
 
@@ -50,7 +50,7 @@ def test_synapse_words_by_hand():
 
     synapse = Synapse(1)
     synapse.set_weights(np.ones((1, 70)))
-    assert planning.synapse_words(synapse) == 9 + 1
+    assert synapse_words(synapse) == 9 + 1
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,136 @@
+"""What a block of NengoLoihi takes of the core that it is put on, and what a core has.
+
+A block is one core's part of a layer, after discretisation.
+"""
+
+from __future__ import annotations
+
+from typing import Dict
+
+import numpy as np
+
+LIMITS = {
+    "compartments": 1024,
+    "input axons": 4096,
+    "output axons": 4096,
+    "AxonCfg registers": 4096,
+    "synapse words": 16384,
+}
+"""Of one core (Davies et al. 2018, IEEE Micro 38(1); NengoLoihi 1.1, ``block.py``)."""
+
+CURRENT_LIMIT = 2**23
+INPUT_LIMIT = 2**21
+"""What the current and one step's synaptic input can hold before they wrap around."""
+
+VOLTAGE_LIMIT = 2**23 - 1
+"""Where the membrane voltage is clipped; the nearer the threshold, the less may go beyond it."""
+
+AXON_CFGS_PER_AXON = {0: 1, 16: 1, 32: 2}
+BITS_OF_A_WORD = 64
+BITS_OF_A_BLOCK_HEADER = 10
+
+
+def used_by(block) -> Dict[str, int]:
+    """How much of each of `LIMITS` a block takes."""
+    return {
+        "compartments": int(block.compartment.n_compartments),
+        "input axons": int(sum(synapse.n_axons for synapse in block.synapses)),
+        "output axons": int(sum(axon.axon_slots() for axon in block.axons)),
+        "AxonCfg registers": axon_cfg_registers(block)[0],
+        "synapse words": int(sum(synapse_words(synapse) for synapse in block.synapses)),
+    }
+
+
+def axon_cfg_registers(block):
+    """AxonCfg registers that a block's output axons need.
+
+    A neuron's spikes go out by one contiguous run of AxonCfg registers, one or (pop32) two for each
+    destination.  Neurons of one population, the channels of one pixel, have the same destinations,
+    and may share a run.
+
+    Returns
+    -------
+    shared, unshared : int
+        With and without that sharing.  NengoLoihi counts on it, yet boards have refused networks
+        that passed NengoLoihi's count (its issue 326), so the truth may lie between the two.
+    """
+    destinations = {}
+    for axon in block.axons:
+        synapse = axon.target
+        spikes = axon.map_spikes(np.arange(block.n_neurons))
+        for neuron, spike in enumerate(spikes):
+            if spike is None or _is_dummy(synapse, spike.axon_idx):
+                continue
+            where = (AXON_CFGS_PER_AXON[synapse.pop_type], id(synapse), int(spike.axon_idx))
+            destinations.setdefault(neuron, []).append((synapse.pop_type, where))
+    runs, unshared = {}, 0
+    for neuron, targets in destinations.items():
+        run = tuple(where for _, where in targets)
+        length = sum(registers for registers, *_ in run)
+        unshared += length
+        is_population = all(pop_type for pop_type, _ in targets)
+        runs[run if is_population else (neuron, run)] = length
+    return sum(runs.values()), unshared
+
+
+def _is_dummy(synapse, axon):
+    """Whether an axon reaches nothing; such axons are not put on the chip."""
+    return (
+        synapse.axon_compartment_base(axon) is None
+        or synapse.axon_weights_indices(axon)[0].size == 0
+    )
+
+
+def synapse_words(synapse):
+    """64-bit words of synapse memory, each list of synapses beginning with a new word.
+
+    A list is what one spike reads: an axon's weights, of one atom where it is a population's.
+    NengoLoihi counts the bits of an axon's atoms together, which is a little less.
+    """
+    form = synapse.synapse_cfg
+    bits = form.real_weight_bits + form.delay_bits + form.tag_bits
+    bits += form.real_idx_bits if form.compression == 0 else 0
+    per_block = form.n_synapses + 1
+    words = 0
+    for weights in synapse.weights:
+        atoms, length = weights.shape
+        for first in range(0, length, per_block):
+            n = min(per_block, length - first)
+            words += atoms * -(-(n * bits + BITS_OF_A_BLOCK_HEADER) // BITS_OF_A_WORD)
+    return words
+
+
+def worst_case(block, intervals):
+    """Magnitude that one step's synaptic input and the current can reach at most.
+
+    Every source fires as fast as it can, and weights of one sign win.
+
+    Parameters
+    ----------
+    block : nengo_loihi.block.LoihiBlock
+    intervals : dict
+        Fewest steps between two spikes of the sources of a synapse object, by its ``id``.
+
+    Returns
+    -------
+    input, current : int
+        In the chip's integers; the limits are `INPUT_LIMIT` and `CURRENT_LIMIT`.
+    """
+    n = block.compartment.n_compartments
+    keep = (4095 - block.compartment.decay_u.astype(float)) / 4096
+    inputs, currents = np.zeros((2, n)), np.zeros((2, n))
+    for synapse in block.synapses:
+        sums = np.zeros((2, n))
+        for axon in range(synapse.n_axons):
+            base = synapse.axon_compartment_base(axon)
+            if base is None:
+                continue
+            for atom in range(synapse.axon_populations(axon)):
+                weights, indices = synapse.axon_weights_indices(axon, atom)
+                np.add.at(sums[0], base + indices, np.maximum(weights, 0))
+                np.add.at(sums[1], base + indices, np.maximum(-weights, 0))
+        inputs += sums
+        currents += sums / (1 - keep ** intervals.get(id(synapse), 1))
+    bias = block.compartment.bias.astype(float)
+    currents += np.stack([np.maximum(bias, 0), np.maximum(-bias, 0)])
+    return int(inputs.max()), int(currents.max())
