@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+import os
+import subprocess
+import sys
 import warnings
 from dataclasses import replace
 
@@ -19,9 +23,10 @@ from deploy.fast.run import Emulation, compile_spec, run_fast
 from deploy.foreign import nengo_loihi
 from deploy.network_spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
 from deploy.presentation import join
+from deploy.results import read_result
 from deploy.targets import run_emulator
 from tests.deploy.fast_networks import Watching, images_for, random_spec, reference
-from tests.deploy.networks import paper_spec
+from tests.deploy.networks import bundle_at, paper_spec, small_spec
 
 pytest.importorskip("numba")
 
@@ -191,6 +196,39 @@ def test_overflows_are_identical_counted_and_warned_of_by_layer(filters, kinds, 
         assert_identical(spec, images, expected, kernel)
         with pytest.warns(RuntimeWarning, match=f"layer 'output': overflows .*: {told}"):
             list(run_fast(spec, [images], kernel=kernel))
+
+
+def test_streams_are_taken_as_memory_allows():
+    spec = paper_spec(steps=10, gap=0, readout_start=0)
+    images, taken = images_for(spec, 1), []
+    endless = (taken.append(i) or images for i in itertools.count())
+    memory = 3 * 10 * 1300  # three streams of ten steps and their answers
+    answers = run_fast(spec, endless, kernel="numba", memory=memory)
+    for _ in range(4):
+        next(answers)
+    answers.close()
+    assert 4 <= len(taken) <= 12
+
+
+def test_a_copied_bundle_runs_it_without_numba(tmp_path):
+    bundle = bundle_at(tmp_path / "bundle", small_spec(), 4)
+    (tmp_path / "without").mkdir()
+    (tmp_path / "without" / "numba.py").write_text("raise ImportError('not here')")
+    for target in ("fast", "emulator"):
+        subprocess.run(
+            [sys.executable, "deploy.pyz", "check", ".", "--target", target],
+            cwd=bundle.path, check=True, capture_output=True, timeout=300,
+            env={**os.environ, "PYTHONPATH": str(tmp_path / "without")},
+        )  # fmt: skip
+    fast, emulator = (
+        read_result(bundle.path / "checks" / f"{target}.json") for target in ("fast", "emulator")
+    )
+    assert set(fast) == set(emulator)
+    assert fast["spikes"] == emulator["spikes"]
+    for mine, theirs in zip(fast["samples"], emulator["samples"], strict=True):
+        assert set(mine) == set(theirs)
+        assert mine["spike_hash"] == theirs["spike_hash"]
+        assert mine["prediction"] == theirs["prediction"]
 
 
 def test_no_warning_without_overflows(recwarn):
