@@ -350,6 +350,19 @@ def test_refuses_by_name(changes, named):
     assert named in refusal((parts[0], parts[1], parts[-1]))
 
 
+def test_refuses_connections_back_on_the_chip():
+    network, source, _, chip, _, output = small_network()
+    with network:
+        nengo.Connection(chip.neurons, chip.neurons, transform=0.1 * np.eye(4), synapse=0.005)
+    assert "back to a layer" in refusal((network, source, output))
+
+
+def test_refuses_voltages_that_the_emulator_would_wrap():
+    network, source, _, chip, _, output = small_network()
+    chip.neuron_type = nengo.LIF(tau_rc=3.0, min_voltage=-1e9)
+    assert "minimum voltage" in refusal((network, source, output))
+
+
 def test_refuses_input_neurons_that_feed_each_other():
     network, source, encoder, *_, output = small_network()
     with network:
