@@ -65,7 +65,9 @@ class Trained:
     history: list
 
 
-def train_cnn(settings: Settings, data, seed: int, validation=None, advance=None) -> Trained:
+def train_cnn(
+    settings: Settings, data, seed: int, validation=None, advance=None, recipe=None
+) -> Trained:
     """Train the paper's CNN (Section 3.2.1).
 
     Parameters
@@ -79,6 +81,8 @@ def train_cnn(settings: Settings, data, seed: int, validation=None, advance=None
         Only watched.
     advance : callable, optional
         ``advance(1, note)`` after each epoch.
+    recipe : Recipe, optional
+        Default: the paper's, with the settings' epochs, batch size and learning rate.
 
     Returns
     -------
@@ -87,8 +91,9 @@ def train_cnn(settings: Settings, data, seed: int, validation=None, advance=None
     make_deterministic(seed)
     model = build_cnn(parse(settings.cnn.architecture))
     cnn = settings.cnn
-    recipe = Recipe(cnn.epochs, cnn.batch_size, cnn.learning_rate)
-    return Trained(get_weights(model), fit(model, recipe, data, validation, advance))
+    recipe = recipe or Recipe(cnn.epochs, cnn.batch_size, cnn.learning_rate)
+    history = fit(model, recipe, data, validation, advance)
+    return Trained(get_weights(model), history)
 
 
 def snn_recipe(snn) -> Recipe:
