@@ -37,51 +37,80 @@ def fit_together(models, data, parts, seeds, epochs, batch_size, learning_rate, 
     list of list of dict
         For each model a history: ``epoch``, ``loss``, ``accuracy`` in each row.
     """
-    layers = models[0].layers
-    variables = [
-        tf.Variable(tf.stack([v.numpy() for v in group]), name=f"stacked{i}")
-        for i, group in enumerate(zip(*(m.trainable_variables for m in models), strict=True))
-    ]
-    optimizer = tf.keras.optimizers.RMSprop(learning_rate)
-    optimizer.build(variables)
-    images, labels = tf.constant(data[0], tf.float32), tf.constant(data[1], tf.int32)
-
-    @tf.function(autograph=False, jit_compile=True)
-    def step(images, labels, mask):
-        with tf.GradientTape() as tape:
-            logits = forward_together(layers, variables, images)
-            losses = mask * tf.nn.sparse_softmax_cross_entropy_with_logits(labels, logits)
-            # A mean over the samples of each network; the networks' losses only stand in one sum.
-            total = tf.reduce_sum(
-                tf.reduce_sum(losses, 1) / tf.maximum(tf.reduce_sum(mask, 1), 1.0)
-            )
-        optimizer.apply_gradients(
-            zip(tape.gradient(total, variables), variables, strict=True),
-            skip_gradients_aggregation=True,
-        )
-        right = mask * tf.cast(tf.argmax(logits, 2, tf.int32) == labels, tf.float32)
-        return tf.stack([tf.reduce_sum(losses, 1), tf.reduce_sum(right, 1)])
-
+    stack = Stack(models, data, learning_rate)
     histories = [[] for _ in models]
-    sizes = np.array([len(part) for part in parts])
     for epoch in range(epochs):
+        losses, shares = stack.train_epoch(parts, seeds, epoch, batch_size)
+        for history, loss, share in zip(histories, losses, shares, strict=True):
+            history.append({"epoch": epoch + 1, "loss": float(loss), "accuracy": float(share)})
+        if advance is not None:
+            advance(1, f"accuracy {shares.mean():.3f}")
+    stack.unstack()
+    return histories
+
+
+class Stack:
+    """Networks in training; see :func:`fit_together` for the arguments.
+
+    Attributes
+    ----------
+    models : sequence of tf.keras.Model
+        Their weights are those of the start until :meth:`unstack`.
+    """
+
+    def __init__(self, models, data, learning_rate):
+        self.models = models
+        self._variables = variables = [
+            tf.Variable(tf.stack([v.numpy() for v in group]), name=f"stacked{i}")
+            for i, group in enumerate(zip(*(m.trainable_variables for m in models), strict=True))
+        ]
+        self._images = tf.constant(data[0], tf.float32)
+        self._labels = tf.constant(data[1], tf.int32)
+        layers = models[0].layers
+        optimizer = tf.keras.optimizers.RMSprop(learning_rate)
+        optimizer.build(variables)
+
+        @tf.function(autograph=False, jit_compile=True)
+        def step(images, labels, mask):
+            with tf.GradientTape() as tape:
+                logits = forward_together(layers, variables, images)
+                losses = mask * tf.nn.sparse_softmax_cross_entropy_with_logits(labels, logits)
+                # Each network's mean over its samples; the means only stand in one sum.
+                counts = tf.maximum(tf.reduce_sum(mask, 1), 1.0)
+                total = tf.reduce_sum(tf.reduce_sum(losses, 1) / counts)
+            optimizer.apply_gradients(
+                zip(tape.gradient(total, variables), variables, strict=True),
+                skip_gradients_aggregation=True,
+            )
+            right = mask * tf.cast(tf.argmax(logits, 2, tf.int32) == labels, tf.float32)
+            return tf.stack([tf.reduce_sum(losses, 1), tf.reduce_sum(right, 1)])
+
+        self._step = step
+
+    def train_epoch(self, parts, seeds, epoch, batch_size):
+        """Show each network its samples once.
+
+        Returns
+        -------
+        losses, shares : ndarrays, shape (n_models,)
+            Mean loss, and share that was right, of each network's samples as they were trained on.
+        """
         order, mask = _orders(parts, seeds, epoch, batch_size)
-        sums = np.zeros((2, len(models)))
+        sums = np.zeros((2, len(self.models)))
         for start in range(0, order.shape[1], batch_size):
             batch = order[:, start : start + batch_size]
-            sums += step(
-                tf.gather(images, batch),
-                tf.gather(labels, batch),
+            sums += self._step(
+                tf.gather(self._images, batch),
+                tf.gather(self._labels, batch),
                 tf.constant(mask[:, start : start + batch_size]),
             ).numpy()
-        for history, (loss, right) in zip(histories, (sums / sizes).T, strict=True):
-            history.append({"epoch": epoch + 1, "loss": float(loss), "accuracy": float(right)})
-        if advance is not None:
-            advance(1, f"accuracy {(sums[1] / sizes).mean():.3f}")
-    for index, model in enumerate(models):
-        for variable, stacked in zip(model.trainable_variables, variables, strict=True):
-            variable.assign(stacked[index])
-    return histories
+        return sums / np.array([len(part) for part in parts])
+
+    def unstack(self):
+        """Give each model its trained weights."""
+        for index, model in enumerate(self.models):
+            for variable, stacked in zip(model.trainable_variables, self._variables, strict=True):
+                variable.assign(stacked[index])
 
 
 def forward_together(layers, variables, images):

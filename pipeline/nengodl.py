@@ -62,6 +62,65 @@ def run(
     ndarray, shape (n_samples, steps, 10)
         Logits at each step, the readout's bias included.
     """
+    converter, source, output = _convert(
+        settings,
+        weights,
+        nengo.LIF if spiking else nengo.LIFRate,
+        synapse=(settings.deployment.synapse or None) if spiking else None,
+    )
+    images = np.asarray(images, np.float32).reshape(len(images), 1, -1)
+    padding = -len(images) % batch  # NengoDL runs whole batches only
+    padded = np.concatenate([images, np.zeros((padding, *images.shape[1:]), np.float32)])
+    with nengo_dl.Simulator(
+        converter.net, minibatch_size=batch, progress_bar=False, seed=settings.seed
+    ) as simulator:
+        results = []
+        for part in np.split(padded, len(padded) // batch):
+            results.append(simulator.predict_on_batch({source: np.repeat(part, steps, 1)})[output])
+            if advance is not None:
+                advance(min(batch, len(images) - (len(results) - 1) * batch))
+    return np.concatenate(results)[: len(images)]
+
+
+def open_trainer(settings: Settings, weights: dict, data, batch: int):
+    """NengoDL's own training of the rate-based network, as its users write it.
+
+    Slower than :mod:`pipeline.training`, and here to be measured against it.
+
+    Parameters
+    ----------
+    settings : Settings
+    weights : dict
+        To start from.
+    data : (images, labels)
+        As many as make whole batches are used.
+    batch : int
+
+    Returns
+    -------
+    callable
+        ``train_epoch() -> loss``; the simulator is kept open between calls.
+    """
+    converter, source, output = _convert(settings, weights, nengo.LIFRate, None, False)
+    count = len(data[0]) // batch * batch
+    images = np.asarray(data[0][:count], np.float32).reshape(count, 1, -1)
+    labels = np.asarray(data[1][:count]).reshape(count, 1, 1)
+    simulator = nengo_dl.Simulator(
+        converter.net, minibatch_size=batch, progress_bar=False, seed=settings.seed
+    )
+    simulator.compile(
+        tf.keras.optimizers.RMSprop(settings.cnn.learning_rate),
+        loss={output: tf.keras.losses.SparseCategoricalCrossentropy(from_logits=True)},
+    )
+
+    def train_epoch():
+        return simulator.fit({source: images}, {output: labels}, verbose=0).history["loss"][-1]
+
+    return train_epoch
+
+
+def _convert(settings, weights, kind, synapse, inference_only=True):
+    """The network with neurons of a kind: converter, its input node and its output probe."""
     snn = settings.snn
     model = build_cnn(
         parse(settings.cnn.architecture),
@@ -75,12 +134,11 @@ def run(
             for name, array in weights.items()
         }
     set_weights(model, weights)
-    kind = nengo.LIF if spiking else nengo.LIFRate
     converter = nengo_dl.Converter(
         model,
         swap_activations={tf.nn.relu: kind()},
-        synapse=(settings.deployment.synapse or None) if spiking else None,
-        inference_only=True,
+        synapse=synapse,
+        inference_only=inference_only,
     )
     for index in range(len(parse(settings.cnn.architecture).convs)):
         ensemble = converter.layers[model.get_layer(f"conv{index + 1}_neurons").output].ensemble
@@ -93,16 +151,4 @@ def run(
         ensemble.bias = np.ones(ensemble.n_neurons)
     output = converter.outputs[model.output]
     output.synapse = None
-    images = np.asarray(images, np.float32).reshape(len(images), 1, -1)
-    padding = -len(images) % batch  # NengoDL runs whole batches only
-    padded = np.concatenate([images, np.zeros((padding, *images.shape[1:]), np.float32)])
-    with nengo_dl.Simulator(
-        converter.net, minibatch_size=batch, progress_bar=False, seed=settings.seed
-    ) as simulator:
-        results = []
-        for part in np.split(padded, len(padded) // batch):
-            shown = {converter.inputs[model.input]: np.repeat(part, steps, 1)}
-            results.append(simulator.predict_on_batch(shown)[output])
-            if advance is not None:
-                advance(min(batch, len(images) - (len(results) - 1) * batch))
-    return np.concatenate(results)[: len(images)]
+    return converter, converter.inputs[model.input], output

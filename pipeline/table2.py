@@ -193,10 +193,12 @@ def write_splits(job: Job, results: list):
 def run(job: Job) -> list:
     """Do a job: train and test its models on its splits.
 
+    Each result is written as soon as it is there, so that an interruption loses little.
+
     Returns
     -------
     list of dict
-        One a model and split, ready for :func:`write_splits`.
+        One a model and split; for :func:`write_splits` where a worker has not the same disk.
     """
     settings = job.benchmark.settings
     data = settings.data
@@ -205,10 +207,11 @@ def run(job: Job) -> list:
     )
     splits = [split_of(recordings, settings, job.kind, seed) for seed in job.seeds]
     work = _run_slayer if job.models == ("slayer",) else _run_on_images
-    return [
-        _result(job, recordings, splits[position], position, *rest)
-        for position, *rest in work(job, recordings, splits)
-    ]
+    results = []
+    for position, *rest in work(job, recordings, splits):
+        results.append(_result(job, recordings, splits[position], position, *rest))
+        write_splits(job, results[-1:])
+    return results
 
 
 def _run_on_images(job, recordings, splits):

@@ -1,4 +1,4 @@
-"""``stmnist benchmark``: the paper's Table 2."""
+"""``stmnist benchmark``: the paper's Table 2, and the speed of training."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from pipeline.commands import options
 from pipeline.parallel import Failure, run_jobs
 from pipeline.progress import progress
 from pipeline.run_folder import RunFolder
+from pipeline.settings import Settings
 from pipeline.sources import load_recordings
 from pipeline.table2_summary import summarise, table_text
 
@@ -97,6 +98,30 @@ def table2_(
         raise CheckFailed(
             f"{len(failures)} of {len(todo)} jobs failed; the same command tries them again"
         )
+
+
+@app.command()
+def training(
+    networks: Annotated[int, typer.Option(help="Networks to train.", min=1)] = 5,
+    rounds: Annotated[int, typer.Option(help="Epochs that are timed.", min=1)] = 3,
+    samples: Annotated[
+        int, typer.Option(help="Simulated recordings of each digit; 0 for 6,953 in all.", min=0)
+    ] = 0,
+    jobs: options.Jobs = 2,
+    as_json: options.Json = False,
+):
+    """Time the training of the rate-based network: NengoDL's fit, Keras's, several at once."""
+    from pipeline.images import tactile_images
+    from pipeline.training_speed import WAYS, measure, speed_text
+
+    settings = Settings()
+    recordings = load_recordings(samples_per_digit=samples, jobs=jobs)
+    split = table2.split_of(recordings, settings, "random", settings.seed)
+    images = tactile_images(recordings, settings.image.aggregation, settings.image.normalisation)
+    data = images[split.train], recordings.labels[split.train]
+    with progress("training speed", len(WAYS) * (rounds + 1)) as advance:
+        result = measure(settings, data, networks, rounds, advance)
+    print(json.dumps(result, indent=2) if as_json else speed_text(result))
 
 
 def _names(models):

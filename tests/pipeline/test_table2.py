@@ -221,3 +221,17 @@ def test_writers_that_are_not_known_are_refused(benchmark):
     recordings = type("R", (), {"writers": np.full(10, -1)})()
     with pytest.raises(ValueError, match="not known"):
         table2.split_of(recordings, Settings(), "writers", 0)
+
+
+@pytest.mark.slow
+def test_the_training_speed_is_told(capsys):
+    """Figures as they come; that they are good is for a quiet machine to say."""
+    with pytest.raises(SystemExit) as stop:
+        cli.main(
+            "benchmark training --networks 2 --rounds 2 --samples 12 --jobs 1 --json".split()  # noqa: SIM905
+        )
+    assert stop.value.code == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["ratio_to_nengodl"]["nengodl"] == 1
+    assert all(seconds > 0 for seconds in result["seconds_per_epoch"].values())
+    assert result["samples"] == 96
