@@ -53,6 +53,12 @@ check: convert  ## The bundle's check on TARGET, next to the reference simulator
 	@$(STMNIST) check run $(RUN)/bundle --target $(TARGET)
 	@$(STMNIST) check compare $(RUN)/checks/nengo.json $(RUN)/checks/$(TARGET).json
 
+benchmark: setup  ## The paper's Table 2, ten splits, without SLAYER (which takes hours)
+	@$(STMNIST) benchmark table2 $(SOURCE_OPTIONS)
+
+report: setup  ## RUN/report.html: one self-contained page about the run
+	@$(STMNIST) report $(RUN)
+
 test: setup  ## Run the tests
 	@$(BIN)/python -m pytest
 

@@ -92,18 +92,32 @@ def show(spec: NetworkSpec, built, sim, images) -> Responses:
     outputs, hashes, spikes = [], [], {name: [] for name in built.spikes}
     for _ in images:  # sample by sample, so that the probes hold no more than one sample's steps
         sim.run_steps(period)
-        every_spike = hashlib.sha256()
+        packed = []
         for name, probe in built.spikes.items():
             rows = sim.data[probe]
             if len(rows) != period:
                 raise ShortOfSteps(f"{len(rows)} of {period} steps of layer {name} came back")
             spikes[name].append(np.count_nonzero(rows, axis=0))
-            every_spike.update(np.packbits(np.asarray(rows) != 0, axis=1).tobytes())
-        hashes.append(every_spike.hexdigest()[:16])
+            packed.append(np.packbits(np.asarray(rows) != 0, axis=1))
+        hashes.append(spike_hash(packed))
         outputs.append(np.array(sim.data[built.output][gap:]))
         sim.clear_probes()
     counts = {name: np.array(rows) for name, rows in spikes.items()}
     return replace(read_output(spec, np.array(outputs), counts), spike_hashes=np.array(hashes))
+
+
+def spike_hash(packed) -> str:
+    """Hash of every spike of a sample.
+
+    Parameters
+    ----------
+    packed : iterable of uint8 ndarray, shape (period, n_neurons / 8)
+        Spikes of each layer, in order, eight neurons a byte (`numpy.packbits`).
+    """
+    every_spike = hashlib.sha256()
+    for rows in packed:
+        every_spike.update(rows.tobytes())
+    return every_spike.hexdigest()[:16]
 
 
 def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Responses:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import tensorflow as tf
 
 WEIGHT_LEVELS = 127
 """Largest magnitude of an 8-bit weight that may have either sign."""
+
+BIAS_BITS = 12
+"""Bits of the mantissa of a bias current."""
 
 
 def eight_bits(weights):
@@ -18,10 +22,32 @@ def eight_bits(weights):
     return weights + tf.stop_gradient(tf.round(weights / scale) * scale - weights)
 
 
-class EightBitConv2D(tf.keras.layers.Conv2D):
-    """A ``Conv2D`` (stride 1, valid padding) computing with 8-bit weights."""
+def twelve_bits(bias):
+    """Round bias currents to a mantissa of 12 bits each; the gradient passes unchanged.
+
+    Loihi holds a bias as 12 bits times a power of two (NengoLoihi's ``bias_to_manexp``).
+    """
+    magnitude = tf.maximum(tf.abs(bias), 1e-12)
+    unit = tf.pow(2.0, tf.math.ceil(tf.math.log(magnitude) / np.log(2.0)) - BIAS_BITS)
+    return bias + tf.stop_gradient(tf.round(bias / unit) * unit - bias)
+
+
+class OnChipConv2D(tf.keras.layers.Conv2D):
+    """A ``Conv2D`` (stride 1, valid padding) with the weights and bias currents of the chip.
+
+    Parameters
+    ----------
+    filters, kernel_size : int
+    gain : float
+        Of the neurons that follow: their current is ``1 + gain * output``.
+    """
+
+    def __init__(self, filters, kernel_size, gain, **kwargs):
+        super().__init__(filters, kernel_size, **kwargs)
+        self.gain = gain
 
     def call(self, inputs):
         """Convolve; shapes as in ``Conv2D``."""
         signal = tf.nn.conv2d(inputs, eight_bits(self.kernel), strides=1, padding="VALID")
-        return tf.nn.bias_add(signal, self.bias)
+        bias = (twelve_bits(1 + self.gain * self.bias) - 1) / self.gain
+        return tf.nn.bias_add(signal, bias)

@@ -14,6 +14,8 @@ from deploy import __version__
 from deploy.errors import CheckFailed, UserError
 from models.notation import NotationError
 from pipeline.commands import benchmark, check, data, report, run
+from pipeline.commands import benchmark_emulator as _emulator  # noqa: F401 - adds to benchmark.app
+from pipeline.commands import benchmark_losses as _losses  # noqa: F401 - adds to benchmark.app
 from pipeline.commands import deploy as deployment
 from pipeline.commands import skin as _skin  # noqa: F401 - adds its verbs to data.app
 

@@ -7,7 +7,7 @@ import numpy as np
 from deploy.network_spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
 from models.lif import gain_for
 from models.notation import parse
-from models.quantised import eight_bits
+from models.quantised import eight_bits, twelve_bits
 from pipeline.settings import Settings
 
 
@@ -39,9 +39,10 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, logits=None) ->
     for index, shape in enumerate(architecture.shapes[1:]):
         name = f"conv{index + 1}"
         gain = gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
-        kernel = weights[f"{name}.kernel"]
+        kernel = gain * weights[f"{name}.kernel"].astype(float)
+        bias = 1 + gain * weights[f"{name}.bias"].astype(float)
         if snn.recipe == "loihi":  # on the host too: that is what was trained
-            kernel = eight_bits(kernel).numpy()
+            kernel, bias = eight_bits(kernel).numpy(), twelve_bits(bias).numpy()
         layers.append(
             Layer(
                 name=name,
@@ -54,8 +55,8 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, logits=None) ->
                 kernel=architecture.convs[index].kernel,
                 block_shape=None,
                 pop_type=deployment.pop_type,
-                weights=gain * kernel.astype(float),
-                bias=1 + gain * weights[f"{name}.bias"].astype(float),
+                weights=kernel,
+                bias=bias,
             )
         )
     layers.append(_readout(settings, architecture, weights, logits))

@@ -31,7 +31,13 @@ for _name in ("nengo_dl", "tensorflow"):
 
 
 def run(
-    settings: Settings, weights: dict, images, steps: int, spiking: bool = True, batch: int = 100
+    settings: Settings,
+    weights: dict,
+    images,
+    steps: int,
+    spiking: bool = True,
+    batch: int = 100,
+    advance=None,
 ) -> np.ndarray:
     """Run the converted network on images, each from a fresh state.
 
@@ -48,6 +54,8 @@ def run(
         Spiking LIF neurons; False for rate-based ones.
     batch : int
         Samples side by side.
+    advance : callable, optional
+        Called with the number of samples done since the last call.
 
     Returns
     -------
@@ -91,10 +99,10 @@ def run(
     with nengo_dl.Simulator(
         converter.net, minibatch_size=batch, progress_bar=False, seed=settings.seed
     ) as simulator:
-        results = [
-            simulator.predict_on_batch({converter.inputs[model.input]: np.repeat(part, steps, 1)})[
-                output
-            ]
-            for part in np.split(padded, len(padded) // batch)
-        ]
+        results = []
+        for part in np.split(padded, len(padded) // batch):
+            shown = {converter.inputs[model.input]: np.repeat(part, steps, 1)}
+            results.append(simulator.predict_on_batch(shown)[output])
+            if advance is not None:
+                advance(min(batch, len(images) - (len(results) - 1) * batch))
     return np.concatenate(results)[: len(images)]

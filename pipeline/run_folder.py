@@ -59,6 +59,20 @@ class RunFolder:
         """Result of a target or stage on the check's samples."""
         return self.path / "checks" / f"{stage}.json"
 
+    @property
+    def whole_ladder(self) -> Path:
+        """The loss ladder on the whole test split."""
+        return self.path / "ladder-whole.json"
+
+    @property
+    def confusion(self) -> Path:
+        """Confusion matrix of each stage on the whole test split."""
+        return self.path / "confusion.png"
+
+    def whole_check(self, stage: str) -> Path:
+        """Result of a target or stage on the whole test split."""
+        return self.path / "checks" / "whole" / f"{stage}.json"
+
     def resolve_settings(self, base: Path | None, changes: dict) -> Settings:
         """Settings of this run: those of its folder or of a file, with changes.
 

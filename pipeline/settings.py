@@ -73,7 +73,7 @@ class SNN:
     noise: float = 0.1
     """Standard deviation of the noise on each neuron's input while training, relative to the
     activation at ``max_rates``; recipe ``"loihi"`` only."""
-    spike_penalty: float = 0.0
+    spike_penalty: float = 0.05
     """Weight in the loss of the synaptic operations of an inference, in units of the CNN's
     multiply-accumulates; recipe ``"loihi"`` only."""
     max_rates: tuple = (150.0, 150.0)
@@ -116,11 +116,11 @@ class Deployment:
     the chip; ``"host"``: the first convolution's neurons are on the host, fed with currents."""
     readout: str = "host"
     """``"host"``: output decoded from the last convolution's spikes; ``"chip"``: ten neurons."""
-    input_rate: float = 500.0
+    input_rate: float = 300.0
     """Spikes a second of a pixel of value 1."""
     input_phase: float = 0.5
     """Voltage of the input neurons at the start of a stream."""
-    synapse: float = 0.005
+    synapse: float = 0.01
     """Time constant in seconds of the low-pass on every spiking connection; 0 for none."""
     pop_type: int = 32
 
@@ -131,7 +131,7 @@ class Presentation:
 
     steps: int = 100
     gap: int = 20
-    readout_start: int = 15
+    readout_start: int = 20
     stream_length: int = 10
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -13,19 +13,22 @@ from deploy.bundle import Bundle, CheckSet, read_bundle, write_bundle
 from deploy.checks import run_check
 from deploy.errors import UserError
 from deploy.files import read_arrays, read_json, write_arrays, write_json
-from deploy.presentation import Responses
-from deploy.results import read_result, result_of
+from deploy.results import read_result
 from deploy.statistics import wilson_interval
 from models.notation import parse
+from pipeline.diagnosis import activity, fastest_rate, training_lines
 from pipeline.images import tactile_images
 from pipeline.progress import progress
 from pipeline.recordings import Recordings
+from pipeline.references import STAGES as REFERENCES
+from pipeline.references import rate_activations, reference_result, training_versions
 from pipeline.run_folder import RunFolder, is_current, stamp_of
 from pipeline.settings import Settings
 from pipeline.sources import load_recordings
 from pipeline.splits import Split, draw_check_samples, random_split
 
 REMEDY = "delete its folder and run the command again"
+REMEDY_SMALL = "ask for fewer (SAMPLES, or check.samples) or give more data"
 REMEDY_CHECK = "delete it and run the command again"
 
 
@@ -61,22 +64,12 @@ def open_dataset(run: RunFolder, settings: Settings, jobs: int = 2, warn=None) -
     UserError
         The source cannot be read, or is too small for the split or the check.
     """
-    data = settings.data
-    recordings = load_recordings(
-        data.source, data.simulation_seed, data.samples_per_digit, data.skip_bad, jobs, warn
-    )
+    dataset = load_dataset(settings, jobs, warn)
+    recordings, split = dataset.recordings, dataset.split
     try:
-        split = random_split(
-            len(recordings),
-            settings.seed,
-            settings.split.test_fraction,
-            settings.split.validation_fraction,
-        )
         draw_check_samples(split.test, settings.check.samples, settings.seed)
     except ValueError as error:
-        raise UserError(
-            f"{data.source}: {error}; ask for fewer (SAMPLES, or check.samples) or give more data"
-        ) from error
+        raise UserError(f"{settings.data.source}: {error}; {REMEDY_SMALL}") from error
     run.save_settings(settings)
     write_json(
         run.dataset,
@@ -91,13 +84,34 @@ def open_dataset(run: RunFolder, settings: Settings, jobs: int = 2, warn=None) -
             "test": len(split.test),
         },
     )
+    return dataset
+
+
+def load_dataset(settings: Settings, jobs: int = 2, warn=None) -> Dataset:
+    """Load and split recordings and make their tactile images.
+
+    Raises
+    ------
+    UserError
+        The source cannot be read, or is too small for the split.
+    """
+    data, parts = settings.data, settings.split
+    recordings = load_recordings(
+        data.source, data.simulation_seed, data.samples_per_digit, data.skip_bad, jobs, warn
+    )
+    try:
+        split = random_split(
+            len(recordings), settings.seed, parts.test_fraction, parts.validation_fraction
+        )
+    except ValueError as error:
+        raise UserError(f"{data.source}: {error}; {REMEDY_SMALL}") from error
     images = tactile_images(recordings, settings.image.aggregation, settings.image.normalisation)
     return Dataset(recordings, images, split)
 
 
 def train(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> dict:
     """Train the CNN, unless it is there already; return its metrics."""
-    stamp = _cnn_stamp(settings, dataset)
+    stamp = cnn_stamp(settings, dataset)
     weights, metrics = run.cnn / "weights.npz", run.cnn / "metrics.json"
     if is_current(metrics, stamp, weights):
         say(f"cnn: up to date ({metrics.parent})")
@@ -120,14 +134,14 @@ def train(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> di
 
 def train_rates(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> dict:
     """Train the rate-based LIF network, unless it is there already; return its metrics."""
-    stamp = _snn_stamp(settings, dataset)
+    stamp = snn_stamp(settings, dataset)
     weights, metrics = run.snn / "weights.npz", run.snn / "metrics.json"
     if is_current(metrics, stamp, weights):
         say(f"rate-lif: up to date ({metrics.parent})")
         return read_json(metrics, REMEDY)
     from pipeline import training
 
-    cnn_weights = _weights(run.cnn, settings)
+    start = read_weights(run.cnn, settings)
     begun = time.perf_counter()
     epochs = training.snn_recipe(settings.snn).epochs
     with progress("train rate-lif", epochs) as advance:
@@ -135,17 +149,22 @@ def train_rates(run: RunFolder, settings: Settings, dataset: Dataset, say=print)
             settings,
             dataset.part("train"),
             settings.seed,
-            cnn_weights,
+            start,
             dataset.part("validation"),
             advance,
         )
     seconds = time.perf_counter() - begun
     logits = training.rate_logits(settings, trained.weights, dataset.images)
-    return _finish(run.snn, stamp, trained, logits, dataset, seconds, say, "rate-lif")
+    neurons = _neurons(settings, trained.weights, dataset.part("train")[0])
+    extra = {"neurons": neurons}
+    metrics = _finish(run.snn, stamp, trained, logits, dataset, seconds, say, "rate-lif", extra)
+    for line in training_lines(neurons):
+        say(f"rate-lif: {line}")
+    return metrics
 
 
 def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> Bundle:
-    """Write the bundle, and what CNN, rate-based and NengoDL's spiking network answer to its check.
+    """Write the bundle with the samples of its check.
 
     Returns
     -------
@@ -153,25 +172,23 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         The one that is there, if it is up to date.
     """
     stamp = stamp_of(
-        _snn_stamp(settings, dataset),
+        snn_stamp(settings, dataset),
         asdict(settings.deployment),
         asdict(settings.presentation),
         asdict(settings.check),
     )
-    references = [run.check(stage) for stage in ("cnn", "rate-lif", "spiking-lif")]
     if run.bundle.exists():
         bundle = read_bundle(run.bundle)
-        current = bundle.spec.provenance.get("made_from") == stamp
-        if current and all(_answers(path, bundle) for path in references):
+        if bundle.spec.provenance.get("made_from") == stamp:
             say(f"bundle: up to date ({run.bundle})")
             return bundle
-    from pipeline import nengodl, training
+    from pipeline import training
     from pipeline.conversion import to_spec
 
-    weights, cnn_weights = _weights(run.snn, settings), _weights(run.cnn, settings)
+    weights = read_weights(run.snn, settings)
+    read_weights(run.cnn, settings)  # damaged ones are found now, not once the bundle is there
     chosen = draw_check_samples(dataset.split.test, settings.check.samples, settings.seed)
     recordings = dataset.recordings
-    images = dataset.images[chosen]
     provenance = {
         "made_from": stamp,
         "source": recordings.source.name,
@@ -185,46 +202,54 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
     if settings.deployment.readout == "chip":
         logits = training.rate_logits(settings, weights, dataset.part("train")[0])
     spec = to_spec(settings, weights, provenance, logits)
-    checks = CheckSet(
-        images, recordings.labels[chosen], tuple(recordings.ids[i] for i in chosen), settings.seed
-    )
-    bundle = write_bundle(run.bundle, spec, checks)
+    bundle = write_bundle(run.bundle, spec, _check_set(settings, dataset, chosen))
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
-
-    cnn = training.cnn_logits(settings, cnn_weights, images)
-    rate = training.rate_logits(settings, weights, images)
-    answers = {"cnn": cnn[:, None], "rate-lif": rate[:, None]}
-    begun = time.perf_counter()
-    spiking = nengodl.run(settings, weights, images, settings.presentation.steps)
-    seconds = time.perf_counter() - begun
-    start = settings.presentation.readout_start
-    counts = np.arange(1, spiking.shape[1] - start + 1)[:, None]
-    answers["spiking-lif"] = np.cumsum(spiking[:, start:], axis=1) / counts
-    for stage, path in zip(answers, references, strict=True):
-        samples = _samples(bundle, answers[stage])
-        extra = {"versions": _training_versions()}
-        wall = seconds if stage == "spiking-lif" else 0.0
-        write_json(path, result_of(bundle, stage, settings.seed, samples, wall, extra))
     return bundle
 
 
-def check(run: RunFolder, settings: Settings, bundle: Bundle, target: str, say=print) -> dict:
-    """Let a target answer the bundle's check, unless it has; return the result."""
-    path = run.check(target)
+def on_test_split(settings: Settings, dataset: Dataset, bundle: Bundle) -> Bundle:
+    """The bundle with the whole test split as its check, in an order as random as the check's."""
+    everything = draw_check_samples(dataset.split.test, len(dataset.split.test), settings.seed)
+    return replace(bundle, checks=_check_set(settings, dataset, everything))
+
+
+def answer(
+    run: RunFolder, settings: Settings, bundle: Bundle, stage: str, say=print, whole: bool = False
+) -> dict:
+    """Let a network or target answer the bundle's samples, unless it has; return the result.
+
+    Parameters
+    ----------
+    run, settings
+    bundle : Bundle
+        The run's own, or :func:`on_test_split` of it.
+    stage : str
+        One of :data:`pipeline.references.STAGES`, or a target.
+    say : callable
+    whole : bool
+        The samples are those of :func:`on_test_split`.
+    """
+    path = run.whole_check(stage) if whole else run.check(stage)
     if _answers(path, bundle):
-        say(f"{target}: up to date ({path})")
+        say(f"{stage}: up to date ({path})")
         return read_result(path, REMEDY_CHECK)
-    with progress(f"check {target}", len(bundle.checks)) as advance:
-        return run_check(bundle, target, path, settings.seed, advance)
+    with progress(f"check {stage}", len(bundle.checks)) as advance:
+        if stage not in REFERENCES:
+            return run_check(bundle, stage, path, settings.seed, advance)
+        weights = read_weights(run.cnn if stage == "cnn" else run.snn, settings)
+        result = reference_result(stage, settings, weights, bundle, advance)
+        write_json(path, result)
+        return result
 
 
-def _answers(path, bundle):
-    """True if there is a result of this bundle."""
-    return path.exists() and read_result(path, REMEDY_CHECK)["bundle"] == bundle.id
+def read_weights(folder: Path, settings: Settings) -> dict:
+    """The trained arrays in a network's folder.
 
-
-def _weights(folder, settings):
-    """The trained arrays in a folder, made sure to fit the architecture."""
+    Raises
+    ------
+    UserError
+        They are not there, damaged, or do not fit the architecture.
+    """
     path = folder / "weights.npz"
     weights = read_arrays(path, REMEDY)
     shapes = parse(settings.cnn.architecture).weight_shapes
@@ -233,69 +258,65 @@ def _weights(folder, settings):
     return weights
 
 
-def _cnn_stamp(settings, dataset):
+def _check_set(settings, dataset, chosen):
+    recordings = dataset.recordings
+    ids = tuple(recordings.ids[i] for i in chosen)
+    return CheckSet(dataset.images[chosen], recordings.labels[chosen], ids, settings.seed)
+
+
+def _answers(path, bundle):
+    """True if there is a result of this bundle."""
+    return path.exists() and read_result(path, REMEDY_CHECK)["bundle"] == bundle.id
+
+
+def cnn_stamp(settings: Settings, dataset: Dataset) -> str:
+    """Hash of all that the CNN's training depends on."""
     parts = (settings.data, settings.image, settings.split, settings.cnn)
     source = dataset.recordings.source.sha256
     return stamp_of(__version__, source, settings.seed, *map(asdict, parts))
 
 
-def _snn_stamp(settings, dataset):
+def snn_stamp(settings: Settings, dataset: Dataset) -> str:
+    """Hash of all that the rate-based network's training depends on."""
     # The price of spikes is for those of a whole presentation.
     steps = settings.presentation.steps if settings.snn.spike_penalty else None
-    return stamp_of(_cnn_stamp(settings, dataset), asdict(settings.snn), steps)
+    return stamp_of(cnn_stamp(settings, dataset), asdict(settings.snn), steps)
 
 
-def _finish(folder, stamp, trained, logits, dataset, seconds, say, name):
+def _neurons(settings, weights, images):
+    """Shares of silent and saturated neurons of each convolution on the training images."""
+    fastest = fastest_rate(settings.snn.tau_ref)
+    outputs = rate_activations(settings, weights, images)
+    return {
+        name: asdict(activity(output * settings.snn.max_rate(index), fastest))
+        for index, (name, output) in enumerate(outputs.items())
+    }
+
+
+def _finish(folder, stamp, trained, logits, dataset, seconds, say, name, extra=None):
     """Write a trained network's files, the metrics last: they say that the rest is there."""
     from pipeline.training import write_history
 
     right = np.argmax(logits, axis=1) == dataset.recordings.labels
-    accuracy = {
-        part: float(right[getattr(dataset.split, part)].mean())
-        for part in ("train", "validation", "test")
-        if len(getattr(dataset.split, part))
-    }
-    n_test = len(dataset.split.test)
-    correct = int(right[dataset.split.test].sum())
+    parts = {part: getattr(dataset.split, part) for part in ("train", "validation", "test")}
+    accuracy = {part: float(right[index].mean()) for part, index in parts.items() if len(index)}
+    judge = list(accuracy)[-1]  # where settings are being chosen there is no test split
+    n_judged = len(parts[judge])
+    interval = wilson_interval(int(right[parts[judge]].sum()), n_judged)
     metrics = {
         "made_from": stamp,
         "simulated": dataset.recordings.source.simulated,
         "accuracy": accuracy,
-        "test_accuracy_ci95": list(wilson_interval(correct, n_test)),
-        "n_test": n_test,
+        f"{judge}_accuracy_ci95": list(interval),
+        f"n_{judge}": n_judged,
         "epochs": len(trained.history),
         "seconds": seconds,
-        "versions": _training_versions(),
+        **(extra or {}),
+        "versions": training_versions(),
     }
     (folder / "metrics.json").unlink(missing_ok=True)
     write_arrays(folder / "weights.npz", **trained.weights)
     write_history(folder / "history.csv", trained.history)
     write_json(folder / "metrics.json", metrics)
-    say(f"{name}: test accuracy {accuracy['test']:.3f} on {n_test} samples, {seconds:.0f} s")
+    say(f"{name}: {judge} accuracy {accuracy[judge]:.3f} on {n_judged} samples, {seconds:.0f} s")
     return metrics
-
-
-def _samples(bundle, logits):
-    """Samples of a check result from logits at each step, shape (n, steps, classes)."""
-    steps = bundle.spec.presentation.steps if logits.shape[1] > 1 else 1
-    decisions = np.full((len(logits), steps), -1)
-    decisions[:, steps - logits.shape[1] :] = np.argmax(logits, axis=2)
-    responses = Responses(logits[:, -1], decisions, {}, {})
-    return [
-        {
-            "id": bundle.checks.ids[i],
-            "label": int(bundle.checks.labels[i]),
-            "prediction": int(responses.predictions[i]),
-            "scores": [float(score) for score in responses.scores[i]],
-            "decided_at": int(responses.decided_at[i]),
-            "decisions": decisions[i].tolist(),
-            "spikes": {},
-            "operations": {},
-        }
-        for i in range(len(logits))
-    ]
-
-
-def _training_versions():
-    names = ("tensorflow", "nengo-dl")
-    return {name.replace("-", "_"): importlib.metadata.version(name) for name in names}

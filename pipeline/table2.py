@@ -1,8 +1,9 @@
 """The paper's Table 2: its four models on the same splits, and this project's recipe beside them.
 
-One job is one split for the models on tactile images (they share the CNN and the conversions), and
-one split of its own for SLAYER, which takes a hundred times as long.  Each answer of a model to a
-split is a file, so that a benchmark that was interrupted goes on with the splits that are missing.
+One job is several splits for the models on tactile images, whose networks are so small that they
+train faster together than one after another; and one split for SLAYER, which takes a hundred times
+as long.  Each answer of a model to a split is a file, so that a benchmark that was interrupted goes
+on with the splits that are missing.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from pipeline.splits import Split, draw_check_samples, random_split, writer_spli
 SCHEMA = "stmnist-table2-split/1"
 REMEDY = "delete it and run the benchmark again"
 KINDS = ("random", "writers")
+TOGETHER = 5
+"""Splits of a job at most: more of them train no faster, and an interruption loses more."""
 
 
 @dataclass(frozen=True)
@@ -96,20 +99,20 @@ class Job:
     ----------
     benchmark : Benchmark
     kind : str
-    index : int
-        Number of the split; its seed is the settings' seed plus it.
+    indices : tuple of int
+        Numbers of the splits.
     models : tuple of str
     """
 
     benchmark: Benchmark
     kind: str
-    index: int
+    indices: tuple
     models: tuple
 
     @property
-    def seed(self) -> int:
-        """Of the split, the training and the choice of samples."""
-        return self.benchmark.settings.seed + self.index
+    def seeds(self) -> list:
+        """Of each split, its training and its choice of samples."""
+        return [self.benchmark.settings.seed + index for index in self.indices]
 
 
 def split_of(recordings, settings: Settings, kind: str, seed: int) -> Split:
@@ -130,25 +133,40 @@ def loihi_target() -> str:
     return "fast" if "fast" in TARGETS else "emulator"
 
 
-def plan(benchmark: Benchmark) -> list:
+def plan(benchmark: Benchmark, processes: int = 1) -> list:
     """Jobs whose results are not there yet, SLAYER's last.
+
+    Parameters
+    ----------
+    benchmark : Benchmark
+    processes : int
+        That the splits of one kind are shared among.
 
     Returns
     -------
     list of Job
     """
-    on_images = [name for name in benchmark.models if name != "slayer"]
-    on_events = [name for name in benchmark.models if name == "slayer"]
-    jobs = []
-    for group in (on_images, on_events):
-        for kind in benchmark.kinds:
-            for index in range(benchmark.splits):
-                missing = tuple(
-                    name for name in group if read_split(benchmark, kind, index, name) is None
-                )
-                if missing:
-                    jobs.append(Job(benchmark, kind, index, missing))
-    return jobs
+    jobs, slayer = [], []
+    for kind in benchmark.kinds:
+        groups = {}
+        for index in range(benchmark.splits):
+            missing = [
+                name
+                for name in benchmark.models
+                if read_split(benchmark, kind, index, name) is None
+            ]
+            if "slayer" in missing:
+                slayer.append(Job(benchmark, kind, (index,), ("slayer",)))
+                missing.remove("slayer")
+            if missing:
+                groups.setdefault(tuple(missing), []).append(index)
+        for models, indices in groups.items():
+            size = min(TOGETHER, -(-len(indices) // processes))
+            jobs += [
+                Job(benchmark, kind, tuple(indices[start : start + size]), models)
+                for start in range(0, len(indices), size)
+            ]
+    return jobs + slayer
 
 
 def split_path(folder: Path, kind: str, index: int, model: str) -> Path:
@@ -168,97 +186,126 @@ def read_split(benchmark: Benchmark, kind: str, index: int, model: str) -> dict 
 def write_splits(job: Job, results: list):
     """Write what :func:`run` returned."""
     for result in results:
-        path = split_path(job.benchmark.folder, job.kind, job.index, result["model"])
+        path = split_path(job.benchmark.folder, job.kind, result["index"], result["model"])
         write_json(path, result)
 
 
 def run(job: Job) -> list:
-    """Do a job: train and test its models on its split.
+    """Do a job: train and test its models on its splits.
 
     Returns
     -------
     list of dict
-        One a model, ready for :func:`write_splits`.
+        One a model and split, ready for :func:`write_splits`.
     """
     settings = job.benchmark.settings
     data = settings.data
     recordings = load_recordings(
         data.source, data.simulation_seed, data.samples_per_digit, data.skip_bad, jobs=1
     )
-    split = split_of(recordings, settings, job.kind, job.seed)
+    splits = [split_of(recordings, settings, job.kind, seed) for seed in job.seeds]
     work = _run_slayer if job.models == ("slayer",) else _run_on_images
     return [
-        _result(job, recordings, split, name, *rest) for name, *rest in work(job, recordings, split)
+        _result(job, recordings, splits[position], position, *rest)
+        for position, *rest in work(job, recordings, splits)
     ]
 
 
-def _run_on_images(job, recordings, split):
-    from pipeline import nengodl, training  # TensorFlow, in the process that needs it
-    from pipeline.conversion import to_spec
+def _run_on_images(job, recordings, splits):
+    from pipeline import joint_training, training  # TensorFlow, in the process that needs it
 
-    settings = job.benchmark.settings
+    settings, count = job.benchmark.settings, len(splits)
     images = tactile_images(recordings, settings.image.aggregation, settings.image.normalisation)
-    data = images[split.train], recordings.labels[split.train]
-    begun = time.perf_counter()
-    cnn = training.train_cnn(settings, data, job.seed)
-    seconds = time.perf_counter() - begun
+    data = images, recordings.labels
+    parts = [split.train for split in splits]
+    recipes = {MODELS[name].recipe for name in job.models}
+    cnns = [None] * count
+    if recipes & {None, "loihi"}:
+        begun = time.perf_counter()
+        cnns = joint_training.train_cnns(settings, data, parts, job.seeds)
+        seconds = (time.perf_counter() - begun) / count
     if "cnn" in job.models:
-        logits = training.cnn_logits(settings, cnn.weights, images[split.test])
-        yield "cnn", split.test, logits.argmax(1), cnn.history, seconds
+        for position, (split, cnn) in enumerate(zip(splits, cnns, strict=True)):
+            logits = training.cnn_logits(settings, cnn.weights, images[split.test])
+            yield position, "cnn", split.test, logits.argmax(1), cnn.history, seconds
     for recipe in ("paper", "loihi"):
         names = [name for name in job.models if MODELS[name].recipe == recipe]
         if not names:
             continue
         of_recipe = replace(settings, snn=replace(settings.snn, recipe=recipe))
         begun = time.perf_counter()
-        rate = training.train_rate_network(of_recipe, data, job.seed, cnn.weights)
-        trained = time.perf_counter() - begun
-        for name in names:
-            begun = time.perf_counter()
-            if name.endswith("ann-snn"):
-                shown, start = split.test, settings.presentation.readout_start
-                steps = nengodl.run(
-                    of_recipe, rate.weights, images[shown], settings.presentation.steps
+        if recipe == "paper":
+            nets = joint_training.train_rate_networks(of_recipe, data, parts, job.seeds)
+        else:
+            nets = [
+                training.train_rate_network(
+                    of_recipe, (images[part], recordings.labels[part]), seed, cnn.weights
                 )
-                predictions = steps[:, start:].mean(1).argmax(1)
-            else:
-                shown = draw_check_samples(split.test, settings.check.samples, job.seed)
-                logits = None
-                if settings.deployment.readout == "chip":
-                    logits = training.rate_logits(of_recipe, rate.weights, data[0])
-                spec = to_spec(of_recipe, rate.weights, {}, logits)
-                predictions = answer(spec, images[shown], loihi_target(), job.seed).predictions
-            seconds = trained + time.perf_counter() - begun
-            yield name, shown, predictions, rate.history, seconds
+                for part, seed, cnn in zip(parts, job.seeds, cnns, strict=True)
+            ]
+        trained = (time.perf_counter() - begun) / count
+        for position, (split, net) in enumerate(zip(splits, nets, strict=True)):
+            for name in names:
+                begun = time.perf_counter()
+                answers = _spiking_answers if name.endswith("ann-snn") else _loihi_answers
+                shown, predictions = answers(
+                    of_recipe, net.weights, images, split, job.seeds[position]
+                )
+                seconds = trained + time.perf_counter() - begun
+                yield position, name, shown, predictions, net.history, seconds
 
 
-def _run_slayer(job, recordings, split):
+def _spiking_answers(settings, weights, images, split, seed):
+    """All test samples, by NengoDL with spiking neurons."""
+    from pipeline import nengodl
+
+    steps = nengodl.run(settings, weights, images[split.test], settings.presentation.steps)
+    return split.test, steps[:, settings.presentation.readout_start :].mean(1).argmax(1)
+
+
+def _loihi_answers(settings, weights, images, split, seed):
+    """As many test samples as the check has, by what stands in for the chip."""
+    from pipeline.conversion import to_spec
+    from pipeline.training import rate_logits
+
+    shown = draw_check_samples(split.test, settings.check.samples, seed)
+    logits = None
+    if settings.deployment.readout == "chip":
+        logits = rate_logits(settings, weights, images[split.train])
+    spec = to_spec(settings, weights, {}, logits)
+    return shown, answer(spec, images[shown], loihi_target(), seed).predictions
+
+
+def _run_slayer(job, recordings, splits):
     from pipeline.direct_training import train_slayer
     from pipeline.event_frames import bin_events
 
     slayer = job.benchmark.settings.slayer
-    path = split_path(job.benchmark.folder, job.kind, job.index, "slayer")
-    trained = train_slayer(
-        slayer,
-        bin_events(recordings, slayer.bins),
-        recordings.labels,
-        split.train,
-        split.test,
-        job.seed,
-        path.with_suffix(".npz"),
-    )
-    seconds = sum(row["seconds"] for row in trained.history)
-    yield "slayer", split.test, trained.counts.argmax(1), trained.history, seconds
+    frames = bin_events(recordings, slayer.bins)
+    for position, (split, index) in enumerate(zip(splits, job.indices, strict=True)):
+        path = split_path(job.benchmark.folder, job.kind, index, "slayer")
+        trained = train_slayer(
+            slayer,
+            frames,
+            recordings.labels,
+            split.train,
+            split.test,
+            job.seeds[position],
+            path.with_suffix(".npz"),
+        )
+        seconds = sum(row["seconds"] for row in trained.history)
+        predictions = trained.counts.argmax(1)
+        yield position, "slayer", split.test, predictions, trained.history, seconds
 
 
-def _result(job, recordings, split, model, shown, predictions, history, seconds):
+def _result(job, recordings, split, position, model, shown, predictions, history, seconds):
     labels = recordings.labels[shown]
     return {
         "schema": SCHEMA,
         "model": model,
         "split": job.kind,
-        "index": job.index,
-        "seed": job.seed,
+        "index": job.indices[position],
+        "seed": job.seeds[position],
         "simulated": recordings.source.simulated,
         "source_sha256": recordings.source.sha256,
         "made_from": stamp(job.benchmark, model),

@@ -65,8 +65,9 @@ def summarise(benchmark: Benchmark, failures=()) -> dict:
             and (comparison := _compare(kind, a, b, results)) is not None
         ],
         "failures": [
-            {"split": job.kind, "index": job.index, "models": list(job.models), "error": f.error}
+            {"split": job.kind, "index": index, "models": list(job.models), "error": f.error}
             for job, f in failures
+            for index in job.indices
         ],
     }
 

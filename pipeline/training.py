@@ -11,10 +11,10 @@ import tensorflow as tf
 from deploy.errors import UserError
 from deploy.files import replacing
 from deploy.operations import convolution_fan_out
-from models.cnn import build_cnn, get_weights, predict, set_weights
-from models.lif import DT, RateLIF
+from models.cnn import activations, build_cnn, get_weights, predict, set_weights
+from models.lif import DT, RateLIF, gain_for
 from models.notation import parse
-from models.quantised import EightBitConv2D
+from models.quantised import OnChipConv2D
 from pipeline.settings import Settings
 
 PERCENTILE = 99.9
@@ -65,7 +65,9 @@ class Trained:
     history: list
 
 
-def train_cnn(settings: Settings, data, seed: int, validation=None, advance=None) -> Trained:
+def train_cnn(
+    settings: Settings, data, seed: int, validation=None, advance=None, recipe=None
+) -> Trained:
     """Train the paper's CNN (Section 3.2.1).
 
     Parameters
@@ -79,6 +81,8 @@ def train_cnn(settings: Settings, data, seed: int, validation=None, advance=None
         Only watched.
     advance : callable, optional
         ``advance(1, note)`` after each epoch.
+    recipe : Recipe, optional
+        Default: the paper's, with the settings' epochs, batch size and learning rate.
 
     Returns
     -------
@@ -87,8 +91,9 @@ def train_cnn(settings: Settings, data, seed: int, validation=None, advance=None
     make_deterministic(seed)
     model = build_cnn(parse(settings.cnn.architecture))
     cnn = settings.cnn
-    recipe = Recipe(cnn.epochs, cnn.batch_size, cnn.learning_rate)
-    return Trained(get_weights(model), fit(model, recipe, data, validation, advance))
+    recipe = recipe or Recipe(cnn.epochs, cnn.batch_size, cnn.learning_rate)
+    history = fit(model, recipe, data, validation, advance)
+    return Trained(get_weights(model), history)
 
 
 def snn_recipe(snn) -> Recipe:
@@ -114,8 +119,12 @@ def build_rate_network(settings: Settings) -> tf.keras.Model:
             spike_costs=costs and costs[index],
         )
 
+    def convolution(index, conv, name):
+        gain = gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
+        return OnChipConv2D(conv.filters, conv.kernel, gain, name=name)
+
     try:
-        return build_cnn(architecture, neurons, EightBitConv2D if on_chip else None)
+        return build_cnn(architecture, neurons, convolution if on_chip else None)
     except ValueError as error:
         raise UserError(f"settings: snn.max_rates: {error}") from error
 
@@ -183,12 +192,8 @@ def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
     architecture = parse(settings.cnn.architecture)
     model = build_cnn(architecture)
     set_weights(model, weights)
-    names = [f"conv{index + 1}" for index in range(len(architecture.convs))]
-    probe = tf.keras.Model(model.input, [model.get_layer(f"{n}_neurons").output for n in names])
-    outputs = probe.predict(images, batch_size=512, verbose=0)
-    outputs = outputs if isinstance(outputs, list) else [outputs]
     scaled, before = dict(weights), 1.0
-    for name, output in zip(names, outputs, strict=True):
+    for name, output in activations(model, images).items():
         scale = max(float(np.percentile(output, PERCENTILE)), 1e-6)
         scaled[f"{name}.kernel"] = weights[f"{name}.kernel"] * before / scale
         scaled[f"{name}.bias"] = weights[f"{name}.bias"] / scale

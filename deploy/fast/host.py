@@ -11,6 +11,8 @@ from typing import NamedTuple, Optional
 import nengo
 import numpy as np
 
+from ..network import EvenSpikes
+
 
 class HostNeurons(NamedTuple):
     """A population of spiking neurons on the host.
@@ -103,7 +105,8 @@ class Population:
         out : (n_streams, n_steps, n) uint8 array
             Is set to 1 where a neuron spikes, else to 0.
         """
-        if type(self.neurons.neuron_type) is nengo.SpikingRectifiedLinear and not self.filtered:
+        rectified = type(self.neurons.neuron_type) in (nengo.SpikingRectifiedLinear, EvenSpikes)
+        if rectified and not self.filtered:
             self._rectified(drive, n_steps, out)
             return
         for step in range(n_steps):
@@ -111,15 +114,20 @@ class Population:
             np.not_equal(self.step(current), 0, out=out[:, step])
 
     def _rectified(self, drive, n_steps, out):
-        """`nengo.SpikingRectifiedLinear.step` without repeating what stays the same."""
+        """`nengo.SpikingRectifiedLinear.step` and that of `EvenSpikes`, once for what stays."""
         voltage = self._state["voltage"]
         increase = np.maximum(drive, 0) * self._dt
         whole = np.empty_like(voltage)
+        blank = phase = None
+        if type(self.neurons.neuron_type) is EvenSpikes:
+            blank, phase = drive <= 0, self.neurons.neuron_type.phase
         for step in range(n_steps):
             voltage += increase
             np.floor(voltage, out=whole)
             voltage -= whole
             np.not_equal(whole, 0, out=out[:, step])
+            if blank is not None:
+                np.putmask(voltage, blank, phase)
 
     @property
     def filtered(self):

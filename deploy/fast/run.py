@@ -6,6 +6,7 @@ import collections
 import concurrent.futures
 import sys
 import warnings
+from dataclasses import replace
 from typing import Iterator, NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from ..errors import UserError
 from ..network import build
 from ..network_spec import DT
-from ..presentation import Responses, read_output
+from ..presentation import Responses, read_output, spike_hash
 from . import kernel_numpy
 from .arrays import OVERFLOWS, State
 from .from_nengo import Program, compile_network
@@ -35,14 +36,11 @@ class Recording(NamedTuple):
         Spikes of each neuron of each layer during each sample and its gap.
     overflows : (n_layers, 3) int array
         See `arrays.Steps`.
-    spikes : dict of str to (n_streams, n_samples * period, n_neurons) bool array, or None
-        Every spike of each layer, where that was asked for.
     """
 
     output: np.ndarray
     counts: dict
     overflows: np.ndarray
-    spikes: dict = None
 
 
 class Emulation:
@@ -64,7 +62,7 @@ class Emulation:
         self.program = program
         self.kernel = _kernel(kernel)(program.network, program.output.decoders)
 
-    def run(self, images, steps, gap, record=False, memory=MEMORY) -> Recording:
+    def run(self, images, steps, gap, watch=None, memory=MEMORY) -> Recording:
         """Show streams of images, each to a fresh network.
 
         Parameters
@@ -72,8 +70,9 @@ class Emulation:
         images : (n_streams, n_samples, n_pixels) array
         steps, gap : int
             For how many steps each image is shown, and a blank one before it.
-        record : bool
-            Keep every spike.
+        watch : callable, optional
+            Called after each sample of the streams with every spike of each layer in it: a dict of
+            str to uint8 arrays (n_streams, period, n_neurons / 8), packed by `numpy.packbits`.
         memory : int
             Bytes that the spikes of one call of the kernel may take; the result is the same.
 
@@ -89,10 +88,10 @@ class Emulation:
         stage = OutputStage(program.output, n_streams, program.dt)
         blank = np.repeat(program.drive(np.zeros((1, n_pixels))), n_streams, axis=0)
         at_once = max(1, memory // self.bytes_per_step(n_streams))
-        overflows, samples, kept = 0, [], []
+        overflows, samples = 0, []
         for index in range(n_samples):
             drive = program.drive(images[:, index])
-            outputs, counts = [], collections.Counter()
+            outputs, counts, packed = [], collections.Counter(), collections.defaultdict(list)
             for first in range(0, steps + gap, at_once):
                 last = min(first + at_once, steps + gap)
                 dark = min(max(gap - first, 0), last - first)
@@ -102,17 +101,22 @@ class Emulation:
                 overflows = overflows + done.overflows
                 for label, n in self._counts(inputs, done, outputs[-1]):
                     counts[label] = counts[label] + n
-                if record:
-                    kept.append(self._spikes(inputs, done, outputs[-1]))
+                if watch is not None:
+                    for label, spikes in self._spikes(inputs, done, outputs[-1]):
+                        packed[label].append(np.packbits(spikes, axis=2))
             samples.append((np.concatenate(outputs, axis=1), counts))
+            if watch is not None:
+                watch({label: np.concatenate(parts, axis=1) for label, parts in packed.items()})
         return Recording(
             output=np.stack([output for output, _ in samples], axis=1),
             counts={k: np.stack([c[k] for _, c in samples], axis=1) for k in samples[0][1]},
             overflows=overflows,
-            spikes={k: np.concatenate([part[k] for part in kept], axis=1) for k in kept[0]}
-            if record
-            else None,
         )
+
+    def bytes_kept(self, period):
+        """Memory that the answer to a sample takes, about."""
+        network, outputs = self.program.network, self.program.output.decoders.shape[1]
+        return 8 * outputs * period + 4 * (network.n + network.n_inputs)
 
     def bytes_per_step(self, n_streams):
         """Memory that a step of some streams takes in a call of the kernel, about."""
@@ -129,12 +133,13 @@ class Emulation:
             yield self.program.output.neurons.label, np.count_nonzero(output, axis=1)
 
     def _spikes(self, inputs, done, output):
-        spikes = {label: inputs[:, :, part].astype(bool) for label, part in self._inputs()}
+        """(label, spikes of each stream, step and neuron) of every layer in these steps."""
+        for label, part in self._inputs():
+            yield label, inputs[:, :, part]
         for layer in self.program.network.layers:
-            spikes[layer.label] = done.spikes[:, :, layer.position].astype(bool)
+            yield layer.label, done.spikes[:, :, layer.position]
         if self.program.output.neurons is not None:
-            spikes[self.program.output.neurons.label] = output != 0
-        return spikes
+            yield self.program.output.neurons.label, output != 0
 
     def _inputs(self):
         start = 0
@@ -211,27 +216,41 @@ def run_fast(spec, streams, seed=0, kernel=None, threads=1, memory=MEMORY) -> It
     emulation = Emulation(compile_spec(spec, seed), kernel)
     shown, gap = spec.presentation.steps, spec.presentation.gap
     network = emulation.program.network
-    size = max(1, memory // ((shown + gap) * emulation.bytes_per_step(1)))
     overflows = np.zeros((len(network.layers), len(OVERFLOWS)), np.int64)
 
+    def fitting(n_samples):
+        """How many streams of a length fit the memory."""
+        held = (
+            emulation.bytes_per_step(1) * (shown + gap)
+            + emulation.bytes_kept(shown + gap) * n_samples
+        )
+        return max(1, memory // held)
+
     def run(batch):
-        return emulation.run(np.stack(batch), shown, gap, memory=memory)
+        hashes = []
+
+        def watch(packed):
+            rows = [packed[name] for name in spec.spiking_layers]
+            hashes.append([spike_hash(layers) for layers in zip(*rows)])
+
+        return emulation.run(np.stack(batch), shown, gap, watch, memory), np.transpose(hashes)
 
     try:
-        for recording in _in_order(run, _batches(streams, size), threads):
+        for recording, hashes in _in_order(run, _batches(streams, fitting), threads):
             overflows += recording.overflows
-            for index, output in enumerate(recording.output[:, :, gap:]):
+            for index, output in enumerate(recording.output):
                 counts = {name: recording.counts[name][index] for name in spec.spiking_layers}
-                yield read_output(spec, output, counts)
+                answer = read_output(spec, output[:, gap:], counts)
+                yield replace(answer, spike_hashes=hashes[index])
     finally:
         _warn_of(overflows, network.layers)
 
 
-def _batches(streams, size):
-    """Lists of up to ``size`` successive streams of one length."""
+def _batches(streams, fitting):
+    """Lists of successive streams of one length, as many as ``fitting`` says for that length."""
     batch = []
     for stream in streams:
-        if batch and (len(batch) == size or len(stream) != len(batch[0])):
+        if batch and (len(batch) == fitting(len(stream)) or len(stream) != len(batch[0])):
             yield batch
             batch = []
         batch.append(stream)

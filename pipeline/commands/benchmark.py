@@ -80,16 +80,16 @@ def table2_(
         benchmark = table2.Benchmark(
             resolved, recordings.source.sha256, out.absolute(), kinds, splits, names
         )
-        todo = table2.plan(benchmark)
+        todo = table2.plan(benchmark, jobs)
         failures = []
-        with progress("table 2", len(todo)) as advance:
+        with progress("table 2", sum(len(job.indices) for job in todo)) as advance:
             for job, result in run_jobs(table2.run, todo, jobs, scheduler):
                 if isinstance(result, Failure):
                     failures.append((job, result))
                     print(result.details, file=sys.stderr)
                 else:
                     table2.write_splits(job, result)
-                advance(1, f"{job.kind} split {job.index}")
+                advance(len(job.indices), f"{job.kind} splits")
         table = summarise(benchmark, failures)
         write_json(out / "table2.json", table)
     print(json.dumps(table, indent=2) if as_json else table_text(table))

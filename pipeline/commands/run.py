@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import json
 import sys
+from typing import Annotated
 
-from deploy.files import write_json
+import typer
+
+from deploy.files import read_json, replacing, write_json
 from deploy.results import read_result
-from deploy.targets import TARGETS
 from pipeline import stages
 from pipeline.commands import options
-from pipeline.ladder import STAGES, ladder_json, ladder_text
+from pipeline.diagnosis import layers_json
+from pipeline.ladder import SLOW, STAGES, WHOLE_STAGES, ladder_json, ladder_text
+from pipeline.progress import progress
+from pipeline.references import STAGES as REFERENCES
+from pipeline.references import rate_activations
 from pipeline.run_folder import RunFolder
 
 
@@ -44,7 +50,9 @@ def convert(
     folder = RunFolder(run)
     with folder.locked():
         resolved = options.resolve(folder, data, seed, samples, steps, settings, set_)
-        _bundle(folder, resolved, jobs)
+        _, bundle = _bundle(folder, resolved, jobs)
+        for stage in REFERENCES:
+            stages.answer(folder, resolved, bundle, stage, _say)
 
 
 def ladder(
@@ -56,32 +64,67 @@ def ladder(
     settings: options.SettingsFile = None,
     set_: options.Assignments = None,
     jobs: options.Jobs = 2,
+    whole: Annotated[
+        bool, typer.Option("--whole", help="On the whole test split, not on the check's samples.")
+    ] = False,
+    slow: Annotated[
+        bool,
+        typer.Option("--slow", help="With --whole: NengoCore and simreal too, minutes each."),
+    ] = False,
+    limit: Annotated[
+        float, typer.Option(help="Points a stage may lose before its layers are looked at.")
+    ] = 1.0,
     as_json: options.Json = False,
 ):
     """Do what is missing up to the emulator, and print what each stage loses."""
     folder = RunFolder(run)
     with folder.locked():
         resolved = options.resolve(folder, data, seed, samples, steps, settings, set_)
-        bundle = _bundle(folder, resolved, jobs)
-        results = []
-        for stage in STAGES:
-            if stage in ("nengo", "simreal", "emulator"):
-                results.append(stages.check(folder, resolved, bundle, stage, _say))
-            elif stage not in TARGETS or folder.check(stage).exists():
-                path = folder.check(stage)
-                # A board's result is a row of its own if it is there and of this bundle.
-                if stage != "loihi" or (path.exists() and read_result(path)["bundle"] == bundle.id):
-                    results.append(read_result(path))
-        table = ladder_json(results)
-        write_json(folder.ladder, table)
-    print(json.dumps(table, indent=2) if as_json else "\n" + ladder_text(table))
+        dataset, bundle = _bundle(folder, resolved, jobs)
+        if whole:
+            bundle = stages.on_test_split(resolved, dataset, bundle)
+            left_out = () if slow else SLOW
+            asked = [stage for stage in WHOLE_STAGES if stage not in left_out]
+        else:
+            left_out, asked = (), [stage for stage in STAGES if stage != "loihi"]
+        results = [stages.answer(folder, resolved, bundle, s, _say, whole) for s in asked]
+        board = folder.check("loihi")
+        # A board's result is a row of its own if it is there and of this bundle.
+        if not whole and board.exists() and read_result(board)["bundle"] == bundle.id:
+            results.append(read_result(board))
+        path = folder.whole_ladder if whole else folder.ladder
+        table = ladder_json(results, _layers(folder, path, resolved, bundle), left_out)
+        write_json(path, table)
+        if whole:
+            from pipeline.ladder_figures import confusion  # imports Matplotlib
+
+            with replacing(folder.confusion) as file:
+                confusion(table).savefig(file, format="png", dpi=100)
+    if as_json:
+        print(json.dumps(table, indent=2))
+        return
+    print("\n" + ladder_text(table, limit))
+    if whole:
+        print(f"confusion matrices: {folder.confusion}")
 
 
 def _bundle(folder, resolved, jobs):
     dataset = stages.open_dataset(folder, resolved, jobs, _say)
     stages.train(folder, resolved, dataset, _say)
     stages.train_rates(folder, resolved, dataset, _say)
-    return stages.convert(folder, resolved, dataset, _say)
+    return dataset, stages.convert(folder, resolved, dataset, _say)
+
+
+def _layers(folder, path, resolved, bundle):
+    """How faithful each layer is on the bundle's samples; from an earlier ladder if it has that."""
+    if path.exists():
+        earlier = read_json(path, "delete it and run the command again")
+        if earlier.get("bundle") == bundle.id and earlier.get("layers"):
+            return earlier["layers"]
+    images = bundle.checks.images
+    activations = rate_activations(resolved, stages.read_weights(folder.snn, resolved), images)
+    with progress("compare layers", len(images)) as advance:
+        return layers_json(bundle.spec, images, activations, resolved.seed, advance)
 
 
 def _say(line):

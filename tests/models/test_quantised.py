@@ -1,7 +1,10 @@
 import numpy as np
+import pytest
 import tensorflow as tf
+from hypothesis import given
+from hypothesis import strategies as st
 
-from models.quantised import EightBitConv2D, eight_bits
+from models.quantised import OnChipConv2D, eight_bits, twelve_bits
 
 
 def test_rounding_by_hand():
@@ -35,12 +38,33 @@ def test_the_gradient_passes_unchanged():
     np.testing.assert_allclose(tape.gradient(total, weights), [1, 2, 3])
 
 
-def test_the_convolution_computes_with_rounded_weights():
+@given(st.floats(2.0**-10, 100.0), st.booleans())
+def test_a_bias_keeps_twelve_bits(bias, negative):
+    bias = -bias if negative else bias
+    rounded = float(twelve_bits(tf.constant(bias, tf.float64)))
+    assert abs(rounded - bias) <= abs(bias) * 2.0**-12
+    mantissa = rounded / 2.0 ** (np.ceil(np.log2(abs(rounded))) - 12)
+    assert mantissa == pytest.approx(round(mantissa), abs=1e-9)
+    assert abs(mantissa) <= 2**12
+
+
+def test_a_biases_gradient_passes_unchanged():
+    bias = tf.Variable([0.3, -0.7])
+    with tf.GradientTape() as tape:
+        total = tf.reduce_sum(twelve_bits(bias) * [1.0, 2.0])
+    np.testing.assert_allclose(tape.gradient(total, bias), [1, 2])
+
+
+def test_the_convolution_computes_with_the_chips_weights_and_biases():
     image = np.random.default_rng(2).normal(size=(2, 6, 6, 1)).astype(np.float32)
-    layer = EightBitConv2D(3, 2)
+    gain, bias = 0.3, np.float32([0.1, -0.2, 0.33])
+    layer = OnChipConv2D(3, 2, gain=gain)
     layer(image)
+    layer.bias.assign(bias)
     plain = tf.keras.layers.Conv2D(3, 2)
     plain(image)
-    plain.set_weights([eight_bits(layer.kernel).numpy(), layer.bias.numpy()])
+    on_chip = (twelve_bits(1 + gain * bias).numpy() - 1) / gain
+    plain.set_weights([eight_bits(layer.kernel).numpy(), on_chip])
     np.testing.assert_allclose(layer(image), plain(image), atol=1e-5)
     assert not np.allclose(layer.kernel, plain.kernel)
+    assert not np.array_equal(on_chip, bias)

@@ -41,16 +41,18 @@ def store(benchmark, model, index, right, samples=None, kind="random"):
 
 
 def test_what_is_missing_is_planned(benchmark):
+    everything = ("cnn", "ann-snn", "loihi")
     jobs = table2.plan(benchmark)
-    assert [(j.index, j.models) for j in jobs] == [
-        (i, ("cnn", "ann-snn", "loihi")) for i in range(3)
-    ]
+    assert [(j.indices, j.models) for j in jobs] == [((0, 1, 2), everything)]
+    jobs = table2.plan(benchmark, processes=2)
+    assert [(j.indices, j.models) for j in jobs] == [((0, 1), everything), ((2,), everything)]
+    assert jobs[1].seeds == [Settings().seed + 2]
     for model in ("cnn", "ann-snn", "loihi"):
         store(benchmark, model, 0, [1, 0])
     store(benchmark, "cnn", 2, [1, 0])
-    assert [(j.index, j.models) for j in table2.plan(benchmark)] == [
-        (1, ("cnn", "ann-snn", "loihi")),
-        (2, ("ann-snn", "loihi")),
+    assert [(j.indices, j.models) for j in table2.plan(benchmark)] == [
+        ((1,), everything),
+        ((2,), ("ann-snn", "loihi")),
     ]
 
 
@@ -128,7 +130,7 @@ def test_the_same_answers_differ_by_nothing(benchmark):
 def test_a_failed_split_is_reported_and_not_counted(benchmark):
     store(benchmark, "cnn", 0, [1, 0])
     store(benchmark, "cnn", 1, [1, 1])
-    job = table2.Job(benchmark, "random", 2, ("cnn",))
+    job = table2.Job(benchmark, "random", (2,), ("cnn",))
     table = summarise(benchmark, [(job, Failure("MemoryError: no message", ""))])
     assert table["rows"][0]["per_split"] == [0.5, 1.0]
     assert table["failures"] == [
