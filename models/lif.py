@@ -109,7 +109,9 @@ class RateLIF(tf.keras.layers.Layer):
         # The value of the exact rate with the gradient of the smooth one.
         rates = smooth + tf.stop_gradient(exact - smooth)
         if training and self.spike_costs is not None:
-            per_sample = tf.reduce_sum(rates * self.spike_costs, axis=tuple(range(1, inputs.ndim)))
+            per_sample = tf.reduce_sum(
+                rates * self.spike_costs, axis=tuple(range(1, len(inputs.shape)))
+            )
             self.add_loss(tf.reduce_mean(per_sample))
         return rates
 

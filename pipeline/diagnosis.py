@@ -137,16 +137,22 @@ def window_rates(spec: NetworkSpec, images, seed: int = 0, advance=None) -> dict
     """
     emulation = Emulation(compile_spec(spec, seed))
     shown = spec.presentation
-    names = [layer.name for layer in spec.layers if layer.kind == "conv"]
+    sizes = {layer.name: layer.size for layer in spec.layers if layer.kind == "conv"}
     window = shown.steps - shown.readout_start
     images = np.asarray(images, float).reshape(len(images), -1)
-    counts = {name: [] for name in names}
+    counts = {name: [] for name in sizes}
     for batch in _batches(images, shown.stream_length):
-        recording = emulation.run(batch, shown.steps, shown.gap, record=True)
-        for name in names:
-            spikes = recording.spikes[name]
-            by_sample = spikes.reshape(-1, shown.gap + shown.steps, spikes.shape[-1])
-            counts[name].append(by_sample[:, -window:].sum(axis=1))
+        of_batch = {name: [] for name in sizes}
+
+        def watch(spikes, of_batch=of_batch):
+            """Spikes of one sample of each stream, packed to bits."""
+            for name, size in sizes.items():
+                read = np.unpackbits(spikes[name][:, -window:], axis=2, count=size)
+                of_batch[name].append(read.sum(axis=1))
+
+        emulation.run(batch, shown.steps, shown.gap, watch=watch)
+        for name, of_samples in of_batch.items():
+            counts[name].append(np.stack(of_samples, axis=1).reshape(-1, sizes[name]))
         if advance is not None:
             advance(batch.shape[0] * batch.shape[1])
     return {name: np.concatenate(parts) / (window * DT) for name, parts in counts.items()}

@@ -92,7 +92,8 @@ def train_cnn(
     model = build_cnn(parse(settings.cnn.architecture))
     cnn = settings.cnn
     recipe = recipe or Recipe(cnn.epochs, cnn.batch_size, cnn.learning_rate)
-    return Trained(get_weights(model), fit(model, recipe, data, validation, advance))
+    history = fit(model, recipe, data, validation, advance)
+    return Trained(get_weights(model), history)
 
 
 def snn_recipe(snn) -> Recipe:

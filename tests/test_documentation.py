@@ -14,7 +14,7 @@ from .command import ROOT
 README = ROOT / "README.md"
 TARGETS = [
     *("setup", "data", "train", "convert", "loihi-emulate", "loihi-hardware"),
-    *("check", "test", "lint", "clean", "help"),
+    *("check", "benchmark", "report", "test", "lint", "clean", "help"),
 ]
 
 

@@ -5,7 +5,7 @@ import tensorflow as tf
 from models.cnn import build_cnn, get_weights
 from models.lif import RateLIF
 from models.notation import parse
-from models.quantised import EightBitConv2D
+from models.quantised import OnChipConv2D
 from models.together import _orders, fit_together, forward_together
 
 ARCHITECTURE = parse("6x6-3c3-4c2-10o")
@@ -80,7 +80,12 @@ def test_they_learn(data):
 
 
 def test_a_layer_that_cannot_be_stacked_is_named():
-    model = build(1, convolution=EightBitConv2D)
+    model = build(
+        1,
+        convolution=lambda index, conv, name: OnChipConv2D(
+            conv.filters, conv.kernel, gain=0.2, name=name
+        ),
+    )
     with pytest.raises(ValueError, match="conv1"):
         forward_together(model.layers, [], tf.zeros((1, 2, 6, 6, 1)))
 
