@@ -53,11 +53,11 @@ check: convert  ## The bundle's check on TARGET, next to the reference simulator
 	@$(STMNIST) check run $(RUN)/bundle --target $(TARGET)
 	@$(STMNIST) check compare $(RUN)/checks/nengo.json $(RUN)/checks/$(TARGET).json
 
-benchmark: setup  ## The paper's Table 2, ten splits, without SLAYER (which takes hours)
-	@$(STMNIST) benchmark table2 $(SOURCE_OPTIONS)
+benchmark: setup  ## The paper's Table 2 on ten splits, beside the paper's figures (not SLAYER's)
+	@$(STMNIST) benchmark table2 --out $(dir $(RUN))table2 $(SOURCE_OPTIONS) $(if $(SAMPLES),--set check.samples=$(SAMPLES)) $(if $(STEPS),--set presentation.steps=$(STEPS))
 
-report: setup  ## RUN/report.html: one self-contained page about the run
-	@$(STMNIST) report $(RUN)
+report: loihi-emulate  ## RUN as one HTML file, RUN/report.html, with Table 2 where it was measured
+	@$(STMNIST) report $(RUN) --jobs $(JOBS)
 
 test: setup  ## Run the tests
 	@$(BIN)/python -m pytest

@@ -18,6 +18,7 @@ from pipeline.commands import benchmark_emulator as _emulator  # noqa: F401 - ad
 from pipeline.commands import benchmark_losses as _losses  # noqa: F401 - adds to benchmark.app
 from pipeline.commands import deploy as deployment
 from pipeline.commands import skin as _skin  # noqa: F401 - adds its verbs to data.app
+from pipeline.commands import sweep as sweeping
 
 # Typer brings its own copy of Click from some version on: these are the classes that it raises.
 UsageError = typer.BadParameter.__base__
@@ -40,6 +41,7 @@ app.add_typer(check.app, name="check")
 app.command()(run.ladder)
 app.add_typer(deployment.app, name="deploy")
 app.add_typer(benchmark.app, name="benchmark")
+app.command("sweep")(sweeping.sweep_)
 app.command("report")(report.report_)
 
 

@@ -15,6 +15,18 @@ from rich.progress import (
 )
 
 console = Console(stderr=True)
+_hidden = False
+
+
+@contextlib.contextmanager
+def hidden():
+    """Show no bars inside the block: one around it, or in another process, says enough."""
+    global _hidden
+    before, _hidden = _hidden, True
+    try:
+        yield
+    finally:
+        _hidden = before
 
 
 @contextlib.contextmanager
@@ -40,7 +52,7 @@ def progress(label: str, total: int):
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+    with Progress(*columns, console=console, disable=_hidden or not console.is_terminal) as bar:
         task = bar.add_task(label, total=total)
 
         def advance(n=1, note=None):

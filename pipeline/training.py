@@ -17,6 +17,9 @@ from models.notation import parse
 from models.quantised import OnChipConv2D
 from pipeline.settings import Settings
 
+# That a function is traced anew for each network is no news to the user.
+tf.get_logger().setLevel("ERROR")
+
 PERCENTILE = 99.9
 """Of a layer's activations that becomes 1 when a CNN's weights are carried over."""
 

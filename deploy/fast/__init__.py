@@ -1,6 +1,6 @@
 """The target ``fast``: NengoLoihi's emulator bit for bit, many streams at once.
 
-``from_nengo`` compiles a built and discretised network into the flat arrays of ``arrays``;
-``kernel_numba`` and ``kernel_numpy`` advance those; ``host`` is the host's side of the network;
-``run`` shows it streams of samples.
+``from_nengo`` compiles a network: the chip's blocks become the flat arrays of ``arrays`` (in
+``from_loihi``), the host's side becomes the populations and the output stage of ``host``.
+``kernel_numba`` and ``kernel_numpy`` advance the arrays; ``run`` shows it streams of samples.
 """

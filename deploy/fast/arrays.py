@@ -63,6 +63,13 @@ class Layer:
     label: str
     position: np.ndarray
 
+    def of(self, values):
+        """The population's own, in its own order, of what is given for all compartments last."""
+        first, n = int(self.position[0]), len(self.position)
+        if np.array_equal(self.position, np.arange(first, first + n)):
+            return values[..., first : first + n]
+        return np.take(values, self.position, axis=-1)
+
 
 @dataclass(frozen=True)
 class Network:

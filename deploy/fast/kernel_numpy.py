@@ -45,7 +45,7 @@ class Kernel:
         for layer, over in zip(self._layers, overflows):
             part = layer.compartments
             u, v = state.current[:, part].astype(float), state.voltage[:, part].astype(float)
-            waiting = state.refractory[:, part].astype(np.int8)
+            waiting = state.refractory[:, part].astype(layer.refractory.dtype)
             total = layer.gather(arriving[:-1], spikes[:-1])
             layer.filter(total, u, over)
             layer.fire(total, v, waiting, spikes[1:, :, part])
@@ -82,7 +82,9 @@ class _Layer:
 
         self.keep_u, self.keep_v = value("keep_u") / 4096, value("keep_v") / 4096
         self.v_min, self.v_max = value("v_min"), value("v_max")
-        self.refractory, self.scale = value("refractory", np.int8), 2.0 ** value("shift")
+        longest = segments.refractory[mine].max()
+        self.refractory = value("refractory", np.int8 if longest < 128 else np.int32)
+        self.scale = 2.0 ** value("shift")
         self.bias = network.bias[self.compartments].astype(float)
         self.threshold = network.threshold[self.compartments].astype(float)
         self.can_overflow = bool(network.can_overflow[mine].any())

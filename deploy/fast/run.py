@@ -128,7 +128,7 @@ class Emulation:
         for label, part in self._inputs():
             yield label, inputs[:, :, part].sum(axis=1, dtype=np.int32)
         for layer in self.program.network.layers:
-            yield layer.label, done.counts[:, layer.position]
+            yield layer.label, layer.of(done.counts)
         if self.program.output.neurons is not None:
             yield self.program.output.neurons.label, np.count_nonzero(output, axis=1)
 
@@ -137,7 +137,7 @@ class Emulation:
         for label, part in self._inputs():
             yield label, inputs[:, :, part]
         for layer in self.program.network.layers:
-            yield layer.label, done.spikes[:, :, layer.position]
+            yield layer.label, layer.of(done.spikes)
         if self.program.output.neurons is not None:
             yield self.program.output.neurons.label, output != 0
 

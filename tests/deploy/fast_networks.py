@@ -15,15 +15,15 @@ LOUD = 300.0
 
 
 def random_neurons(rng):
-    """LIF or rectified linear; refractory 0 to 3 steps; minimum voltages."""
+    """LIF or rectified linear; refractory 0 to 3 or 200 steps; minimum voltages."""
     if rng.random() < 0.35:
         return Neurons("relu", amplitude=rng.choice([0.01, 1.0]))
     return Neurons(
         "lif",
         amplitude=rng.choice([0.005, 0.01, 0.02]),
         tau_rc=rng.choice([0.002, 0.02, 0.1]),
-        tau_ref=rng.choice([0.0, 0.001, 0.002, 0.003]),
-        min_voltage=rng.choice([0.0, 0.0, -0.7, -6.0]),
+        tau_ref=rng.choice([0.0, 0.001, 0.002, 0.003, 0.2]),
+        min_voltage=rng.choice([0.0, 0.0, -0.7, -6.0, -1e6]),
     )
 
 

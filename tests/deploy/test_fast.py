@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
+import os
+import subprocess
+import sys
 import warnings
+from dataclasses import replace
 
 import nengo
 import numpy as np
@@ -18,8 +23,10 @@ from deploy.fast.run import Emulation, compile_spec, run_fast
 from deploy.foreign import nengo_loihi
 from deploy.network_spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
 from deploy.presentation import join
+from deploy.results import read_result
 from deploy.targets import run_emulator
 from tests.deploy.fast_networks import Watching, images_for, random_spec, reference
+from tests.deploy.networks import bundle_at, paper_spec, small_spec
 
 pytest.importorskip("numba")
 
@@ -100,39 +107,12 @@ def quietly(function, *arguments):
         return function(*arguments)
 
 
-def paper_spec(scale=2.0, placement="chip", seed=0, **presentation):
-    """The paper's architecture with random weights that make it spike."""
-    rng = np.random.default_rng(seed)
-    lif = Neurons("lif", amplitude=0.01)
-
-    def layer(name, before, after, kernel, size, bias, **changes):
-        values = {
-            "name": name, "kind": "conv", "input_shape": before, "shape": after,
-            "placement": "chip", "neurons": lif, "synapse": 0.005, "kernel": kernel,
-            "block_shape": None, "pop_type": 32,
-            "weights": rng.normal(0, size, (kernel, kernel, before[-1], after[-1])),
-            "bias": np.full(after[-1], bias), **changes,
-        }  # fmt: skip
-        return Layer(**values)
-
-    dense = {"kind": "dense", "placement": "host", "neurons": None}
-    dense["weights"] = rng.normal(0, 0.1, (10, 600))
-    return NetworkSpec(
-        "10x10-6c4-24c3-10o",
-        (10, 10, 1),
-        Encoder() if placement == "chip" else None,
-        (
-            layer("conv1", (10, 10, 1), (7, 7, 6), 4, 0.5 * scale, 0.7, placement=placement),
-            layer("conv2", (7, 7, 6), (5, 5, 24), 3, 0.25 * scale, 0.8, block_shape=(3, 5, 24)),
-            layer("output", (5, 5, 24), (10,), 0, 0, 0.0, **dense),
-        ),
-        Presentation(**presentation),
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("placement", ["chip", "host"])
 def test_the_papers_network_is_identical_in_all_compartments(placement):
-    spec = paper_spec(placement=placement, steps=40, gap=10)
+    spec = paper_spec(steps=40, gap=10)
+    conv1, conv2, output = spec.layers
+    layers = (replace(conv1, placement=placement), replace(conv2, block_shape=(3, 5, 24)), output)
+    spec = replace(spec, encoder=spec.encoder if placement == "chip" else None, layers=layers)
     images = images_for(spec, 2)
     expected = reference(spec, images)
     for kernel in ("numba", "numpy"):
@@ -218,16 +198,50 @@ def test_overflows_are_identical_counted_and_warned_of_by_layer(filters, kinds, 
             list(run_fast(spec, [images], kernel=kernel))
 
 
+def test_streams_are_taken_as_memory_allows():
+    spec = paper_spec(steps=10, gap=0, readout_start=0)
+    images, taken = images_for(spec, 1), []
+    endless = (taken.append(i) or images for i in itertools.count())
+    memory = 3 * 10 * 1300  # three streams of ten steps and their answers
+    answers = run_fast(spec, endless, kernel="numba", memory=memory)
+    for _ in range(4):
+        next(answers)
+    answers.close()
+    assert 4 <= len(taken) <= 12
+
+
+def test_a_copied_bundle_runs_it_without_numba(tmp_path):
+    bundle = bundle_at(tmp_path / "bundle", small_spec(), 4)
+    (tmp_path / "without").mkdir()
+    (tmp_path / "without" / "numba.py").write_text("raise ImportError('not here')")
+    for target in ("fast", "emulator"):
+        subprocess.run(
+            [sys.executable, "deploy.pyz", "check", ".", "--target", target],
+            cwd=bundle.path, check=True, capture_output=True, timeout=300,
+            env={**os.environ, "PYTHONPATH": str(tmp_path / "without")},
+        )  # fmt: skip
+    fast, emulator = (
+        read_result(bundle.path / "checks" / f"{target}.json") for target in ("fast", "emulator")
+    )
+    assert set(fast) == set(emulator)
+    assert fast["spikes"] == emulator["spikes"]
+    for mine, theirs in zip(fast["samples"], emulator["samples"], strict=True):
+        assert set(mine) == set(theirs)
+        assert mine["spike_hash"] == theirs["spike_hash"]
+        assert mine["prediction"] == theirs["prediction"]
+
+
 def test_no_warning_without_overflows(recwarn):
     list(run_fast(paper_spec(steps=5, gap=0, readout_start=0), [images_for(paper_spec(), 1)]))
     assert not [w for w in recwarn if issubclass(w.category, RuntimeWarning)]
 
 
 def test_silence_gives_zeros():
-    spec = paper_spec(scale=0.0, steps=5, gap=0, readout_start=0)
-    (answer,) = quietly(list, run_fast(spec, [np.zeros((2, 100))]))
+    spec = paper_spec(steps=5, gap=0, readout_start=0)
+    silent = [replace(layer, bias=np.zeros_like(layer.bias)) for layer in spec.layers]
+    (answer,) = run_fast(replace(spec, layers=silent), [np.zeros((2, 100))])
     assert not answer.scores.any()
-    assert answer.spikes["input"].sum() == 0
+    assert not any(spikes.any() for spikes in answer.spikes.values())
 
 
 def test_decay_by_hand():
@@ -334,6 +348,19 @@ def test_refuses_noise():
 def test_refuses_by_name(changes, named):
     parts = small_network(**changes)
     assert named in refusal((parts[0], parts[1], parts[-1]))
+
+
+def test_refuses_connections_back_on_the_chip():
+    network, source, _, chip, _, output = small_network()
+    with network:
+        nengo.Connection(chip.neurons, chip.neurons, transform=0.1 * np.eye(4), synapse=0.005)
+    assert "back to a layer" in refusal((network, source, output))
+
+
+def test_refuses_voltages_that_the_emulator_would_wrap():
+    network, source, _, chip, _, output = small_network()
+    chip.neuron_type = nengo.LIF(tau_rc=3.0, min_voltage=-1e9)
+    assert "minimum voltage" in refusal((network, source, output))
 
 
 def test_refuses_input_neurons_that_feed_each_other():
