@@ -7,7 +7,10 @@ trained with (``J = 1 + gain * z``).
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import os
+import sys
 import warnings
 
 import nengo
@@ -20,12 +23,34 @@ from models.notation import parse
 from models.quantised import eight_bits
 from pipeline.settings import Settings
 
-with warnings.catch_warnings():
+
+@contextlib.contextmanager
+def _silenced():
+    """Nothing on standard error from below Python.
+
+    NengoDL sets TensorFlow's log level for itself when it is imported, and TensorFlow then reports
+    a TensorRT that nobody asked for.
+    """
+    sys.stderr.flush()
+    kept = os.dup(2)
+    try:
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+with warnings.catch_warnings(), _silenced():
     warnings.simplefilter("ignore")
     import nengo_dl
 
-# A missing GPU and functions traced once a network are no news to the user.
+# A missing GPU, functions traced once a network, and rates that nobody asked for (Nengo works out
+# at which input a neuron reaches its maximum) are no news to the user.
 warnings.filterwarnings("ignore", "No GPU support", module="nengo_dl")
+warnings.filterwarnings("ignore", "Non-finite values detected", module="nengo")
+warnings.filterwarnings("ignore", "invalid value encountered in log1p", module="nengo")
 for _name in ("nengo_dl", "tensorflow"):
     logging.getLogger(_name).setLevel(logging.ERROR)
 

@@ -2,5 +2,5 @@
 
 ``from_nengo`` compiles a network: the chip's blocks become the flat arrays of ``arrays`` (in
 ``from_loihi``), the host's side becomes the populations and the output stage of ``host``.
-``kernel_numba`` and ``kernel_numpy`` advance the arrays; ``run`` shows the whole streams of samples.
+``kernel_numba`` and ``kernel_numpy`` advance the arrays; ``run`` shows it streams of samples.
 """
