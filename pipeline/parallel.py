@@ -10,6 +10,9 @@ from joblib import Parallel, delayed
 
 from deploy.errors import UserError
 
+MESSAGE_LENGTH = 160
+"""Of a failure's line; the traceback has it all."""
+
 
 @dataclass(frozen=True)
 class Failure:
@@ -18,7 +21,7 @@ class Failure:
     Attributes
     ----------
     error : str
-        One line: the exception's type and message.
+        One short line: the exception's type and message.
     details : str
         The traceback.
     """
@@ -72,6 +75,8 @@ def _attempt(function, job):
         return job, function(job)
     except Exception as error:
         message = " ".join(str(error).split()) or "no message"
+        if len(message) > MESSAGE_LENGTH:  # TensorFlow's hold a traceback of their own
+            message = message[: MESSAGE_LENGTH - 1] + "…"
         return job, Failure(f"{type(error).__name__}: {message}", traceback.format_exc())
 
 

@@ -65,9 +65,10 @@ def summarise(benchmark: Benchmark, failures=()) -> dict:
             and (comparison := _compare(kind, a, b, results)) is not None
         ],
         "failures": [
-            {"split": job.kind, "index": index, "models": list(job.models), "error": f.error}
-            for job, f in failures
+            {"split": job.kind, "index": index, "models": missing, "error": failure.error}
+            for job, failure in failures
             for index in job.indices
+            if (missing := [m for m in job.models if m not in _answered(results, job.kind, index)])
         ],
     }
 
@@ -93,6 +94,15 @@ def _row(name, results):
         if got.interval:
             row["accuracy_ci95"] = [max(got.interval[0], 0.0), min(got.interval[1], 1.0)]
     return row
+
+
+def _answered(results, kind, index):
+    """Models that have a result of the split."""
+    return {
+        model
+        for (of_kind, model), group in results.items()
+        if of_kind == kind and any(result["index"] == index for result in group)
+    }
 
 
 def _compare(kind, a, b, results):

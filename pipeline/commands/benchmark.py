@@ -78,6 +78,7 @@ def table2_(
             raise UserError(
                 f"{chosen.source}: {error}; change --kind, check.samples or the data"
             ) from error
+        folder.save_settings(resolved)
         benchmark = table2.Benchmark(
             resolved, recordings.source.sha256, out.absolute(), kinds, splits, names
         )

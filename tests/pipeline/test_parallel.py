@@ -17,6 +17,17 @@ def test_a_failure_does_not_stop_the_others(processes):
     assert "reciprocal" in results[0].details
 
 
+def complain_at_length(job):
+    raise ValueError("word " * 500)
+
+
+def test_a_long_message_is_cut_and_kept_in_the_details():
+    ((_, failure),) = run_jobs(complain_at_length, [1])
+    assert len(failure.error) < 200
+    assert failure.error.endswith("…")
+    assert "word " * 500 in failure.details
+
+
 def test_no_jobs():
     assert list(run_jobs(reciprocal, [], 2)) == []
 

@@ -149,6 +149,7 @@ SMALL = (
     *("--splits", "1", "--jobs", "1", "--kind", "random", "--set", "data.samples_per_digit=12"),
     *("--set", "cnn.epochs=1", "--set", "snn.epochs=1", "--set", "slayer.epochs=1"),
     *("--set", "slayer.bins=20", "--set", "check.samples=5", "--set", "presentation.steps=20"),
+    *("--set", "presentation.readout_start=5"),
 )
 
 
@@ -170,6 +171,7 @@ def test_the_command_runs_resumes_and_prints(tmp_path, monkeypatch, capsys):
     assert [row["model"] for row in table["rows"]] == names
     assert all(len(row["per_split"]) == 1 for row in table["rows"])
     assert [row["n_test"] for row in table["rows"]] == [24, 24, 24, 5]
+    assert "epochs = 1\n" in (out / "experiment.toml").read_text()
 
     # One result gone, the chain it belongs to is run again, nothing else.
     def refuse(*_):
@@ -228,7 +230,7 @@ def test_the_training_speed_is_told(capsys):
     """Figures as they come; that they are good is for a quiet machine to say."""
     with pytest.raises(SystemExit) as stop:
         cli.main(
-            "benchmark training --networks 2 --rounds 2 --samples 12 --jobs 1 --json".split()  # noqa: SIM905
+            "benchmark training --networks 1 --rounds 1 --samples 12 --jobs 1 --json".split()  # noqa: SIM905
         )
     assert stop.value.code == 0
     result = json.loads(capsys.readouterr().out)
