@@ -312,7 +312,12 @@ def summarise(points, results, errors) -> dict:
     errors : dict of str to str
         Of the points that have none.
     """
-    done = [dict(results[point.stamp]) for point in points if point.stamp in results]
+    # A result may stem from another grid, in which other settings were varied.
+    done = [
+        {**results[point.stamp], "changes": dict(point.changes)}
+        for point in points
+        if point.stamp in results
+    ]
     costs = [(-r["accuracy"], r["operations"], r["steps"]) for r in done]
     for result, on_front in zip(done, pareto_front(costs) if done else (), strict=True):
         result["pareto"] = bool(on_front)

@@ -255,7 +255,7 @@ def difficulty(
     """Measure how hard the recordings are: the paper's CNN under the paper's protocol."""
     recordings = load_recordings(data, seed, jobs=jobs)
     settings = Settings()
-    with progress("train", splits * settings.cnn.epochs) as advance:
+    with progress("train", settings.cnn.epochs) as advance:
         accuracies = measured.measure(recordings, splits, settings, advance)
     mean, spread = np.mean(accuracies), np.std(accuracies, ddof=1) if splits > 1 else math.nan
     kind = "simulated" if recordings.source.simulated else "recorded"

@@ -27,7 +27,7 @@ def measure(recordings, splits=10, settings=None, advance=None) -> list:
     settings : Settings, optional
         Default: the built-in ones, 20 epochs.
     advance : callable, optional
-        ``advance(1, note)`` after each epoch.
+        ``advance(1, note)`` after each epoch of all networks.
 
     Returns
     -------
@@ -36,19 +36,19 @@ def measure(recordings, splits=10, settings=None, advance=None) -> list:
     """
     # TensorFlow takes seconds to import, and whoever only wants the record need not wait for it.
     from pipeline.images import tactile_images
+    from pipeline.joint_training import train_cnns
     from pipeline.settings import Settings
     from pipeline.splits import random_split
-    from pipeline.training import cnn_logits, train_cnn
+    from pipeline.training import cnn_logits
 
     settings = settings or Settings()
     images = tactile_images(recordings, settings.image.aggregation, settings.image.normalisation)
-    labels = recordings.labels
-    accuracies = []
-    for seed in range(splits):
-        split = random_split(len(labels), seed, settings.split.test_fraction)
-        trained = train_cnn(
-            settings, (images[split.train], labels[split.train]), seed, None, advance
+    labels, seeds = recordings.labels, range(splits)
+    parts = [random_split(len(labels), seed, settings.split.test_fraction) for seed in seeds]
+    trained = train_cnns(settings, (images, labels), [part.train for part in parts], seeds, advance)
+    return [
+        float(
+            np.mean(cnn_logits(settings, cnn.weights, images[p.test]).argmax(1) == labels[p.test])
         )
-        answer = cnn_logits(settings, trained.weights, images[split.test]).argmax(axis=1)
-        accuracies.append(float(np.mean(answer == labels[split.test])))
-    return accuracies
+        for cnn, p in zip(trained, parts, strict=True)
+    ]
