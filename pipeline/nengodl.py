@@ -107,6 +107,7 @@ def run(
     return np.concatenate(results)[: len(images)]
 
 
+@contextlib.contextmanager
 def open_trainer(settings: Settings, weights: dict, data, batch: int):
     """NengoDL's own training of the rate-based network, as its users write it.
 
@@ -121,8 +122,8 @@ def open_trainer(settings: Settings, weights: dict, data, batch: int):
         As many as make whole batches are used.
     batch : int
 
-    Returns
-    -------
+    Yields
+    ------
     callable
         ``train_epoch() -> loss``; the simulator is kept open between calls.
     """
@@ -130,18 +131,19 @@ def open_trainer(settings: Settings, weights: dict, data, batch: int):
     count = len(data[0]) // batch * batch
     images = np.asarray(data[0][:count], np.float32).reshape(count, 1, -1)
     labels = np.asarray(data[1][:count]).reshape(count, 1, 1)
-    simulator = nengo_dl.Simulator(
+    with nengo_dl.Simulator(
         converter.net, minibatch_size=batch, progress_bar=False, seed=settings.seed
-    )
-    simulator.compile(
-        tf.keras.optimizers.RMSprop(settings.cnn.learning_rate),
-        loss={output: tf.keras.losses.SparseCategoricalCrossentropy(from_logits=True)},
-    )
+    ) as simulator:
+        simulator.compile(
+            tf.keras.optimizers.RMSprop(settings.cnn.learning_rate),
+            loss={output: tf.keras.losses.SparseCategoricalCrossentropy(from_logits=True)},
+        )
 
-    def train_epoch():
-        return simulator.fit({source: images}, {output: labels}, verbose=0).history["loss"][-1]
+        def train_epoch():
+            history = simulator.fit({source: images}, {output: labels}, verbose=0).history
+            return history["loss"][-1]
 
-    return train_epoch
+        yield train_epoch
 
 
 def _convert(settings, weights, kind, synapse, inference_only=True):

@@ -13,12 +13,13 @@ from deploy.network import build
 
 @dataclass(frozen=True)
 class Replay:
-    """Spikes while a sample was shown.
+    """Spikes of the gap before a sample and while it was shown.
 
     Attributes
     ----------
     spikes : dict of str to (steps, neurons)
-        For each layer two arrays of int, one entry a spike: its step, from 0, and its neuron.
+        For each layer two arrays of int, one entry a spike: its step, from 0 when the sample is
+        first shown and below 0 in the gap, and its neuron.
     neurons : dict of str to int
         Neurons of each layer.
     steps : int
@@ -52,12 +53,13 @@ def replay(bundle: Bundle, index: int, seed: int = 0) -> Replay:
         for _ in range(first, index + 1):
             simulator.clear_probes()
             simulator.run_steps(built.feed.period)
-        shown = {
-            name: np.array(simulator.data[probe][: spec.presentation.steps]) > 0
-            for name, probe in built.spikes.items()
-        }
+        fired = {name: np.array(simulator.data[probe]) > 0 for name, probe in built.spikes.items()}
+    spikes = {}
+    for name, mask in fired.items():
+        steps, neurons = np.nonzero(mask)
+        spikes[name] = steps - spec.presentation.gap, neurons
     return Replay(
-        spikes={name: np.nonzero(spikes) for name, spikes in shown.items()},
-        neurons={name: spikes.shape[1] for name, spikes in shown.items()},
+        spikes=spikes,
+        neurons={name: mask.shape[1] for name, mask in fired.items()},
         steps=spec.presentation.steps,
     )

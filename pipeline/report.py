@@ -286,17 +286,8 @@ def _stories(inputs):
         recording = position[sample["id"]]
         events = inputs.recordings[recording]
         rasters = [
-            {
-                "title": f"{layer}: {replay.neurons[layer]} neurons, {len(times)} spikes",
-                "chart": charts.raster(
-                    [("s1", times, units)],
-                    replay.steps,
-                    "steps of 1 ms",
-                    f"Spikes of {layer}",
-                    replay.neurons[layer],
-                ),
-            }
-            for layer, (times, units) in replay.spikes.items()
+            _layer_raster(layer, steps[steps >= 0], neurons[steps >= 0], replay)
+            for layer, (steps, neurons) in replay.spikes.items()
         ]
         stories.append(
             {
@@ -323,6 +314,16 @@ def _stories(inputs):
             }
         )
     return stories
+
+
+def _layer_raster(layer, steps, neurons, replay):
+    size = replay.neurons[layer]
+    return {
+        "title": f"{layer}: {size} neurons, {len(steps)} spikes",
+        "chart": charts.raster(
+            [("s1", steps, neurons)], replay.steps, "steps of 1 ms", f"Spikes of {layer}", size
+        ),
+    }
 
 
 def _frames(inputs, recording):

@@ -58,8 +58,8 @@ MODELS = {
         Model("ann-snn", "ANN-SNN", (0.87, 0.01), "paper"),
         Model("loihi", "ANN-SNN on Loihi", (0.86, 0.02), "paper"),
         Model("slayer", "SNN-SLAYER", (0.81, 0.01)),
-        Model("own-ann-snn", "ANN-SNN, trained for the chip", None, "loihi"),
-        Model("own-loihi", "ANN-SNN on Loihi, trained for the chip", None, "loihi"),
+        Model("own-ann-snn", "ANN-SNN, own recipe", None, "loihi"),
+        Model("own-loihi", "ANN-SNN on Loihi, own recipe", None, "loihi"),
     )
 }
 

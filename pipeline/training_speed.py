@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from dataclasses import replace
 
@@ -43,19 +44,20 @@ def measure(settings: Settings, data, networks: int = 5, rounds: int = 3, advanc
     """
     settings = replace(settings, snn=replace(settings.snn, recipe="paper"))
     recipe = snn_recipe(settings.snn)
-    turns = {
-        "nengodl": _nengodl_turn(settings, data, networks, recipe),
-        "keras": _keras_turn(settings, data, networks, recipe),
-        "together": _together_turn(settings, data, networks, recipe),
-    }
     times = {way: [] for way in WAYS}
-    for number in range(rounds + 1):
-        for way in WAYS:
-            begun = time.perf_counter()
-            turns[way]()
-            times[way].append(time.perf_counter() - begun)
-            if advance is not None:
-                advance(1, f"{way}, round {number}")
+    with contextlib.ExitStack() as simulators:
+        turns = {
+            "nengodl": _nengodl_turn(settings, data, networks, recipe, simulators),
+            "keras": _keras_turn(settings, data, networks, recipe),
+            "together": _together_turn(settings, data, networks, recipe),
+        }
+        for number in range(rounds + 1):
+            for way in WAYS:
+                begun = time.perf_counter()
+                turns[way]()
+                times[way].append(time.perf_counter() - begun)
+                if advance is not None:
+                    advance(1, f"{way}, round {number}")
     yardstick = np.array(times["nengodl"][1:])
     return {
         "samples": len(data[0]),
@@ -92,9 +94,13 @@ def _models(settings, networks):
     return [build_rate_network(settings) for _ in range(networks)]
 
 
-def _nengodl_turn(settings, data, networks, recipe):
-    weights = [get_weights(model) for model in _models(settings, networks)]
-    trainers = [nengodl.open_trainer(settings, w, data, recipe.batch_size) for w in weights]
+def _nengodl_turn(settings, data, networks, recipe, simulators):
+    trainers = [
+        simulators.enter_context(
+            nengodl.open_trainer(settings, get_weights(model), data, recipe.batch_size)
+        )
+        for model in _models(settings, networks)
+    ]
     return lambda: [train_epoch() for train_epoch in trainers]
 
 

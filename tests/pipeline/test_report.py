@@ -195,7 +195,7 @@ def test_a_right_and_a_wrong_sample_are_chosen_early_in_their_streams():
 
 def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
     bundle = read_bundle(tiny_run / "bundle")
-    spec = bundle.spec.with_presentation(steps=12, gap=0, readout_start=3, stream_length=2)
+    spec = bundle.spec.with_presentation(steps=12, gap=5, readout_start=3, stream_length=2)
     short = replace(bundle, spec=spec)
     from deploy.targets import answer
 
@@ -205,7 +205,10 @@ def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
         for layer, (times, units) in played.spikes.items():
             assert len(times) == counted[layer][index]
             assert units.max(initial=0) < played.neurons[layer]
+            assert times.min(initial=0) >= -5
             assert times.max(initial=0) < 12
+        # Nothing is shown in the gap, and the image is there from step 0.
+        assert played.spikes["input"][0].min() >= 0
 
 
 def test_a_history_is_read_back(tmp_path):
