@@ -74,7 +74,7 @@ class SNN:
     """Standard deviation of the noise on each neuron's input while training, relative to the
     activation at ``max_rates``; recipe ``"loihi"`` only."""
     spike_penalty: float = 0.05
-    """Weight in the loss of the synaptic operations of an inference, in units of the CNN's
+    """Weight in the loss of the synaptic operations of 100 steps, in units of the CNN's
     multiply-accumulates; recipe ``"loihi"`` only."""
     max_rates: tuple = (150.0, 150.0)
     """Spikes a second of each convolution's neurons at activation 1; the last entry holds for all
