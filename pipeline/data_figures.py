@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from pipeline.images import aggregate, normalise
 from pipeline.recordings import DURATION_S, GRID, N_TAXELS, Events, Recordings, TaxelMap, collect
 
-ON, OFF = "tab:red", "black"
+ON, OFF = "red", "black"
 """Colours of the paper's Figure 4."""
 
 FRAMES = 8

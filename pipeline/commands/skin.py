@@ -90,8 +90,10 @@ def stats(
         print(json.dumps(_as_json(recordings, table, against_paper), indent=2))
         return
     console = Console(width=None if Console().is_terminal else 180)
-    kind = "simulated" if recordings.source.simulated else "recorded"
-    shown = Table(title=f"{recordings.source.name} ({kind}), {len(recordings)} samples: mean (SD)")
+    name = recordings.source.name
+    if recordings.source.simulated and "simulated" not in name:
+        name += " (simulated)"
+    shown = Table(title=f"{name}, {len(recordings)} samples: mean (SD)")
     shown.add_column("")
     for digit in table:
         shown.add_column(str(digit), justify="right")
