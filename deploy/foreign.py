@@ -6,6 +6,8 @@ neuron types.  Nothing here needs that, and it costs some ten seconds at every s
 
 import sys
 
+import nengo
+
 # None in sys.modules makes an import of that name raise ImportError.
 _hidden = [name for name in ("tensorflow", "nengo_dl") if name not in sys.modules]
 sys.modules.update(dict.fromkeys(_hidden))
@@ -14,5 +16,8 @@ try:
 finally:
     for _name in _hidden:
         del sys.modules[_name]
+
+# The networks here have no decoders to keep, and processes side by side would fight for its lock.
+nengo.rc["decoder_cache"]["enabled"] = "False"
 
 __all__ = ["nengo_loihi"]
