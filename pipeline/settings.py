@@ -74,7 +74,7 @@ class SNN:
     """Standard deviation of the noise on each neuron's input while training, relative to the
     activation at ``max_rates``; recipe ``"loihi"`` only."""
     spike_penalty: float = 0.05
-    """Weight in the loss of the synaptic operations of an inference, in units of the CNN's
+    """Weight in the loss of the synaptic operations of 100 steps, in units of the CNN's
     multiply-accumulates; recipe ``"loihi"`` only."""
     max_rates: tuple = (150.0, 150.0)
     """Spikes a second of each convolution's neurons at activation 1; the last entry holds for all
@@ -116,11 +116,11 @@ class Deployment:
     the chip; ``"host"``: the first convolution's neurons are on the host, fed with currents."""
     readout: str = "host"
     """``"host"``: output decoded from the last convolution's spikes; ``"chip"``: ten neurons."""
-    input_rate: float = 300.0
+    input_rate: float = 500.0
     """Spikes a second of a pixel of value 1."""
     input_phase: float = 0.5
     """Voltage of the input neurons at the start of a stream."""
-    synapse: float = 0.01
+    synapse: float = 0.008
     """Time constant in seconds of the low-pass on every spiking connection; 0 for none."""
     pop_type: int = 32
 

@@ -279,9 +279,7 @@ def cnn_stamp(settings: Settings, dataset: Dataset) -> str:
 
 def snn_stamp(settings: Settings, dataset: Dataset) -> str:
     """Hash of all that the rate-based network's training depends on."""
-    # The price of spikes is for those of a whole presentation.
-    steps = settings.presentation.steps if settings.snn.spike_penalty else None
-    return stamp_of(cnn_stamp(settings, dataset), asdict(settings.snn), steps)
+    return stamp_of(cnn_stamp(settings, dataset), asdict(settings.snn))
 
 
 def _neurons(settings, weights, images):

@@ -22,6 +22,11 @@ PERCENTILE = 99.9
 """Of a layer's activations that becomes 1 when a CNN's weights are carried over."""
 
 
+PRICED_STEPS = 100
+"""Steps whose synaptic operations ``snn.spike_penalty`` weighs, whatever the presentation is, so
+that the same weights serve any number of steps."""
+
+
 @dataclass(frozen=True)
 class Recipe:
     """How a network is trained.
@@ -131,7 +136,7 @@ def build_rate_network(settings: Settings) -> tf.keras.Model:
 
 
 def _spike_costs(settings, architecture):
-    """Of each layer, the loss when a neuron fires at its ``max_rate`` for a presentation."""
+    """Of each layer, the loss when a neuron fires at its ``max_rate`` for the priced steps."""
     shapes = architecture.shapes
     synapses = [
         convolution_fan_out(shape, conv.kernel, conv.filters).reshape(shape)
@@ -139,7 +144,7 @@ def _spike_costs(settings, architecture):
     ]
     synapses.append(np.full(shapes[-1], architecture.outputs))
     operations = sum(int(layer.sum()) for layer in synapses)
-    seconds = settings.presentation.steps * DT
+    seconds = PRICED_STEPS * DT
     return [
         (
             settings.snn.spike_penalty * settings.snn.max_rate(index) * seconds * layer / operations

@@ -111,7 +111,7 @@ def test_the_same_seed_trains_the_same_weights(tiny_run, tmp_path, capsys):
 def test_only_what_a_change_concerns_is_redone(tiny_run, tmp_path, capsys):
     run = tmp_path / "run"
     shutil.copytree(tiny_run, run)
-    assert call("convert", run, "--set", "presentation.gap=21") == 0
+    assert call("convert", run, "--steps", "38") == 0
     err = capsys.readouterr().err
     assert "cnn: up to date" in err
     assert "rate-lif: up to date" in err

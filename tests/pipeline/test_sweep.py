@@ -47,9 +47,9 @@ def test_only_what_matters_to_a_training_makes_another_one(tmp_path):
     assert len({point.cnn for point in points}) == 1
     free = {p.snn for p in points if not p.settings.snn.spike_penalty}
     priced = {p.snn for p in points if p.settings.snn.spike_penalty}
-    assert (len(free), len(priced)) == (1, 2)  # the price is for the steps that are counted
+    assert (len(free), len(priced)) == (1, 1)
     assert not free & priced
-    assert len({point.networks.snn for point in points}) == 3
+    assert len({point.networks.snn for point in points}) == 2
 
 
 @pytest.mark.parametrize(
