@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import datetime
 from dataclasses import dataclass
 from importlib import resources
@@ -132,12 +131,6 @@ def choose_samples(result: dict, stream_length: int) -> list:
         if candidates:
             chosen.append(min(candidates, key=lambda index: (index % stream_length, index)))
     return chosen
-
-
-def read_history(path) -> list:
-    """Read ``history.csv``: one dict of floats an epoch."""
-    with open(path, newline="", encoding="utf-8") as file:
-        return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
 
 
 def _ladder(inputs):

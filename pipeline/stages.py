@@ -17,6 +17,7 @@ from deploy.results import read_result
 from deploy.statistics import wilson_interval
 from models.notation import parse
 from pipeline.diagnosis import activity, fastest_rate, training_lines
+from pipeline.history import write_history
 from pipeline.images import tactile_images
 from pipeline.progress import progress
 from pipeline.recordings import Recordings
@@ -293,8 +294,6 @@ def _neurons(settings, weights, images):
 
 def _finish(folder, stamp, trained, logits, dataset, seconds, say, name, extra=None):
     """Write a trained network's files, the metrics last: they say that the rest is there."""
-    from pipeline.training import write_history
-
     right = np.argmax(logits, axis=1) == dataset.recordings.labels
     parts = {part: getattr(dataset.split, part) for part in ("train", "validation", "test")}
     accuracy = {part: float(right[index].mean()) for part, index in parts.items() if len(index)}

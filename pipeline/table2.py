@@ -17,6 +17,7 @@ import numpy as np
 from deploy import __version__
 from deploy.files import read_json, write_json
 from deploy.targets import TARGETS, answer
+from pipeline.history import write_history
 from pipeline.images import tactile_images
 from pipeline.run_folder import stamp_of
 from pipeline.settings import Settings
@@ -184,9 +185,10 @@ def read_split(benchmark: Benchmark, kind: str, index: int, model: str) -> dict 
 
 
 def write_splits(job: Job, results: list):
-    """Write what :func:`run` returned."""
+    """Write what :func:`run` returned, and each training's learning curve beside it."""
     for result in results:
         path = split_path(job.benchmark.folder, job.kind, result["index"], result["model"])
+        write_history(path.with_suffix(".csv"), result["history"])
         write_json(path, result)
 
 

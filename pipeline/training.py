@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, replace
 
 import numpy as np
 import tensorflow as tf
 
 from deploy.errors import UserError
-from deploy.files import replacing
 from deploy.operations import convolution_fan_out
 from models.cnn import activations, build_cnn, get_weights, predict, set_weights
 from models.lif import DT, RateLIF, gain_for
@@ -275,11 +273,3 @@ def rate_logits(settings: Settings, weights: dict, images) -> np.ndarray:
     model = build_rate_network(settings)
     set_weights(model, weights)
     return predict(model, images)
-
-
-def write_history(path, history: list):
-    """Write a training's history as CSV, one row an epoch."""
-    with replacing(path, "w") as file:
-        writer = csv.DictWriter(file, fieldnames=list(history[0]))
-        writer.writeheader()
-        writer.writerows(history)

@@ -16,6 +16,7 @@ from deploy.plan import make_plan
 from deploy.results import read_result
 from pipeline import report, table2
 from pipeline.commands import options
+from pipeline.history import read_history
 from pipeline.ladder import STAGES
 from pipeline.progress import progress
 from pipeline.replay import replay
@@ -55,7 +56,7 @@ def report_(
         )
     table, answers, curves = _read_benchmark(benchmark or run.parent / "table2", recordings)
     histories = {
-        title: report.read_history(path)
+        title: read_history(path)
         for title, path in (
             ("CNN", folder.cnn / "history.csv"),
             ("Rate LIF", folder.snn / "history.csv"),

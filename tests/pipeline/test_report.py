@@ -209,12 +209,3 @@ def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
             assert times.max(initial=0) < 12
         # Nothing is shown in the gap, and the image is there from step 0.
         assert played.spikes["input"][0].min() >= 0
-
-
-def test_a_history_is_read_back(tmp_path):
-    path = tmp_path / "history.csv"
-    path.write_text("epoch,loss,accuracy\n1,2.5,0.25\n2,1.5,0.5\n")
-    assert report.read_history(path) == [
-        {"epoch": 1.0, "loss": 2.5, "accuracy": 0.25},
-        {"epoch": 2.0, "loss": 1.5, "accuracy": 0.5},
-    ]
