@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 
@@ -72,8 +72,12 @@ def ladder(
         typer.Option("--slow", help="With --whole: NengoCore and simreal too, minutes each."),
     ] = False,
     limit: Annotated[
-        float, typer.Option(help="Points a stage may lose before its layers are looked at.")
-    ] = 1.0,
+        Optional[float],  # noqa: UP045 - Typer reads the annotation at run time
+        typer.Option(
+            help="Points a stage may lose before its layers are shown (default: 1 with --whole, "
+            "else 3, since chance alone moves 200 samples by 2.5)."
+        ),
+    ] = None,
     as_json: options.Json = False,
 ):
     """Do what is missing up to the emulator, and print what each stage loses."""
@@ -103,6 +107,8 @@ def ladder(
     if as_json:
         print(json.dumps(table, indent=2))
         return
+    if limit is None:
+        limit = 1.0 if whole else 3.0
     print("\n" + ladder_text(table, limit))
     if whole:
         print(f"confusion matrices: {folder.confusion}")
