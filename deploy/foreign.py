@@ -5,6 +5,7 @@ neuron types.  Nothing here needs that, and it costs some ten seconds at every s
 """
 
 import sys
+import warnings
 
 import nengo
 
@@ -19,5 +20,9 @@ finally:
 
 # The networks here have no decoders to keep, and processes side by side would fight for its lock.
 nengo.rc["decoder_cache"]["enabled"] = "False"
+
+# From gain and bias Nengo works out intercepts and maximum rates that nothing here asks for.
+warnings.filterwarnings("ignore", "Non-finite values detected", module="nengo")
+warnings.filterwarnings("ignore", "invalid value encountered in log1p", module="nengo")
 
 __all__ = ["nengo_loihi"]

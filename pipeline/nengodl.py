@@ -46,11 +46,8 @@ with warnings.catch_warnings(), _silenced():
     warnings.simplefilter("ignore")
     import nengo_dl
 
-# A missing GPU, functions traced once a network, and rates that nobody asked for (Nengo works out
-# at which input a neuron reaches its maximum) are no news to the user.
+# A missing GPU and functions traced once a network are no news to the user.
 warnings.filterwarnings("ignore", "No GPU support", module="nengo_dl")
-warnings.filterwarnings("ignore", "Non-finite values detected", module="nengo")
-warnings.filterwarnings("ignore", "invalid value encountered in log1p", module="nengo")
 for _name in ("nengo_dl", "tensorflow"):
     logging.getLogger(_name).setLevel(logging.ERROR)
 

@@ -78,7 +78,7 @@ def test_a_setting_given_twice_is_refused(tmp_path):
 def test_the_default_grid_is_a_grid(tmp_path):
     points = sweep.points_of(tmp_path, SMALL, sweep.DEFAULT_GRID)
     assert len(points) == 16
-    assert len({point.snn for point in points}) == 6
+    assert len({point.snn for point in points}) == 4
 
 
 def test_there_is_always_a_validation_part_and_never_a_test_part():
@@ -210,7 +210,7 @@ def test_a_small_sweep(tiny_sweep):
     assert summary["failed"] == []
     assert (len(points), len(list((tiny_sweep / "points").iterdir()))) == (4, 4)
     assert len(list((tiny_sweep / "cnn").iterdir())) == 1
-    assert len(list((tiny_sweep / "snn").iterdir())) == 3
+    assert len(list((tiny_sweep / "snn").iterdir())) == 2
     assert all(p["simulated"] is True for p in points)
     assert {p["n_samples"] for p in points} == {48}  # 15 % of 320
     assert any(p["pareto"] for p in points)
