@@ -142,7 +142,7 @@ def estimate(spec: NetworkSpec, result: dict) -> Estimate:
     for layer in spec.layers:
         on_chip = layer.placement == "chip"
         operations = counted.get(layer.name, 0) / samples
-        updates = layer.size * (shown.steps + shown.gap) if layer.neurons is not None else 0
+        updates = layer.size * shown.period if layer.neurons is not None else 0
         layers.append(
             LayerEstimate(
                 layer=layer.name,

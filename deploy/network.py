@@ -29,7 +29,7 @@ class Feed:
     """
 
     def __init__(self, spec):
-        self.period = spec.presentation.gap + spec.presentation.steps
+        self.period = spec.presentation.period
         self.gap = spec.presentation.gap
         self.blank = np.zeros(int(np.prod(spec.input_shape)))
         self.images = self.blank[None]

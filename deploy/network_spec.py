@@ -176,6 +176,11 @@ class Presentation:
     readout_start: int = 15
     stream_length: int = 10
 
+    @property
+    def period(self) -> int:
+        """Steps from one sample to the next, the gap included."""
+        return self.gap + self.steps
+
     def __post_init__(self):
         whole = all(type(getattr(self, entry.name)) is int for entry in fields(self))
         _require(whole, "presentation", "its entries must be whole numbers")

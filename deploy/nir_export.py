@@ -99,7 +99,7 @@ def input_spikes(spec: NetworkSpec, images) -> np.ndarray:
     """
     images = np.asarray(images, float).reshape(len(images), -1)
     # the encoder alone, with a readout of nothing
-    size = images.shape[1]
+    size, period = images.shape[1], spec.presentation.period
     nothing = Layer(
         name="nothing", kind="dense", input_shape=spec.input_shape, shape=(1,), placement="host",
         neurons=None, synapse=None, kernel=0, block_shape=None, pop_type=32,
@@ -108,22 +108,18 @@ def input_spikes(spec: NetworkSpec, images) -> np.ndarray:
     spikes = []
     for part in streams_of(len(images), spec.presentation.stream_length):
         if spec.encoder is None:
-            shown = np.zeros((part.stop - part.start, _period(spec), size))
+            shown = np.zeros((part.stop - part.start, period, size))
             shown[:, spec.presentation.gap :] = images[part, None]
         else:
             built = build(replace(spec, layers=(nothing,)))
             built.feed.images = images[part]
             with nengo.Simulator(built.network, progress_bar=False, optimize=False) as sim:
-                sim.run_steps(_period(spec) * (part.stop - part.start))
-            shown = (sim.data[built.spikes["input"]] > 0).reshape(-1, _period(spec), size)
+                sim.run_steps(period * (part.stop - part.start))
+            shown = (sim.data[built.spikes["input"]] > 0).reshape(-1, period, size)
         spikes.append(shown)
     rows, columns, channels = spec.input_shape
-    spikes = np.concatenate(spikes).reshape(len(images), _period(spec), rows, columns, channels)
+    spikes = np.concatenate(spikes).reshape(len(images), period, rows, columns, channels)
     return np.moveaxis(spikes, -1, 2).astype(np.float32)
-
-
-def _period(spec):
-    return spec.presentation.gap + spec.presentation.steps
 
 
 def _nir():

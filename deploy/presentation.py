@@ -178,4 +178,4 @@ def join(parts) -> Responses:
 
 def seconds_per_sample(spec: NetworkSpec) -> float:
     """Time that one sample takes on the network's own clock, gap included."""
-    return (spec.presentation.steps + spec.presentation.gap) * DT
+    return spec.presentation.period * DT

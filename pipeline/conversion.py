@@ -9,6 +9,22 @@ from models.lif import gain_for
 from models.notation import parse
 from models.quantised import eight_bits, twelve_bits
 from pipeline.settings import Settings
+from pipeline.training import rate_logits
+
+
+def deployed(settings: Settings, weights: dict, provenance: dict, images) -> NetworkSpec:
+    """Describe the spiking network with the given weights; see :func:`to_spec`.
+
+    Parameters
+    ----------
+    settings, weights, provenance
+        As in :func:`to_spec`.
+    images : ndarray
+        Training images, by which the range of a readout on the chip is set.
+    """
+    on_chip = settings.deployment.readout == "chip"
+    logits = rate_logits(settings, weights, images) if on_chip else None
+    return to_spec(settings, weights, provenance, logits)
 
 
 def to_spec(settings: Settings, weights: dict, provenance: dict, logits=None) -> NetworkSpec:

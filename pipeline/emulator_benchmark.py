@@ -17,7 +17,7 @@ from deploy.fast.run import Emulation, compile_spec
 from deploy.foreign import nengo_loihi
 from deploy.network import build
 from deploy.network_spec import DT, NetworkSpec
-from deploy.presentation import read_output, streams_of
+from deploy.presentation import read_output, seconds_per_sample, streams_of
 
 KERNELS = ("numba", "numpy")
 
@@ -148,7 +148,7 @@ def _pace(turns):
 def _rates(spec, emulation, streams):
     """Spikes a second of each layer's neurons while a sample is shown and in its gap."""
     shown = emulation.run(streams, spec.presentation.steps, spec.presentation.gap)
-    seconds = (spec.presentation.steps + spec.presentation.gap) * DT
+    seconds = seconds_per_sample(spec)
     return {name: float(counts.mean() / seconds) for name, counts in shown.counts.items()}
 
 

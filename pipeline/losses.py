@@ -14,7 +14,6 @@ from scipy import stats
 
 from deploy.operations import multiply_accumulates
 from deploy.targets import answer
-from pipeline.conversion import to_spec
 from pipeline.images import tactile_images
 from pipeline.settings import Settings
 from pipeline.sources import load_recordings
@@ -50,6 +49,7 @@ def measure(job: Job) -> dict:
         network as shares, ``operations`` as multiples of the CNN's multiply-accumulates.
     """
     from pipeline import nengodl, training  # TensorFlow, in the process that needs it
+    from pipeline.conversion import deployed
 
     begun = time.perf_counter()
     settings, data = job.settings, job.settings.data
@@ -75,10 +75,7 @@ def measure(job: Job) -> dict:
     spiking = nengodl.run(settings, rate.weights, shown, max(STEPS))
     start = settings.presentation.readout_start
     found["spiking-lif"] = predictions(spiking[:, start:].mean(axis=1))
-    logits = None
-    if settings.deployment.readout == "chip":
-        logits = training.rate_logits(settings, rate.weights, train[0])
-    spec = to_spec(settings, rate.weights, {}, logits)
+    spec = deployed(settings, rate.weights, {}, train[0])
     operations, decided = {}, {}
     for steps in STEPS:
         responses = answer(spec.with_presentation(steps=steps), shown, "fast", job.seed)

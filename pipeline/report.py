@@ -12,6 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from deploy import __version__
 from deploy.bundle import Bundle
 from deploy.energy import estimate
+from deploy.presentation import seconds_per_sample
 from pipeline import charts, statistics
 from pipeline.images import aggregate, normalise
 from pipeline.ladder import ladder_json
@@ -384,8 +385,7 @@ def _activity(inputs):
     result = counted[-1]
     sizes = {layer.name: layer.size for layer in inputs.bundle.spec.layers}
     sizes["input"] = int(np.prod(inputs.bundle.spec.input_shape))
-    presentation = inputs.bundle.spec.presentation
-    seconds = (presentation.steps + presentation.gap) / 1000
+    seconds = seconds_per_sample(inputs.bundle.spec)
     return [
         {
             "layer": layer,

@@ -183,8 +183,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         if bundle.spec.provenance.get("made_from") == stamp:
             say(f"bundle: up to date ({run.bundle})")
             return bundle
-    from pipeline import training
-    from pipeline.conversion import to_spec
+    from pipeline.conversion import deployed
 
     weights = read_weights(run.snn, settings)
     read_weights(run.cnn, settings)  # damaged ones are found now, not once the bundle is there
@@ -199,10 +198,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         "recipe": settings.snn.recipe,
         "package": __version__,
     }
-    logits = None
-    if settings.deployment.readout == "chip":
-        logits = training.rate_logits(settings, weights, dataset.part("train")[0])
-    spec = to_spec(settings, weights, provenance, logits)
+    spec = deployed(settings, weights, provenance, dataset.part("train")[0])
     bundle = write_bundle(run.bundle, spec, _check_set(settings, dataset, chosen))
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
     return bundle

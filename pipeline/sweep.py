@@ -244,18 +244,14 @@ def judge(point: Point) -> dict:
         layer; ``decided_at_median``; the accuracies of the CNN and the rate-based network on the
         same samples.
     """
-    from pipeline import training
-    from pipeline.conversion import to_spec
+    from pipeline.conversion import deployed
 
     begun = time.perf_counter()
     settings, networks = point.settings, point.networks
     dataset = dataset_of(settings)
     images, labels = dataset.part("validation")
     weights = stages.read_weights(networks.snn, settings)
-    logits = None
-    if settings.deployment.readout == "chip":
-        logits = training.rate_logits(settings, weights, dataset.part("train")[0])
-    spec = to_spec(settings, weights, {}, logits)
+    spec = deployed(settings, weights, {}, dataset.part("train")[0])
     responses = answer(spec, images, "fast", settings.seed)
     right = responses.predictions == labels
     operations = float(sum(counts.mean() for counts in responses.operations.values()))

@@ -270,14 +270,10 @@ def _spiking_answers(settings, weights, images, split, seed):
 
 def _loihi_answers(settings, weights, images, split, seed):
     """As many test samples as the check has, by what stands in for the chip."""
-    from pipeline.conversion import to_spec
-    from pipeline.training import rate_logits
+    from pipeline.conversion import deployed
 
     shown = draw_check_samples(split.test, settings.check.samples, seed)
-    logits = None
-    if settings.deployment.readout == "chip":
-        logits = rate_logits(settings, weights, images[split.train])
-    spec = to_spec(settings, weights, {}, logits)
+    spec = deployed(settings, weights, {}, images[split.train])
     return shown, answer(spec, images[shown], loihi_target(), seed).predictions
 
 

@@ -129,3 +129,9 @@ runpy.run_path(sys.argv[0], run_name="__main__")
     assert theirs["samples"] == ours["samples"]
     assert theirs["bundle"] == ours["bundle"]
     assert Path(tiny_run / "bundle" / "checks").exists() is False
+
+
+def test_the_command_starts_without_tensorflow():
+    """Each verb imports it when it trains; a check or a --help does not wait for it."""
+    code = "import sys, pipeline.cli; sys.exit('tensorflow' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
