@@ -14,6 +14,7 @@ from deploy.errors import UserError
 from deploy.files import read_arrays, write_arrays
 from models.notation import parse
 from models.slayer import SpikeResponse, SpikingNetwork, spike_count_loss, spike_counts
+from pipeline.recordings import DURATION_S
 from pipeline.settings import Slayer
 
 
@@ -93,7 +94,12 @@ def train_slayer(
     return TrainedSlayer(kernels, history, trainer.count(test))
 
 
-def layer_spikes(settings: Slayer, kernels, frames, neuron: SpikeResponse | None = None) -> list:
+def spike_response(settings: Slayer) -> SpikeResponse:
+    """The neuron that the settings describe, in time steps of one bin."""
+    return SpikeResponse(DURATION_S / settings.bins, settings.tau_s, settings.tau_r)
+
+
+def layer_spikes(settings: Slayer, kernels, frames) -> list:
     """Spikes of every layer of a trained network.
 
     Parameters
@@ -106,7 +112,7 @@ def layer_spikes(settings: Slayer, kernels, frames, neuron: SpikeResponse | None
     -------
     list of ndarray of bool, shape (n_samples, bins, ...)
     """
-    network = SpikingNetwork(parse(settings.architecture), neuron)
+    network = SpikingNetwork(parse(settings.architecture), spike_response(settings))
     for variable, kernel in zip(network.kernels, kernels, strict=True):
         variable.assign(kernel)
     theta = network.neuron.theta
@@ -118,7 +124,8 @@ class _Trainer:
 
     def __init__(self, settings, frames, labels, seed):
         self.settings, self.seed, self.labels = settings, seed, labels
-        self.network = network = SpikingNetwork(parse(settings.architecture), seed=seed)
+        architecture, neuron = parse(settings.architecture), spike_response(settings)
+        self.network = network = SpikingNetwork(architecture, neuron, seed)
         self.optimizer = tf.keras.optimizers.Adam(settings.learning_rate, amsgrad=True)
         self.optimizer.build(network.kernels)
         outputs = np.eye(network.architecture.outputs, dtype=np.float32)[labels]
@@ -190,7 +197,7 @@ class _Trainer:
 
 def _identity(settings, labels, train, test, seed):
     """What must be the same for a checkpoint to be of this run; more epochs may be asked for."""
-    plain = {**asdict(settings), "epochs": None, "neuron": asdict(SpikeResponse()), "seed": seed}
+    plain = {**asdict(settings), "epochs": None, "seed": seed}
     parts = [np.asarray(part).astype(int) for part in (labels, train, test)]
     sums = [int(np.dot(part, np.arange(1, len(part) + 1)) % (1 << 61)) for part in parts]
     return json.dumps([plain, sums])

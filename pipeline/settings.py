@@ -105,6 +105,11 @@ class Slayer:
     """Desired spikes of the right digit's output neuron (paper)."""
     false_count: float = 10.0
     """Desired spikes of each other output neuron (paper)."""
+    tau_s: float = 0.1
+    """Time constant in seconds of a neuron's response to a spike.  Not given in the paper; the
+    SLAYER authors' own examples have 10 time steps, which are 0.1 s here."""
+    tau_r: float = 0.01
+    """Time constant in seconds of its refractory response; 1 time step in those examples."""
 
 
 @dataclass(frozen=True)
@@ -324,6 +329,8 @@ def _validate(s: Settings, origin):
     need(s.presentation.stream_length >= 1, "presentation.stream_length", "1 or more")
     need(s.check.samples >= 1, "check.samples", "1 or more")
     need(s.slayer.bins >= 1, "slayer.bins", "1 or more")
+    need(s.slayer.tau_s > 0, "slayer.tau_s", "above 0")
+    need(s.slayer.tau_r > 0, "slayer.tau_r", "above 0")
     need(_parsed(s.slayer.architecture, "slayer.architecture", origin).input_shape == (10, 10, 2),
          "slayer.architecture", "for 10x10x2, a channel for each polarity")  # fmt: skip
     architecture = _parsed(s.cnn.architecture, "cnn.architecture", origin)
