@@ -318,7 +318,7 @@ def limits(spec: NetworkSpec, images) -> dict:
     spiking, updating = min(busy), min(idle)
     fan_out = np.diff(network.weights.indptr)
     wires = kernel_numba.wiring(network)
-    lanes_of = np.diff(np.concatenate([[0], np.cumsum(wires.length)])[wires.first])
+    lanes_of = np.diff(np.concatenate([[0], np.cumsum(wires.length)])[wires.first]).sum(axis=0)
     counts = np.concatenate([inputs.sum(axis=(0, 1), dtype=np.int64), steps.counts.sum(axis=0)])
     operations, lanes = int(counts @ fan_out), int(counts @ lanes_of)
     delivering = max(spiking - updating, 1e-9)

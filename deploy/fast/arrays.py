@@ -136,6 +136,23 @@ class Network:
         return (q >= 2**Q_BITS) | (self.largest_inputs >= 2**U_BITS)
 
     @property
+    def is_plain(self):
+        """For each segment, whether the chip's arithmetic comes down to fewer operations there.
+
+        Nothing can overflow, no voltage falls below 0 or reaches ``v_max``, and products of
+        currents and voltages with what they lose in a step, ``4096 - keep``, fit 32 bits.
+        """
+        segments, room = self.segments, 2**31 - 4096
+        threshold = np.maximum.reduceat(self.threshold, segments.start).astype(np.int64)
+        return (
+            ~self.can_overflow
+            & (segments.v_min >= 0)
+            & (threshold + self.largest_inputs <= segments.v_max)
+            & (threshold * (4096 - segments.keep_v) < room)
+            & (self.largest_inputs * (4096 - segments.keep_u) < room)
+        )
+
+    @property
     def weight_type(self):
         """The smallest type of integer that holds every sum of weights."""
         return np.int16 if self.largest_sums.max() < 2**15 else np.int32

@@ -2,15 +2,20 @@
 
 What makes it fast:
 
+- The network is feed-forward, so that a segment of compartments goes through all steps of a call
+  before the next one starts: its state stays in the fastest cache, and the loop over steps works on
+  arrays that were cut out before it, which spares Numba's counting of references.
 - The targets of a spike are neighbours, so its weights are added as vectors: a spike is a few
   runs (place in a pool of weights, first target, length).  Lengths are padded with zero weights to
   whole blocks of `LANES`, and equal runs, of which a convolution has many, share their place in
   the pool, so that the pool stays in the fastest cache.
 - Weights are int16 where no sum of weights can leave int16 (checked), else int32.
-- A stream goes through all steps of a call before the next one starts.
+- Where nothing can overflow and no voltage is negative (`Network.is_plain`), a decay is one
+  multiplication and nothing is wrapped or counted.
 - The update of the compartments is three loops of few arrays each: with more, the compiler gives
-  up on proving that they don't overlap and stops using vector instructions.
-- Numba makes int64 of int32 arithmetic; every intermediate is cast back, for twice the lanes.
+  up on proving that they don't overlap and stops using vector instructions.  It does so too for
+  ``min`` and ``max``, which are calls, for indices that might be negative, and for the int64 that
+  Numba makes of int32 arithmetic; hence conditions, unsigned indices and casts.
 """
 
 from __future__ import annotations
@@ -37,14 +42,19 @@ class Wiring(NamedTuple):
 
     Attributes
     ----------
+    reach : (n_segments, 2) int array
+        The first group of sources, and one past the last, that has weights into each segment; the
+        inputs are group 0, segment s is group s + 1.
     pool : int16 or int32 array
         Weights of all runs, in blocks of `LANES`.
-    first : (n_sources + 1,) int32 array
-        The first run of each source of spikes.
+    first : (n_segments, n_sources + 1) int32 array
+        The first run of each source of spikes into each segment.
     place, target, length : (n_runs,) int32 array
-        Where in the pool a run starts, which compartment it starts at, how long it is.
+        Where in the pool a run starts, which compartment of the segment it starts at, how long it
+        is.
     """
 
+    reach: np.ndarray
     pool: np.ndarray
     first: np.ndarray
     place: np.ndarray
@@ -54,31 +64,42 @@ class Wiring(NamedTuple):
 
 def wiring(network: Network) -> Wiring:
     """Cut the rows of the weight matrix into runs and share the equal ones."""
-    weights = network.weights
     dtype = network.weight_type
     pool, places, size = [], {}, 0
-    first, place, target, length = [0], [], [], []
-    for row in range(weights.shape[0]):
-        part = slice(weights.indptr[row], weights.indptr[row + 1])
-        columns, values = weights.indices[part], weights.data[part]
-        for run in _runs(columns):
-            start = columns[run.start]
-            n_blocks = -(-(columns[run.stop - 1] + 1 - start) // LANES)
-            padded = np.zeros(n_blocks * LANES, dtype)
-            padded[columns[run] - start] = values[run]
-            key = padded.tobytes()
-            if key not in places:
-                places[key] = size
-                pool.append(padded)
-                size += len(padded)
-            place.append(places[key])
-            target.append(start)
-            length.append(len(padded))
-        first.append(len(place))
+    first, place, target, length = [], [], [], []
+    for start, stop in zip(network.segments.start, network.segments.stop):
+        weights = network.weights[:, start:stop]
+        first.append([len(place)])
+        for row in range(weights.shape[0]):
+            part = slice(weights.indptr[row], weights.indptr[row + 1])
+            columns, values = weights.indices[part], weights.data[part]
+            for run in _runs(columns):
+                begin = columns[run.start]
+                n_blocks = -(-(columns[run.stop - 1] + 1 - begin) // LANES)
+                padded = np.zeros(n_blocks * LANES, dtype)
+                padded[columns[run] - begin] = values[run]
+                key = padded.tobytes()
+                if key not in places:
+                    places[key] = size
+                    pool.append(padded)
+                    size += len(padded)
+                place.append(places[key])
+                target.append(begin)
+                length.append(len(padded))
+            first[-1].append(len(place))
+    first = np.array(first, np.int32)
+    edges = np.concatenate([[0, network.n_inputs], network.n_inputs + network.segments.stop])
     return Wiring(
+        np.array([_reach(runs[edges]) for runs in first]),
         np.concatenate(pool) if pool else np.zeros(LANES, dtype),
         *(np.array(part, np.int32) for part in (first, place, target, length)),
     )
+
+
+def _reach(edges):
+    """First group with runs and one past the last, from the runs at the groups' edges."""
+    used = np.flatnonzero(np.diff(edges))
+    return (used[0], used[-1] + 1) if len(used) else (0, 0)
 
 
 def _runs(columns):
@@ -105,12 +126,8 @@ class Kernel:
     def __init__(self, network: Network, decoders):
         self._network = network
         self._wiring = wiring(network)
-        self._can_overflow = network.can_overflow
+        self._is_plain = network.is_plain
         self._decoders = np.ascontiguousarray(decoders, dtype=np.float64)
-        decoding = np.flatnonzero(np.any(decoders != 0, axis=1))
-        self._decoding = (decoding[0], decoding[-1] + 1) if len(decoding) else (0, 0)
-        self._n_words = -(-network.n // WORD)
-        self._n_input_words = -(-network.n_inputs // WORD)
 
     def advance(self, state: State, inputs) -> Steps:
         """Advance several streams by some steps.
@@ -129,35 +146,33 @@ class Kernel:
         network = self._network
         n_streams, n_steps, n_inputs = inputs.shape
         # Row 0 holds the spikes in flight, and rows are padded to whole words.
-        arriving = np.zeros((n_streams, n_steps + 1, self._n_input_words * WORD), np.uint8)
+        arriving = np.zeros((n_streams, n_steps + 1, -(-n_inputs // WORD) * WORD), np.uint8)
         arriving[:, 0, :n_inputs] = state.inputs
         arriving[:, 1:, :n_inputs] = inputs
-        spikes = np.zeros((n_streams, n_steps + 1, self._n_words * WORD), np.uint8)
-        spikes[:, 0, : network.n] = state.spikes
+        spikes = np.empty((n_streams, n_steps, network.n), np.uint8)
         decoded = np.zeros((n_streams, n_steps, self._decoders.shape[1]))
         counts = np.zeros((n_streams, network.n), np.int32)
         overflows = np.zeros((len(network.layers), 3), np.int64)
         advance(
             self._wiring,
             network.segments,
-            self._can_overflow,
+            self._is_plain,
             network.bias,
             network.threshold,
             self._decoders,
-            self._decoding,
             arriving.view(np.uint64),
             state.current,
             state.voltage,
             state.refractory,
+            state.spikes,
             spikes,
-            spikes.view(np.uint64),
             decoded,
             counts,
             overflows,
         )
         state.inputs = arriving[:, -1, :n_inputs].copy()
-        state.spikes = spikes[:, -1, : network.n].copy()
-        return Steps(spikes[:, 1:, : network.n], decoded, counts, overflows)
+        state.spikes = spikes[:, -1].copy()
+        return Steps(spikes, decoded, counts, overflows)
 
 
 def _jit(**options):
@@ -173,35 +188,36 @@ def _jit(**options):
 
 
 @_jit()
-def _collect(words, in_use, events):
-    """List the positions of the bytes that are 1; returns how many.
+def _list(words, row, first_source, in_use, events, n):
+    """Append the sources whose bytes are 1 in a row; returns how long the list is then.
 
     Most words are 0; listing the others first, without a branch, leaves little to mispredict.
     """
-    n_in_use = 0
-    for w in range(len(words)):
+    row, n, n_in_use = uint64(row), uint64(n), uint64(0)
+    for w in range(uint64(words.shape[1])):
         in_use[n_in_use] = w
-        n_in_use += words[w] != 0
-    n = 0
+        n_in_use += uint64(words[row, w] != 0)
     for j in range(n_in_use):
-        w = in_use[j]
-        word = words[w]
+        w = uint64(in_use[j])
+        word = words[row, w]
+        first = int32(first_source + int32(WORD * w))
         while word:
             lowest = word & (~word + uint64(1))
             # A multiplication by 2**(8 k) brings byte 7 - k of the constant, which is k, on top.
-            events[n] = int32(8 * w) + int32((lowest * uint64(0x0001020304050607)) >> uint64(56))
-            n += 1
+            events[n] = first + int32((lowest * uint64(0x0001020304050607)) >> uint64(56))
+            n += uint64(1)
             word ^= lowest
     return n
 
 
 @_jit()
-def _deliver(wiring, first_source, events, n_events, total):
-    """Add the weights of each spike to the totals of its targets."""
-    # Unsigned indices spare the check for negative ones, and with it the vectors are kept.
-    for e in range(n_events):
-        source = first_source + events[e]
-        for run in range(wiring.first[source], wiring.first[source + 1]):
+def _deliver(wiring, segment, events, begin, end, total):
+    """Add the weights of some spikes to the totals of a segment's compartments."""
+    segment = uint64(segment)
+    for e in range(uint64(begin), uint64(end)):
+        source = uint64(events[e])
+        first, last = wiring.first[segment, source], wiring.first[segment, source + uint64(1)]
+        for run in range(uint64(first), uint64(last)):
             to, place = uint64(wiring.target[run]), uint64(wiring.place[run])
             for i in range(uint64(wiring.length[run])):
                 total[to + i] += wiring.pool[place + i]
@@ -226,19 +242,34 @@ def _wrap(x, spare):
 
 
 @_jit()
-def _currents(keep, shift, total, current):
-    """u <- decay(u) + q, where nothing can overflow; clears the totals."""
+def _plain_currents(lose, scale, total, current):
+    """u <- decay(u) + q in a plain segment; clears the totals.
+
+    decay(u) is u less ``|u| * lose / 4096`` rounded away from 0, one multiplication.
+    """
     for i in range(len(current)):
-        current[i] = int32(_decay(current[i], keep) + int32(int32(total[i]) << shift))
+        u = current[i]
+        lost = int32(int32(u * lose) + int32(int32(4095) & ~int32(u >> int32(31)))) >> int32(12)
+        current[i] = int32(int32(u - lost) + int32(int32(total[i]) * scale))
         total[i] = 0
 
 
 @_jit()
-def _wrapped_currents(keep, shift, total, current):
+def _plain_voltages(lose, v_min, bias, current, voltage):
+    """v <- max(decay(v) + u + bias, v_min) in a plain segment, where v is never below 0."""
+    for i in range(len(voltage)):
+        v = voltage[i]
+        lost = int32(int32(v * lose) + int32(4095)) >> int32(12)
+        v = int32(int32(v - lost) + int32(current[i] + bias[i]))
+        voltage[i] = v if v > v_min else v_min
+
+
+@_jit()
+def _currents(keep, scale, total, current):
     """u <- wrap(decay(u) + wrap(q)); clears the totals; counts the overflows of q and of u."""
     over_q, over_u = int32(0), int32(0)
     for i in range(len(current)):
-        q = int32(int32(total[i]) << shift)
+        q = int32(int32(total[i]) * scale)
         total[i] = 0
         arriving = _wrap(q, _Q)
         u = int32(_decay(current[i], keep) + arriving)
@@ -251,21 +282,14 @@ def _wrapped_currents(keep, shift, total, current):
 
 @_jit()
 def _voltages(keep, v_min, v_max, bias, current, voltage):
-    """v <- clip(decay(v) + u + bias), where nothing can overflow."""
-    for i in range(len(voltage)):
-        v = int32(_decay(voltage[i], keep) + int32(current[i] + bias[i]))
-        voltage[i] = min(max(v, v_min), v_max)
-
-
-@_jit()
-def _wrapped_voltages(keep, v_min, v_max, bias, current, voltage):
     """v <- clip(decay(v) + wrap(u + bias)); counts the overflows of the sum."""
     over = int32(0)
     for i in range(len(voltage)):
         u = int32(current[i] + bias[i])
         wrapped = _wrap(u, _U)
         v = int32(_decay(voltage[i], keep) + wrapped)
-        voltage[i] = min(max(v, v_min), v_max)
+        v = v if v > v_min else v_min
+        voltage[i] = v if v < v_max else v_max
         over += int32(wrapped != u)
     return over
 
@@ -275,8 +299,18 @@ def _fire(threshold, voltage, spikes):
     """Spikes of compartments without a refractory period."""
     for i in range(len(voltage)):
         fires = voltage[i] > threshold[i]
-        spikes[i] = fires
+        spikes[0, i] = fires
         voltage[i] = int32(0) if fires else voltage[i]
+
+
+@_jit()
+def _fire_once(threshold, voltage, spikes):
+    """Spikes of compartments that are held at 0 in the step after each: those that spiked last."""
+    for i in range(len(voltage)):
+        v = int32(0) if spikes[0, i] else voltage[i]
+        fires = v > threshold[i]
+        spikes[0, i] = fires
+        voltage[i] = int32(0) if fires else v
 
 
 @_jit()
@@ -286,7 +320,7 @@ def _fire_refractory(period, threshold, voltage, waiting, spikes):
         wait = waiting[i]
         v = int32(0) if wait > int32(0) else voltage[i]
         fires = v > threshold[i]
-        spikes[i] = fires
+        spikes[0, i] = fires
         voltage[i] = int32(0) if fires else v
         wait = int32(wait - int32(1)) if wait > int32(0) else int32(0)
         waiting[i] = period if fires else wait
@@ -296,61 +330,121 @@ def _fire_refractory(period, threshold, voltage, waiting, spikes):
 def advance(
     wiring,
     segments,
-    can_overflow,
+    is_plain,
     bias,
     threshold,
     decoders,
-    decoding,
     arriving,
     current,
     voltage,
     refractory,
+    in_flight,
     spikes,
-    words,
     decoded,
     counts,
     overflows,
 ):
-    """All streams through all steps; `Kernel.advance` says what the arrays are."""
+    """All streams through all steps; `Kernel.advance` says what the arrays are.
+
+    A segment goes through all steps before the next one starts, so that the spikes that arrive at
+    it are all known: lists of sources for each step, of the inputs and of the segments before it.
+    """
     n_streams, n_steps = decoded.shape[0], decoded.shape[1]
-    n_inputs = len(wiring.first) - 1 - len(bias)
-    total = np.zeros(len(bias) + LANES, wiring.pool.dtype)
-    events = np.empty(spikes.shape[2], np.int32)
-    input_events = np.empty(8 * arriving.shape[2], np.int32)
-    in_use = np.empty(max(arriving.shape[2], words.shape[2]), np.int32)
+    n_inputs = wiring.first.shape[1] - 1 - len(bias)
+    widest = np.max(segments.stop - segments.start)
+    total = np.zeros(widest + LANES, wiring.pool.dtype)
+    row = np.zeros((1, -(-widest // WORD) * WORD), np.uint8)
+    in_use = np.empty(max(arriving.shape[2], row.shape[1] // WORD), np.int32)
+    # Spikes of the inputs, then of each segment; those at row t are from ends[t] to ends[t + 1].
+    events = np.empty((n_steps + 1) * wiring.first.shape[1], np.int32)
+    ends = np.zeros((len(segments.start) + 1, n_steps + 2), np.int64)
     for b in range(n_streams):
-        u, v, waiting = current[b], voltage[b], refractory[b]
-        n_events = _collect(words[b, 0], in_use, events)
-        for t in range(n_steps):
-            n_arriving = _collect(arriving[b, t], in_use, input_events)
-            _deliver(wiring, 0, input_events, n_arriving, total)
-            _deliver(wiring, n_inputs, events, n_events, total)
-            row = spikes[b, t + 1]
-            for s in range(len(segments.start)):
-                layer, period = segments.layer[s], segments.refractory[s]
-                part = slice(segments.start[s], segments.stop[s])
-                keep_u, keep_v = segments.keep_u[s], segments.keep_v[s]
-                v_min, v_max = segments.v_min[s], segments.v_max[s]
-                q_part, u_part, v_part = total[part], u[part], v[part]
-                if can_overflow[s]:
-                    over_q, over_u = _wrapped_currents(keep_u, segments.shift[s], q_part, u_part)
-                    over = _wrapped_voltages(keep_v, v_min, v_max, bias[part], u_part, v_part)
-                    overflows[layer, 0] += over_q
-                    overflows[layer, 1] += over_u
-                    overflows[layer, 2] += over
-                else:
-                    _currents(keep_u, segments.shift[s], q_part, u_part)
-                    _voltages(keep_v, v_min, v_max, bias[part], u_part, v_part)
-                if period:
-                    _fire_refractory(period, threshold[part], v_part, waiting[part], row[part])
-                else:
-                    _fire(threshold[part], v_part, row[part])
-            n_events = _collect(words[b, t + 1], in_use, events)
-            for e in range(n_events):
-                counts[b, events[e]] += 1
-                if decoding[0] <= events[e] < decoding[1]:
-                    for k in range(decoders.shape[1]):
-                        decoded[b, t, k] += decoders[events[e], k]
+        for t in range(n_steps + 1):
+            ends[0, t + 1] = _list(arriving[b], t, int32(0), in_use, events, ends[0, t])
+        for s in range(len(segments.start)):
+            part = slice(segments.start[s], segments.stop[s])
+            row[:] = 0
+            row[0, : part.stop - part.start] = in_flight[b, part]
+            _advance_segment(
+                wiring,
+                segments,
+                s,
+                is_plain[s],
+                bias[part],
+                threshold[part],
+                current[b, part],
+                voltage[b, part],
+                refractory[b, part],
+                total,
+                row,
+                row.view(np.uint64),
+                in_use,
+                events,
+                ends,
+                spikes[b, :, part],
+                overflows[segments.layer[s]],
+            )
+            for t in range(n_steps):
+                for e in range(ends[s + 1, t + 1], ends[s + 1, t + 2]):
+                    neuron = uint64(events[e] - n_inputs)
+                    counts[b, neuron] += 1
+                    for k in range(uint64(decoders.shape[1])):
+                        decoded[b, t, k] += decoders[neuron, k]
+
+
+@_jit()
+def _advance_segment(
+    wiring,
+    segments,
+    s,
+    is_plain,
+    bias,
+    threshold,
+    current,
+    voltage,
+    waiting,
+    total,
+    row,
+    words,
+    in_use,
+    events,
+    ends,
+    spikes,
+    overflows,
+):
+    """One segment of one stream through all steps; appends its spikes to the list."""
+    n_inputs = wiring.first.shape[1] - 1 - segments.stop[-1]
+    first_source = int32(n_inputs + segments.start[s])
+    period, scale = segments.refractory[s], int32(int32(1) << segments.shift[s])
+    keep_u, keep_v = segments.keep_u[s], segments.keep_v[s]
+    lose_u, lose_v = int32(4096 - keep_u), int32(4096 - keep_v)
+    v_min, v_max = segments.v_min[s], segments.v_max[s]
+    nearest, farthest = wiring.reach[s]
+    ends[s + 1, 0] = ends[s, -1]
+    ends[s + 1, 1] = _list(words, 0, first_source, in_use, events, ends[s + 1, 0])
+    for t in range(spikes.shape[0]):
+        for source in range(nearest, farthest):
+            _deliver(wiring, s, events, ends[source, t], ends[source, t + 1], total)
+        if is_plain:
+            _plain_currents(lose_u, scale, total, current)
+            _plain_voltages(lose_v, v_min, bias, current, voltage)
+        else:
+            over_q, over_u = _currents(keep_u, scale, total, current)
+            over = _voltages(keep_v, v_min, v_max, bias, current, voltage)
+            overflows[0] += over_q
+            overflows[1] += over_u
+            overflows[2] += over
+        if period == 1:
+            _fire_once(threshold, voltage, row)
+        elif period:
+            _fire_refractory(period, threshold, voltage, waiting, row)
+        else:
+            _fire(threshold, voltage, row)
+        ends[s + 1, t + 2] = _list(words, 0, first_source, in_use, events, ends[s + 1, t + 1])
+        for i in range(uint64(spikes.shape[1])):
+            spikes[t, i] = row[0, i]
+    if period == 1:
+        waiting[:] = row[0, : len(waiting)]
 
 
 def is_compiled():

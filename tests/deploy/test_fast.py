@@ -29,6 +29,7 @@ from tests.deploy.fast_networks import Watching, images_for, random_spec, refere
 from tests.deploy.networks import bundle_at, paper_spec, small_spec
 
 pytest.importorskip("numba")
+from deploy.fast import kernel_numba
 
 
 @pytest.mark.slow
@@ -51,6 +52,7 @@ def test_identical_to_the_emulator_in_every_compartment_at_every_step(seed):
     for kernel in ("numba", "numpy"):
         assert_identical(spec, images, expected, kernel)
     event(f"overflows: {expected.overflows.any()}")
+    event(f"plain: {quietly(compile_spec, spec).network.is_plain.tolist()}")
     event(f"spikes on the chip: {expected.spiked.any()}")
     event(f"output: {spec.layers[-1].placement}, neurons {spec.layers[-1].neurons is not None}")
     event(f"first layer: {spec.layers[0].placement}")
@@ -115,6 +117,7 @@ def test_the_papers_network_is_identical_in_all_compartments(placement):
     spec = replace(spec, encoder=spec.encoder if placement == "chip" else None, layers=layers)
     images = images_for(spec, 2)
     expected = reference(spec, images)
+    assert compile_spec(spec).network.is_plain.all()
     for kernel in ("numba", "numpy"):
         assert_identical(spec, images, expected, kernel)
     assert all(spikes.any() for spikes in expected.spikes.values())
@@ -249,6 +252,37 @@ def test_decay_by_hand():
     decayed = x.astype(float)
     kernel_numpy._decay(decayed, 3354 / 4096)
     assert decayed.tolist() == [int(np.sign(v)) * (abs(int(v)) * 3354 // 4096) for v in x]
+
+
+@pytest.mark.parametrize("lose", [1, 200, 481, 4000])
+def test_plain_arithmetic_up_to_where_it_is_exact(lose):
+    largest = (2**31 - 4096) // lose - 1
+    x = np.array([0, 1, 4095, 4096, 4097, largest - 1, largest], np.int32)
+    u, v = np.concatenate([-x, x]), x.copy()
+    kernel_numba._plain_currents(np.int32(lose), np.int32(2), np.ones(14, np.int16), u)
+    kept = [a * (4096 - lose) // 4096 for a in x.tolist()]
+    assert u.tolist() == [2 - a for a in kept] + [2 + a for a in kept]
+    zero = np.zeros(7, np.int32)
+    kernel_numba._plain_voltages(np.int32(lose), np.int32(0), zero, zero, v)
+    assert v.tolist() == kept
+
+
+def test_a_segment_is_plain_only_where_that_gives_the_same():
+    network = compile_spec(paper_spec()).network
+    bounds = network.segments
+    assert network.is_plain.all()
+    for changed in (
+        {"v_min": np.full_like(bounds.v_min, -1)},
+        {"v_max": network.largest_inputs.astype(np.int32)},
+        {"keep_u": np.ones_like(bounds.keep_u), "shift": bounds.shift + 3},
+        {"keep_v": np.ones_like(bounds.keep_v), "shift": bounds.shift},
+    ):
+        segments = bounds._replace(**changed)
+        threshold = np.maximum(network.threshold, 2**20)
+        other = replace(network, segments=segments, threshold=threshold)
+        assert not other.is_plain.any(), changed
+    loud = replace(network, bias=np.full_like(network.bias, 2**23))
+    assert not loud.is_plain.any()
 
 
 def test_wrap_by_hand():
