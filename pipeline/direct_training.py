@@ -125,7 +125,8 @@ class _Trainer:
     def __init__(self, settings, frames, labels, seed):
         self.settings, self.seed, self.labels = settings, seed, labels
         architecture, neuron = parse(settings.architecture), spike_response(settings)
-        self.network = network = SpikingNetwork(architecture, neuron, seed)
+        scales = settings.conv_scale, settings.dense_scale
+        self.network = network = SpikingNetwork(architecture, neuron, seed, *scales)
         self.optimizer = tf.keras.optimizers.Adam(settings.learning_rate, amsgrad=True)
         self.optimizer.build(network.kernels)
         outputs = np.eye(network.architecture.outputs, dtype=np.float32)[labels]

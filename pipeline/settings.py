@@ -110,6 +110,11 @@ class Slayer:
     SLAYER authors' own examples have 10 time steps, which are 0.1 s here."""
     tau_r: float = 0.01
     """Time constant in seconds of its refractory response; 1 time step in those examples."""
+    conv_scale: float = 10.0
+    """How far the first weights of a convolution reach, in units of 1/sqrt(inputs).  The authors'
+    code has 100 there and 10 below; with 100 learning is slower (results/README.md)."""
+    dense_scale: float = 10.0
+    """The same of the output layer's weights."""
 
 
 @dataclass(frozen=True)
@@ -329,8 +334,8 @@ def _validate(s: Settings, origin):
     need(s.presentation.stream_length >= 1, "presentation.stream_length", "1 or more")
     need(s.check.samples >= 1, "check.samples", "1 or more")
     need(s.slayer.bins >= 1, "slayer.bins", "1 or more")
-    need(s.slayer.tau_s > 0, "slayer.tau_s", "above 0")
-    need(s.slayer.tau_r > 0, "slayer.tau_r", "above 0")
+    for name in ("tau_s", "tau_r", "conv_scale", "dense_scale"):
+        need(getattr(s.slayer, name) > 0, f"slayer.{name}", "above 0")
     need(_parsed(s.slayer.architecture, "slayer.architecture", origin).input_shape == (10, 10, 2),
          "slayer.architecture", "for 10x10x2, a channel for each polarity")  # fmt: skip
     architecture = _parsed(s.cnn.architecture, "cnn.architecture", origin)
