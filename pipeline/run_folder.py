@@ -146,3 +146,11 @@ def is_current(metrics: Path, stamp: str, *artifacts: Path) -> bool:
         return False
     remedy = "delete it and run the command again"
     return read_json(metrics, remedy).get("made_from") == stamp
+
+
+def read_stamped(path: Path, stamp: str) -> dict | None:
+    """A result written with ``made_from``, or None if it is missing or of another stamp."""
+    if not path.exists():
+        return None
+    result = read_json(path, "delete it and run the command again")
+    return result if result.get("made_from") == stamp else None

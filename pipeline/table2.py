@@ -15,17 +15,16 @@ from pathlib import Path
 import numpy as np
 
 from deploy import __version__
-from deploy.files import read_json, write_json
+from deploy.files import write_json
 from deploy.targets import TARGETS, answer
 from pipeline.history import write_history
 from pipeline.images import tactile_images
-from pipeline.run_folder import stamp_of
+from pipeline.run_folder import read_stamped, stamp_of
 from pipeline.settings import Settings
 from pipeline.sources import load_recordings
 from pipeline.splits import Split, draw_check_samples, random_split, writer_split
 
 SCHEMA = "stmnist-table2-split/1"
-REMEDY = "delete it and run the benchmark again"
 KINDS = ("random", "writers")
 TOGETHER = 5
 """Splits of a job at most: more of them train no faster, and an interruption loses more."""
@@ -178,10 +177,7 @@ def split_path(folder: Path, kind: str, index: int, model: str) -> Path:
 def read_split(benchmark: Benchmark, kind: str, index: int, model: str) -> dict | None:
     """The result of a model on a split, or None if it is missing or of other settings."""
     path = split_path(benchmark.folder, kind, index, model)
-    if not path.exists():
-        return None
-    result = read_json(path, REMEDY)
-    return result if result.get("made_from") == stamp(benchmark, model) else None
+    return read_stamped(path, stamp(benchmark, model))
 
 
 def write_splits(job: Job, results: list):

@@ -11,13 +11,13 @@ from typing import Annotated
 import typer
 
 from deploy.errors import CheckFailed
-from deploy.files import read_json, write_json
+from deploy.files import write_json
 from pipeline import losses
 from pipeline.commands import options
 from pipeline.commands.benchmark import app
 from pipeline.parallel import Failure, run_jobs
 from pipeline.progress import progress
-from pipeline.run_folder import RunFolder, stamp_of
+from pipeline.run_folder import RunFolder, read_stamped, stamp_of
 from pipeline.sources import load_recordings
 
 
@@ -45,7 +45,7 @@ def losses_(
             chosen.source, chosen.simulation_seed, chosen.samples_per_digit, chosen.skip_bad, jobs
         )
         stamp = stamp_of(recordings.source.sha256, asdict(resolved))
-        results = {seed: _read(out, seed, stamp) for seed in range(seeds)}
+        results = {seed: read_stamped(_path(out, seed), stamp) for seed in range(seeds)}
         todo = [losses.Job(resolved, seed) for seed, result in results.items() if result is None]
         with progress("losses", len(todo)) as advance:
             for job, result in run_jobs(losses.measure, todo, jobs):
@@ -68,11 +68,3 @@ def losses_(
 
 def _path(out, seed):
     return out / f"seed-{seed:02d}.json"
-
-
-def _read(out, seed, stamp):
-    path = _path(out, seed)
-    if not path.exists():
-        return None
-    result = read_json(path, "delete it and run the benchmark again")
-    return result if result.pop("made_from", None) == stamp else None
