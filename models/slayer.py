@@ -242,7 +242,8 @@ class SpikingNetwork(tf.Module):
         Of the initial weights: uniform in +-scale/sqrt(fan-in).
     conv_scale, dense_scale : float
         How far the initial weights reach.  They must be large enough for spikes to reach the
-        output, without which there is no gradient to learn from.
+        output, without which there is no gradient to learn from.  The defaults are those of the
+        authors' code.
 
     Attributes
     ----------
@@ -256,7 +257,7 @@ class SpikingNetwork(tf.Module):
         architecture: Architecture,
         neuron: SpikeResponse | None = None,
         seed: int = 0,
-        conv_scale: float = 10.0,
+        conv_scale: float = 100.0,
         dense_scale: float = 10.0,
     ):
         super().__init__()

@@ -110,11 +110,12 @@ class Slayer:
     SLAYER authors' own examples have 10 time steps, which are 0.1 s here."""
     tau_r: float = 0.01
     """Time constant in seconds of its refractory response; 1 time step in those examples."""
-    conv_scale: float = 10.0
-    """How far the first weights of a convolution reach, in units of 1/sqrt(inputs).  The authors'
-    code has 100 there and 10 below; with 100 learning is slower (results/README.md)."""
+    conv_scale: float = 100.0
+    """How far the first weights of a convolution reach, in units of 1/sqrt(inputs): that of the
+    SLAYER authors' code, which the paper used unmodified.  10 does far better
+    (results/README.md)."""
     dense_scale: float = 10.0
-    """The same of the output layer's weights."""
+    """The same of the output layer's weights, from the same code."""
 
 
 @dataclass(frozen=True)

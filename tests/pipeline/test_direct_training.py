@@ -8,6 +8,7 @@ from pipeline.settings import Slayer
 SETTINGS = Slayer(
     architecture="10x10x2-4c2-6c3-3o", bins=40, epochs=6, batch_size=8, learning_rate=0.05,
     true_count=10.0, false_count=1.0, tau_s=0.5, tau_r=0.05,
+    conv_scale=10.0,
 )  # fmt: skip
 
 
