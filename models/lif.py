@@ -104,16 +104,22 @@ class RateLIF(tf.keras.layers.Layer):
         """Rates relative to ``max_rate``; adds the cost of the spikes to the loss in training."""
         if training and self.noise:
             inputs = inputs + tf.random.normal(tf.shape(inputs), stddev=self.noise)
+        rates = self.rates(inputs)
+        if training and self.spike_costs is not None:
+            self.add_loss(tf.reduce_mean(self.cost(rates)))
+        return rates
+
+    def rates(self, inputs):
+        """Rates relative to ``max_rate``, without noise."""
         smooth = self._rate(self.smoothing * tf.math.softplus(self.gain * inputs / self.smoothing))
         exact = tf.where(inputs > 0, self._rate(self.gain * inputs), 0.0)
         # The value of the exact rate with the gradient of the smooth one.
-        rates = smooth + tf.stop_gradient(exact - smooth)
-        if training and self.spike_costs is not None:
-            per_sample = tf.reduce_sum(
-                rates * self.spike_costs, axis=tuple(range(1, len(inputs.shape)))
-            )
-            self.add_loss(tf.reduce_mean(per_sample))
-        return rates
+        return smooth + tf.stop_gradient(exact - smooth)
+
+    def cost(self, rates):
+        """Cost of the spikes of each sample; the last dimensions are those of ``spike_costs``."""
+        dimensions = len(self.spike_costs.shape)
+        return tf.reduce_sum(rates * self.spike_costs, axis=tuple(range(-dimensions, 0)))
 
     def _rate(self, excess):
         rise = self.tau_rc * tf.math.log1p(1 / tf.maximum(excess, 1e-12))

@@ -12,13 +12,21 @@ BIAS_BITS = 12
 """Bits of the mantissa of a bias current."""
 
 
-def eight_bits(weights):
+def eight_bits(weights, stacked=False):
     """Round weights to 8 bits with one scale for all of them; the gradient passes unchanged.
 
     NengoLoihi scales the weights of a block so that the largest fills 8 bits
     (``discretize_weights``).
+
+    Parameters
+    ----------
+    weights : tensor
+    stacked : bool
+        The first dimension is of several networks, each with a scale of its own.
     """
-    scale = tf.maximum(tf.reduce_max(tf.abs(weights)), 1e-12) / WEIGHT_LEVELS
+    axes = tuple(range(int(stacked), len(weights.shape)))
+    largest = tf.reduce_max(tf.abs(weights), axes, keepdims=True)
+    scale = tf.maximum(largest, 1e-12) / WEIGHT_LEVELS
     return weights + tf.stop_gradient(tf.round(weights / scale) * scale - weights)
 
 
@@ -48,6 +56,12 @@ class OnChipConv2D(tf.keras.layers.Conv2D):
 
     def call(self, inputs):
         """Convolve; shapes as in ``Conv2D``."""
-        signal = tf.nn.conv2d(inputs, eight_bits(self.kernel), strides=1, padding="VALID")
-        bias = (twelve_bits(1 + self.gain * self.bias) - 1) / self.gain
-        return tf.nn.bias_add(signal, bias)
+        kernel, bias = self.on_chip(self.kernel, self.bias)
+        return tf.nn.bias_add(tf.nn.conv2d(inputs, kernel, strides=1, padding="VALID"), bias)
+
+    def on_chip(self, kernel, bias, stacked=False):
+        """Kernel and bias as the chip has them; ``stacked`` as in :func:`eight_bits`."""
+        return (
+            eight_bits(kernel, stacked),
+            (twelve_bits(1 + self.gain * bias) - 1) / self.gain,
+        )

@@ -2,10 +2,10 @@
 
 A network of the paper's size keeps a core busy for a fraction of the time that Keras needs to start
 each step.  Here the weights of n networks are stacked along a new first axis and one compiled step
-does a batch of each of them.  Each network sees its own samples in its own order; nothing passes
-between them, so that each ends as it would have alone, but for rounding.  (A network with fewer
-samples than the largest has empty batches at the end of an epoch; they leave its weights as they
-are, but RMSProp's memory of squared gradients fades a little in them.)
+does a batch of each of them.  Each network sees its own samples in its own order, and noise of its
+own; nothing passes between them, so that each ends as it would have alone, but for rounding.  A
+network with fewer samples than the largest waits while the others finish their epoch; the optimiser
+counts its steps on, which shifts its schedule, and Adam's start, by as much.
 """
 
 from __future__ import annotations
@@ -13,9 +13,12 @@ from __future__ import annotations
 import numpy as np
 import tensorflow as tf
 
+from models.lif import RateLIF
+from models.quantised import OnChipConv2D
 
-def fit_together(models, data, parts, seeds, epochs, batch_size, learning_rate, advance=None):
-    """Train networks that put out logits: sparse categorical cross-entropy, RMSProp.
+
+def fit_together(models, data, parts, seeds, epochs, batch_size, optimizer, advance=None):
+    """Train networks that put out logits: sparse categorical cross-entropy, price of spikes.
 
     Parameters
     ----------
@@ -26,9 +29,10 @@ def fit_together(models, data, parts, seeds, epochs, batch_size, learning_rate, 
     parts : sequence of ndarray of int
         For each model the indices of its training samples; they may differ in number.
     seeds : sequence of int
-        For each model, of the order of its samples.
+        For each model, of the order of its samples and of its noise.
     epochs, batch_size : int
-    learning_rate : float
+    optimizer : tf.keras.optimizers.Optimizer
+        A new one; its learning rate may be a schedule of the largest network's batches.
     advance : callable, optional
         ``advance(1, note)`` after each epoch.
 
@@ -37,7 +41,7 @@ def fit_together(models, data, parts, seeds, epochs, batch_size, learning_rate, 
     list of list of dict
         For each model a history: ``epoch``, ``loss``, ``accuracy`` in each row.
     """
-    stack = Stack(models, data, learning_rate)
+    stack = Stack(models, data, optimizer)
     histories = [[] for _ in models]
     for epoch in range(epochs):
         losses, shares = stack.train_epoch(parts, seeds, epoch, batch_size)
@@ -58,7 +62,7 @@ class Stack:
         Their weights are those of the start until :meth:`unstack`.
     """
 
-    def __init__(self, models, data, learning_rate):
+    def __init__(self, models, data, optimizer):
         self.models = models
         self._variables = variables = [
             tf.Variable(tf.stack([v.numpy() for v in group]), name=f"stacked{i}")
@@ -67,23 +71,29 @@ class Stack:
         self._images = tf.constant(data[0], tf.float32)
         self._labels = tf.constant(data[1], tf.int32)
         layers = models[0].layers
-        optimizer = tf.keras.optimizers.RMSprop(learning_rate)
         optimizer.build(variables)
+        # Everything that a step changes and that has a part for each network.
+        stacked = variables + [v for v in optimizer.variables if v.shape.rank]
 
         @tf.function(autograph=False, jit_compile=True)
-        def step(images, labels, mask):
+        def step(images, labels, mask, noise_seeds):
+            counts = tf.reduce_sum(mask, 1)
             with tf.GradientTape() as tape:
-                logits = forward_together(layers, variables, images)
-                losses = mask * tf.nn.sparse_softmax_cross_entropy_with_logits(labels, logits)
+                logits, costs = forward_together(layers, variables, images, noise_seeds)
+                losses = tf.nn.sparse_softmax_cross_entropy_with_logits(labels, logits) + costs
                 # Each network's mean over its samples; the means only stand in one sum.
-                counts = tf.maximum(tf.reduce_sum(mask, 1), 1.0)
-                total = tf.reduce_sum(tf.reduce_sum(losses, 1) / counts)
+                means = tf.reduce_sum(mask * losses, 1) / tf.maximum(counts, 1.0)
+                total = tf.reduce_sum(means)
+            before = [tf.identity(v) for v in stacked]
             optimizer.apply_gradients(
                 zip(tape.gradient(total, variables), variables, strict=True),
                 skip_gradients_aggregation=True,
             )
+            for variable, old in zip(stacked, before, strict=True):
+                waits = tf.reshape(counts == 0, (-1, *[1] * (len(old.shape) - 1)))
+                variable.assign(tf.where(waits, old, variable))
             right = mask * tf.cast(tf.argmax(logits, 2, tf.int32) == labels, tf.float32)
-            return tf.stack([tf.reduce_sum(losses, 1), tf.reduce_sum(right, 1)])
+            return tf.stack([means * counts, tf.reduce_sum(right, 1)])
 
         self._step = step
 
@@ -103,6 +113,7 @@ class Stack:
                 tf.gather(self._images, batch),
                 tf.gather(self._labels, batch),
                 tf.constant(mask[:, start : start + batch_size]),
+                tf.constant([[seed, epoch * order.shape[1] + start] for seed in seeds]),
             ).numpy()
         return sums / np.array([len(part) for part in parts])
 
@@ -113,7 +124,7 @@ class Stack:
                 variable.assign(stacked[index])
 
 
-def forward_together(layers, variables, images):
+def forward_together(layers, variables, images, noise_seeds=None):
     """Logits of n networks, each on images of its own.
 
     Parameters
@@ -123,10 +134,14 @@ def forward_together(layers, variables, images):
     variables : list of tensors
         Kernels and biases in order, stacked along the first axis.
     images : tensor, shape (n, batch, rows, columns, channels)
+    noise_seeds : tensor of int, shape (n, 2), optional
+        Of the noise on each network's neurons, as in training; without, there is none.
 
     Returns
     -------
-    tensor, shape (n, batch, outputs)
+    logits : tensor, shape (n, batch, outputs)
+    costs : tensor, shape (n, batch), or 0.0
+        Price of the spikes of each sample.
 
     Raises
     ------
@@ -134,11 +149,20 @@ def forward_together(layers, variables, images):
         There is a layer of a kind that this does not know.
     """
     n, batch = images.shape[:2]
-    signal, remaining = images, iter(variables)
-    for layer in layers:
+    signal, costs, remaining = images, 0.0, iter(variables)
+    for number, layer in enumerate(layers):
         # Exact types: a subclass may compute with something else than its kernel.
         if type(layer) is tf.keras.layers.Conv2D:
             signal = _convolve(signal, next(remaining), next(remaining))
+        elif type(layer) is OnChipConv2D:
+            kernel, bias = layer.on_chip(next(remaining), next(remaining), stacked=True)
+            signal = _convolve(signal, kernel, bias)
+        elif type(layer) is RateLIF:
+            if layer.noise and noise_seeds is not None:
+                signal += layer.noise * _normal(signal.shape, noise_seeds, number)
+            signal = layer.rates(signal)
+            if layer.spike_costs is not None:
+                costs += layer.cost(signal)
         elif type(layer) is tf.keras.layers.Dense:
             signal = tf.matmul(signal, next(remaining)) + next(remaining)[:, None]
         elif isinstance(layer, tf.keras.layers.Flatten):
@@ -147,7 +171,15 @@ def forward_together(layers, variables, images):
             signal = layer(signal)  # neurons, one by one
         elif layer.weights:
             raise ValueError(f"layer {layer.name!r}: {type(layer).__name__} cannot be stacked")
-    return signal
+    return signal, costs
+
+
+def _normal(shape, seeds, number):
+    """Standard normal numbers, those of each network from its own seed, for a layer."""
+    fold_in = tf.random.experimental.stateless_fold_in
+    return tf.stack(
+        [tf.random.stateless_normal(shape[1:], fold_in(seed, number)) for seed in tf.unstack(seeds)]
+    )
 
 
 def _convolve(signal, kernel, bias):

@@ -1,12 +1,20 @@
-"""The paper's networks for several splits at once: the same recipe, in a fraction of the time."""
+"""The networks of several splits at once: the same recipes, in a fraction of the time."""
 
 from __future__ import annotations
 
-from models.cnn import build_cnn, get_weights
+from models.cnn import build_cnn, get_weights, set_weights
 from models.notation import parse
 from models.together import fit_together
 from pipeline.settings import Settings
-from pipeline.training import Trained, build_rate_network, make_deterministic, snn_recipe
+from pipeline.training import (
+    Recipe,
+    Trained,
+    build_rate_network,
+    make_deterministic,
+    optimizer,
+    scale_to_unit,
+    snn_recipe,
+)
 
 
 def train_cnns(settings: Settings, data, parts, seeds, advance=None) -> list:
@@ -29,33 +37,40 @@ def train_cnns(settings: Settings, data, parts, seeds, advance=None) -> list:
     list of Trained
     """
 
-    def build():
-        return build_cnn(parse(settings.cnn.architecture))
+    cnn = settings.cnn
+    recipe = Recipe(cnn.epochs, cnn.batch_size, cnn.learning_rate)
 
-    return _train(build, settings.cnn, data, parts, seeds, advance)
+    def start(index):
+        return build_cnn(parse(cnn.architecture))
+
+    return _train(start, recipe, data, parts, seeds, advance)
 
 
-def train_rate_networks(settings: Settings, data, parts, seeds, advance=None) -> list:
-    """Train with rate-based LIF neurons from new weights, the paper's recipe (Section 3.2.2).
+def train_rate_networks(
+    settings: Settings, data, parts, seeds, cnn_weights=None, advance=None
+) -> list:
+    """Train with rate-based LIF neurons, by either recipe.
 
-    Parameters and result as in :func:`train_cnns`.
-
-    Raises
-    ------
-    ValueError
-        The settings ask for another recipe, whose networks are trained one by one.
+    What :func:`pipeline.training.train_rate_network` does, for several splits.  Parameters
+    and result as in :func:`train_cnns`; ``cnn_weights`` are those of each split's CNN, needed for
+    the recipe ``"loihi"``.
     """
-    if settings.snn.recipe != "paper":
-        raise ValueError(f"recipe {settings.snn.recipe!r} is trained by pipeline.training")
     recipe = snn_recipe(settings.snn)
-    return _train(lambda: build_rate_network(settings), recipe, data, parts, seeds, advance)
+
+    def start(index):
+        model = build_rate_network(settings)
+        if settings.snn.recipe == "loihi":
+            set_weights(model, scale_to_unit(settings, cnn_weights[index], data[0][parts[index]]))
+        return model
+
+    return _train(start, recipe, data, parts, seeds, advance)
 
 
-def _train(build, recipe, data, parts, seeds, advance):
+def _train(start, recipe, data, parts, seeds, advance):
     models = []
-    for seed in seeds:
+    for index, seed in enumerate(seeds):
         make_deterministic(seed)
-        models.append(build())
+        models.append(start(index))
     histories = fit_together(
         models,
         data,
@@ -63,7 +78,7 @@ def _train(build, recipe, data, parts, seeds, advance):
         seeds,
         recipe.epochs,
         recipe.batch_size,
-        recipe.learning_rate,
+        optimizer(recipe, max(len(part) for part in parts)),
         advance,
     )
     return [Trained(get_weights(m), history) for m, history in zip(models, histories, strict=True)]

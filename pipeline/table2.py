@@ -235,15 +235,9 @@ def _run_on_images(job, recordings, splits):
             continue
         of_recipe = replace(settings, snn=replace(settings.snn, recipe=recipe))
         begun = time.perf_counter()
-        if recipe == "paper":
-            nets = joint_training.train_rate_networks(of_recipe, data, parts, job.seeds)
-        else:
-            nets = [
-                training.train_rate_network(
-                    of_recipe, (images[part], recordings.labels[part]), seed, cnn.weights
-                )
-                for part, seed, cnn in zip(parts, job.seeds, cnns, strict=True)
-            ]
+        nets = joint_training.train_rate_networks(
+            of_recipe, data, parts, job.seeds, [cnn and cnn.weights for cnn in cnns]
+        )
         trained = (time.perf_counter() - begun) / count
         for position, (split, net) in enumerate(zip(splits, nets, strict=True)):
             for name in names:

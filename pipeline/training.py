@@ -223,15 +223,8 @@ def fit(model, recipe: Recipe, data, validation=None, advance=None) -> list:
     list of dict
         The history, one row an epoch.
     """
-    if recipe.annealed:
-        batches = -(-len(data[0]) // recipe.batch_size)
-        optimizer = tf.keras.optimizers.Adam(
-            tf.keras.optimizers.schedules.CosineDecay(recipe.learning_rate, batches * recipe.epochs)
-        )
-    else:
-        optimizer = tf.keras.optimizers.RMSprop(recipe.learning_rate)
     model.compile(
-        optimizer,
+        optimizer(recipe, len(data[0])),
         tf.keras.losses.SparseCategoricalCrossentropy(from_logits=True),
         metrics=["accuracy"],
     )
@@ -252,6 +245,16 @@ def fit(model, recipe: Recipe, data, validation=None, advance=None) -> list:
         verbose=0,
     )
     return history
+
+
+def optimizer(recipe: Recipe, n_samples: int) -> tf.keras.optimizers.Optimizer:
+    """The recipe's optimiser for so many training samples."""
+    if not recipe.annealed:
+        return tf.keras.optimizers.RMSprop(recipe.learning_rate)
+    batches = -(-n_samples // recipe.batch_size)
+    return tf.keras.optimizers.Adam(
+        tf.keras.optimizers.schedules.CosineDecay(recipe.learning_rate, batches * recipe.epochs)
+    )
 
 
 def make_deterministic(seed: int):

@@ -13,7 +13,7 @@ from models.cnn import get_weights
 from models.together import Stack
 from pipeline import nengodl
 from pipeline.settings import Settings
-from pipeline.training import build_rate_network, make_deterministic, snn_recipe
+from pipeline.training import build_rate_network, make_deterministic, optimizer, snn_recipe
 
 WAYS = ("nengodl", "keras", "together")
 
@@ -117,6 +117,6 @@ def _keras_turn(settings, data, networks, recipe):
 
 
 def _together_turn(settings, data, networks, recipe):
-    stack = Stack(_models(settings, networks), data, recipe.learning_rate)
+    stack = Stack(_models(settings, networks), data, optimizer(recipe, len(data[0])))
     parts, seeds = [np.arange(len(data[0]))] * networks, list(range(networks))
     return lambda: stack.train_epoch(parts, seeds, 0, recipe.batch_size)

@@ -3,7 +3,7 @@ import pytest
 import tensorflow as tf
 
 from models.cnn import build_cnn, get_weights
-from models.lif import RateLIF
+from models.lif import RateLIF, gain_for
 from models.notation import parse
 from models.quantised import OnChipConv2D
 from models.together import _orders, fit_together, forward_together
@@ -37,17 +37,20 @@ def test_logits_are_those_of_each_network(activation, data):
         for group in zip(*(m.trainable_variables for m in models), strict=True)
     ]
     images = np.stack([data[0][i * 30 : i * 30 + 30] for i in range(3)])
-    logits = forward_together(models[0].layers, variables, tf.constant(images))
+    logits, costs = forward_together(models[0].layers, variables, tf.constant(images))
+    assert costs == 0
     for model, part, got in zip(models, images, logits, strict=True):
         np.testing.assert_allclose(got, model(part), atol=1e-4)
 
 
 @pytest.mark.parametrize("activation", [None, rate_lif], ids=["relu", "rate-lif"])
 def test_each_network_ends_as_it_would_with_keras(activation, data):
-    """Two networks, samples of different number, last batches that are not full."""
-    parts = [np.arange(0, 100, 2), np.arange(1, 100, 2)[:-1]]
+    """Two networks, last batches that are not full, and one has fewer batches than the other."""
+    parts = [np.arange(0, 100, 2), np.arange(1, 100, 2)[:30]]
     together = [build(seed, activation) for seed in (1, 2)]
-    histories = fit_together(together, data, parts, (7, 8), 3, 16, 0.01)
+    histories = fit_together(
+        together, data, parts, (7, 8), 3, 16, tf.keras.optimizers.RMSprop(0.01)
+    )
     for index, seed in enumerate((1, 2)):
         alone = build(seed, activation)
         alone.compile(
@@ -72,19 +75,77 @@ def test_each_network_ends_as_it_would_with_keras(activation, data):
 def test_they_learn(data):
     models = [build(seed) for seed in (1, 2)]
     parts = [np.arange(100)] * 2
-    histories = fit_together(models, data, parts, (1, 2), 25, 16, 0.01)
+    histories = fit_together(models, data, parts, (1, 2), 25, 16, tf.keras.optimizers.RMSprop(0.01))
     assert all(history[-1]["accuracy"] > 0.9 for history in histories)
     for model, history in zip(models, histories, strict=True):
         accuracy = np.mean(model.predict(data[0], verbose=0).argmax(1) == data[1])
         assert accuracy == pytest.approx(history[-1]["accuracy"], abs=0.1)
 
 
+def own_recipe(seed, noise=0.0):
+    """A network as the recipe "loihi" trains it: the chip's weights, spikes at a price."""
+    gain = gain_for(150.0, 0.02, 0.001)
+    rng = np.random.default_rng(0)
+    costs = [rng.random(shape).astype(np.float32) / 50 for shape in ((4, 4, 3), (3, 3, 4))]
+    return build(
+        seed,
+        lambda index: RateLIF(150.0, on_chip=True, noise=noise, spike_costs=costs[index]),
+        lambda index, conv, name: OnChipConv2D(conv.filters, conv.kernel, gain, name=name),
+    )
+
+
+def test_the_own_recipe_ends_as_it_would_with_keras(data):
+    parts = [np.arange(0, 100, 2), np.arange(1, 100, 2)[:-1]]
+    rate = 0.003
+    together = [own_recipe(seed) for seed in (1, 2)]
+    histories = fit_together(together, data, parts, (7, 8), 3, 16, tf.keras.optimizers.Adam(rate))
+    for index, seed in enumerate((1, 2)):
+        alone = own_recipe(seed)
+        alone.compile(
+            tf.keras.optimizers.Adam(rate),
+            tf.keras.losses.SparseCategoricalCrossentropy(from_logits=True),
+        )
+        for epoch in range(3):
+            order, mask = _orders([parts[index]], [7 + index], epoch, 16)
+            order, losses = order[0][mask[0] == 1], []
+            for first in range(0, len(order), 16):
+                batch = order[first : first + 16]
+                losses.append(alone.train_on_batch(data[0][batch], data[1][batch]) * len(batch))
+            expected = sum(losses) / len(order)
+            assert histories[index][epoch]["loss"] == pytest.approx(expected, rel=2e-3)
+        for name, array in get_weights(alone).items():
+            np.testing.assert_allclose(
+                get_weights(together[index])[name], array, atol=2e-3, err_msg=name
+            )
+
+
+def test_noise_is_each_networks_own(data):
+    """The same network gets the same noise whatever stands beside it, and other noise each step."""
+    images = tf.constant(np.stack([data[0][:5]] * 3))
+    models = [own_recipe(1, noise=0.5)] * 3
+    variables = [
+        tf.stack([v.numpy() for v in group])
+        for group in zip(*(m.trainable_variables for m in models), strict=True)
+    ]
+    seeds = tf.constant([[4, 0], [5, 0], [4, 1]])
+    logits, costs = forward_together(models[0].layers, variables, images, seeds)
+    one, alone = forward_together(
+        models[0].layers, [v[:1] for v in variables], images[:1], seeds[:1]
+    )
+    np.testing.assert_allclose(logits[0], one[0], rtol=1e-5)
+    np.testing.assert_allclose(costs[0], alone[0], rtol=1e-5)
+    assert not np.allclose(logits[0], logits[1])
+    assert not np.allclose(logits[0], logits[2])
+    quiet, _ = forward_together(models[0].layers, variables, images)
+    np.testing.assert_allclose(quiet[0], models[0](data[0][:5]), atol=1e-4)
+
+
 def test_a_layer_that_cannot_be_stacked_is_named():
+    class Own(tf.keras.layers.Conv2D):
+        pass
+
     model = build(
-        1,
-        convolution=lambda index, conv, name: OnChipConv2D(
-            conv.filters, conv.kernel, gain=0.2, name=name
-        ),
+        1, convolution=lambda index, conv, name: Own(conv.filters, conv.kernel, name=name)
     )
     with pytest.raises(ValueError, match="conv1"):
         forward_together(model.layers, [], tf.zeros((1, 2, 6, 6, 1)))
