@@ -46,9 +46,8 @@ class Kernel:
             part = layer.compartments
             u, v = state.current[:, part].astype(float), state.voltage[:, part].astype(float)
             waiting = state.refractory[:, part].astype(layer.refractory.dtype)
-            total = layer.gather(arriving[:-1], spikes[:-1])
-            layer.filter(total, u, over)
-            layer.fire(total, v, waiting, spikes[1:, :, part])
+            totals = layer.gather(arriving[:-1], spikes[:-1])
+            layer.steps(totals, u, v, waiting, spikes[1:, :, part].view(bool), over)
             state.current[:, part], state.voltage[:, part] = u, v
             state.refractory[:, part] = waiting
         state.inputs, state.spikes = arriving[-1].copy(), spikes[-1].copy()
@@ -84,6 +83,7 @@ class _Layer:
         self.v_min, self.v_max = value("v_min"), value("v_max")
         longest = segments.refractory[mine].max()
         self.refractory = value("refractory", np.int8 if longest < 128 else np.int32)
+        self.waits_once = bool(np.all(self.refractory == 1))
         self.scale = 2.0 ** value("shift")
         self.bias = network.bias[self.compartments].astype(float)
         self.threshold = network.threshold[self.compartments].astype(float)
@@ -103,42 +103,48 @@ class _Layer:
             if len(weights):
                 part = source[:, :, sources].reshape(shape[0] * shape[1], -1)
                 total += (_sparse(part, self.dtype) @ weights).reshape(shape)
-        return np.multiply(total, self.scale, dtype=float)
+        return total
 
-    def filter(self, q, u, overflows):
-        """Replace ``q`` by ``wrap(u + bias)``; ``u`` becomes the last current."""
-        if self.can_overflow:
-            overflows[0] += _wrap(q, Q_BITS)
-        for current in q:
+    def steps(self, totals, u, v, waiting, spikes, overflows):
+        """Advance ``u``, ``v`` and ``waiting`` by the sums of weights; write who spikes."""
+
+        def full(values):
+            # Two whole arrays are quicker to add or compare than an array and a row or a number.
+            return np.broadcast_to(values, u.shape).copy()
+
+        bias, threshold, v_min = full(self.bias), full(self.threshold), full(self.v_min)
+        q, fires = np.empty_like(u), waiting > 0
+        for total, spike in zip(totals, spikes):
+            np.multiply(total, self.scale, out=q)
+            if self.can_overflow:
+                overflows[0] += _wrap(q, Q_BITS)
             _decay(u, self.keep_u)
-            u += current
+            u += q
             if self.can_overflow:
                 overflows[1] += _wrap(u, U_BITS)
-            current[:] = u
-        q += self.bias
-        if self.can_overflow:
-            overflows[2] += _wrap(q, U_BITS)
-
-    def fire(self, total, v, waiting, spikes):
-        """Integrate ``total`` into the voltage ``v`` and write the spikes."""
-        waits = bool(np.any(self.refractory))
-        for u, fires in zip(total, spikes.view(bool)):
+            np.add(u, bias, out=q)
+            if self.can_overflow:
+                overflows[2] += _wrap(q, U_BITS)
             _decay(v, self.keep_v)
-            v += u
-            np.maximum(v, self.v_min, out=v)
+            v += q
+            np.maximum(v, v_min, out=v)
             if self.can_reach_v_max:
                 np.minimum(v, self.v_max, out=v)
-            above = v > self.threshold
-            if waits:
-                held = waiting > 0
-                fired = above & ~held
-                waiting -= held
-                waiting += fired * self.refractory
-                fires[:] = fired
-                above |= held
+            if self.waits_once:
+                # Held at 0 are those that spiked last: their reset can be left to this.
+                np.putmask(v, fires, 0)
+                np.greater(v, threshold, out=fires)
             else:
-                fires[:] = above
-            np.putmask(v, above, 0)
+                held = waiting > 0
+                np.putmask(v, held, 0)
+                np.greater(v, threshold, out=fires)
+                np.putmask(v, fires, 0)
+                waiting -= held
+                np.putmask(waiting, fires, self.refractory)
+            spike[:] = fires
+        if self.waits_once:
+            np.putmask(v, fires, 0)
+            waiting[:] = fires
 
 
 def _in_use(weights):
