@@ -103,23 +103,13 @@ CHOICES = (
 )
 
 
-@dataclass(frozen=True)
-class Job:
-    """Some splits, whose networks are trained together.
+def measure(job) -> list:
+    """Train the networks of some splits together and let them answer under every choice.
 
-    Attributes
+    Parameters
     ----------
-    settings : Settings
-    seeds : tuple of int
-        Of each split and its training.
-    """
-
-    settings: Settings
-    seeds: tuple
-
-
-def measure(job: Job) -> list:
-    """Train the networks of some splits and let them answer under every choice.
+    job : object
+        With ``settings`` and ``seeds``, each of a split and of its training.
 
     Returns
     -------

@@ -7,14 +7,13 @@ one that the spiking network is trained with (:data:`pipeline.training.RECIPES`)
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from deploy.operations import multiply_accumulates
 from deploy.targets import answer
 from pipeline.images import tactile_images
+from pipeline.resampling import estimate
 from pipeline.settings import Settings
 from pipeline.sources import load_recordings
 from pipeline.splits import random_split
@@ -25,21 +24,23 @@ PAPER = {"spiking-lif": 0.02, "chip-100": 0.03}
 """Accuracy that the paper loses from CNN to spiking network and to Loihi (Table 2)."""
 
 
-@dataclass(frozen=True)
-class Job:
-    """One seed: of the split and of every training.
+def measure(job) -> list:
+    """Train and test everything for some seeds, one after the other.
 
-    Attributes
+    Parameters
     ----------
-    settings : Settings
-    seed : int
+    job : object
+        With ``settings`` and ``seeds``, each of a split and of every training.
+
+    Returns
+    -------
+    list of dict
+        See :func:`measure_one`.
     """
-
-    settings: Settings
-    seed: int
+    return [measure_one(job.settings, seed) for seed in job.seeds]
 
 
-def measure(job: Job) -> dict:
+def measure_one(settings: Settings, seed: int) -> dict:
     """Train and test everything for one seed.
 
     Returns
@@ -52,11 +53,11 @@ def measure(job: Job) -> dict:
     from pipeline.conversion import deployed
 
     begun = time.perf_counter()
-    settings, data = job.settings, job.settings.data
+    data = settings.data
     recordings = load_recordings(
         data.source, data.simulation_seed, data.samples_per_digit, data.skip_bad, jobs=1
     )
-    split = random_split(len(recordings), job.seed, settings.split.test_fraction)
+    split = random_split(len(recordings), seed, settings.split.test_fraction)
     images = tactile_images(recordings, settings.image.aggregation, settings.image.normalisation)
     train = images[split.train], recordings.labels[split.train]
     shown, labels = images[split.test], recordings.labels[split.test]
@@ -64,9 +65,9 @@ def measure(job: Job) -> dict:
     def predictions(logits):
         return np.argmax(logits, axis=1)
 
-    paper = training.train_cnn(settings, train, job.seed)
-    annealed = training.train_cnn(settings, train, job.seed, recipe=training.RECIPES["loihi"])
-    rate = training.train_rate_network(settings, train, job.seed, paper.weights)
+    paper = training.train_cnn(settings, train, seed)
+    annealed = training.train_cnn(settings, train, seed, recipe=training.RECIPES["loihi"])
+    rate = training.train_rate_network(settings, train, seed, paper.weights)
     found = {
         "cnn": predictions(training.cnn_logits(settings, paper.weights, shown)),
         "cnn-annealed": predictions(training.cnn_logits(settings, annealed.weights, shown)),
@@ -78,7 +79,7 @@ def measure(job: Job) -> dict:
     spec = deployed(settings, rate.weights, {}, train[0])
     operations, decided = {}, {}
     for steps in STEPS:
-        responses = answer(spec.with_presentation(steps=steps), shown, "fast", job.seed)
+        responses = answer(spec.with_presentation(steps=steps), shown, "fast", seed)
         stage = f"chip-{steps}"
         found[stage] = responses.predictions
         total = sum(counts.mean() for counts in responses.operations.values())
@@ -86,7 +87,8 @@ def measure(job: Job) -> dict:
         decided[stage] = float(np.median(responses.decided_at))
     return {
         "schema": SCHEMA,
-        "seed": job.seed,
+        "seed": seed,
+        "n_train": len(split.train),
         "n_test": len(labels),
         "accuracy": {stage: float(np.mean(p == labels)) for stage, p in found.items()},
         "disagreements": {
@@ -100,12 +102,12 @@ def measure(job: Job) -> dict:
 
 
 def summarise(results, simulated: bool) -> dict:
-    """Means over seeds, with 95 % intervals by Student's t; losses are paired by seed.
+    """Means over seeds, with 95 % intervals for overlapping splits; losses are paired by seed.
 
     Parameters
     ----------
     results : sequence of dict
-        From :func:`measure`.
+        From :func:`measure_one`.
     simulated : bool
 
     Returns
@@ -116,19 +118,27 @@ def summarise(results, simulated: bool) -> dict:
     accuracy = {stage: np.array([r["accuracy"][stage] for r in results]) for stage in stages}
     stronger = max(("cnn", "cnn-annealed"), key=lambda stage: accuracy[stage].mean())
 
+    def interval(values):
+        found = estimate(values, results[0]["n_train"], results[0]["n_test"])
+        return {
+            "mean": found.mean,
+            "ci95": list(found.interval) if found.interval else None,
+            "values": list(map(float, values)),
+        }
+
     def over_seeds(name):
-        keys = results[0][name]
-        return {key: _interval([r[name][key] for r in results]) for key in keys}
+        return {key: interval([r[name][key] for r in results]) for key in results[0][name]}
 
     return {
         "schema": SCHEMA,
         "simulated": simulated,
         "seeds": [r["seed"] for r in results],
+        "n_train": results[0]["n_train"],
         "n_test": results[0]["n_test"],
         "accuracy": over_seeds("accuracy"),
         "stronger_cnn": stronger,
         "loss": {
-            stage: _interval(accuracy[stronger] - accuracy[stage])
+            stage: interval(accuracy[stronger] - accuracy[stage])
             for stage in stages
             if not stage.startswith("cnn")
         },
@@ -138,22 +148,15 @@ def summarise(results, simulated: bool) -> dict:
     }
 
 
-def _interval(values):
-    values = np.asarray(values, float)
-    entry = {"mean": float(values.mean()), "values": values.tolist()}
-    if len(values) > 1:
-        half = stats.t.ppf(0.975, len(values) - 1) * stats.sem(values)
-        entry["ci95"] = [entry["mean"] - float(half), entry["mean"] + float(half)]
-    return entry
-
-
 def losses_text(summary: dict) -> str:
     """The summary as a table."""
 
     def shown(entry, scale=100, digits=2):
-        low, high = entry.get("ci95", (float("nan"),) * 2)
-        mean, low, high = (scale * value for value in (entry["mean"], low, high))
-        return f"{mean:7.{digits}f}  ({low:.{digits}f} to {high:.{digits}f})"
+        mean = f"{scale * entry['mean']:7.{digits}f}"
+        if entry["ci95"] is None:
+            return mean
+        low, high = (f"{scale * value:.{digits}f}" for value in entry["ci95"])
+        return f"{mean}  ({low} to {high})"
 
     what = "simulated samples" if summary["simulated"] else "samples"
     lines = [

@@ -1,10 +1,7 @@
-import json
-
 import nengo
 import numpy as np
 import pytest
 
-from pipeline import cli
 from pipeline import conversion_choices as choices
 from pipeline.settings import Settings
 
@@ -43,34 +40,3 @@ def test_losses_are_paired_with_the_networks_of_the_same_rate():
     text = choices.choices_text(summary)
     assert "100 Hz 0.700, 150 Hz 0.900" in text
     assert text.count("25.00") + text.count(" 5.00") == n
-
-
-def exit_status(command):
-    with pytest.raises(SystemExit) as stop:
-        cli.main(command)
-    return stop.value.code or 0
-
-
-@pytest.mark.slow
-def test_command_measures_once_and_goes_on(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(choices, "CHOICES", (choices.CHOICES[2], choices.CHOICES[10]))
-    out = tmp_path / "conversion"
-    command = ["benchmark", "conversion", "--out", str(out), "--splits", "2", "--jobs", "1"]
-    command += ["--set", "data.samples_per_digit=6", "--set", "snn.epochs=1", "--json"]
-    assert exit_status(command) == 0
-    first = json.loads(capsys.readouterr().out)
-    assert [row["row"] for row in first["choices"]] == ["ann-snn", "loihi"]
-    assert first["simulated"]
-    assert first["seeds"] == [0, 1]
-    assert first["n_test"] == 12
-    assert all(0 <= row["accuracy"] <= 1 for row in first["choices"])
-
-    def measure(job):
-        asked.append(job.seeds)
-        return []
-
-    asked = []
-    (out / "split-01.json").unlink()
-    monkeypatch.setattr(choices, "measure", measure)
-    assert exit_status(command) == 1
-    assert asked == [(1,)]

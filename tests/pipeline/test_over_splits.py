@@ -1,0 +1,45 @@
+"""The benchmarks over splits: measured once, kept, gone on with; a failure is said."""
+
+import json
+
+import pytest
+
+from pipeline import conversion_choices, losses
+from tests.command import call
+
+TINY = ["--jobs", "1", "--set", "data.samples_per_digit=6", "--set", "cnn.epochs=1"]
+TINY += ["--set", "snn.epochs=1", "--json"]
+BENCHMARKS = {"conversion": (conversion_choices, "--splits"), "losses": (losses, "--seeds")}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_command_measures_once_and_goes_on(name, tmp_path, monkeypatch, capsys):
+    module, number = BENCHMARKS[name]
+    choices = conversion_choices.CHOICES
+    monkeypatch.setattr(conversion_choices, "CHOICES", (choices[2], choices[10]))
+    out = tmp_path / name
+    command = ["benchmark", name, "--out", out, number, "2", *TINY]
+    assert call(*command) == 0
+    first = json.loads(capsys.readouterr().out)
+    assert first["simulated"]
+    assert first["seeds"] == [0, 1]
+    assert first["n_test"] == 12
+    assert json.loads((out / f"{name}.json").read_text()) == first
+
+    def measure(job):
+        asked.append(job.seeds)
+        raise OSError("lost")
+
+    asked = []
+    monkeypatch.setattr(module, "measure", measure)
+    assert call(*command) == 0
+    assert json.loads(capsys.readouterr().out) == first
+    assert asked == []
+    (out / "split-01.json").unlink()
+    assert call(*command) == 1
+    assert asked == [(1,)]
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["seeds"] == [0]
+    assert "lost" in captured.err
+    assert "splits [1] failed" in captured.err
