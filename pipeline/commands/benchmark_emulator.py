@@ -10,9 +10,10 @@ import typer
 
 from deploy.bundle import read_bundle
 from deploy.errors import CheckFailed
-from pipeline import emulator_benchmark as measure
+from pipeline import emulator_limits
 from pipeline.commands import options
 from pipeline.commands.benchmark import app
+from pipeline.emulator_benchmark import compare
 from pipeline.progress import progress
 
 
@@ -37,14 +38,14 @@ def emulator(
     opened = read_bundle(bundle)
     images = opened.checks.images[:samples]
     with progress("benchmark", len(images)) as advance:
-        result = measure.compare(opened.spec, images, advance)
+        result = compare(opened.spec, images, advance)
     result["simulated"] = opened.spec.provenance.get("simulated")
     if not compare_only:
         with progress("growth and limit", 2) as advance:
-            result["growth"] = measure.growth(opened.spec, images)
+            result["growth"] = emulator_limits.growth(opened.spec, images)
             advance()
             if result["kernel"] == "numba":
-                result["limits"] = measure.limits(opened.spec, images)
+                result["limits"] = emulator_limits.limits(opened.spec, images)
             advance()
     print(json.dumps(result, indent=2) if as_json else as_text(result))
     if not result["identical"]:
