@@ -35,7 +35,7 @@ def table2_(
         str,
         typer.Option(
             help=f"Rows, separated by commas: {', '.join(table2.MODELS)}. Left out by default "
-            "is slayer, which takes about an hour a split."
+            "is slayer, which takes some forty minutes a split."
         ),
     ] = ",".join(WITHOUT_SLAYER),
     kind: Annotated[
