@@ -43,33 +43,37 @@ def test_logits_are_those_of_each_network(activation, data):
         np.testing.assert_allclose(got, model(part), atol=1e-4)
 
 
-@pytest.mark.parametrize("activation", [None, rate_lif], ids=["relu", "rate-lif"])
-def test_each_network_ends_as_it_would_with_keras(activation, data):
-    """Two networks, last batches that are not full, and one has fewer batches than the other."""
-    parts = [np.arange(0, 100, 2), np.arange(1, 100, 2)[:30]]
-    together = [build(seed, activation) for seed in (1, 2)]
-    histories = fit_together(
-        together, data, parts, (7, 8), 3, 16, tf.keras.optimizers.RMSprop(0.01)
-    )
+def check_against_keras(start, parts, data, optimizer):
+    """Two networks together and each alone end with the same losses and weights.
+
+    ``start(seed)`` builds a network, ``optimizer()`` an optimiser.
+    """
+    together = [start(seed) for seed in (1, 2)]
+    histories = fit_together(together, data, parts, (7, 8), 3, 16, optimizer())
     for index, seed in enumerate((1, 2)):
-        alone = build(seed, activation)
-        alone.compile(
-            tf.keras.optimizers.RMSprop(0.01),
-            tf.keras.losses.SparseCategoricalCrossentropy(from_logits=True),
-        )
+        alone = start(seed)
+        alone.compile(optimizer(), tf.keras.losses.SparseCategoricalCrossentropy(from_logits=True))
         for epoch in range(3):
             order, mask = _orders([parts[index]], [7 + index], epoch, 16)
             order, losses = order[0][mask[0] == 1], []
-            for start in range(0, len(order), 16):
-                batch = order[start : start + 16]
+            for first in range(0, len(order), 16):
+                batch = order[first : first + 16]
                 losses.append(alone.train_on_batch(data[0][batch], data[1][batch]) * len(batch))
-            assert histories[index][epoch]["loss"] == pytest.approx(
-                sum(losses) / len(order), rel=2e-3
-            )
-        for name, expected in get_weights(alone).items():
+            expected = sum(losses) / len(order)
+            assert histories[index][epoch]["loss"] == pytest.approx(expected, rel=2e-3)
+        for name, array in get_weights(alone).items():
             np.testing.assert_allclose(
-                get_weights(together[index])[name], expected, atol=2e-3, err_msg=name
+                get_weights(together[index])[name], array, atol=2e-3, err_msg=name
             )
+
+
+@pytest.mark.parametrize("activation", [None, rate_lif], ids=["relu", "rate-lif"])
+def test_each_network_ends_as_it_would_with_keras(activation, data):
+    """Last batches that are not full, and one network has fewer batches than the other."""
+    parts = [np.arange(0, 100, 2), np.arange(1, 100, 2)[:30]]
+    check_against_keras(
+        lambda seed: build(seed, activation), parts, data, lambda: tf.keras.optimizers.RMSprop(0.01)
+    )
 
 
 def test_they_learn(data):
@@ -96,27 +100,7 @@ def own_recipe(seed, noise=0.0):
 
 def test_the_own_recipe_ends_as_it_would_with_keras(data):
     parts = [np.arange(0, 100, 2), np.arange(1, 100, 2)[:-1]]
-    rate = 0.003
-    together = [own_recipe(seed) for seed in (1, 2)]
-    histories = fit_together(together, data, parts, (7, 8), 3, 16, tf.keras.optimizers.Adam(rate))
-    for index, seed in enumerate((1, 2)):
-        alone = own_recipe(seed)
-        alone.compile(
-            tf.keras.optimizers.Adam(rate),
-            tf.keras.losses.SparseCategoricalCrossentropy(from_logits=True),
-        )
-        for epoch in range(3):
-            order, mask = _orders([parts[index]], [7 + index], epoch, 16)
-            order, losses = order[0][mask[0] == 1], []
-            for first in range(0, len(order), 16):
-                batch = order[first : first + 16]
-                losses.append(alone.train_on_batch(data[0][batch], data[1][batch]) * len(batch))
-            expected = sum(losses) / len(order)
-            assert histories[index][epoch]["loss"] == pytest.approx(expected, rel=2e-3)
-        for name, array in get_weights(alone).items():
-            np.testing.assert_allclose(
-                get_weights(together[index])[name], array, atol=2e-3, err_msg=name
-            )
+    check_against_keras(own_recipe, parts, data, lambda: tf.keras.optimizers.Adam(0.003))
 
 
 def test_noise_is_each_networks_own(data):
