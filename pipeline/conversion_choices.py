@@ -22,7 +22,7 @@ from deploy.targets import answer
 from pipeline.images import tactile_images
 from pipeline.resampling import estimate
 from pipeline.settings import Settings
-from pipeline.sources import load_recordings
+from pipeline.sources import recordings_of
 from pipeline.splits import random_split
 
 SCHEMA = "stmnist-conversion/1"
@@ -119,10 +119,8 @@ def measure(job) -> list:
     """
     from pipeline import joint_training, training  # TensorFlow, in the process that needs it
 
-    settings, data = job.settings, job.settings.data
-    recordings = load_recordings(
-        data.source, data.simulation_seed, data.samples_per_digit, data.skip_bad, jobs=1
-    )
+    settings = job.settings
+    recordings = recordings_of(settings.data)
     images = tactile_images(recordings, settings.image.aggregation, settings.image.normalisation)
     splits = [random_split(len(images), seed, settings.split.test_fraction) for seed in job.seeds]
     found = [

@@ -15,7 +15,7 @@ from deploy.targets import answer
 from pipeline.images import tactile_images
 from pipeline.resampling import estimate
 from pipeline.settings import Settings
-from pipeline.sources import load_recordings
+from pipeline.sources import recordings_of
 from pipeline.splits import random_split
 
 SCHEMA = "stmnist-losses/1"
@@ -53,10 +53,7 @@ def measure_one(settings: Settings, seed: int) -> dict:
     from pipeline.conversion import deployed
 
     begun = time.perf_counter()
-    data = settings.data
-    recordings = load_recordings(
-        data.source, data.simulation_seed, data.samples_per_digit, data.skip_bad, jobs=1
-    )
+    recordings = recordings_of(settings.data)
     split = random_split(len(recordings), seed, settings.split.test_fraction)
     images = tactile_images(recordings, settings.image.aggregation, settings.image.normalisation)
     train = images[split.train], recordings.labels[split.train]

@@ -7,6 +7,7 @@ from pathlib import Path
 from pipeline import archive, cache
 from pipeline.progress import progress
 from pipeline.recordings import Recordings
+from pipeline.settings import Data
 from pipeline.skin.simulate import SAMPLES_PER_DIGIT, simulate, source_of
 
 SIMULATED = "simulated"
@@ -50,6 +51,13 @@ def load_recordings(
     if source == SIMULATED:
         return _simulated(simulation_seed, samples_per_digit, jobs)
     return _imported(Path(source), skip_bad, jobs, warn)
+
+
+def recordings_of(data: Data, jobs: int = 1, warn=None) -> Recordings:
+    """Recordings that settings ask for; see :func:`load_recordings`."""
+    return load_recordings(
+        data.source, data.simulation_seed, data.samples_per_digit, data.skip_bad, jobs, warn
+    )
 
 
 def _simulated(seed, samples_per_digit, jobs):

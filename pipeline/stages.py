@@ -25,7 +25,7 @@ from pipeline.references import STAGES as REFERENCES
 from pipeline.references import rate_activations, reference_result, training_versions
 from pipeline.run_folder import RunFolder, is_current, stamp_of
 from pipeline.settings import Settings
-from pipeline.sources import load_recordings
+from pipeline.sources import recordings_of
 from pipeline.splits import Split, draw_check_samples, random_split
 
 REMEDY = "delete its folder and run the command again"
@@ -97,9 +97,7 @@ def load_dataset(settings: Settings, jobs: int = 2, warn=None) -> Dataset:
         The source cannot be read, or is too small for the split.
     """
     data, parts = settings.data, settings.split
-    recordings = load_recordings(
-        data.source, data.simulation_seed, data.samples_per_digit, data.skip_bad, jobs, warn
-    )
+    recordings = recordings_of(data, jobs, warn)
     try:
         split = random_split(
             len(recordings), settings.seed, parts.test_fraction, parts.validation_fraction

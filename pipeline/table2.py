@@ -21,7 +21,7 @@ from pipeline.history import write_history
 from pipeline.images import tactile_images
 from pipeline.run_folder import read_stamped, stamp_of
 from pipeline.settings import Settings
-from pipeline.sources import load_recordings
+from pipeline.sources import recordings_of
 from pipeline.splits import Split, draw_check_samples, random_split, writer_split
 
 SCHEMA = "stmnist-table2-split/1"
@@ -199,10 +199,7 @@ def run(job: Job) -> list:
         One a model and split; for :func:`write_splits` where a worker has not the same disk.
     """
     settings = job.benchmark.settings
-    data = settings.data
-    recordings = load_recordings(
-        data.source, data.simulation_seed, data.samples_per_digit, data.skip_bad, jobs=1
-    )
+    recordings = recordings_of(settings.data)
     splits = [split_of(recordings, settings, job.kind, seed) for seed in job.seeds]
     work = _run_slayer if job.models == ("slayer",) else _run_on_images
     results = []

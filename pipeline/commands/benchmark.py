@@ -17,7 +17,7 @@ from pipeline.parallel import Failure, run_jobs
 from pipeline.progress import progress
 from pipeline.run_folder import RunFolder
 from pipeline.settings import Settings
-from pipeline.sources import load_recordings
+from pipeline.sources import load_recordings, recordings_of
 from pipeline.table2_summary import summarise, table_text
 
 app = typer.Typer(help="The paper's Table 2, and speed.", no_args_is_help=True)
@@ -65,10 +65,7 @@ def table2_(
     folder = RunFolder(out)
     with folder.locked():
         resolved = options.resolve(folder, data, seed, None, None, settings, set_)
-        chosen = resolved.data
-        recordings = load_recordings(
-            chosen.source, chosen.simulation_seed, chosen.samples_per_digit, chosen.skip_bad, jobs
-        )
+        recordings = recordings_of(resolved.data, jobs)
         kinds = _kinds(kind, recordings)
         try:
             for each in kinds:
@@ -76,7 +73,7 @@ def table2_(
                 table2.draw_check_samples(test, resolved.check.samples, resolved.seed)
         except ValueError as error:
             raise UserError(
-                f"{chosen.source}: {error}; change --kind, check.samples or the data"
+                f"{resolved.data.source}: {error}; change --kind, check.samples or the data"
             ) from error
         folder.save_settings(resolved)
         benchmark = table2.Benchmark(

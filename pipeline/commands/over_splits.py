@@ -15,7 +15,7 @@ from pipeline.parallel import Failure, run_jobs
 from pipeline.progress import progress
 from pipeline.run_folder import RunFolder, read_stamped, stamp_of
 from pipeline.settings import Settings
-from pipeline.sources import load_recordings
+from pipeline.sources import recordings_of
 
 
 @dataclass(frozen=True)
@@ -73,10 +73,7 @@ def run(measurement: Measurement, out: Path, splits, data, settings, set_, jobs,
     folder = RunFolder(out)
     with folder.locked():
         resolved = options.resolve(folder, data, None, None, None, settings, set_)
-        chosen = resolved.data
-        recordings = load_recordings(
-            chosen.source, chosen.simulation_seed, chosen.samples_per_digit, chosen.skip_bad, jobs
-        )
+        recordings = recordings_of(resolved.data, jobs)
         folder.save_settings(resolved)
         stamp = stamp_of(recordings.source.sha256, asdict(resolved), *measurement.depends_on)
         results = _results(measurement, resolved, out, range(splits), stamp, jobs)

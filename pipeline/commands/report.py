@@ -22,7 +22,7 @@ from pipeline.progress import progress
 from pipeline.replay import replay
 from pipeline.run_folder import RunFolder
 from pipeline.settings import read_settings
-from pipeline.sources import load_recordings
+from pipeline.sources import recordings_of
 
 REMEDY = "delete it and make it again"
 
@@ -44,14 +44,11 @@ def report_(
     settings = read_settings(folder.experiment)
     bundle = read_bundle(folder.bundle)
     results = _results(folder, bundle)
-    data = settings.data
-    recordings = load_recordings(
-        data.source, data.simulation_seed, data.samples_per_digit, data.skip_bad, jobs
-    )
+    recordings = recordings_of(settings.data, jobs)
     made_from = bundle.spec.provenance.get("source_sha256")
     if made_from != recordings.source.sha256:
         raise UserError(
-            f"{folder.bundle}: made from other recordings than {data.source} gives now; "
+            f"{folder.bundle}: made from other recordings than {settings.data.source} gives now; "
             f"run 'stmnist ladder {run}' again"
         )
     table, answers, curves = _read_benchmark(benchmark or run.parent / "table2", recordings)
