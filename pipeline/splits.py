@@ -13,8 +13,12 @@ class Split:
 
     Attributes
     ----------
-    train, validation, test : ndarray of int
-        In increasing order.  Settings are chosen on ``validation``, never on ``test``.
+    train : ndarray of int
+        In increasing order.
+    validation, test : ndarray of int
+        In random order: recordings are sorted by digit, and a network that carries its state from
+        one sample to the next answers better where both have the same label.  Settings are chosen
+        on ``validation``, never on ``test``.
     """
 
     train: np.ndarray
@@ -51,7 +55,7 @@ def random_split(
     test, validation, train = np.split(order, [n_test, n_test + n_validation])
     if len(test) == 0 or len(train) == 0:
         raise ValueError(f"{n_samples} samples are too few for a split with {test_fraction} test")
-    return Split(np.sort(train), np.sort(validation), np.sort(test))
+    return Split(np.sort(train), validation, test)
 
 
 def writer_split(writers: np.ndarray, seed: int, test_fraction: float = 0.2) -> Split:
@@ -86,13 +90,15 @@ def writer_split(writers: np.ndarray, seed: int, test_fraction: float = 0.2) -> 
     if len(names) < 2:
         raise ValueError("all recordings are of one writer")
     wanted, chosen, size = len(writers) * test_fraction, [], 0
-    for index in np.random.default_rng([seed, 0x3217]).permutation(len(names)):
+    rng = np.random.default_rng([seed, 0x3217])
+    for index in rng.permutation(len(names)):
         nearer = abs(size + sizes[index] - wanted) < abs(size - wanted)
         if (nearer or not chosen) and len(chosen) < len(names) - 1:
             chosen.append(names[index])
             size += sizes[index]
     in_test = np.isin(writers, chosen)
-    return Split(np.flatnonzero(~in_test), np.empty(0, np.int64), np.flatnonzero(in_test))
+    test = rng.permutation(np.flatnonzero(in_test))
+    return Split(np.flatnonzero(~in_test), np.empty(0, np.int64), test)
 
 
 def draw_check_samples(test: np.ndarray, n_samples: int, seed: int) -> np.ndarray:
@@ -110,4 +116,4 @@ def draw_check_samples(test: np.ndarray, n_samples: int, seed: int) -> np.ndarra
     """
     if n_samples > len(test):
         raise ValueError(f"{n_samples} samples asked for, the test split has {len(test)}")
-    return np.random.default_rng([seed, 0xC4EC]).choice(test, n_samples, replace=False)
+    return np.random.default_rng([seed, 0xC4EC]).choice(np.sort(test), n_samples, replace=False)
