@@ -18,7 +18,7 @@ from pipeline.settings import Settings
 from pipeline.sources import recordings_of
 from pipeline.splits import random_split
 
-SCHEMA = "stmnist-losses/1"
+SCHEMA = "stmnist-losses/2"
 STEPS = (100, 50)
 PAPER = {"spiking-lif": 0.02, "chip-100": 0.03}
 """Accuracy that the paper loses from CNN to spiking network and to Loihi (Table 2)."""

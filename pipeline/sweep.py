@@ -26,7 +26,7 @@ from pipeline.progress import hidden
 from pipeline.run_folder import RunFolder, stamp_of
 from pipeline.settings import Settings, parse_assignments
 
-POINT_SCHEMA = "stmnist-sweep-point/1"
+POINT_SCHEMA = "stmnist-sweep-point/2"
 SCHEMA = "stmnist-sweep/1"
 VALIDATION = 0.15
 """Share of the training samples that judges, where the settings keep none."""
@@ -37,7 +37,7 @@ DEFAULT_GRID = (
     "snn.max_rates=100,150",
     "snn.spike_penalty=0,0.05",
 )
-"""16 points from six trainings: a price on spikes depends on how long they are counted."""
+"""16 points from four trainings."""
 
 SAMPLES_APART = ("seed", "data", "split", "check")
 """Settings that change which samples there are; points on different ones cannot be compared."""
@@ -149,7 +149,7 @@ def points_of(folder: Path, base: Settings, grid) -> list:
                 folder=folder,
                 settings=settings,
                 changes=tuple(changes),
-                stamp=stamp_of(__version__, source, asdict(settings)),
+                stamp=stamp_of(__version__, POINT_SCHEMA, source, asdict(settings)),
                 cnn=stages.cnn_stamp(settings, dataset),
                 snn=stages.snn_stamp(settings, dataset),
             )

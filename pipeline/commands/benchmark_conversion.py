@@ -34,8 +34,12 @@ def conversion(
     Tells what could have cost the paper 2 points from CNN to spiking network and 3 to Loihi.  Goes
     on where it was interrupted.
     """
-    rows = [asdict(choice) for choice in choices.CHOICES]
     measurement = Measurement(
-        "conversion", choices.measure, choices.summarise, choices.choices_text, TOGETHER, (rows,)
+        "conversion",
+        choices.measure,
+        choices.summarise,
+        choices.choices_text,
+        together=TOGETHER,
+        depends_on=(choices.SCHEMA, [asdict(choice) for choice in choices.CHOICES]),
     )
     run(measurement, out, splits, data, settings, set_, jobs, as_json)

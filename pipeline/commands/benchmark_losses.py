@@ -29,5 +29,11 @@ def losses_(
 
     The chip is the target fast, at 100 and at 50 steps.  Goes on where it was interrupted.
     """
-    measurement = Measurement("losses", losses.measure, losses.summarise, losses.losses_text)
+    measurement = Measurement(
+        "losses",
+        losses.measure,
+        losses.summarise,
+        losses.losses_text,
+        depends_on=(losses.SCHEMA,),
+    )
     run(measurement, out, seeds, data, settings, set_, jobs, as_json)
