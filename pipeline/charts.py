@@ -2,7 +2,7 @@
 
 Every mark has a class (``s1`` to ``s4`` for series, ``grid``, ``axis``, ``on``, ``off``, ...) and
 no colour of its own, so that one chart serves light, dark and print.  Charts scale with the page
-and are narrow enough to be read on a phone.
+and are as wide as a phone's, so that their text is nowhere smaller than the page's notes.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup, escape
 
-WIDTH, HEIGHT = 440, 260
-LEFT, RIGHT, TOP, BOTTOM = 52, 16, 12, 40
+WIDTH, HEIGHT = 360, 250
+LEFT, RIGHT, TOP, BOTTOM = 48, 14, 26, 40
 
 
 @dataclass(frozen=True)
@@ -70,16 +70,16 @@ def interval_chart(rows, x_label: str, description="") -> Markup:
     numbers = [n for _, value, interval, reference in rows
                for n in (value, *(interval or ()), reference) if n is not None]  # fmt: skip
     low = max(0.0, np.floor(min(numbers) * 20) / 20)
-    left, step = 22, 40
-    height = TOP + step * len(rows) + BOTTOM
+    left, top, step = 22, 12, 40
+    height = top + step * len(rows) + BOTTOM
     axis = _Axis(low, 1.0, left, WIDTH - left)
     marks = []
     for tick in axis.ticks():
-        marks.append(_segment("grid", axis(tick), TOP, axis(tick), height - BOTTOM))
+        marks.append(_segment("grid", axis(tick), top, axis(tick), height - BOTTOM))
         marks.append(_text(axis(tick), height - BOTTOM + 18, f"{100 * tick:.0f} %", "middle"))
     marks.append(_text(WIDTH / 2, height - 4, x_label, "middle"))
     for number, (name, value, interval, reference) in enumerate(rows):
-        y = TOP + step * (number + 0.7)
+        y = top + step * (number + 0.7)
         marks.append(_text(left, y - 12, name, "start"))
         if reference is not None:
             marks.append(_segment("reference", axis(reference), y - 10, axis(reference), y + 10))
@@ -104,7 +104,7 @@ def image(values, description="") -> Markup:
     return _svg(values.shape[1], values.shape[0], marks, description, "image")
 
 
-def raster(groups, extent: float, x_label: str, description="", rows=None) -> Markup:
+def raster(groups, extent: float, x_label: str, y_label: str, description="", rows=None) -> Markup:
     """Events or spikes over time.
 
     Parameters
@@ -113,16 +113,16 @@ def raster(groups, extent: float, x_label: str, description="", rows=None) -> Ma
         Marks of one colour each.
     extent : float
         End of the time axis.
-    x_label : str
+    x_label, y_label : str
     description : str
     rows : int, optional
         Height in units; by default the highest unit there is.
     """
     rows = rows or max((int(np.max(units)) + 1 for _, _, units in groups if len(units)), default=1)
-    height = 190
+    height = 200
     x_axis = _Axis(0, extent, LEFT, WIDTH - RIGHT, exact=True)
     y_axis = _Axis(0, rows, height - BOTTOM, TOP, exact=True)
-    marks = [_axes(x_axis, y_axis, x_label, "")]
+    marks = [_axes(x_axis, y_axis, x_label, y_label)]
     tall = max(1.6, (height - BOTTOM - TOP) / rows)
     for name, times, units in groups:
         path = "".join(
@@ -150,13 +150,14 @@ def confusion(matrix, description="") -> Markup:
     )
     for (row, column), count in np.ndenumerate(matrix):
         x, y = 46 + column * cell, 46 + row * cell
-        kind = "on" if row == column else "off"
-        # Errors are few: a root makes one in a hundred visible.
-        opacity = share[row, column] if row == column else min(1.0, share[row, column] ** 0.5)
+        # Counts stay readable on either; errors are few: a root makes one in a hundred visible.
+        kind, opacity = "on", 0.55 * share[row, column]
+        if row != column:
+            kind, opacity = "off", 0.75 * share[row, column] ** 0.5
         marks.append(
             f'<rect class="cell" x="{x}" y="{y}" width="{cell}" height="{cell}"/>'
             f'<rect class="{kind}" x="{x}" y="{y}" width="{cell}" height="{cell}" '
-            f'fill-opacity="{0.75 * opacity:.2f}"/>'
+            f'fill-opacity="{opacity:.2f}"/>'
         )
         if count:
             marks.append(_text(x + cell / 2, y + cell / 2 + 4, count, "middle", "count"))
@@ -164,9 +165,10 @@ def confusion(matrix, description="") -> Markup:
 
 
 def legend(names) -> Markup:
-    """Names of a chart's series beside their colours."""
+    """Names of a chart's series beside their lines."""
     items = (
-        f'<li><span class="key s{number}"></span>{escape(name)}</li>'
+        f'<li><svg class="key" viewBox="0 0 30 6" aria-hidden="true"><line class="line s{number}" '
+        f'x1="0" y1="3" x2="30" y2="3"/></svg>{escape(name)}</li>'
         for number, name in enumerate(names, 1)
     )
     return Markup('<ul class="legend">' + "".join(items) + "</ul>")
@@ -212,11 +214,7 @@ def _axes(x_axis, y_axis, x_label, y_label):
     marks.append(_segment("axis", x_axis.start, y_axis.start, x_axis.end, y_axis.start))
     middle = (x_axis.start + x_axis.end) / 2
     marks.append(_text(middle, y_axis.start + 35, x_label, "middle"))
-    middle = (y_axis.start + y_axis.end) / 2
-    marks.append(
-        f'<text class="label" text-anchor="middle" transform="translate(13 {middle:.1f}) '
-        f'rotate(-90)">{escape(y_label)}</text>'
-    )
+    marks.append(_text(0, 12, y_label, "start"))
     return "".join(marks)
 
 

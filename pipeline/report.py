@@ -18,6 +18,7 @@ from pipeline.images import aggregate, normalise
 from pipeline.ladder import ladder_json
 from pipeline.recordings import Recordings, collect
 from pipeline.settings import Settings
+from pipeline.table2 import MODELS
 
 STAGE_TITLES = {
     "cnn": "CNN",
@@ -28,6 +29,20 @@ STAGE_TITLES = {
     "emulator": "Loihi emulator",
     "fast": "Loihi, fast emulator",
     "loihi": "Loihi board",
+}
+STAGE_NOTES = {
+    "cnn": "the paper's convolutional network, no spikes",
+    "rate-lif": "trained with the firing rates of LIF neurons in the place of spikes",
+    "spiking-lif": "the same weights, neurons that spike",
+    "nengo": "the network as deployed, input as spikes too, on Nengo's reference simulator",
+    "simreal": "NengoLoihi's model of the chip in floating point",
+    "emulator": "NengoLoihi's model of the chip in its integers: 8-bit weights, rounded voltages",
+    "fast": "the same, bit for bit, by this project's own emulator",
+    "loihi": "the chip itself",
+}
+ZERO_MEANS = {
+    "data.samples_per_digit": "0: the published numbers",
+    **{f"snn.{name}": "0: the recipe's own" for name in ("epochs", "batch_size", "learning_rate")},
 }
 FRAMES = 6
 """Pictures of a tactile image in the making."""
@@ -50,6 +65,8 @@ class Inputs:
         Rows of an epoch each, of whatever was trained.
     table2 : dict or None
         See :func:`pipeline.table2_summary.summarise`.
+    table2_settings : Settings or None
+        What it was measured with.
     answers : dict of str to (labels, predictions)
         Of the benchmark's random splits, for the confusion matrices.
     plan : dict or None
@@ -65,6 +82,7 @@ class Inputs:
     metrics: dict
     histories: dict
     table2: dict | None
+    table2_settings: Settings | None
     answers: dict
     plan: dict | None
     replays: dict
@@ -97,7 +115,10 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         style=resources.files("pipeline").joinpath("report.css").read_text(encoding="utf-8"),
         made=now.strftime("%Y-%m-%d %H:%M UTC"),
         package=__version__,
-        settings=inputs.settings.to_json(),
+        settings=_flat(inputs.settings),
+        defaults=ZERO_MEANS,
+        titles={name: model.title for name, model in MODELS.items()},
+        other_settings=_other_settings(inputs),
         source=inputs.recordings.source,
         n_recordings=len(inputs.recordings),
         bundle=inputs.bundle,
@@ -134,10 +155,30 @@ def choose_samples(result: dict, stream_length: int) -> list:
     return chosen
 
 
+def _flat(settings):
+    """Settings by their dotted names, as ``--set`` takes them."""
+    flat = {}
+    for section, values in settings.to_json().items():
+        if isinstance(values, dict):
+            flat |= {f"{section}.{name}": value for name, value in values.items()}
+        else:
+            flat[section] = values
+    return flat
+
+
+def _other_settings(inputs):
+    """Settings that the benchmark has otherwise than the run."""
+    if inputs.table2_settings is None:
+        return {}
+    ours = _flat(inputs.settings)
+    return {k: v for k, v in _flat(inputs.table2_settings).items() if v != ours[k]}
+
+
 def _ladder(inputs):
     rows = ladder_json(inputs.results)["rows"]
     for row in rows:
         row["title"] = STAGE_TITLES.get(row["stage"], row["stage"])
+        row["note"] = STAGE_NOTES.get(row["stage"], "")
     chart = charts.interval_chart(
         [(row["title"], row["accuracy"], row["accuracy_ci95"], None) for row in rows],
         "accuracy, with 95 % interval",
@@ -150,9 +191,7 @@ def _benchmark(table):
     if table is None:
         return None
     run = [row for row in table["rows"] if row["accuracy_mean"] is not None]
-    if not run:
-        return None
-    chart = charts.interval_chart(
+    chart = run and charts.interval_chart(
         [
             (row["title"], row["accuracy_mean"], row["accuracy_ci95"], row["paper_mean"])
             for row in run
@@ -160,8 +199,19 @@ def _benchmark(table):
         "accuracy, mean over splits with 95 % interval",
         "Accuracy of the models of Table 2, the paper's marked",
     )
-    by_writers = {row["model"]: row for row in table["writer_rows"]}
-    rows = [{**row, "writers": by_writers.get(row["model"])} for row in table["rows"]]
+    random, writers = (
+        {row["model"]: row for row in table[kind]} for kind in ("rows", "writer_rows")
+    )
+    rows = [
+        {
+            "title": model.title,
+            "paper": model.paper,
+            "random": random.get(name),
+            "writers": writers.get(name),
+        }
+        for name, model in MODELS.items()
+        if model.paper or name in random or name in writers
+    ]
     return {"rows": rows, "chart": chart}
 
 
@@ -298,6 +348,7 @@ def _stories(inputs):
                     ],
                     max(float(events.time_ns.max(initial=0)) / 1e9, 0.1),
                     "seconds",
+                    "taxel",
                     "Events of the 100 taxels, ON and OFF",
                     100,
                 ),
@@ -315,7 +366,12 @@ def _layer_raster(layer, steps, neurons, replay):
     return {
         "title": f"{layer}: {size} neurons, {len(steps)} spikes",
         "chart": charts.raster(
-            [("s1", steps, neurons)], replay.steps, "steps of 1 ms", f"Spikes of {layer}", size
+            [("s1", steps, neurons)],
+            replay.steps,
+            "steps of 1 ms",
+            "neuron",
+            f"Spikes of {layer}",
+            size,
         ),
     }
 

@@ -51,7 +51,9 @@ def report_(
             f"{folder.bundle}: made from other recordings than {settings.data.source} gives now; "
             f"run 'stmnist ladder {run}' again"
         )
-    table, answers, curves = _read_benchmark(benchmark or run.parent / "table2", recordings)
+    table, table_settings, answers, curves = _read_benchmark(
+        benchmark or run.parent / "table2", recordings
+    )
     histories = {
         title: read_history(path)
         for title, path in (
@@ -81,6 +83,7 @@ def report_(
             },
             histories={**histories, **curves},
             table2=table,
+            table2_settings=table_settings,
             answers=answers,
             plan=make_plan(bundle.spec).to_json(),
             replays=replays,
@@ -109,14 +112,14 @@ def _results(folder, bundle):
 
 
 def _read_benchmark(folder, recordings):
-    """Table, answers of the random splits, and SLAYER's learning curves, where they are there."""
+    """Table, its settings, answers of the random splits, SLAYER's learning curve: what is there."""
     path = folder / "table2.json"
     if not path.exists():
-        return None, {}, {}
+        return None, None, {}, {}
     table = read_json(path, REMEDY)
     if table.get("source_sha256") != recordings.source.sha256:
         print(f"report: {path} is of other recordings and left out", file=sys.stderr)
-        return None, {}, {}
+        return None, None, {}, {}
     answers, curves = {}, {}
     for row in table["rows"]:
         results = [
@@ -130,4 +133,5 @@ def _read_benchmark(folder, recordings):
             )
         if row["model"] == "slayer" and results:
             curves[f"SNN-SLAYER, split {row['indices'][0]}"] = results[0]["history"]
-    return table, answers, curves
+    experiment = folder / "experiment.toml"
+    return table, read_settings(experiment) if experiment.exists() else None, answers, curves

@@ -16,7 +16,7 @@ def texts(svg):
 def test_a_line_goes_through_its_points():
     svg = charts.line_chart([charts.Series("a", (0, 10), (0.0, 1.0))], "x", "y")
     points = ElementTree.fromstring(svg).find(".//*[@class='line s1']").get("points")
-    assert points == "52.0,220.0 424.0,12.0"  # the corners of the plot
+    assert points == "48.0,210.0 346.0,26.0"  # the corners of the plot
     assert {"0", "2", "10", "0.2", "1", "x", "y"} <= set(texts(svg))
 
 
@@ -28,7 +28,7 @@ def test_a_line_goes_through_its_points():
 def test_any_values_make_a_chart(values):
     svg = charts.line_chart([charts.Series("a", tuple(range(len(values))), tuple(values))], "", "")
     places = [float(v) for v in re.findall(r"[\d.]+", svg.split('points="')[1].split('"')[0])]
-    assert all(11.9 <= y <= 220.1 for y in places[1::2])
+    assert all(25.9 <= y <= 210.1 for y in places[1::2])
     assert "-0<" not in svg
     assert "nan" not in svg
 
@@ -45,8 +45,8 @@ def test_an_interval_by_hand():
     line, dot, mark = (
         root.find(f".//*[@class='{name}']") for name in ("line s1", "dot s1", "reference")
     )
-    assert (line.get("x1"), line.get("x2")) == ("22.0", "418.0")  # 50 % and 100 %, the axis' ends
-    assert float(dot.get("cx")) == 220.0
+    assert (line.get("x1"), line.get("x2")) == ("22.0", "338.0")  # 50 % and 100 %, the axis' ends
+    assert float(dot.get("cx")) == 180.0
     assert mark.get("x1") == "22.0"
 
 
@@ -62,9 +62,9 @@ def test_an_image_has_a_square_for_each_taxel_that_was_touched():
 
 
 def test_a_raster_has_a_stroke_for_each_spike():
-    svg = charts.raster([("s1", [0, 50], [0, 9])], 100, "steps", rows=10)
+    svg = charts.raster([("s1", [0, 50], [0, 9])], 100, "steps", "neuron", rows=10)
     path = ElementTree.fromstring(svg).find(".//*[@class='event s1']").get("d")
-    assert re.findall(r"M([\d.]+) ([\d.]+)", path) == [("52.0", "136.2"), ("238.0", "12.0")]
+    assert re.findall(r"M([\d.]+) ([\d.]+)", path) == [("48.0", "146.6"), ("197.0", "26.0")]
 
 
 def test_a_confusion_matrix_shows_its_counts():
