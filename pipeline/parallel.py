@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import sys
 import traceback
 import warnings
 from dataclasses import dataclass
@@ -23,7 +25,7 @@ class Failure:
     error : str
         One short line: the exception's type and message.
     details : str
-        The traceback.
+        The traceback, where there is one.
     """
 
     error: str
@@ -74,10 +76,14 @@ def _attempt(function, job):
     try:
         return job, function(job)
     except Exception as error:
-        message = " ".join(str(error).split()) or "no message"
-        if len(message) > MESSAGE_LENGTH:  # TensorFlow's hold a traceback of their own
-            message = message[: MESSAGE_LENGTH - 1] + "…"
-        return job, Failure(f"{type(error).__name__}: {message}", traceback.format_exc())
+        return job, Failure(_one_line(error), traceback.format_exc())
+
+
+def _one_line(error):
+    message = " ".join(str(error).split()) or "no message"
+    if len(message) > MESSAGE_LENGTH:  # TensorFlow's hold a traceback of their own
+        message = message[: MESSAGE_LENGTH - 1] + "…"
+    return f"{type(error).__name__}: {message}"
 
 
 def _on_cluster(function, jobs, scheduler):
@@ -94,11 +100,18 @@ def _on_cluster(function, jobs, scheduler):
             f"--scheduler {scheduler}: no Dask scheduler answers there ({type(error).__name__}); "
             "start one with 'dask scheduler' and give the address that it prints"
         ) from error
+    # What it logs of a lost connection are tracebacks; what was lost is told below.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     with client:
+        if not client.scheduler_info()["workers"]:
+            print(f"{scheduler} has no workers yet; the jobs wait for one", file=sys.stderr)
         tasks = {client.submit(_attempt, function, job, pure=False): job for job in jobs}
         for task in as_completed(tasks):
             if task.status == "finished":
                 yield task.result()
-            else:  # the worker died
+            elif task.status == "cancelled":
+                message = f"lost the scheduler {scheduler}"
+                yield tasks[task], Failure(message, message)
+            else:  # several workers died of it, or do not have this package
                 error = task.exception()
-                yield tasks[task], Failure(f"{type(error).__name__}: {error}", "")
+                yield tasks[task], Failure(_one_line(error), f"{type(error).__name__}: {error}")
