@@ -101,7 +101,7 @@ def _on_cluster(function, jobs, scheduler):
             "start one with 'dask scheduler' and give the address that it prints"
         ) from error
     # What it logs of a lost connection are tracebacks; what was lost is told below.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     with client:
         if not client.scheduler_info()["workers"]:
             print(f"{scheduler} has no workers yet; the jobs wait for one", file=sys.stderr)

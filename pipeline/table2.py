@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from deploy import __version__
+from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.targets import TARGETS, answer
 from pipeline.history import write_history
@@ -140,7 +141,7 @@ def plan(benchmark: Benchmark, processes: int = 1) -> list:
     ----------
     benchmark : Benchmark
     processes : int
-        That the splits of one kind are shared among.
+        That the splits of one kind are shared among; as many as splits for one split a job.
 
     Returns
     -------
@@ -174,10 +175,21 @@ def split_path(folder: Path, kind: str, index: int, model: str) -> Path:
     return Path(folder) / "splits" / f"{kind}-{index:02d}" / f"{model}.json"
 
 
+def splits_there(folder: Path, kind: str, model: str) -> list:
+    """Numbers of the splits that have a result of a model, of whatever settings."""
+    paths = (Path(folder) / "splits").glob(f"{kind}-*/{model}.json")
+    return sorted(int(path.parent.name.rsplit("-", 1)[1]) for path in paths)
+
+
 def read_split(benchmark: Benchmark, kind: str, index: int, model: str) -> dict | None:
     """The result of a model on a split, or None if it is missing or of other settings."""
     path = split_path(benchmark.folder, kind, index, model)
     return read_stamped(path, stamp(benchmark, model))
+
+
+def of_this_version(job: Job, results: list) -> bool:
+    """Whether a worker's results are what this package would have made."""
+    return all(result["made_from"] == stamp(job.benchmark, result["model"]) for result in results)
 
 
 def write_splits(job: Job, results: list):
@@ -200,6 +212,8 @@ def run(job: Job) -> list:
     """
     settings = job.benchmark.settings
     recordings = recordings_of(settings.data)
+    if recordings.source.sha256 != job.benchmark.source_sha256:
+        raise UserError(f"{settings.data.source}: the worker has other recordings there")
     splits = [split_of(recordings, settings, job.kind, seed) for seed in job.seeds]
     work = _run_slayer if job.models == ("slayer",) else _run_on_images
     results = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.resampling import estimate
-from pipeline.table2 import MODELS, Benchmark, loihi_target, read_split
+from pipeline.table2 import KINDS, MODELS, Benchmark, loihi_target, read_split, splits_there
 
 COMPARISONS = (
     ("cnn", "ann-snn"),
@@ -19,7 +19,7 @@ COMPARISONS = (
 
 
 def summarise(benchmark: Benchmark, failures=()) -> dict:
-    """Put the table together from the results that are there.
+    """Put the table together from all results that are there, asked for this time or earlier.
 
     Parameters
     ----------
@@ -33,16 +33,24 @@ def summarise(benchmark: Benchmark, failures=()) -> dict:
         Plain values: ``simulated``, ``splits``, ``rows`` (those of random splits, the paper's
         protocol), ``writer_rows``, ``comparisons``, ``failures``.
     """
-    kinds, models = benchmark.kinds, benchmark.models
     results = {
         (kind, name): [
             result
-            for index in range(benchmark.splits)
+            for index in splits_there(benchmark.folder, kind, name)
             if (result := read_split(benchmark, kind, index, name)) is not None
         ]
-        for kind in kinds
-        for name in models
+        for kind in KINDS
+        for name in MODELS
     }
+
+    def rows(kind):
+        asked = benchmark.models if kind in benchmark.kinds else ()
+        return [
+            _row(name, results[kind, name])
+            for name in MODELS
+            if name in asked or results[kind, name]
+        ]
+
     everything = [result for group in results.values() for result in group]
     return {
         "schema": "stmnist-table2/1",
@@ -52,17 +60,13 @@ def summarise(benchmark: Benchmark, failures=()) -> dict:
         "seed": benchmark.settings.seed,
         "check_samples": benchmark.settings.check.samples,
         "loihi_target": loihi_target(),
-        "rows": [_row(name, results["random", name]) for name in models if "random" in kinds],
-        "writer_rows": [
-            _row(name, results["writers", name]) for name in models if "writers" in kinds
-        ],
+        "rows": rows("random"),
+        "writer_rows": rows("writers"),
         "comparisons": [
             comparison
-            for kind in kinds
+            for kind in KINDS
             for a, b in COMPARISONS
-            if a in models
-            and b in models
-            and (comparison := _compare(kind, a, b, results)) is not None
+            if (comparison := _compare(kind, a, b, results)) is not None
         ],
         "failures": [
             {"split": job.kind, "index": index, "models": missing, "error": failure.error}

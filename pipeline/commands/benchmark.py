@@ -52,7 +52,7 @@ def table2_(
     jobs: options.Jobs = 2,
     scheduler: Annotated[
         Optional[str],  # noqa: UP045 - Typer reads the annotation at run time
-        typer.Option(help="Address of a Dask scheduler whose workers run the splits."),
+        typer.Option(help="Address of a Dask scheduler whose workers run the splits, one a job."),
     ] = None,
     as_json: options.Json = False,
 ):
@@ -79,10 +79,13 @@ def table2_(
         benchmark = table2.Benchmark(
             resolved, recordings.source.sha256, out.absolute(), kinds, splits, names
         )
-        todo = table2.plan(benchmark, jobs)
+        todo = table2.plan(benchmark, splits if scheduler else jobs)
         failures = []
         with progress("table 2", sum(len(job.indices) for job in todo)) as advance:
             for job, result in run_jobs(table2.run, todo, jobs, scheduler):
+                if not isinstance(result, Failure) and not table2.of_this_version(job, result):
+                    message = "the worker has another version of this package"
+                    result = Failure(message, message)
                 if isinstance(result, Failure):
                     failures.append((job, result))
                     print(result.details, file=sys.stderr)

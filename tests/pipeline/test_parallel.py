@@ -1,3 +1,6 @@
+import os
+from threading import Timer
+
 import pytest
 
 from deploy.errors import UserError
@@ -54,3 +57,41 @@ def test_on_a_dask_cluster():
         results = dict(run_jobs(reciprocal, [2, 0], scheduler=cluster.scheduler_address))
     assert results[2] == 0.5
     assert results[0].error.startswith("ZeroDivisionError")
+
+
+@pytest.fixture
+def cluster(request):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        **request.param, threads_per_worker=1, dashboard_address=None, silence_logs=50
+    ) as cluster:
+        yield cluster
+
+
+@pytest.mark.parametrize("cluster", [{"n_workers": 0, "processes": False}], indirect=True)
+def test_jobs_wait_for_a_worker(cluster, capsys):
+    Timer(1, cluster.scale, (1,)).start()
+    assert list(run_jobs(reciprocal, [2], scheduler=cluster.scheduler_address)) == [(2, 0.5)]
+    assert "no workers yet" in capsys.readouterr().err
+
+
+def die(job):
+    os._exit(1)
+
+
+@pytest.mark.parametrize("cluster", [{"n_workers": 1, "processes": True}], indirect=True)
+def test_a_job_that_kills_its_workers_is_a_failure(cluster):
+    cluster.scheduler.allowed_failures = 0
+    ((job, failure),) = run_jobs(die, [1], scheduler=cluster.scheduler_address)
+    assert job == 1
+    assert failure.error.startswith("KilledWorker: ")
+    assert len(failure.error) < 200
+
+
+@pytest.mark.parametrize("cluster", [{"n_workers": 0, "processes": False}], indirect=True)
+def test_a_scheduler_that_goes_away_is_a_failure(cluster):
+    address = cluster.scheduler_address
+    Timer(1, cluster.close).start()
+    ((job, failure),) = run_jobs(reciprocal, [2], scheduler=address)
+    assert job == 2
+    assert failure.error == f"lost the scheduler {address}"

@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deploy.errors import UserError
 from deploy.files import write_json
 from pipeline import cli, table2
 from pipeline.parallel import Failure
@@ -137,6 +138,32 @@ def test_a_failed_split_is_reported_and_not_counted(benchmark):
         {"split": "random", "index": 2, "models": ["cnn"], "error": "MemoryError: no message"}
     ]
     assert "FAILED: split random 2, cnn: MemoryError" in table_text(table)
+
+
+def test_results_of_earlier_commands_stay_in_the_table(benchmark):
+    """A later call for SLAYER alone must not take the other rows away."""
+    for index in range(2):
+        store(benchmark, "cnn", index, [1, 0])
+    store(benchmark, "cnn", 0, [1, 1], kind="writers")
+    store(benchmark, "slayer", 0, [1, 1])
+    table = summarise(replace(benchmark, models=("slayer",), splits=1))
+    assert [(row["model"], row["indices"]) for row in table["rows"]] == [
+        ("cnn", [0, 1]),
+        ("slayer", [0]),
+    ]
+    assert [row["model"] for row in table["writer_rows"]] == ["cnn"]
+    assert [(c["a"], c["b"]) for c in table["comparisons"]] == [("cnn", "slayer")]
+
+
+def test_a_worker_with_other_recordings_or_another_version_is_found_out(benchmark, monkeypatch):
+    data = replace(Settings().data, samples_per_digit=2)
+    (job,) = table2.plan(replace(benchmark, settings=replace(Settings(), data=data)))
+    with pytest.raises(UserError, match="other recordings"):
+        table2.run(job)
+    results = [{"model": "cnn", "made_from": table2.stamp(job.benchmark, "cnn")}]
+    assert table2.of_this_version(job, results)
+    monkeypatch.setattr(table2, "__version__", "0.0.0")
+    assert not table2.of_this_version(job, results)
 
 
 def test_a_row_that_was_not_run_says_so(benchmark):
