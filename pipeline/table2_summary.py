@@ -157,7 +157,7 @@ def table_text(table: dict) -> str:
     if table["comparisons"]:
         lines += ["", "paired differences, on the same samples of the same splits"]
         for c in table["comparisons"]:
-            interval = "" if c["ci95"] is None else f"  [{_signed(c['ci95'])}]  p = {_p(c)}"
+            interval = "" if c["ci95"] is None else f"  [{_signed(c['ci95'])}]  p {_p(c)}"
             lines.append(
                 f"  {c['split']:<8} {c['a']} less {c['b']}: {c['difference']:+.3f}{interval}"
             )
@@ -177,12 +177,13 @@ def table_text(table: dict) -> str:
 def _line(row):
     paper = "" if row["paper_mean"] is None else f"{row['paper_mean']:.2f} ({row['paper_sd']:.2f})"
     if row["accuracy_mean"] is None:
-        return f"{row['title']:<44} {'not run':>13}  {'':<15} {0:>6}  {paper:>11}"
-    sd = "" if row["accuracy_sd"] is None else f" ({row['accuracy_sd']:.3f})"
+        return f"{row['title']:<44} {'not run':>13}  {'':<15} {0:>6}  {paper:>11}".rstrip()
+    sd = " " * 8 if row["accuracy_sd"] is None else f" ({row['accuracy_sd']:.3f})"
     interval = row["accuracy_ci95"]
     interval = "" if interval is None else f"{interval[0]:.3f} to {interval[1]:.3f}"
     ours = f"{row['accuracy_mean']:.3f}{sd}"
-    return f"{row['title']:<44} {ours:>13}  {interval:<15} {len(row['per_split']):>6}  {paper:>11}"
+    splits = len(row["per_split"])
+    return f"{row['title']:<44} {ours:>13}  {interval:<15} {splits:>6}  {paper:>11}".rstrip()
 
 
 def _signed(interval):
@@ -191,4 +192,4 @@ def _signed(interval):
 
 def _p(comparison):
     p_value = comparison["p_value"]
-    return "less than 0.001" if p_value < 0.001 else f"{p_value:.3f}"
+    return "< 0.001" if p_value < 0.001 else f"= {p_value:.3f}"
