@@ -187,6 +187,8 @@ class _Trainer:
             if str(state["run"]) != run:
                 return []
             history = json.loads(str(state["history"]))
+            if len(history) > self.settings.epochs:
+                return []  # trained for longer than is asked for now
             for i, variable in enumerate(self.network.kernels):
                 variable.assign(state[f"kernel{i}"])
             for i, variable in enumerate(self.optimizer.variables):
@@ -201,7 +203,7 @@ def _identity(settings, labels, train, test, seed):
     plain = {**asdict(settings), "epochs": None, "seed": seed}
     parts = [np.asarray(part).astype(int) for part in (labels, train, test)]
     sums = [int(np.dot(part, np.arange(1, len(part) + 1)) % (1 << 61)) for part in parts]
-    return json.dumps([plain, sums])
+    return json.dumps([plain, asdict(spike_response(settings)), sums])
 
 
 def _note(row):

@@ -9,6 +9,7 @@ import warnings
 from dataclasses import dataclass
 
 from joblib import Parallel, delayed
+from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from deploy.errors import UserError
 
@@ -63,20 +64,45 @@ def run_jobs(function, jobs, processes: int = 1, scheduler: str | None = None):
         yield from _on_cluster(function, jobs, scheduler)
     elif processes == 1 or len(jobs) <= 1:
         for job in jobs:
-            yield _attempt(function, job)
+            yield job, _attempt(function, job)
     else:
-        parallel = Parallel(n_jobs=min(processes, len(jobs)), return_as="generator_unordered")
         with warnings.catch_warnings():
             # Workers whose memory has grown are replaced between jobs, which is as it should be.
             warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
-            yield from parallel(delayed(_attempt)(function, job) for job in jobs)
+            yield from _in_processes(function, jobs, processes)
+
+
+def _in_processes(function, jobs, processes):
+    left = dict(enumerate(jobs))
+    parallel = Parallel(n_jobs=min(processes, len(jobs)), return_as="generator_unordered")
+    try:
+        for number, result in parallel(
+            delayed(_numbered)(number, function, job) for number, job in left.copy().items()
+        ):
+            yield left.pop(number), result
+    except TerminatedWorkerError:
+        # Nothing tells whose process was killed, so each job that is left gets one to itself.
+        for job in left.values():
+            yield job, _alone(function, job)
+
+
+def _alone(function, job):
+    try:
+        return Parallel(n_jobs=2)([delayed(_attempt)(function, job)])[0]  # 1 is this process
+    except TerminatedWorkerError:
+        message = "its process was killed; has the machine enough memory?"
+        return Failure(message, message)
+
+
+def _numbered(number, function, job):
+    return number, _attempt(function, job)
 
 
 def _attempt(function, job):
     try:
-        return job, function(job)
+        return function(job)
     except Exception as error:
-        return job, Failure(_one_line(error), traceback.format_exc())
+        return Failure(_one_line(error), traceback.format_exc())
 
 
 def _one_line(error):
@@ -108,7 +134,7 @@ def _on_cluster(function, jobs, scheduler):
         tasks = {client.submit(_attempt, function, job, pure=False): job for job in jobs}
         for task in as_completed(tasks):
             if task.status == "finished":
-                yield task.result()
+                yield tasks[task], task.result()
             elif task.status == "cancelled":
                 message = f"lost the scheduler {scheduler}"
                 yield tasks[task], Failure(message, message)

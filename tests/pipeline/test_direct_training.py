@@ -74,6 +74,14 @@ def test_a_checkpoint_of_another_run_is_not_taken_up(data, tmp_path):
     np.testing.assert_allclose(other.kernels[0], fresh.kernels[0], atol=1e-6)
 
 
+def test_fewer_epochs_than_a_checkpoint_has_start_afresh(trained, data, tmp_path):
+    longer, shorter = (Slayer(**{**vars(SETTINGS), "epochs": epochs}) for epochs in (2, 1))
+    train_slayer(longer, *data, 3, tmp_path / "state.npz")
+    got = train_slayer(shorter, *data, 3, tmp_path / "state.npz")
+    assert len(got.history) == 1
+    assert got.history[0]["loss"] == pytest.approx(trained.history[0]["loss"], rel=1e-4)
+
+
 def test_a_damaged_checkpoint_is_named(data, tmp_path):
     (tmp_path / "state.npz").write_bytes(b"no archive")
     with pytest.raises(UserError, match=r"state\.npz"):

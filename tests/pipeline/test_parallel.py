@@ -1,4 +1,5 @@
 import os
+import signal
 from threading import Timer
 
 import pytest
@@ -18,6 +19,18 @@ def test_a_failure_does_not_stop_the_others(processes):
     assert isinstance(results[0], Failure)
     assert results[0].error == "ZeroDivisionError: division by zero"
     assert "reciprocal" in results[0].details
+
+
+def die_of_two(number):
+    if number == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def test_a_killed_process_is_a_failure_and_the_others_go_on():
+    results = dict(run_jobs(die_of_two, [0, 1, 2, 3, 4], 2))
+    assert "killed" in results.pop(2).error
+    assert results == {number: number for number in (0, 1, 3, 4)}
 
 
 def complain_at_length(job):
