@@ -24,24 +24,25 @@ PAPER = {"spiking-lif": 0.02, "chip-100": 0.03}
 """Accuracy that the paper loses from CNN to spiking network and to Loihi (Table 2)."""
 
 
-def measure(job) -> list:
-    """Train and test everything for some seeds, one after the other.
+def check(settings: Settings):
+    """Refuse settings that do not go with every number of steps.
+
+    Raises
+    ------
+    UserError
+        They read the output later than the shortest presentation lasts.
+    """
+    for steps in STEPS:
+        settings.with_values({"presentation": {"steps": steps}}, "benchmark losses")
+
+
+def measure(job) -> dict:
+    """Train and test everything for one seed.
 
     Parameters
     ----------
     job : object
-        With ``settings`` and ``seeds``, each of a split and of every training.
-
-    Returns
-    -------
-    list of dict
-        See :func:`measure_one`.
-    """
-    return [measure_one(job.settings, seed) for seed in job.seeds]
-
-
-def measure_one(settings: Settings, seed: int) -> dict:
-    """Train and test everything for one seed.
+        With ``settings`` and ``seed``, that of the split and of every training.
 
     Returns
     -------
@@ -53,6 +54,7 @@ def measure_one(settings: Settings, seed: int) -> dict:
     from pipeline.conversion import deployed
 
     begun = time.perf_counter()
+    settings, seed = job.settings, job.seed
     recordings = recordings_of(settings.data)
     split = random_split(len(recordings), seed, settings.split.test_fraction)
     images = tactile_images(recordings, settings.image.aggregation, settings.image.normalisation)
@@ -104,7 +106,7 @@ def summarise(results, simulated: bool) -> dict:
     Parameters
     ----------
     results : sequence of dict
-        From :func:`measure_one`.
+        From :func:`measure`.
     simulated : bool
 
     Returns

@@ -13,9 +13,6 @@ from pipeline.commands import options
 from pipeline.commands.benchmark import app
 from pipeline.commands.over_splits import Measurement, run
 
-TOGETHER = 5
-"""Splits of a job at most, as in the benchmark of Table 2."""
-
 
 @app.command("conversion")
 def conversion(
@@ -39,7 +36,6 @@ def conversion(
         choices.measure,
         choices.summarise,
         choices.choices_text,
-        together=TOGETHER,
         depends_on=(choices.SCHEMA, [asdict(choice) for choice in choices.CHOICES]),
     )
     run(measurement, out, splits, data, settings, set_, jobs, as_json)

@@ -35,5 +35,6 @@ def losses_(
         losses.summarise,
         losses.losses_text,
         depends_on=(losses.SCHEMA,),
+        check=losses.check,
     )
     run(measurement, out, seeds, data, settings, set_, jobs, as_json)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from deploy import __version__
 from deploy.errors import CheckFailed
 from deploy.files import write_json
 from pipeline.commands import options
@@ -20,17 +21,17 @@ from pipeline.sources import recordings_of
 
 @dataclass(frozen=True)
 class Job:
-    """Some splits that are measured in one go.
+    """A split to measure.
 
     Attributes
     ----------
     settings : Settings
-    seeds : tuple of int
-        Of each split and its training.
+    seed : int
+        Of the split and its trainings.
     """
 
     settings: Settings
-    seeds: tuple
+    seed: int
 
 
 @dataclass(frozen=True)
@@ -42,24 +43,23 @@ class Measurement:
     name : str
         Of the summary's file.
     measure : callable
-        From a :class:`Job` to a list with a dict for each of its seeds, which has the key
-        ``"seed"``.
+        From a :class:`Job` to a dict.
     summarise : callable
         From those dicts and whether the recordings are simulated to a dict.
     text : callable
         From that to a table.
-    together : int
-        Splits of a job at most.
     depends_on : tuple
         Plain values that the results depend on besides recordings and settings.
+    check : callable, optional
+        Called with the settings before anything is done.
     """
 
     name: str
     measure: Callable
     summarise: Callable
     text: Callable
-    together: int = 1
     depends_on: tuple = ()
+    check: Callable | None = None
 
 
 def run(measurement: Measurement, out: Path, splits, data, settings, set_, jobs, as_json):
@@ -67,16 +67,23 @@ def run(measurement: Measurement, out: Path, splits, data, settings, set_, jobs,
 
     Raises
     ------
+    UserError
+        The settings do not fit the measurement, or the recordings cannot be read.
     CheckFailed
         A split failed; those that did not are kept, and summarised.
     """
     folder = RunFolder(out)
     with folder.locked():
         resolved = options.resolve(folder, data, None, None, None, settings, set_)
+        if measurement.check is not None:
+            measurement.check(resolved)
         recordings = recordings_of(resolved.data, jobs)
         folder.save_settings(resolved)
-        stamp = stamp_of(recordings.source.sha256, asdict(resolved), *measurement.depends_on)
-        results = _results(measurement, resolved, out, range(splits), stamp, jobs)
+        stamp = stamp_of(
+            __version__, recordings.source.sha256, asdict(resolved), *measurement.depends_on
+        )
+        seeds = range(resolved.seed, resolved.seed + splits)
+        results = _results(measurement, resolved, out, seeds, stamp, jobs)
         whole = [result for result in results.values() if result is not None]
         if not whole:
             raise CheckFailed("every split failed; see above")
@@ -93,19 +100,13 @@ def _results(measurement, settings, out, seeds, stamp, jobs):
     """The result of each seed, or None where it failed."""
     paths = {seed: out / f"split-{seed:02d}.json" for seed in seeds}
     results = {seed: read_stamped(path, stamp) for seed, path in paths.items()}
-    missing = [seed for seed, result in results.items() if result is None]
-    size = min(measurement.together, -(-len(missing) // jobs)) or 1
-    todo = [
-        Job(settings, tuple(missing[start : start + size]))
-        for start in range(0, len(missing), size)
-    ]
-    with progress(measurement.name, len(missing)) as advance:
-        for job, done in run_jobs(measurement.measure, todo, jobs):
-            if isinstance(done, Failure):
-                print(done.details, file=sys.stderr)
+    todo = [Job(settings, seed) for seed, result in results.items() if result is None]
+    with progress(measurement.name, len(todo)) as advance:
+        for job, result in run_jobs(measurement.measure, todo, jobs):
+            if isinstance(result, Failure):
+                print(result.details, file=sys.stderr)
             else:
-                for result in done:
-                    results[result["seed"]] = result
-                    write_json(paths[result["seed"]], {"made_from": stamp, **result})
-            advance(len(job.seeds))
+                results[job.seed] = result
+                write_json(paths[job.seed], {"made_from": stamp, **result})
+            advance(1)
     return results
