@@ -16,6 +16,9 @@ import tensorflow as tf
 from models.lif import RateLIF
 from models.quantised import OnChipConv2D
 
+MOST_BATCHES = 1 << 16
+"""Of an epoch; numbers the noise of each."""
+
 
 def fit_together(models, data, parts, seeds, epochs, batch_size, optimizer, advance=None):
     """Train networks that put out logits: sparse categorical cross-entropy, price of spikes.
@@ -107,13 +110,14 @@ class Stack:
         """
         order, mask = _orders(parts, seeds, epoch, batch_size)
         sums = np.zeros((2, len(self.models)))
-        for start in range(0, order.shape[1], batch_size):
+        for number, start in enumerate(range(0, order.shape[1], batch_size)):
             batch = order[:, start : start + batch_size]
+            noise = epoch * MOST_BATCHES + number  # the same whatever the other networks' sizes
             sums += self._step(
                 tf.gather(self._images, batch),
                 tf.gather(self._labels, batch),
                 tf.constant(mask[:, start : start + batch_size]),
-                tf.constant([[seed, epoch * order.shape[1] + start] for seed in seeds]),
+                tf.constant([[seed, noise] for seed in seeds]),
             ).numpy()
         return sums / np.array([len(part) for part in parts])
 
@@ -146,11 +150,12 @@ def forward_together(layers, variables, images, noise_seeds=None):
     Raises
     ------
     ValueError
-        There is a layer of a kind that this does not know.
+        There is a layer of a kind, or with options, that this does not know.
     """
     n, batch = images.shape[:2]
     signal, costs, remaining = images, 0.0, iter(variables)
     for number, layer in enumerate(layers):
+        _check_plain(layer)
         # Exact types: a subclass may compute with something else than its kernel.
         if type(layer) is tf.keras.layers.Conv2D:
             signal = _convolve(signal, next(remaining), next(remaining))
@@ -172,6 +177,17 @@ def forward_together(layers, variables, images, noise_seeds=None):
         elif layer.weights:
             raise ValueError(f"layer {layer.name!r}: {type(layer).__name__} cannot be stacked")
     return signal, costs
+
+
+def _check_plain(layer):
+    """Refuse what a layer may do to its sums that is not done here."""
+    expected = {"use_bias": True, "strides": (1, 1), "padding": "valid", "dilation_rate": (1, 1)}
+    for name, value in expected.items():
+        if getattr(layer, name, value) != value:
+            raise ValueError(f"layer {layer.name!r}: {name} must be {value} to be stacked")
+    sums = isinstance(layer, (tf.keras.layers.Conv2D, tf.keras.layers.Dense))
+    if sums and layer.activation is not tf.keras.activations.linear:
+        raise ValueError(f"layer {layer.name!r}: its neurons must be a layer of their own")
 
 
 def _normal(shape, seeds, number):

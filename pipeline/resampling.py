@@ -34,15 +34,15 @@ class Estimate:
     p_value: float | None
 
 
-def estimate(values, n_train: int, n_test: int, confidence: float = 0.95) -> Estimate:
+def estimate(values, n_train: float, n_test: float, confidence: float = 0.95) -> Estimate:
     """Mean over splits, with the corrected resampled t statistic.
 
     Parameters
     ----------
     values : array_like, shape (n_splits,)
         An accuracy, or a difference of two models' accuracies, of each split.
-    n_train, n_test : int
-        Samples of each split.
+    n_train, n_test : float
+        Samples of each split, or their mean where splits differ.
     confidence : float
 
     Returns

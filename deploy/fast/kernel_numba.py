@@ -16,11 +16,12 @@ What makes it fast:
 
 from __future__ import annotations
 
-import os
+import sys
 
 import numba
 import numpy as np
 from numba import int32, uint64
+from numba.core import event
 
 from .arrays import Q_BITS, U_BITS, Network, State, Steps
 from .wiring import LANES, wiring
@@ -41,11 +42,15 @@ class Kernel:
     """
 
     bytes_per_spike = 1
-    """Memory that a call takes for each compartment, stream and step, about."""
+    """Memory that a call takes for each compartment, stream and step, about; the list of one
+    stream's spikes takes up to 4 more for each compartment and step."""
 
     def __init__(self, network: Network, decoders):
         self._network = network
         self._wiring = wiring(network)
+        segments = network.segments
+        # Runs are padded and so reach beyond the widest segment's end.
+        self._n_totals = int((segments.stop - segments.start).max()) + LANES
         self._is_plain = network.is_plain
         self._decoders = np.ascontiguousarray(decoders, dtype=np.float64)
 
@@ -89,6 +94,7 @@ class Kernel:
             decoded,
             counts,
             overflows,
+            np.zeros(self._n_totals, self._wiring.pool.dtype),
         )
         state.inputs = arriving[:, -1, :n_inputs].copy()
         state.spikes = spikes[:, -1].copy()
@@ -225,7 +231,10 @@ def _fire(threshold, voltage, spikes):
 
 @_jit()
 def _fire_once(threshold, voltage, spikes):
-    """Spikes of compartments that are held at 0 in the step after each: those that spiked last."""
+    """Spikes of compartments that are held at 0 in the step after each.
+
+    ``spikes`` comes with those of the step before, which are the ones that are held.
+    """
     for i in range(len(voltage)):
         v = int32(0) if spikes[0, i] else voltage[i]
         fires = v > threshold[i]
@@ -263,6 +272,7 @@ def advance(
     decoded,
     counts,
     overflows,
+    total,
 ):
     """All streams through all steps; `Kernel.advance` says what the arrays are.
 
@@ -272,7 +282,6 @@ def advance(
     n_streams, n_steps = decoded.shape[0], decoded.shape[1]
     n_inputs = wiring.first.shape[1] - 1 - len(bias)
     widest = np.max(segments.stop - segments.start)
-    total = np.zeros(widest + LANES, wiring.pool.dtype)
     row = np.zeros((1, -(-widest // WORD) * WORD), np.uint8)
     in_use = np.empty(max(arriving.shape[2], row.shape[1] // WORD), np.int32)
     # Spikes of the inputs, then of each segment; those at row t are from ends[t] to ends[t + 1].
@@ -332,7 +341,10 @@ def _advance_segment(
     spikes,
     overflows,
 ):
-    """One segment of one stream through all steps; appends its spikes to the list."""
+    """One segment of one stream through all steps; appends its spikes to the list.
+
+    ``row`` and ``words`` are the same memory: the last step's spikes as bytes and as words of 8.
+    """
     n_inputs = wiring.first.shape[1] - 1 - segments.stop[-1]
     first_source = int32(n_inputs + segments.start[s])
     period, scale = segments.refractory[s], int32(int32(1) << segments.shift[s])
@@ -367,15 +379,15 @@ def _advance_segment(
         waiting[:] = row[0, : len(waiting)]
 
 
-def is_compiled():
-    """Whether the next call of the kernel finds it compiled, in memory or on disk."""
-    if advance.signatures:
-        return True
-    try:
-        source = os.path.getmtime(__file__)
-        return any(
-            entry.name.startswith("kernel_numba.advance-") and entry.stat().st_mtime >= source
-            for entry in os.scandir(advance.stats.cache_path)
-        )
-    except OSError:  # inside a zipapp, or nothing was ever cached
-        return False
+class _Announcer(event.Listener):
+    """Says when `advance` is compiled, once for each type of weights, and not when it is cached."""
+
+    def on_start(self, event):
+        if event.data["dispatcher"] is advance:
+            print("fast: compiling; this takes some ten seconds", file=sys.stderr, flush=True)
+
+    def on_end(self, event):
+        pass
+
+
+event.register("numba:compile", _Announcer())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import collections
 import concurrent.futures
-import sys
 import warnings
 from dataclasses import replace
 from typing import Iterator, NamedTuple
@@ -181,8 +180,6 @@ def _kernel(name):
                 f"the kernel 'numba' needs Numba ({error}): pip install numba"
             ) from None
         return kernel_numpy.Kernel
-    if not kernel_numba.is_compiled():
-        print("fast: compiling; this takes some ten seconds", file=sys.stderr, flush=True)
     return kernel_numba.Kernel
 
 

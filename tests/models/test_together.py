@@ -135,6 +135,29 @@ def test_a_layer_that_cannot_be_stacked_is_named():
         forward_together(model.layers, [], tf.zeros((1, 2, 6, 6, 1)))
 
 
+@pytest.mark.parametrize("option", [{"use_bias": False}, {"strides": 2}, {"activation": "relu"}])
+def test_an_option_that_is_not_done_is_refused(option):
+    layer = tf.keras.layers.Conv2D(2, 3, name="conv1", **option)
+    layer.build((None, 6, 6, 1))
+    with pytest.raises(ValueError, match="conv1"):
+        forward_together([layer], layer.trainable_variables, tf.zeros((1, 2, 6, 6, 1)))
+
+
+def test_a_network_ends_the_same_beside_a_larger_one_until_the_schedule_differs(data):
+    """One epoch of the own recipe, noise included, at a constant learning rate."""
+
+    def weights(parts):
+        models = [own_recipe(1, noise=0.5) for _ in parts]
+        optimizer = tf.keras.optimizers.Adam(0.003)
+        fit_together(models, data, parts, range(len(parts)), 1, 16, optimizer)
+        return get_weights(models[0])
+
+    small, large = np.arange(32), np.arange(100)
+    alone, beside = weights([small]), weights([small, large])
+    for name, array in alone.items():
+        np.testing.assert_allclose(beside[name], array, atol=1e-5, err_msg=name)
+
+
 def test_every_sample_comes_once_an_epoch():
     order, mask = _orders([np.arange(10, 20), np.arange(3)], [1, 2], 0, 4)
     assert order.shape == mask.shape == (2, 12)

@@ -107,7 +107,8 @@ def test_the_table_by_hand(benchmark):
     assert ann["per_split"] == [0.5]
     assert ann["accuracy_sd"] is None
     assert loihi["n_test"] == 2
-    first, second = table["comparisons"]
+    first, whole, second = table["comparisons"]
+    assert (whole["a"], whole["b"], whole["difference"]) == ("cnn", "loihi", 0.5)
     # Split 0 only, since ann-snn has no split 1: 0.75 less 0.5.
     assert (first["a"], first["b"], first["difference"]) == ("cnn", "ann-snn", 0.25)
     # On the two samples that both have seen: right, wrong against wrong, wrong.
@@ -117,6 +118,15 @@ def test_the_table_by_hand(benchmark):
     assert "simulated recordings" in text
     assert "0.625 (0.177)" in text
     assert "0.89 (0.01)" in text
+
+
+def test_splits_of_several_sizes_count_by_their_mean(benchmark):
+    for index, right in enumerate(([1, 0], [1, 0, 1, 1])):
+        for model in ("cnn", "ann-snn"):
+            store(benchmark, model, index, right)
+    table = summarise(benchmark)
+    assert table["rows"][0]["n_test"] == 3
+    assert table["comparisons"][0]["n_samples"] == 3
 
 
 def test_the_same_answers_differ_by_nothing(benchmark):
