@@ -110,6 +110,7 @@ def _limits(limits):
         f"limit: this machine adds {limits['adds_per_second_in_cache'] / 1e9:.0f} G weights of "
         f"{limits['weight_bits']} bits a second in its first cache and "
         f"{limits['adds_per_second_from_memory'] / 1e9:.1f} G from memory;",
-        f"  delivering spikes, padding included, adds {limits['weights_added_per_second'] / 1e9:.1f} G, "
+        "  delivering spikes, padding included, adds "
+        f"{limits['weights_added_per_second'] / 1e9:.1f} G, "
         f"{limits['share_of_cache_limit']:.0%} of the first",
     ]
