@@ -1,6 +1,7 @@
 """Ways to run the command ``stmnist``."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -25,7 +26,10 @@ def environment(**more) -> dict:
 
 
 def start(*arguments, **options) -> subprocess.Popen:
-    """Start it as a process of its own, in a group of its own."""
+    """Start it as a process of its own, in a group of its own.
+
+    Ctrl-C reaches it even if these tests run in a shell's background, where it is ignored.
+    """
     return subprocess.Popen(
         [sys.executable, "-m", "pipeline.cli", *map(str, arguments)],
         env=environment(),
@@ -33,5 +37,6 @@ def start(*arguments, **options) -> subprocess.Popen:
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
         **options,
     )
