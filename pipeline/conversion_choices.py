@@ -152,10 +152,10 @@ def _predictions(choice, settings, weights, images, split, seed):
     if choice.row == "loihi":
         spec = deployed(chosen, weights, {}, images[split.train])
         return answer(spec, shown, "fast", seed).predictions
-    outputs = nengodl.run(chosen, weights, shown, chosen.presentation.steps)
+    steps = chosen.presentation.steps
     if choice.smoothed:
-        return smoothed(outputs).argmax(1)
-    return outputs[:, chosen.presentation.readout_start :].mean(axis=1).argmax(1)
+        return smoothed(nengodl.run(chosen, weights, shown, steps)).argmax(1)
+    return nengodl.predict(chosen, weights, shown, steps)
 
 
 def smoothed(outputs, dt: float = 0.001) -> np.ndarray:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from models.cnn import build_cnn, get_weights, set_weights
-from models.notation import parse
+from models.cnn import get_weights
 from models.together import fit_together
 from pipeline.settings import Settings
 from pipeline.training import (
-    Recipe,
     Trained,
-    build_rate_network,
-    make_deterministic,
+    cnn_recipe,
+    new_cnn,
+    new_rate_network,
     optimizer,
-    scale_to_unit,
     snn_recipe,
 )
 
@@ -36,14 +34,8 @@ def train_cnns(settings: Settings, data, parts, seeds, advance=None) -> list:
     -------
     list of Trained
     """
-
-    cnn = settings.cnn
-    recipe = Recipe(cnn.epochs, cnn.batch_size, cnn.learning_rate)
-
-    def start(index):
-        return build_cnn(parse(cnn.architecture))
-
-    return _train(start, recipe, data, parts, seeds, advance)
+    models = [new_cnn(settings, seed) for seed in seeds]
+    return _train(models, cnn_recipe(settings.cnn), data, parts, seeds, advance)
 
 
 def train_rate_networks(
@@ -55,22 +47,14 @@ def train_rate_networks(
     and result as in :func:`train_cnns`; ``cnn_weights`` are those of each split's CNN, needed for
     the recipe ``"loihi"``.
     """
-    recipe = snn_recipe(settings.snn)
-
-    def start(index):
-        model = build_rate_network(settings)
-        if settings.snn.recipe == "loihi":
-            set_weights(model, scale_to_unit(settings, cnn_weights[index], data[0][parts[index]]))
-        return model
-
-    return _train(start, recipe, data, parts, seeds, advance)
+    models = [
+        new_rate_network(settings, seed, data[0][part], cnn_weights and cnn_weights[index])
+        for index, (part, seed) in enumerate(zip(parts, seeds, strict=True))
+    ]
+    return _train(models, snn_recipe(settings.snn), data, parts, seeds, advance)
 
 
-def _train(start, recipe, data, parts, seeds, advance):
-    models = []
-    for index, seed in enumerate(seeds):
-        make_deterministic(seed)
-        models.append(start(index))
+def _train(models, recipe, data, parts, seeds, advance):
     histories = fit_together(
         models,
         data,

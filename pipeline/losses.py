@@ -71,10 +71,8 @@ def measure(job) -> dict:
         "cnn": predictions(training.cnn_logits(settings, paper.weights, shown)),
         "cnn-annealed": predictions(training.cnn_logits(settings, annealed.weights, shown)),
         "rate-lif": predictions(training.rate_logits(settings, rate.weights, shown)),
+        "spiking-lif": nengodl.predict(settings, rate.weights, shown, max(STEPS)),
     }
-    spiking = nengodl.run(settings, rate.weights, shown, max(STEPS))
-    start = settings.presentation.readout_start
-    found["spiking-lif"] = predictions(spiking[:, start:].mean(axis=1))
     spec = deployed(settings, rate.weights, {}, train[0])
     operations, decided = {}, {}
     for steps in STEPS:

@@ -143,6 +143,22 @@ def open_trainer(settings: Settings, weights: dict, data, batch: int):
         yield train_epoch
 
 
+def predict(settings: Settings, weights: dict, images, steps: int) -> np.ndarray:
+    """Answers of the spiking network: the highest mean logit from the start of the readout on.
+
+    Parameters
+    ----------
+    settings, weights, images, steps
+        As in :func:`run`.
+
+    Returns
+    -------
+    ndarray of int, shape (n_samples,)
+    """
+    outputs = run(settings, weights, images, steps)
+    return outputs[:, settings.presentation.readout_start :].mean(axis=1).argmax(1)
+
+
 def _convert(settings, weights, kind, synapse, inference_only=True):
     """The network with neurons of a kind: converter, its input node and its output probe."""
     snn = settings.snn

@@ -265,8 +265,8 @@ def _spiking_answers(settings, weights, images, split, seed):
     """All test samples, by NengoDL with spiking neurons."""
     from pipeline import nengodl
 
-    steps = nengodl.run(settings, weights, images[split.test], settings.presentation.steps)
-    return split.test, steps[:, settings.presentation.readout_start :].mean(1).argmax(1)
+    steps = settings.presentation.steps
+    return split.test, nengodl.predict(settings, weights, images[split.test], steps)
 
 
 def _loihi_answers(settings, weights, images, split, seed):

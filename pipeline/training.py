@@ -94,12 +94,20 @@ def train_cnn(
     -------
     Trained
     """
-    make_deterministic(seed)
-    model = build_cnn(parse(settings.cnn.architecture))
-    cnn = settings.cnn
-    recipe = recipe or Recipe(cnn.epochs, cnn.batch_size, cnn.learning_rate)
-    history = fit(model, recipe, data, validation, advance)
+    model = new_cnn(settings, seed)
+    history = fit(model, recipe or cnn_recipe(settings.cnn), data, validation, advance)
     return Trained(get_weights(model), history)
+
+
+def new_cnn(settings: Settings, seed: int) -> tf.keras.Model:
+    """The CNN as its training starts."""
+    make_deterministic(seed)
+    return build_cnn(parse(settings.cnn.architecture))
+
+
+def cnn_recipe(cnn) -> Recipe:
+    """The paper's recipe of the CNN, with the settings' epochs, batch size and learning rate."""
+    return Recipe(cnn.epochs, cnn.batch_size, cnn.learning_rate)
 
 
 def snn_recipe(snn) -> Recipe:
@@ -173,12 +181,18 @@ def train_rate_network(
     -------
     Trained
     """
+    model = new_rate_network(settings, seed, data[0], cnn_weights)
+    history = fit(model, snn_recipe(settings.snn), data, validation, advance)
+    return Trained(get_weights(model), history)
+
+
+def new_rate_network(settings: Settings, seed: int, images, cnn_weights=None) -> tf.keras.Model:
+    """The rate-based network as its training on some images starts."""
     make_deterministic(seed)
     model = build_rate_network(settings)
     if settings.snn.recipe == "loihi":
-        set_weights(model, scale_to_unit(settings, cnn_weights, data[0]))
-    history = fit(model, snn_recipe(settings.snn), data, validation, advance)
-    return Trained(get_weights(model), history)
+        set_weights(model, scale_to_unit(settings, cnn_weights, images))
+    return model
 
 
 def scale_to_unit(settings: Settings, weights: dict, images) -> dict:

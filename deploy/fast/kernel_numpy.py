@@ -76,7 +76,7 @@ class _Layer:
 
         def value(name, dtype=float):
             values = getattr(segments, name)[mine].astype(dtype)
-            # A number where it is the same for all is quicker than an array.
+            # A number where it is the same for all is quicker to multiply with than a row.
             return values[0] if np.all(values == values[0]) else np.repeat(values, lengths)
 
         self.keep_u, self.keep_v = value("keep_u") / 4096, value("keep_v") / 4096

@@ -18,7 +18,9 @@ def losses_(
     out: Annotated[
         Path, typer.Option(help="Folder of the results; seeds that are there are not run again.")
     ] = Path("runs/losses"),
-    seeds: Annotated[int, typer.Option(help="Seeds, from 0 on; each has a split.", min=1)] = 10,
+    seeds: Annotated[
+        int, typer.Option(help="Seeds, from the settings' own on; one a split.", min=1)
+    ] = 10,
     data: options.Data = None,
     settings: options.SettingsFile = None,
     set_: options.Assignments = None,
