@@ -2,14 +2,14 @@
 #
 # Variables: DATA (ST-MNIST zip or folder; default: simulated), RUN (default runs/default),
 # SEED (default 0), SAMPLES (default 200), STEPS (of 1 ms; default 100), JOBS (default 2),
-# TARGET (of make check; default emulator), BOARD and PARTITION (of make loihi-hardware).
+# TARGET (of make check; default emulator), BOARD and PARTITION (of make loihi-hardware),
+# PYTHON (of 3.11 to 3.13; default: the first on the path that fits).
 # Unset ones leave a run's own settings as they are.
 
 RUN ?= runs/default
 JOBS ?= 2
 TARGET ?= emulator
-PYTHON ?= python3.11
-PYTHON38 ?= python3.8
+PYTHON38 ?= $(shell sh setup.sh --find 3.8)
 
 BIN := .venv/bin
 STMNIST := $(BIN)/stmnist
@@ -17,18 +17,11 @@ SOURCE_OPTIONS := $(if $(DATA),--data "$(DATA)") $(if $(SEED),--seed $(SEED)) --
 BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $(PARTITION))
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
 
-.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report test lint setup-inrc test-inrc setup-nir test-nir check-nir clean help
+.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report test test-pythons lint setup-inrc test-inrc setup-nir test-nir check-nir clean help
 .DEFAULT_GOAL := help
 
-setup: .venv/installed  ## Make .venv with everything pinned in constraints.txt (2.5 GB)
-
-.venv/installed: pyproject.toml constraints.txt
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null || \
-	  { echo "setup: Python 3.11 is needed (TensorFlow 2.12 and NengoDL 3.6 run on no later one) and '$(PYTHON)' is not it; install it, or name it with PYTHON=/path/to/python3.11" >&2; exit 2; }
-	@echo "setup: installing into .venv, about two minutes"
-	@$(PYTHON) -m venv --clear .venv
-	@$(BIN)/pip install -qq -c constraints.txt -e '.[dev,fast,nir,cluster]'
-	@touch $@
+setup:  ## Make .venv with everything pinned in constraints.txt (2.6 GB)
+	@sh setup.sh .venv $(PYTHON)
 
 data: setup  ## Import DATA, or simulate recordings, into the cache
 	@$(STMNIST) data import $(or $(DATA),simulated) --jobs $(JOBS)
@@ -62,6 +55,13 @@ report: loihi-emulate  ## RUN as one HTML file, RUN/report.html, with Table 2 wh
 test: setup  ## Run the tests
 	@$(BIN)/python -m pytest
 
+test-pythons:  ## Run the tests on each of Python 3.11 to 3.13 that this machine has (TESTS: options)
+	@for version in 3.11 3.12 3.13; do \
+	  python=$$(sh setup.sh --find $$version) || { echo "Python $$version: not on this machine"; continue; }; \
+	  sh setup.sh .venv-$$version "$$python" && echo "Python $$version:" && \
+	  .venv-$$version/bin/python -m pytest $(TESTS) || exit; \
+	done
+
 lint: setup  ## Check style
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
@@ -69,8 +69,8 @@ lint: setup  ## Check style
 setup-inrc: .venv-inrc/installed  ## Make .venv-inrc, the Python 3.8 of an INRC host, for the tests
 
 .venv-inrc/installed: deploy/inrc/requirements.txt
-	@$(PYTHON38) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 8))' 2>/dev/null || \
-	  { echo "setup-inrc: '$(PYTHON38)' is not a Python 3.8; name one with PYTHON38=/path/to/python3.8" >&2; exit 2; }
+	@test -n "$(PYTHON38)" && "$(PYTHON38)" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 8))' 2>/dev/null || \
+	  { echo "setup-inrc: Python 3.8 is needed; install one, or name it with PYTHON38=/path/to/python3.8" >&2; exit 2; }
 	@$(PYTHON38) -m venv --clear .venv-inrc
 	@.venv-inrc/bin/pip install -qq -r deploy/inrc/requirements.txt
 	@touch $@
@@ -80,8 +80,8 @@ test-inrc: setup setup-inrc  ## Show that a copied bundle gives the same result 
 
 setup-nir: .venv-nir/installed  ## Make .venv-nir: Norse on PyTorch for the CPU, which reads NIR (1 GB)
 
-.venv-nir/installed: tests/nir_reader/requirements.txt
-	@$(PYTHON) -m venv --clear .venv-nir
+.venv-nir/installed: tests/nir_reader/requirements.txt | setup
+	@$(BIN)/python -m venv --clear .venv-nir
 	@.venv-nir/bin/pip install -qq -r tests/nir_reader/requirements.txt
 	@.venv-nir/bin/pip install -qq --no-deps norse==1.1.0
 	@touch $@

@@ -16,9 +16,9 @@ except ImportError:  # Python 3.7 and earlier, refused below
 
 OLDEST_PYTHON = (3, 8)
 PACKAGES = {
-    "numpy": ((1, 17), (2,), "NengoLoihi 1.1 fails with NumPy 2"),
+    "numpy": ((1, 17), (3,), ""),
     "scipy": ((1, 4), (2,), ""),
-    "nengo": ((3, 1), (4,), "NengoLoihi 1.1 was made for Nengo 3.1 and 3.2"),
+    "nengo": ((3, 1), (5,), "NengoLoihi 1.1 works with Nengo 3.1 to 4.1"),
     "nengo-loihi": ((1, 1), (1, 2), "the bundle was made with NengoLoihi 1.1"),
 }
 """Package: oldest version that will do, first one that will not, and why."""
@@ -35,6 +35,7 @@ def complaint():
     if sys.version_info < OLDEST_PYTHON or version is None:
         found = ".".join(str(n) for n in sys.version_info[:3])
         return f"Python {found} is too old; use Python 3.8 or later"
+    found_numbers = {}
     for package, (oldest, first_not, reason) in PACKAGES.items():
         wanted = f"{package}>={_dotted(oldest)},<{_dotted(first_not)}"
         remedy = f"pip install '{wanted}'" + (f" ({reason})" if reason else "")
@@ -43,10 +44,13 @@ def complaint():
         except PackageNotFoundError:
             return f"{package} is not installed; {remedy}"
         number = tuple(int(n) for n in re.findall(r"\d+", found)[:3])
+        found_numbers[package] = number
         if number < oldest:
             return f"{package} {found} is too old; {remedy}"
         if number >= first_not:
             return f"{package} {found} is too new; {remedy}"
+    if found_numbers["nengo"] < (4,) and found_numbers["numpy"] >= (2,):
+        return "Nengo 3 fails with NumPy 2; pip install 'numpy<2' or 'nengo>=4,<5'"
     return None
 
 

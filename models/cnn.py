@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import tensorflow as tf
 
+from models.keras2 import tf
 from models.notation import Architecture
 
 

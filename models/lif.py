@@ -21,7 +21,8 @@ That is the rate trained with here; noise on the input during training stands fo
 from __future__ import annotations
 
 import numpy as np
-import tensorflow as tf
+
+from models.keras2 import tf
 
 DT = 0.001
 """Time step in seconds."""

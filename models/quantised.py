@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import tensorflow as tf
+
+from models.keras2 import tf
 
 WEIGHT_LEVELS = 127
 """Largest magnitude of an 8-bit weight that may have either sign."""

@@ -36,8 +36,8 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-import tensorflow as tf
 
+from models.keras2 import tf
 from models.notation import Architecture
 
 

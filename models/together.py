@@ -11,8 +11,8 @@ counts its steps on, which shifts its schedule, and Adam's start, by as much.
 from __future__ import annotations
 
 import numpy as np
-import tensorflow as tf
 
+from models.keras2 import tf
 from models.lif import RateLIF
 from models.quantised import OnChipConv2D
 

@@ -5,9 +5,6 @@ from __future__ import annotations
 import os
 import sys
 
-# Must be set before TensorFlow is first imported by a verb.
-os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-
 import typer
 
 from deploy import __version__

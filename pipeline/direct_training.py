@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-import tensorflow as tf
 
 from deploy.errors import UserError
 from deploy.files import read_arrays, write_arrays
+from models.keras2 import tf
 from models.notation import parse
 from models.slayer import SpikeResponse, SpikingNetwork, spike_count_loss, spike_counts
 from pipeline.recordings import DURATION_S

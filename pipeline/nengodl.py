@@ -8,16 +8,18 @@ trained with (``J = 1 + gain * z``).
 from __future__ import annotations
 
 import contextlib
+import importlib
 import logging
-import os
+import subprocess
 import sys
+import types
 import warnings
 
 import nengo
 import numpy as np
-import tensorflow as tf
 
 from models.cnn import build_cnn, set_weights
+from models.keras2 import tf
 from models.lif import gain_for
 from models.notation import parse
 from models.quantised import eight_bits
@@ -25,24 +27,40 @@ from pipeline.settings import Settings
 
 
 @contextlib.contextmanager
-def _silenced():
-    """Nothing on standard error from below Python.
+def keras_of_its_time():
+    """While NengoDL is imported: the world of TensorFlow 2.12, for which NengoDL 3.6 was made.
 
-    NengoDL sets TensorFlow's log level for itself when it is imported, and TensorFlow then reports
-    a TensorRT that nobody asked for.
+    - The name ``keras`` is Keras 2.  NengoDL takes from ``keras.engine.functional`` what moved to
+      ``src``, and from ``keras.layers`` two names of batch normalisation; it converts the second.
+    - NengoDL imports TensorFlow in a process of its own only to ask for a GPU, which takes seconds;
+      this process is asked instead.
     """
-    sys.stderr.flush()
-    kept = os.dup(2)
+    functional = importlib.import_module("tf_keras.src.engine.functional")
+    layers = types.ModuleType("keras.layers")
+    layers.BatchNormalizationV1 = type("BatchNormalizationV1", (), {})
+    layers.BatchNormalizationV2 = tf.keras.layers.BatchNormalization
+    names = {
+        "keras": tf.keras,
+        "keras.engine": types.ModuleType("keras.engine"),
+        "keras.engine.functional": functional,
+        "keras.layers": layers,
+    }
+    kept = {name: sys.modules.get(name) for name in names}
+    call = subprocess.call
+    sys.modules.update(names)
+    subprocess.call = lambda command: not tf.config.list_physical_devices("GPU")
     try:
-        with open(os.devnull, "w") as nowhere:
-            os.dup2(nowhere.fileno(), 2)
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        subprocess.call = call
+        for name, module in kept.items():
+            if module is None:
+                del sys.modules[name]
+            else:
+                sys.modules[name] = module
 
 
-with warnings.catch_warnings(), _silenced():
+with warnings.catch_warnings(), keras_of_its_time():
     warnings.simplefilter("ignore")
     import nengo_dl
 

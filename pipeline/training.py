@@ -5,18 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import tensorflow as tf
 
 from deploy.errors import UserError
 from deploy.operations import convolution_fan_out
 from models.cnn import activations, build_cnn, get_weights, predict, set_weights
+from models.keras2 import tf
 from models.lif import DT, RateLIF, gain_for
 from models.notation import parse
 from models.quantised import OnChipConv2D
 from pipeline.settings import Settings
-
-# That a function is traced anew for each network is no news to the user.
-tf.get_logger().setLevel("ERROR")
 
 PERCENTILE = 99.9
 """Of a layer's activations that becomes 1 when a CNN's weights are carried over."""

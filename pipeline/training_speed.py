@@ -7,9 +7,9 @@ import time
 from dataclasses import replace
 
 import numpy as np
-import tensorflow as tf
 
 from models.cnn import get_weights
+from models.keras2 import tf
 from models.together import Stack
 from pipeline import nengodl
 from pipeline.settings import Settings

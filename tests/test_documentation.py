@@ -93,10 +93,10 @@ def test_a_target_of_the_makefile_calls_a_command_that_exists(target):
 
 
 def test_a_wrong_python_is_one_clear_line(tmp_path):
-    for name in ("Makefile", "pyproject.toml", "constraints.txt"):
+    for name in ("Makefile", "setup.sh", "pyproject.toml", "constraints.txt"):
         (tmp_path / name).write_bytes((ROOT / name).read_bytes())
     done = subprocess.run(
         ["make", "setup", "PYTHON=no-such-python"], cwd=tmp_path, capture_output=True, text=True
     )
     assert done.returncode == 2
-    assert "Python 3.11 is needed" in done.stderr.splitlines()[0]
+    assert "Python 3.11, 3.12 or 3.13 is needed" in done.stderr.splitlines()[0]

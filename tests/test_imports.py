@@ -79,6 +79,7 @@ def test_each_foreign_world_is_in_one_file():
 
     assert users("nengo_dl") == {"pipeline/nengodl.py"}
     assert users("nengo_loihi") == {"deploy/foreign.py"}
+    assert users("tensorflow") == {"models/keras2.py"}
 
 
 def test_deploy_is_written_for_python_38():

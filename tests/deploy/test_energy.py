@@ -66,8 +66,9 @@ def test_result_without_counts_is_refused():
 
 @pytest.mark.slow
 def test_constants_and_cnn_are_those_of_keras_spiking():
-    tf = pytest.importorskip("tensorflow")
     import keras_spiking
+
+    from models.keras2 import tf
 
     devices = keras_spiking.ModelEnergy.devices
     assert devices["loihi"]["energy_per_synop"] == pytest.approx(LOIHI["synaptic operation"])

@@ -148,10 +148,11 @@ def test_plan_runs_from_the_bundle(copied):
 @pytest.mark.parametrize(
     ("package", "version", "message"),
     [
-        ("numpy", "2.1.0", "numpy 2.1.0 is too new; pip install 'numpy>=1.17,<2'"),
+        ("numpy", "3.0.0", "numpy 3.0.0 is too new; pip install 'numpy>=1.17,<3'"),
         ("numpy", "1.16.6", "numpy 1.16.6 is too old"),
-        ("nengo", "2.8.0", "nengo 2.8.0 is too old; pip install 'nengo>=3.1,<4'"),
-        ("nengo", "4.1.0", "nengo 4.1.0 is too new"),
+        ("nengo", "2.8.0", "nengo 2.8.0 is too old; pip install 'nengo>=3.1,<5'"),
+        ("nengo", "5.0.0", "nengo 5.0.0 is too new"),
+        ("nengo", "3.2.0", "Nengo 3 fails with NumPy 2"),
         ("nengo-loihi", "0.10.0", "nengo-loihi 0.10.0 is too old"),
     ],
 )

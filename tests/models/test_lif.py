@@ -1,7 +1,7 @@
 import nengo
 import numpy as np
 import pytest
-import tensorflow as tf
+from models.keras2 import tf
 
 from deploy.foreign import nengo_loihi
 from models.lif import RateLIF, gain_for, on_chip_time_constants

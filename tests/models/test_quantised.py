@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-import tensorflow as tf
+from models.keras2 import tf
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-import tensorflow as tf
+from models.keras2 import tf
 
 from models.cnn import build_cnn, get_weights
 from models.lif import RateLIF, gain_for

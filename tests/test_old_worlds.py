@@ -1,0 +1,80 @@
+"""What NengoDL and NengoLoihi need of their time: each substitution, and what fails without it."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from deploy.foreign import NumPy1, nengo_loihi
+
+from .command import ROOT
+
+IMPORT_NENGODL = """
+import sys
+from models.keras2 import tf
+import keras as keras3
+{first}
+import nengo_dl
+"""
+
+
+def run(code):
+    return subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=300
+    )
+
+
+def test_keras_is_the_second_whoever_asks():
+    done = run("from models.keras2 import tf; print(tf.keras.Model.__module__)")
+    assert done.stdout.startswith("tf_keras."), done.stderr
+
+
+def test_a_tensorflow_that_has_taken_keras_3_is_refused():
+    done = run("import tensorflow; tensorflow.keras.Model\nimport models.keras2")
+    assert "set TF_USE_LEGACY_KERAS=1 before" in done.stderr.splitlines()[-1]
+
+
+@pytest.mark.slow
+def test_nengodl_alone_finds_no_keras_of_its_time():
+    done = run(IMPORT_NENGODL.format(first=""))
+    assert "No module named 'keras.engine'" in done.stderr
+
+
+@pytest.mark.slow
+def test_nengodl_is_imported_without_a_second_python_and_leaves_keras_3_as_it_was():
+    no_process = """
+import subprocess
+def refuse(*arguments, **options):
+    raise AssertionError("NengoDL starts a process")
+subprocess.Popen = refuse
+before = {name: module for name, module in sys.modules.items() if name.split(".")[0] == "keras"}
+import pipeline.nengodl
+after = {name: module for name, module in sys.modules.items() if name.split(".")[0] == "keras"}
+assert before == after and sys.modules["keras"] is keras3
+"""
+    done = run(IMPORT_NENGODL.format(first=no_process))
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.skipif(np.lib.NumpyVersion(np.__version__) < "2.0.0", reason="NumPy 1 is not NumPy 2")
+def test_nengoloihi_asks_numpy_for_what_numpy_2_refuses(monkeypatch):
+    rates = nengo_loihi.neurons.loihi_lif_rates
+    arguments = (nengo_loihi.neurons.LoihiLIF(), [2], [3], [1], 0.001)
+    assert np.isfinite(rates(*arguments)).all()
+    monkeypatch.setattr(nengo_loihi.neurons, "np", np)
+    with pytest.raises(ValueError, match="Unable to avoid copy"):
+        rates(*arguments)
+    synapse = nengo_loihi.block.Synapse(1)
+    monkeypatch.setattr(nengo_loihi.block, "np", np)
+    with pytest.raises(ValueError, match="Unable to avoid copy"):
+        synapse.set_weights([[1, 2]])
+
+
+def test_numpy_1_copies_only_what_must_be_copied():
+    array = np.arange(3.0)
+    old = NumPy1()
+    assert old.array(array, copy=False) is array
+    assert old.array(array, dtype=int, copy=False).dtype == int
+    assert old.array(array) is not array
+    assert old.float32 is np.float32
