@@ -1,9 +1,9 @@
 import nengo
 import numpy as np
 import pytest
-from models.keras2 import tf
 
 from deploy.foreign import nengo_loihi
+from models.keras2 import tf
 from models.lif import RateLIF, gain_for, on_chip_time_constants
 
 RATE = 150.0

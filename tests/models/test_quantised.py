@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
-from models.keras2 import tf
 from hypothesis import given
 from hypothesis import strategies as st
 
+from models.keras2 import tf
 from models.quantised import OnChipConv2D, eight_bits, twelve_bits
 
 

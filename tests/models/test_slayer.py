@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from models.keras2 import tf
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models import notation, slayer
+from models.keras2 import tf
 
 NEURON = slayer.SpikeResponse(tau_s=0.04, tau_r=0.02, theta=2.0)
 STEPS = 30

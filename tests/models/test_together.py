@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from models.keras2 import tf
 
 from models.cnn import build_cnn, get_weights
+from models.keras2 import tf
 from models.lif import RateLIF, gain_for
 from models.notation import parse
 from models.quantised import OnChipConv2D
