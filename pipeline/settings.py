@@ -10,6 +10,7 @@ from pathlib import Path
 
 from deploy.errors import UserError
 from deploy.files import replacing
+from deploy.network.spec import Presentation
 from models.architecture import NotationError, parse
 
 AGGREGATIONS = ("count", "columns", "signed", "on", "off")
@@ -136,16 +137,6 @@ class Deployment:
     synapse: float = 0.008
     """Time constant in seconds of the low-pass on every spiking connection; 0 for none."""
     pop_type: int = 32
-
-
-@dataclass(frozen=True)
-class Presentation:
-    """How samples are shown; see :class:`deploy.network.spec.Presentation`."""
-
-    steps: int = 100
-    gap: int = 20
-    readout_start: int = 20
-    stream_length: int = 10
 
 
 @dataclass(frozen=True)
@@ -277,7 +268,10 @@ def _changed(settings, changes, origin, prefix):
             values[name] = _changed(default, value, origin, full + ".")
         else:
             values[name] = _coerced(value, default, origin, full)
-    return replace(settings, **values)
+    try:
+        return replace(settings, **values)
+    except ValueError as error:
+        raise UserError(f"{origin}: {error}") from error
 
 
 def _coerced(value, default, origin, name):
@@ -330,11 +324,6 @@ def _validate(s: Settings, origin):
     need(0 <= s.deployment.input_phase < 1, "deployment.input_phase", "from 0 to below 1")
     need(s.deployment.synapse >= 0, "deployment.synapse", "0 or more")
     need(s.deployment.pop_type in (16, 32), "deployment.pop_type", "16 or 32")
-    need(s.presentation.steps >= 1, "presentation.steps", "1 or more")
-    need(s.presentation.gap >= 0, "presentation.gap", "0 or more")
-    need(0 <= s.presentation.readout_start < s.presentation.steps, "presentation.readout_start",
-         f"from 0 to below presentation.steps ({s.presentation.steps})")  # fmt: skip
-    need(s.presentation.stream_length >= 1, "presentation.stream_length", "1 or more")
     need(s.check.samples >= 1, "check.samples", "1 or more")
     need(s.slayer.bins >= 1, "slayer.bins", "1 or more")
     for name in ("tau_s", "tau_r", "conv_scale", "dense_scale"):

@@ -13,7 +13,7 @@ from deploy.errors import CheckFailed
 from pipeline.commands import options
 from pipeline.commands.benchmark import app
 from pipeline.experiments import emulator_limits
-from pipeline.experiments.emulator_speed import compare
+from pipeline.experiments.emulator_speed import compare_speed
 from pipeline.progress import progress
 
 
@@ -36,9 +36,9 @@ def emulator(
     Checks that both give the same spikes; exit status 1 if not.
     """
     opened = read_bundle(bundle)
-    images = opened.checks.images[:samples]
+    images = opened.checks.inputs[:samples]
     with progress("benchmark", len(images)) as advance:
-        result = compare(opened.spec, images, advance)
+        result = compare_speed(opened.spec, images, advance)
     result["simulated"] = opened.spec.provenance.get("simulated")
     if not compare_only:
         with progress("growth and limit", 2) as advance:

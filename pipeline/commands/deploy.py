@@ -11,13 +11,13 @@ from typing import Annotated, Optional
 import typer
 
 from deploy.check.bundle import read_bundle
-from deploy.check.energy import estimate, estimate_text
+from deploy.check.energy import estimate_energy, estimate_text
+from deploy.check.rates import firing_rates, rate_summary, rate_warnings, rates_text
 from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import replacing, write_arrays
 from deploy.network.nir import input_spikes, write_nir
 from deploy.preflight.plan import make_plan, plan_text
-from deploy.preflight.rates import firing_rates, rate_summary, rate_warnings, rates_text
 from pipeline.commands import options
 
 app = typer.Typer(help="Before and beside a board: what fits, exports.", no_args_is_help=True)
@@ -44,7 +44,7 @@ def plan(
     """Say what the network takes of each core, and refuse one that will not fit (status 2)."""
     opened = read_bundle(bundle)
     made = make_plan(opened.spec, chips)
-    images = opened.checks.images[: opened.spec.presentation.stream_length]
+    images = opened.checks.inputs[: opened.spec.presentation.stream_length]
     rates = rate_summary(firing_rates(opened.spec, images)) if not made.problems else {}
     if as_json:
         value = made.to_json()
@@ -77,7 +77,7 @@ def export(
     print(f"written to {out}")
     if inputs is not None:
         checks = opened.checks
-        write_arrays(inputs, spikes=input_spikes(opened.spec, checks.images), labels=checks.labels)
+        write_arrays(inputs, spikes=input_spikes(opened.spec, checks.inputs), labels=checks.labels)
         print(f"input spikes of {len(checks)} samples written to {inputs}")
 
 
@@ -96,7 +96,7 @@ def energy(
     counted = read_result(path)
     if counted["bundle"] != opened.id:
         raise UserError(f"{path}: of another bundle than {bundle}; run the check again")
-    value = estimate(opened.spec, counted)
+    value = estimate_energy(opened.spec, counted)
     print(json.dumps(value.to_json(), indent=2) if as_json else estimate_text(value))
 
 

@@ -127,7 +127,7 @@ def _layers(folder, path, resolved, bundle):
         earlier = read_json(path, "delete it and run the command again")
         if earlier.get("bundle") == bundle.id and earlier.get("layers"):
             return earlier["layers"]
-    images = bundle.checks.images
+    images = bundle.checks.inputs
     activations = rate_activations(resolved, stages.read_weights(folder.snn, resolved), images)
     with progress("compare layers", len(images)) as advance:
         return layers_json(bundle.spec, images, activations, resolved.seed, advance)

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from deploy.check.results import compare
+from deploy.check.results import compare_results
 from pipeline.run.diagnosis import layers_text, least_faithful
 
 STAGES = ("cnn", "rate-lif", "spiking-lif", "nengo", "simreal", "emulator", "loihi")
@@ -68,7 +68,7 @@ def climb(results) -> list:
     """
     rungs, above = [], None
     for result in results:
-        against = compare(above, result) if above is not None else None
+        against = compare_results(above, result) if above is not None else None
         rungs.append(
             Rung(
                 stage=result["target"],
