@@ -10,7 +10,7 @@ import typer
 from deploy import __version__
 from deploy.errors import CheckFailed, UserError
 from models.notation import NotationError
-from pipeline.commands import benchmark, check, data, deploy, report, run, skin, sweep
+from pipeline.commands import benchmark, check, data, deploy, report, run, settings, skin, sweep
 
 # Typer brings its own copy of Click from some version on: these are the classes that it raises.
 UsageError = typer.BadParameter.__base__
@@ -56,6 +56,7 @@ VERBS = {
     ),
     "sweep": sweep.sweep,
     "report": report.report_,
+    "settings": settings.settings,
 }
 """Every verb: a function, or a help text and verbs of its own."""
 
