@@ -12,17 +12,13 @@ import typer
 
 from deploy.check.bundle import read_bundle
 from deploy.check.energy import estimate_energy, estimate_text
-from deploy.check.rates import firing_rates, rate_summary, rate_warnings, rates_text
+from deploy.check.rates import chip_rates, rate_warnings, rates_text
 from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import replacing, write_arrays
 from deploy.network.nir import input_spikes, write_nir
 from deploy.preflight.plan import make_plan, plan_text
 from pipeline.commands import options
-
-app = typer.Typer(help="Before and beside a board: what fits, exports.", no_args_is_help=True)
-
-Bundle = Annotated[Path, typer.Argument(help="The bundle's folder.")]
 
 
 class Format(StrEnum):
@@ -31,9 +27,8 @@ class Format(StrEnum):
     nir = "nir"
 
 
-@app.command()
 def plan(
-    bundle: Bundle,
+    bundle: options.Bundle,
     chips: Annotated[int, typer.Option(help="Chips that may be used.", min=1)] = 1,
     figure: Annotated[
         Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
@@ -45,7 +40,7 @@ def plan(
     opened = read_bundle(bundle)
     made = make_plan(opened.spec, chips)
     images = opened.checks.inputs[: opened.spec.presentation.stream_length]
-    rates = rate_summary(firing_rates(opened.spec, images)) if not made.problems else {}
+    rates = chip_rates(opened.spec, images) if not made.problems else {}
     if as_json:
         value = made.to_json()
         value["firing_rates"] = rates
@@ -61,9 +56,8 @@ def plan(
         raise UserError("the network does not fit: " + made.problems[0])
 
 
-@app.command()
 def export(
-    bundle: Bundle,
+    bundle: options.Bundle,
     format: Annotated[Format, typer.Option(help="To what.")],
     out: Annotated[Path, typer.Option(help="The file to write.")],
     inputs: Annotated[
@@ -81,9 +75,8 @@ def export(
         print(f"input spikes of {len(checks)} samples written to {inputs}")
 
 
-@app.command()
 def energy(
-    bundle: Bundle,
+    bundle: options.Bundle,
     result: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Argument(help="A check result (default: checks/emulator.json beside the bundle)."),
@@ -97,7 +90,7 @@ def energy(
     if counted["bundle"] != opened.id:
         raise UserError(f"{path}: of another bundle than {bundle}; run the check again")
     value = estimate_energy(opened.spec, counted)
-    print(json.dumps(value.to_json(), indent=2) if as_json else estimate_text(value))
+    options.tell(value.to_json(), lambda _: estimate_text(value), as_json)
 
 
 def _draw(made, path):

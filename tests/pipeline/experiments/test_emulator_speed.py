@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from deploy.targets.fast.emulation import Emulation, compile_spec
-from pipeline.commands.benchmark_emulator import as_text
 from pipeline.experiments import emulator_speed as measure
 from tests.command import call
 from tests.deploy.fast_networks import images_for
@@ -74,16 +73,16 @@ def test_disagreement_is_a_failed_check(bundle, capsys, monkeypatch):
 def test_without_numba_the_numpy_kernel_is_measured(monkeypatch):
     monkeypatch.setattr(measure, "kernels_here", lambda: ("numpy",))
     spec = small_spec()
-    result = measure.compare(spec, images_for(spec, 3))
+    result = measure.compare_speed(spec, images_for(spec, 3))
     assert result["identical"]
     assert result["ratio_whole"] == result["ratio_whole_numpy"]
-    assert "numba" not in as_text({**result, "simulated": True})
+    assert "numba" not in measure.speed_text({**result, "simulated": True})
 
 
 def test_many_times_faster():
     """A floor far below what the benchmark finds, for machines with other work."""
     spec = paper_spec(steps=50, gap=10, stream_length=10)
-    result = measure.compare(spec, np.concatenate([images_for(spec, 40)] * 2))
+    result = measure.compare_speed(spec, np.concatenate([images_for(spec, 40)] * 2))
     assert result["identical"]
     assert result["processor_time"]["ratio_whole"] > 20
     assert result["processor_time"]["ratio_whole_numpy"] > 5
