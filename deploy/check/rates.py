@@ -145,6 +145,6 @@ def rate_warnings(summary: Dict[str, dict]) -> List[str]:
         elif layer["coarse"] > 0.05:
             lines.append(
                 f"layer {name}: {layer['coarse']:.0%} of the rates are above "
-                f"{layer['coarse_above_hz']:g} Hz, where they are a quarter and more apart; train for lower rates"
+                f"{layer['coarse_above_hz']:g} Hz, a quarter and more apart; train for lower"
             )
     return lines
