@@ -144,9 +144,11 @@ class _Cutting:
     def fits(self, block, receiver) -> bool:
         """Whether each block keeps to the limits of a core, but for its compartments."""
         limits = LOIHI.limits
+        short = self.is_conv and self.layer.pop_type == 16
+        most = LOIHI.population_axons if short else limits["input axons"]
         for parts in itertools.product(*(parts_of(n, b) for n, b in zip(self.layer.shape, block))):
             axons, words = self.needs(parts)
-            if axons > limits["input axons"] or words > limits["synapse words"]:
+            if axons > most or words > limits["synapse words"]:
                 return False
             if receiver is not None and receiver.axons_from(parts) > limits["output axons"]:
                 return False

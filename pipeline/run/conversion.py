@@ -13,15 +13,15 @@ from pipeline.settings import Settings
 from pipeline.training.networks import TrainedRates
 
 
-def deployed(settings: Settings, weights: dict, provenance: dict, images) -> NetworkSpec:
+def deployed(settings: Settings, weights: dict, provenance: dict, data) -> NetworkSpec:
     """Describe the spiking network with the given weights; see :func:`to_spec`.
 
     Parameters
     ----------
     settings, weights, provenance
         As in :func:`to_spec`.
-    images : ndarray
-        Training images, by which the range of a readout on the chip is set.
+    data : (images, labels)
+        Of training samples, by which the range of a readout on the chip is set.
     """
     on_chip = settings.deployment.readout == "chip"
     logits = TrainedRates(settings, weights).logits(images) if on_chip else None
