@@ -3,7 +3,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from deploy import operations
+from deploy.network import operations
 from models.architecture import (
     MAX_LAYERS,
     Architecture,
