@@ -10,7 +10,7 @@ voltage                  v(t) = max(trunc(keep_v v(t-1) / 4096) + u(t) + bias, f
 spike                    s(t) = 1 where v(t) > theta, and v(t) = 0 there
 =======================  ========================================================================
 
-keep_u and keep_v are whole, from 1 to 4095; theta is a multiple of 64, the floor -(2^k) + 1, the
+keep_u and keep_v are whole, from 2 to 4095; theta is a multiple of 64, the floor -(2^k) + 1, the
 bias 12 bits times a power of two.  With a refractory time of no step (NengoLoihi's ``tau_ref`` of
 0) the neuron goes on in the step after its spike.  On the chip a spike arrives a step after it was
 made; here in the same step, which moves each layer's spikes by its place and changes nothing else.
@@ -200,7 +200,7 @@ class SpikingNetwork(tf.Module):
             variable.assign(value / OUTPUT_SCALE if name == "output.kernel" else value)
 
     def __call__(self, frames, keep=None, dtype=tf.float32, values=None):
-        """Run the network on frames of events, from a state of rest.
+        """Run the network on frames of events, from rest: no current, the bias's voltage.
 
         Parameters
         ----------
@@ -230,7 +230,8 @@ class SpikingNetwork(tf.Module):
             parameters = self._on_chip(name, values, dtype)
             current = _weigh(layer, before, parameters["kernel"], signal)
             current = tf.reshape(current, (steps, samples, -1))
-            spikes.append(fire(current, self.neuron.beta, **_spread(parameters, current.shape[2])))
+            spread = _spread(parameters, current.shape[2])
+            spikes.append(fire(current, *(spread[part] for part in _PARTS), beta=self.neuron.beta))
             signal = spikes[-1] if keep is None else spikes[-1] * keep[index]
             signal = tf.reshape(signal, (steps, samples, *layer.shape(before)))
         kernel = tf.cast(values["output.kernel"], dtype) * OUTPUT_SCALE
@@ -240,13 +241,14 @@ class SpikingNetwork(tf.Module):
     def _on_chip(self, name, values, dtype):
         """The chip's integers as tensors, with gradients to what is trained."""
         kernel, bias, tau_u, tau_v = (
-            tf.cast(values[f"{name}.{part}"], dtype) for part in ("kernel", "bias", "tau_u", "tau_v")
+            tf.cast(values[f"{name}.{part}"], dtype)
+            for part in ("kernel", "bias", "tau_u", "tau_v")
         )
         scale = tf.stop_gradient(tf.maximum(tf.reduce_max(tf.abs(kernel)), 1e-9) / WEIGHT_LEVELS)
         threshold = THRESHOLD_UNIT * tf.round(WEIGHT_UNIT / THRESHOLD_UNIT / scale)
         threshold = tf.clip_by_value(threshold, THRESHOLD_UNIT, MAX_THRESHOLD)
         keep_u, keep_v = (
-            tf.clip_by_value(_through(tf.round, DECAY_UNIT * tf.sigmoid(tau)), 1, DECAY_UNIT - 1)
+            tf.clip_by_value(_through(tf.round, DECAY_UNIT * tf.sigmoid(tau)), 2, DECAY_UNIT - 1)
             for tau in (tau_u, tau_v)
         )
         cap = tf.stop_gradient(BIAS_CAP * (1 - keep_v / DECAY_UNIT))
@@ -274,7 +276,9 @@ class SpikingNetwork(tf.Module):
         """
         layers = {}
         for name in self.names:
-            chip = self._on_chip(name, self.variables_by_name if values is None else values, tf.float64)
+            chip = self._on_chip(
+                name, self.variables_by_name if values is None else values, tf.float64
+            )
             weights = np.rint(chip["kernel"].numpy() / WEIGHT_UNIT).astype(np.int32)
             scalars = {
                 part: int(chip[part].numpy()) for part in ("threshold", "floor", "keep_u", "keep_v")
@@ -341,17 +345,19 @@ def operations(architecture: Architecture, frames, spikes):
 _PARTS = ("keep_u", "keep_v", "bias", "threshold", "floor")
 
 
-def fire(current, beta, *, kernel=None, **parameters):
+def fire(current, keep_u, keep_v, bias, threshold, floor, beta):
     """Spikes of a layer of neurons.
 
     Parameters
     ----------
     current : tensor, shape (steps, samples, neurons)
         q of the module's docstring.
-    beta : float
-    keep_u, keep_v, threshold, floor : scalar tensor
+    keep_u, keep_v : scalar tensor
     bias : tensor, shape (neurons,)
+    threshold, floor : scalar tensor
         All in the chip's integers; no gradient flows to threshold and floor.
+    beta : float
+        See :class:`Neuron`.
 
     Returns
     -------
@@ -373,7 +379,7 @@ def fire(current, beta, *, kernel=None, **parameters):
 
         return spikes, gradient
 
-    return with_gradient(current, *(parameters[part] for part in _PARTS))
+    return with_gradient(current, keep_u, keep_v, bias, threshold, floor)
 
 
 _compiled = functools.partial(tf.function, jit_compile=True, autograph=False)
@@ -381,7 +387,8 @@ _compiled = functools.partial(tf.function, jit_compile=True, autograph=False)
 
 @_compiled
 def _run(current, keep_u, keep_v, bias, threshold, floor):
-    """Spikes, currents, and voltages before the reset, at every step."""
+    """Spikes, currents, and voltages before the reset, at every step; see :func:`fire`."""
+    rest = tf.maximum(_rest(keep_v, bias), floor)
 
     def step(t, state):
         u, v = state
@@ -389,7 +396,8 @@ def _run(current, keep_u, keep_v, bias, threshold, floor):
         v = tf.maximum(_decay(v, keep_v) + u + bias, floor)
         return (u, tf.where(v > threshold, tf.zeros_like(v), v)), (u, v)
 
-    u, v = _scan(step, current, outputs=2)
+    v = tf.zeros_like(current[0]) + rest
+    u, v = _scan(step, current, (tf.zeros_like(v), v), outputs=2)
     return tf.cast(v > threshold, current.dtype), u, v
 
 
@@ -407,13 +415,22 @@ def _run_back(error, spikes, v, beta, keep_u, keep_v, bias, threshold, floor):
         to_u = to_v + a * to_u
         return (to_u, to_v), (to_u, to_v)
 
-    return _scan(step, error, outputs=2, backwards=True)
+    nothing = tf.zeros_like(error[0])
+    return _scan(step, error, (nothing, nothing), outputs=2, backwards=True)
 
 
-def _scan(step, like, outputs, backwards=False):
-    """Run ``step(t, state) -> state, outputs`` over time; both states start at zero."""
+def _rest(keep_v, bias):
+    """The voltage that a bias leads to if nothing else comes, from 0: the first that stays.
+
+    v = trunc(keep_v v / 4096) + bias holds for the v > 0 with ceil(v (4096 - keep_v) / 4096) = bias.
+    """
+    lower = tf.floor((tf.abs(bias) - 1) * DECAY_UNIT / (DECAY_UNIT - keep_v))
+    return tf.sign(bias) * (lower + 1)
+
+
+def _scan(step, like, state, outputs, backwards=False):
+    """Run ``step(t, state) -> state, outputs`` over time."""
     steps = like.shape[0]
-    state = (tf.zeros_like(like[0]),) * 2
     arrays = tuple(tf.TensorArray(like.dtype, steps) for _ in range(outputs))
 
     def body(i, state, arrays):
@@ -432,25 +449,11 @@ def _decay(x, keep):
 
 
 def _weigh(layer, before, kernel, signal):
-    """W s for all steps and samples at once, shape (steps * samples * positions, channels)."""
+    """W s for all steps and samples at once, shape (steps * samples, ...)."""
     if layer.kind == "dense":
         return tf.matmul(tf.reshape(signal, (-1, kernel.shape[0])), kernel)
-    images = tf.reshape(signal, (-1, *before))
-    (top, bottom), (left, right) = layer.pads(before)
-    if top + bottom + left + right:
-        images = tf.pad(images, ((0, 0), (top, bottom), (left, right), (0, 0)))
-    # Side by side what each position of the filters sees: XLA multiplies matrices much faster than
-    # it convolves.
-    rows, columns, filters = layer.shape(before)
-    size, stride = layer.kernel, layer.stride
-    down, across = stride * (rows - 1) + 1, stride * (columns - 1) + 1
-    seen = [
-        images[:, row : row + down : stride, column : column + across : stride]
-        for row in range(size)
-        for column in range(size)
-    ]
-    seen = tf.reshape(tf.concat(seen, -1), (-1, size * size * before[2]))
-    return tf.matmul(seen, tf.reshape(kernel, (-1, filters)))
+    frames = tf.reshape(signal, (-1, *before))
+    return tf.nn.conv2d(frames, kernel, layer.stride, layer.padding.upper())
 
 
 def _spread(parameters, neurons):
@@ -485,3 +488,68 @@ def _logit(tau):
 def _steps(logit):
     """Time constant in steps, the inverse of `_logit`."""
     return 1 / np.log1p(np.exp(-np.asarray(logit, np.float64)))
+
+
+@dataclass(frozen=True)
+class OnLoihi:
+    """A layer in the terms of Nengo, from which NengoLoihi makes just the integers it came from.
+
+    Attributes
+    ----------
+    weights : ndarray of float
+        In the kernel's shape; for neurons whose spikes have the area of one step (``amplitude`` of
+        ``dt``) and a gain of 1.
+    bias : ndarray of float, shape (filters,) or (units,)
+    tau_s : float
+        Time constant in seconds of the low-pass on the layer's input; 0 for none.
+    tau_rc : float
+        Membrane time constant in seconds; ``tau_ref`` is 0.
+    min_voltage : float
+        In units of the threshold, which is 1.
+    """
+
+    weights: np.ndarray
+    bias: np.ndarray
+    tau_s: float
+    tau_rc: float
+    min_voltage: float
+
+
+def on_loihi(layer: Integers, dt: float) -> OnLoihi:
+    """What NengoLoihi must be given to come to these integers.
+
+    It makes decays of 12 bits from the time constants; scales a block's weights so that the largest
+    becomes 127.5, rounded to 127; and multiplies threshold and bias so that they keep their ratio
+    to weights that pass normalised filters, whose sum it estimates from the decays
+    (``builder/discretize.py``: ``discretize_compartment``, ``decay_magnitude``).  Here that is
+    undone.
+
+    Parameters
+    ----------
+    layer : Integers
+        Its largest weight is 127 or -127, unless all are 0.
+    dt : float
+        Time step in seconds of the Nengo model.
+    """
+    decay_u, decay_v = DECAY_UNIT - 1 - layer.keep_u, DECAY_UNIT - layer.keep_v
+    sum_u, sum_v = _sum_of_decays(layer.keep_u), _sum_of_decays(layer.keep_v)
+    share_u, share_v = (decay_u + 1) / (DECAY_UNIT - 1), decay_v / (DECAY_UNIT - 1)
+    per_unit = 255 / WEIGHT_LEVELS * THRESHOLD_UNIT * sum_u * sum_v / layer.threshold
+    return OnLoihi(
+        weights=layer.weights * per_unit,
+        bias=layer.bias * (sum_v / layer.threshold),
+        tau_s=0.0 if share_u == 1 else float(-dt / np.log1p(-share_u)),
+        tau_rc=float(-dt / np.log1p(-share_v)),
+        min_voltage=layer.floor / layer.threshold,
+    )
+
+
+def _sum_of_decays(keep):
+    """NengoLoihi's estimate of what 2^21 adds up to, relative to it, while it decays to nothing.
+
+    x(k+1) = floor(r x(k)), where rounding down takes 0.494 a step on average.
+    """
+    start, lost, r = 2.0**21, 0.494, keep / DECAY_UNIT
+    steps = -np.log1p(start * (1 - r) / lost) / np.log(r)
+    geometric = (1 - r ** (steps + 1)) / (1 - r)
+    return geometric - lost / ((1 - r) * start) * (steps + 1 - geometric)
