@@ -422,7 +422,7 @@ def _run_back(error, spikes, v, beta, keep_u, keep_v, bias, threshold, floor):
 def _rest(keep_v, bias):
     """The voltage that a bias leads to if nothing else comes, from 0: the first that stays.
 
-    v = trunc(keep_v v / 4096) + bias holds for the v > 0 with ceil(v (4096 - keep_v) / 4096) = bias.
+    v = trunc(keep_v v / 4096) + bias holds where ceil(v (4096 - keep_v) / 4096) = bias, v > 0.
     """
     lower = tf.floor((tf.abs(bias) - 1) * DECAY_UNIT / (DECAY_UNIT - keep_v))
     return tf.sign(bias) * (lower + 1)
