@@ -18,7 +18,7 @@ SOURCE_OPTIONS := $(if $(DATA),--data "$(DATA)") $(if $(SEED),--seed $(SEED)) --
 BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $(PARTITION))
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
 
-.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report test test-pythons lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava clean help
+.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report test test-pythons torture lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava clean help
 .DEFAULT_GOAL := help
 
 setup:  ## Make .venv with everything pinned in constraints.txt (2.6 GB)
@@ -62,6 +62,9 @@ test-pythons:  ## Run the tests on each of Python 3.11 to 3.13 that this machine
 	  sh setup.sh .venv-$$version "$$python" && echo "Python $$version:" && \
 	  .venv-$$version/bin/python -m pytest $(TESTS) || exit; \
 	done
+
+torture: setup  ## Damaged input, kills, interruptions, full disks: half an hour (TORTURE: options)
+	@$(BIN)/python -m tests.torture $(TORTURE)
 
 lint: setup  ## Check style
 	@$(BIN)/ruff check .
