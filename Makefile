@@ -91,7 +91,7 @@ setup-nir: .venv-nir/installed  ## Make .venv-nir: Norse on PyTorch for the CPU,
 	@touch $@
 
 test-nir: setup setup-nir  ## Show that Norse gives what the export to NIR should
-	@$(BIN)/python -m pytest tests/deploy/test_nir.py
+	@$(BIN)/python -m pytest tests/deploy/network/test_nir.py
 
 check-nir: convert setup-nir  ## The check's samples in Norse, compared with checks/emulator.json
 	@$(STMNIST) check run $(RUN)/bundle --target emulator
@@ -110,7 +110,7 @@ setup-lava: .venv-lava/installed  ## Make .venv-lava: Lava's integer models of L
 	@touch $@
 
 test-lava: setup setup-lava  ## Show that Lava's integer models give every spike of fast
-	@$(BIN)/python -m pytest tests/deploy/test_lava.py
+	@$(BIN)/python -m pytest tests/deploy/targets/test_lava.py
 
 check-lava: convert setup-lava  ## The check's samples in Lava, every spike compared with fast
 	@$(STMNIST) deploy export $(RUN)/bundle --format lava --out $(RUN)/lava/network.npz

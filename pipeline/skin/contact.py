@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lfilter
 
-from pipeline.recordings import GRID, TaxelMap
+from pipeline.recordings.events import GRID, TaxelMap
 
 _PLACE = np.arange(GRID)
 _TAXELS = TaxelMap()

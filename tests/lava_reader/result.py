@@ -11,16 +11,16 @@ import sys
 from dataclasses import replace
 
 import numpy as np
+from deploy.targets.fast.host import OutputStage
+from deploy.targets.fast.run import compile_spec
 
-from deploy.bundle import read_bundle
-from deploy.checks import records_of
+from deploy.check.bundle import read_bundle
+from deploy.check.results import result_of
+from deploy.check.run import records_of
 from deploy.errors import CheckFailed, UserError
-from deploy.fast.host import OutputStage
-from deploy.fast.run import compile_spec
 from deploy.files import read_arrays, write_json
-from deploy.lava_export import spikes_of, without_refractory_and_floor
-from deploy.presentation import join, read_output, spike_hash, streams_of
-from deploy.results import result_of
+from deploy.network.responses import join, read_output, spike_hash, streams_of
+from deploy.targets.lava import spikes_of, without_refractory_and_floor
 
 REMEDY = "run 'make check-lava' again"
 

@@ -1,7 +1,7 @@
 """Run the chip's part of a bundle in Lava: ``run_lava.py NETWORK.npz OUTPUT.npz [--stock]``.
 
 It knows nothing of this project but the file that ``stmnist deploy export --format lava`` wrote
-(see ``lava_export`` in this project's package ``deploy``).  Out go ``spikes.<layer>``, uint8 of
+(see ``lava`` in this project's package ``deploy.targets``).  Out go ``spikes.<layer>``, uint8 of
 shape (n_samples, period, n / 8), and ``seconds``.  With ``--stock`` the neurons are Lava's own LIF,
 which knows no refractory steps and no lower bound of the voltage.
 

@@ -143,9 +143,9 @@ def _warm(base, folder):
     """Import what the commands import, and let Numba compile, so that a case takes no seconds."""
     import scipy.io  # noqa: F401
 
-    import pipeline.cli  # noqa: F401
-    from deploy.bundle import read_bundle
-    from deploy.targets import answer
+    import pipeline.commands.main  # noqa: F401
+    from deploy.check.bundle import read_bundle
+    from deploy.targets.registry import answer
     from pipeline.commands.report import report_  # noqa: F401
 
     opened = read_bundle(base / "run" / "bundle")

@@ -109,7 +109,7 @@ def _become(arguments, folder, out, err):
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         os.chdir(folder)
         os.environ["STMNIST_CACHE"] = str(folder / "cache")
-        from pipeline.cli import main
+        from pipeline.commands.main import main
 
         try:
             main([str(argument) for argument in arguments])

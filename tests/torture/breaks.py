@@ -118,7 +118,7 @@ def start(command, folder):
     }
     with open(folder / ".out", "w") as out, open(folder / ".err", "w") as err:
         return subprocess.Popen(
-            [sys.executable, "-m", "pipeline.cli", *map(str, command.arguments(folder))],
+            [sys.executable, "-m", "pipeline", *map(str, command.arguments(folder))],
             cwd=folder,
             env=environment,
             stdout=out,
