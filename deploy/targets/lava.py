@@ -1,8 +1,8 @@
 """Export of the chip's part of a network to Lava, for its integer models of Loihi.
 
-What is written are the chip's integers as :mod:`deploy.targets.fast` compiled them, in Lava's units, and
-the spikes that the host sends to the chip; nothing here imports Lava.  How they map (Lava 0.10,
-``lava.proc.lif`` and ``lava.proc.sparse``, fixed-point models)::
+What is written are the chip's integers as :mod:`deploy.targets.fast` compiled them, in Lava's
+units, and the spikes that the host sends to the chip; nothing here imports Lava.  How they map
+(Lava 0.10, ``lava.proc.lif`` and ``lava.proc.sparse``, fixed-point models)::
 
     du = 4095 - keep_u, dv = 4096 - keep_v      decays, 12 bits
     vth = threshold / 64                        Lava multiplies it by 64 again
@@ -38,8 +38,8 @@ from ..files import write_arrays
 from ..network.responses import streams_of
 from ..network.spec import NetworkSpec
 from .fast.arrays import U_BITS
+from .fast.emulation import Emulation, compile_spec
 from .fast.from_nengo import Program
-from .fast.run import Emulation, compile_spec
 
 LARGEST = 2**U_BITS - 1
 """Where Lava and the chip clip a voltage."""

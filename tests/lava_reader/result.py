@@ -11,8 +11,6 @@ import sys
 from dataclasses import replace
 
 import numpy as np
-from deploy.targets.fast.host import OutputStage
-from deploy.targets.fast.run import compile_spec
 
 from deploy.check.bundle import read_bundle
 from deploy.check.results import result_of
@@ -20,6 +18,8 @@ from deploy.check.run import records_of
 from deploy.errors import CheckFailed, UserError
 from deploy.files import read_arrays, write_json
 from deploy.network.responses import join, read_output, spike_hash, streams_of
+from deploy.targets.fast.emulation import compile_spec
+from deploy.targets.fast.host_stage import OutputStage
 from deploy.targets.lava import spikes_of, without_refractory_and_floor
 
 REMEDY = "run 'make check-lava' again"

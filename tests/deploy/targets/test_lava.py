@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.sparse
-from deploy.targets.fast.run import compile_spec
 
 from deploy.errors import UserError
 from deploy.files import read_arrays
+from deploy.targets.fast.emulation import compile_spec
 from deploy.targets.lava import (
     lava_arrays,
     spikes_of,
