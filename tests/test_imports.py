@@ -57,7 +57,7 @@ def imported(path):
 
 FLOORS = {
     "pipeline": [
-        {"settings", "progress"},
+        {"settings", "progress", "temporary"},
         {"recordings"},
         {"skin"},
         {"inputs", "training"},
@@ -69,7 +69,7 @@ FLOORS = {
         {"__main__"},
     ],
     "deploy": [
-        {"errors", "tables", "requirements"},
+        {"errors", "interrupts", "tables", "requirements"},
         {"files"},
         {"network"},
         {"preflight"},
