@@ -14,7 +14,7 @@ from deploy.errors import UserError
 from pipeline.commands import options
 from pipeline.inputs.library import load_recordings
 from pipeline.recordings.events import Events, expand_bursts
-from pipeline.recordings.matfile import BadRecording, read_recording
+from pipeline.recordings.matfile import BadRecording, read_limited, read_recording
 
 app = typer.Typer(help="Recordings: read, look at, make, count, draw.", no_args_is_help=True)
 
@@ -55,7 +55,8 @@ def inspect(
 ):
     """Print one recording's facts."""
     try:
-        recording = read_recording(file.read_bytes())
+        with file.open("rb") as opened:
+            recording = read_recording(read_limited(opened))
     except OSError as error:
         raise UserError(f"{file}: cannot read ({error.strerror}); check the path") from error
     except BadRecording as error:

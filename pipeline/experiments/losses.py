@@ -7,6 +7,7 @@ one that the spiking network is trained with (:data:`pipeline.training.networks.
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -72,7 +73,9 @@ def measure(job) -> dict:
         "cnn": predictions(training.cnn_logits(settings, paper.weights, shown)),
         "cnn-annealed": predictions(training.cnn_logits(settings, annealed.weights, shown)),
         "rate-lif": predictions(training.rate_logits(settings, rate.weights, shown)),
-        "spiking-lif": nengodl.predict(settings, rate.weights, shown, max(STEPS)),
+        "spiking-lif": nengodl.predict(
+            replace(settings, seed=seed), rate.weights, shown, max(STEPS)
+        ),
     }
     spec = deployed(settings, rate.weights, {}, train[0])
     operations, decided = {}, {}

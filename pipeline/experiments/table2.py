@@ -269,6 +269,7 @@ def _spiking_answers(settings, weights, images, split, seed):
     from pipeline.training import nengodl
 
     steps = settings.presentation.steps
+    settings = replace(settings, seed=seed)
     return split.test, nengodl.predict(settings, weights, images[split.test], steps)
 
 
