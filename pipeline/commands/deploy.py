@@ -18,6 +18,7 @@ from deploy.files import replacing, write_arrays
 from deploy.network.nir import input_spikes, write_nir
 from deploy.preflight.plan import make_plan, plan_text
 from deploy.preflight.rates import firing_rates, rate_summary, rate_warnings, rates_text
+from deploy.targets.lava import write_lava
 from pipeline.commands import options
 
 
@@ -25,6 +26,7 @@ class Format(StrEnum):
     """What a bundle can be exported to."""
 
     nir = "nir"
+    lava = "lava"
 
 
 def plan(
@@ -58,15 +60,27 @@ def plan(
 
 def export(
     bundle: options.Bundle,
-    format: Annotated[Format, typer.Option(help="To what.")],
+    format: Annotated[
+        Format,
+        typer.Option(
+            help="To what: the network as NIR, or the chip's integers and the spikes into it for "
+            "Lava, as .npz."
+        ),
+    ],
     out: Annotated[Path, typer.Option(help="The file to write.")],
     inputs: Annotated[
         Optional[Path],  # noqa: UP045
-        typer.Option(help="Also write the input spikes of the check's samples, as .npz."),
+        typer.Option(help="NIR: also write the input spikes of the check's samples, as .npz."),
     ] = None,
 ):
     """Export the network, so that it reaches other neuromorphic platforms."""
     opened = read_bundle(bundle)
+    if format is Format.lava:
+        if inputs is not None:
+            raise UserError("--inputs is for NIR: a file for Lava holds the input spikes itself")
+        write_lava(out, opened.spec, opened.checks.images)
+        print(f"written to {out}, with the input spikes of {len(opened.checks)} samples")
+        return
     write_nir(out, opened.spec)
     print(f"written to {out}")
     if inputs is not None:
