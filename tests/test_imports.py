@@ -34,7 +34,7 @@ sys.modules.pop("numba", None)
 OPTIONAL = {"numba", "nir", "nxsdk"}  # imported where they are used, and said if they are missing
 OF_DEPLOY = {"numpy", "scipy", "nengo", "nengo_loihi", "deploy", *OPTIONAL}
 ALLOWED = {
-    "models": {"models"},
+    "models": {"models", "deploy"},
     "deploy": {"deploy"},
     "pipeline": {"pipeline", "models", "deploy"},
 }
@@ -57,7 +57,8 @@ def imported(path):
 
 FLOORS = {
     "pipeline": [
-        {"settings", "progress"},
+        {"paper", "progress", "temporary"},
+        {"settings"},
         {"recordings"},
         {"skin"},
         {"inputs", "training"},
@@ -69,7 +70,7 @@ FLOORS = {
         {"__main__"},
     ],
     "deploy": [
-        {"errors", "tables", "requirements"},
+        {"errors", "interrupts", "tables", "requirements"},
         {"files"},
         {"network"},
         {"preflight"},
