@@ -9,7 +9,7 @@ import typer
 
 from deploy import __version__
 from deploy.errors import CheckFailed, UserError
-from models.notation import NotationError
+from models.architecture import NotationError
 from pipeline.commands import benchmark, check, data, deploy, report, run, settings, skin, sweep
 
 # Typer brings its own copy of Click from some version on: these are the classes that it raises.
