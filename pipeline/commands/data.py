@@ -15,7 +15,7 @@ from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import progress
 from pipeline.recordings.archive import write_zip
 from pipeline.recordings.events import Events, expand_bursts
-from pipeline.recordings.matfile import BadRecording, read_recording
+from pipeline.recordings.matfile import BadRecording, read_limited, read_recording
 from pipeline.recordings.table1 import table1_json, table1_text
 from pipeline.skin import unipen
 from pipeline.skin.simulate import simulate
@@ -61,7 +61,8 @@ def inspect(
 ):
     """Print one recording's facts."""
     try:
-        recording = read_recording(file.read_bytes())
+        with file.open("rb") as opened:
+            recording = read_recording(read_limited(opened))
     except OSError as error:
         raise UserError(f"{file}: cannot read ({error.strerror}); check the path") from error
     except BadRecording as error:
