@@ -7,7 +7,7 @@ import json
 import sys
 from pathlib import Path
 
-from . import __version__
+from . import __version__, interrupts
 from .check.bundle import RESULTS, read_bundle
 from .check.results import compare_results, read_result
 from .check.run import run_check
@@ -34,7 +34,7 @@ def main(arguments=None) -> int:
     except UserError as error:
         return _say(error, 2)
     except KeyboardInterrupt:
-        return _say("interrupted; the same command goes on where it stopped", 130)
+        return _say(interrupts.LINE, interrupts.STATUS)
 
 
 def _say(message, status):

@@ -187,6 +187,20 @@ class Deployment:
 
 
 @dataclass(frozen=True)
+class Showing:
+    """How samples are shown; see :class:`deploy.network.spec.Presentation`."""
+
+    steps: Annotated[int, AT_LEAST_1] = Presentation.steps
+    """Steps of 1 ms that a sample is shown."""
+    gap: Annotated[int, AT_LEAST_0] = Presentation.gap
+    """Blank steps before each sample."""
+    readout_start: int = Presentation.readout_start
+    """Step from which on the mean of the outputs decides."""
+    stream_length: Annotated[int, AT_LEAST_1] = Presentation.stream_length
+    """Samples that are shown one after the other before the network starts afresh."""
+
+
+@dataclass(frozen=True)
 class Check:
     """The check that every target answers."""
 
@@ -207,7 +221,7 @@ class Settings:
     snn: SNN = field(default_factory=SNN)
     slayer: Slayer = field(default_factory=Slayer)
     deployment: Deployment = field(default_factory=Deployment)
-    presentation: Presentation = field(default_factory=Presentation)
+    presentation: Showing = field(default_factory=Showing)
     check: Check = field(default_factory=Check)
 
     def with_values(self, changes: dict, origin: str) -> Settings:
@@ -417,6 +431,8 @@ def _validate(s: Settings, origin):
         limit = _limits(type(section)).get(entry)
         if limit is not None:
             need(limit.holds(getattr(section, entry)), name, limit.expected)
+    need(0 <= s.presentation.readout_start < s.presentation.steps, "presentation.readout_start",
+         f"from 0 to below presentation.steps ({s.presentation.steps})")  # fmt: skip
     need(_parsed(s.slayer.architecture, "slayer.architecture", origin).input_shape == (10, 10, 2),
          "slayer.architecture", "for 10x10x2, a channel for each polarity")  # fmt: skip
     architecture = _parsed(s.cnn.architecture, "cnn.architecture", origin)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from enum import StrEnum
 from pathlib import Path
@@ -15,9 +14,10 @@ from deploy.check.energy import estimate_energy, estimate_text
 from deploy.check.rates import chip_rates, rate_warnings, rates_text
 from deploy.check.results import read_result
 from deploy.errors import UserError
-from deploy.files import replacing, write_arrays
+from deploy.files import write_arrays
 from deploy.network.nir import input_spikes, write_nir
 from deploy.preflight.plan import make_plan, plan_text
+from deploy.targets.lava import write_lava
 from pipeline.commands import options
 
 
@@ -25,6 +25,7 @@ class Format(StrEnum):
     """What a bundle can be exported to."""
 
     nir = "nir"
+    lava = "lava"
 
 
 def plan(
@@ -51,22 +52,37 @@ def plan(
         if rates:
             print(rates_text(rates, len(images)))
     if figure is not None:
-        _draw(made, figure)
+        from pipeline.report import figures  # imports Matplotlib
+        from pipeline.report.figures.placement import placement_figure
+
+        figures.save(placement_figure(made), figure, dpi=150)
     if made.problems:
         raise UserError("the network does not fit: " + made.problems[0])
 
 
 def export(
     bundle: options.Bundle,
-    format: Annotated[Format, typer.Option(help="To what.")],
+    format: Annotated[
+        Format,
+        typer.Option(
+            help="To what: the network as NIR, or the chip's integers and the spikes into it for "
+            "Lava, as .npz."
+        ),
+    ],
     out: Annotated[Path, typer.Option(help="The file to write.")],
     inputs: Annotated[
         Optional[Path],  # noqa: UP045
-        typer.Option(help="Also write the input spikes of the check's samples, as .npz."),
+        typer.Option(help="NIR: also write the input spikes of the check's samples, as .npz."),
     ] = None,
 ):
     """Export the network, so that it reaches other neuromorphic platforms."""
     opened = read_bundle(bundle)
+    if format is Format.lava:
+        if inputs is not None:
+            raise UserError("--inputs is for NIR: a file for Lava holds the input spikes itself")
+        write_lava(out, opened.spec, opened.checks.inputs)
+        print(f"written to {out}, with the input spikes of {len(opened.checks)} samples")
+        return
     write_nir(out, opened.spec)
     print(f"written to {out}")
     if inputs is not None:
@@ -91,6 +107,7 @@ def energy(
         raise UserError(f"{path}: of another bundle than {bundle}; run the check again")
     value = estimate_energy(opened.spec, counted)
     options.tell(value.to_json(), lambda _: estimate_text(value), as_json)
+<<<<<<< HEAD
 
 
 def _draw(made, path):
@@ -103,3 +120,5 @@ def _draw(made, path):
     placement_figure(made).savefig(buffer, format=kind, dpi=150)
     with replacing(path) as file:
         file.write(buffer.getvalue())
+=======
+>>>>>>> main

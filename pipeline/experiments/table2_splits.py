@@ -242,9 +242,11 @@ def _spiking_answers(settings, weights, dataset, seed):
     """All test samples, by NengoDL with spiking neurons."""
     from pipeline.training import nengodl
 
-    steps = settings.presentation.steps
+    settings = replace(settings, seed=seed)
     shown = dataset.part("test")[0]
-    return dataset.split.test, nengodl.predict(settings, weights, shown, steps)
+    return dataset.split.test, nengodl.predict(
+        settings, weights, shown, settings.presentation.steps
+    )
 
 
 def _loihi_answers(settings, weights, dataset, seed):
@@ -252,7 +254,7 @@ def _loihi_answers(settings, weights, dataset, seed):
     from pipeline.run.conversion import deployed
 
     shown = draw_check_samples(dataset.split.test, settings.check.samples, seed)
-    spec = deployed(settings, weights, {}, dataset.part("train")[0])
+    spec = deployed(settings, weights, {}, dataset.part("train"))
     return shown, answer(spec, dataset.inputs[shown], LOIHI_TARGET, seed).predictions
 
 

@@ -143,7 +143,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         "recipe": settings.snn.recipe,
         "package": __version__,
     }
-    spec = deployed(settings, weights, provenance, dataset.part("train")[0])
+    spec = deployed(settings, weights, provenance, dataset.part("train"))
     bundle = write_bundle(run.bundle, spec, _check_set(settings, dataset, chosen))
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
     return bundle
