@@ -48,6 +48,7 @@ ABOVE_0 = Limit(lambda value: value > 0, "above 0")
 INSIDE_0_1 = Limit(lambda value: 0 < value < 1, "between 0 and 1")
 FROM_0_BELOW_1 = Limit(lambda value: 0 <= value < 1, "from 0 to below 1")
 RATE = Limit(lambda value: 0 < value <= 1000, "above 0, at most 1000")
+STEP = Limit(lambda value: 0.1 <= value <= 1000, "from 0.1 to 1000 milliseconds")
 POP_TYPE = Limit(lambda value: value in (16, 32), "16 or 32")
 
 
@@ -63,6 +64,17 @@ class Data:
     """Simulated recordings of each digit; 0 for the published numbers, 6,953 in all."""
     skip_bad: bool = False
     """Leave out files that cannot be read instead of stopping."""
+
+
+@dataclass(frozen=True)
+class Input:
+    """What the network that goes to the chip is shown."""
+
+    kind: Annotated[str, one_of("image", "events")] = "image"
+    """``image``: a recording's tactile image as evenly spaced spikes, as in the paper; ``events``:
+    the skin's own events, one spike each."""
+    step: Annotated[float, STEP] = 20.0
+    """Milliseconds on the skin for which one step of the chip stands; of ``events`` only."""
 
 
 @dataclass(frozen=True)
@@ -136,6 +148,25 @@ class SNN:
 
 
 @dataclass(frozen=True)
+class Events:
+    """The spiking network that is trained on events; see :mod:`pipeline.training.events`."""
+
+    architecture: str = "10x10x2-12c4s2-64-10o"
+    """As the CNN's, with a channel for each polarity and at least one hidden layer; no pooling."""
+    epochs: Annotated[int, AT_LEAST_1] = 80
+    """Passes over the training samples."""
+    batch_size: Annotated[int, AT_LEAST_1] = 32
+    """Samples a step."""
+    learning_rate: Annotated[float, ABOVE_0] = 0.003
+    """Of Adam; it falls to 0 along a half cosine."""
+    early: Annotated[float, AT_LEAST_0] = 0.3
+    """Weight in the loss of being right while the digit is still being written."""
+    budget: Annotated[float, ABOVE_0] = 0.9
+    """Synaptic operations of an inference, in multiples of the paper's CNN's multiply-accumulates,
+    past which the loss has a price."""
+
+
+@dataclass(frozen=True)
 class Slayer:
     """Training on the events themselves (paper, Section 3.2.3)."""
 
@@ -191,11 +222,11 @@ class Showing:
     """How samples are shown; see :class:`deploy.network.spec.Presentation`."""
 
     steps: Annotated[int, AT_LEAST_1] = Presentation.steps
-    """Steps of 1 ms that a sample is shown."""
+    """Steps that a sample is shown: of 1 ms, or with events each of ``input.step``."""
     gap: Annotated[int, AT_LEAST_0] = Presentation.gap
     """Blank steps before each sample."""
     readout_start: int = Presentation.readout_start
-    """Step from which on the mean of the outputs decides."""
+    """Step from which on the mean of the outputs decides; with events it is the first."""
     stream_length: Annotated[int, AT_LEAST_1] = Presentation.stream_length
     """Samples that are shown one after the other before the network starts afresh."""
 
@@ -215,10 +246,12 @@ class Settings:
     seed: Annotated[int, SEED] = 0
     """Of the split, the training and the choice of the check's samples."""
     data: Data = field(default_factory=Data)
+    input: Input = field(default_factory=Input)
     image: Image = field(default_factory=Image)
     split: Split = field(default_factory=Split)
     cnn: CNN = field(default_factory=CNN)
     snn: SNN = field(default_factory=SNN)
+    events: Events = field(default_factory=Events)
     slayer: Slayer = field(default_factory=Slayer)
     deployment: Deployment = field(default_factory=Deployment)
     presentation: Showing = field(default_factory=Showing)
@@ -242,6 +275,17 @@ class Settings:
         settings = _changed(self, changes, origin, "")
         _validate(settings, origin)
         return settings
+
+    def presented(self, confidence: float | None = None) -> Presentation:
+        """How samples are shown; events are read from the first step on.
+
+        Parameters
+        ----------
+        confidence : float, optional
+            See :class:`deploy.network.spec.Presentation`.
+        """
+        shown = Presentation(**vars(self.presentation), confidence=confidence)
+        return replace(shown, readout_start=0) if self.input.kind == "events" else shown
 
     def to_json(self) -> dict:
         """As plain values."""
@@ -435,6 +479,13 @@ def _validate(s: Settings, origin):
          f"from 0 to below presentation.steps ({s.presentation.steps})")  # fmt: skip
     need(_parsed(s.slayer.architecture, "slayer.architecture", origin).input_shape == (10, 10, 2),
          "slayer.architecture", "for 10x10x2, a channel for each polarity")  # fmt: skip
+    on_events = _parsed(s.events.architecture, "events.architecture", origin)
+    need(on_events.input_shape == (10, 10, 2), "events.architecture",
+         "for 10x10x2, a channel for each polarity")  # fmt: skip
+    need(on_events.outputs == 10, "events.architecture",
+         "a network with an output for each digit")  # fmt: skip
+    need(len(on_events.layers) > 1 and all(layer.kind != "pool" for layer in on_events.layers),
+         "events.architecture", "a network with a hidden layer and without pooling")  # fmt: skip
     architecture = _parsed(s.cnn.architecture, "cnn.architecture", origin)
     need(architecture.input_shape == (10, 10, 1), "cnn.architecture",
          "for a tactile image of 10x10")  # fmt: skip

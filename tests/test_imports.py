@@ -57,7 +57,7 @@ def imported(path):
 
 FLOORS = {
     "pipeline": [
-        {"paper", "progress", "temporary"},
+        {"jobs", "paper", "progress", "temporary"},
         {"settings"},
         {"recordings"},
         {"skin"},

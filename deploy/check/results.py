@@ -17,8 +17,12 @@ from .intervals import mcnemar, wilson_interval
 
 SCHEMA = "stmnist-check/1"
 
-PUBLISHED = ("id", "label", "prediction", "scores", "decided_at", "spike_hash")
-"""What a result says of each sample; the last from targets that keep single spikes."""
+PUBLISHED = ("id", "label", "prediction", "scores", "decided_at", "stopped_at", "spike_hash")
+"""What a result says of each sample; the last two where there is a confidence to be reached, and
+from targets that keep single spikes."""
+
+SHARES = tuple(tenths / 10 for tenths in range(1, 11))
+"""Of the time that a sample was written in, at which the accuracy is told."""
 
 
 def versions() -> dict:
@@ -75,6 +79,7 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
         "accuracy_ci95": list(wilson_interval(correct, len(samples))),
         "decided_at_median": float(np.median([sample["decided_at"] for sample in samples])),
         "anytime_accuracy": [float(share) for share in right.mean(0)],
+        **_while_written(bundle, decisions, labels, samples),
         "samples": [{key: sample[key] for key in PUBLISHED if key in sample} for sample in samples],
         "spikes": total("spikes"),
         "synaptic_operations": total("operations"),
@@ -83,6 +88,40 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
         "versions": {**versions(), **extra.pop("versions", {})},
         **extra,
     }
+
+
+def _while_written(bundle, decisions, labels, samples) -> dict:
+    """How right the network is while a sample is still being written; of frames of events only.
+
+    A sample is written until its last event; a step later than the last is one after the end.
+    """
+    spec = bundle.spec
+    if spec.stimulus.held:
+        return {}
+    busy = np.asarray(bundle.checks.inputs).reshape(len(labels), spec.presentation.steps, -1).any(2)
+    written = np.where(busy.any(1), busy.shape[1] - np.argmax(busy[:, ::-1], 1), 1)
+    everyone = np.arange(len(labels))
+
+    def right_at(steps):
+        return decisions[everyone, np.minimum(steps, decisions.shape[1]) - 1] == labels
+
+    value = {
+        "step_ms": 1000 * spec.stimulus.step_seconds,
+        "written_steps_mean": float(written.mean()),
+        "shares": list(SHARES),
+        "accuracy": [float(right_at(np.ceil(s * written).astype(int)).mean()) for s in SHARES],
+    }
+    if all("stopped_at" in sample for sample in samples):
+        stopped = np.array([sample["stopped_at"] for sample in samples])
+        right = right_at(stopped)
+        value["by_itself"] = {
+            "confidence": spec.presentation.confidence,
+            "accuracy": float(right.mean()),
+            "accuracy_ci95": list(wilson_interval(int(right.sum()), len(right))),
+            "share_of_writing_mean": float(np.minimum(stopped / written, 1).mean()),
+            "before_the_end": float((stopped < written).mean()),
+        }
+    return {"while_written": value}
 
 
 def read_result(path, remedy="run 'stmnist check run' again") -> dict:

@@ -181,6 +181,9 @@ class Presentation:
     """Steps at the start of each sample that the readout leaves out."""
     stream_length: int = 10
     """Samples a stream; 1 means that every sample starts from a fresh network."""
+    confidence: Optional[float] = None
+    """Share of the softmax of the summed outputs at which a sample is decided before its end; None
+    if only the end decides."""
 
     @property
     def period(self) -> int:
@@ -192,8 +195,9 @@ class Presentation:
             if not condition:
                 raise ValueError(f"'presentation.{name}' must be {expected}")
 
-        for entry in fields(self):
-            need(type(getattr(self, entry.name)) is int, entry.name, "a whole number")
+        for name in ("steps", "gap", "readout_start", "stream_length"):
+            need(type(getattr(self, name)) is int, name, "a whole number")
+        need(self.confidence is None or 0 < self.confidence < 1, "confidence", "between 0 and 1")
         need(self.steps >= 1, "steps", "1 or more")
         need(self.gap >= 0, "gap", "0 or more")
         need(0 <= self.readout_start < self.steps, "readout_start",

@@ -15,20 +15,26 @@ from pipeline.run.ladder import ladder_text, measure_ladder
 def train(
     run: options.Run,
     data: options.Data = None,
+    kind: options.Input = None,
     seed: options.Seed = None,
     settings: options.SettingsFile = None,
     set_: options.Assignments = None,
     jobs: options.Jobs = 2,
 ):
-    """Train the paper's CNN on tactile images."""
-    with options.opened(run, data, seed, None, None, settings, set_) as (folder, resolved):
+    """Train the paper's CNN on tactile images, or with --input events the network on events."""
+    given = (data, seed, None, None, settings, set_, kind)
+    with options.opened(run, *given) as (folder, resolved):
         dataset = stages.open_dataset(folder, resolved, jobs, options.say)
-        stages.train(folder, resolved, dataset, options.say)
+        if resolved.input.kind == "events":
+            stages.train_on_events(folder, resolved, dataset, options.say)
+        else:
+            stages.train(folder, resolved, dataset, options.say)
 
 
 def convert(
     run: options.Run,
     data: options.Data = None,
+    kind: options.Input = None,
     seed: options.Seed = None,
     samples: options.Samples = None,
     steps: options.Steps = None,
@@ -36,16 +42,18 @@ def convert(
     set_: options.Assignments = None,
     jobs: options.Jobs = 2,
 ):
-    """Train with rate-based LIF neurons, make them spike, write the bundle."""
-    with options.opened(run, data, seed, samples, steps, settings, set_) as (folder, resolved):
+    """Train the network that spikes, on images or with --input events, and write the bundle."""
+    given = (data, seed, samples, steps, settings, set_, kind)
+    with options.opened(run, *given) as (folder, resolved):
         _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
-        for stage in REFERENCES:
+        for stage in REFERENCES[resolved.input.kind]:
             stages.answer(folder, resolved, bundle, stage, options.say)
 
 
 def ladder(
     run: options.Run,
     data: options.Data = None,
+    kind: options.Input = None,
     seed: options.Seed = None,
     samples: options.Samples = None,
     steps: options.Steps = None,
@@ -69,7 +77,8 @@ def ladder(
     as_json: options.Json = False,
 ):
     """Do what is missing up to the emulator, and print what each stage loses."""
-    with options.opened(run, data, seed, samples, steps, settings, set_) as (folder, resolved):
+    given = (data, seed, samples, steps, settings, set_, kind)
+    with options.opened(run, *given) as (folder, resolved):
         table = measure_ladder(folder, resolved, jobs, whole, slow, options.say)
         if whole:
             from pipeline.report import figures  # imports Matplotlib

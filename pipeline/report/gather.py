@@ -16,9 +16,10 @@ from pipeline.inputs.library import recordings_of
 from pipeline.progress import progress
 from pipeline.report.page import Inputs, choose_samples
 from pipeline.report.replay import replay
+from pipeline.run.answers import STAGES as NETWORKS
 from pipeline.run.folder import RunFolder
 from pipeline.run.history import read_history
-from pipeline.run.ladder import STAGES
+from pipeline.run.ladder import TARGETS
 from pipeline.settings import read_settings
 
 REMEDY = "delete it and make it again"
@@ -44,7 +45,7 @@ def gather(folder: RunFolder, benchmark: Path, jobs: int, say) -> Inputs:
     """
     settings = read_settings(folder.experiment)
     bundle = read_bundle(folder.bundle)
-    results = _results(folder, bundle)
+    results = _results(folder, bundle, settings.input.kind)
     recordings = recordings_of(settings.data, jobs)
     made_from = bundle.spec.provenance.get("source_sha256")
     if made_from != recordings.source.sha256:
@@ -88,11 +89,11 @@ def gather(folder: RunFolder, benchmark: Path, jobs: int, say) -> Inputs:
     )
 
 
-def _results(folder, bundle):
+def _results(folder, bundle, kind):
     """The check results of this bundle, in the order of the ladder."""
     results = [
         result
-        for stage in STAGES
+        for stage in (*NETWORKS[kind], *TARGETS)
         if folder.check(stage).exists()
         and (result := read_result(folder.check(stage)))["bundle"] == bundle.id
     ]

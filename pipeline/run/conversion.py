@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.spec import Layer, NetworkSpec, Neurons
 from deploy.network.stimulus import ImageCurrent, ImageSpikes
 from models.architecture import parse
 from models.lif import gain_for
@@ -79,7 +79,7 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, logits=None) ->
         if on_host
         else ImageSpikes(deployment.input_rate, deployment.input_phase),
         layers=tuple(layers),
-        presentation=Presentation(**vars(settings.presentation)),
+        presentation=settings.presented(),
         provenance=provenance,
     )
 

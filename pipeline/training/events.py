@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import time
 import zlib
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ from models.keras2 import tf
 from models.spiking import Neuron, SpikingNetwork, operations
 from pipeline.recordings.events import GRID
 from pipeline.recordings.steps import EventTable, spike_frames
+from pipeline.settings import Events, Input, Settings
 from pipeline.training.networks import make_deterministic
 
 CNN_MACS = 43104
@@ -69,20 +70,20 @@ class EventRecipe:
         How training samples are altered, each time anew; see :func:`alter`.
     """
 
-    architecture: str = "10x10x2-12c4s2-64-10o"
-    step_ms: float = 20.0
+    architecture: str = Events.architecture
+    step_ms: float = Input.step
     tau_u_ms: tuple = (30.0,)
     tau_v_ms: tuple = (80.0,)
     floor: float = -2.0
     beta: float = 4.0
-    epochs: int = 80
-    batch_size: int = 32
-    learning_rate: float = 0.003
+    epochs: int = Events.epochs
+    batch_size: int = Events.batch_size
+    learning_rate: float = Events.learning_rate
     average: float = 0.998
     dropout: float = 0.1
-    early: float = 0.3
+    early: float = Events.early
     price: float = 1.0
-    budget: float = 0.9
+    budget: float = Events.budget
     stretch: float = 0.1
     drop: float = 0.2
     turn: float = 0.08
@@ -90,13 +91,19 @@ class EventRecipe:
     scale: float = 0.08
     shear: float = 0.08
 
+    @classmethod
+    def of(cls, settings: Settings) -> EventRecipe:
+        """The recipe with what the settings say of it."""
+        return cls(step_ms=settings.input.step, **asdict(settings.events))
+
 
 @dataclass(frozen=True)
 class TrainedOnEvents:
-    """A trained network.
+    """A trained network and what it answers.
 
     Attributes
     ----------
+    recipe : EventRecipe
     weights : dict of str to ndarray
         See :meth:`models.spiking.SpikingNetwork.get_weights`.
     history : list of dict
@@ -105,8 +112,17 @@ class TrainedOnEvents:
         ``val_accuracy`` and ``val_operations`` where there are validation samples.
     """
 
+    recipe: EventRecipe
     weights: dict
-    history: list
+    history: list = field(default_factory=list)
+
+    def answers(self, frames, advance=None) -> Answers:
+        """What it answers to frames of events; see :func:`answer_frames`."""
+        return answer_frames(self.recipe, self.weights, frames, advance)
+
+    def logits(self, frames) -> np.ndarray:
+        """Outputs at the last step, shape (n_samples, classes)."""
+        return self.answers(frames).outputs[:, -1]
 
 
 @dataclass(frozen=True)
@@ -187,7 +203,7 @@ def train_events(
         trainer.save(checkpoint, run, history)
         if advance is not None:
             advance(1, _note(row))
-    return TrainedOnEvents(trainer.weights(), history)
+    return TrainedOnEvents(recipe, trainer.weights(), history)
 
 
 def answer_events(recipe: EventRecipe, weights: dict, table: EventTable, indices, steps: int):
@@ -207,20 +223,47 @@ def answer_events(recipe: EventRecipe, weights: dict, table: EventTable, indices
     -------
     Answers
     """
+    frames = table.frames(indices, recipe.step_ms, steps)
+    return answer_frames(recipe, weights, np.moveaxis(frames, 0, 1))
+
+
+def answer_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> Answers:
+    """Run a trained network on frames of events, in the chip's integers, each sample from rest.
+
+    Parameters
+    ----------
+    recipe : EventRecipe
+    weights : dict
+        Of a :class:`TrainedOnEvents`.
+    frames : ndarray of uint8, shape (n_samples, steps, rows, columns, channels)
+    advance : callable, optional
+        Called with the number of samples done since the last call.
+
+    Returns
+    -------
+    Answers
+    """
     network = SpikingNetwork(parse(recipe.architecture), _neuron(recipe))
     network.set_weights(weights)
-    runner, indices = _runner(network, None, tf.float64), np.asarray(indices)
-    parts = []
-    for start in range(0, len(indices), 100):
-        frames = table.frames(indices[start : start + 100], recipe.step_ms, steps)
-        outputs, costs, spikes = runner(frames)
+    runner, parts = _runner(network, None, tf.float64), []
+    for start in range(0, len(frames), 100):
+        part = frames[start : start + 100]
+        outputs, costs, spikes = runner(np.moveaxis(part, 0, 1))
         parts.append(
             (np.moveaxis(outputs.numpy(), 0, 1), costs.numpy(), *(s.numpy() for s in spikes))
         )
+        if advance is not None:
+            advance(len(part))
     outputs, costs, *spikes = (np.concatenate(column) for column in zip(*parts, strict=True))
-    last = np.floor(table.duration_ms[indices] / recipe.step_ms).astype(np.int64)
     named = {n: s.astype(np.int32) for n, s in zip(network.names, spikes, strict=True)}
-    return Answers(outputs.astype(np.float32), costs, named, np.minimum(last, steps - 1))
+    return Answers(outputs.astype(np.float32), costs, named, last_steps(frames))
+
+
+def last_steps(frames) -> np.ndarray:
+    """Step of each sample's last event, 0 where there is none; frames as in `answer_frames`."""
+    frames = np.asarray(frames)
+    busy = frames.reshape(*frames.shape[:2], -1).any(2)
+    return np.where(busy.any(1), frames.shape[1] - 1 - np.argmax(busy[:, ::-1], 1), 0)
 
 
 def alter(recipe: EventRecipe, rng, samples: int, sample, time_ms, row, column, polarity):
