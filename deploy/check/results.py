@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import UserError
 from ..files import read_json
+from ..network.decision import share_of_time
 from ..network.loihi_import import nengo_loihi
 from ..network.operations import multiply_accumulates
 from .intervals import mcnemar, wilson_interval
@@ -118,7 +119,7 @@ def _while_written(bundle, decisions, labels, samples) -> dict:
             "confidence": spec.presentation.confidence,
             "accuracy": float(right.mean()),
             "accuracy_ci95": list(wilson_interval(int(right.sum()), len(right))),
-            "share_of_writing_mean": float(np.minimum(stopped / written, 1).mean()),
+            "share_of_writing_mean": float(share_of_time(stopped - 1, written - 1).mean()),
             "before_the_end": float((stopped < written).mean()),
         }
     return {"while_written": value}

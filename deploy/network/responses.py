@@ -13,6 +13,7 @@ from typing import Dict, Optional
 
 import numpy as np
 
+from .decision import decide
 from .operations import synaptic_operations
 from .spec import NetworkSpec
 from .stream import show
@@ -132,7 +133,7 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
     limit = spec.presentation.confidence
     stopped = None
     if limit is not None:
-        stopped = start + first_confident(scores * counts, limit)
+        stopped = start + 1 + decide(_settled(scores * counts), limit)[0]
     return Responses(
         scores=scores[:, -1],
         decisions=decisions,
@@ -140,29 +141,6 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
         operations=synaptic_operations(spec, spikes),
         stopped_at=stopped,
     )
-
-
-def confidences(sums) -> np.ndarray:
-    """The largest share of the softmax of summed outputs (..., n_classes), shape (...)."""
-    shares = np.exp(sums - sums.max(-1, keepdims=True))
-    return 1 / shares.sum(-1)
-
-
-def first_confident(sums, limit: float) -> np.ndarray:
-    """Step (from 1) at which the confidence first reaches a limit, the last one if never.
-
-    Parameters
-    ----------
-    sums : ndarray, shape (n_samples, steps, n_classes)
-        Outputs summed up to each step.
-    limit : float
-
-    Returns
-    -------
-    ndarray of int, shape (n_samples,)
-    """
-    reached = _settled(confidences(sums)) >= limit
-    return np.where(reached.any(1), 1 + np.argmax(reached, 1), sums.shape[1])
 
 
 def _settled(scores):

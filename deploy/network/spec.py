@@ -197,7 +197,9 @@ class Presentation:
 
         for name in ("steps", "gap", "readout_start", "stream_length"):
             need(type(getattr(self, name)) is int, name, "a whole number")
-        need(self.confidence is None or 0 < self.confidence < 1, "confidence", "between 0 and 1")
+        need(
+            self.confidence is None or 0 < self.confidence <= 1, "confidence", "above 0, at most 1"
+        )
         need(self.steps >= 1, "steps", "1 or more")
         need(self.gap >= 0, "gap", "0 or more")
         need(0 <= self.readout_start < self.steps, "readout_start",

@@ -257,7 +257,7 @@ def judge(point: Point) -> dict:
     dataset = _samples(point)
     images, labels = dataset.part("validation")
     weights = stages.read_weights(networks.snn, settings)
-    spec = deployed(settings, weights, {}, dataset.part("train")[0])
+    spec = deployed(settings, weights, {}, dataset.part("train"))
     responses = answer(spec, images, "fast", settings.seed)
     right = responses.predictions == labels
     operations = float(sum(counts.mean() for counts in responses.operations.values()))

@@ -15,6 +15,7 @@ from deploy.check.results import read_result
 from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.files import read_arrays, read_json, write_arrays, write_json
+from deploy.network.decision import choose_threshold
 from models.architecture import parse
 from pipeline.inputs.dataset import TOO_SMALL, Dataset, event_warnings
 from pipeline.inputs.splits import draw_check_samples
@@ -119,7 +120,6 @@ def train_on_events(run: RunFolder, settings: Settings, dataset: Dataset, say=pr
     stamp = events_stamp(settings, dataset)
     if done := _done("events", run.snn, stamp, say):
         return done
-    from pipeline.run.confidence import choose_confidence
     from pipeline.training.events import EventRecipe, train_events
 
     split, recipe = dataset.split, EventRecipe.of(settings)
@@ -143,15 +143,15 @@ def train_on_events(run: RunFolder, settings: Settings, dataset: Dataset, say=pr
 
     def decision_of(trained):
         shown = trained.answers(dataset.inputs[held])
-        chosen = choose_confidence(shown.outputs, shown.last_step, dataset.labels[held])
-        return {"decides_by_itself": asdict(chosen)}
+        chosen = choose_threshold(shown.outputs, dataset.labels[held], shown.last_step)
+        return {"decides_by_itself": {**chosen._asdict(), "samples": len(held)}}
 
     metrics = _train("events", run.snn, stamp, recipe.epochs, train_it, dataset, say, decision_of)
     checkpoint.unlink(missing_ok=True)
     chosen = metrics["decides_by_itself"]
     say(
         f"events: decides by itself at a confidence of {chosen['confidence']:.4f}, after "
-        f"{chosen['share_of_writing']:.0%} of the writing on {chosen['samples']} held-out samples"
+        f"{chosen['share']:.0%} of the writing on {chosen['samples']} held-out samples"
     )
     return metrics
 
@@ -221,7 +221,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
     else:
         from pipeline.run.conversion import deployed
 
-        spec = deployed(settings, weights, provenance, dataset.part("train")[0])
+        spec = deployed(settings, weights, provenance, dataset.part("train"))
     bundle = write_bundle(run.bundle, spec, _check_set(settings, dataset, chosen))
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
     return bundle
