@@ -13,7 +13,17 @@ from deploy.check.run import records_of
 from deploy.network.responses import Responses
 from pipeline.settings import Settings
 
-STAGES = ("cnn", "rate-lif", "spiking-lif")
+NETWORKS = {
+    "cnn": ("CNN", "the paper's convolutional network, no spikes"),
+    "rate-lif": (
+        "Rate LIF",
+        "trained with the firing rates of LIF neurons in the place of spikes",
+    ),
+    "spiking-lif": ("Spiking LIF, NengoDL", "the same weights, neurons that spike"),
+}
+"""Title and note of each network before the bundle; those after it are targets."""
+
+STAGES = tuple(NETWORKS)
 
 
 def reference_result(

@@ -11,19 +11,27 @@ from deploy.check.bundle import Bundle
 from deploy.check.results import compare_results, read_result
 from deploy.files import read_json, write_json
 from deploy.tables import aligned
+from deploy.targets.registry import TARGETS
 from pipeline.progress import progress
 from pipeline.run import stages
+from pipeline.run.answers import NETWORKS
 from pipeline.run.diagnosis import layers_json, layers_text, least_faithful
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings
 
-STAGES = ("cnn", "rate-lif", "spiking-lif", "nengo", "simreal", "emulator", "loihi")
+STAGES = (*NETWORKS, *(name for name in TARGETS if name != "fast"))
 """Of the ladder on the check's samples."""
 
-WHOLE_STAGES = ("cnn", "rate-lif", "spiking-lif", "nengo", "simreal", "fast")
+WHOLE_STAGES = (
+    *NETWORKS,
+    *(name for name, target in TARGETS.items() if name != "emulator" and not target.hardware),
+)
 """Of the ladder on the whole test split; ``fast`` answers as ``emulator`` does, bit for bit."""
 
-SLOW = ("nengo", "simreal")
+BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
+"""Of `STAGES`, those whose results are taken where they are there, and not asked for."""
+
+SLOW = tuple(name for name in WHOLE_STAGES if name in TARGETS and TARGETS[name].slow)
 """Of `WHOLE_STAGES`, those that take minutes."""
 
 
@@ -52,16 +60,16 @@ def measure_ladder(
         See :func:`ladder_json`.
     """
     dataset, bundle = stages.make_bundle(run, settings, jobs, say)
-    left_out, asked = (), [stage for stage in STAGES if stage != "loihi"]
+    left_out, asked = (), [stage for stage in STAGES if stage not in BOARDS]
     if whole:
         bundle = stages.on_test_split(settings, dataset, bundle)
         left_out = () if slow else SLOW
         asked = [stage for stage in WHOLE_STAGES if stage not in left_out]
     results = [stages.answer(run, settings, bundle, stage, say, whole) for stage in asked]
-    board = run.check("loihi")
     # A board's result is a row of its own if it is there and of this bundle.
-    if not whole and board.exists() and read_result(board)["bundle"] == bundle.id:
-        results.append(read_result(board))
+    for board in () if whole else map(run.check, BOARDS):
+        if board.exists() and read_result(board)["bundle"] == bundle.id:
+            results.append(read_result(board))
     path = run.whole_ladder if whole else run.ladder
     table = ladder_json(results, _layers(run, path, settings, bundle), left_out)
     write_json(path, table)
@@ -243,8 +251,9 @@ def ladder_text(ladder: dict, limit: float = 1.0) -> str:
         f"from {first['stage']} to {last['stage']}: "
         + points_text(100 * (first["accuracy"] - last["accuracy"])),
     ]
-    if any(row["stage"] == "fast" for row in ladder["rows"]):
-        lines.append("fast: NengoLoihi's emulator, bit for bit")
+    for stage in (row["stage"] for row in ladder["rows"]):
+        if stage in TARGETS and TARGETS[stage].note:
+            lines.append(f"{stage}: {TARGETS[stage].note}")
     if ladder["left_out"]:
         lines.append(f"left out: {', '.join(ladder['left_out'])} (minutes each; add --slow)")
     losing = losing_stages(ladder, limit)
