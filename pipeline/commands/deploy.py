@@ -107,18 +107,3 @@ def energy(
         raise UserError(f"{path}: of another bundle than {bundle}; run the check again")
     value = estimate_energy(opened.spec, counted)
     options.tell(value.to_json(), lambda _: estimate_text(value), as_json)
-<<<<<<< HEAD
-
-
-def _draw(made, path):
-    from pipeline.report.placement import placement_figure
-
-    kind = path.suffix.lstrip(".").lower()
-    if kind not in ("png", "svg", "pdf"):
-        raise UserError(f"{path}: not a picture that can be drawn; use .png, .svg or .pdf")
-    buffer = io.BytesIO()
-    placement_figure(made).savefig(buffer, format=kind, dpi=150)
-    with replacing(path) as file:
-        file.write(buffer.getvalue())
-=======
->>>>>>> main

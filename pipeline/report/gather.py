@@ -16,10 +16,9 @@ from pipeline.inputs.library import recordings_of
 from pipeline.progress import progress
 from pipeline.report.page import Inputs, choose_samples
 from pipeline.report.replay import replay
-from pipeline.run.answers import STAGES as NETWORKS
 from pipeline.run.folder import RunFolder
 from pipeline.run.history import read_history
-from pipeline.run.ladder import TARGETS
+from pipeline.run.ladder import ladder_stages
 from pipeline.settings import read_settings
 
 REMEDY = "delete it and make it again"
@@ -93,7 +92,7 @@ def _results(folder, bundle, kind):
     """The check results of this bundle, in the order of the ladder."""
     results = [
         result
-        for stage in (*NETWORKS[kind], *TARGETS)
+        for stage in ladder_stages(kind)
         if folder.check(stage).exists()
         and (result := read_result(folder.check(stage)))["bundle"] == bundle.id
     ]

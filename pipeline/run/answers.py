@@ -14,8 +14,22 @@ from deploy.check.run import records_of
 from deploy.network.responses import Responses, read_output
 from pipeline.settings import Settings
 
+NETWORKS = {
+    "cnn": ("CNN", "the paper's convolutional network, no spikes"),
+    "rate-lif": (
+        "Rate LIF",
+        "trained with the firing rates of LIF neurons in the place of spikes",
+    ),
+    "spiking-lif": ("Spiking LIF, NengoDL", "the same weights, neurons that spike"),
+    "trained": (
+        "Trained on events",
+        "the spiking network as it was trained, each sample from rest",
+    ),
+}
+"""Title and note of each network before the bundle; those after it are targets."""
+
 STAGES = {"image": ("cnn", "rate-lif", "spiking-lif"), "events": ("trained",)}
-"""Networks that are no targets, by the kind of input."""
+"""Which of them there are, by the kind of input."""
 
 
 def reference_result(

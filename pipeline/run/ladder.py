@@ -11,6 +11,7 @@ from deploy.check.bundle import Bundle
 from deploy.check.results import compare_results, read_result
 from deploy.files import read_json, write_json
 from deploy.tables import aligned
+from deploy.targets.registry import TARGETS
 from pipeline.progress import progress
 from pipeline.run import stages
 from pipeline.run.answers import STAGES as NETWORKS
@@ -18,17 +19,24 @@ from pipeline.run.diagnosis import layers_json, layers_text, least_faithful
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings
 
-TARGETS = ("nengo", "simreal", "emulator", "loihi")
-"""Of the ladder on the check's samples, after the networks of :mod:`pipeline.run.answers`."""
+BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
+"""Targets whose results are taken where they are there, and not asked for."""
 
-WHOLE_TARGETS = ("nengo", "simreal", "fast")
-"""Of the ladder on the whole test split; ``fast`` answers as ``emulator`` does, bit for bit."""
+SLOW = tuple(name for name, target in TARGETS.items() if target.slow and name != "emulator")
+"""Of the ladder on the whole test split, those that take minutes."""
 
 TRAINED = ("rate-lif", "trained")
 """What the bundle is made from; what is lost after it, the way to the chip has lost."""
 
-SLOW = ("nengo", "simreal")
-"""Of `WHOLE_TARGETS`, those that take minutes."""
+
+def ladder_stages(kind: str, whole: bool = False) -> list:
+    """Stages of the ladder of a kind of input, in order.
+
+    ``fast`` answers as ``emulator`` does, bit for bit: the check's samples have the one, the whole
+    test split the other, and no answer of a board.
+    """
+    left_out = ("emulator", *BOARDS) if whole else ("fast",)
+    return [*NETWORKS[kind], *(name for name in TARGETS if name not in left_out)]
 
 
 def measure_ladder(
@@ -56,17 +64,17 @@ def measure_ladder(
         See :func:`ladder_json`.
     """
     dataset, bundle = stages.make_bundle(run, settings, jobs, say)
-    left_out, targets = (), [target for target in TARGETS if target != "loihi"]
+    asked = ladder_stages(settings.input.kind, whole)
+    left_out = ()
     if whole:
         bundle = stages.on_test_split(settings, dataset, bundle)
         left_out = () if slow else SLOW
-        targets = [target for target in WHOLE_TARGETS if target not in left_out]
-    asked = [*NETWORKS[settings.input.kind], *targets]
+    asked = [stage for stage in asked if stage not in (*left_out, *BOARDS)]
     results = stages.answer_all(run, settings, bundle, asked, jobs, say, whole)
-    board = run.check("loihi")
     # A board's result is a row of its own if it is there and of this bundle.
-    if not whole and board.exists() and read_result(board)["bundle"] == bundle.id:
-        results.append(read_result(board))
+    for board in () if whole else map(run.check, BOARDS):
+        if board.exists() and read_result(board)["bundle"] == bundle.id:
+            results.append(read_result(board))
     path = run.whole_ladder if whole else run.ladder
     table = ladder_json(results, _layers(run, path, settings, bundle), left_out)
     write_json(path, table)
@@ -271,8 +279,9 @@ def ladder_text(ladder: dict, limit: float = 1.0) -> str:
         f"from {first['stage']} to {last['stage']}: "
         + points_text(100 * (first["accuracy"] - last["accuracy"])),
     ]
-    if any(row["stage"] == "fast" for row in ladder["rows"]):
-        lines.append("fast: NengoLoihi's emulator, bit for bit")
+    for stage in (row["stage"] for row in ladder["rows"]):
+        if stage in TARGETS and TARGETS[stage].note:
+            lines.append(f"{stage}: {TARGETS[stage].note}")
     if ladder["left_out"]:
         lines.append(f"left out: {', '.join(ladder['left_out'])} (minutes each; add --slow)")
     if ladder.get("while_written"):
