@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.network.operations import convolution_fan_out
+from models.architecture import parse
 from models.cnn import activations, build_cnn, get_weights, predict, set_weights
 from models.keras2 import tf
 from models.lif import DT, RateLIF, gain_for
-from models.notation import parse
-from models.quantised import OnChipConv2D
+from models.quantised import OnChipConv2D, OnChipDense
 from pipeline.settings import Settings
 
 PERCENTILE = 99.9
@@ -130,24 +129,30 @@ def build_rate_network(settings: Settings) -> tf.keras.Model:
             spike_costs=costs and costs[index],
         )
 
-    def convolution(index, conv, name):
+    def sums(index, layer, name):
         gain = gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
-        return OnChipConv2D(conv.filters, conv.kernel, gain, name=name)
+        if layer.kind == "dense":
+            return OnChipDense(layer.units, gain, name=name)
+        return OnChipConv2D(
+            layer.filters,
+            layer.kernel,
+            gain,
+            strides=layer.stride,
+            padding=layer.padding,
+            name=name,
+        )
 
-    try:
-        return build_cnn(architecture, neurons, convolution if on_chip else None)
-    except ValueError as error:
-        raise UserError(f"settings: snn.max_rates: {error}") from error
+    for rate in snn.max_rates:
+        try:
+            gain_for(rate, snn.tau_rc, snn.tau_ref)
+        except ValueError as error:
+            raise UserError(f"settings: snn.max_rates: {error}") from error
+    return build_cnn(architecture, neurons, sums if on_chip else None)
 
 
 def _spike_costs(settings, architecture):
     """Of each layer, the loss when a neuron fires at its ``max_rate`` for the priced steps."""
-    shapes = architecture.shapes
-    synapses = [
-        convolution_fan_out(shape, conv.kernel, conv.filters).reshape(shape)
-        for shape, conv in zip(shapes, architecture.convs, strict=False)
-    ]
-    synapses.append(np.full(shapes[-1], architecture.outputs))
+    synapses = [layer.fan_out for layer in architecture.folded]
     operations = sum(int(layer.sum()) for layer in synapses)
     seconds = PRICED_STEPS * DT
     return [
