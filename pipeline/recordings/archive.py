@@ -1,7 +1,8 @@
-"""Recordings as published: a zip or a folder with a sub-folder for each digit.
+"""Recordings as published: a zip or a folder with a sub-folder for each class.
 
-The layout is ``data_submission/<digit>/*.mat``; the digit folders may stand at any depth, and
-``LUT.mat`` anywhere or nowhere.  The zip is read without being unpacked to disk.
+The published layout is ``data_submission/<digit>/*.mat``; the folders may have any names and stand
+at any depth, and ``LUT.mat`` anywhere or nowhere.  Recordings of other sensors may be ``.npz``
+files of events instead.  The zip is read without being unpacked to disk.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import hashlib
 import json
 import zipfile
 import zlib
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -18,7 +20,9 @@ import joblib
 
 from deploy.errors import UserError
 from deploy.files import replacing, sha256_of
-from pipeline.recordings.events import Recordings, Source, collect
+from pipeline.recordings import sensors
+from pipeline.recordings.eventfile import read_events
+from pipeline.recordings.events import DIGITS, Recordings, Source, collect
 from pipeline.recordings.matfile import (
     BadRecording,
     MatRecording,
@@ -29,7 +33,7 @@ from pipeline.recordings.matfile import (
 )
 
 LOOKUP_TABLE = "lut.mat"
-DIGITS = tuple("0123456789")
+SUFFIXES = (".mat", ".npz")
 CHUNK = 32
 """Files that a worker reads at a time: enough to hide the hand-over, few enough for the bar."""
 
@@ -41,8 +45,8 @@ class Listing:
     Attributes
     ----------
     path : Path
-    recordings : tuple of (str, int)
-        Member path and digit of each recording, in order of digit and path.
+    recordings : tuple of (str, str)
+        Member path and class of each recording, in order of class and path.
     lookup_table : str or None
         Member path of ``LUT.mat``.
     refused : tuple of (str, str)
@@ -61,7 +65,8 @@ def list_source(path) -> Listing:
     Raises
     ------
     UserError
-        No such file or folder, not a zip, a damaged zip, or nothing in it looks like ST-MNIST.
+        No such file or folder, not a zip, a damaged zip, nothing in it looks like recordings, or
+        recordings of both kinds.
     """
     path = Path(path)
     refused, recordings, tables, seen = [], [], [], set()
@@ -73,7 +78,7 @@ def list_source(path) -> Listing:
             problem = "is in the archive twice"
         seen.add(name)
         hidden = member.name.startswith(".") or "__MACOSX" in member.parts
-        if hidden or member.suffix.lower() != ".mat":
+        if hidden or member.suffix.lower() not in SUFFIXES:
             if problem:
                 refused.append((name, problem))
             continue
@@ -81,19 +86,53 @@ def list_source(path) -> Listing:
             refused.append((name, problem))
         elif member.name.lower() == LOOKUP_TABLE:
             tables.append(name)
-        elif len(member.parts) >= 2 and member.parts[-2] in DIGITS:
-            recordings.append((name, int(member.parts[-2])))
         else:
-            refused.append((name, "is not in a folder named for a digit, 0 to 9"))
+            recordings.append((name, member.parts[-2] if len(member.parts) >= 2 else ""))
+    recordings, strays = _of_classes(recordings)
+    refused += strays + _empty_classes(path, recordings)
     if not recordings and not refused:
         raise UserError(
-            f"{path}: holds no recordings; expected <digit>/*.mat, as in the ST-MNIST archive"
+            f"{path}: holds no recordings; expected a folder for each class with .mat or .npz "
+            "files, <digit>/*.mat in the ST-MNIST archive"
         )
-    recordings.sort(key=lambda entry: (entry[1], entry[0]))
+    kinds = {PurePosixPath(name).suffix.lower() for name, _ in recordings}
+    if len(kinds) > 1:
+        raise UserError(f"{path}: holds both .mat and .npz recordings; keep one kind")
+    recordings.sort(key=lambda entry: (sensors.class_order(entry[1]), entry[0]))
     return Listing(path, tuple(recordings), min(tables, default=None), tuple(refused))
 
 
-def read_source(path, jobs: int = 2, skip_bad: bool = False, progress=None, warn=None):
+def _of_classes(recordings):
+    """What lies in folders of classes, and what lies elsewhere with the reason to refuse it."""
+    folders = Counter(PurePosixPath(name).parent for name, _ in recordings)
+    above = {folder for leaf in folders for folder in leaf.parents}
+    names = Counter(name for _, name in recordings)
+    of_digits = set(DIGITS) <= set(names)
+    kept, strays = [], []
+    for file, name in recordings:
+        # One file in a folder of its own beside the ten digits makes no eleventh class.
+        if of_digits and name not in DIGITS and (names[name] < 2 or not name):
+            strays.append((file, "is not in a folder named for a digit, 0 to 9, as the others are"))
+        elif not name or PurePosixPath(file).parent in above:
+            strays.append((file, "is not in a folder of a class"))
+        else:
+            kept.append((file, name))
+    return kept, strays
+
+
+def _empty_classes(path, recordings):
+    """Folders without anything in them beside those of the classes."""
+    around = {PurePosixPath(name).parent.parent for name, _ in recordings}
+    return [
+        (folder, "is a class without a recording")
+        for folder in _empty_folders(path)
+        if PurePosixPath(folder).parent in around and not PurePosixPath(folder).name.startswith(".")
+    ]
+
+
+def read_source(
+    path, jobs: int = 2, skip_bad: bool = False, progress=None, warn=None, rows=0, columns=0
+):
     """Read every recording of a zip or folder, in parallel.
 
     Parameters
@@ -107,6 +146,8 @@ def read_source(path, jobs: int = 2, skip_bad: bool = False, progress=None, warn
         ``progress(label, total)``, a context manager that yields ``advance(n)``.
     warn : callable, optional
         Called with one line for each file that was left out.
+    rows, columns : int
+        Of the sensor; 0 for as found: see :mod:`pipeline.recordings.sensors`.
 
     Returns
     -------
@@ -115,7 +156,8 @@ def read_source(path, jobs: int = 2, skip_bad: bool = False, progress=None, warn
     Raises
     ------
     UserError
-        Listing every refused file with its reason, unless ``skip_bad``.
+        Rows and columns cannot be known; or, listing every refused file with its reason, unless
+        ``skip_bad``.
     """
     listing = list_source(path)
     refused, read = list(listing.refused), []
@@ -128,11 +170,11 @@ def read_source(path, jobs: int = 2, skip_bad: bool = False, progress=None, warn
     )
     with _shown(progress, "import", len(listing.recordings)) as advance:
         for chunk, results in zip(chunks, work, strict=True):
-            for (name, digit), result in zip(chunk, results, strict=True):
-                if isinstance(result, MatRecording):
-                    read.append((name, digit, result))
-                else:
+            for (name, of_class), result in zip(chunk, results, strict=True):
+                if isinstance(result, str):
                     refused.append((name, result))
+                else:
+                    read.append((name, of_class, result))
             advance(len(chunk))
     taxels = None
     if listing.lookup_table is not None:
@@ -140,6 +182,10 @@ def read_source(path, jobs: int = 2, skip_bad: bool = False, progress=None, warn
             taxels = read_lookup_table(_Reader(listing.path).read(listing.lookup_table))
         except BadRecording as error:
             refused.append((listing.lookup_table, str(error)))
+    settled = sensors.settle(path, read, taxels, rows, columns)
+    refused += settled.refused
+    dropped = {name for name, _ in settled.refused}
+    read = [recording for name, _, recording in read if name not in dropped]
     if refused and not skip_bad:
         lines = "; ".join(f"{name} {reason}" for name, reason in sorted(refused))
         raise UserError(
@@ -152,16 +198,17 @@ def read_source(path, jobs: int = 2, skip_bad: bool = False, progress=None, warn
     if not read:
         raise UserError(f"{path}: no recording in it can be read")
     return collect(
-        parts=[recording.events for _, _, recording in read],
-        labels=[digit for _, digit, _ in read],
-        ids=_ids([name for name, _, _ in read]),
-        writers=[recording.writer for _, _, recording in read],
+        parts=[events for _, events in settled.kept],
+        labels=settled.labels,
+        ids=_ids([name for name, _ in settled.kept]),
+        writers=[recording.writer for recording in read],
         source=Source(
             name=listing.path.name,
             sha256=content_hash(listing.path),
-            simulated=any(recording.simulated for _, _, recording in read),
+            simulated=any(recording.simulated for recording in read),
         ),
-        taxels=taxels,
+        taxels=settled.taxels,
+        sensor=settled.sensor,
     )
 
 
@@ -185,31 +232,36 @@ def write_zip(path, recordings: Recordings, progress=None):
         _add(archive, root / "LUT.mat", lookup_table_bytes(recordings.taxels))
         for index, name in enumerate(recordings.ids):
             recording = MatRecording(
-                recordings[index], recordings.source.simulated, int(recordings.writers[index])
+                recordings[index],
+                recordings.source.simulated,
+                int(recordings.writers[index]),
+                n_taxels=len(recordings.taxels),
             )
             _add(archive, root / f"{name}.mat", recording_bytes(recording))
             advance(1)
 
 
 def content_hash(path) -> str:
-    """SHA-256 over a source's content: of the zip, or of every MAT file of a folder."""
+    """SHA-256 over a source's content: of the zip, or of every recording of a folder."""
     path = Path(path)
     if not path.is_dir():
         return sha256_of(path)
-    files = {name: sha256_of(path / name) for name, _ in _members(path) if _is_mat(name)}
+    files = {name: sha256_of(path / name) for name, _ in _members(path) if _is_recording(name)}
     return hashlib.sha256(json.dumps(files, sort_keys=True).encode()).hexdigest()
 
 
 def fingerprint(path) -> str:
     """A cheap stand-in for the content hash: names, sizes and times of change."""
     path = Path(path)
-    files = [path] if not path.is_dir() else [path / n for n, _ in _members(path) if _is_mat(n)]
+    files = [path]
+    if path.is_dir():
+        files = [path / name for name, _ in _members(path) if _is_recording(name)]
     stats = [(str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns) for f in files]
     return hashlib.sha256(json.dumps(stats).encode()).hexdigest()
 
 
-def _is_mat(name):
-    return name.lower().endswith(".mat")
+def _is_recording(name):
+    return name.lower().endswith(SUFFIXES)
 
 
 def _add(archive, name, content):
@@ -267,12 +319,33 @@ class _Reader:
             raise BadRecording(f"is compressed in a way not supported ({error})") from error
 
 
+def _parsed(name, content):
+    if name.lower().endswith(".npz"):
+        return read_events(content)
+    return read_recording(content, n_taxels=None)
+
+
+def _empty_folders(path: Path):
+    """Member paths of folders that nothing is in."""
+    if path.is_dir():
+        return [
+            folder.relative_to(path).as_posix()
+            for folder in sorted(path.rglob("*"))
+            if folder.is_dir() and not any(folder.iterdir())
+        ]
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+    filled = {str(parent) for name in names for parent in PurePosixPath(name).parents}
+    folders = [name.rstrip("/") for name in names if name.endswith("/")]
+    return [folder for folder in folders if folder not in filled]
+
+
 def _read_members(path, names):
     """Read some members; a reason takes the place of a recording that is refused."""
     reader, results = _Reader(path), []
     for name in names:
         try:
-            results.append(read_recording(reader.read(name)))
+            results.append(_parsed(name, reader.read(name)))
         except BadRecording as error:
             results.append(str(error))
     return results
