@@ -57,7 +57,8 @@ def imported(path):
 
 FLOORS = {
     "pipeline": [
-        {"settings", "progress"},
+        {"paper", "progress"},
+        {"settings"},
         {"recordings"},
         {"skin"},
         {"inputs", "training"},
