@@ -11,7 +11,8 @@ from pipeline.inputs.images import tactile_images
 from pipeline.inputs.library import recordings_of
 from pipeline.inputs.splits import Split, random_split, writer_split
 from pipeline.recordings.events import Recordings
-from pipeline.settings import Settings
+from pipeline.recordings.sensors import too_small
+from pipeline.settings import Settings, check_fits
 
 KINDS = ("random", "writers")
 """Of splits: over samples, as in the paper; or nobody writes both training and test samples."""
@@ -51,16 +52,21 @@ class Dataset:
         Raises
         ------
         UserError
-            The source cannot be read, or is too small for the split.
+            The source cannot be read, is too small for the split, has a class with a single
+            recording, or the architecture is for another sensor.
         """
         parts = settings.split
-        recordings = recordings_of(settings.data, jobs, warn)
+        recordings = recordings_of(settings, jobs, warn)
+        sensor, source = recordings.sensor, settings.data.source
         try:
             split = split_of(
                 recordings, settings.seed, parts.test_fraction, parts.validation_fraction
             )
         except ValueError as error:
-            raise UserError(f"{settings.data.source}: {error}; {TOO_SMALL}") from error
+            raise UserError(f"{source}: {error}; {TOO_SMALL}") from error
+        if problem := too_small(recordings):
+            raise UserError(f"{source}: {problem}")
+        check_fits(settings, sensor.rows, sensor.columns, len(sensor.classes), source)
         return cls(recordings, inputs_of(recordings, settings), split)
 
     def __len__(self):
@@ -68,7 +74,7 @@ class Dataset:
 
     @property
     def labels(self) -> np.ndarray:
-        """The digit of each sample, shape (n_samples,)."""
+        """The class of each sample, shape (n_samples,)."""
         return self.recordings.labels
 
     def part(self, name: str):
@@ -86,7 +92,7 @@ def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:
 
     Returns
     -------
-    ndarray of float32, shape (n_samples, 10, 10, 1)
+    ndarray of float32, shape (n_samples, rows, columns, 1)
         Tactile images.
     """
     image = settings.image

@@ -319,7 +319,13 @@ class _Reader:
             raise BadRecording(f"is compressed in a way not supported ({error})") from error
 
 
-def _parsed(name, content):
+def read_file(name: str, content: bytes):
+    """A recording of any sensor: MatRecording, or EventRecording where the name ends in .npz.
+
+    Raises
+    ------
+    BadRecording
+    """
     if name.lower().endswith(".npz"):
         return read_events(content)
     return read_recording(content, n_taxels=None)
@@ -345,7 +351,7 @@ def _read_members(path, names):
     reader, results = _Reader(path), []
     for name in names:
         try:
-            results.append(_parsed(name, reader.read(name)))
+            results.append(read_file(name, reader.read(name)))
         except BadRecording as error:
             results.append(str(error))
     return results
