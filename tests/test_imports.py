@@ -57,7 +57,7 @@ def imported(path):
 
 FLOORS = {
     "pipeline": [
-        {"paper", "progress"},
+        {"paper", "progress", "temporary"},
         {"settings"},
         {"recordings"},
         {"skin"},
@@ -70,7 +70,7 @@ FLOORS = {
         {"__main__"},
     ],
     "deploy": [
-        {"errors", "tables", "requirements"},
+        {"errors", "interrupts", "tables", "requirements"},
         {"files"},
         {"network"},
         {"preflight"},

@@ -17,7 +17,7 @@ from pipeline.progress import progress
 from pipeline.recordings.archive import read_file, write_zip
 from pipeline.recordings.eventfile import EventRecording
 from pipeline.recordings.events import GRID, Events, Sensor, expand_bursts
-from pipeline.recordings.matfile import BadRecording
+from pipeline.recordings.matfile import BadRecording, read_limited
 from pipeline.recordings.sensors import about_sensor
 from pipeline.recordings.table1 import table1_json, table1_text
 from pipeline.skin import unipen
@@ -69,7 +69,8 @@ def inspect(
 ):
     """Print one recording's facts."""
     try:
-        recording = read_file(file.name, file.read_bytes())
+        with file.open("rb") as opened:
+            recording = read_file(file.name, read_limited(opened))
     except OSError as error:
         raise UserError(f"{file}: cannot read ({error.strerror}); check the path") from error
     except BadRecording as error:

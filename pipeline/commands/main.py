@@ -7,7 +7,7 @@ import sys
 
 import typer
 
-from deploy import __version__
+from deploy import __version__, interrupts
 from deploy.errors import CheckFailed, UserError
 from models.architecture import NotationError
 from pipeline.commands import benchmark, check, data, deploy, report, run, settings, skin, sweep
@@ -15,9 +15,6 @@ from pipeline.commands import benchmark, check, data, deploy, report, run, setti
 # Typer brings its own copy of Click from some version on: these are the classes that it raises.
 UsageError = typer.BadParameter.__base__
 ClickException = UsageError.__base__
-
-INTERRUPTED = 130
-"""Exit status after Ctrl-C, as shells have it."""
 
 VERBS = {
     "data": (
@@ -92,16 +89,16 @@ def root(
 
 
 def main(arguments=None):
-    """Run the command; the entry point of the script ``stmnist``.
+    """Run the command.
 
     Exit status 0: done; 1: a check failed; 2: wrong usage or bad input; 130: interrupted.
     """
     try:
         status = app(args=arguments, prog_name="stmnist", standalone_mode=False)
-        if status == INTERRUPTED:  # Typer turns an interruption into this status
+        if status == interrupts.STATUS:  # Typer turns an interruption into this status
             raise KeyboardInterrupt
     except (KeyboardInterrupt, typer.Abort):
-        status = _say("interrupted; the same command goes on where it stopped", INTERRUPTED)
+        status = _say(interrupts.LINE, interrupts.STATUS)
     except UsageError as error:
         context = error.ctx.command_path if error.ctx else "stmnist"
         problem = error.format_message().rstrip(".") or "a command is missing"
@@ -115,6 +112,8 @@ def main(arguments=None):
     except BrokenPipeError:  # the reader, such as head, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 0
+    except MemoryError:
+        status = _say("not enough memory for this; ask for less, or close other programs", 2)
     except OSError as error:  # what no module foresaw: a full disk, a folder that may not be read
         where = f"{error.filename}: " if error.filename else ""
         status = _say(f"{where}{error.strerror or error}; check the path and its permissions", 2)
@@ -124,7 +123,3 @@ def main(arguments=None):
 def _say(message, status):
     print("stmnist: " + " ".join(message.split()), file=sys.stderr)
     return status
-
-
-if __name__ == "__main__":
-    main()

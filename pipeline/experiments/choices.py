@@ -14,7 +14,7 @@ NengoLoihi's (100 Hz, samples shown without a gap between them, the first layer 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
@@ -154,7 +154,7 @@ def _predictions(choice, settings, weights, dataset, seed):
     from pipeline.run.conversion import deployed
     from pipeline.training import nengodl
 
-    chosen = choice.apply(settings)
+    chosen = replace(choice.apply(settings), seed=seed)
     shown, _ = dataset.part("test")
     if choice.row == "loihi":
         spec = deployed(chosen, weights, {}, dataset.part("train")[0])

@@ -7,6 +7,7 @@ one that the spiking network is trained with (:data:`pipeline.training.networks.
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -73,7 +74,9 @@ def measure(job: SplitJob) -> dict:
         "cnn": predictions(paper.logits(shown)),
         "cnn-annealed": predictions(annealed.logits(shown)),
         "rate-lif": predictions(rate.logits(shown)),
-        "spiking-lif": nengodl.predict(settings, rate.weights, shown, max(STEPS)),
+        "spiking-lif": nengodl.predict(
+            replace(settings, seed=seed), rate.weights, shown, max(STEPS)
+        ),
     }
     spec = deployed(settings, rate.weights, {}, train[0])
     operations, decided = {}, {}

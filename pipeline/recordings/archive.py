@@ -8,8 +8,10 @@ files of events instead.  The zip is read without being unpacked to disk.
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import json
+import lzma
 import zipfile
 import zlib
 from collections import Counter
@@ -17,16 +19,19 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import joblib
+from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from deploy.errors import UserError
 from deploy.files import replacing, sha256_of
 from pipeline.recordings import sensors
 from pipeline.recordings.eventfile import read_events
 from pipeline.recordings.events import DIGITS, Recordings, Source, collect
+from pipeline.recordings.mat5 import LARGEST
 from pipeline.recordings.matfile import (
     BadRecording,
     MatRecording,
     lookup_table_bytes,
+    read_limited,
     read_lookup_table,
     read_recording,
     recording_bytes,
@@ -36,6 +41,18 @@ LOOKUP_TABLE = "lut.mat"
 SUFFIXES = (".mat", ".npz")
 CHUNK = 32
 """Files that a worker reads at a time: enough to hide the hand-over, few enough for the bar."""
+
+LISTED = 10
+"""Refused files that a message names."""
+
+LONGEST_NAME = 120
+"""Characters of a name in a message."""
+
+READ_ERRORS = (
+    *(OSError, EOFError, RuntimeError, ValueError, KeyError, zipfile.BadZipFile),
+    *(zlib.error, lzma.LZMAError),
+)
+"""What reading a member of a damaged zip raises."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +87,8 @@ def list_source(path) -> Listing:
     """
     path = Path(path)
     refused, recordings, tables, seen = [], [], [], set()
-    for name, problem in _members(path):
+    files, folders = _everything(path)
+    for name, problem in files:
         member = PurePosixPath(name)
         if problem is None and (member.is_absolute() or ".." in member.parts):
             problem = "its path leaves the archive"
@@ -89,7 +107,7 @@ def list_source(path) -> Listing:
         else:
             recordings.append((name, member.parts[-2] if len(member.parts) >= 2 else ""))
     recordings, strays = _of_classes(recordings)
-    refused += strays + _empty_classes(path, recordings)
+    refused += strays + _empty_classes(recordings, files, folders)
     if not recordings and not refused:
         raise UserError(
             f"{path}: holds no recordings; expected a folder for each class with .mat or .npz "
@@ -120,13 +138,16 @@ def _of_classes(recordings):
     return kept, strays
 
 
-def _empty_classes(path, recordings):
-    """Folders without anything in them beside those of the classes."""
+def _empty_classes(recordings, files, folders):
+    """Folders without a file in them beside those of the classes."""
     around = {PurePosixPath(name).parent.parent for name, _ in recordings}
+    filled = {parent for name, _ in files for parent in PurePosixPath(name).parents}
     return [
-        (folder, "is a class without a recording")
-        for folder in _empty_folders(path)
-        if PurePosixPath(folder).parent in around and not PurePosixPath(folder).name.startswith(".")
+        (str(folder), "is a class without a recording")
+        for folder in map(PurePosixPath, folders)
+        if folder.parent in around
+        and folder not in filled
+        and not folder.name.startswith((".", "__MACOSX"))
     ]
 
 
@@ -165,9 +186,7 @@ def read_source(
         listing.recordings[start : start + CHUNK]
         for start in range(0, len(listing.recordings), CHUNK)
     ]
-    work = joblib.Parallel(n_jobs=jobs, return_as="generator")(
-        joblib.delayed(_read_members)(listing.path, [name for name, _ in chunk]) for chunk in chunks
-    )
+    work = _read_chunks(listing.path, [[name for name, _ in chunk] for chunk in chunks], jobs)
     with _shown(progress, "import", len(listing.recordings)) as advance:
         for chunk, results in zip(chunks, work, strict=True):
             for (name, of_class), result in zip(chunk, results, strict=True):
@@ -179,7 +198,7 @@ def read_source(
     taxels = None
     if listing.lookup_table is not None:
         try:
-            taxels = read_lookup_table(_Reader(listing.path).read(listing.lookup_table))
+            taxels = read_lookup_table(_reader(listing.path).read(listing.lookup_table))
         except BadRecording as error:
             refused.append((listing.lookup_table, str(error)))
     settled = sensors.settle(path, read, taxels, rows, columns)
@@ -187,14 +206,16 @@ def read_source(
     dropped = {name for name, _ in settled.refused}
     read = [recording for name, _, recording in read if name not in dropped]
     if refused and not skip_bad:
-        lines = "; ".join(f"{name} {reason}" for name, reason in sorted(refused))
+        lines = "; ".join(f"{_short(name)} {reason}" for name, reason in _first(refused))
         raise UserError(
-            f"{path}: {len(refused)} of {len(refused) + len(read)} files refused: {lines}; "
-            "mend them, or leave them out with --skip-bad"
+            f"{path}: {len(refused)} of {len(refused) + len(read)} files refused: {lines}"
+            f"{_and_more(refused)}; mend them, or leave them out with --skip-bad"
         )
-    for name, reason in sorted(refused):
-        if warn is not None:
-            warn(f"{path}: left out {name}: {reason}")
+    if warn is not None:
+        for name, reason in _first(refused):
+            warn(f"{path}: left out {_short(name)}: {reason}")
+        if len(refused) > LISTED:
+            warn(f"{path}: left out {len(refused) - LISTED} more")
     if not read:
         raise UserError(f"{path}: no recording in it can be read")
     return collect(
@@ -280,25 +301,35 @@ def _ids(names):
 
 def _members(path: Path):
     """Paths of all files of a source, each with what is wrong with it as a member, or None."""
+    return _everything(path)[0]
+
+
+def _everything(path: Path):
+    """The files, as of :func:`_members`, and the paths of the folders."""
     if path.is_dir():
-        return [
-            (file.relative_to(path).as_posix(), None)
-            for file in sorted(path.rglob("*"))
-            if file.is_file()
-        ]
+        files, folders = [], []
+        for entry in sorted(path.rglob("*")):
+            name = entry.relative_to(path).as_posix()
+            if entry.is_file():
+                files.append((name, None))
+            elif entry.is_dir():
+                folders.append(name)
+        return files, folders
     if not path.exists():
         raise UserError(f"{path}: no such file or folder; give the ST-MNIST zip or its folder")
     try:
         with zipfile.ZipFile(path) as archive:
-            return [
-                (info.filename, "is encrypted" if info.flag_bits & 1 else None)
-                for info in archive.infolist()
-                if not info.is_dir()
-            ]
+            members = archive.infolist()
     except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, ValueError) as error:
         raise UserError(
             f"{path}: not a zip archive, or cut short ({error}); download it again"
         ) from error
+    files = [
+        (info.filename, "is encrypted" if info.flag_bits & 1 else None)
+        for info in members
+        if not info.is_dir()
+    ]
+    return files, [info.filename for info in members if info.is_dir()]
 
 
 class _Reader:
@@ -311,12 +342,57 @@ class _Reader:
     def read(self, name) -> bytes:
         try:
             if self.folder:
-                return (self.folder / name).read_bytes()
-            return self.archive.read(name)
-        except (OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
-            raise BadRecording(f"cannot be read from the source ({error})") from error
+                with (self.folder / name).open("rb") as file:
+                    return read_limited(file)
+            member = self.archive.getinfo(name)
+            if member.file_size > LARGEST:
+                raise BadRecording(f"says that it has {member.file_size} bytes, too many")
+            with self.archive.open(member) as file:
+                return read_limited(file)
+        except BadRecording:
+            raise
         except NotImplementedError as error:
             raise BadRecording(f"is compressed in a way not supported ({error})") from error
+        except READ_ERRORS as error:
+            raise BadRecording(f"cannot be read from the source ({error})") from error
+
+
+def _reader(path: Path) -> _Reader:
+    """A reader of the source as it is now; opened once a process, for a zip's list is long."""
+    state = path.stat()
+    return _open_reader(path, state.st_ino, state.st_size, state.st_mtime_ns)
+
+
+@functools.lru_cache(maxsize=1)
+def _open_reader(path, *_state):
+    return _Reader(path)
+
+
+def _read_chunks(path, chunks, jobs):
+    """Yield the recordings and reasons of each chunk of names; see :func:`_read_members`."""
+    done = 0
+    work = joblib.Parallel(n_jobs=jobs, return_as="generator")(
+        joblib.delayed(_read_members)(path, names) for names in chunks
+    )
+    try:
+        for results in work:
+            yield results
+            done += 1
+    except TerminatedWorkerError:
+        # Nothing tells whose file it was: those that are left are read with more care.
+        for names in chunks[done:]:
+            yield _read_carefully(path, names)
+
+
+def _read_carefully(path, names):
+    """As :func:`_read_members`, in a process that may die; halves show which file it dies of."""
+    try:
+        return joblib.Parallel(n_jobs=2)([joblib.delayed(_read_members)(path, names)])[0]
+    except TerminatedWorkerError:
+        if len(names) == 1:
+            return ["ends the process that reads it; damaged, or the memory is too small"]
+        half = len(names) // 2
+        return _read_carefully(path, names[:half]) + _read_carefully(path, names[half:])
 
 
 def read_file(name: str, content: bytes):
@@ -331,27 +407,26 @@ def read_file(name: str, content: bytes):
     return read_recording(content, n_taxels=None)
 
 
-def _empty_folders(path: Path):
-    """Member paths of folders that nothing is in."""
-    if path.is_dir():
-        return [
-            folder.relative_to(path).as_posix()
-            for folder in sorted(path.rglob("*"))
-            if folder.is_dir() and not any(folder.iterdir())
-        ]
-    with zipfile.ZipFile(path) as archive:
-        names = archive.namelist()
-    filled = {str(parent) for name in names for parent in PurePosixPath(name).parents}
-    folders = [name.rstrip("/") for name in names if name.endswith("/")]
-    return [folder for folder in folders if folder not in filled]
-
-
 def _read_members(path, names):
     """Read some members; a reason takes the place of a recording that is refused."""
-    reader, results = _Reader(path), []
+    reader, results = _reader(path), []
     for name in names:
         try:
             results.append(read_file(name, reader.read(name)))
         except BadRecording as error:
             results.append(str(error))
+        except MemoryError:
+            results.append("takes more memory than there is")
     return results
+
+
+def _first(refused):
+    return sorted(refused)[:LISTED]
+
+
+def _and_more(refused):
+    return f"; and {len(refused) - LISTED} more" if len(refused) > LISTED else ""
+
+
+def _short(name):
+    return name if len(name) <= LONGEST_NAME else f"...{name[3 - LONGEST_NAME :]}"

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.recordings.events import Events
-from pipeline.recordings.matfile import LATEST_OF_OTHERS_S, MAX_SIDE, BadRecording
+from pipeline.recordings.matfile import LATEST_S, MAX_SIDE, BadRecording
 
 ARRAYS = ("x", "y", "t", "p")
 
@@ -76,9 +76,9 @@ def read_events(content: bytes) -> EventRecording:
         raise BadRecording("has a time that is NaN or infinite")
     if t.min() < 0:
         raise BadRecording("has a negative time")
-    if t.max() > LATEST_OF_OTHERS_S:
+    if t.max() > LATEST_S:
         raise BadRecording(
-            f"times go up to {t.max():g}, not seconds up to {LATEST_OF_OTHERS_S:g}; "
+            f"times go up to {t.max():g}, not seconds up to {LATEST_S:g}; "
             "in milliseconds or microseconds?"
         )
     for name, places in (("x", x), ("y", y)):
