@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.recordings.events import Recordings
+from pipeline.recordings.events import Events, Recordings, Sensor, TaxelMap, collect
 from pipeline.settings import AGGREGATIONS, NORMALISATIONS
 
 
@@ -95,3 +95,36 @@ def tactile_images(recordings, aggregation="count", normalisation="max") -> np.n
     """Normalised tactile images, shape (n_samples, rows, columns, 1), float32."""
     images = normalise(aggregate(recordings, aggregation), normalisation)
     return images[..., None].astype(np.float32)
+
+
+def growing(
+    events: Events,
+    taxels: TaxelMap,
+    ends,
+    aggregation: str = "count",
+    sensor: Sensor | None = None,
+) -> np.ndarray:
+    """A recording's tactile image as it grows, not normalised.
+
+    Parameters
+    ----------
+    events : Events
+        Of one recording.
+    taxels : TaxelMap
+    ends : sequence of int
+        Nanoseconds; an image has the events before its end.
+    aggregation : str
+        See the module's description.
+    sensor : Sensor, optional
+
+    Returns
+    -------
+    ndarray of float, shape (n_ends, rows, columns)
+    """
+    parts = [
+        Events(*(getattr(events, name)[events.time_ns < end] for name in vars(events)))
+        for end in ends
+    ]
+    n = len(parts)
+    grown = collect(parts, [0] * n, ["part"] * n, [-1] * n, None, taxels, sensor)
+    return aggregate(grown, aggregation)

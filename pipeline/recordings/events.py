@@ -150,7 +150,7 @@ class Recordings:
         The class, from 0: the digit itself in the published recordings; see ``sensor.classes``.
     ids : tuple of str
         A name for each recording that does not change from import to import, such as
-        ``"3/0042.mat"``.
+        ``"3/0042"``.
     writers : ndarray of int64, shape (n_samples,)
         The writer, from 0; -1 where it is not known.
     source : Source
