@@ -26,6 +26,8 @@ from models.architecture import NotationError, parse
 from pipeline import paper
 
 AGGREGATIONS = ("count", "columns", "signed", "on", "off")
+SIMULATED = "simulated"
+"""The name of the built-in recordings."""
 NORMALISATIONS = ("max", "sum", "sqrt-max", "none")
 
 
@@ -49,6 +51,7 @@ INSIDE_0_1 = Limit(lambda value: 0 < value < 1, "between 0 and 1")
 FROM_0_BELOW_1 = Limit(lambda value: 0 <= value < 1, "from 0 to below 1")
 RATE = Limit(lambda value: 0 < value <= 1000, "above 0, at most 1000")
 STEP = Limit(lambda value: 0.1 <= value <= 1000, "from 0.1 to 1000 milliseconds")
+SIDE = Limit(lambda value: 0 <= value <= 256, "from 0 to 256")
 POP_TYPE = Limit(lambda value: value in (16, 32), "16 or 32")
 
 
@@ -57,7 +60,7 @@ class Data:
     """Which recordings."""
 
     source: str = "simulated"
-    """``simulated``, or the path of an ST-MNIST zip or folder."""
+    """``simulated``, or the path of a zip or folder of recordings, such as ST-MNIST's."""
     simulation_seed: Annotated[int, SEED] = 0
     """Seed of simulated recordings; the experiment's own seed does not change them."""
     samples_per_digit: Annotated[int, AT_LEAST_0] = 0
@@ -75,6 +78,17 @@ class Input:
     the skin's own events, one spike each."""
     step: Annotated[float, STEP] = 20.0
     """Milliseconds on the skin for which one step of the chip stands; of ``events`` only."""
+
+
+@dataclass(frozen=True)
+class Skin:
+    """The array of taxels."""
+
+    rows: Annotated[int, SIDE] = 0
+    """Rows of taxels; 0: ten of the simulated skin, of recordings as their look-up table or their
+    largest coordinate says."""
+    columns: Annotated[int, SIDE] = 0
+    """Columns of taxels; 0 as for the rows."""
 
 
 @dataclass(frozen=True)
@@ -247,6 +261,7 @@ class Settings:
     """Of the split, the training and the choice of the check's samples."""
     data: Data = field(default_factory=Data)
     input: Input = field(default_factory=Input)
+    skin: Skin = field(default_factory=Skin)
     image: Image = field(default_factory=Image)
     split: Split = field(default_factory=Split)
     cnn: CNN = field(default_factory=CNN)
@@ -477,21 +492,19 @@ def _validate(s: Settings, origin):
             need(limit.holds(getattr(section, entry)), name, limit.expected)
     need(0 <= s.presentation.readout_start < s.presentation.steps, "presentation.readout_start",
          f"from 0 to below presentation.steps ({s.presentation.steps})")  # fmt: skip
-    need(_parsed(s.slayer.architecture, "slayer.architecture", origin).input_shape == (10, 10, 2),
-         "slayer.architecture", "for 10x10x2, a channel for each polarity")  # fmt: skip
     on_events = _parsed(s.events.architecture, "events.architecture", origin)
-    need(on_events.input_shape == (10, 10, 2), "events.architecture",
-         "for 10x10x2, a channel for each polarity")  # fmt: skip
-    need(on_events.outputs == 10, "events.architecture",
-         "a network with an output for each digit")  # fmt: skip
     need(len(on_events.layers) > 1 and all(layer.kind != "pool" for layer in on_events.layers),
          "events.architecture", "a network with a hidden layer and without pooling")  # fmt: skip
+    of_events = _parsed(s.slayer.architecture, "slayer.architecture", origin)
     architecture = _parsed(s.cnn.architecture, "cnn.architecture", origin)
-    need(architecture.input_shape == (10, 10, 1), "cnn.architecture",
-         "for a tactile image of 10x10")  # fmt: skip
+    if s.data.source == SIMULATED:  # the sensor of recordings is known once they are read
+        rows, columns = s.skin.rows or paper.ROWS, s.skin.columns or paper.COLUMNS
+        check_fits(s, rows, columns, paper.CLASSES, origin)
+        if (rows, columns) == (paper.ROWS, paper.COLUMNS):  # else it need not be in use
+            need(of_events.input_shape == (rows, columns, 2), "slayer.architecture",
+                 f"for {rows}x{columns}x2, a channel for each polarity")  # fmt: skip
     n_spiking = len(architecture.spiking)
     need(n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output")
-    need(architecture.outputs == 10, "cnn.architecture", "a network with an output for each digit")
     on_chip = architecture.convs[1:] if s.deployment.first_layer == "host" else architecture.convs
     need(s.deployment.pop_type == 32 or not any(conv.filters % 4 for conv in on_chip),
          "deployment.pop_type", "32 unless filters on the chip come in multiples of 4")  # fmt: skip
@@ -499,6 +512,29 @@ def _validate(s: Settings, origin):
          f"1 to {n_spiking} rates above 0, one a layer of neurons")  # fmt: skip
     need(max(s.snn.max_rates) * s.snn.tau_ref < 1, "snn.max_rates",
          f"below 1 / snn.tau_ref = {1 / s.snn.tau_ref:g} spikes a second")  # fmt: skip
+
+
+def check_fits(s: Settings, rows: int, columns: int, classes: int, origin: str):
+    """Refuse an architecture that is not for what is shown, of this size and so many classes.
+
+    Raises
+    ------
+    UserError
+        With the architecture that would be, but for the layers between.
+    """
+    if s.input.kind == "events":
+        name, text, size = "events.architecture", s.events.architecture, f"{rows}x{columns}x2"
+        what, shape = f"events of {rows}x{columns} taxels", (rows, columns, 2)
+    else:
+        name, text, size = "cnn.architecture", s.cnn.architecture, f"{rows}x{columns}"
+        what, shape = f"a tactile image of {size}", (rows, columns, 1)
+    architecture = parse(text)
+    if architecture.input_shape != shape or architecture.outputs != classes:
+        like = "-".join([size, *map(str, architecture.layers[:-1]), f"{classes}o"])
+        raise UserError(
+            f"{origin}: {name!r} must be for {what} and {classes} classes, such as {like}, "
+            f"not {text}"
+        )
 
 
 def _parsed(architecture, name, origin):

@@ -207,7 +207,7 @@ def over_splits(
     CheckFailed
         Every split failed.
     """
-    source = recordings_of(settings.data, workers.processes).source
+    source = recordings_of(settings, workers.processes).source
     folder.save_settings(settings)
     stamp = stamp_of(__version__, source.sha256, asdict(settings), *depends_on)
     jobs = [

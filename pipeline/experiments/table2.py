@@ -69,7 +69,7 @@ def measure_table(
     UserError
         There is no such kind, or too few recordings.
     """
-    recordings = recordings_of(settings.data, workers.processes)
+    recordings = recordings_of(settings, workers.processes)
     kinds = _kinds(kind, recordings)
     try:
         for each in kinds:

@@ -11,8 +11,9 @@ from pipeline.inputs.images import tactile_images
 from pipeline.inputs.library import recordings_of
 from pipeline.inputs.splits import Split, random_split, writer_split
 from pipeline.recordings.events import Recordings
+from pipeline.recordings.sensors import too_small
 from pipeline.recordings.steps import EventTable
-from pipeline.settings import Settings
+from pipeline.settings import Settings, check_fits
 
 KINDS = ("random", "writers")
 """Of splits: over samples, as in the paper; or nobody writes both training and test samples."""
@@ -55,16 +56,21 @@ class Dataset:
         Raises
         ------
         UserError
-            The source cannot be read, or is too small for the split.
+            The source cannot be read, is too small for the split, has a class with a single
+            recording, or the architecture is for another sensor.
         """
         parts = settings.split
-        recordings = recordings_of(settings.data, jobs, warn)
+        recordings = recordings_of(settings, jobs, warn)
+        sensor, source = recordings.sensor, settings.data.source
         try:
             split = split_of(
                 recordings, settings.seed, parts.test_fraction, parts.validation_fraction
             )
         except ValueError as error:
-            raise UserError(f"{settings.data.source}: {error}; {TOO_SMALL}") from error
+            raise UserError(f"{source}: {error}; {TOO_SMALL}") from error
+        if problem := too_small(recordings):
+            raise UserError(f"{source}: {problem}")
+        check_fits(settings, sensor.rows, sensor.columns, len(sensor.classes), source)
         return cls(recordings, inputs_of(recordings, settings), split)
 
     def __len__(self):
@@ -72,7 +78,7 @@ class Dataset:
 
     @property
     def labels(self) -> np.ndarray:
-        """The digit of each sample, shape (n_samples,)."""
+        """The class of each sample, shape (n_samples,)."""
         return self.recordings.labels
 
     def part(self, name: str):
@@ -91,9 +97,9 @@ def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:
     Returns
     -------
     ndarray
-        With ``input.kind = "image"`` tactile images, float32, shape (n_samples, 10, 10, 1); with
-        ``"events"`` the events of each step of the presentation, uint8, shape (n_samples, steps,
-        10, 10, 2), first ON, then OFF.
+        With ``input.kind = "image"`` tactile images, float32, shape (n_samples, rows, columns, 1);
+        with ``"events"`` the events of each step of the presentation, uint8, shape (n_samples,
+        steps, rows, columns, 2), first ON, then OFF.
     """
     image = settings.image
     if settings.input.kind == "events":

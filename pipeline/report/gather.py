@@ -45,7 +45,7 @@ def gather(folder: RunFolder, benchmark: Path, jobs: int, say) -> Inputs:
     settings = read_settings(folder.experiment)
     bundle = read_bundle(folder.bundle)
     results = _results(folder, bundle, settings.input.kind)
-    recordings = recordings_of(settings.data, jobs)
+    recordings = recordings_of(settings, jobs)
     made_from = bundle.spec.provenance.get("source_sha256")
     if made_from != recordings.source.sha256:
         raise UserError(

@@ -358,7 +358,7 @@ def _frames(inputs, recording):
     whole, image = inputs.recordings[recording], inputs.settings.image
     end = int(whole.time_ns[-1]) + 1 if len(whole) else 1
     ends = [end * number // FRAMES for number in range(1, FRAMES + 1)]
-    grown = growing(whole, inputs.recordings.taxels, ends, image.aggregation)
+    grown = growing(whole, recordings.taxels, ends, image.aggregation, recordings.sensor)
     frames = []
     for until, pixels in zip(ends, normalise(grown, image.normalisation), strict=True):
         caption = f"{until / 1e9:.2f} s"

@@ -21,6 +21,7 @@ from pipeline.inputs.dataset import TOO_SMALL, Dataset, event_warnings
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import progress
+from pipeline.recordings.sensors import about_sensor
 from pipeline.recordings.steps import EventTable
 from pipeline.run.answers import STAGES as REFERENCES
 from pipeline.run.answers import reference_result, training_versions
@@ -64,7 +65,7 @@ def open_dataset(run: RunFolder, settings: Settings, jobs: int = 2, warn=None) -
             "sha256": recordings.source.sha256,
             "simulated": recordings.source.simulated,
             "samples": len(recordings),
-            "samples_per_digit": np.bincount(recordings.labels, minlength=10).tolist(),
+            **about_sensor(recordings),
             "train": len(split.train),
             "validation": len(split.validation),
             "test": len(split.test),

@@ -24,7 +24,6 @@ from deploy.files import read_arrays, write_arrays
 from models.architecture import parse
 from models.keras2 import tf
 from models.spiking import Neuron, SpikingNetwork, operations
-from pipeline.recordings.events import GRID
 from pipeline.recordings.steps import EventTable, spike_frames
 from pipeline.settings import Events, Input, Settings
 from pipeline.training.networks import make_deterministic
@@ -266,7 +265,7 @@ def last_steps(frames) -> np.ndarray:
     return np.where(busy.any(1), frames.shape[1] - 1 - np.argmax(busy[:, ::-1], 1), 0)
 
 
-def alter(recipe: EventRecipe, rng, samples: int, sample, time_ms, row, column, polarity):
+def alter(recipe, rng, samples: int, sample, time_ms, row, column, polarity, size=(10, 10)):
     """Samples as they might have been written at another time, or by somebody else.
 
     Each is written faster or slower by a factor exp(``stretch`` z), begins anywhere within its
@@ -282,6 +281,8 @@ def alter(recipe: EventRecipe, rng, samples: int, sample, time_ms, row, column, 
     samples : int
     sample, time_ms, row, column, polarity : ndarray
         See :meth:`pipeline.recordings.steps.EventTable.pick`.
+    size : (int, int)
+        Rows and columns of taxels.
 
     Returns
     -------
@@ -291,12 +292,12 @@ def alter(recipe: EventRecipe, rng, samples: int, sample, time_ms, row, column, 
     pace = np.exp(rng.normal(0, recipe.stretch, samples))
     step = time_ms * pace[sample] / recipe.step_ms + rng.uniform(0, 1, samples)[sample]
     kept = rng.random(len(sample)) >= rng.uniform(0, recipe.drop, samples)[sample]
-    place = _moved(recipe, rng, samples, sample, np.stack([row, column], -1))
-    kept &= ((place >= 0) & (place < GRID)).all(1)
+    place = _moved(recipe, rng, samples, sample, np.stack([row, column], -1), size)
+    kept &= ((place >= 0) & (place < size)).all(1)
     return sample[kept], step[kept], place[kept, 0], place[kept, 1], polarity[kept]
 
 
-def _moved(recipe, rng, samples, sample, place):
+def _moved(recipe, rng, samples, sample, place, size):
     """Each event's (row, column) after the change of its sample, in whole taxels."""
     angle = rng.normal(0, recipe.turn, samples)
     cosine, sine = np.cos(angle), np.sin(angle)
@@ -305,7 +306,7 @@ def _moved(recipe, rng, samples, sample, place):
     slanted[:, 1, 0] = rng.normal(0, recipe.shear, samples)  # columns move with the row
     stretched = np.exp(rng.normal(0, recipe.scale, (samples, 2)))[:, :, None]
     matrix = stretched * (turned @ slanted)
-    centre = (GRID - 1) / 2
+    centre = (np.array(size) - 1) / 2
     place = np.einsum("nij,nj->ni", matrix[sample], place - centre)
     place += centre + rng.normal(0, recipe.shift, (samples, 2))[sample]
     return np.floor(place + 0.5).astype(np.int64)
@@ -433,10 +434,12 @@ class _Trainer:
     def _altered(self, batch, rng):
         """Frames, labels, and the steps up to each sample's last event, of altered samples."""
         n = len(batch)
-        sample, step, *place = alter(self.recipe, rng, n, *self.table.pick(batch))
+        sample, step, *place = alter(
+            self.recipe, rng, n, *self.table.pick(batch), size=self.table.size
+        )
         last = np.zeros(n, np.int64)
         np.maximum.at(last, sample, step.astype(np.int64))
-        frames = spike_frames(sample, step, *place, n, _padded(last.max()))
+        frames = spike_frames(sample, step, *place, n, _padded(last.max()), self.table.size)
         writing = (np.arange(len(frames))[:, None] <= last).astype(np.float32)
         return frames, self.labels[batch], writing
 

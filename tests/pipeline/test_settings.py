@@ -99,7 +99,7 @@ BAD = [
         {"cnn": {"architecture": "10x10-10o"}},
         "a layer of neurons before its output",
     ),
-    ("nine outputs", {"cnn": {"architecture": "10x10-6c4-9o"}}, "an output for each digit"),
+    ("nine outputs", {"cnn": {"architecture": "10x10-6c4-9o"}}, "10x10 and 10 classes, such as"),
 ]
 
 
