@@ -8,12 +8,18 @@ import tomllib
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 
+from deploy import limits
 from deploy.errors import UserError
 from deploy.files import replacing
 from models.architecture import NotationError, parse
 
 AGGREGATIONS = ("count", "columns", "signed", "on", "off")
 NORMALISATIONS = ("max", "sum", "sqrt-max", "none")
+
+LARGEST = 2**53
+"""Of any number: all whole ones up to it are the same in every format."""
+
+LONGEST_TEXT = 4096
 
 
 @dataclass(frozen=True)
@@ -205,10 +211,14 @@ def read_settings(path) -> Settings:
         It cannot be read, is not TOML, or has an unknown or wrong setting.
     """
     try:
-        values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        with Path(path).open("rb") as file:
+            content = file.read(limits.SETTINGS_BYTES + 1)
+        if len(content) > limits.SETTINGS_BYTES:
+            raise UserError(f"{path}: larger than any file of settings; mend or delete it")
+        values = tomllib.loads(content.decode("utf-8"))
     except OSError as error:
         raise UserError(f"{path}: cannot read ({error.strerror}); check the path") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: not valid TOML ({error}); mend or delete it") from error
     return Settings().with_values(values, str(path))
 
@@ -242,7 +252,7 @@ def parse_assignments(assignments) -> dict:
             raise UserError(f"--set {assignment!r}: expected section.name=value")
         try:
             value = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
+        except (ValueError, RecursionError):
             value = text.strip()
         *sections, last = name.strip().split(".")
         place = values
@@ -282,24 +292,39 @@ def _changed(settings, changes, origin, prefix):
 
 def _coerced(value, default, origin, name):
     def fail(kind):
-        raise UserError(f"{origin}: {name!r} must be {kind}, not {value!r}")
+        raise UserError(f"{origin}: {name!r} must be {kind}, not {_short(value)}")
 
     if isinstance(default, bool):
         return value if isinstance(value, bool) else fail("true or false")
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if isinstance(default, int):
-        return value if number and isinstance(value, int) else fail("a whole number")
+        if not isinstance(value, int) or not number or abs(value) > LARGEST:
+            fail("a whole number")
+        return value
     if isinstance(default, float):
-        return float(value) if number and math.isfinite(value) else fail("a number")
+        if not number or not -LARGEST <= value <= LARGEST:  # NaN is neither
+            fail("a number")
+        return float(value)
     if isinstance(default, tuple):
         if not isinstance(value, (list, tuple)):
             fail("a list")
+        if len(value) > limits.LAYERS:
+            fail(f"a list of at most {limits.LAYERS} values")
         return tuple(_coerced(entry, default[0], origin, name) for entry in value)
     try:
-        value.encode()
+        if len(value.encode()) > LONGEST_TEXT:
+            fail(f"text of at most {LONGEST_TEXT} bytes")
     except (AttributeError, UnicodeEncodeError):
         fail("text (in UTF-8)")
     return value
+
+
+def _short(value):
+    try:
+        text = repr(value)
+    except ValueError:  # a whole number of thousands of digits
+        return "that many digits"
+    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def _validate(s: Settings, origin):
@@ -309,34 +334,45 @@ def _validate(s: Settings, origin):
 
     need(0 <= s.seed < 2**31, "seed", f"from 0 to {2**31 - 1}")
     need(0 <= s.data.simulation_seed < 2**31, "data.simulation_seed", f"from 0 to {2**31 - 1}")
-    need(s.data.samples_per_digit >= 0, "data.samples_per_digit", "0 or more")
+    need(0 <= s.data.samples_per_digit <= limits.SAMPLES, "data.samples_per_digit",
+         f"from 0 to {limits.SAMPLES}")  # fmt: skip
     need(s.image.aggregation in AGGREGATIONS, "image.aggregation", _one_of(AGGREGATIONS))
     need(s.image.normalisation in NORMALISATIONS, "image.normalisation", _one_of(NORMALISATIONS))
     need(0 < s.split.test_fraction < 1, "split.test_fraction", "between 0 and 1")
     need(0 <= s.split.validation_fraction < 1, "split.validation_fraction", "from 0 to below 1")
     for name, training in (("cnn", s.cnn), ("slayer", s.slayer)):
-        need(training.epochs >= 1, f"{name}.epochs", "1 or more")
-        need(training.batch_size >= 1, f"{name}.batch_size", "1 or more")
-        need(training.learning_rate > 0, f"{name}.learning_rate", "above 0")
+        need(1 <= training.epochs <= limits.EPOCHS, f"{name}.epochs",
+             f"from 1 to {limits.EPOCHS}")  # fmt: skip
+        need(1 <= training.batch_size <= limits.BATCH, f"{name}.batch_size",
+             f"from 1 to {limits.BATCH}")  # fmt: skip
+        need(0 < training.learning_rate <= 1000, f"{name}.learning_rate", "above 0, at most 1000")
     for name in ("epochs", "batch_size", "learning_rate", "noise", "spike_penalty"):
-        need(getattr(s.snn, name) >= 0, f"snn.{name}", "0 or more")
+        most = {"epochs": limits.EPOCHS, "batch_size": limits.BATCH}.get(name, 1000)
+        need(0 <= getattr(s.snn, name) <= most, f"snn.{name}", f"from 0 to {most}")
     need(s.snn.recipe in ("loihi", "paper"), "snn.recipe", _one_of(("loihi", "paper")))
-    need(s.snn.tau_rc > 0, "snn.tau_rc", "above 0")
-    need(s.snn.tau_ref > 0, "snn.tau_ref", "above 0")
+    need(1e-6 <= s.snn.tau_rc <= limits.SECONDS, "snn.tau_rc",
+         f"from 1e-6 to {limits.SECONDS:g} (seconds)")  # fmt: skip
+    need(1e-9 <= s.snn.tau_ref <= limits.REFRACTORY_S, "snn.tau_ref",
+         f"from 1e-9 to {limits.REFRACTORY_S:g} (seconds)")  # fmt: skip
     for name in ("first_layer", "readout"):
         need(getattr(s.deployment, name) in ("chip", "host"), f"deployment.{name}",
              _one_of(("chip", "host")))  # fmt: skip
     need(0 < s.deployment.input_rate <= 1000, "deployment.input_rate", "above 0, at most 1000")
     need(0 <= s.deployment.input_phase < 1, "deployment.input_phase", "from 0 to below 1")
-    need(s.deployment.synapse >= 0, "deployment.synapse", "0 or more")
+    need(0 <= s.deployment.synapse <= limits.SECONDS, "deployment.synapse",
+         f"from 0 to {limits.SECONDS:g} (seconds)")  # fmt: skip
     need(s.deployment.pop_type in (16, 32), "deployment.pop_type", "16 or 32")
-    need(s.presentation.steps >= 1, "presentation.steps", "1 or more")
-    need(s.presentation.gap >= 0, "presentation.gap", "0 or more")
+    need(1 <= s.presentation.steps <= limits.STEPS, "presentation.steps",
+         f"from 1 to {limits.STEPS}")  # fmt: skip
+    need(0 <= s.presentation.gap <= limits.STEPS, "presentation.gap", f"from 0 to {limits.STEPS}")
     need(0 <= s.presentation.readout_start < s.presentation.steps, "presentation.readout_start",
-         f"from 0 to below presentation.steps ({s.presentation.steps})")  # fmt: skip
-    need(s.presentation.stream_length >= 1, "presentation.stream_length", "1 or more")
-    need(s.check.samples >= 1, "check.samples", "1 or more")
-    need(s.slayer.bins >= 1, "slayer.bins", "1 or more")
+         f"from 0 to below presentation.steps ({s.presentation.steps}), not "
+         f"{s.presentation.readout_start}; with so few steps give another one too, such as "
+         f"--set presentation.readout_start={max(0, s.presentation.steps) // 5}")  # fmt: skip
+    need(1 <= s.presentation.stream_length <= limits.STREAM, "presentation.stream_length",
+         f"from 1 to {limits.STREAM}")  # fmt: skip
+    need(1 <= s.check.samples <= limits.SAMPLES, "check.samples", f"from 1 to {limits.SAMPLES}")
+    need(1 <= s.slayer.bins <= limits.STEPS, "slayer.bins", f"from 1 to {limits.STEPS}")
     for name in ("tau_s", "tau_r", "conv_scale", "dense_scale"):
         need(getattr(s.slayer, name) > 0, f"slayer.{name}", "above 0")
     need(_parsed(s.slayer.architecture, "slayer.architecture", origin).input_shape == (10, 10, 2),
@@ -350,7 +386,7 @@ def _validate(s: Settings, origin):
     on_chip = architecture.convs[1:] if s.deployment.first_layer == "host" else architecture.convs
     need(s.deployment.pop_type == 32 or not any(conv.filters % 4 for conv in on_chip),
          "deployment.pop_type", "32 unless filters on the chip come in multiples of 4")  # fmt: skip
-    need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) > 0, "snn.max_rates",
+    need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3, "snn.max_rates",
          f"1 to {n_spiking} rates above 0, one a layer of neurons")  # fmt: skip
     need(max(s.snn.max_rates) * s.snn.tau_ref < 1, "snn.max_rates",
          f"below 1 / snn.tau_ref = {1 / s.snn.tau_ref:g} spikes a second")  # fmt: skip
@@ -358,9 +394,16 @@ def _validate(s: Settings, origin):
 
 def _parsed(architecture, name, origin):
     try:
-        return parse(architecture)
+        parsed = parse(architecture)
     except NotationError as error:
         raise UserError(f"{origin}: {name!r}: {error}") from error
+    weights = sum(map(math.prod, parsed.weight_shapes.values()))
+    if weights > limits.WEIGHTS or max(map(math.prod, parsed.shapes)) > limits.NEURONS:
+        raise UserError(
+            f"{origin}: {name!r} must be a network of at most {limits.WEIGHTS} weights, "
+            f"and {limits.NEURONS} neurons in a layer"
+        )
+    return parsed
 
 
 def _one_of(values):

@@ -69,7 +69,7 @@ FLOORS = {
         {"__main__"},
     ],
     "deploy": [
-        {"errors", "interrupts", "tables", "requirements"},
+        {"errors", "interrupts", "limits", "tables", "requirements"},
         {"files"},
         {"network"},
         {"preflight"},

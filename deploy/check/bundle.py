@@ -24,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .. import limits
 from ..errors import UserError
 from ..files import read_arrays, read_json, replacing, sha256_of, write_arrays, write_json
 from ..network.spec import NetworkSpec
@@ -175,20 +176,40 @@ def read_bundle(path) -> Bundle:
 
 def _read_checks(path, spec):
     arrays = read_arrays(path, _REMEDY)
+    wrong = _wrong_with(arrays, spec)
+    if wrong is not None:
+        raise UserError(f"{path}: {wrong}; {_REMEDY}")
+    return CheckSet(
+        images=arrays["images"].astype(float),
+        labels=arrays["labels"],
+        ids=tuple(arrays["ids"].tolist()),
+        seed=int(arrays["seed"]),
+    )
+
+
+def _wrong_with(arrays, spec):
+    """What keeps arrays from being the samples of a network's check, or None."""
+    if sorted(arrays) != ["ids", "images", "labels", "seed"]:
+        return f"holds {', '.join(sorted(arrays)[:10])}, not ids, images, labels and seed"
+    images, labels, ids, seed = (arrays[name] for name in ("images", "labels", "ids", "seed"))
+    kinds = [array.dtype.kind for array in (images, labels, ids, seed)]
+    if not all(kind in known for kind, known in zip(kinds, ("fiu", "iu", "U", "iu"))):
+        return "images and labels are not numbers, or ids not text"
+    if labels.ndim != 1 or ids.shape != labels.shape or seed.ndim != 0:
+        return "images, labels and ids do not fit the network"
+    if images.shape != (len(labels), *spec.input_shape) or not 1 <= len(labels) <= limits.SAMPLES:
+        return "images, labels and ids do not fit the network"
+    if not np.all(np.abs(images) <= limits.MAGNITUDE):  # which NaN is not either
+        return "images have a value that is NaN or too large"
+    classes = spec.layers[-1].size
+    if labels.min() < 0 or labels.max() >= classes:
+        return f"labels are not from 0 to {classes - 1}"
     try:
-        checks = CheckSet(
-            images=arrays["images"].astype(float),
-            labels=arrays["labels"],
-            ids=tuple(str(name) for name in arrays["ids"]),
-            seed=int(arrays["seed"]),
-        )
-        count = len(checks.labels)
-        fits = checks.images.shape == (count, *spec.input_shape) and len(checks.ids) == count >= 1
-    except (KeyError, ValueError, TypeError) as error:
-        raise UserError(f"{path}: not the samples of a check ({error}); {_REMEDY}") from error
-    if not fits:
-        raise UserError(f"{path}: images, labels and ids do not fit the network; {_REMEDY}")
-    return checks
+        if len({name.encode("utf-8") for name in ids.tolist()}) != len(ids):
+            return "two samples have one id"
+    except UnicodeEncodeError:
+        return "an id is not text in UTF-8"
+    return None
 
 
 def _check_schema(path, found, known):

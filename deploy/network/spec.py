@@ -15,7 +15,17 @@ from typing import Optional, Tuple
 
 import numpy as np
 
+from .. import limits
 from ..errors import UserError
+
+TOP = (
+    *("schema", "architecture", "dt", "input_shape", "encoder", "layers", "presentation"),
+    "provenance",
+)
+"""What the description has at the top."""
+
+ARRAYS = ("weights", "bias")
+"""Of each layer."""
 
 DT = 0.001
 """Time step in seconds; NengoLoihi's decays and the firing rates of training are made for it."""
@@ -45,9 +55,16 @@ class Neurons:
 
     def __post_init__(self):
         _require(self.kind in ("lif", "relu"), "neurons", "kind is neither 'lif' nor 'relu'")
-        _require(self.amplitude > 0, "neurons", "amplitude must be positive")
-        _require(self.tau_rc > 0 and self.tau_ref >= 0, "neurons", "time constants are negative")
-        _require(self.min_voltage <= 0, "neurons", "min_voltage must not be positive")
+        # A comparison with NaN is false: what is asked for is what may be.
+        _require(
+            1e-9 <= self.amplitude <= limits.MAGNITUDE, "neurons", "amplitude must be positive"
+        )
+        _require(1e-6 <= self.tau_rc <= limits.SECONDS, "neurons",
+                 f"tau_rc must be from 1e-6 to {limits.SECONDS:g} seconds")  # fmt: skip
+        _require(0 <= self.tau_ref <= limits.REFRACTORY_S, "neurons",
+                 f"tau_ref must be from 0 to {limits.REFRACTORY_S:g} seconds")  # fmt: skip
+        _require(-limits.MAGNITUDE <= self.min_voltage <= 0, "neurons",
+                 "min_voltage must not be positive")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -71,7 +88,9 @@ class Encoder:
     initial_phase: float = 0.5
 
     def __post_init__(self):
-        _require(0 < self.max_rate <= 1 / DT, "encoder", "max_rate must be above 0, at most 1000")
+        _require(
+            1e-3 <= self.max_rate <= 1 / DT, "encoder", "max_rate must be above 0, at most 1000"
+        )
         _require(0 <= self.initial_phase < 1, "encoder", "initial_phase must be in [0, 1)")
 
 
@@ -123,15 +142,26 @@ class Layer:
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, tuple(int(n) for n in getattr(self, name)))
         for name in ("weights", "bias"):
-            array = np.asarray(getattr(self, name), float)
+            array = np.asarray(getattr(self, name))
+            _require(array.dtype.kind in "fiu", where, f"{name} are not real numbers")
+            array = np.asarray(array, float)
             object.__setattr__(self, name, array)
             _require(np.isfinite(array).all(), where, f"{name} has NaN or infinite values")
+            _require(np.abs(array).max(initial=0) <= limits.MAGNITUDE, where,
+                     f"{name} has a value past {limits.MAGNITUDE:g}")  # fmt: skip
         _require(self.kind in ("conv", "dense"), where, "kind is neither 'conv' nor 'dense'")
         _require(self.placement in ("chip", "host"), where, "placement is not 'chip' or 'host'")
         _require(self.neurons is not None or self.placement == "host", where,
                  "a layer on the chip needs neurons")  # fmt: skip
         _require(self.pop_type in (16, 32), where, "pop_type is neither 16 nor 32")
-        _require(self.synapse is None or self.synapse > 0, where, "synapse must be above 0")
+        _require(self.synapse is None or 1e-6 <= self.synapse <= limits.SECONDS, where,
+                 f"synapse must be from 1e-6 to {limits.SECONDS:g} seconds")  # fmt: skip
+        for name in ("input_shape", "shape"):
+            _check_shape(getattr(self, name), where, name)
+        if self.block_shape is not None:
+            _check_shape(self.block_shape, where, "block_shape")
+            _require(len(self.block_shape) == len(self.shape), where,
+                     f"block_shape {self.block_shape} has other sides than shape")  # fmt: skip
         if self.kind == "conv":
             rows, columns, channels = self.input_shape
             weights = (self.kernel, self.kernel, channels, self.shape[-1])
@@ -184,11 +214,14 @@ class Presentation:
     def __post_init__(self):
         whole = all(type(getattr(self, entry.name)) is int for entry in fields(self))
         _require(whole, "presentation", "its entries must be whole numbers")
-        _require(self.steps >= 1, "presentation", "steps must be at least 1")
-        _require(self.gap >= 0, "presentation", "gap must not be negative")
+        _require(1 <= self.steps <= limits.STEPS, "presentation",
+                 f"steps must be from 1 to {limits.STEPS}")  # fmt: skip
+        _require(0 <= self.gap <= limits.STEPS, "presentation",
+                 f"gap must be from 0 to {limits.STEPS}")  # fmt: skip
         _require(0 <= self.readout_start < self.steps, "presentation",
                  f"readout_start must be from 0 to steps - 1 = {self.steps - 1}")  # fmt: skip
-        _require(self.stream_length >= 1, "presentation", "stream_length must be at least 1")
+        _require(1 <= self.stream_length <= limits.STREAM, "presentation",
+                 f"stream_length must be from 1 to {limits.STREAM}")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -220,8 +253,10 @@ class NetworkSpec:
     def __post_init__(self):
         object.__setattr__(self, "input_shape", tuple(int(n) for n in self.input_shape))
         object.__setattr__(self, "layers", tuple(self.layers))
-        _require(len(self.layers) >= 1, "network", "has no layers")
+        _check_shape(self.input_shape, "network", "input_shape")
+        _require(1 <= len(self.layers) <= limits.LAYERS, "network", "has no layers, or too many")
         names = [layer.name for layer in self.layers]
+        _require(all(map(_is_name, names)), "network", "a layer's name is no short text")
         _require(len(set(names)) == len(names), "network", "has two layers of one name")
         _require("input" not in names, "network", "'input' is the encoder's name, not a layer's")
         shape = self.input_shape
@@ -268,9 +303,7 @@ class NetworkSpec:
     def arrays(self) -> dict:
         """The arrays, for ``weights.npz``: ``<layer>.weights`` and ``<layer>.bias``."""
         return {
-            f"{layer.name}.{name}": getattr(layer, name)
-            for layer in self.layers
-            for name in ("weights", "bias")
+            f"{layer.name}.{name}": getattr(layer, name) for layer in self.layers for name in ARRAYS
         }
 
     @classmethod
@@ -282,6 +315,7 @@ class NetworkSpec:
         UserError
             A value is missing, unknown, of the wrong kind, or the time step is another.
         """
+        _only(value, TOP, "network")
         try:
             _require(value["dt"] == DT, "network",
                      f"time step is {value['dt']} s, this version runs {DT} s")  # fmt: skip
@@ -297,7 +331,7 @@ class NetworkSpec:
                 )
                 layers.append(_build(Layer, own))
             encoder = value["encoder"]
-            return cls(
+            spec = cls(
                 architecture=str(value["architecture"]),
                 input_shape=value["input_shape"],
                 encoder=None if encoder is None else _build(Encoder, encoder),
@@ -305,6 +339,8 @@ class NetworkSpec:
                 presentation=_build(Presentation, value["presentation"]),
                 provenance=dict(value.get("provenance", {})),
             )
+            _only(arrays, spec.arrays(), "weights")
+            return spec
         except KeyError as error:
             raise UserError(f"network description: {error} is missing") from error
         except (TypeError, AttributeError, ValueError, IndexError, OverflowError) as error:
@@ -312,10 +348,26 @@ class NetworkSpec:
 
 
 def _build(kind, values):
-    known = {f.name for f in fields(kind)}
-    unknown = sorted(set(values) - known)
-    _require(not unknown, kind.__name__.lower(), f"unknown entries {', '.join(unknown)}")
+    _only(values, [f.name for f in fields(kind)], kind.__name__.lower())
     return kind(**values)
+
+
+def _only(values, known, where):
+    unknown = sorted(set(values) - set(known))
+    listed = ", ".join(name[:40] for name in unknown[:10])
+    _require(not unknown, where, f"unknown entries {listed}")
+
+
+def _is_name(name):
+    return isinstance(name, str) and 1 <= len(name) <= 100 and name.isprintable()
+
+
+def _check_shape(shape, where, name):
+    size = 1
+    for side in shape:
+        size *= side  # of Python's integers, which do not overflow
+    _require(all(side >= 1 for side in shape) and size <= limits.NEURONS, where,
+             f"{name} {shape} has a side below 1 or too many values")  # fmt: skip
 
 
 def _require(condition, where, problem):

@@ -46,8 +46,9 @@ def report_(
     bundle = read_bundle(folder.bundle)
     results = _results(folder, bundle)
     recordings = recordings_of(settings.data, jobs)
+    unknown = set(bundle.checks.ids) - set(recordings.ids)
     made_from = bundle.spec.provenance.get("source_sha256")
-    if made_from != recordings.source.sha256:
+    if made_from != recordings.source.sha256 or unknown:
         raise UserError(
             f"{folder.bundle}: made from other recordings than {settings.data.source} gives now; "
             f"run 'stmnist ladder {run}' again"
@@ -78,7 +79,7 @@ def report_(
             bundle=bundle,
             results=results,
             metrics={
-                name: read_json(path / "metrics.json", REMEDY)
+                name: _metrics(path / "metrics.json")
                 for name, path in (("cnn", folder.cnn), ("snn", folder.snn))
                 if (path / "metrics.json").exists()
             },
@@ -96,6 +97,21 @@ def report_(
     print(f"report: {path} ({len(html) // 1024} KiB)", file=sys.stderr)
 
 
+def _metrics(path):
+    """What a training measured, or an error that names the file."""
+    metrics = read_json(path, REMEDY)
+    accuracy = metrics.get("accuracy")
+    shares = accuracy.values() if isinstance(accuracy, dict) else [None]
+    count = metrics.get("n_test")
+    if "test" not in (accuracy or ()) or type(count) is not int or not all(map(_is_share, shares)):
+        raise UserError(f"{path}: says no accuracy on the test split; {REMEDY}")
+    return metrics
+
+
+def _is_share(value):
+    return type(value) in (int, float) and 0 <= value <= 1
+
+
 def _results(folder, bundle):
     """The check results of this bundle, in the order of the ladder."""
     results = [
@@ -104,6 +120,15 @@ def _results(folder, bundle):
         if folder.check(stage).exists()
         and (result := read_result(folder.check(stage)))["bundle"] == bundle.id
     ]
+    for stage, result in ((result["target"], result) for result in results):
+        whole = all(name in result for name in ("anytime_accuracy", "decided_at_median"))
+        whole = whole and [sample["id"] for sample in result["samples"]] == list(bundle.checks.ids)
+        whole = whole and result["spikes"].keys() <= set(bundle.spec.spiking_layers)
+        if not whole:
+            raise UserError(
+                f"{folder.check(stage)}: not of the bundle's samples and layers; "
+                f"delete it and run 'stmnist ladder {folder.path}' again"
+            )
     if not results:
         raise UserError(
             f"{folder.path / 'checks'}: no check result of the bundle that is there; "

@@ -32,7 +32,7 @@ def train(
     folder = RunFolder(run)
     with folder.locked():
         resolved = options.resolve(folder, data, seed, None, None, settings, set_)
-        dataset = stages.open_dataset(folder, resolved, jobs, _say)
+        dataset = stages.open_dataset(folder, resolved, jobs, _say, check=False)
         stages.train(folder, resolved, dataset, _say)
 
 

@@ -17,7 +17,7 @@ from deploy.errors import UserError
 from deploy.files import read_arrays, read_json, write_arrays, write_json
 from models.architecture import parse
 from pipeline.inputs.images import tactile_images
-from pipeline.inputs.library import recordings_of
+from pipeline.inputs.library import SIMULATED, recordings_of
 from pipeline.inputs.splits import Split, draw_check_samples, random_split
 from pipeline.progress import progress
 from pipeline.recordings.events import Recordings
@@ -54,11 +54,23 @@ class Dataset:
         return (self.images[index], self.recordings.labels[index]) if len(index) else None
 
 
-def open_dataset(run: RunFolder, settings: Settings, jobs: int = 2, warn=None) -> Dataset:
+def open_dataset(
+    run: RunFolder, settings: Settings, jobs: int = 2, warn=None, check: bool = True
+) -> Dataset:
     """Load, split and draw the recordings of a run; keep its settings; write ``dataset.json``.
 
     The settings are kept only now that the recordings are there and enough: a mistaken path or
     number of samples must not stick to the run.
+
+    Parameters
+    ----------
+    run, settings
+    jobs : int
+        Processes.
+    warn : callable, optional
+        Called with a line for each thing that the user should know.
+    check : bool
+        Whether samples of a check will be drawn; training alone needs none.
 
     Raises
     ------
@@ -67,10 +79,17 @@ def open_dataset(run: RunFolder, settings: Settings, jobs: int = 2, warn=None) -
     """
     dataset = load_dataset(settings, jobs, warn)
     recordings, split = dataset.recordings, dataset.split
-    try:
-        draw_check_samples(split.test, settings.check.samples, settings.seed)
-    except ValueError as error:
-        raise UserError(f"{settings.data.source}: {error}; {REMEDY_SMALL}") from error
+    if check:
+        try:
+            draw_check_samples(split.test, settings.check.samples, settings.seed)
+        except ValueError as error:
+            remedy = REMEDY_SMALL
+            if settings.data != run.resolve_settings(None, {}).data:
+                remedy += "; nothing was kept: name the data (--data) in the next command too"
+            raise UserError(f"{settings.data.source}: {error}; {remedy}") from error
+    if warn is not None:
+        for line in _notes(run, settings, recordings):
+            warn(line)
     run.save_settings(settings)
     write_json(
         run.dataset,
@@ -86,6 +105,16 @@ def open_dataset(run: RunFolder, settings: Settings, jobs: int = 2, warn=None) -
         },
     )
     return dataset
+
+
+def _notes(run, settings, recordings):
+    """What should not pass without a word: nobody asked for simulated data, digits are missing."""
+    if settings.data.source == SIMULATED and not run.experiment.exists():
+        yield f"{run.path}: a new run, on simulated recordings (others: --data)"
+    missing = sorted(set(range(10)) - set(recordings.labels.tolist()))
+    if missing:
+        digits = ", ".join(map(str, missing))
+        yield f"{settings.data.source}: no recordings of {digits}; their outputs learn nothing"
 
 
 def load_dataset(settings: Settings, jobs: int = 2, warn=None) -> Dataset:
