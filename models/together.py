@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from deploy.network.geometry import windows
-from models.keras2 import tf
+from models.keras2 import quiet_compiler, tf
 from models.lif import RateLIF
 from models.quantised import OnChipConv2D, OnChipDense, on_chip
 
@@ -76,6 +76,7 @@ class Stack:
         self._labels = tf.constant(data[1], tf.int32)
         layers = models[0].layers
         optimizer.build(variables)
+        quiet_compiler()
         # Everything that a step changes and that has a part for each network.
         stacked = variables + [v for v in optimizer.variables if v.shape.rank]
 

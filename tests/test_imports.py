@@ -57,7 +57,8 @@ def imported(path):
 
 FLOORS = {
     "pipeline": [
-        {"settings", "progress", "temporary"},
+        {"paper", "progress"},
+        {"settings", "temporary"},
         {"recordings"},
         {"skin"},
         {"inputs", "training"},

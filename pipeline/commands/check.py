@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -21,12 +20,9 @@ from pipeline.progress import progress
 
 BOARD = {"rich_help_panel": "Target loihi"}
 
-app = typer.Typer(help="The check that every target answers.", no_args_is_help=True)
 
-
-@app.command()
 def run(
-    bundle: Annotated[Path, typer.Argument(help="The bundle's folder.")],
+    bundle: options.Bundle,
     target: Annotated[str, typer.Option(help=f"One of {', '.join(TARGETS)}.")],
     out: Annotated[
         Optional[Path],  # noqa: UP045
@@ -70,10 +66,9 @@ def run(
     path = out or opened.path.absolute().parent / "checks" / f"{target}.json"
     with progress(f"check {target}", len(opened.checks)) as advance:
         result = run_check(opened, target, path, seed, advance, settings)
-    print(json.dumps(result, indent=2) if as_json else f"{summary(result)}\nwritten to {path}")
+    options.tell(result, lambda value: f"{summary(value)}\nwritten to {path}", as_json)
 
 
-@app.command()
 def compare(
     a: Annotated[Path, typer.Argument(help="A result, JSON.")],
     b: Annotated[Path, typer.Argument(help="Another of the same bundle.")],
@@ -89,6 +84,5 @@ def compare(
 ):
     """Set two results side by side: agreement, McNemar's test, the first samples that differ."""
     comparison = compare_results(read_result(a), read_result(b))
-    as_text = json.dumps(comparison.to_json(), indent=2) if as_json else comparison_text(comparison)
-    print(as_text)
+    options.tell(comparison.to_json(), lambda _: comparison_text(comparison), as_json)
     enforce(comparison, max_disagreements, max_accuracy_drop)

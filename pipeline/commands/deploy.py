@@ -21,10 +21,6 @@ from deploy.preflight.rates import firing_rates, rate_summary, rate_warnings, ra
 from deploy.targets.lava import write_lava
 from pipeline.commands import options
 
-app = typer.Typer(help="Before and beside a board: what fits, exports.", no_args_is_help=True)
-
-Bundle = Annotated[Path, typer.Argument(help="The bundle's folder.")]
-
 
 class Format(StrEnum):
     """What a bundle can be exported to."""
@@ -33,9 +29,8 @@ class Format(StrEnum):
     lava = "lava"
 
 
-@app.command()
 def plan(
-    bundle: Bundle,
+    bundle: options.Bundle,
     chips: Annotated[int, typer.Option(help="Chips that may be used.", min=1)] = 1,
     figure: Annotated[
         Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
@@ -63,9 +58,8 @@ def plan(
         raise UserError("the network does not fit: " + made.problems[0])
 
 
-@app.command()
 def export(
-    bundle: Bundle,
+    bundle: options.Bundle,
     format: Annotated[
         Format,
         typer.Option(
@@ -95,9 +89,8 @@ def export(
         print(f"input spikes of {len(checks)} samples written to {inputs}")
 
 
-@app.command()
 def energy(
-    bundle: Bundle,
+    bundle: options.Bundle,
     result: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Argument(help="A check result (default: checks/emulator.json beside the bundle)."),
@@ -111,7 +104,7 @@ def energy(
     if counted["bundle"] != opened.id:
         raise UserError(f"{path}: of another bundle than {bundle}; run the check again")
     value = estimate(opened.spec, counted)
-    print(json.dumps(value.to_json(), indent=2) if as_json else estimate_text(value))
+    options.tell(value.to_json(), lambda _: estimate_text(value), as_json)
 
 
 def _draw(made, path):

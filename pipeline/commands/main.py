@@ -10,35 +10,72 @@ import typer
 from deploy import __version__, interrupts
 from deploy.errors import CheckFailed, UserError
 from models.architecture import NotationError
-from pipeline.commands import benchmark, check, data, report, run
-from pipeline.commands import benchmark_conversion as _conversion  # noqa: F401 - adds to benchmark.app
-from pipeline.commands import benchmark_emulator as _emulator  # noqa: F401 - adds to benchmark.app
-from pipeline.commands import benchmark_losses as _losses  # noqa: F401 - adds to benchmark.app
-from pipeline.commands import deploy as deployment
-from pipeline.commands import skin as _skin  # noqa: F401 - adds its verbs to data.app
-from pipeline.commands import sweep as sweeping
+from pipeline.commands import benchmark, check, data, deploy, report, run, settings, skin, sweep
 
 # Typer brings its own copy of Click from some version on: these are the classes that it raises.
 UsageError = typer.BadParameter.__base__
 ClickException = UsageError.__base__
 
-app = typer.Typer(
-    help="From event-based touch to a spiking network on Loihi.",
-    no_args_is_help=True,
+VERBS = {
+    "data": (
+        "Recordings: read, look at, make, count, draw.",
+        {
+            "import": data.import_,
+            "inspect": data.inspect,
+            "simulate": data.simulate_,
+            "stats": data.stats,
+            "plot": data.plot,
+            "calibrate": skin.calibrate,
+            "difficulty": skin.difficulty,
+            "aces": skin.aces_,
+        },
+    ),
+    "train": run.train,
+    "convert": run.convert,
+    "check": (
+        "The check that every target answers.",
+        {"run": check.run, "compare": check.compare},
+    ),
+    "ladder": run.ladder,
+    "deploy": (
+        "Before and beside a board: what fits, exports.",
+        {"plan": deploy.plan, "export": deploy.export, "energy": deploy.energy},
+    ),
+    "benchmark": (
+        "The paper's Table 2, and speed.",
+        {
+            "table2": benchmark.table2,
+            "training": benchmark.training,
+            "conversion": benchmark.conversion,
+            "emulator": benchmark.emulator,
+            "losses": benchmark.losses,
+        },
+    ),
+    "sweep": sweep.sweep,
+    "report": report.report_,
+    "settings": settings.settings,
+}
+"""Every verb: a function, or a help text and verbs of its own."""
+
+
+def _typer(help_text, verbs, **options) -> typer.Typer:
+    made = typer.Typer(help=help_text, no_args_is_help=True, **options)
+    for name, verb in verbs.items():
+        if callable(verb):
+            made.command(name)(verb)
+        else:
+            made.add_typer(_typer(*verb), name=name)
+    return made
+
+
+app = _typer(
+    "From event-based touch to a spiking network on Loihi.",
+    VERBS,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",  # which fills paragraphs
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
-app.add_typer(data.app, name="data")
-app.command()(run.train)
-app.command()(run.convert)
-app.add_typer(check.app, name="check")
-app.command()(run.ladder)
-app.add_typer(deployment.app, name="deploy")
-app.add_typer(benchmark.app, name="benchmark")
-app.command("sweep")(sweeping.sweep_)
-app.command("report")(report.report_)
 
 
 @app.callback(invoke_without_command=True)
@@ -84,5 +121,8 @@ def main(arguments=None):
 
 
 def _say(message, status):
-    print("stmnist: " + " ".join(message.split()), file=sys.stderr)
+    line = " ".join(message.split())
+    # A file's name may hold what a terminal would obey.
+    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+    print("stmnist: " + line, file=sys.stderr)
     return status

@@ -9,7 +9,7 @@ from models.architecture import parse
 from models.lif import gain_for
 from models.quantised import eight_bits, twelve_bits
 from pipeline.settings import Settings
-from pipeline.training.networks import rate_logits
+from pipeline.training.networks import TrainedRates
 
 
 def deployed(settings: Settings, weights: dict, provenance: dict, images) -> NetworkSpec:
@@ -23,7 +23,7 @@ def deployed(settings: Settings, weights: dict, provenance: dict, images) -> Net
         Training images, by which the range of a readout on the chip is set.
     """
     on_chip = settings.deployment.readout == "chip"
-    logits = rate_logits(settings, weights, images) if on_chip else None
+    logits = TrainedRates(settings, weights).logits(images) if on_chip else None
     return to_spec(settings, weights, provenance, logits)
 
 

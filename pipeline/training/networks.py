@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -52,24 +52,58 @@ RECIPES = {
 
 @dataclass(frozen=True)
 class Trained:
-    """A trained network.
+    """A trained network and what it answers.
 
     Attributes
     ----------
+    settings : Settings
+        What it was trained with.
     weights : dict of str to ndarray
         See :func:`models.cnn.get_weights`.
     history : list of dict
         One row an epoch: ``epoch``, ``loss``, ``accuracy``, and ``val_loss`` and ``val_accuracy``
-        where there are validation samples.
+        where there are validation samples; empty where only the answers matter.
     """
 
+    settings: Settings
     weights: dict
-    history: list
+    history: list = field(default_factory=list)
+
+    def logits(self, inputs) -> np.ndarray:
+        """Logits, shape (n_samples, classes)."""
+        return predict(self._model(), inputs)
+
+    def activations(self, inputs) -> dict:
+        """What the neurons of each layer put out, shape (n_samples, n_neurons), by the layer."""
+        return activations(self._model(), inputs)
+
+    def _model(self):
+        model = self.build(self.settings)
+        set_weights(model, self.weights)
+        return model
+
+
+class TrainedCNN(Trained):
+    """The paper's CNN; its activations are those of rectified linear units."""
+
+    @staticmethod
+    def build(settings: Settings) -> tf.keras.Model:
+        """The network before it has its weights."""
+        return build_cnn(parse(settings.cnn.architecture))
+
+
+class TrainedRates(Trained):
+    """The network with rate-based LIF neurons; an activation of 1 stands for ``max_rate``."""
+
+    @staticmethod
+    def build(settings: Settings) -> tf.keras.Model:
+        """The network before it has its weights."""
+        return build_rate_network(settings)
 
 
 def train_cnn(
     settings: Settings, data, seed: int, validation=None, advance=None, recipe=None
-) -> Trained:
+) -> TrainedCNN:
     """Train the paper's CNN (Section 3.2.1).
 
     Parameters
@@ -88,17 +122,17 @@ def train_cnn(
 
     Returns
     -------
-    Trained
+    TrainedCNN
     """
     model = new_cnn(settings, seed)
-    history = fit(model, recipe or cnn_recipe(settings.cnn), data, validation, advance)
-    return Trained(get_weights(model), history)
+    history = fit(model, recipe or cnn_recipe(settings.cnn), data, seed, validation, advance)
+    return TrainedCNN(settings, get_weights(model), history)
 
 
 def new_cnn(settings: Settings, seed: int) -> tf.keras.Model:
     """The CNN as its training starts."""
     make_deterministic(seed)
-    return build_cnn(parse(settings.cnn.architecture))
+    return TrainedCNN.build(settings)
 
 
 def cnn_recipe(cnn) -> Recipe:
@@ -165,7 +199,7 @@ def _spike_costs(settings, architecture):
 
 def train_rate_network(
     settings: Settings, data, seed: int, cnn_weights=None, validation=None, advance=None
-) -> Trained:
+) -> TrainedRates:
     """Train with rate-based LIF neurons (paper, Section 3.2.2).
 
     With ``recipe = "paper"`` from new weights; with ``"loihi"`` from the CNN's, scaled so that the
@@ -181,11 +215,11 @@ def train_rate_network(
 
     Returns
     -------
-    Trained
+    TrainedRates
     """
     model = new_rate_network(settings, seed, data[0], cnn_weights)
-    history = fit(model, snn_recipe(settings.snn), data, validation, advance)
-    return Trained(get_weights(model), history)
+    history = fit(model, snn_recipe(settings.snn), data, seed, validation, advance)
+    return TrainedRates(settings, get_weights(model), history)
 
 
 def new_rate_network(settings: Settings, seed: int, images, cnn_weights=None) -> tf.keras.Model:
@@ -211,11 +245,8 @@ def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
     images : ndarray
         Training images, on which the activations are measured.
     """
-    architecture = parse(settings.cnn.architecture)
-    model = build_cnn(architecture)
-    set_weights(model, weights)
     scaled, before = dict(weights), 1.0
-    for name, output in activations(model, images).items():
+    for name, output in TrainedCNN(settings, weights).activations(images).items():
         scale = max(float(np.percentile(output, PERCENTILE)), 1e-6)
         scaled[f"{name}.kernel"] = weights[f"{name}.kernel"] * before / scale
         scaled[f"{name}.bias"] = weights[f"{name}.bias"] / scale
@@ -224,43 +255,77 @@ def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
     return scaled
 
 
-def fit(model, recipe: Recipe, data, validation=None, advance=None) -> list:
+def fit(model, recipe: Recipe, data, seed: int, validation=None, advance=None) -> list:
     """Train a model that puts out logits with sparse categorical cross-entropy.
+
+    Each epoch is one call of a compiled loop over its batches: Keras's own ``fit`` returns to
+    Python between them, which costs these small networks as much time as their arithmetic.
 
     Parameters
     ----------
     model : tf.keras.Model
+        Trained in place; what its layers add to the loss counts.
     recipe : Recipe
     data, validation : (images, labels)
+    seed : int
+        Of the order of the samples: that of a network trained with others, see
+        :mod:`models.together`.
     advance : callable, optional
+        ``advance(1, note)`` after each epoch.
 
     Returns
     -------
     list of dict
         The history, one row an epoch.
     """
-    model.compile(
-        optimizer(recipe, len(data[0])),
-        tf.keras.losses.SparseCategoricalCrossentropy(from_logits=True),
-        metrics=["accuracy"],
-    )
+    images, labels = tf.constant(data[0], tf.float32), tf.constant(data[1], tf.int32)
+    rule = optimizer(recipe, len(data[0]))
+    rule.build(model.trainable_variables)
     history = []
-
-    class Rows(tf.keras.callbacks.Callback):
-        def on_epoch_end(self, epoch, logs=None):
-            history.append({"epoch": epoch + 1, **{k: float(v) for k, v in logs.items()}})
-            if advance is not None:
-                advance(1, f"accuracy {logs['accuracy']:.3f}")
-
-    model.fit(
-        *data,
-        batch_size=recipe.batch_size,
-        epochs=recipe.epochs,
-        validation_data=validation,
-        callbacks=[Rows()],
-        verbose=0,
-    )
+    epoch_of = _compiled_epoch(model, rule, images, labels, recipe.batch_size)
+    for epoch in range(recipe.epochs):
+        order = np.random.default_rng([seed, epoch]).permutation(len(data[0]))
+        loss, right = (float(n) / len(order) for n in epoch_of(tf.constant(order)).numpy())
+        history.append({"epoch": epoch + 1, "loss": loss, "accuracy": right})
+        if validation is not None:
+            history[-1] |= _judged(predict(model, validation[0]), validation[1])
+        if advance is not None:
+            advance(1, f"accuracy {right:.3f}")
     return history
+
+
+def _compiled_epoch(model, rule, images, labels, batch_size):
+    """``epoch(order) -> [sum of losses, number of right answers]``, training the model."""
+    variables = model.trainable_variables
+
+    def step(chosen):
+        wanted = tf.gather(labels, chosen)
+        with tf.GradientTape() as tape:
+            logits = model(tf.gather(images, chosen), training=True)
+            losses = tf.nn.sparse_softmax_cross_entropy_with_logits(wanted, logits)
+            loss = tf.reduce_mean(losses) + tf.add_n([0.0, *model.losses])
+        rule.apply_gradients(
+            zip(tape.gradient(loss, variables), variables, strict=True),
+            skip_gradients_aggregation=True,
+        )
+        right = tf.reduce_sum(tf.cast(tf.argmax(logits, 1, tf.int32) == wanted, tf.float32))
+        return tf.stack([loss * tf.cast(len(wanted), tf.float32), right])
+
+    @tf.function
+    def epoch(order):
+        sums = tf.zeros(2)
+        for start in tf.range(0, len(order), batch_size):
+            sums += step(order[start : start + batch_size])
+        return sums
+
+    return epoch
+
+
+def _judged(logits, labels):
+    """Loss and accuracy on samples that are not trained on, as a row of the history has them."""
+    losses = tf.nn.sparse_softmax_cross_entropy_with_logits(np.asarray(labels, np.int32), logits)
+    right = np.mean(np.argmax(logits, 1) == labels)
+    return {"val_loss": float(np.mean(losses)), "val_accuracy": float(right)}
 
 
 def optimizer(recipe: Recipe, n_samples: int) -> tf.keras.optimizers.Optimizer:
@@ -278,17 +343,3 @@ def make_deterministic(seed: int):
     tf.keras.backend.clear_session()
     tf.keras.utils.set_random_seed(seed)
     tf.config.experimental.enable_op_determinism()
-
-
-def cnn_logits(settings: Settings, weights: dict, images) -> np.ndarray:
-    """Logits of the CNN, shape (n_samples, 10)."""
-    model = build_cnn(parse(settings.cnn.architecture))
-    set_weights(model, weights)
-    return predict(model, images)
-
-
-def rate_logits(settings: Settings, weights: dict, images) -> np.ndarray:
-    """Logits of the rate-based network, shape (n_samples, 10)."""
-    model = build_rate_network(settings)
-    set_weights(model, weights)
-    return predict(model, images)

@@ -71,7 +71,7 @@ BAD = [
     ("no rates", {"snn": {"max_rates": []}}, "1 to 2 rates above 0"),
     ("rate of nothing", {"snn": {"max_rates": [0]}}, "1 to 2 rates above 0"),
     ("rate too high", {"snn": {"max_rates": [1000]}}, r"below 1 / snn.tau_ref = 1000"),
-    ("tau_ref", {"snn": {"tau_ref": 0}}, "'snn.tau_ref' must be from 1e-9 to 1 "),
+    ("tau_ref", {"snn": {"tau_ref": 0}}, "'snn.tau_ref' must be from 1e-09 to 1 "),
     ("placement", {"deployment": {"first_layer": "gpu"}}, "one of chip, host"),
     ("readout", {"deployment": {"readout": "gpu"}}, "one of chip, host"),
     ("input rate", {"deployment": {"input_rate": 1001}}, "above 0, at most 1000"),

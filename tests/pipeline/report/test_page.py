@@ -13,7 +13,7 @@ import pytest
 from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.preflight.plan import make_plan
-from pipeline.experiments import table2
+from pipeline.experiments import table2_splits as table2
 from pipeline.report import page as report
 from pipeline.report.replay import replay
 from pipeline.settings import read_settings, write_settings
