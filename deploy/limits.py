@@ -7,9 +7,6 @@ mistake, and is said as one.
 STEPS = 10_000
 """Steps of a sample, and of the gap before it."""
 
-STREAM = 1_000_000
-"""Samples in a stream."""
-
 SAMPLES = 1_000_000
 """Samples of a check, and recordings of a digit."""
 

@@ -21,6 +21,7 @@ from typing import Annotated, NamedTuple, get_type_hints
 from deploy import limits
 from deploy.errors import UserError
 from deploy.files import replacing
+from deploy.network.spec import Presentation
 from deploy.tables import aligned
 from models.architecture import NotationError, parse
 from pipeline import paper
@@ -203,16 +204,16 @@ class Deployment:
 
 
 @dataclass(frozen=True)
-class Presentation:
+class Showing:
     """How samples are shown; see :class:`deploy.network.spec.Presentation`."""
 
-    steps: Annotated[int, STEPS] = 100
+    steps: Annotated[int, STEPS] = Presentation.steps
     """Steps of 1 ms that a sample is shown."""
-    gap: Annotated[int, STEPS_OR_NONE] = 20
+    gap: Annotated[int, STEPS_OR_NONE] = Presentation.gap
     """Blank steps before each sample."""
-    readout_start: int = 20
+    readout_start: int = Presentation.readout_start
     """Step from which on the mean of the outputs decides."""
-    stream_length: Annotated[int, SAMPLES] = 10
+    stream_length: Annotated[int, SAMPLES] = Presentation.stream_length
     """Samples that are shown one after the other before the network starts afresh."""
 
 
@@ -237,7 +238,7 @@ class Settings:
     snn: SNN = field(default_factory=SNN)
     slayer: Slayer = field(default_factory=Slayer)
     deployment: Deployment = field(default_factory=Deployment)
-    presentation: Presentation = field(default_factory=Presentation)
+    presentation: Showing = field(default_factory=Showing)
     check: Check = field(default_factory=Check)
 
     def with_values(self, changes: dict, origin: str) -> Settings:
@@ -386,7 +387,10 @@ def _changed(settings, changes, origin, prefix):
             values[name] = _changed(default, value, origin, full + ".")
         else:
             values[name] = _coerced(value, default, origin, full)
-    return replace(settings, **values)
+    try:
+        return replace(settings, **values)
+    except ValueError as error:
+        raise UserError(f"{origin}: {error}") from error
 
 
 def _coerced(value, default, origin, name):

@@ -57,8 +57,8 @@ def imported(path):
 
 FLOORS = {
     "pipeline": [
-        {"paper", "progress"},
-        {"settings", "temporary"},
+        {"paper", "progress", "temporary"},
+        {"settings"},
         {"recordings"},
         {"skin"},
         {"inputs", "training"},

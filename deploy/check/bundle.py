@@ -3,7 +3,7 @@
 ========================  ==================================================================
 ``network.json``          schema, layers, neurons, time step, presentation, placement
 ``weights.npz``           weights and biases of each layer
-``checks.npz``            images, labels and sample ids of the check, and its seed
+``checks.npz``            inputs, labels and sample ids of the check, and its seed
 ``deploy.pyz``            this package as a zipapp
 ``MANIFEST.json``         SHA-256 of each file; its own SHA-256 is the bundle's id
 ``checks/``               not part of the bundle: where ``deploy.pyz`` leaves results
@@ -29,7 +29,11 @@ from ..errors import UserError
 from ..files import read_arrays, read_json, replacing, sha256_of, write_arrays, write_json
 from ..network.spec import NetworkSpec
 
-NETWORK_SCHEMA = "stmnist-bundle/1"
+NETWORK_SCHEMA = "stmnist-bundle/2"
+"""Of ``network.json`` as it is written."""
+READ_SCHEMAS = (NETWORK_SCHEMA, "stmnist-bundle/1")
+"""As it is read: the first had an encoder in the place of a stimulus, and ``images`` in
+``checks.npz``."""
 MANIFEST_SCHEMA = "stmnist-manifest/1"
 FILES = ("network.json", "weights.npz", "checks.npz", "deploy.pyz")
 RESULTS = "checks"
@@ -42,15 +46,15 @@ class CheckSet:
 
     Attributes
     ----------
-    images : ndarray, shape (n_samples, rows, columns, channels)
-        Normalised tactile images.
+    inputs : ndarray, shape (n_samples, ...)
+        Normalised tactile images or frames of events, as the network's stimulus takes them.
     labels : ndarray of int, shape (n_samples,)
     ids : tuple of str
     seed : int
         By which they were drawn from the test split.
     """
 
-    images: np.ndarray
+    inputs: np.ndarray
     labels: np.ndarray
     ids: tuple
     seed: int
@@ -100,7 +104,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
         write_arrays(temporary / "weights.npz", **spec.arrays())
         write_arrays(
             temporary / "checks.npz",
-            images=np.asarray(checks.images, np.float32),
+            inputs=np.asarray(checks.inputs, np.float32 if spec.stimulus.held else np.uint8),
             labels=np.asarray(checks.labels, np.int64),
             ids=np.array(checks.ids, dtype=str),
             seed=np.int64(checks.seed),
@@ -148,7 +152,7 @@ def read_bundle(path) -> Bundle:
     if not path.is_dir():
         raise UserError(f"{path}: no such bundle folder; make one with 'stmnist convert RUN'")
     manifest = read_json(path / "MANIFEST.json", "is this a bundle? " + _REMEDY)
-    _check_schema(path / "MANIFEST.json", manifest.get("schema"), MANIFEST_SCHEMA)
+    _check_schema(path / "MANIFEST.json", manifest.get("schema"), (MANIFEST_SCHEMA,))
     hashes = manifest.get("files")
     if not isinstance(hashes, dict) or sorted(hashes) != sorted(FILES):
         raise UserError(f"{path / 'MANIFEST.json'}: does not list the files of a bundle; {_REMEDY}")
@@ -164,7 +168,7 @@ def read_bundle(path) -> Bundle:
             "move it out of the folder"
         )
     description = read_json(path / "network.json", _REMEDY)
-    _check_schema(path / "network.json", description.get("schema"), NETWORK_SCHEMA)
+    _check_schema(path / "network.json", description.get("schema"), READ_SCHEMAS)
     try:
         spec = NetworkSpec.from_json(description, read_arrays(path / "weights.npz", _REMEDY))
         checks = _read_checks(path / "checks.npz", spec)
@@ -178,29 +182,34 @@ def _read_checks(path, spec):
     arrays = read_arrays(path, _REMEDY)
     wrong = _wrong_with(arrays, spec)
     if wrong is not None:
-        raise UserError(f"{path}: {wrong}; {_REMEDY}")
+        raise UserError(f"{path}: does not fit the network: {wrong}; {_REMEDY}")
+    inputs = _inputs_of(arrays)
     return CheckSet(
-        images=arrays["images"].astype(float),
+        inputs=inputs.astype(float) if spec.stimulus.held else inputs,
         labels=arrays["labels"],
         ids=tuple(arrays["ids"].tolist()),
         seed=int(arrays["seed"]),
     )
 
 
+def _inputs_of(arrays):
+    return arrays["inputs" if "inputs" in arrays else "images"]  # of the first schema
+
+
 def _wrong_with(arrays, spec):
     """What keeps arrays from being the samples of a network's check, or None."""
-    if sorted(arrays) != ["ids", "images", "labels", "seed"]:
-        return f"holds {', '.join(sorted(arrays)[:10])}, not ids, images, labels and seed"
-    images, labels, ids, seed = (arrays[name] for name in ("images", "labels", "ids", "seed"))
-    kinds = [array.dtype.kind for array in (images, labels, ids, seed)]
-    if not all(kind in known for kind, known in zip(kinds, ("fiu", "iu", "U", "iu"))):
-        return "images and labels are not numbers, or ids not text"
-    if labels.ndim != 1 or ids.shape != labels.shape or seed.ndim != 0:
-        return "images, labels and ids do not fit the network"
-    if images.shape != (len(labels), *spec.input_shape) or not 1 <= len(labels) <= limits.SAMPLES:
-        return "images, labels and ids do not fit the network"
-    if not np.all(np.abs(images) <= limits.MAGNITUDE):  # which NaN is not either
-        return "images have a value that is NaN or too large"
+    if sorted(arrays) not in (["ids", name, "labels", "seed"] for name in ("images", "inputs")):
+        return f"holds {', '.join(sorted(arrays)[:10])}, not ids, inputs, labels and seed"
+    inputs, labels, ids, seed = (
+        _inputs_of(arrays), *(arrays[name] for name in ("labels", "ids", "seed"))
+    )  # fmt: skip
+    kinds = (array.dtype.kind for array in (labels, ids, seed))
+    if not all(kind in known for kind, known in zip(kinds, ("iu", "U", "iu"))):
+        return "labels and seed are not whole numbers, or ids not text"
+    if labels.ndim != 1 or ids.shape != labels.shape or seed.ndim != 0 or inputs.ndim < 1:
+        return "inputs, labels and ids have other shapes"
+    if not len(inputs) == len(labels) >= 1 or len(labels) > limits.SAMPLES:
+        return "inputs, labels and ids differ in number, or there are none or too many"
     classes = spec.layers[-1].size
     if labels.min() < 0 or labels.max() >= classes:
         return f"labels are not from 0 to {classes - 1}"
@@ -209,13 +218,13 @@ def _wrong_with(arrays, spec):
             return "two samples have one id"
     except UnicodeEncodeError:
         return "an id is not text in UTF-8"
-    return None
+    return spec.stimulus.complaint(inputs, spec.input_shape, spec.presentation.steps)
 
 
 def _check_schema(path, found, known):
-    if found != known:
+    if found not in known:
         raise UserError(
-            f"{path}: schema {found!r}, but this version reads {known!r}; "
+            f"{path}: schema {found!r}, but this version reads {' and '.join(map(repr, known))}; "
             "use the version of this package that made the bundle, or make the bundle again"
         )
 

@@ -17,17 +17,11 @@ import numpy as np
 
 from .. import limits
 from ..errors import UserError
+from .chip import LOIHI
+from .geometry import convolution_shape, pooled_shape
+from .stimulus import KINDS, ImageCurrent, ImageSpikes, Stimulus
 
-TOP = (
-    *("schema", "architecture", "dt", "input_shape", "encoder", "layers", "presentation"),
-    "provenance",
-)
-"""What the description has at the top."""
-
-ARRAYS = ("weights", "bias")
-"""Of each layer."""
-
-DT = 0.001
+DT = LOIHI.dt
 """Time step in seconds; NengoLoihi's decays and the firing rates of training are made for it."""
 
 
@@ -56,9 +50,8 @@ class Neurons:
     def __post_init__(self):
         _require(self.kind in ("lif", "relu"), "neurons", "kind is neither 'lif' nor 'relu'")
         # A comparison with NaN is false: what is asked for is what may be.
-        _require(
-            1e-9 <= self.amplitude <= limits.MAGNITUDE, "neurons", "amplitude must be positive"
-        )
+        _require(1e-9 <= self.amplitude <= limits.MAGNITUDE, "neurons",
+                 "amplitude must be positive")  # fmt: skip
         _require(1e-6 <= self.tau_rc <= limits.SECONDS, "neurons",
                  f"tau_rc must be from 1e-6 to {limits.SECONDS:g} seconds")  # fmt: skip
         _require(0 <= self.tau_ref <= limits.REFRACTORY_S, "neurons",
@@ -68,40 +61,13 @@ class Neurons:
 
 
 @dataclass(frozen=True)
-class Encoder:
-    """How the tactile image becomes spikes: host neurons without leak, one a pixel.
-
-    A pixel of value v makes ``max_rate * v`` spikes a second, evenly spaced, each of area
-    1 / ``max_rate``, so that the mean of the spike train is v again.  A pixel that turns blank
-    forgets what it had summed up, so that a sample's spikes do not depend on the one before it.
-
-    Attributes
-    ----------
-    max_rate : float
-        Spikes a second of a pixel of value 1; at most 1 / dt, one spike a step.
-    initial_phase : float
-        Voltage of a blank pixel as a share of the threshold.  With 0.5 the number of spikes is the
-        expected number rounded to the nearest, with 0 it is rounded down.
-    """
-
-    max_rate: float = 500.0
-    initial_phase: float = 0.5
-
-    def __post_init__(self):
-        _require(
-            1e-3 <= self.max_rate <= 1 / DT, "encoder", "max_rate must be above 0, at most 1000"
-        )
-        _require(0 <= self.initial_phase < 1, "encoder", "initial_phase must be in [0, 1)")
-
-
-@dataclass(frozen=True)
 class Layer:
     """A layer of the deployed network.
 
     Attributes
     ----------
     name : str
-        ``"conv1"``, ``"conv2"``, ..., ``"output"``.
+        ``"conv1"``, ``"conv2"``, ..., ``"dense1"``, ..., ``"output"``.
     kind : str
         ``"conv"`` or ``"dense"``.
     input_shape, shape : tuple of int
@@ -119,8 +85,17 @@ class Layer:
     pop_type : int
         NengoLoihi's population axon type, 16 or 32.
     weights : ndarray, shape (kernel, kernel, channels_in, filters) or (units, inputs)
+        For the input once it is averaged, if ``pool`` says so.
     bias : ndarray, shape (channels,) or (units,)
         Bias current J of each channel's neurons, or the additive bias of a linear readout.
+    stride : int
+        Of the convolution.
+    padding : str
+        ``"valid"``, or ``"same"`` as in :func:`deploy.network.geometry.windows`.
+    pool : int
+        Side of squares without overlap over which the input is averaged before it is weighted; 1
+        for no averaging.  What is left over at the end is not read.  The chip has no averaging of
+        its own: it is folded into the weights when the network is built.
     """
 
     name: str
@@ -135,6 +110,9 @@ class Layer:
     pop_type: int
     weights: np.ndarray = field(repr=False, compare=False)
     bias: np.ndarray = field(repr=False, compare=False)
+    stride: int = 1
+    padding: str = "valid"
+    pool: int = 1
 
     def __post_init__(self):
         where = f"layer {self.name!r}"
@@ -162,13 +140,24 @@ class Layer:
             _check_shape(self.block_shape, where, "block_shape")
             _require(len(self.block_shape) == len(self.shape), where,
                      f"block_shape {self.block_shape} has other sides than shape")  # fmt: skip
+        for name in ("stride", "pool"):
+            value = getattr(self, name)
+            _require(type(value) is int and value >= 1, where, f"{name} must be at least 1")
+        _require(self.padding in ("valid", "same"), where, "padding is neither 'valid' nor 'same'")
+        image = self.kind == "conv" or self.pool > 1
+        _require(len(self.input_shape) in ((3,) if image else (1, 3)), where,
+                 f"input_shape {self.input_shape} is of the wrong kind")  # fmt: skip
+        read = self.read_shape
+        _require(min(read) >= 1, where, "its averaging is larger than its input")
         if self.kind == "conv":
-            rows, columns, channels = self.input_shape
-            weights = (self.kernel, self.kernel, channels, self.shape[-1])
-            expected = (rows - self.kernel + 1, columns - self.kernel + 1, self.shape[-1])
+            weights = (self.kernel, self.kernel, read[2], self.shape[-1])
+            expected = convolution_shape(
+                read, self.kernel, self.shape[-1], self.stride, self.padding
+            )
+            _require(min(expected) >= 1, where, "its kernel is larger than its input")
             _require(self.shape == expected, where, f"shape should be {expected}")
         else:
-            weights = (self.shape[0], int(np.prod(self.input_shape)))
+            weights = (self.shape[0], int(np.prod(read)))
         _require(self.weights.shape == weights, where,
                  f"weights have shape {self.weights.shape}, not {weights}")  # fmt: skip
         _require(self.bias.shape == self.shape[-1:], where,
@@ -179,32 +168,37 @@ class Layer:
         """Number of neurons or units."""
         return int(np.prod(self.shape))
 
+    @property
+    def read_shape(self) -> Tuple[int, ...]:
+        """Shape of what the weights are for: of the input, averaged if ``pool`` says so."""
+        if self.pool == 1:
+            return self.input_shape
+        return pooled_shape(self.input_shape, self.pool)
+
 
 @dataclass(frozen=True)
 class Presentation:
     """How samples are shown and read; every target follows it step by step.
 
     Samples come in streams.  A stream starts from a fresh network; in it each sample follows
-    ``gap`` steps of a blank image and is shown for ``steps`` steps.  The network goes on from the
+    ``gap`` silent steps and is shown for ``steps`` steps.  The network goes on from the
     state that it is in, because a board cannot be reset between samples.  The gap comes first, so
     that every sample, the first of a stream too, meets a network at rest under its bias currents.
 
-    Attributes
-    ----------
-    steps : int
-        Steps (of 1 ms) that a sample is shown for.
-    gap : int
-        Blank steps before each sample.
-    readout_start : int
-        Steps at the start of each sample that the readout leaves out.
-    stream_length : int
-        Samples a stream; 1 means that every sample starts from a fresh network.
+    Raises
+    ------
+    ValueError
+        A number does not fit; the message names it as the setting that it comes from.
     """
 
     steps: int = 100
+    """Steps that a sample is shown for."""
     gap: int = 20
-    readout_start: int = 15
+    """Silent steps before each sample."""
+    readout_start: int = 20
+    """Steps at the start of each sample that the readout leaves out."""
     stream_length: int = 10
+    """Samples a stream; 1 means that every sample starts from a fresh network."""
 
     @property
     def period(self) -> int:
@@ -212,16 +206,18 @@ class Presentation:
         return self.gap + self.steps
 
     def __post_init__(self):
-        whole = all(type(getattr(self, entry.name)) is int for entry in fields(self))
-        _require(whole, "presentation", "its entries must be whole numbers")
-        _require(1 <= self.steps <= limits.STEPS, "presentation",
-                 f"steps must be from 1 to {limits.STEPS}")  # fmt: skip
-        _require(0 <= self.gap <= limits.STEPS, "presentation",
-                 f"gap must be from 0 to {limits.STEPS}")  # fmt: skip
-        _require(0 <= self.readout_start < self.steps, "presentation",
-                 f"readout_start must be from 0 to steps - 1 = {self.steps - 1}")  # fmt: skip
-        _require(1 <= self.stream_length <= limits.STREAM, "presentation",
-                 f"stream_length must be from 1 to {limits.STREAM}")  # fmt: skip
+        def need(condition, name, expected):
+            if not condition:
+                raise ValueError(f"'presentation.{name}' must be {expected}")
+
+        for entry in fields(self):
+            need(type(getattr(self, entry.name)) is int, entry.name, "a whole number")
+        need(1 <= self.steps <= limits.STEPS, "steps", f"from 1 to {limits.STEPS}")
+        need(0 <= self.gap <= limits.STEPS, "gap", f"from 0 to {limits.STEPS}")
+        need(0 <= self.readout_start < self.steps, "readout_start",
+             f"from 0 to below presentation.steps ({self.steps})")  # fmt: skip
+        need(1 <= self.stream_length <= limits.SAMPLES, "stream_length",
+             f"from 1 to {limits.SAMPLES}")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -234,8 +230,8 @@ class NetworkSpec:
         The paper's notation.
     input_shape : tuple of int
         (rows, columns, channels) of the image.
-    encoder : Encoder or None
-        None if the image goes as a current into a first layer on the host.
+    stimulus : Stimulus
+        What is fed in.
     layers : tuple of Layer
         In order; the last one is the readout.
     presentation : Presentation
@@ -245,7 +241,7 @@ class NetworkSpec:
 
     architecture: str
     input_shape: Tuple[int, ...]
-    encoder: Optional[Encoder]
+    stimulus: Stimulus
     layers: Tuple[Layer, ...]
     presentation: Presentation
     provenance: dict = field(default_factory=dict)
@@ -258,26 +254,28 @@ class NetworkSpec:
         names = [layer.name for layer in self.layers]
         _require(all(map(_is_name, names)), "network", "a layer's name is no short text")
         _require(len(set(names)) == len(names), "network", "has two layers of one name")
-        _require("input" not in names, "network", "'input' is the encoder's name, not a layer's")
+        _require(
+            "input" not in names, "network", "'input' is the input neurons' name, not a layer's"
+        )
         shape = self.input_shape
         for position, layer in enumerate(self.layers):
             where = f"layer {layer.name!r}"
             _require(layer.input_shape == shape, where, f"input_shape should be {shape}")
             last = position == len(self.layers) - 1
-            _require((layer.kind == "dense") == last, where,
-                     "the last layer is dense, all others are convolutions")  # fmt: skip
+            _require(not last or layer.kind == "dense", where, "the last layer is dense")
             _require(last or layer.neurons is not None, where, "needs neurons")
             _require(position == 0 or last or layer.placement == "chip", where,
                      "only the first and the last layer can be on the host")  # fmt: skip
             shape = layer.shape
-        current_input = self.layers[0].placement == "host" and self.layers[0].kind == "conv"
-        _require((self.encoder is None) == current_input, "network",
-                 "an encoder is needed exactly when the first layer is on the chip")  # fmt: skip
+        on_host = self.layers[0].placement == "host" and len(self.layers) > 1
+        _require((self.stimulus.area is None) == on_host, "network",
+                 "an image goes as a current into a first layer on the host, all else as spikes "
+                 "into one on the chip")  # fmt: skip
 
     @property
     def spiking_layers(self) -> tuple:
-        """Names of the layers that spike, the encoder's (``"input"``) first."""
-        names = ["input"] if self.encoder else []
+        """Names of the layers that spike, the input neurons (``"input"``) first."""
+        names = [] if self.stimulus.area is None else ["input"]
         return (*names, *(layer.name for layer in self.layers if layer.neurons))
 
     def with_presentation(self, **changes) -> NetworkSpec:
@@ -294,7 +292,7 @@ class NetworkSpec:
             "architecture": self.architecture,
             "dt": DT,
             "input_shape": list(self.input_shape),
-            "encoder": None if self.encoder is None else asdict(self.encoder),
+            "stimulus": {"kind": self.stimulus.kind, **asdict(self.stimulus)},
             "layers": layers,
             "presentation": asdict(self.presentation),
             "provenance": self.provenance,
@@ -303,7 +301,9 @@ class NetworkSpec:
     def arrays(self) -> dict:
         """The arrays, for ``weights.npz``: ``<layer>.weights`` and ``<layer>.bias``."""
         return {
-            f"{layer.name}.{name}": getattr(layer, name) for layer in self.layers for name in ARRAYS
+            f"{layer.name}.{name}": getattr(layer, name)
+            for layer in self.layers
+            for name in ("weights", "bias")
         }
 
     @classmethod
@@ -315,7 +315,6 @@ class NetworkSpec:
         UserError
             A value is missing, unknown, of the wrong kind, or the time step is another.
         """
-        _only(value, TOP, "network")
         try:
             _require(value["dt"] == DT, "network",
                      f"time step is {value['dt']} s, this version runs {DT} s")  # fmt: skip
@@ -330,25 +329,37 @@ class NetworkSpec:
                     bias=arrays[f"{name}.bias"],
                 )
                 layers.append(_build(Layer, own))
-            encoder = value["encoder"]
             spec = cls(
                 architecture=str(value["architecture"]),
                 input_shape=value["input_shape"],
-                encoder=None if encoder is None else _build(Encoder, encoder),
+                stimulus=_stimulus(value),
                 layers=tuple(layers),
                 presentation=_build(Presentation, value["presentation"]),
                 provenance=dict(value.get("provenance", {})),
             )
+            fed_in = "stimulus" if "stimulus" in value else "encoder"  # of the first schema
+            _only(value, {"schema", fed_in, *spec.to_json()}, "network")
             _only(arrays, spec.arrays(), "weights")
             return spec
         except KeyError as error:
             raise UserError(f"network description: {error} is missing") from error
         except (TypeError, AttributeError, ValueError, IndexError, OverflowError) as error:
-            raise UserError(f"network description: a value of the wrong kind ({error})") from error
+            raise UserError(f"network description: a wrong value ({error})") from error
 
 
-def _build(kind, values):
-    _only(values, [f.name for f in fields(kind)], kind.__name__.lower())
+def _stimulus(value):
+    """The stimulus of a description; in the first schema, an encoder or none."""
+    if "stimulus" not in value:
+        encoder = value["encoder"]
+        return ImageCurrent() if encoder is None else _build(ImageSpikes, encoder, "encoder")
+    values = dict(value["stimulus"])
+    kind = values.pop("kind")
+    _require(kind in KINDS, "stimulus", f"kind {kind!r} is not one of {', '.join(KINDS)}")
+    return _build(KINDS[kind], values, "stimulus")
+
+
+def _build(kind, values, where=None):
+    _only(values, [f.name for f in fields(kind)], where or kind.__name__.lower())
     return kind(**values)
 
 

@@ -8,13 +8,11 @@ from typing import Annotated, Optional
 import typer
 
 from deploy.check.bundle import read_bundle
-from deploy.check.results import compare as compare_results
-from deploy.check.results import read_result
+from deploy.check.results import compare_results, read_result
 from deploy.check.run import run_check
 from deploy.cli import comparison_text, enforce, summary
-from deploy.targets.board import Settings as HardwareSettings
-from deploy.targets.board import settings_for
-from deploy.targets.registry import TARGETS
+from deploy.targets.board import BoardOptions
+from deploy.targets.registry import TARGETS, options_for
 from pipeline.commands import options
 from pipeline.progress import progress
 
@@ -39,21 +37,21 @@ def run(
     ] = None,
     chips: Annotated[
         int, typer.Option(help="Chips that may be used.", **BOARD)
-    ] = HardwareSettings.chips,
+    ] = BoardOptions.chips,
     attempts: Annotated[
         int, typer.Option(help="How often a stream is begun before giving up.", **BOARD)
-    ] = HardwareSettings.attempts,
+    ] = BoardOptions.attempts,
     wait: Annotated[
         float,
         typer.Option(help="Seconds before the second attempt, then twice as long.", **BOARD),
-    ] = HardwareSettings.wait,
+    ] = BoardOptions.wait,
     energy: Annotated[
         bool, typer.Option("--energy", help="Measure power if the board can.", **BOARD)
     ] = False,
     as_json: options.Json = False,
 ):
     """Let a target answer the bundle's samples; an interrupted check goes on where it stopped."""
-    settings = settings_for(
+    chosen = options_for(
         target,
         board=board,
         partition=partition,
@@ -65,7 +63,7 @@ def run(
     opened = read_bundle(bundle)
     path = out or opened.path.absolute().parent / "checks" / f"{target}.json"
     with progress(f"check {target}", len(opened.checks)) as advance:
-        result = run_check(opened, target, path, seed, advance, settings)
+        result = run_check(opened, target, path, seed, advance, chosen)
     options.tell(result, lambda value: f"{summary(value)}\nwritten to {path}", as_json)
 
 

@@ -11,13 +11,13 @@ from typing import Annotated, Optional
 import typer
 
 from deploy.check.bundle import read_bundle
-from deploy.check.energy import estimate, estimate_text
+from deploy.check.energy import estimate_energy, estimate_text
+from deploy.check.rates import firing_rates, rate_summary, rate_warnings, rates_text
 from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import replacing, write_arrays
 from deploy.network.nir import input_spikes, write_nir
 from deploy.preflight.plan import make_plan, plan_text
-from deploy.preflight.rates import firing_rates, rate_summary, rate_warnings, rates_text
 from deploy.targets.lava import write_lava
 from pipeline.commands import options
 
@@ -41,7 +41,7 @@ def plan(
     """Say what the network takes of each core, and refuse one that will not fit (status 2)."""
     opened = read_bundle(bundle)
     made = make_plan(opened.spec, chips)
-    images = opened.checks.images[: opened.spec.presentation.stream_length]
+    images = opened.checks.inputs[: opened.spec.presentation.stream_length]
     rates = rate_summary(firing_rates(opened.spec, images)) if not made.problems else {}
     if as_json:
         value = made.to_json()
@@ -78,14 +78,14 @@ def export(
     if format is Format.lava:
         if inputs is not None:
             raise UserError("--inputs is for NIR: a file for Lava holds the input spikes itself")
-        write_lava(out, opened.spec, opened.checks.images)
+        write_lava(out, opened.spec, opened.checks.inputs)
         print(f"written to {out}, with the input spikes of {len(opened.checks)} samples")
         return
     write_nir(out, opened.spec)
     print(f"written to {out}")
     if inputs is not None:
         checks = opened.checks
-        write_arrays(inputs, spikes=input_spikes(opened.spec, checks.images), labels=checks.labels)
+        write_arrays(inputs, spikes=input_spikes(opened.spec, checks.inputs), labels=checks.labels)
         print(f"input spikes of {len(checks)} samples written to {inputs}")
 
 
@@ -103,7 +103,7 @@ def energy(
     counted = read_result(path)
     if counted["bundle"] != opened.id:
         raise UserError(f"{path}: of another bundle than {bundle}; run the check again")
-    value = estimate(opened.spec, counted)
+    value = estimate_energy(opened.spec, counted)
     options.tell(value.to_json(), lambda _: estimate_text(value), as_json)
 
 

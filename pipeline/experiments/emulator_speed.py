@@ -15,8 +15,9 @@ import numpy as np
 from deploy.check.bundle import Bundle
 from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
-from deploy.network.responses import read_output, seconds_per_sample, streams_of
+from deploy.network.responses import read_output, seconds_per_sample
 from deploy.network.spec import NetworkSpec
+from deploy.network.stream import show, streams_of
 from deploy.targets.fast.emulation import Emulation, compile_spec
 from pipeline.experiments import emulator_limits
 from pipeline.progress import progress
@@ -83,11 +84,12 @@ def measure(bundle: Bundle, samples: int | None = None, compare_only: bool = Fal
     Returns
     -------
     dict
-        That of :func:`compare` with ``simulated``, ``growth`` and, where Numba is, ``limits``.
+        That of :func:`compare_speed` with ``simulated``, ``growth`` and, where Numba is,
+        ``limits``.
     """
-    images = bundle.checks.images[:samples]
+    images = bundle.checks.inputs[:samples]
     with progress("benchmark", len(images)) as advance:
-        result = compare(bundle.spec, images, advance)
+        result = compare_speed(bundle.spec, images, advance)
     result["simulated"] = bundle.spec.provenance.get("simulated")
     if not compare_only:
         with progress("growth and limit", 2) as advance:
@@ -99,7 +101,7 @@ def measure(bundle: Bundle, samples: int | None = None, compare_only: bool = Fal
     return result
 
 
-def compare(spec: NetworkSpec, images, advance=None) -> dict:
+def compare_speed(spec: NetworkSpec, images, advance=None) -> dict:
     """Let reference and fast take turns over a set of samples.
 
     Parameters
@@ -114,7 +116,7 @@ def compare(spec: NetworkSpec, images, advance=None) -> dict:
     dict
         Ready for JSON.  Ratios are medians over the turns, one turn a stream of the reference.
     """
-    images = np.asarray(images, float).reshape(len(images), -1)
+    images = spec.stimulus.flat(images)
     parts = streams_of(len(images), spec.presentation.stream_length)
     program = compile_spec(spec)
     emulations = {name: Emulation(program, name) for name in kernels_here()}
@@ -193,7 +195,6 @@ def reference_turn(spec, images):
         Time, the output probe, and every spike, for each layer packed by sample.
     """
     built = build(spec)
-    built.feed.images = images
     chip, whole, outputs = np.zeros(2), np.zeros(2), []
     spikes = {name: [] for name in built.spikes}
     with warnings.catch_warnings():
@@ -209,14 +210,19 @@ def reference_turn(spec, images):
                 chip += _clocks() - begun
 
             emulator.run_steps = timed
-            for _ in images:
+            all_steps = sim.run_steps
+
+            def timed_whole(steps):
                 begun = _clocks()
-                sim.run_steps(built.feed.period)
+                all_steps(steps)
+                nonlocal whole
                 whole += _clocks() - begun
-                outputs.append(np.array(sim.data[built.output]))
-                for name, probe in built.spikes.items():
-                    spikes[name].append(np.packbits(np.array(sim.data[probe]) != 0, axis=1))
-                sim.clear_probes()
+
+            sim.run_steps = timed_whole
+            for shown in show(built, sim, images):
+                outputs.append(shown.output)
+                for name, rows in shown.spikes.items():
+                    spikes[name].append(np.packbits(rows, axis=1))
     return Turn(whole, chip, len(images)), np.array(outputs), spikes
 
 

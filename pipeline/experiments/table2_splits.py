@@ -242,9 +242,11 @@ def _spiking_answers(settings, weights, dataset, seed):
     """All test samples, by NengoDL with spiking neurons."""
     from pipeline.training import nengodl
 
-    settings, steps = replace(settings, seed=seed), settings.presentation.steps
+    settings = replace(settings, seed=seed)
     shown = dataset.part("test")[0]
-    return dataset.split.test, nengodl.predict(settings, weights, shown, steps)
+    return dataset.split.test, nengodl.predict(
+        settings, weights, shown, settings.presentation.steps
+    )
 
 
 def _loihi_answers(settings, weights, dataset, seed):

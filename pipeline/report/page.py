@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from deploy import __version__
 from deploy.check.bundle import Bundle
-from deploy.check.energy import estimate
+from deploy.check.energy import estimate_energy
 from deploy.network.responses import seconds_per_sample
 from pipeline.experiments.table2_splits import MODELS
 from pipeline.inputs.images import aggregate, normalise
@@ -420,7 +420,7 @@ def _energy(inputs):
     counted = [r for r in inputs.results if r["spikes"]]
     if not counted:
         return None
-    got = estimate(inputs.bundle.spec, counted[-1])
+    got = estimate_energy(inputs.bundle.spec, counted[-1])
     chip = [layer for layer in got.layers if layer.on_chip]
     products = sum(layer.multiply_accumulates for layer in got.layers)
     return {

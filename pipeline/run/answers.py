@@ -38,7 +38,7 @@ def reference_result(
         See :func:`deploy.check.results.result_of`.
     """
     begun = time.perf_counter()
-    logits = _logits(stage, settings, weights, bundle.checks.images, advance)
+    logits = _logits(stage, settings, weights, bundle.checks.inputs, advance)
     seconds = time.perf_counter() - begun
     everything = slice(0, len(bundle.checks))
     samples = records_of(bundle, everything, responses_of(logits, settings.presentation))

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from deploy.check.bundle import Bundle
-from deploy.check.results import compare, read_result
+from deploy.check.results import compare_results, read_result
 from deploy.files import read_json, write_json
 from pipeline.progress import progress
 from pipeline.run import stages
@@ -75,7 +75,7 @@ def _layers(run: RunFolder, path, settings: Settings, bundle: Bundle) -> list:
             return earlier["layers"]
     from pipeline.training.networks import TrainedRates  # TensorFlow, where it is needed
 
-    images = bundle.checks.images
+    images = bundle.checks.inputs
     trained = TrainedRates(settings, stages.read_weights(run.snn, settings))
     with progress("compare layers", len(images)) as advance:
         activations = trained.activations(images)
@@ -130,7 +130,7 @@ def climb(results) -> list:
     """
     rungs, above = [], None
     for result in results:
-        against = compare(above, result) if above is not None else None
+        against = compare_results(above, result) if above is not None else None
         rungs.append(
             Rung(
                 stage=result["target"],

@@ -89,7 +89,7 @@ def _spikes(given):
 def compared(title, opened, program, theirs):
     """Say how many bits differ, layer by layer, and give the responses to Lava's spikes."""
     spec, labels = opened.spec, opened.checks.labels
-    ours = spikes_of(program, spec, opened.checks.images)
+    ours = spikes_of(program, spec, opened.checks.inputs)
     found = differing_bits(program, ours, theirs)
     answers = responses_of(spec, program, {**ours, **theirs})
     wrong, total = (sum(column) for column in zip(*found.values(), strict=True))

@@ -149,7 +149,7 @@ def _warm(base, folder):
     from pipeline.commands.report import report_  # noqa: F401
 
     opened = read_bundle(base / "run" / "bundle")
-    answer(opened.spec, opened.checks.images[:1], "fast")
+    answer(opened.spec, opened.checks.inputs[:1], "fast")
 
 
 def run_breaks(part, count, options, folder, base, counts):

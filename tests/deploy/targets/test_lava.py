@@ -130,7 +130,7 @@ def test_spikes_give_the_answers_of_fast(make):
 def test_one_bit_is_found(tmp_path, capsys):
     opened = bundle_at(tmp_path / "bundle")
     program = compile_spec(opened.spec)
-    spikes = spikes_of(program, opened.spec, opened.checks.images)
+    spikes = spikes_of(program, opened.spec, opened.checks.inputs)
     spikes["conv2"][1, 2, 0] ^= 1 << 7
     np.savez(tmp_path / "out.npz", seconds=1.0, **{f"spikes.{k}": v for k, v in spikes.items()})
     with pytest.raises(Exception, match="1 spikes of Lava's are not those of fast"):

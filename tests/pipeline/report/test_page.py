@@ -214,7 +214,7 @@ def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
     short = replace(bundle, spec=spec)
     from deploy.targets.registry import answer
 
-    counted = answer(spec, bundle.checks.images[:4], "emulator").spikes
+    counted = answer(spec, bundle.checks.inputs[:4], "emulator").spikes
     for index in (2, 3):
         played = replay(short, index)
         for layer, (times, units) in played.spikes.items():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from deploy.network.responses import join
+from deploy.network.stimulus import ImageCurrent
 from deploy.targets.registry import answer
 from models.keras2 import tf
 from pipeline.run.conversion import to_spec
@@ -128,7 +129,7 @@ def test_where_the_layers_are_is_a_setting(weights):
     assert [layer.placement for layer in to_spec(moved, weights, {}).layers] == [
         *("host", "chip", "host")
     ]
-    assert to_spec(moved, weights, {}).encoder is None
+    assert to_spec(moved, weights, {}).stimulus == ImageCurrent()
     chip = replace(settings, deployment=replace(settings.deployment, readout="chip"))
     logits = np.random.default_rng(0).normal(size=(20, 10))
     assert to_spec(chip, weights, {}, logits).layers[-1].placement == "chip"
