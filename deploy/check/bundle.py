@@ -206,9 +206,9 @@ def _wrong_with(arrays, spec):
     kinds = (array.dtype.kind for array in (labels, ids, seed))
     if not all(kind in known for kind, known in zip(kinds, ("iu", "U", "iu"))):
         return "labels and seed are not whole numbers, or ids not text"
-    if labels.ndim != 1 or ids.shape != labels.shape or seed.ndim != 0 or inputs.ndim < 1:
+    if (labels.ndim, ids.ndim, seed.ndim) != (1, 1, 0) or inputs.ndim < 1:
         return "inputs, labels and ids have other shapes"
-    if not len(inputs) == len(labels) >= 1 or len(labels) > limits.SAMPLES:
+    if not limits.SAMPLES >= len(inputs) == len(labels) == len(ids) >= 1:
         return "inputs, labels and ids differ in number, or there are none or too many"
     classes = spec.layers[-1].size
     if labels.min() < 0 or labels.max() >= classes:
