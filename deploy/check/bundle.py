@@ -199,7 +199,8 @@ def _inputs_of(arrays):
 def _wrong_with(arrays, spec):
     """What keeps arrays from being the samples of a network's check, or None."""
     if sorted(arrays) not in (["ids", name, "labels", "seed"] for name in ("images", "inputs")):
-        return f"holds {', '.join(sorted(arrays)[:10])}, not ids, inputs, labels and seed"
+        held = ", ".join(sorted(arrays)[:10])
+        return f"not the samples of a check, ids, inputs, labels and seed, but {held}"
     inputs, labels, ids, seed = (
         _inputs_of(arrays), *(arrays[name] for name in ("labels", "ids", "seed"))
     )  # fmt: skip
