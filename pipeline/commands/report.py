@@ -100,10 +100,9 @@ def report_(
 def _metrics(path):
     """What a training measured, or an error that names the file."""
     metrics = read_json(path, REMEDY)
-    accuracy = metrics.get("accuracy")
-    shares = accuracy.values() if isinstance(accuracy, dict) else [None]
-    count = metrics.get("n_test")
-    if "test" not in (accuracy or ()) or type(count) is not int or not all(map(_is_share, shares)):
+    accuracy, count = metrics.get("accuracy"), metrics.get("n_test")
+    told = isinstance(accuracy, dict) and "test" in accuracy and type(count) is int and count > 0
+    if not told or not all(map(_is_share, accuracy.values())):
         raise UserError(f"{path}: says no accuracy on the test split; {REMEDY}")
     return metrics
 
@@ -120,13 +119,13 @@ def _results(folder, bundle):
         if folder.check(stage).exists()
         and (result := read_result(folder.check(stage)))["bundle"] == bundle.id
     ]
-    for stage, result in ((result["target"], result) for result in results):
+    for result in results:
         whole = all(name in result for name in ("anytime_accuracy", "decided_at_median"))
         whole = whole and [sample["id"] for sample in result["samples"]] == list(bundle.checks.ids)
         whole = whole and result["spikes"].keys() <= set(bundle.spec.spiking_layers)
         if not whole:
             raise UserError(
-                f"{folder.check(stage)}: not of the bundle's samples and layers; "
+                f"{folder.check(result['target'])}: not of the bundle's samples and layers; "
                 f"delete it and run 'stmnist ladder {folder.path}' again"
             )
     if not results:
@@ -146,8 +145,18 @@ def _read_benchmark(folder, recordings):
     if table.get("source_sha256") != recordings.source.sha256:
         print(f"report: {path} is of other recordings and left out", file=sys.stderr)
         return None, None, {}, {}
+    try:
+        answers, curves = _of_rows(folder, table["rows"])
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        raise UserError(f"{path}: not a whole table ({error!r}); {REMEDY}") from error
+    experiment = folder / "experiment.toml"
+    return table, read_settings(experiment) if experiment.exists() else None, answers, curves
+
+
+def _of_rows(folder, rows):
+    """Answers of the random splits by model, and SLAYER's learning curve."""
     answers, curves = {}, {}
-    for row in table["rows"]:
+    for row in rows:
         results = [
             read_json(split_path(folder, "random", index, row["model"]), REMEDY)
             for index in row["indices"]
@@ -159,5 +168,4 @@ def _read_benchmark(folder, recordings):
             )
         if row["model"] == "slayer" and results:
             curves[f"SNN-SLAYER, split {row['indices'][0]}"] = results[0]["history"]
-    experiment = folder / "experiment.toml"
-    return table, read_settings(experiment) if experiment.exists() else None, answers, curves
+    return answers, curves
