@@ -45,7 +45,7 @@ def refused(capsys):
         (["--set", f"presentation.gap={10**22}"], "'presentation.gap' must be a whole number"),
         (["--set", f"seed={'9' * 5000}"], "'seed' must be"),
         (["--set", f"cnn.epochs={'[' * 5000}"], "'cnn.epochs' must be a whole number"),
-        (["--set", "cnn.architecture=10x10-9000c4-9000c3-10o"], "at most 20000000 weights"),
+        (["--set", "cnn.architecture=10x10-3000c4-3000c3-10o"], "at most 20000000 weights"),
         (["--set", "snn.tau_rc=1e300"], "'snn.tau_rc' must be"),
         (["--samples", "1000000000000"], "'check.samples' must be from 1 to 1000000"),
         (["--steps", "10"], "such as --set presentation.readout_start=2"),
