@@ -70,7 +70,7 @@ FLOORS = {
         {"__main__"},
     ],
     "deploy": [
-        {"errors", "interrupts", "tables", "requirements"},
+        {"errors", "interrupts", "limits", "tables", "requirements"},
         {"files"},
         {"network"},
         {"preflight"},

@@ -144,23 +144,83 @@ def read_result(path, remedy="run 'stmnist check run' again") -> dict:
         raise UserError(
             f"{path}: schema {result.get('schema')!r}, but this version reads {SCHEMA!r}; {remedy}"
         )
-    try:
-        samples = result["samples"]
-        right = sum(int(sample["label"]) == int(sample["prediction"]) for sample in samples)
-        sound = (
-            len(samples) == result["n_samples"]
-            and len({sample["id"] for sample in samples}) == len(samples)
-            and abs(right / len(samples) - result["accuracy"]) < 1e-9
-            and isinstance(result["bundle"], str)
-            and isinstance(result["target"], str)
-            and len([float(bound) for bound in result["accuracy_ci95"]]) == 2
-            and {"simulated", "spikes", "wall_seconds", "steps_per_sample"} <= result.keys()
-        )
-    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
-        raise UserError(f"{path}: not a whole check result ({error!r}); {remedy}") from error
+    for name, fits in _FIELDS.items():
+        if not fits(result[name]) if name in result else name not in _OPTIONAL:
+            raise UserError(
+                f"{path}: not a whole check result ({name!r} is missing or wrong); {remedy}"
+            )
+    samples = result["samples"]
+    for index, sample in enumerate(samples):
+        if not _is_sample(sample):
+            raise UserError(f"{path}: not a whole check result (sample {index + 1}); {remedy}")
+    right = sum(sample["label"] == sample["prediction"] for sample in samples)
+    sound = (
+        len(samples) == result["n_samples"]
+        and len({sample["id"] for sample in samples}) == len(samples)
+        and abs(right / len(samples) - result["accuracy"]) < 1e-9
+    )
     if not sound:
         raise UserError(f"{path}: its samples and its accuracy contradict each other; {remedy}")
     return result
+
+
+def _is_count(value, below=2**53):
+    return type(value) is int and 0 <= value < below
+
+
+def _is_number(value):
+    return type(value) in (int, float) and -1e300 <= value <= 1e300  # which NaN is not
+
+
+def _are_numbers(values):
+    return isinstance(values, list) and all(map(_is_number, values))
+
+
+def _is_text(value):
+    try:
+        return isinstance(value, str) and len(value.encode("utf-8")) <= 10_000
+    except UnicodeEncodeError:
+        return False
+
+
+def _are_counts(values):
+    """True of what is counted by layer."""
+    return isinstance(values, dict) and all(_is_number(v) and v >= 0 for v in values.values())
+
+
+_FIELDS = {
+    "bundle": _is_text,
+    "target": _is_text,
+    "n_samples": _is_count,
+    "samples": lambda v: isinstance(v, list) and len(v) >= 1,
+    "accuracy": _is_number,
+    "accuracy_ci95": lambda v: _are_numbers(v) and len(v) == 2,
+    "decided_at_median": _is_number,
+    "anytime_accuracy": _are_numbers,
+    "steps_per_sample": _is_count,
+    "simulated": lambda v: v is None or isinstance(v, bool),
+    "spikes": _are_counts,
+    "synaptic_operations": _are_counts,
+    "wall_seconds": lambda v: _is_number(v) and v >= 0,
+    "versions": lambda v: isinstance(v, dict) and all(map(_is_text, v.values())),
+}
+"""What is read from a result, and of what kind it must be."""
+
+_OPTIONAL = {"decided_at_median", "anytime_accuracy", "synaptic_operations", "versions"}
+"""What a comparison can do without."""
+
+
+def _is_sample(value):
+    if not isinstance(value, dict) or not _are_numbers(value.get("scores")):
+        return False
+    classes = len(value["scores"])
+    return (
+        _is_text(value.get("id"))
+        and _is_count(value.get("label"), classes)
+        and _is_count(value.get("prediction"), classes)
+        and _is_count(value.get("decided_at"))
+        and ("spike_hash" not in value or _is_text(value["spike_hash"]))
+    )
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,8 @@ def train(
     """Train the paper's CNN on tactile images, or with --input events the network on events."""
     given = (data, seed, None, None, settings, set_, kind)
     with options.opened(run, *given) as (folder, resolved):
-        dataset = stages.open_dataset(folder, resolved, jobs, options.say)
-        if resolved.input.kind == "events":
+        dataset = stages.open_dataset(folder, resolved, jobs, options.say, check=False)
+        if resolved.on_events:
             stages.train_on_events(folder, resolved, dataset, options.say)
         else:
             stages.train(folder, resolved, dataset, options.say)

@@ -102,7 +102,7 @@ def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:
         steps, rows, columns, 2), first ON, then OFF.
     """
     image = settings.image
-    if settings.input.kind == "events":
+    if settings.on_events:
         table = EventTable.of(recordings)
         frames = table.frames(
             np.arange(len(recordings)), settings.input.step, settings.presentation.steps

@@ -83,7 +83,7 @@ def measure_ladder(
 
 def _layers(run: RunFolder, path, settings: Settings, bundle: Bundle) -> list:
     """How faithful each layer is on the bundle's samples; from an earlier ladder if it has that."""
-    if settings.input.kind == "events":
+    if settings.on_events:
         return None  # no network of rates that the chip's rates could be held against
     if path.exists():
         earlier = read_json(path, "delete it and run the command again")

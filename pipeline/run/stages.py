@@ -18,6 +18,7 @@ from deploy.files import read_arrays, read_json, write_arrays, write_json
 from deploy.network.decision import choose_threshold
 from models.architecture import parse
 from pipeline.inputs.dataset import TOO_SMALL, Dataset, event_warnings
+from pipeline.inputs.library import SIMULATED
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import progress
@@ -37,11 +38,23 @@ HELD_OUT = 0.1
 REMEDY_CHECK = "delete it and run the command again"
 
 
-def open_dataset(run: RunFolder, settings: Settings, jobs: int = 2, warn=None) -> Dataset:
+def open_dataset(
+    run: RunFolder, settings: Settings, jobs: int = 2, warn=None, check: bool = True
+) -> Dataset:
     """Load, split and draw the recordings of a run; keep its settings; write ``dataset.json``.
 
     The settings are kept only now that the recordings are there and enough: a mistaken path or
     number of samples must not stick to the run.
+
+    Parameters
+    ----------
+    run, settings
+    jobs : int
+        Processes.
+    warn : callable, optional
+        Called with a line for each thing that the user should know.
+    check : bool
+        Whether samples of a check will be drawn; training alone needs none.
 
     Raises
     ------
@@ -50,13 +63,17 @@ def open_dataset(run: RunFolder, settings: Settings, jobs: int = 2, warn=None) -
     """
     dataset = Dataset.of(settings, jobs, warn)
     recordings, split = dataset.recordings, dataset.split
-    if settings.input.kind == "events":
-        for line in event_warnings(settings, recordings):
-            (warn or print)(line)
-    try:
-        draw_check_samples(split.test, settings.check.samples, settings.seed)
-    except ValueError as error:
-        raise UserError(f"{settings.data.source}: {error}; {TOO_SMALL}") from error
+    if check:
+        try:
+            draw_check_samples(split.test, settings.check.samples, settings.seed)
+        except ValueError as error:
+            remedy = TOO_SMALL
+            if settings.data != run.resolve_settings(None, {}).data:
+                remedy += "; nothing was kept: name the data (--data) in the next command too"
+            raise UserError(f"{settings.data.source}: {error}; {remedy}") from error
+    if warn is not None:
+        for line in _notes(run, settings, recordings):
+            warn(line)
     run.save_settings(settings)
     write_json(
         run.dataset,
@@ -72,6 +89,19 @@ def open_dataset(run: RunFolder, settings: Settings, jobs: int = 2, warn=None) -
         },
     )
     return dataset
+
+
+def _notes(run, settings, recordings):
+    """What should not pass without a word, such as simulated data that nobody asked for."""
+    if settings.on_events:
+        yield from event_warnings(settings, recordings)
+    if settings.data.source == SIMULATED and not run.experiment.exists():
+        yield f"{run.path}: a new run, on simulated recordings (others: --data)"
+    classes = recordings.sensor.classes
+    missing = sorted(set(range(len(classes))) - set(recordings.labels.tolist()))
+    if missing:
+        names = ", ".join(classes[label] for label in missing)
+        yield f"{settings.data.source}: no recordings of {names}; their outputs learn nothing"
 
 
 def train(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> dict:
@@ -166,7 +196,7 @@ def make_bundle(run: RunFolder, settings: Settings, jobs: int = 1, say=print) ->
 
 def train_all(run: RunFolder, settings: Settings, dataset: Dataset, say=print):
     """Train what the bundle is made from, unless it is there already."""
-    if settings.input.kind == "events":
+    if settings.on_events:
         train_on_events(run, settings, dataset, say)
     else:
         train(run, settings, dataset, say)
@@ -181,7 +211,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
     Bundle
         The one that is there, if it is up to date.
     """
-    on_events = settings.input.kind == "events"
+    on_events = settings.on_events
     stamp = stamp_of(
         events_stamp(settings, dataset) if on_events else snn_stamp(settings, dataset),
         asdict(settings.deployment),
@@ -333,7 +363,7 @@ def read_weights(folder: Path, settings: Settings) -> dict:
     """
     path = folder / "weights.npz"
     weights = read_arrays(path, REMEDY)
-    if settings.input.kind == "events":
+    if settings.on_events:
         architecture = settings.events.architecture
         shapes = parse(architecture).event_weight_shapes
     else:
