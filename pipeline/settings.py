@@ -27,6 +27,7 @@ from models.architecture import NotationError, parse
 from pipeline import paper
 
 AGGREGATIONS = ("count", "columns", "signed", "on", "off")
+RECIPES = ("loihi", "paper", "as-is")
 SIMULATED = "simulated"
 """The name of the built-in recordings."""
 NORMALISATIONS = ("max", "sum", "sqrt-max", "none")
@@ -143,16 +144,21 @@ class CNN:
     """Not given in the paper; Keras's default."""
     learning_rate: Annotated[float, ABOVE_0] = 0.001
     """Not given in the paper; Keras's default for RMSProp."""
+    model: str = ""
+    """A Keras model file whose weights stand in for trained ones; ``convert --model`` sets it."""
+    model_sha256: str = ""
+    """Of that file's content."""
 
 
 @dataclass(frozen=True)
 class SNN:
     """Training with rate-based LIF neurons (paper, Section 3.2.2)."""
 
-    recipe: Annotated[str, one_of("loihi", "paper")] = "loihi"
+    recipe: Annotated[str, one_of(*RECIPES)] = "loihi"
     """``loihi``: the chip's rates and 8-bit weights in the forward pass, noise that stands for
     the ripple of spikes, starting from the CNN's weights; ``paper``: plain rate-based LIF, from
-    new weights, trained as the CNN is."""
+    new weights, trained as the CNN is; ``as-is``: the CNN's weights, scaled to the neurons' range
+    and not trained on."""
     epochs: Annotated[int, OWN_EPOCHS] = 0
     """Passes over the training samples; 0 for the recipe's own."""
     batch_size: Annotated[int, OWN_BATCH] = 0
@@ -172,6 +178,11 @@ class SNN:
     """Membrane time constant in seconds."""
     tau_ref: Annotated[float, REFRACTORY] = 0.001
     """Refractory period in seconds."""
+
+    @property
+    def is_on_chip(self) -> bool:
+        """Whether the rate-based network has the chip's rates and 8-bit weights."""
+        return self.recipe != "paper"
 
     def max_rate(self, index: int) -> float:
         """Of layer of neurons ``index``, from 0."""
@@ -566,7 +577,7 @@ def check_fits(s: Settings, rows: int, columns: int, classes: int, origin: str):
     UserError
         With the architecture that would be, but for the layers between.
     """
-    if s.input.kind == "events":
+    if s.on_events:
         name, text, size = "events.architecture", s.events.architecture, f"{rows}x{columns}x2"
         what, shape = f"events of {rows}x{columns} taxels", (rows, columns, 2)
     else:
@@ -574,6 +585,12 @@ def check_fits(s: Settings, rows: int, columns: int, classes: int, origin: str):
         what, shape = f"a tactile image of {size}", (rows, columns, 1)
     architecture = parse(text)
     if architecture.input_shape != shape or architecture.outputs != classes:
+        if s.cnn.model and not s.on_events:
+            found = "x".join(map(str, architecture.input_shape))
+            raise UserError(
+                f"{s.cnn.model}: for an input of {found} and {architecture.outputs} classes; the "
+                f"tactile images have {rows}x{columns}x1 and {classes} classes: train one for those"
+            )
         like = "-".join([size, *map(str, architecture.layers[:-1]), f"{classes}o"])
         raise UserError(
             f"{origin}: {name!r} must be for {what} and {classes} classes, such as {like}, "

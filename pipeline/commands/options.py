@@ -57,6 +57,7 @@ def opened(
     settings=None,
     assignments=None,
     kind=None,
+    changes=None,
 ):
     """A folder for this process alone, with its settings and the options that were given.
 
@@ -65,6 +66,8 @@ def opened(
     path : Path
     data, seed, samples, steps, settings, assignments, kind
         What the options of the same names gave (``kind``: ``--input``), or None.
+    changes : dict, optional
+        Of settings, which the options go before.
 
     Yields
     ------
@@ -77,7 +80,7 @@ def opened(
     """
     folder = RunFolder(path)
     with folder.locked():
-        changes = parse_assignments(assignments or [])
+        changes = merged(changes or {}, parse_assignments(assignments or []))
         if data is not None and data != SIMULATED:
             data = str(Path(data).absolute())  # the run can be repeated from any folder
         for section, name, value in (
@@ -90,6 +93,15 @@ def opened(
             if value is not None:
                 (changes.setdefault(section, {}) if section else changes)[name] = value
         yield folder, folder.resolve_settings(settings, changes)
+
+
+def merged(first: dict, second: dict) -> dict:
+    """Nested settings with those of ``second`` in the place of ``first``'s."""
+    both = {**first, **second}
+    for name in first.keys() & second.keys():
+        if isinstance(first[name], dict) and isinstance(second[name], dict):
+            both[name] = {**first[name], **second[name]}
+    return both
 
 
 def say(line: str):

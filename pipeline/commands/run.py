@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Optional
 
 import typer
 
+from deploy.errors import UserError
 from pipeline.commands import options
 from pipeline.run import stages
 from pipeline.run.answers import STAGES as REFERENCES
@@ -40,10 +42,26 @@ def convert(
     steps: options.Steps = None,
     settings: options.SettingsFile = None,
     set_: options.Assignments = None,
+    model: Annotated[
+        Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
+        typer.Option(
+            help="A Keras model of your own (.keras or .h5) in the place of the CNN; read, not run."
+        ),
+    ] = None,
+    retrain: Annotated[
+        bool,
+        typer.Option("--retrain", help="With --model: train it on with rate-based LIF neurons."),
+    ] = False,
     jobs: options.Jobs = 2,
 ):
-    """Train the network that spikes, on images or with --input events, and write the bundle."""
-    given = (data, seed, samples, steps, settings, set_, kind)
+    """Train the network that spikes, on images or with --input events, and write the bundle.
+
+    With --model: scale that model to the neurons' range, make it spike, write the bundle.
+    """
+    if retrain and model is None:
+        raise UserError("--retrain: of a model of your own only; name it with --model FILE")
+    changes = stages.settings_of_model(model, retrain) if model else {}
+    given = (data, seed, samples, steps, settings, set_, kind, changes)
     with options.opened(run, *given) as (folder, resolved):
         _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
         for stage in REFERENCES[resolved.input.kind]:

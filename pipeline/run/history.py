@@ -20,10 +20,11 @@ def write_history(path, history: list):
     ----------
     path : path-like
     history : list of dict
-        One an epoch, all with the same keys.
+        One an epoch, all with the same keys; none of a network that was not trained here.
     """
+    names = list(history[0]) if history else ["epoch", "loss", "accuracy"]
     with replacing(path, "w") as file:
-        writer = csv.DictWriter(file, fieldnames=list(history[0]), lineterminator="\n")
+        writer = csv.DictWriter(file, fieldnames=names, lineterminator="\n")
         writer.writeheader()
         writer.writerows(history)
 

@@ -14,9 +14,10 @@ from deploy.check.intervals import wilson_interval
 from deploy.check.results import read_result
 from deploy.check.run import run_check
 from deploy.errors import UserError
-from deploy.files import read_arrays, read_json, write_arrays, write_json
+from deploy.files import read_arrays, read_json, sha256_of, write_arrays, write_json
 from deploy.network.decision import choose_threshold
 from models.architecture import parse
+from models.own import ModelFileError, read_own_model
 from pipeline.inputs.dataset import TOO_SMALL, Dataset, event_warnings
 from pipeline.inputs.library import SIMULATED
 from pipeline.inputs.splits import draw_check_samples
@@ -34,6 +35,10 @@ from pipeline.settings import Settings
 REMEDY = "delete its folder and run the command again"
 HELD_OUT = 0.1
 """Share of the training samples by which the confidence is chosen where nothing else is for it."""
+
+LEAST_KNOWN = 0.15
+"""Share of the way from chance to always right that an own model must have gone.  Of 30 networks of
+three layers with Keras's first weights the best had gone 0.06 of it by luck, on ten classes."""
 
 REMEDY_CHECK = "delete it and run the command again"
 
@@ -105,10 +110,12 @@ def _notes(run, settings, recordings):
 
 
 def train(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> dict:
-    """Train the CNN, unless it is there already; return its metrics."""
+    """Train the CNN, or read the user's own, unless it is there already; return its metrics."""
     stamp = cnn_stamp(settings, dataset)
     if done := _done("cnn", run.cnn, stamp, say):
         return done
+    if settings.cnn.model:
+        return _take_over(run, settings, dataset, stamp, say)
     from pipeline.training.networks import train_cnn  # TensorFlow: seconds that _done can spare
 
     def train_it(advance):
@@ -116,6 +123,74 @@ def train(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> di
         return train_cnn(settings, data, settings.seed, watched, advance)
 
     return _train("cnn", run.cnn, stamp, settings.cnn.epochs, train_it, dataset, say)
+
+
+def read_model(path: Path) -> tuple:
+    """A user's Keras model, and the SHA-256 of its file.
+
+    Returns
+    -------
+    OwnModel, str
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, is no Keras model, or one that no chip can hold.
+    """
+    try:
+        return read_own_model(path), sha256_of(path)
+    except ModelFileError as error:
+        raise UserError(str(error)) from error
+
+
+def settings_of_model(path: Path, retrain: bool) -> dict:
+    """Changes of the settings that put a user's Keras model in the place of the CNN.
+
+    Parameters
+    ----------
+    path : Path
+    retrain : bool
+        Train it on with rate-based LIF neurons.
+
+    Raises
+    ------
+    UserError
+        As :func:`read_model`.
+    """
+    model, sha256 = read_model(path)
+    rates = Settings().snn.max_rates[: max(len(model.architecture.spiking), 1)]
+    return {
+        "cnn": {
+            "model": str(path.absolute()),
+            "model_sha256": sha256,
+            "architecture": str(model.architecture),
+        },
+        "snn": {"recipe": "loihi" if retrain else "as-is", "max_rates": rates},
+    }
+
+
+def _take_over(run, settings, dataset, stamp, say):
+    """Put the user's model in the place of the CNN; it must know more than chance."""
+    path = Path(settings.cnn.model)
+    model, sha256 = read_model(path)
+    if sha256 != settings.cnn.model_sha256 or str(model.architecture) != settings.cnn.architecture:
+        raise UserError(f"{path}: has changed; give it again with 'stmnist convert RUN --model'")
+    from pipeline.training.networks import TrainedCNN
+
+    taken = TrainedCNN(settings, model.weights)
+    images, labels = dataset.part("train")
+    right = int((taken.logits(images).argmax(1) == labels).sum())
+    likeliest = np.bincount(labels).max() / len(labels)
+    if wilson_interval(right, len(labels))[0] <= likeliest + LEAST_KNOWN * (1 - likeliest):
+        raise UserError(
+            f"{path}: hardly better than chance on this run's training samples (accuracy "
+            f"{right / len(labels):.3f}, {likeliest:.3f} by always answering the same): never "
+            "trained, trained on other inputs than tactile images as [image] in the settings makes "
+            "them, or with the classes in another order"
+        )
+    for note in model.notes:
+        say(f"cnn: {note}")
+    return _train("cnn", run.cnn, stamp, 0, lambda advance: taken, dataset, say)
 
 
 def train_rates(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> dict:
@@ -387,9 +462,12 @@ def _answers(path, bundle):
 
 def cnn_stamp(settings: Settings, dataset: Dataset) -> str:
     """Hash of all that the CNN's training depends on."""
-    parts = (settings.data, settings.image, settings.split, settings.cnn)
+    cnn = asdict(settings.cnn)
+    if cnn.pop("model"):  # whose content counts, wherever it lies; nothing is trained
+        cnn = {name: cnn[name] for name in ("architecture", "model_sha256")}
+    parts = map(asdict, (settings.data, settings.skin, settings.image, settings.split))
     source = dataset.recordings.source.sha256
-    return stamp_of(__version__, source, settings.seed, *map(asdict, parts))
+    return stamp_of(__version__, source, settings.seed, *parts, cnn)
 
 
 def snn_stamp(settings: Settings, dataset: Dataset) -> str:
