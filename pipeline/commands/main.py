@@ -52,7 +52,7 @@ VERBS = {
         },
     ),
     "sweep": sweep.sweep,
-    "report": report.report_,
+    "report": report.report,
     "settings": settings.settings,
 }
 """Every verb: a function, or a help text and verbs of its own."""
