@@ -22,10 +22,10 @@ from deploy.errors import UserError
 from deploy.files import read_json, replacing, write_json
 from deploy.network.operations import multiply_accumulates
 from deploy.targets.registry import answer
-from pipeline.experiments.jobs import Failure
 from pipeline.experiments.study import Findings, Workers, read_kept, study, write_kept
 from pipeline.experiments.sweep_text import sweep_csv
 from pipeline.inputs.dataset import Dataset
+from pipeline.jobs import Failure
 from pipeline.progress import hidden
 from pipeline.run import stages
 from pipeline.run.folder import RunFolder, stamp_of

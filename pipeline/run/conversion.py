@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.spec import Layer, NetworkSpec, Neurons
 from deploy.network.stimulus import ImageCurrent, ImageSpikes
 from models.architecture import parse
 from models.lif import gain_for
@@ -61,7 +61,7 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) 
         gain = gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
         kernel = gain * weights[f"{name}.kernel"].astype(float)
         bias = 1 + gain * weights[f"{name}.bias"].astype(float)
-        if snn.recipe == "loihi":  # on the host too: that is what was trained
+        if snn.is_on_chip:  # on the host too: that is what was trained
             kernel, bias = eight_bits(kernel).numpy(), twelve_bits(bias).numpy()
         layers.append(
             Layer(
@@ -81,7 +81,7 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) 
         if on_host
         else ImageSpikes(deployment.input_rate, deployment.input_phase),
         layers=tuple(layers),
-        presentation=Presentation(**vars(settings.presentation)),
+        presentation=settings.presented(),
         provenance=provenance,
     )
 
