@@ -355,10 +355,11 @@ def _layer_raster(layer, steps, neurons, replay):
 
 def _frames(inputs, recording):
     """The tactile image as it grows, up to the last event."""
-    whole, image = inputs.recordings[recording], inputs.settings.image
+    made, image = inputs.recordings, inputs.settings.image
+    whole = made[recording]
     end = int(whole.time_ns[-1]) + 1 if len(whole) else 1
     ends = [end * number // FRAMES for number in range(1, FRAMES + 1)]
-    grown = growing(whole, inputs.recordings.taxels, ends, image.aggregation)
+    grown = growing(whole, made.taxels, ends, image.aggregation, made.sensor)
     frames = []
     for until, pixels in zip(ends, normalise(grown, image.normalisation), strict=True):
         caption = f"{until / 1e9:.2f} s"

@@ -7,11 +7,8 @@ from scipy.signal import lfilter
 
 from pipeline.recordings.events import GRID, TaxelMap
 
-_PLACE = np.arange(GRID)
-_TAXELS = TaxelMap()
 
-
-def press(motion, gain, least, rng, p):
+def press(motion, gain, least, rng, p, size=(GRID, GRID)):
     """The signal of the taxels that a pen reaches.
 
     The force of the tip (0.5 mm, half a taxel) spreads in the film and its cover; over the taxels
@@ -24,12 +21,14 @@ def press(motion, gain, least, rng, p):
     Parameters
     ----------
     motion : pipeline.skin.handwriting.Motion
-    gain : ndarray of float, shape (100,)
+    gain : ndarray of float, shape (n_taxels,)
         Of each taxel.
     least : float
         Taxels whose signal stays below are left out.
     rng : numpy.random.Generator
     p : pipeline.skin.parameters.Skin
+    size : (int, int)
+        Rows and columns of taxels.
 
     Returns
     -------
@@ -37,16 +36,16 @@ def press(motion, gain, least, rng, p):
     signal : ndarray of float32, shape (n_times, n)
     """
     step = motion.time_s[1] - motion.time_s[0]
-    rows = np.exp(-0.5 * ((motion.down[:, None] - _PLACE) / p.spread) ** 2).astype(np.float32)
-    columns = np.exp(-0.5 * ((motion.right[:, None] - _PLACE) / p.spread) ** 2).astype(np.float32)
+    places, (down, right) = TaxelMap.grid(*size), map(np.arange, size)
+    rows = np.exp(-0.5 * ((motion.down[:, None] - down) / p.spread) ** 2).astype(np.float32)
+    columns = np.exp(-0.5 * ((motion.right[:, None] - right) / p.spread) ** 2).astype(np.float32)
     rows *= motion.force[:, None].astype(np.float32)
-    jolts, landings = _jolts(motion, rng, p)
+    jolts, landings = _jolts(motion, rng, p, len(places))
     reach = (
-        rows.max(axis=0)[_TAXELS.x] * columns.max(axis=0)[_TAXELS.y]
-        + jolts.max(axis=0, initial=0.0)
+        rows.max(axis=0)[places.x] * columns.max(axis=0)[places.y] + jolts.max(axis=0, initial=0.0)
     ) * gain
     taxels = np.flatnonzero(reach > least)
-    signal = rows[:, _TAXELS.x[taxels]] * columns[:, _TAXELS.y[taxels]]
+    signal = rows[:, places.x[taxels]] * columns[:, places.y[taxels]]
     for row, jolt in zip(landings, jolts, strict=True):
         decay = np.exp(-np.arange(len(signal) - row) * step / p.jolt_s)
         signal[row:] += np.outer(decay, jolt[taxels])
@@ -62,14 +61,14 @@ def press(motion, gain, least, rng, p):
     return taxels, signal
 
 
-def _jolts(motion, rng, p):
+def _jolts(motion, rng, p, n_taxels):
     """What each taxel feels of the shaking whenever the pen comes down or lifts.
 
     Returns
     -------
-    jolts : ndarray of float, shape (n_landings, 100)
+    jolts : ndarray of float, shape (n_landings, n_taxels)
     rows : ndarray of int, shape (n_landings,)
     """
     rows = np.flatnonzero(np.diff((motion.force > 0.1 * motion.force.max()).astype(int))) + 1
     strength = p.jolt * np.exp(p.jolt_spread * rng.standard_normal())
-    return strength * rng.standard_exponential((len(rows), len(_TAXELS.x))), rows
+    return strength * rng.standard_exponential((len(rows), n_taxels)), rows
