@@ -1,7 +1,8 @@
 # Thin: every target calls the command `stmnist`, which offers the same and more (stmnist --help).
 #
-# Variables: DATA (ST-MNIST zip or folder; default: simulated), RUN (default runs/default),
-# SEED (default 0), SAMPLES (default 200), STEPS (of 1 ms; default 100), JOBS (default 2),
+# Variables: DATA (ST-MNIST zip or folder; default: simulated), INPUT (image, the default, or
+# events), RUN (default runs/default), SEED (default 0), SAMPLES (default 200), STEPS (default 100,
+# of 1 ms, or with events of 20 ms of skin time), JOBS (default 2),
 # TARGET (of make check; default emulator), BOARD and PARTITION (of make loihi-hardware),
 # PYTHON (of 3.11 to 3.13; default: the first on the path that fits).
 # Unset ones leave a run's own settings as they are.
@@ -14,7 +15,7 @@ PYTHON310 ?= $(shell sh setup.sh --find 3.10)
 
 BIN := .venv/bin
 STMNIST := $(BIN)/stmnist
-SOURCE_OPTIONS := $(if $(DATA),--data "$(DATA)") $(if $(SEED),--seed $(SEED)) --jobs $(JOBS)
+SOURCE_OPTIONS := $(if $(DATA),--data "$(DATA)") $(if $(INPUT),--input $(INPUT)) $(if $(SEED),--seed $(SEED)) --jobs $(JOBS)
 BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $(PARTITION))
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
 
@@ -48,7 +49,7 @@ check: convert  ## The bundle's check on TARGET, next to the reference simulator
 	@$(STMNIST) check compare $(RUN)/checks/nengo.json $(RUN)/checks/$(TARGET).json
 
 benchmark: setup  ## The paper's Table 2 on ten splits, beside the paper's figures (not SLAYER's)
-	@$(STMNIST) benchmark table2 --out $(dir $(RUN))table2 $(SOURCE_OPTIONS) $(if $(SAMPLES),--set check.samples=$(SAMPLES)) $(if $(STEPS),--set presentation.steps=$(STEPS))
+	@$(STMNIST) benchmark table2 --out $(dir $(RUN))table2 $(filter-out --input $(INPUT),$(SOURCE_OPTIONS)) $(if $(SAMPLES),--set check.samples=$(SAMPLES)) $(if $(STEPS),--set presentation.steps=$(STEPS))
 
 report: loihi-emulate  ## RUN as one HTML file, RUN/report.html, with Table 2 where it was measured
 	@$(STMNIST) report $(RUN) --jobs $(JOBS)

@@ -8,6 +8,7 @@ from typing import Annotated, Optional
 import numpy as np
 import typer
 
+from deploy import limits
 from deploy.errors import UserError
 from pipeline.commands import options
 from pipeline.inputs.library import SIMULATED, load_recordings
@@ -25,7 +26,10 @@ from pipeline.skin.simulate import simulate
 Source = Annotated[str, typer.Option("--data", help="ST-MNIST zip or folder, or 'simulated'.")]
 SimulationSeed = Annotated[int, typer.Option("--seed", help="Seed of simulated recordings.", min=0)]
 PerDigit = Annotated[
-    int, typer.Option(help="Recordings of each digit; 0 for the published numbers.", min=0)
+    int,
+    typer.Option(
+        help="Recordings of each digit; 0 for the published numbers.", min=0, max=limits.SAMPLES
+    ),
 ]
 
 

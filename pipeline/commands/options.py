@@ -22,8 +22,12 @@ Data = Annotated[
     typer.Option(help="ST-MNIST zip or folder, or 'simulated' (default: the run's own)."),
 ]
 Seed = Annotated[Optional[int], typer.Option(help="Seed of split, training and samples.")]  # noqa: UP045
+Input = Annotated[
+    Optional[str],  # noqa: UP045
+    typer.Option("--input", help="What the chip is shown: 'image' or 'events'."),
+]
 Samples = Annotated[Optional[int], typer.Option(help="Samples of the check.")]  # noqa: UP045
-Steps = Annotated[Optional[int], typer.Option(help="Steps of 1 ms that a sample is shown.")]  # noqa: UP045
+Steps = Annotated[Optional[int], typer.Option(help="Steps that a sample is shown.")]  # noqa: UP045
 SettingsFile = Annotated[
     Optional[Path],  # noqa: UP045
     typer.Option("--settings", help="A TOML file to start from instead of the run's own."),
@@ -52,6 +56,7 @@ def opened(
     steps=None,
     settings=None,
     assignments=None,
+    kind=None,
     changes=None,
 ):
     """A folder for this process alone, with its settings and the options that were given.
@@ -59,8 +64,8 @@ def opened(
     Parameters
     ----------
     path : Path
-    data, seed, samples, steps, settings, assignments
-        What the options of the same names gave, or None.
+    data, seed, samples, steps, settings, assignments, kind
+        What the options of the same names gave (``kind``: ``--input``), or None.
     changes : dict, optional
         Of settings, which the options go before.
 
@@ -80,6 +85,7 @@ def opened(
             data = str(Path(data).absolute())  # the run can be repeated from any folder
         for section, name, value in (
             ("data", "source", data),
+            ("input", "kind", kind),
             (None, "seed", seed),
             ("check", "samples", samples),
             ("presentation", "steps", steps),

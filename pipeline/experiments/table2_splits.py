@@ -256,7 +256,7 @@ def _loihi_answers(settings, weights, dataset, seed):
     from pipeline.run.conversion import deployed
 
     shown = draw_check_samples(dataset.split.test, settings.check.samples, seed)
-    spec = deployed(settings, weights, {}, dataset.part("train")[0])
+    spec = deployed(settings, weights, {}, dataset.part("train"))
     return shown, answer(spec, dataset.inputs[shown], LOIHI_TARGET, seed).predictions
 
 

@@ -74,7 +74,7 @@ def advanced(arrays):
 @pytest.mark.parametrize("make", [small_spec, host_first_spec, paper_spec])
 def test_plain_integers_of_the_file_give_every_spike_of_fast(make):
     spec = make() if make is not paper_spec else paper_spec(steps=40, gap=5)
-    images = random_checks(spec, 4).images
+    images = random_checks(spec, 4).inputs
     program = compile_spec(spec)
     found = advanced(lava_arrays(spec, images))
     ours = spikes_of(program, spec, images)
@@ -96,7 +96,7 @@ def blocks_apart():
 
 def test_blocks_of_different_thresholds_become_populations_of_their_own():
     spec = blocks_apart()
-    images = random_checks(spec, 3).images
+    images = random_checks(spec, 3).inputs
     arrays = lava_arrays(spec, images)
     populations = json.loads(str(arrays["description"]))["populations"]
     assert [p["name"] for p in populations] == ["conv1", "conv2#1", "conv2#2"]
@@ -118,7 +118,7 @@ def host_output():
 )
 def test_spikes_give_the_answers_of_fast(make):
     spec = make()
-    images = random_checks(spec, 7).images
+    images = random_checks(spec, 7).inputs
     program = compile_spec(spec)
     ours = responses_of(spec, program, spikes_of(program, spec, images))
     theirs = answer(spec, images, "fast")
@@ -140,7 +140,7 @@ def test_one_bit_is_found(tmp_path, capsys):
 
 def test_without_refractory_time_and_floor_there_are_more_spikes():
     spec = paper_spec(steps=40, gap=5)
-    images = random_checks(spec, 3).images
+    images = random_checks(spec, 3).inputs
     program = compile_spec(spec)
     free = without_refractory_and_floor(program)
     few, many = (spikes_of(p, spec, images)["conv2"] for p in (program, free))
@@ -160,7 +160,7 @@ def test_weights_that_do_not_fit_are_refused(monkeypatch):
     network = export._replaced(program.network, weights=odd, segments=segments)
     monkeypatch.setattr(export, "compile_spec", lambda spec: program._replace(network=network))
     with pytest.raises(UserError, match="a weight does not fit"):
-        lava_arrays(small_spec(), random_checks(small_spec(), 1).images)
+        lava_arrays(small_spec(), random_checks(small_spec(), 1).inputs)
 
 
 def run_lava(network, wanted, *options):
@@ -198,7 +198,7 @@ def test_other_networks_in_lava(tmp_path, make, sizes):
 
 
 def compare_with_lava(tmp_path, spec, count, sizes):
-    images = random_checks(spec, count).images
+    images = random_checks(spec, count).inputs
     program = compile_spec(spec)
     write_lava(tmp_path / "network.npz", spec, images)
     for options, ours in (((), program), (("--stock",), without_refractory_and_floor(program))):
