@@ -87,7 +87,7 @@ setup-nir: .venv-nir/installed  ## Make .venv-nir: Norse on PyTorch for the CPU,
 	@touch $@
 
 test-nir: setup setup-nir  ## Show that Norse gives what the export to NIR should
-	@$(BIN)/python -m pytest tests/deploy/test_nir.py
+	@$(BIN)/python -m pytest tests/deploy/network/test_nir.py
 
 check-nir: convert setup-nir  ## The check's samples in Norse, compared with checks/emulator.json
 	@$(STMNIST) check run $(RUN)/bundle --target emulator

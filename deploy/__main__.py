@@ -2,13 +2,13 @@
 
 import sys
 
-from deploy.host import complaint
+from .requirements import complaint
 
 if __name__ == "__main__":
     problem = complaint()
     if problem is not None:
         print("deploy: " + problem, file=sys.stderr)
         sys.exit(2)
-    from deploy.cli import main
+    from .cli import main
 
     sys.exit(main())

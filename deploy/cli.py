@@ -8,13 +8,13 @@ import sys
 from pathlib import Path
 
 from . import __version__
-from .bundle import RESULTS, read_bundle
-from .checks import run_check
+from .check.bundle import RESULTS, read_bundle
+from .check.results import compare, read_result
+from .check.run import run_check
 from .errors import CheckFailed, UserError
-from .hardware import Settings, nxsdk_version, settings_for
-from .plan import make_plan, plan_text
-from .results import compare, read_result
-from .targets import TARGETS
+from .preflight.plan import make_plan, plan_text
+from .targets.board import Settings, nxsdk_version, settings_for
+from .targets.registry import TARGETS
 
 
 def main(arguments=None) -> int:

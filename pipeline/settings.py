@@ -11,7 +11,9 @@ from pathlib import Path
 from deploy.errors import UserError
 from deploy.files import replacing
 from models.notation import NotationError, parse
-from pipeline.images import AGGREGATIONS, NORMALISATIONS
+
+AGGREGATIONS = ("count", "columns", "signed", "on", "off")
+NORMALISATIONS = ("max", "sum", "sqrt-max", "none")
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class Data:
 
 @dataclass(frozen=True)
 class Image:
-    """How events become a tactile image; see :mod:`pipeline.images`."""
+    """How events become a tactile image; see :mod:`pipeline.inputs.images`."""
 
     aggregation: str = "count"
     normalisation: str = "max"
@@ -67,7 +69,7 @@ class SNN:
     the ripple of spikes, starting from the CNN's weights; ``"paper"``: plain rate-based LIF, from
     new weights, trained as the CNN is."""
     epochs: int = 0
-    """0 here and in the next two for the recipe's own; see pipeline/training.py."""
+    """0 here and in the next two for the recipe's own; see pipeline/training/networks.py."""
     batch_size: int = 0
     learning_rate: float = 0.0
     noise: float = 0.1
@@ -120,7 +122,7 @@ class Slayer:
 
 @dataclass(frozen=True)
 class Deployment:
-    """How the spiking network is laid out; see :mod:`deploy.network_spec`."""
+    """How the spiking network is laid out; see :mod:`deploy.network.spec`."""
 
     first_layer: str = "chip"
     """``"chip"``: the image becomes spikes in an input layer on the host, all convolutions are on
@@ -138,7 +140,7 @@ class Deployment:
 
 @dataclass(frozen=True)
 class Presentation:
-    """How samples are shown; see :class:`deploy.network_spec.Presentation`."""
+    """How samples are shown; see :class:`deploy.network.spec.Presentation`."""
 
     steps: int = 100
     gap: int = 20

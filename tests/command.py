@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 def call(*arguments) -> int:
     """Run it in this process and return its exit status; ``capsys`` has what it printed."""
-    from pipeline.cli import main
+    from pipeline.commands.main import main
 
     try:
         main([str(argument) for argument in arguments])
@@ -31,7 +31,7 @@ def start(*arguments, **options) -> subprocess.Popen:
     Ctrl-C reaches it even if these tests run in a shell's background, where it is ignored.
     """
     return subprocess.Popen(
-        [sys.executable, "-m", "pipeline.cli", *map(str, arguments)],
+        [sys.executable, "-m", "pipeline", *map(str, arguments)],
         env=environment(),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

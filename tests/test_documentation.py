@@ -6,10 +6,9 @@ import subprocess
 import pytest
 import typer.main
 
-from pipeline.cli import app
-from pipeline.reference import BEGIN, END, with_reference
-
-from .command import ROOT
+from pipeline.commands.main import app
+from pipeline.commands.reference import BEGIN, END, with_reference
+from tests.command import ROOT
 
 README = ROOT / "README.md"
 TARGETS = [
@@ -36,7 +35,9 @@ def readme():
         pytest.skip("there is no README.md yet")
     text = README.read_text(encoding="utf-8")
     if f"{BEGIN}\n{END}" in text:
-        pytest.skip("the README's reference is not written yet: python -m pipeline.reference")
+        pytest.skip(
+            "the README's reference is not written yet: python -m pipeline.commands.reference"
+        )
     return text
 
 
@@ -60,7 +61,7 @@ def test_a_command_is_in_the_readme(words):
 
 def test_the_readmes_reference_is_the_current_one():
     text = readme()
-    assert text == with_reference(text), "run: python -m pipeline.reference README.md"
+    assert text == with_reference(text), "run: python -m pipeline.commands.reference README.md"
 
 
 def test_every_option_is_in_the_readme():

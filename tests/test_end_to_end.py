@@ -6,12 +6,11 @@ import shutil
 import numpy as np
 import pytest
 
-from deploy.bundle import read_bundle
+from deploy.check.bundle import read_bundle
+from deploy.check.results import read_result
 from deploy.files import read_arrays, read_json
-from deploy.results import read_result
 from pipeline.settings import read_settings
-
-from .command import call
+from tests.command import call
 
 STAGES = ["cnn", "rate-lif", "spiking-lif", "nengo", "simreal", "emulator"]
 
@@ -121,7 +120,7 @@ def test_only_what_a_change_concerns_is_redone(tiny_run, tmp_path, capsys):
 
 
 def test_real_data_are_not_called_simulated(tmp_path, capsys):
-    from .pipeline.handmade import archive, good_members
+    from tests.pipeline.handmade import archive, good_members
 
     archive(tmp_path / "st.zip", good_members(3))
     assert call("data", "import", tmp_path / "st.zip", "--json", "--jobs", 1) == 0

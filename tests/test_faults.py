@@ -9,13 +9,12 @@ import time
 import numpy as np
 import pytest
 
+from deploy.check.results import read_result
 from deploy.files import read_json, write_json
-from deploy.results import read_result
-from pipeline.run_folder import RunFolder
+from pipeline.run.folder import RunFolder
 from pipeline.settings import read_settings
-
-from .command import call, start
-from .pipeline.handmade import archive, good_members
+from tests.command import call, start
+from tests.pipeline.handmade import archive, good_members
 
 TINY = ["--set", "data.samples_per_digit=60", "--set", "check.samples=20"]
 

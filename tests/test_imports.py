@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from deploy.files import read_json
-
-from .command import ROOT, environment
+from tests.command import ROOT, environment
 
 HIDDEN = (
     "tensorflow",
@@ -56,6 +55,65 @@ def imported(path):
     return names
 
 
+FLOORS = {
+    "pipeline": [
+        {"settings", "progress"},
+        {"recordings"},
+        {"skin"},
+        {"inputs", "training"},
+        {"run"},
+        {"experiments"},
+        {"report"},
+        {"live"},
+        {"commands"},
+        {"__main__"},
+    ],
+    "deploy": [
+        {"errors", "tables", "requirements"},
+        {"files"},
+        {"network"},
+        {"preflight"},
+        {"targets"},
+        {"check"},
+        {"cli"},
+        {"__main__"},
+    ],
+}
+"""Of each package, from the ground up: a module imports from its own floor's room or from below."""
+
+
+def rooms_imported(path):
+    """``(package, room)`` of each module of ours that a source file imports, wherever in it."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            above = path.relative_to(ROOT).parts[: -node.level] if node.level else ()
+            base = ".".join((*above, *([node.module] if node.module else [])))
+            names = [f"{base}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        for name in names:
+            package, _, rest = name.partition(".")
+            room = rest.split(".")[0]
+            if package in FLOORS and (ROOT / package / room).with_suffix("").name:
+                there = (ROOT / package / room).is_dir() or (ROOT / package / f"{room}.py").exists()
+                if room and there:
+                    yield package, room
+
+
+@pytest.mark.parametrize("package", sorted(FLOORS))
+def test_imports_go_down_the_floors(package):
+    floor_of = {room: n for n, rooms in enumerate(FLOORS[package]) for room in rooms}
+    for path in sources(package):
+        room = path.relative_to(ROOT / package).parts[0].removesuffix(".py")
+        if room == "__init__":
+            continue
+        for other, below in rooms_imported(path):
+            if other == package and below != room:
+                assert floor_of[below] < floor_of[room], f"{path} imports {package}.{below}"
+
+
 @pytest.mark.parametrize("package", sorted(ALLOWED))
 def test_packages_import_one_way(package):
     ours = {"pipeline", "models", "deploy", "tests"}
@@ -77,8 +135,8 @@ def test_each_foreign_world_is_in_one_file():
             if name in imported(path)
         }
 
-    assert users("nengo_dl") == {"pipeline/nengodl.py"}
-    assert users("nengo_loihi") == {"deploy/foreign.py"}
+    assert users("nengo_dl") == {"pipeline/training/nengodl.py"}
+    assert users("nengo_loihi") == {"deploy/network/loihi_import.py"}
     assert users("tensorflow") == {"models/keras2.py"}
 
 
@@ -134,5 +192,5 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 
 def test_the_command_starts_without_tensorflow():
     """Each verb imports it when it trains; a check or a --help does not wait for it."""
-    code = "import sys, pipeline.cli; sys.exit('tensorflow' in sys.modules)"
+    code = "import sys, pipeline.commands.main; sys.exit('tensorflow' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0

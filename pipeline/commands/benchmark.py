@@ -11,14 +11,14 @@ import typer
 
 from deploy.errors import CheckFailed, UserError
 from deploy.files import write_json
-from pipeline import table2
 from pipeline.commands import options
-from pipeline.parallel import Failure, run_jobs
+from pipeline.experiments import table2
+from pipeline.experiments.jobs import Failure, run_jobs
+from pipeline.experiments.table2_summary import summarise, table_text
+from pipeline.inputs.library import load_recordings, recordings_of
 from pipeline.progress import progress
-from pipeline.run_folder import RunFolder
+from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings
-from pipeline.sources import load_recordings, recordings_of
-from pipeline.table2_summary import summarise, table_text
 
 app = typer.Typer(help="The paper's Table 2, and speed.", no_args_is_help=True)
 
@@ -112,8 +112,8 @@ def training(
     as_json: options.Json = False,
 ):
     """Time the training of the rate-based network: NengoDL's fit, Keras's, several at once."""
-    from pipeline.images import tactile_images
-    from pipeline.training_speed import WAYS, measure, speed_text
+    from pipeline.experiments.training_speed import WAYS, measure, speed_text
+    from pipeline.inputs.images import tactile_images
 
     settings = Settings()
     recordings = load_recordings(samples_per_digit=samples, jobs=jobs)

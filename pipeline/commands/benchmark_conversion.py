@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
-from pipeline import conversion_choices as choices
 from pipeline.commands import options
 from pipeline.commands.benchmark import app
-from pipeline.commands.over_splits import Measurement, run
+from pipeline.experiments import choices
+from pipeline.experiments.study import Measurement, run
 
 
 @app.command("conversion")
@@ -38,4 +38,4 @@ def conversion(
         choices.choices_text,
         depends_on=(choices.SCHEMA, [asdict(choice) for choice in choices.CHOICES]),
     )
-    run(measurement, out, splits, data, settings, set_, jobs, as_json)
+    run(measurement, out, splits, options.resolver(data, settings, set_), jobs, as_json)

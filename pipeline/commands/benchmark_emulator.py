@@ -8,12 +8,12 @@ from typing import Annotated, Optional
 
 import typer
 
-from deploy.bundle import read_bundle
+from deploy.check.bundle import read_bundle
 from deploy.errors import CheckFailed
-from pipeline import emulator_limits
 from pipeline.commands import options
 from pipeline.commands.benchmark import app
-from pipeline.emulator_benchmark import compare
+from pipeline.experiments import emulator_limits
+from pipeline.experiments.emulator_speed import compare
 from pipeline.progress import progress
 
 

@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from pipeline import losses
 from pipeline.commands import options
 from pipeline.commands.benchmark import app
-from pipeline.commands.over_splits import Measurement, run
+from pipeline.experiments import losses
+from pipeline.experiments.study import Measurement, run
 
 
 @app.command("losses")
@@ -39,4 +39,4 @@ def losses_(
         depends_on=(losses.SCHEMA,),
         check=losses.check,
     )
-    run(measurement, out, seeds, data, settings, set_, jobs, as_json)
+    run(measurement, out, seeds, options.resolver(data, settings, set_), jobs, as_json)

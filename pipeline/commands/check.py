@@ -8,14 +8,14 @@ from typing import Annotated, Optional
 
 import typer
 
-from deploy.bundle import read_bundle
-from deploy.checks import run_check
+from deploy.check.bundle import read_bundle
+from deploy.check.results import compare as compare_results
+from deploy.check.results import read_result
+from deploy.check.run import run_check
 from deploy.cli import comparison_text, enforce, summary
-from deploy.hardware import Settings as HardwareSettings
-from deploy.hardware import settings_for
-from deploy.results import compare as compare_results
-from deploy.results import read_result
-from deploy.targets import TARGETS
+from deploy.targets.board import Settings as HardwareSettings
+from deploy.targets.board import settings_for
+from deploy.targets.registry import TARGETS
 from pipeline.commands import options
 from pipeline.progress import progress
 

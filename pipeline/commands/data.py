@@ -12,9 +12,9 @@ import typer
 
 from deploy.errors import UserError
 from pipeline.commands import options
-from pipeline.matfiles import BadRecording, read_recording
-from pipeline.recordings import Events, expand_bursts
-from pipeline.sources import load_recordings
+from pipeline.inputs.library import load_recordings
+from pipeline.recordings.events import Events, expand_bursts
+from pipeline.recordings.matfile import BadRecording, read_recording
 
 app = typer.Typer(help="Recordings: read, look at, make, count, draw.", no_args_is_help=True)
 

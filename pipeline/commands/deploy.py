@@ -10,14 +10,14 @@ from typing import Annotated, Optional
 
 import typer
 
-from deploy.bundle import read_bundle
-from deploy.energy import estimate, estimate_text
+from deploy.check.bundle import read_bundle
+from deploy.check.energy import estimate, estimate_text
+from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import replacing, write_arrays
-from deploy.nir_export import input_spikes, write_nir
-from deploy.plan import make_plan, plan_text
-from deploy.rates import firing_rates, rate_summary, rate_warnings, rates_text
-from deploy.results import read_result
+from deploy.network.nir import input_spikes, write_nir
+from deploy.preflight.plan import make_plan, plan_text
+from deploy.preflight.rates import firing_rates, rate_summary, rate_warnings, rates_text
 from pipeline.commands import options
 
 app = typer.Typer(help="Before and beside a board: what fits, exports.", no_args_is_help=True)
@@ -101,7 +101,7 @@ def energy(
 
 
 def _draw(made, path):
-    from pipeline.placement import placement_figure
+    from pipeline.report.placement import placement_figure
 
     kind = path.suffix.lstrip(".").lower()
     if kind not in ("png", "svg", "pdf"):

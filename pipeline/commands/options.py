@@ -7,9 +7,9 @@ from typing import Annotated, Optional
 
 import typer
 
-from pipeline.run_folder import RunFolder
+from pipeline.inputs.library import SIMULATED
+from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings, parse_assignments
-from pipeline.sources import SIMULATED
 
 Run = Annotated[Path, typer.Argument(help="The run's folder, such as runs/default.")]
 Data = Annotated[
@@ -29,6 +29,11 @@ Assignments = Annotated[
 ]
 Jobs = Annotated[int, typer.Option(help="Processes.", min=1)]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+def resolver(data=None, settings_file=None, assignments=None):
+    """:func:`resolve` of whatever folder it is called with."""
+    return lambda run: resolve(run, data, settings_file=settings_file, assignments=assignments)
 
 
 def resolve(

@@ -9,20 +9,21 @@ from typing import Annotated, Optional
 import numpy as np
 import typer
 
-from deploy.bundle import read_bundle
+from deploy.check.bundle import read_bundle
+from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import read_json, replacing
-from deploy.plan import make_plan
-from deploy.results import read_result
-from pipeline import report, table2
+from deploy.preflight.plan import make_plan
 from pipeline.commands import options
-from pipeline.history import read_history
-from pipeline.ladder import STAGES
+from pipeline.experiments import table2
+from pipeline.inputs.library import recordings_of
 from pipeline.progress import progress
-from pipeline.replay import replay
-from pipeline.run_folder import RunFolder
+from pipeline.report import page as report
+from pipeline.report.replay import replay
+from pipeline.run.folder import RunFolder
+from pipeline.run.history import read_history
+from pipeline.run.ladder import STAGES
 from pipeline.settings import read_settings
-from pipeline.sources import recordings_of
 
 REMEDY = "delete it and make it again"
 

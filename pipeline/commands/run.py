@@ -8,16 +8,16 @@ from typing import Annotated, Optional
 
 import typer
 
+from deploy.check.results import read_result
 from deploy.files import read_json, replacing, write_json
-from deploy.results import read_result
-from pipeline import stages
 from pipeline.commands import options
-from pipeline.diagnosis import layers_json
-from pipeline.ladder import SLOW, STAGES, WHOLE_STAGES, ladder_json, ladder_text
 from pipeline.progress import progress
-from pipeline.references import STAGES as REFERENCES
-from pipeline.references import rate_activations
-from pipeline.run_folder import RunFolder
+from pipeline.run import stages
+from pipeline.run.answers import STAGES as REFERENCES
+from pipeline.run.answers import rate_activations
+from pipeline.run.diagnosis import layers_json
+from pipeline.run.folder import RunFolder
+from pipeline.run.ladder import SLOW, STAGES, WHOLE_STAGES, ladder_json, ladder_text
 
 
 def train(
@@ -100,7 +100,7 @@ def ladder(
         table = ladder_json(results, _layers(folder, path, resolved, bundle), left_out)
         write_json(path, table)
         if whole:
-            from pipeline.ladder_figures import confusion  # imports Matplotlib
+            from pipeline.report.confusion import confusion  # imports Matplotlib
 
             with replacing(folder.confusion) as file:
                 confusion(table).savefig(file, format="png", dpi=100)

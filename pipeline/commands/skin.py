@@ -14,16 +14,17 @@ from rich.table import Table
 
 from deploy.errors import CheckFailed, UserError
 from deploy.files import replacing, write_json
-from pipeline import statistics
-from pipeline.archive import write_zip
 from pipeline.commands import options
 from pipeline.commands.data import app
+from pipeline.experiments import difficulty as measured
+from pipeline.inputs.library import SIMULATED, load_recordings
 from pipeline.progress import progress
+from pipeline.recordings import table1 as statistics
+from pipeline.recordings.archive import write_zip
 from pipeline.settings import Settings
-from pipeline.skin import aces, calibrate, parameters, unipen
-from pipeline.skin import difficulty as measured
+from pipeline.skin import aces, parameters, unipen
+from pipeline.skin import calibration as calibrate
 from pipeline.skin.simulate import SAMPLES_PER_DIGIT, simulate, source_of
-from pipeline.sources import SIMULATED, load_recordings
 
 Source = Annotated[str, typer.Option("--data", help="ST-MNIST zip or folder, or 'simulated'.")]
 SimulationSeed = Annotated[int, typer.Option("--seed", help="Seed of simulated recordings.", min=0)]
@@ -183,7 +184,7 @@ def plot(
 
     sheet: tactile images of random samples of each digit.
     """
-    from pipeline import data_figures  # Matplotlib takes a second to import
+    from pipeline.report import recordings as data_figures  # Matplotlib takes a second to import
 
     if what not in FIGURES:
         raise UserError(f"{what!r} is no figure; choose one of {', '.join(FIGURES)}")
@@ -220,7 +221,7 @@ def calibrate_(
 ):
     """Fit the simulated recordings to the paper's Table 1, or check the fit.
 
-    How is described in pipeline/skin/calibrate.py.  The simulation reads the file that is written
+    How is described in pipeline/skin/calibration.py.  The simulation reads the file that is written
     by default.
     """
     fitted = parameters.load()

@@ -11,12 +11,12 @@ import typer
 
 from deploy.errors import CheckFailed
 from deploy.files import read_json, replacing, write_json
-from pipeline import sweep
 from pipeline.commands import options
-from pipeline.parallel import Failure, run_jobs
+from pipeline.experiments import sweep
+from pipeline.experiments.jobs import Failure, run_jobs
+from pipeline.experiments.sweep_text import sweep_csv, sweep_text
 from pipeline.progress import progress
-from pipeline.run_folder import RunFolder
-from pipeline.sweep_text import sweep_csv, sweep_text
+from pipeline.run.folder import RunFolder
 
 
 def sweep_(
@@ -52,7 +52,7 @@ def sweep_(
         with replacing(out / "sweep.csv", "w") as file:
             file.write(sweep_csv(summary))
         if summary["points"]:
-            from pipeline.sweep_figures import pareto  # imports Matplotlib
+            from pipeline.report.pareto import pareto  # imports Matplotlib
 
             with replacing(out / "pareto.png") as file:
                 pareto(summary).savefig(file, format="png", dpi=120)

@@ -18,7 +18,7 @@ import functools
 
 import numpy as np
 
-from pipeline.recordings import N_TAXELS, TICK_NS, Events
+from pipeline.recordings.events import N_TAXELS, TICK_NS, Events
 
 SIGNATURE_SEED = 2020
 """Of the random search for signatures; part of the simulated hardware, not of a data set."""

@@ -12,7 +12,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from deploy.errors import UserError
-from pipeline.recordings import GRID, N_TAXELS, Recordings, Source, TaxelMap, collect
+from pipeline.recordings.events import GRID, N_TAXELS, Recordings, Source, TaxelMap, collect
 from pipeline.skin import aces, handwriting, unipen
 from pipeline.skin import parameters as settings
 from pipeline.skin.contact import press

@@ -2,7 +2,7 @@
 
 import pytest
 
-from . import standin
+from tests.deploy import standin
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deploy.foreign import nengo_loihi
-from deploy.network import build
-from deploy.network_spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.build import build
+from deploy.network.loihi_import import nengo_loihi
+from deploy.network.spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
 
 LOUD = 300.0
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from deploy.bundle import CheckSet, write_bundle
-from deploy.network_spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
+from deploy.check.bundle import CheckSet, write_bundle
+from deploy.network.spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
 
 LIF = Neurons("lif", amplitude=0.01)
 

@@ -14,11 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy import host
-from deploy.checks import run_check
-
-from .networks import bundle_at, small_spec
-from .standin import STANDIN
+from deploy import requirements as host
+from deploy.check.run import run_check
+from tests.deploy.networks import bundle_at, small_spec
+from tests.deploy.standin import STANDIN
 
 ROOT = Path(__file__).parent.parent.parent
 INRC = ROOT / "deploy" / "inrc"
@@ -242,7 +241,7 @@ pip() {{ [ "$1" = install ] && if [ "$2" = -r ]; then [ -f "$3" ]; fi; }}
     command(commands, "python", f'#!/bin/bash\nexec "{sys.executable}" "$@"\n')
     command(
         commands, "stmnist", f'#!/bin/bash\nPYTHONPATH="{ROOT}" exec "{sys.executable}" '
-        '-c "from pipeline.cli import main; main()" "$@"\n',
+        '-c "from pipeline.commands.main import main; main()" "$@"\n',
     )  # fmt: skip
     return {
         "PATH": f"{commands}:{os.environ['PATH']}",

@@ -2,7 +2,7 @@ import nengo
 import numpy as np
 import pytest
 
-from deploy.foreign import nengo_loihi
+from deploy.network.loihi_import import nengo_loihi
 from models.keras2 import tf
 from models.lif import RateLIF, gain_for, on_chip_time_constants
 

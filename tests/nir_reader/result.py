@@ -7,11 +7,11 @@ import sys
 
 import numpy as np
 
-from deploy.bundle import read_bundle
-from deploy.checks import records_of
+from deploy.check.bundle import read_bundle
+from deploy.check.results import result_of
+from deploy.check.run import records_of
 from deploy.files import read_arrays, write_json
-from deploy.presentation import read_output
-from deploy.results import result_of
+from deploy.network.responses import read_output
 
 REMEDY = "run 'make check-nir' again"
 

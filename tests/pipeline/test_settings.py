@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from deploy.errors import UserError
 from deploy.files import write_json
-from deploy.network_spec import Presentation
-from pipeline.run_folder import RunFolder, is_current, stamp_of
+from deploy.network.spec import Presentation
+from pipeline.run.folder import RunFolder, is_current, stamp_of
 from pipeline.settings import Settings, parse_assignments, read_settings, write_settings
 
 

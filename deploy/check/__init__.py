@@ -1,0 +1,1 @@
+"""The check: bundle, results, and what they say."""

@@ -1,0 +1,216 @@
+"""The bundle: a folder with everything that a host needs to run the network and its check.
+
+========================  ==================================================================
+``network.json``          schema, layers, neurons, time step, presentation, placement
+``weights.npz``           weights and biases of each layer
+``checks.npz``            images, labels and sample ids of the check, and its seed
+``deploy.pyz``            this package as a zipapp
+``MANIFEST.json``         SHA-256 of each file; its own SHA-256 is the bundle's id
+``checks/``               not part of the bundle: where ``deploy.pyz`` leaves results
+========================  ==================================================================
+
+Nothing in a bundle is executed on reading, and a file that does not match its hash is refused.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import tempfile
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import UserError
+from ..files import read_arrays, read_json, replacing, sha256_of, write_arrays, write_json
+from ..network.spec import NetworkSpec
+
+NETWORK_SCHEMA = "stmnist-bundle/1"
+MANIFEST_SCHEMA = "stmnist-manifest/1"
+FILES = ("network.json", "weights.npz", "checks.npz", "deploy.pyz")
+RESULTS = "checks"
+_REMEDY = "delete the folder and make it again with 'stmnist convert', or copy it again"
+
+
+@dataclass(frozen=True)
+class CheckSet:
+    """The samples that every target answers.
+
+    Attributes
+    ----------
+    images : ndarray, shape (n_samples, rows, columns, channels)
+        Normalised tactile images.
+    labels : ndarray of int, shape (n_samples,)
+    ids : tuple of str
+    seed : int
+        By which they were drawn from the test split.
+    """
+
+    images: np.ndarray
+    labels: np.ndarray
+    ids: tuple
+    seed: int
+
+    def __len__(self):
+        return len(self.labels)
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """A bundle that has been read and verified.
+
+    Attributes
+    ----------
+    path : Path
+    id : str
+        SHA-256 of ``MANIFEST.json``.
+    spec : NetworkSpec
+    checks : CheckSet
+    """
+
+    path: Path
+    id: str
+    spec: NetworkSpec
+    checks: CheckSet
+
+
+def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
+    """Write a bundle, replacing one that is there, and read it back.
+
+    The folder is filled under a temporary name and then renamed, so that an interruption leaves
+    the earlier bundle as it was.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_dir():
+        raise UserError(f"{path}: is a file, not a bundle's folder; move it away")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(dir=str(path.parent), prefix=".bundle."))
+    except OSError as error:
+        raise UserError(
+            f"{path}: cannot write ({error.strerror}); choose another folder"
+        ) from error
+    try:
+        temporary.chmod(0o755)
+        write_json(temporary / "network.json", {"schema": NETWORK_SCHEMA, **spec.to_json()})
+        write_arrays(temporary / "weights.npz", **spec.arrays())
+        write_arrays(
+            temporary / "checks.npz",
+            images=np.asarray(checks.images, np.float32),
+            labels=np.asarray(checks.labels, np.int64),
+            ids=np.array(checks.ids, dtype=str),
+            seed=np.int64(checks.seed),
+        )
+        with replacing(temporary / "deploy.pyz") as file:
+            file.write(zipapp_bytes())
+        hashes = {name: sha256_of(temporary / name) for name in FILES}
+        write_json(temporary / "MANIFEST.json", {"schema": MANIFEST_SCHEMA, "files": hashes})
+        read_bundle(temporary)
+        _exchange(temporary, path)
+    except OSError as error:
+        raise UserError(f"{path}: cannot write ({error.strerror or error}); free space?") from error
+    finally:
+        shutil.rmtree(str(temporary), ignore_errors=True)
+    return read_bundle(path)
+
+
+def _exchange(new, path):
+    """Put a folder in the place of another in one go, so that there is never half of one."""
+    if not path.exists():
+        os.replace(str(new), str(path))
+        return
+    earlier = Path(tempfile.mkdtemp(dir=str(path.parent), prefix=".bundle."))
+    try:
+        os.replace(str(path), str(earlier / path.name))
+        try:
+            os.replace(str(new), str(path))
+        except BaseException:
+            os.replace(str(earlier / path.name), str(path))
+            raise
+    finally:
+        shutil.rmtree(str(earlier), ignore_errors=True)
+
+
+def read_bundle(path) -> Bundle:
+    """Read and verify a bundle.
+
+    Raises
+    ------
+    UserError
+        It is not a bundle; a file is missing, extra or changed; the schema or the time step is of
+        another version; an array does not fit the description.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        raise UserError(f"{path}: no such bundle folder; make one with 'stmnist convert RUN'")
+    manifest = read_json(path / "MANIFEST.json", "is this a bundle? " + _REMEDY)
+    _check_schema(path / "MANIFEST.json", manifest.get("schema"), MANIFEST_SCHEMA)
+    hashes = manifest.get("files")
+    if not isinstance(hashes, dict) or sorted(hashes) != sorted(FILES):
+        raise UserError(f"{path / 'MANIFEST.json'}: does not list the files of a bundle; {_REMEDY}")
+    for name in FILES:
+        if not (path / name).is_file():
+            raise UserError(f"{path / name}: missing from the bundle; {_REMEDY}")
+        if sha256_of(path / name) != hashes[name]:
+            raise UserError(f"{path / name}: changed since the bundle was made; {_REMEDY}")
+    extra = {p.name for p in path.iterdir()} - {*FILES, "MANIFEST.json", RESULTS}
+    if extra:
+        raise UserError(
+            f"{path / min(extra)}: not part of the bundle (MANIFEST.json does not list it); "
+            "move it out of the folder"
+        )
+    description = read_json(path / "network.json", _REMEDY)
+    _check_schema(path / "network.json", description.get("schema"), NETWORK_SCHEMA)
+    try:
+        spec = NetworkSpec.from_json(description, read_arrays(path / "weights.npz", _REMEDY))
+        checks = _read_checks(path / "checks.npz", spec)
+    except UserError as error:
+        message = str(error)
+        raise UserError(message if str(path) in message else f"{path}: {message}") from error
+    return Bundle(path, sha256_of(path / "MANIFEST.json"), spec, checks)
+
+
+def _read_checks(path, spec):
+    arrays = read_arrays(path, _REMEDY)
+    try:
+        checks = CheckSet(
+            images=arrays["images"].astype(float),
+            labels=arrays["labels"],
+            ids=tuple(str(name) for name in arrays["ids"]),
+            seed=int(arrays["seed"]),
+        )
+        count = len(checks.labels)
+        fits = checks.images.shape == (count, *spec.input_shape) and len(checks.ids) == count >= 1
+    except (KeyError, ValueError, TypeError) as error:
+        raise UserError(f"{path}: not the samples of a check ({error}); {_REMEDY}") from error
+    if not fits:
+        raise UserError(f"{path}: images, labels and ids do not fit the network; {_REMEDY}")
+    return checks
+
+
+def _check_schema(path, found, known):
+    if found != known:
+        raise UserError(
+            f"{path}: schema {found!r}, but this version reads {known!r}; "
+            "use the version of this package that made the bundle, or make the bundle again"
+        )
+
+
+def zipapp_bytes() -> bytes:
+    """This package as a zipapp, the same bytes for the same source files."""
+    package = Path(__file__).resolve().parent.parent
+    main = 'import runpy\n\nrunpy.run_module("deploy", run_name="__main__")\n'
+    members = {"__main__.py": main.encode()}
+    for source in sorted(package.rglob("*.py")):
+        members[source.relative_to(package.parent).as_posix()] = source.read_bytes()
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, content in members.items():
+            member = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
+            member.compress_type = zipfile.ZIP_DEFLATED
+            member.external_attr = 0o644 << 16
+            archive.writestr(member, content)
+    return buffer.getvalue()

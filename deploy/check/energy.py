@@ -1,0 +1,204 @@
+"""An estimate of energy per inference, from published energies per operation.
+
+For a layer on the chip, with the spikes counted in a check::
+
+    E = synaptic operations * (23.6 + 3.5) pJ + neuron updates * 81 pJ
+
+23.6 pJ a synaptic operation, 3.5 pJ a hop between tiles (the mean of 3.0 and 4.0 pJ in its two
+directions) and 81 pJ the update of an active neuron are from Davies et al. 2018 (IEEE Micro 38(1),
+Table 2), and keras-spiking's ``ModelEnergy`` counts with them in the same way.  A neuron is updated
+at every step, the gap between samples included.  For the CNN of the same architecture::
+
+    E = (multiply-accumulates + neurons) * 8.6 nJ on a CPU, or 0.3 nJ on a GPU
+
+after Degnan et al. 2016 (IEEE Trans. VLSI 24(1)): an Intel i7-4960X, and an Nvidia GTX Titan Black
+with large batches.
+
+Nothing of this is measured.  Left out: idle power, the host (with the encoder and a linear
+readout), getting spikes onto the chip and off it, and memory traffic.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import List
+
+from ..errors import UserError
+from ..network.operations import multiply_accumulates
+from ..network.spec import DT, NetworkSpec
+from ..tables import aligned
+
+LOIHI = {"synaptic operation": (23.6 + 3.5) * 1e-12, "neuron update": 81e-12}
+"""Joules (Davies et al. 2018)."""
+
+MAC = {"cpu": 8.6e-9, "gpu": 0.3e-9}
+"""Joules a multiply-accumulate, and a neuron (Degnan et al. 2016)."""
+
+
+@dataclass(frozen=True)
+class LayerEstimate:
+    """One layer and one inference.
+
+    Attributes
+    ----------
+    layer : str
+    on_chip : bool
+        A layer on the host takes no part in the chip's estimate.
+    synaptic_operations, neuron_updates : float
+        Mean of the check's samples.
+    chip_joules : float
+        0 for a layer on the host.
+    multiply_accumulates, neurons : int
+        Of the same layer of the CNN.
+    """
+
+    layer: str
+    on_chip: bool
+    synaptic_operations: float
+    neuron_updates: float
+    chip_joules: float
+    multiply_accumulates: int
+    neurons: int
+
+    def cnn_joules(self, device: str) -> float:
+        """Of the CNN's layer on ``"cpu"`` or ``"gpu"``."""
+        return (self.multiply_accumulates + self.neurons) * MAC[device]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Energy and latency of one inference, estimated.
+
+    Attributes
+    ----------
+    layers : list of LayerEstimate
+    latency_seconds : float
+        Time that a sample is shown, on the network's clock of 1 ms a step.
+    decided_seconds : float
+        Median time after which the decision no longer changed.
+    """
+
+    layers: List[LayerEstimate]
+    latency_seconds: float
+    decided_seconds: float
+
+    @property
+    def chip_joules(self) -> float:
+        """Of all layers on the chip."""
+        return sum(layer.chip_joules for layer in self.layers)
+
+    def cnn_joules(self, device: str) -> float:
+        """Of the whole CNN."""
+        return sum(layer.cnn_joules(device) for layer in self.layers)
+
+    def to_json(self) -> dict:
+        """Plain values for a program to read."""
+        return {
+            "schema": "stmnist-energy-estimate/1",
+            "estimate": True,
+            "joules_per_inference": {
+                "loihi": self.chip_joules,
+                **{f"cnn_{device}": self.cnn_joules(device) for device in MAC},
+            },
+            "joules_per_operation": {
+                "loihi": LOIHI,
+                **{f"cnn_{device}": value for device, value in MAC.items()},
+            },
+            "latency_seconds": self.latency_seconds,
+            "decided_seconds": self.decided_seconds,
+            "layers": [
+                {
+                    **asdict(layer),
+                    **{f"cnn_{device}_joules": layer.cnn_joules(device) for device in MAC},
+                }
+                for layer in self.layers
+            ],
+        }
+
+
+def estimate(spec: NetworkSpec, result: dict) -> Estimate:
+    """Estimate the energy of an inference from a check's counts.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    result : dict
+        A check result of the bundle, of any target.
+
+    Raises
+    ------
+    UserError
+        The result has no counts of this network's layers.
+    """
+    counted = result.get("synaptic_operations")
+    receiving = {layer.name for layer in spec.layers if layer.placement == "chip"}
+    if not isinstance(counted, dict) or not receiving <= set(counted):
+        raise UserError(
+            "the result has no synaptic operations of this network; run the check again"
+        )
+    samples, shown = result["n_samples"], spec.presentation
+    macs = multiply_accumulates(spec)
+    layers = []
+    for layer in spec.layers:
+        on_chip = layer.placement == "chip"
+        operations = counted.get(layer.name, 0) / samples
+        updates = layer.size * shown.period if layer.neurons is not None else 0
+        layers.append(
+            LayerEstimate(
+                layer=layer.name,
+                on_chip=on_chip,
+                synaptic_operations=operations,
+                neuron_updates=updates,
+                chip_joules=on_chip
+                * (operations * LOIHI["synaptic operation"] + updates * LOIHI["neuron update"]),
+                multiply_accumulates=macs[layer.name],
+                neurons=layer.size,
+            )
+        )
+    return Estimate(layers, shown.steps * DT, result["decided_at_median"] * DT)
+
+
+def estimate_text(value: Estimate) -> str:
+    """An estimate in a table and a few lines."""
+    heads = [
+        "layer",
+        "where",
+        "synaptic operations",
+        "neuron updates",
+        "Loihi",
+        "CNN CPU",
+        "CNN GPU",
+    ]
+    rows = [heads]
+    for layer in value.layers:
+        rows.append(
+            [
+                layer.layer,
+                "chip" if layer.on_chip else "host",
+                f"{layer.synaptic_operations:.0f}",
+                f"{layer.neuron_updates:.0f}",
+                _joules(layer.chip_joules) if layer.on_chip else "-",
+                *(_joules(layer.cnn_joules(device)) for device in MAC),
+            ]
+        )
+    total = [_joules(value.chip_joules), *(_joules(value.cnn_joules(device)) for device in MAC)]
+    rows.append(["total", "", "", "", *total])
+    return "\n".join(
+        [
+            "ESTIMATE of the energy of one inference, from published energies per operation",
+            *aligned(rows, left=2),
+            "Loihi: synaptic operations x 27.1 pJ + neuron updates x 81 pJ (Davies et al. 2018)",
+            "CNN: (multiply-accumulates + neurons) x 8.6 nJ on a CPU, 0.3 nJ on a GPU "
+            "(Degnan et al. 2016)",
+            "left out: idle power, host, spikes to and from the chip, memory traffic",
+            f"latency: shown for {value.latency_seconds * 1000:.0f} ms, decided after "
+            f"{value.decided_seconds * 1000:.0f} ms (median), at 1 ms a step",
+        ]
+    )
+
+
+def _joules(value):
+    for unit, size in (("mJ", 1e-3), ("uJ", 1e-6), ("nJ", 1e-9)):
+        if value >= size:
+            return f"{value / size:.3g} {unit}"
+    return f"{value / 1e-12:.3g} pJ"

@@ -1,0 +1,192 @@
+"""Running a check: stream by stream, saved as it goes, resumed where it stopped."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import time
+from pathlib import Path
+from typing import Optional
+
+from ..errors import UserError
+from ..files import write_json
+from ..network.responses import Responses, streams_of
+from ..targets.board import Settings, describe
+from ..targets.registry import target_named
+from .bundle import Bundle
+from .results import result_of, versions
+
+KEYS = {"id", "label", "prediction", "scores", "decided_at", "decisions", "spikes", "operations"}
+"""What the partial file holds of each sample."""
+
+
+def run_check(
+    bundle: Bundle,
+    target: str,
+    out,
+    seed: int = 0,
+    advance=None,
+    settings: Optional[Settings] = None,
+) -> dict:
+    """Let a target answer the bundle's samples and write the result.
+
+    After each stream its answers are appended to ``.<name>.partial`` beside the result; a run that
+    was interrupted goes on from there with the next stream.  (A sample's answer depends on those
+    before it in its stream, so a stream that was cut short is run again from its start.)
+
+    Parameters
+    ----------
+    bundle : Bundle
+    target : str
+    out : path-like
+        The result, JSON.
+    seed : int
+    advance : callable, optional
+        Called with the number of samples done since the last call, resumed ones included.
+    settings : Settings, optional
+        Which board, for target ``loihi``.
+
+    Returns
+    -------
+    dict
+        The result, as written.
+
+    Raises
+    ------
+    UserError
+        Unknown target, unwritable result, or another process is writing it.
+    """
+    run = target_named(target)
+    if not 0 <= seed < 2**31:
+        raise UserError(f"seed {seed}: must be from 0 to {2**31 - 1}")
+    options = {} if settings is None else {"settings": settings}
+    out = Path(out)
+    streams = streams_of(len(bundle.checks), bundle.spec.presentation.stream_length)
+    images = bundle.checks.images.reshape(len(bundle.checks), -1)
+    header = {"bundle": bundle.id, "target": target, "seed": seed, "versions": versions()}
+    with _partial_file(out, header) as (done, append):
+        for record in done:
+            _advance(advance, record)
+        begun = time.perf_counter()
+        remaining = streams[len(done) :]
+        for part, responses in zip(
+            remaining, run(bundle.spec, [images[s] for s in remaining], seed, **options)
+        ):
+            now = time.perf_counter()
+            record = {"samples": records_of(bundle, part, responses), "seconds": now - begun}
+            if responses.notes:
+                record["notes"] = responses.notes
+            begun = now
+            append(record)
+            done.append(record)
+            _advance(advance, record)
+        samples = [sample for record in done for sample in record["samples"]]
+        notes = [record["notes"] for record in done if "notes" in record]
+        extra = describe(notes) if notes else None
+        result = result_of(bundle, target, seed, samples, sum(r["seconds"] for r in done), extra)
+        write_json(out, result)
+    return result
+
+
+def _advance(advance, record):
+    if advance is not None:
+        advance(len(record["samples"]))
+
+
+def records_of(bundle: Bundle, part: slice, responses: Responses) -> list:
+    """What is kept of each sample of a part of the check."""
+    checks, hashes = bundle.checks, responses.spike_hashes
+    return [
+        {
+            "id": checks.ids[index],
+            "label": int(checks.labels[index]),
+            "prediction": int(responses.predictions[i]),
+            "scores": [float(score) for score in responses.scores[i]],
+            "decided_at": int(responses.decided_at[i]),
+            "decisions": [int(decision) for decision in responses.decisions[i]],
+            "spikes": {name: int(counts[i]) for name, counts in responses.spikes.items()},
+            "operations": {name: int(counts[i]) for name, counts in responses.operations.items()},
+            **({} if hashes is None else {"spike_hash": str(hashes[i])}),
+        }
+        for i, index in enumerate(range(part.start, part.stop))
+    ]
+
+
+@contextlib.contextmanager
+def _partial_file(out: Path, header: dict):
+    """The answers so far, one line a stream after a header line; locked against a second writer."""
+    if out.exists() and not out.is_file():  # said now, not when the answers are there
+        raise UserError(f"{out}: cannot write (not a file); choose another --out")
+    path = out.with_name("." + out.name + ".partial")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        # closed by "with" below; what is not UTF-8 is a damaged line, see _resume
+        file = open(str(path), "a+", encoding="utf-8", errors="replace")  # noqa: SIM115
+    except OSError as error:
+        raise UserError(f"{out}: cannot write ({error.strerror}); choose another --out") from error
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise UserError(
+                f"{out}: another process is writing this result; wait for it or use another --out"
+            ) from None
+        with _disk_errors(path):
+            done = _resume(file, header)
+
+        def append(record):
+            with _disk_errors(path):
+                _write_now(file, json.dumps(record) + "\n")
+
+        yield done, append
+        with contextlib.suppress(OSError):
+            path.unlink()
+
+
+@contextlib.contextmanager
+def _disk_errors(path):
+    try:
+        yield
+    except OSError as error:
+        raise UserError(
+            f"{path}: cannot write ({error.strerror}); the streams saved before are safe: "
+            "free some space and run the same command again"
+        ) from error
+
+
+def _write_now(file, text):
+    """Append without a buffer, which a file on a full disk would flush once more as it closes."""
+    rest = text.encode()
+    while rest:
+        rest = rest[os.write(file.fileno(), rest) :]
+    os.fsync(file.fileno())
+
+
+def _resume(file, header):
+    """Read the whole lines of a partial file of the same check; start afresh otherwise."""
+    file.seek(0)
+    lines = file.read().split("\n")[:-1]  # what follows the last newline was cut short
+    try:
+        done = [json.loads(line) for line in lines]
+        sound = bool(done) and done[0] == header and all(map(_is_record, done[1:]))
+    except ValueError:
+        sound = False
+    if sound:
+        file.truncate(len("".join(line + "\n" for line in lines).encode()))
+    else:
+        file.truncate(0)
+        _write_now(file, json.dumps(header) + "\n")
+    return done[1:] if sound else []
+
+
+def _is_record(value):
+    """True for what :func:`run_check` appends; a line may have been damaged since."""
+    return (
+        isinstance(value, dict)
+        and isinstance(value.get("seconds"), float)
+        and isinstance(value.get("samples"), list)
+        and all(isinstance(sample, dict) for sample in value["samples"])
+        and all(sample.keys() >= KEYS for sample in value["samples"])
+    )

@@ -1,0 +1,196 @@
+"""The network rebuilt from its description in pure Nengo, ready for every target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import nengo
+import numpy as np
+
+from .loihi_import import nengo_loihi
+from .spec import DT, Layer, NetworkSpec
+
+MAX_COMPARTMENTS = 1024
+"""Compartments of one core of Loihi 1."""
+
+
+class Feed:
+    """The image at every step of a stream: a function of time for a ``nengo.Node``.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+        Whose presentation it follows.
+
+    Attributes
+    ----------
+    images : ndarray, shape (n_samples, n_pixels)
+        The images of the stream, one after the other; set before a run.
+    """
+
+    def __init__(self, spec):
+        self.period = spec.presentation.period
+        self.gap = spec.presentation.gap
+        self.blank = np.zeros(int(np.prod(spec.input_shape)))
+        self.images = self.blank[None]
+
+    def __call__(self, t):
+        sample, step = divmod(round(float(t) / DT) - 1, self.period)
+        return self.images[sample] if step >= self.gap else self.blank
+
+
+class EvenSpikes(nengo.SpikingRectifiedLinear):
+    """Evenly spaced spikes that begin from the same phase whenever the input has been blank.
+
+    Parameters
+    ----------
+    phase : float
+        Voltage while there is no input, as a share of the threshold.
+    amplitude : float
+    """
+
+    phase = nengo.params.NumberParam("phase", low=0, high=1)
+
+    def __init__(self, phase=0.5, amplitude=1.0):
+        super().__init__(
+            amplitude=amplitude, initial_state={"voltage": nengo.dists.Choice([phase])}
+        )
+        self.phase = phase
+
+    def step(self, dt, J, output, voltage):
+        """One step of Nengo's neurons, then the reset; arrays of any one shape."""
+        super().step(dt, J, output, voltage)
+        voltage[J <= 0] = self.phase
+
+
+@dataclass(frozen=True)
+class Built:
+    """A Nengo network and the handles to feed and read it.
+
+    Attributes
+    ----------
+    network : nengo.Network
+    feed : Feed
+    output : nengo.Probe
+        What the readout says at each step: decoded values on the host, or spikes of output
+        neurons on the chip.
+    spikes : dict of str to nengo.Probe
+        Spikes of each spiking layer, in order.
+    """
+
+    network: nengo.Network
+    feed: Feed
+    output: nengo.Probe
+    spikes: dict
+
+
+def build(spec: NetworkSpec, seed: int = 0) -> Built:
+    """Rebuild the network in Nengo.
+
+    The convolutions onto the chip come from ``Neurons``, each with its bias in the ensemble; so the
+    network needs no host-to-chip decoders and fits NengoLoihi's ``precompute`` mode.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    seed : int
+        Nothing in the network is random; NengoLoihi wants one all the same.
+
+    Returns
+    -------
+    Built
+    """
+    feed = Feed(spec)
+    spikes = {}
+    with nengo.Network(label=spec.architecture, seed=seed) as network:
+        nengo_loihi.add_params(network)
+        source = nengo.Node(feed, size_out=feed.blank.size, label="pixels")
+        if spec.encoder is not None:
+            encoder = _encoder(spec)
+            network.config[encoder].on_chip = False
+            nengo.Connection(source, encoder.neurons, synapse=None)
+            source = encoder.neurons
+            spikes["input"] = nengo.Probe(source)
+        for layer in spec.layers:
+            if layer.neurons is None:
+                target = nengo.Node(size_in=layer.size, label=layer.name)
+            else:
+                ensemble = _ensemble(layer)
+                network.config[ensemble].on_chip = layer.placement == "chip"
+                if layer.placement == "chip":
+                    block = layer.block_shape or default_block(layer.shape)
+                    network.config[ensemble].block_shape = nengo_loihi.BlockShape(
+                        block, layer.shape
+                    )
+                target = ensemble.neurons
+            connection = nengo.Connection(
+                source, target, transform=_transform(layer), synapse=layer.synapse
+            )
+            network.config[connection].pop_type = layer.pop_type
+            output = nengo.Probe(target)
+            if layer.neurons is not None:
+                spikes[layer.name] = output
+            source = target
+    return Built(network, feed, output, spikes)
+
+
+def default_block(shape):
+    """Largest part of a layer, halved along rows and columns, that one core's compartments hold.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        (rows, columns, channels) of a convolution or (units,) of a dense layer.
+    """
+    block = list(shape)
+    while np.prod(block) > MAX_COMPARTMENTS:
+        axis = int(np.argmax(block[:2])) if max(block[:2]) > 1 else len(block) - 1
+        block[axis] = -(-block[axis] // 2)
+    return tuple(block)
+
+
+def _encoder(spec):
+    encoder = spec.encoder
+    return nengo.Ensemble(
+        int(np.prod(spec.input_shape)),
+        1,
+        neuron_type=EvenSpikes(encoder.initial_phase, amplitude=1 / encoder.max_rate),
+        gain=nengo.dists.Choice([encoder.max_rate]),
+        bias=nengo.dists.Choice([0.0]),
+        label="input",
+    )
+
+
+def _ensemble(layer: Layer):
+    neurons = layer.neurons
+    if neurons.kind == "lif":
+        neuron_type = nengo_loihi.neurons.LoihiLIF(
+            tau_rc=neurons.tau_rc,
+            tau_ref=neurons.tau_ref,
+            min_voltage=neurons.min_voltage,
+            amplitude=neurons.amplitude,
+        )
+    else:
+        neuron_type = nengo_loihi.neurons.LoihiSpikingRectifiedLinear(amplitude=neurons.amplitude)
+    per_channel = layer.size // layer.bias.size
+    return nengo.Ensemble(
+        layer.size,
+        1,
+        neuron_type=neuron_type,
+        gain=np.ones(layer.size),
+        bias=np.tile(layer.bias, per_channel),  # channels are the last and fastest dimension
+        label=layer.name,
+    )
+
+
+def _transform(layer: Layer):
+    if layer.kind == "dense":
+        return nengo.Dense((layer.size, int(np.prod(layer.input_shape))), init=layer.weights)
+    return nengo.Convolution(
+        n_filters=layer.shape[-1],
+        input_shape=layer.input_shape,
+        kernel_size=(layer.kernel, layer.kernel),
+        strides=(1, 1),
+        padding="valid",
+        init=layer.weights,
+    )

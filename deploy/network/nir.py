@@ -1,0 +1,195 @@
+"""Export to NIR, the Neuromorphic Intermediate Representation (Pedersen et al. 2024).
+
+NIR describes neurons by differential equations and knows no time step, no amplitude of spikes, no
+refractory period, no lower bound of the voltage and no 8-bit weights.  What the graph says::
+
+    input spikes -> Conv2d -> CubaLIF -> ... -> Flatten -> Affine -> output
+
+with ``tau_syn dI/dt = -I + S`` and ``tau_mem dv/dt = -v + I`` where ``S`` is what the convolution
+gives.  A spike is a pulse of height 1 that lasts one time step ``dt`` of 1 ms; the amplitude of the
+spikes and 1 / dt are in the weights, so that a spike has the same area as on the chip.  The bias
+current is the convolution's bias; it reaches the neuron through the synaptic filter and is whole
+after a few ``tau_syn``.  Readers that know a leak voltage disagree on where it acts, on zero they
+agree.
+
+The encoder is not in the graph: what goes in are its spikes, which
+:func:`input_spikes` gives.  Scores are the mean of the output from the readout's start on.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import nengo
+import numpy as np
+
+from .. import __version__
+from ..errors import UserError
+from ..files import replacing
+from .build import build
+from .responses import streams_of
+from .spec import DT, Layer, NetworkSpec
+
+
+def nir_graph(spec: NetworkSpec):
+    """The network as a ``nir.NIRGraph``.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+
+    Raises
+    ------
+    UserError
+        The package ``nir`` is not installed.
+    """
+    nir = _nir()
+    rows, columns, channels = spec.input_shape
+    nodes = {"input": nir.Input({"input": np.array([channels, rows, columns])})}
+    area = 1.0 if spec.encoder is None else 1 / spec.encoder.max_rate / DT
+    for layer in spec.layers:
+        if layer.kind == "conv":
+            nodes[f"{layer.name}_weights"] = nir.Conv2d(
+                input_shape=layer.input_shape[:2],
+                weight=layer.weights.transpose(3, 2, 0, 1) * area,  # filter, channel, row, column
+                stride=1,
+                padding=0,
+                dilation=1,
+                groups=1,
+                bias=layer.bias.copy(),
+            )
+        else:
+            nodes[f"{layer.name}_flatten"] = nir.Flatten(
+                {"input": _channels_first(layer.input_shape)}, start_dim=0
+            )
+            nodes[f"{layer.name}_weights"] = nir.Affine(
+                weight=_columns_channels_first(layer) * area, bias=layer.bias.copy()
+            )
+        for name, node in _neurons(nir, layer):
+            nodes[name] = node
+        if layer.neurons is not None:
+            area = layer.neurons.amplitude / DT
+    nodes["output"] = nir.Output({"output": _channels_first(spec.layers[-1].shape)})
+    names = list(nodes)
+    return nir.NIRGraph(nodes, list(zip(names[:-1], names[1:])), metadata=_metadata(spec))
+
+
+def write_nir(path, spec: NetworkSpec):
+    """Write the network as a NIR file (HDF5), whole or not at all."""
+    nir = _nir()
+    buffer = io.BytesIO()
+    nir.write(buffer, nir_graph(spec))
+    with replacing(path) as file:
+        file.write(buffer.getvalue())
+
+
+def input_spikes(spec: NetworkSpec, images) -> np.ndarray:
+    """The input of the graph for some samples, in the streams of the network's presentation.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    images : ndarray, shape (n_samples, rows, columns, channels)
+
+    Returns
+    -------
+    ndarray, shape (n_samples, gap + steps, channels, rows, columns)
+        The encoder's spikes, 0 or 1; without an encoder, the blank gap and the image itself.
+    """
+    images = np.asarray(images, float).reshape(len(images), -1)
+    # the encoder alone, with a readout of nothing
+    size, period = images.shape[1], spec.presentation.period
+    nothing = Layer(
+        name="nothing", kind="dense", input_shape=spec.input_shape, shape=(1,), placement="host",
+        neurons=None, synapse=None, kernel=0, block_shape=None, pop_type=32,
+        weights=np.zeros((1, size)), bias=np.zeros(1),
+    )  # fmt: skip
+    spikes = []
+    for part in streams_of(len(images), spec.presentation.stream_length):
+        if spec.encoder is None:
+            shown = np.zeros((part.stop - part.start, period, size))
+            shown[:, spec.presentation.gap :] = images[part, None]
+        else:
+            built = build(replace(spec, layers=(nothing,)))
+            built.feed.images = images[part]
+            with nengo.Simulator(built.network, progress_bar=False, optimize=False) as sim:
+                sim.run_steps(period * (part.stop - part.start))
+            shown = (sim.data[built.spikes["input"]] > 0).reshape(-1, period, size)
+        spikes.append(shown)
+    rows, columns, channels = spec.input_shape
+    spikes = np.concatenate(spikes).reshape(len(images), period, rows, columns, channels)
+    return np.moveaxis(spikes, -1, 2).astype(np.float32)
+
+
+def _nir():
+    try:
+        import nir
+    except ImportError:
+        raise UserError(
+            "export to NIR needs the package nir: pip install 'stmnist-loihi[nir]', or nir alone"
+        ) from None
+    return nir
+
+
+def _channels_first(shape):
+    return np.array([shape[-1], *shape[:-1]])
+
+
+def _columns_channels_first(layer):
+    """A dense layer's weights for an input flattened as (channels, rows, columns)."""
+    by_position = layer.weights.reshape(layer.shape[0], *layer.input_shape)
+    return np.moveaxis(by_position, -1, 1).reshape(layer.weights.shape)
+
+
+def _neurons(nir, layer):
+    """The nodes of a layer's neurons: filter and neuron in one where NIR has that."""
+    if layer.neurons is None:
+        return
+    shape = _channels_first(layer.shape)
+
+    def everywhere(value):
+        return np.full(shape, float(value))
+
+    name, neurons = f"{layer.name}_neurons", layer.neurons
+    common = {"r": everywhere(1), "v_threshold": everywhere(1)}
+    if neurons.kind == "lif" and layer.synapse is not None:
+        yield (
+            name,
+            nir.CubaLIF(
+                tau_syn=everywhere(layer.synapse),
+                tau_mem=everywhere(neurons.tau_rc),
+                v_leak=everywhere(0),
+                w_in=everywhere(1),
+                **common,
+            ),
+        )
+        return
+    if layer.synapse is not None:
+        yield (
+            f"{layer.name}_filter",
+            nir.LI(tau=everywhere(layer.synapse), r=everywhere(1), v_leak=everywhere(0)),
+        )
+    if neurons.kind == "lif":
+        yield name, nir.LIF(tau=everywhere(neurons.tau_rc), v_leak=everywhere(0), **common)
+    else:
+        yield name, nir.IF(**common)
+
+
+def _metadata(spec):
+    """What NIR has no place for, as text and numbers."""
+    shown = spec.presentation
+    return {
+        "made_by": f"stmnist-loihi {__version__}",
+        "architecture": spec.architecture,
+        "dt": DT,
+        "spike": "a pulse of height 1 that lasts one time step dt",
+        "steps": shown.steps,
+        "gap": shown.gap,
+        "readout_start": shown.readout_start,
+        "stream_length": shown.stream_length,
+        "refractory_steps": max(
+            (round(layer.neurons.tau_ref / DT) for layer in spec.layers if layer.neurons), default=0
+        ),
+        "left_out": "encoder, refractory period, lower bound of the voltage, 8-bit weights",
+    }

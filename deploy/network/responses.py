@@ -1,0 +1,181 @@
+"""Streams of samples, and what is read from the output at each step.
+
+A run of a target over samples gives, for each sample, the output at each of its steps.  The score
+of a class at a step is the mean of its output from ``readout_start`` up to that step (plus the
+readout's bias); the decision at a step is the class with the highest score.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field, fields, replace
+from typing import Dict, Optional
+
+import numpy as np
+
+from .operations import synaptic_operations
+from .spec import DT, NetworkSpec
+
+
+@dataclass(frozen=True)
+class Responses:
+    """What the network answered to some samples.
+
+    Attributes
+    ----------
+    scores : ndarray, shape (n_samples, n_classes)
+        At the last step.
+    decisions : ndarray of int, shape (n_samples, steps)
+        Decision at each step; -1 before the readout starts.
+    spikes : dict of str to ndarray of int, shape (n_samples,)
+        Spikes of each layer while the sample was shown and in the gap before it.
+    operations : dict of str to ndarray of int, shape (n_samples,)
+        Synaptic operations by the layer that receives them, in the same time.
+    spike_hashes : ndarray of str, shape (n_samples,), or None
+        Hash of every spike of every layer and step of each sample, its gap included; None from a
+        target that does not keep single spikes.
+    notes : dict
+        What only this target can tell of the stream, such as a board's timing; plain values.
+    """
+
+    scores: np.ndarray
+    decisions: np.ndarray
+    spikes: Dict[str, np.ndarray]
+    operations: Dict[str, np.ndarray]
+    spike_hashes: Optional[np.ndarray] = None
+    notes: dict = field(default_factory=dict)
+
+    @property
+    def predictions(self) -> np.ndarray:
+        """Decision at the last step, shape (n_samples,)."""
+        return self.decisions[:, -1]
+
+    @property
+    def decided_at(self) -> np.ndarray:
+        """Step (from 1) from which each sample's decision no longer changes, shape (n_samples,)."""
+        differs = self.decisions != self.decisions[:, -1:]
+        steps = self.decisions.shape[1]
+        return np.where(differs.any(1), steps + 1 - np.argmax(differs[:, ::-1], 1), 1)
+
+
+class ShortOfSteps(Exception):
+    """A simulator or board handed back fewer steps than it was asked for."""
+
+
+def streams_of(n_samples: int, stream_length: int) -> list:
+    """Cut samples 0 to n_samples - 1 into streams, as slices in order."""
+    return [
+        slice(start, min(start + stream_length, n_samples))
+        for start in range(0, n_samples, stream_length)
+    ]
+
+
+def show(spec: NetworkSpec, built, sim, images) -> Responses:
+    """Show one stream to a simulator, or to a board that NengoLoihi drives, and read the answers.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    built : Built
+        The network that ``sim`` runs.
+    sim : nengo.Simulator or nengo_loihi.Simulator
+        Fresh.
+    images : ndarray, shape (n_samples, n_pixels)
+
+    Raises
+    ------
+    ShortOfSteps
+        The simulator handed back fewer steps than it was asked for.
+    """
+    built.feed.images = images
+    period, gap = built.feed.period, spec.presentation.gap
+    outputs, hashes, spikes = [], [], {name: [] for name in built.spikes}
+    for _ in images:  # sample by sample, so that the probes hold no more than one sample's steps
+        sim.run_steps(period)
+        packed = []
+        for name, probe in built.spikes.items():
+            rows = sim.data[probe]
+            if len(rows) != period:
+                raise ShortOfSteps(f"{len(rows)} of {period} steps of layer {name} came back")
+            spikes[name].append(np.count_nonzero(rows, axis=0))
+            packed.append(np.packbits(np.asarray(rows) != 0, axis=1))
+        hashes.append(spike_hash(packed))
+        outputs.append(np.array(sim.data[built.output][gap:]))
+        sim.clear_probes()
+    counts = {name: np.array(rows) for name, rows in spikes.items()}
+    return replace(read_output(spec, np.array(outputs), counts), spike_hashes=np.array(hashes))
+
+
+def spike_hash(packed) -> str:
+    """Hash of every spike of a sample.
+
+    Parameters
+    ----------
+    packed : iterable of uint8 ndarray, shape (period, n_neurons / 8)
+        Spikes of each layer, in order, eight neurons a byte (`numpy.packbits`).
+    """
+    every_spike = hashlib.sha256()
+    for rows in packed:
+        every_spike.update(rows.tobytes())
+    return every_spike.hexdigest()[:16]
+
+
+def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Responses:
+    """Turn a target's raw output into scores and decisions.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    output : ndarray, shape (n_samples, steps, n_classes)
+        The readout's value at each step that a sample is shown for: decoded on the host, or spikes
+        of the output neurons (``amplitude / dt`` in a step with a spike).
+    spikes : dict of str to ndarray of int, shape (n_samples, n_neurons)
+        Spikes of each neuron of each spiking layer, the gap before the sample included.
+
+    Returns
+    -------
+    Responses
+    """
+    start = spec.presentation.readout_start
+    readout = spec.layers[-1]
+    bias = readout.bias if readout.neurons is None else 0.0
+    window = output[:, start:]
+    counts = np.arange(1, window.shape[1] + 1)[:, None]
+    scores = np.cumsum(window, axis=1) / counts + bias
+    decisions = np.full(output.shape[:2], -1)
+    decisions[:, start:] = np.argmax(_settled(scores), axis=2)
+    return Responses(
+        scores=scores[:, -1],
+        decisions=decisions,
+        spikes={name: counts.sum(axis=-1) for name, counts in spikes.items()},
+        operations=synaptic_operations(spec, spikes),
+    )
+
+
+def _settled(scores):
+    """Round away the last bits, so that equal scores tie alike on every target.
+
+    Targets add the same spikes in another order; a tie must not be broken by that.
+    """
+    return np.round(scores, 9)
+
+
+def join(parts) -> Responses:
+    """Put the responses to successive samples together."""
+    parts = list(parts)
+
+    def joined(name):
+        values = [getattr(part, name) for part in parts]
+        if isinstance(values[0], dict):
+            return {key: np.concatenate([value[key] for value in values]) for key in values[0]}
+        return np.concatenate(values)
+
+    names = [entry.name for entry in fields(Responses) if entry.name != "notes"]
+    if any(part.spike_hashes is None for part in parts):
+        names.remove("spike_hashes")
+    return Responses(**{name: joined(name) for name in names})
+
+
+def seconds_per_sample(spec: NetworkSpec) -> float:
+    """Time that one sample takes on the network's own clock, gap included."""
+    return spec.presentation.period * DT

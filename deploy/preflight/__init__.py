@@ -1,0 +1,1 @@
+"""Before a board: what the network takes of it."""

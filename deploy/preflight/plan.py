@@ -1,0 +1,312 @@
+"""Pre-flight: what the network will take of each core, before anything is sent to a board.
+
+The counts come from the blocks that NengoLoihi's builder makes, one block a core, and are set
+against the limits of Loihi 1.  NengoLoihi checks some of them itself; this module checks them all,
+AxonCfg registers and the synapse memory of separate lists among them, says how far beyond a limit
+a layer is, and what to change.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Dict, List, Tuple
+
+import nengo
+
+from ..errors import UserError
+from ..network.build import build
+from ..network.loihi_import import nengo_loihi
+from ..network.spec import DT, NetworkSpec
+from ..tables import aligned
+from .resources import (
+    CURRENT_LIMIT,
+    INPUT_LIMIT,
+    LIMITS,
+    VOLTAGE_LIMIT,
+    axon_cfg_registers,
+    used_by,
+    worst_case,
+)
+
+CORES_PER_CHIP = 128
+
+COLUMNS = ("compartments", "axons in", "axons out", "AxonCfg", "synapse words")
+"""Heads of `LIMITS` in a table."""
+
+REMEDIES = {
+    "compartments": "give the layer a block_shape of at most {limit} neurons",
+    "input axons": "give the layer a smaller block_shape, so that a core sees fewer pixels",
+    "output axons": "use pop_type 16, or a smaller block_shape",
+    "AxonCfg registers": "use pop_type 16, a smaller block_shape, or larger blocks in the layer "
+    "after it, so that a neuron has fewer cores to reach",
+    "synapse words": "give the layer a smaller block_shape or fewer filters",
+}
+
+POP16_ATOMS = 32
+POP16_AXONS = 1024
+
+
+@dataclass(frozen=True)
+class CorePlan:
+    """One core.
+
+    Attributes
+    ----------
+    layer : str
+    part : int
+        Which of the layer's parts, from 0.
+    chip, core : int
+        Position in the placement.
+    used : dict of str to int
+        Of each of `LIMITS`.
+    unshared_axon_cfgs : int
+        AxonCfg registers if members of a population could not share them.
+    pop_types : tuple of int
+        Types of the axons that come in: 0 discrete, 16 or 32 population.
+    threshold : int
+        Membrane threshold, in the chip's integers.
+    worst_input, worst_current : int
+        Magnitude of one step's synaptic input and of the current if every source fires as fast
+        as it can and the same sign of weight wins; limits `INPUT_LIMIT` and `CURRENT_LIMIT`.
+    """
+
+    layer: str
+    part: int
+    chip: int
+    core: int
+    used: Dict[str, int]
+    unshared_axon_cfgs: int
+    pop_types: Tuple[int, ...]
+    threshold: int
+    worst_input: int
+    worst_current: int
+
+    def share(self, resource: str) -> float:
+        """Part of a limit that is used."""
+        return self.used[resource] / LIMITS[resource]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The placement, and what is wrong with it.
+
+    Attributes
+    ----------
+    cores : list of CorePlan
+    chips : int
+        Chips needed.
+    problems : list of str
+        Why it cannot run; empty if it fits.
+    warnings : list of str
+        What may go wrong on a board all the same.
+    """
+
+    cores: List[CorePlan]
+    chips: int
+    problems: List[str]
+    warnings: List[str]
+
+    def to_json(self) -> dict:
+        """Plain values for a program to read."""
+        return {
+            "schema": "stmnist-plan/1",
+            "fits": not self.problems,
+            "chips": self.chips,
+            "limits": dict(LIMITS),
+            "input_limit": INPUT_LIMIT,
+            "current_limit": CURRENT_LIMIT,
+            "voltage_limit": VOLTAGE_LIMIT,
+            "cores": [asdict(core) for core in self.cores],
+            "problems": self.problems,
+            "warnings": self.warnings,
+        }
+
+
+def make_plan(spec: NetworkSpec, chips: int = 1) -> Plan:
+    """Plan a network's place on the chips.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    chips : int
+        Chips that may be used.
+
+    Raises
+    ------
+    UserError
+        NengoLoihi cannot make blocks of the network at all.
+    """
+    model, blocks = _blocks(spec)
+    placed = [(layer, i, block) for layer, made in blocks.items() for i, block in enumerate(made)]
+    needed = -(-len(placed) // CORES_PER_CHIP)
+    places = _placement(model, needed)
+    intervals = _shortest_intervals(spec, model)
+    cores = [
+        _core_plan(layer, part, *places[block], block, intervals) for layer, part, block in placed
+    ]
+    problems = [problem for core in cores for problem in _problems(core)]
+    problems += _pop16_problems(placed)
+    if needed > chips:
+        problems.append(
+            f"the network: {len(cores)} cores need {needed} chips, {needed - chips} more than the "
+            f"{chips} asked for; ask for more with --chips, or use larger blocks"
+        )
+    return Plan(cores, needed, problems, [line for core in cores for line in _warnings(core)])
+
+
+def require_fit(spec: NetworkSpec, chips: int = 1) -> Plan:
+    """Plan, and refuse a network that will not fit.
+
+    Raises
+    ------
+    UserError
+        Naming the layer, the limit, by how much, and what to change.
+    """
+    plan = make_plan(spec, chips)
+    if plan.problems:
+        more = f" (and {len(plan.problems) - 1} more)" if len(plan.problems) > 1 else ""
+        raise UserError("the network does not fit: " + plan.problems[0] + more)
+    return plan
+
+
+def _blocks(spec):
+    """NengoLoihi's discretised blocks: ``(model, {layer: list of blocks})``."""
+    built = build(spec)
+    model = nengo_loihi.builder.Model(dt=DT)
+    model.validation_level = nengo_loihi.builder.builder.ValidationLevel.NONE  # we count ourselves
+    try:
+        model.build(built.network, precompute=True)
+    except (nengo.exceptions.NengoException, AssertionError) as error:
+        raise UserError(f"NengoLoihi cannot build this network: {error}") from error
+    blocks = {}
+    for ensemble in built.network.all_ensembles:
+        if built.network.config[ensemble].on_chip and ensemble in model.objs:
+            made = model.objs[ensemble]["out"]
+            blocks[ensemble.label] = list(made) if isinstance(made, (list, tuple)) else [made]
+    return model, blocks
+
+
+def _placement(model, chips):
+    """``(chip, core)`` of each block, by the allocator that NengoLoihi uses for a board."""
+    if any(block.compartment.n_compartments > LIMITS["compartments"] for block in model.blocks):
+        # The allocator refuses such blocks; the plan will too, but shows them in order.
+        return {block: divmod(i, CORES_PER_CHIP) for i, block in enumerate(model.blocks)}
+    board = nengo_loihi.hardware.allocators.GreedyInterchip()(model, n_chips=chips)
+    return {
+        block: (board.chip_index(chip), chip.core_index(core))
+        for chip in board.chips
+        for core in chip.cores
+        for block in core.blocks
+    }
+
+
+def _core_plan(layer, part, chip, core, block, intervals):
+    worst_input, worst_current = worst_case(block, intervals)
+    return CorePlan(
+        layer=layer,
+        part=part,
+        chip=chip,
+        core=core,
+        used=used_by(block),
+        unshared_axon_cfgs=axon_cfg_registers(block)[1],
+        pop_types=tuple(sorted({synapse.pop_type for synapse in block.synapses})),
+        threshold=int(block.compartment.vth.max()),
+        worst_input=worst_input,
+        worst_current=worst_current,
+    )
+
+
+def _shortest_intervals(spec, model):
+    """Fewest steps between two spikes of a source, for each synapse object by its ``id``."""
+    intervals = {}
+    encoder = 1 if spec.encoder is None else max(1, int(1 / (spec.encoder.max_rate * DT)))
+    for source in model.inputs:
+        for axon in source.axons:
+            intervals[id(axon.target)] = encoder
+    for block in model.blocks:
+        refractory = max(1, int(block.compartment.refract_delay.min()))
+        for axon in block.axons:
+            intervals[id(axon.target)] = refractory
+    return intervals
+
+
+def _problems(core):
+    for resource, limit in LIMITS.items():
+        used = core.used[resource]
+        if used > limit:
+            yield (
+                f"layer {core.layer}, part {core.part}: {used} {resource}, {used - limit} more "
+                f"than the {limit} of a core; {REMEDIES[resource].format(limit=limit)}"
+            )
+
+
+def _pop16_problems(placed):
+    """Limits of the 16-bit population spike, which has room for little."""
+    for layer, part, block in placed:
+        axons = 0
+        for synapse in block.synapses:
+            axons += synapse.n_axons
+            if synapse.pop_type != 16:
+                continue
+            atoms = max(weights.shape[0] for weights in synapse.weights)
+            if atoms > POP16_ATOMS:
+                yield (
+                    f"layer {layer}, part {part}: pop_type 16 with {atoms} channels before it, "
+                    f"{atoms - POP16_ATOMS} more than the {POP16_ATOMS} that NxSDK knows; "
+                    "use pop_type 32"
+                )
+            if axons > POP16_AXONS:
+                yield (
+                    f"layer {layer}, part {part}: pop_type 16 with {axons} input axons, "
+                    f"{axons - POP16_AXONS} more than the {POP16_AXONS} that it can address; "
+                    "use pop_type 32, or a smaller block_shape"
+                )
+            bases = synapse.axon_compartment_bases
+            if bases is not None and any(base % 4 for base in bases if base > 0):
+                yield (
+                    f"layer {layer}, part {part}: pop_type 16 needs a number of filters that is a "
+                    "multiple of 4; use pop_type 32, or other filters"
+                )
+
+
+def _warnings(core):
+    where = f"layer {core.layer}, part {core.part}"
+    limit = LIMITS["AxonCfg registers"]
+    if core.used["AxonCfg registers"] <= limit < core.unshared_axon_cfgs:
+        yield (
+            f"{where}: {core.unshared_axon_cfgs} AxonCfg registers if populations cannot share "
+            f"them, {core.unshared_axon_cfgs - limit} more than the {limit} of a core: a board may "
+            f"refuse it (NengoLoihi issue 326); {REMEDIES['AxonCfg registers']}"
+        )
+    if core.worst_input >= INPUT_LIMIT:
+        yield f"{where}: one step's input can wrap around ({core.worst_input / INPUT_LIMIT:.1f} x)"
+    if core.worst_current >= CURRENT_LIMIT:
+        yield f"{where}: the current can wrap around ({core.worst_current / CURRENT_LIMIT:.1f} x)"
+
+
+def plan_text(plan: Plan) -> str:
+    """A plan in a table and a few lines."""
+    heads = ["layer", "at", "pop", *COLUMNS, "input", "current", "threshold"]
+    rows = [heads]
+    for core in plan.cores:
+        cells = [
+            f"{core.layer}[{core.part}]",
+            f"{core.chip}.{core.core}",
+            "+".join(str(kind) for kind in core.pop_types),
+        ]
+        cells += [f"{core.used[name]} {core.share(name):.0%}" for name in LIMITS]
+        cells += [
+            f"{core.worst_input / INPUT_LIMIT:.0%}",
+            f"{core.worst_current / CURRENT_LIMIT:.0%}",
+            f"{core.threshold / VOLTAGE_LIMIT:.0%}",
+        ]
+        rows.append(cells)
+    lines = aligned(rows, left=3)
+    lines.append(
+        f"{len(plan.cores)} cores on {plan.chips} chip(s); of each core's limits; 'at': chip.core; "
+        "'pop': type of the axons in\n'input', 'current': worst case that the weights allow, of "
+        "what wraps around; 'threshold': of the highest voltage"
+    )
+    lines += [f"warning: {line}" for line in plan.warnings]
+    lines += [f"does not fit: {line}" for line in plan.problems]
+    return "\n".join(lines)

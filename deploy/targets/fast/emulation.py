@@ -1,0 +1,278 @@
+"""Streams of samples through a compiled network, several streams side by side."""
+
+from __future__ import annotations
+
+import collections
+import concurrent.futures
+import warnings
+from dataclasses import replace
+from typing import Iterator, NamedTuple
+
+import numpy as np
+
+from ...errors import UserError
+from ...network.build import build
+from ...network.responses import Responses, read_output, spike_hash
+from ...network.spec import DT
+from . import kernel_numpy
+from .arrays import OVERFLOWS, State
+from .from_nengo import Program, compile_network
+from .host_stage import OutputStage, Population
+
+KERNELS = ("numba", "numpy")
+MEMORY = 32 << 20
+"""Bytes that the spikes of one call of a kernel may take, about a tenth of what a thread takes."""
+
+
+class Recording(NamedTuple):
+    """What a batch of streams gave.
+
+    Attributes
+    ----------
+    output : (n_streams, n_samples, period, n_outputs) array
+        What the output probe sees at every step of every sample, its gap included.
+    counts : dict of str to (n_streams, n_samples, n_neurons) int array
+        Spikes of each neuron of each layer during each sample and its gap.
+    overflows : (n_layers, 3) int array
+        See `arrays.Steps`.
+    """
+
+    output: np.ndarray
+    counts: dict
+    overflows: np.ndarray
+
+
+class Emulation:
+    """A program and the kernel that runs it.
+
+    Parameters
+    ----------
+    program : Program
+    kernel : str, optional
+        ``"numba"`` or ``"numpy"``; default: Numba where it is installed.
+
+    Raises
+    ------
+    UserError
+        There is no such kernel here.
+    """
+
+    def __init__(self, program: Program, kernel=None):
+        self.program = program
+        self.kernel = _kernel(kernel)(program.network, program.output.decoders)
+
+    def run(self, images, steps, gap, watch=None, memory=MEMORY) -> Recording:
+        """Show streams of images, each to a fresh network.
+
+        Parameters
+        ----------
+        images : (n_streams, n_samples, n_pixels) array
+        steps, gap : int
+            For how many steps each image is shown, and a blank one before it.
+        watch : callable, optional
+            Called after each sample of the streams with every spike of each layer in it: a dict of
+            str to uint8 arrays (n_streams, period, n_neurons / 8), packed by `numpy.packbits`.
+        memory : int
+            Bytes that the spikes of one call of the kernel may take; the result is the same.
+
+        Returns
+        -------
+        Recording
+        """
+        program, network = self.program, self.program.network
+        images = np.asarray(images, float)
+        n_streams, n_samples, n_pixels = images.shape
+        state = State.fresh(network, n_streams)
+        host = [Population(neurons, n_streams, program.dt) for neurons in program.inputs]
+        stage = OutputStage(program.output, n_streams, program.dt)
+        blank = np.repeat(program.drive(np.zeros((1, n_pixels))), n_streams, axis=0)
+        at_once = max(1, memory // self.bytes_per_step(n_streams))
+        overflows, samples = 0, []
+        for index in range(n_samples):
+            drive = program.drive(images[:, index])
+            outputs, counts, packed = [], collections.Counter(), collections.defaultdict(list)
+            for first in range(0, steps + gap, at_once):
+                last = min(first + at_once, steps + gap)
+                dark = min(max(gap - first, 0), last - first)
+                inputs = _host_spikes(host, ((blank, dark), (drive, last - first - dark)))
+                done = self.kernel.advance(state, inputs)
+                outputs.append(stage.advance(done.spikes, done.decoded))
+                overflows = overflows + done.overflows
+                for label, n in self._counts(inputs, done, outputs[-1]):
+                    counts[label] = counts[label] + n
+                if watch is not None:
+                    for label, spikes in self._spikes(inputs, done, outputs[-1]):
+                        packed[label].append(np.packbits(spikes, axis=2))
+            samples.append((np.concatenate(outputs, axis=1), counts))
+            if watch is not None:
+                watch({label: np.concatenate(parts, axis=1) for label, parts in packed.items()})
+        return Recording(
+            output=np.stack([output for output, _ in samples], axis=1),
+            counts={k: np.stack([c[k] for _, c in samples], axis=1) for k in samples[0][1]},
+            overflows=overflows,
+        )
+
+    def bytes_kept(self, period):
+        """Memory that the answer to a sample takes, about."""
+        network, outputs = self.program.network, self.program.output.decoders.shape[1]
+        return 8 * outputs * period + 4 * (network.n + network.n_inputs)
+
+    def bytes_per_step(self, n_streams):
+        """Memory that a step of some streams takes in a call of the kernel, about."""
+        network = self.program.network
+        return n_streams * (network.n + network.n_inputs) * self.kernel.bytes_per_spike
+
+    def _counts(self, inputs, done, output):
+        """(label, spikes of each stream's neurons) of every layer in these steps."""
+        for label, part in self._inputs():
+            yield label, inputs[:, :, part].sum(axis=1, dtype=np.int32)
+        for layer in self.program.network.layers:
+            yield layer.label, layer.of(done.counts)
+        if self.program.output.neurons is not None:
+            yield self.program.output.neurons.label, np.count_nonzero(output, axis=1)
+
+    def _spikes(self, inputs, done, output):
+        """(label, spikes of each stream, step and neuron) of every layer in these steps."""
+        for label, part in self._inputs():
+            yield label, inputs[:, :, part]
+        for layer in self.program.network.layers:
+            yield layer.label, layer.of(done.spikes)
+        if self.program.output.neurons is not None:
+            yield self.program.output.neurons.label, output != 0
+
+    def _inputs(self):
+        start = 0
+        for neurons in self.program.inputs:
+            yield neurons.label, slice(start, start + neurons.n)
+            start += neurons.n
+
+
+def _host_spikes(host, shown):
+    """Spikes of the host's input neurons to some drives, each for some steps.
+
+    Returns
+    -------
+    (n_streams, n_steps, n_inputs) uint8 array
+    """
+    n_streams, n_inputs = shown[0][0].shape
+    spikes = np.empty((n_streams, sum(n for _, n in shown), n_inputs), np.uint8)
+    column = 0
+    for population in host:
+        part = slice(column, column + population.neurons.n)
+        first = 0
+        for drive, n_steps in shown:
+            population.spikes(drive[:, part], n_steps, spikes[:, first : first + n_steps, part])
+            first += n_steps
+        column = part.stop
+    return spikes
+
+
+def _kernel(name):
+    if name not in (None, *KERNELS):
+        raise UserError(f"no kernel {name!r}; the kernels are {', '.join(KERNELS)}")
+    if name == "numpy":
+        return kernel_numpy.Kernel
+    try:
+        from . import kernel_numba
+    except ImportError as error:
+        if name == "numba":
+            raise UserError(
+                f"the kernel 'numba' needs Numba ({error}): pip install numba"
+            ) from None
+        return kernel_numpy.Kernel
+    return kernel_numba.Kernel
+
+
+def compile_spec(spec, seed=0) -> Program:
+    """Compile a bundle's network."""
+    built = build(spec, seed)
+    source = next(node for node in built.network.all_nodes if node.output is built.feed)
+    return compile_network(built.network, source, built.output, DT)
+
+
+def run_fast(spec, streams, seed=0, kernel=None, threads=1, memory=MEMORY) -> Iterator[Responses]:
+    """NengoLoihi's emulator, the same integers and spikes, many streams at once.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    streams : iterable of (n_samples, n_pixels) array
+    seed : int
+    kernel : str, optional
+        See `Emulation`.
+    threads : int
+        How many batches of streams to run at a time.
+    memory : int
+        Bytes that the spikes of a batch may take.
+
+    Yields
+    ------
+    Responses
+        Of each stream, in order.  Nothing depends on how streams are batched.
+    """
+    emulation = Emulation(compile_spec(spec, seed), kernel)
+    shown, gap = spec.presentation.steps, spec.presentation.gap
+    network = emulation.program.network
+    overflows = np.zeros((len(network.layers), len(OVERFLOWS)), np.int64)
+
+    def fitting(n_samples):
+        """How many streams of a length fit the memory."""
+        held = (
+            emulation.bytes_per_step(1) * (shown + gap)
+            + emulation.bytes_kept(shown + gap) * n_samples
+        )
+        return max(1, memory // held)
+
+    def run(batch):
+        hashes = []
+
+        def watch(packed):
+            rows = [packed[name] for name in spec.spiking_layers]
+            hashes.append([spike_hash(layers) for layers in zip(*rows)])
+
+        return emulation.run(np.stack(batch), shown, gap, watch, memory), np.transpose(hashes)
+
+    try:
+        for recording, hashes in _in_order(run, _batches(streams, fitting), threads):
+            overflows += recording.overflows
+            for index, output in enumerate(recording.output):
+                counts = {name: recording.counts[name][index] for name in spec.spiking_layers}
+                answer = read_output(spec, output[:, gap:], counts)
+                yield replace(answer, spike_hashes=hashes[index])
+    finally:
+        _warn_of(overflows, network.layers)
+
+
+def _batches(streams, fitting):
+    """Lists of successive streams of one length, as many as ``fitting`` says for that length."""
+    batch = []
+    for stream in streams:
+        if batch and (len(batch) == fitting(len(stream)) or len(stream) != len(batch[0])):
+            yield batch
+            batch = []
+        batch.append(stream)
+    if batch:
+        yield batch
+
+
+def _in_order(function, items, threads):
+    """``map`` in some threads, without running further ahead than they need."""
+    if threads == 1:
+        yield from map(function, items)
+        return
+    with concurrent.futures.ThreadPoolExecutor(threads) as pool:
+        waiting = collections.deque()
+        for item in items:
+            waiting.append(pool.submit(function, item))
+            if len(waiting) > threads:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+
+
+def _warn_of(overflows, layers):
+    for layer, counts in zip(layers, overflows):
+        if counts.any():
+            found = ", ".join(f"{n} in {name}" for n, name in zip(counts, OVERFLOWS) if n)
+            message = f"layer {layer.label!r}: overflows of the chip's integers: {found}"
+            warnings.warn(message, RuntimeWarning, stacklevel=3)

@@ -1,0 +1,208 @@
+"""The host's side for many streams at once: the neurons before the chip, the output after it.
+
+Neurons and filters are stepped by Nengo's own step functions on arrays of shape (n_streams, n);
+being elementwise they give each stream the bits that Nengo gives it alone.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Optional
+
+import nengo
+import numpy as np
+
+from ...network.build import EvenSpikes
+
+
+class HostNeurons(NamedTuple):
+    """A population of spiking neurons on the host.
+
+    Attributes
+    ----------
+    label : str
+    neuron_type : nengo.neurons.NeuronType
+    initial : dict of str to (n,) array
+        State at the start of a stream.
+    synapse : nengo.Lowpass or None
+        Filter between the drive and the current.
+    gain, bias : (n,) array
+        With a filter the current is ``bias + gain * filtered``; without one the drive is the
+        current.
+    """
+
+    label: str
+    neuron_type: nengo.neurons.NeuronType
+    initial: dict
+    synapse: Optional[nengo.Lowpass]
+    gain: np.ndarray
+    bias: np.ndarray
+
+    @property
+    def n(self):
+        """Number of neurons."""
+        return len(self.bias)
+
+
+class HostOutput(NamedTuple):
+    """From the chip's spikes to the value that the output probe sees.
+
+    Attributes
+    ----------
+    decoders : (n, n_outputs) array
+        What a spike of each compartment adds to the output in its step.
+    on_chip : bool
+        The output is read on the chip, in the chip's own step and unfiltered.
+    parts : tuple of (int array, (n_part, n_outputs) array)
+        The same decoders by block, as NengoLoihi multiplies them; empty on the chip.
+    synapse : nengo.Lowpass or None
+    neurons : HostNeurons or None
+        Neurons on the host that the output drives and whose output is seen instead.
+    """
+
+    decoders: np.ndarray
+    on_chip: bool
+    parts: tuple = ()
+    synapse: Optional[nengo.Lowpass] = None
+    neurons: Optional[HostNeurons] = None
+
+
+class Filter:
+    """A synapse, or none, as Nengo steps it: what goes in at a step comes out at the next."""
+
+    def __init__(self, synapse, shape, dt):
+        self._value = np.zeros(shape)
+        self._step = None
+        if synapse is not None:
+            state = synapse.make_state(shape, shape, dt, dtype=self._value.dtype)
+            self._step = synapse.make_step(shape, shape, dt, rng=None, state=state)
+
+    def __call__(self, value):
+        """Output at this step, given its input; both (n_streams, n)."""
+        if self._step is None:
+            return value
+        out = self._value
+        self._value = np.array(self._step(None, value))
+        return out
+
+
+class Population:
+    """Host neurons of several streams while they run."""
+
+    def __init__(self, neurons: HostNeurons, n_streams, dt):
+        self.neurons, self._dt = neurons, dt
+        shape = (n_streams, neurons.n)
+        self._state = {k: np.tile(v, (n_streams, 1)) for k, v in neurons.initial.items()}
+        self._output = np.zeros(shape)
+        self._filter = Filter(neurons.synapse, shape, dt)
+
+    def spikes(self, drive, n_steps, out):
+        """Spikes of some steps in which the drive stays the same.
+
+        Parameters
+        ----------
+        drive : (n_streams, n) array
+        n_steps : int
+        out : (n_streams, n_steps, n) uint8 array
+            Is set to 1 where a neuron spikes, else to 0.
+        """
+        rectified = type(self.neurons.neuron_type) in (nengo.SpikingRectifiedLinear, EvenSpikes)
+        if rectified and not self.filtered:
+            self._rectified(drive, n_steps, out)
+            return
+        for step in range(n_steps):
+            current = self.current(self._filter(drive)) if self.filtered else drive
+            np.not_equal(self.step(current), 0, out=out[:, step])
+
+    def _rectified(self, drive, n_steps, out):
+        """`nengo.SpikingRectifiedLinear.step` and that of `EvenSpikes`, once for what stays."""
+        voltage = self._state["voltage"]
+        increase = np.maximum(drive, 0) * self._dt
+        whole = np.empty_like(voltage)
+        blank = phase = None
+        if type(self.neurons.neuron_type) is EvenSpikes:
+            blank, phase = drive <= 0, self.neurons.neuron_type.phase
+        for step in range(n_steps):
+            voltage += increase
+            np.floor(voltage, out=whole)
+            voltage -= whole
+            np.not_equal(whole, 0, out=out[:, step])
+            if blank is not None:
+                np.putmask(voltage, blank, phase)
+
+    @property
+    def filtered(self):
+        """Whether there is a filter before the current."""
+        return self.neurons.synapse is not None
+
+    def step(self, current):
+        """Advance one step.
+
+        Parameters
+        ----------
+        current : (n_streams, n) array
+
+        Returns
+        -------
+        (n_streams, n) array
+            ``amplitude / dt`` for each spike in the step; overwritten by the next one.
+        """
+        with np.errstate(divide="ignore"):
+            self.neurons.neuron_type.step(self._dt, current, self._output, **self._state)
+        return self._output
+
+    def current(self, value):
+        """``bias + gain * value``."""
+        return self.neurons.bias + self.neurons.gain * value
+
+
+class OutputStage:
+    """The output of several streams while they run."""
+
+    def __init__(self, output: HostOutput, n_streams, dt):
+        self._output = output
+        self._last = None
+        self._filter = Filter(output.synapse, (n_streams, output.decoders.shape[1]), dt)
+        self._neurons = output.neurons and Population(output.neurons, n_streams, dt)
+
+    def advance(self, spikes, decoded):
+        """What the output probe sees in some steps.
+
+        Parameters
+        ----------
+        spikes : (n_streams, n_steps, n) uint8 array
+            The chip's spikes.
+        decoded : (n_streams, n_steps, n_outputs) array
+            The same spikes times the decoders.
+
+        Returns
+        -------
+        (n_streams, n_steps, n_outputs) array
+        """
+        if self._output.on_chip:
+            return decoded
+        if self._neurons is not None:
+            decoded = self._as_nengo_loihi_adds(spikes)
+        # The host sees the chip's step k - 1 in its own step k; only its first step, which has no
+        # step before it, already sees the chip's first (nengo_loihi.builder.inputs.EmptyQueueStep).
+        first = decoded[:, :1] if self._last is None else self._last
+        self._last = decoded[:, -1:].copy()
+        values = np.concatenate([first, decoded[:, :-1]], axis=1)
+        if self._output.synapse is None and self._neurons is None:
+            return values
+        for step in range(values.shape[1]):
+            value = self._filter(np.ascontiguousarray(values[:, step]))
+            if self._neurons is not None:
+                value = self._neurons.step(self._neurons.current(value))
+            values[:, step] = value
+        return values
+
+    def _as_nengo_loihi_adds(self, spikes):
+        """Decoded values to the last bit: one product a stream and block, over the same steps.
+
+        A spiking neuron on the host can turn a difference in the last bit into another spike.
+        """
+        streams = []
+        for stream in spikes.astype(bool):
+            blocks = [(np.ascontiguousarray(stream[:, i]), w) for i, w in self._output.parts]
+            streams.append(sum(block.dot(weights) for block, weights in blocks))
+        return np.stack(streams)

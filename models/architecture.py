@@ -1,0 +1,426 @@
+"""The paper's architecture notation (Section 3.2), extended: ``10x10x2-12c4s2p-2a-64-10o``.
+
+Layers are separated by ``-``.  The first token gives the input's dimensions, separated by ``x`` or
+the multiplication sign; the rest are, in the order in which the signal passes them:
+
+=========  ====================================================================================
+``FcK``    a convolution of F filters of K x K, stride 1, no padding
+``FcKsS``  the same with stride S
+``p``      after it: padded with zeros so that the output has the input's size over the stride,
+           rounded up ("same", as TensorFlow has it: what is odd goes to the end)
+``Ka``     average pooling over K x K without overlap; what is left over at the end is not read
+``N``      a hidden dense layer of N
+``No``     the dense output of N, once and at the end
+=========  ====================================================================================
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+MAX_LAYERS = 64
+"""Layers that a text may declare, the output included."""
+
+MAX_VALUES = 1_000_000
+"""Values that a text may declare for the input or for a layer's output."""
+
+MAX_WEIGHTS = 100_000_000
+"""Weights that a text may declare for a layer."""
+
+
+class NotationError(ValueError):
+    """The text is not an architecture; the message names the offending token and its position."""
+
+
+@dataclass(frozen=True)
+class Convolution:
+    """A convolution of square filters.
+
+    Attributes
+    ----------
+    filters, kernel : int
+        How many filters, and the side of each.
+    stride : int
+    padding : str
+        ``"valid"`` or ``"same"``, as in TensorFlow.
+    """
+
+    filters: int
+    kernel: int
+    stride: int = 1
+    padding: str = "valid"
+    kind = "conv"
+
+    def __post_init__(self):
+        if min(self.filters, self.kernel, self.stride) < 1:
+            raise ValueError(f"{self}: filters, kernel and stride must be at least 1")
+        if self.padding not in ("valid", "same"):
+            raise ValueError(f"{self}: padding is neither 'valid' nor 'same'")
+
+    def pads(self, input_shape) -> tuple:
+        """Zeros before and after the rows and the columns: ((before, after), (before, after)).
+
+        With "same" padding the output of n values at stride S has ceil(n / S), which takes
+        max((ceil(n / S) - 1) S + K - n, 0) zeros, half of them before, rounded down.
+        """
+        if self.padding == "valid":
+            return ((0, 0), (0, 0))
+        zeros = [
+            max((-(-n // self.stride) - 1) * self.stride + self.kernel - n, 0)
+            for n in input_shape[:2]
+        ]
+        return tuple((n // 2, n - n // 2) for n in zeros)
+
+    def shape(self, input_shape) -> tuple:
+        """(rows, columns, channels) of the output.
+
+        Raises
+        ------
+        ValueError
+            The kernel is larger than the input.
+        """
+        lengths = [
+            n + sum(pad) for n, pad in zip(input_shape, self.pads(input_shape), strict=False)
+        ]
+        if self.kernel > min(lengths):
+            rows, columns = input_shape[:2]
+            raise ValueError(f"does not fit: its kernel is larger than its {rows}x{columns} input")
+        return (*((n - self.kernel) // self.stride + 1 for n in lengths), self.filters)
+
+    def weight_shapes(self, input_shape) -> dict:
+        """Shapes of ``"kernel"`` (rows, columns, channels in, filters) and of ``"bias"``."""
+        kernel = (self.kernel, self.kernel, input_shape[2], self.filters)
+        return {"kernel": kernel, "bias": (self.filters,)}
+
+    def fan_out(self, input_shape) -> np.ndarray:
+        """Synapses that leave each input position, int64, of shape ``input_shape``."""
+        reach = [
+            _reached(n, outputs, self.kernel, self.stride, before)
+            for n, outputs, (before, _) in zip(
+                input_shape, self.shape(input_shape), self.pads(input_shape), strict=False
+            )
+        ]
+        return _over_channels(np.outer(*reach) * self.filters, input_shape)
+
+    def __str__(self):
+        stride = f"s{self.stride}" if self.stride > 1 else ""
+        return f"{self.filters}c{self.kernel}{stride}{'p' * (self.padding == 'same')}"
+
+
+@dataclass(frozen=True)
+class Pooling:
+    """Average pooling over squares that do not overlap.
+
+    Attributes
+    ----------
+    size : int
+        Side of a square, and the stride.
+    """
+
+    size: int
+    kind = "pool"
+
+    def __post_init__(self):
+        if self.size < 1:
+            raise ValueError(f"{self}: the size must be at least 1")
+
+    def shape(self, input_shape) -> tuple:
+        """(rows, columns, channels) of the output.
+
+        Raises
+        ------
+        ValueError
+            The square is larger than the input.
+        """
+        rows, columns, channels = input_shape
+        if self.size > min(rows, columns):
+            raise ValueError(
+                f"does not fit: its squares are larger than its {rows}x{columns} input"
+            )
+        return (rows // self.size, columns // self.size, channels)
+
+    def weight_shapes(self, input_shape) -> dict:
+        """Nothing is trained."""
+        return {}
+
+    def fan_out(self, input_shape) -> np.ndarray:
+        """Synapses that leave each input position, int64: 1, and 0 in what is left over."""
+        reach = [
+            _reached(n, outputs, self.size, self.size, 0)
+            for n, outputs in zip(input_shape[:2], self.shape(input_shape), strict=False)
+        ]
+        return _over_channels(np.outer(*reach), input_shape)
+
+    def __str__(self):
+        return f"{self.size}a"
+
+
+@dataclass(frozen=True)
+class Dense:
+    """A dense layer; it reads its input in the order (row, column, channel).
+
+    Attributes
+    ----------
+    units : int
+    output : bool
+        Whether it is the network's output.
+    """
+
+    units: int
+    output: bool = False
+
+    def __post_init__(self):
+        if self.units < 1:
+            raise ValueError(f"{self}: units must be at least 1")
+
+    @property
+    def kind(self) -> str:
+        """``"dense"`` or ``"output"``."""
+        return "output" if self.output else "dense"
+
+    def shape(self, input_shape) -> tuple:
+        """(units,)."""
+        return (self.units,)
+
+    def weight_shapes(self, input_shape) -> dict:
+        """Shapes of ``"kernel"`` (inputs, units) and of ``"bias"``."""
+        return {"kernel": (_size(input_shape), self.units), "bias": (self.units,)}
+
+    def fan_out(self, input_shape) -> np.ndarray:
+        """Synapses that leave each input position, int64, of shape ``input_shape``."""
+        return np.full(input_shape, self.units, np.int64)
+
+    def __str__(self):
+        return f"{self.units}{'o' * self.output}"
+
+
+@dataclass(frozen=True)
+class Architecture:
+    """A network, layer by layer.
+
+    Attributes
+    ----------
+    input_shape : tuple of int
+        (rows, columns, channels).
+    layers : tuple of Convolution, Pooling or Dense
+        In order; the last one, and no other, is an output.
+
+    Raises
+    ------
+    ValueError
+        The layers are in an impossible order, or one does not fit what comes before it.
+    """
+
+    input_shape: tuple
+    layers: tuple
+
+    def __post_init__(self):
+        object.__setattr__(self, "input_shape", tuple(self.input_shape))
+        object.__setattr__(self, "layers", tuple(self.layers))
+        if len(self.input_shape) != 3 or min(self.input_shape) < 1:
+            raise ValueError(f"input of shape {self.input_shape}: not (rows, columns, channels)")
+        if not self.layers or self.layers[-1].kind != "output":
+            raise ValueError("the last layer is not an output")
+        shape = self.input_shape
+        for layer in self.layers:
+            _check_place(layer, shape, layer is self.layers[-1])
+            shape = layer.shape(shape)
+
+    @property
+    def shapes(self) -> tuple:
+        """Shapes of the input and of every layer's output, the last one (outputs,).
+
+        ``zip(architecture.shapes, architecture.layers)`` goes over the layers with their inputs.
+        """
+        shapes = [self.input_shape]
+        for layer in self.layers:
+            shapes.append(layer.shape(shapes[-1]))
+        return tuple(shapes)
+
+    @property
+    def names(self) -> tuple:
+        """Names of the layers: ``"conv1"``, ``"conv2"``, ``"pool1"``, ``"dense1"``, ``"output"``.
+
+        Each kind is counted by itself.
+        """
+        names, seen = [], {}
+        for layer in self.layers:
+            seen[layer.kind] = seen.get(layer.kind, 0) + 1
+            names.append("output" if layer.kind == "output" else f"{layer.kind}{seen[layer.kind]}")
+        return tuple(names)
+
+    @property
+    def convs(self) -> tuple:
+        """The convolutions in order, possibly none."""
+        return tuple(layer for layer in self.layers if layer.kind == "conv")
+
+    @property
+    def outputs(self) -> int:
+        """Units of the output layer."""
+        return self.layers[-1].units
+
+    @property
+    def weight_shapes(self) -> dict:
+        """Shape of each trained array by name, ``"conv1.kernel"`` to ``"output.bias"``."""
+        return {
+            f"{name}.{array}": shape
+            for name, layer, before in zip(self.names, self.layers, self.shapes, strict=False)
+            for array, shape in layer.weight_shapes(before).items()
+        }
+
+    @property
+    def parameters(self) -> int:
+        """Number of trained values."""
+        return sum(_size(shape) for shape in self.weight_shapes.values())
+
+    @property
+    def neurons(self) -> dict:
+        """Values that each layer puts out, by its name."""
+        return {
+            name: _size(shape) for name, shape in zip(self.names, self.shapes[1:], strict=False)
+        }
+
+    @property
+    def fan_out(self) -> dict:
+        """Synapses that leave each position of a layer's input, by the name of that layer."""
+        return {
+            name: layer.fan_out(before)
+            for name, layer, before in zip(self.names, self.layers, self.shapes, strict=False)
+        }
+
+    @property
+    def multiply_accumulates(self) -> dict:
+        """Multiply-accumulates of one pass, by layer: those with a zero of the padding left out."""
+        return {name: int(fan_out.sum()) for name, fan_out in self.fan_out.items()}
+
+    def __str__(self):
+        size = self.input_shape[:2] if self.input_shape[2] == 1 else self.input_shape
+        return "-".join(["x".join(map(str, size)), *map(str, self.layers)])
+
+
+def parse(text: str) -> Architecture:
+    """Parse the notation; ``str()`` of an architecture is the inverse.
+
+    Parameters
+    ----------
+    text : str
+        For example ``"10x10x2-12c4s2-64-10o"``; ``×`` may stand for ``x``.
+
+    Returns
+    -------
+    Architecture
+
+    Raises
+    ------
+    NotationError
+        Naming the token that cannot be read, is out of place, does not fit the layer before it,
+        or declares more than a network of this kind can have.
+
+    Examples
+    --------
+    >>> parse("10x10x2-12c4s2-64-10o").shapes
+    ((10, 10, 2), (4, 4, 12), (64,), (10,))
+    """
+    tokens = [token.strip() for token in text.replace("×", "x").split("-")]
+
+    def fail(position, problem):
+        shown = text if len(text) <= 100 else f"{text[:97]}..."
+        token = tokens[position]
+        token = token if len(token) <= 40 else f"{token[:37]}..."
+        raise NotationError(f"architecture {shown!r}: token {position + 1} ({token!r}) {problem}")
+
+    size = _SIZE.fullmatch(tokens[0])
+    if not size:
+        fail(0, "must be the input's size, such as 10x10 or 10x10x2")
+    shape = input_shape = tuple(int(n) if n else 1 for n in size.groups())
+    if min(input_shape) < 1:
+        fail(0, "has a dimension of zero")
+    if _size(input_shape) > MAX_VALUES:
+        fail(0, f"has more than {MAX_VALUES} values")
+    last = len(tokens) - 1
+    if last < 1 or not _TOKENS["output"].fullmatch(tokens[last]):
+        fail(last, "must be the output layer, such as 10o, at the end")
+    if last > MAX_LAYERS:
+        fail(MAX_LAYERS + 1, f"is one layer too many: at most {MAX_LAYERS}")
+    layers = []
+    for position, token in enumerate(tokens[1:], 1):
+        layer = _layer(token)
+        if layer is None:
+            fail(position, "must be a layer: a convolution such as 6c4, 6c4s2 or 6c4p, "
+                 "a pooling such as 2a, or a hidden dense layer such as 64")  # fmt: skip
+        if layer is _ZERO:
+            fail(position, "has a zero")
+        try:
+            _check_place(layer, shape, position == last)
+            weights = [_size(s) for s in layer.weight_shapes(shape).values()]
+            shape = layer.shape(shape)
+        except ValueError as error:
+            fail(position, str(error))
+        if position == last and layer.units < 2:
+            fail(position, "must have at least 2 output neurons")
+        if _size(shape) > MAX_VALUES:
+            fail(position, f"has more than {MAX_VALUES} values")
+        if max(weights, default=0) > MAX_WEIGHTS:
+            fail(position, f"has more than {MAX_WEIGHTS} weights")
+        layers.append(layer)
+    return Architecture(input_shape, tuple(layers))
+
+
+_NUMBER = "([0-9]{1,9})"  # no number of the notation is longer, whatever it stands for
+_SIZE = re.compile(f"{_NUMBER}x{_NUMBER}(?:x{_NUMBER})?")
+_TOKENS = {
+    "conv": re.compile(f"{_NUMBER}c{_NUMBER}(?:s{_NUMBER})?(p?)"),
+    "pool": re.compile(f"{_NUMBER}a"),
+    "dense": re.compile(_NUMBER),
+    "output": re.compile(f"{_NUMBER}o"),
+}
+_ZERO = object()
+
+
+def _layer(token):
+    """The layer that a token describes; None for no layer, `_ZERO` for one with a zero in it."""
+    for kind, pattern in _TOKENS.items():
+        found = pattern.fullmatch(token)
+        if not found:
+            continue
+        numbers = [int(n) for n in found.groups() if n and n != "p"]
+        if min(numbers) < 1:
+            return _ZERO
+        if kind == "conv":
+            filters, kernel, *stride = numbers
+            padding = "same" if found[4] else "valid"
+            return Convolution(filters, kernel, *(stride or [1]), padding)
+        return Pooling(*numbers) if kind == "pool" else Dense(*numbers, output=kind == "output")
+    return None
+
+
+def _check_place(layer, input_shape, last):
+    """Refuse a layer where it cannot stand."""
+    if layer.kind in ("conv", "pool") and len(input_shape) == 1:
+        what = {"conv": "a convolution", "pool": "a pooling"}[layer.kind]
+        raise ValueError(f"is {what} after a dense layer, which has no rows and columns")
+    if layer.kind == "output" and not last:
+        raise ValueError("is an output before the end")
+
+
+def _reached(n, outputs, kernel, stride, before):
+    """How many of ``outputs`` windows along one dimension hold each of its n positions."""
+    count = np.zeros(n + 1, np.int64)
+    start = np.arange(outputs) * stride - before
+    np.add.at(count, np.clip(start, 0, n), 1)
+    np.add.at(count, np.clip(start + kernel, 0, n), -1)
+    return np.cumsum(count)[:n]
+
+
+def _over_channels(positions, input_shape):
+    return np.repeat(positions[..., None], input_shape[2], axis=2)
+
+
+def _size(shape) -> int:
+    size = 1
+    for n in shape:  # in Python's integers: a declared shape may be larger than any array
+        size *= n
+    return size

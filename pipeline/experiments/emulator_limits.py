@@ -1,0 +1,159 @@
+"""How the cost of the target ``fast`` grows, and what limits its kernel with Numba."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from deploy.network.spec import DT, NetworkSpec
+from deploy.targets.fast.arrays import State
+from deploy.targets.fast.emulation import Emulation, compile_spec
+from deploy.targets.fast.wiring import wiring
+
+
+def growth(spec: NetworkSpec, images) -> dict:
+    """Seconds of the whole pipeline for more samples, more steps and more spikes.
+
+    Returns
+    -------
+    dict
+        ``samples``, ``steps`` and ``brightness``: lists of dicts with the seconds of each; the
+        last with the mean rate on the chip in Hz.
+    """
+    images = np.asarray(images, float).reshape(len(images), -1)
+    emulation = Emulation(compile_spec(spec))
+    length = min(spec.presentation.stream_length, len(images))
+    steps, gap = spec.presentation.steps, spec.presentation.gap
+
+    def streams(n):
+        repeated = images[np.arange(n * length) % len(images)]
+        return repeated.reshape(n, length, -1)
+
+    base = streams(max(1, len(images) // length))
+    return {
+        "samples": [
+            {"samples": n * length, "seconds": _best(emulation, streams(n), steps, gap)}
+            for n in (1, 5, 20, 100)
+        ],
+        "steps": [
+            {"steps": n, "seconds": _best(emulation, base, n, gap)} for n in (25, 50, 100, 200, 400)
+        ],
+        "brightness": [
+            {
+                "brightness": factor,
+                "chip_hz": _chip_rate(emulation, factor * base, steps, gap),
+                "seconds": _best(emulation, factor * base, steps, gap),
+            }
+            for factor in (0.0, 0.5, 1.0, 2.0)
+        ],
+    }
+
+
+def _best(emulation, streams, steps, gap, repeats=3):
+    seconds = []
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        emulation.run(streams, steps, gap)
+        seconds.append(time.perf_counter() - begun)
+    return min(seconds)
+
+
+def _chip_rate(emulation, streams, steps, gap):
+    counts = emulation.run(streams, steps, gap).counts
+    on_chip = [counts[layer.label] for layer in emulation.program.network.layers]
+    return float(np.concatenate([c.reshape(-1) for c in on_chip]).mean() / ((steps + gap) * DT))
+
+
+def limits(spec: NetworkSpec, images) -> dict:
+    """What the kernel with Numba does a second, and what this machine could do.
+
+    The chip's cost has two parts: updating every compartment at every step, measured on a network
+    that gets no spikes at all, and delivering spikes, the rest.  A synaptic operation reads a
+    weight and a total and writes the total; the most that the machine does of those is measured by
+    adding one vector to another in its fastest cache, and by adding vectors that come from its main
+    memory.
+
+    Returns
+    -------
+    dict
+        Operations a second and shares.
+    """
+    from deploy.targets.fast import kernel_numba  # Numba need not be installed
+
+    images = np.asarray(images, float).reshape(len(images), -1)
+    program = compile_spec(spec)
+    network = program.network
+    emulation = Emulation(program, "numba")
+    kept = []
+    kernel = emulation.kernel
+    emulation.kernel = _Keeping(kernel, kept)
+    emulation.run(images[:, None], spec.presentation.steps, spec.presentation.gap)
+    inputs = np.concatenate(kept, axis=1)
+    shape = (*inputs.shape[:2], network.n)
+
+    def seconds(arriving, biased):
+        state = State.fresh(biased, shape[0])
+        chip = kernel_numba.Kernel(biased, program.output.decoders)
+        begun = time.perf_counter()
+        steps = chip.advance(state, arriving)
+        return time.perf_counter() - begun, steps
+
+    silent = replace(network, bias=np.zeros_like(network.bias))
+    busy, idle = [], []
+    for _ in range(5):  # in turns, for the same reason as above
+        taken, steps = seconds(inputs, network)
+        busy.append(taken)
+        idle.append(seconds(np.zeros_like(inputs), silent)[0])
+    spiking, updating = min(busy), min(idle)
+    fan_out = np.diff(network.weights.indptr)
+    wires = wiring(network)
+    lanes_of = np.diff(np.concatenate([[0], np.cumsum(wires.length)])[wires.first]).sum(axis=0)
+    counts = np.concatenate([inputs.sum(axis=(0, 1), dtype=np.int64), steps.counts.sum(axis=0)])
+    operations, lanes = int(counts @ fan_out), int(counts @ lanes_of)
+    delivering = max(spiking - updating, 1e-9)
+    cache, memory = _adds(wires.pool.dtype, 512), _adds(wires.pool.dtype, 1 << 25)
+    return {
+        "weight_bits": 8 * wires.pool.dtype.itemsize,
+        "compartment_updates_per_second": float(np.prod(shape) / updating),
+        "synaptic_operations_per_second": operations / delivering,
+        "weights_added_per_second": lanes / delivering,
+        "adds_per_second_in_cache": cache,
+        "adds_per_second_from_memory": memory,
+        "share_of_cache_limit": lanes / delivering / cache,
+        "share_of_time_updating": updating / spiking,
+    }
+
+
+class _Keeping:
+    """A kernel that keeps what arrives."""
+
+    def __init__(self, kernel, kept):
+        self.kernel, self.kept = kernel, kept
+        self.bytes_per_spike = kernel.bytes_per_spike
+
+    def advance(self, state, inputs):
+        self.kept.append(inputs.copy())
+        return self.kernel.advance(state, inputs)
+
+
+def _adds(dtype, length):
+    """Additions a second of one vector to another, of ``length`` numbers each."""
+    import numba
+
+    @numba.njit
+    def add(a, b, times):
+        for _ in range(times):
+            for i in range(len(a)):
+                a[i] += b[i]
+
+    a, b = np.zeros(length, dtype), np.ones(length, dtype)
+    times = max(1, (1 << 26) // length)
+    add(a, b, 1)
+    seconds = []
+    for _ in range(5):
+        begun = time.perf_counter()
+        add(a, b, times)
+        seconds.append(time.perf_counter() - begun)
+    return length * times / min(seconds)

@@ -1,0 +1,218 @@
+"""How fast the target ``fast`` is next to NengoLoihi's emulator.
+
+Reference and fast take turns in one process, and each turn gives one ratio: on a machine with
+other work, the two slow down together.  Building, compiling and reading files are in no figure.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from deploy.network.build import build
+from deploy.network.loihi_import import nengo_loihi
+from deploy.network.responses import read_output, seconds_per_sample, streams_of
+from deploy.network.spec import NetworkSpec
+from deploy.targets.fast.emulation import Emulation, compile_spec
+
+KERNELS = ("numba", "numpy")
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What one pass over some samples took.
+
+    Attributes
+    ----------
+    whole, chip : ndarray, shape (2,)
+        Seconds of host layer, chip and decoding together, and of the chip alone: by the clock on
+        the wall, and of this thread's processor time, which other work on the machine lengthens
+        less.
+    samples : int
+    """
+
+    whole: np.ndarray
+    chip: np.ndarray
+    samples: int
+
+
+def _clocks():
+    return np.array([time.perf_counter(), time.thread_time()])
+
+
+class _TimedKernel:
+    """A kernel that adds up the time spent in it."""
+
+    def __init__(self, kernel):
+        self.kernel, self.seconds = kernel, np.zeros(2)
+        self.bytes_per_spike = kernel.bytes_per_spike
+
+    def advance(self, state, inputs):
+        begun = _clocks()
+        steps = self.kernel.advance(state, inputs)
+        self.seconds += _clocks() - begun
+        return steps
+
+
+def kernels_here() -> tuple:
+    """The kernels that can run here, the faster first."""
+    try:
+        import numba  # noqa: F401
+    except ImportError:
+        return KERNELS[1:]
+    return KERNELS
+
+
+def compare(spec: NetworkSpec, images, advance=None) -> dict:
+    """Let reference and fast take turns over a set of samples.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    images : ndarray, shape (n_samples, ...)
+    advance : callable, optional
+        Called with the number of samples that the reference has done since the last call.
+
+    Returns
+    -------
+    dict
+        Ready for JSON.  Ratios are medians over the turns, one turn a stream of the reference.
+    """
+    images = np.asarray(images, float).reshape(len(images), -1)
+    parts = streams_of(len(images), spec.presentation.stream_length)
+    program = compile_spec(spec)
+    emulations = {name: Emulation(program, name) for name in kernels_here()}
+    whole_set = _equal_streams(images, parts)
+    identical, reference, turns = True, [], {name: [] for name in emulations}
+    for emulation in emulations.values():  # compiles, and warms the caches
+        emulation.run(whole_set[:1, :1], spec.presentation.steps, spec.presentation.gap)
+    for part in parts:
+        turn, *answer = reference_turn(spec, images[part])
+        reference.append(turn)
+        for name, emulation in emulations.items():
+            turns[name].append(fast_turn(emulation, spec, whole_set))
+            identical &= same_answer(spec, emulation, images[part], *answer)
+        if advance is not None:
+            advance(turn.samples)
+    best = next(iter(emulations))
+    walls, processor = (_ratios(reference, turns, best, clock) for clock in (0, 1))
+    return {
+        "identical": bool(identical),
+        **walls,
+        "processor_time": processor,
+        "samples_per_second": _pace(turns[best]),
+        "samples_per_second_numpy": _pace(turns["numpy"]),
+        "reference_samples_per_second": _pace(reference),
+        "kernel": best,
+        "n_samples": len(images),
+        "steps_per_sample": spec.presentation.steps,
+        "gap_per_sample": spec.presentation.gap,
+        "turns": len(parts),
+        "mean_rates_hz": _rates(spec, emulations[best], whole_set),
+    }
+
+
+def _ratios(reference, turns, best, clock):
+    """How many times faster, by one of the two clocks."""
+
+    def ratio(name, what):
+        ratios = [
+            (getattr(a, what)[clock] / a.samples) / (getattr(b, what)[clock] / b.samples)
+            for a, b in zip(reference, turns[name], strict=True)
+        ]
+        return float(np.median(ratios))
+
+    return {
+        "ratio_whole": ratio(best, "whole"),
+        "ratio_chip": ratio(best, "chip"),
+        "ratio_whole_numpy": ratio("numpy", "whole"),
+        "ratio_chip_numpy": ratio("numpy", "chip"),
+    }
+
+
+def _equal_streams(images, parts):
+    """The samples as streams of one length, a shorter last one left out."""
+    length = parts[0].stop
+    full = [images[part] for part in parts if part.stop - part.start == length]
+    return np.stack(full)
+
+
+def _pace(turns):
+    return float(np.median([turn.samples / turn.whole[0] for turn in turns]))
+
+
+def _rates(spec, emulation, streams):
+    """Spikes a second of each layer's neurons while a sample is shown and in its gap."""
+    shown = emulation.run(streams, spec.presentation.steps, spec.presentation.gap)
+    seconds = seconds_per_sample(spec)
+    return {name: float(counts.mean() / seconds) for name, counts in shown.counts.items()}
+
+
+def reference_turn(spec, images):
+    """NengoLoihi's emulator on one stream.
+
+    Returns
+    -------
+    Turn, ndarray (n_samples, period, n_outputs), dict of str to list of ndarray
+        Time, the output probe, and every spike, for each layer packed by sample.
+    """
+    built = build(spec)
+    built.feed.images = images
+    chip, whole, outputs = np.zeros(2), np.zeros(2), []
+    spikes = {name: [] for name in built.spikes}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
+            emulator = sim.sims["emulator"]
+            run_steps = emulator.run_steps
+
+            def timed(steps):
+                begun = _clocks()
+                run_steps(steps)
+                nonlocal chip
+                chip += _clocks() - begun
+
+            emulator.run_steps = timed
+            for _ in images:
+                begun = _clocks()
+                sim.run_steps(built.feed.period)
+                whole += _clocks() - begun
+                outputs.append(np.array(sim.data[built.output]))
+                for name, probe in built.spikes.items():
+                    spikes[name].append(np.packbits(np.array(sim.data[probe]) != 0, axis=1))
+                sim.clear_probes()
+    return Turn(whole, chip, len(images)), np.array(outputs), spikes
+
+
+def fast_turn(emulation, spec, streams) -> Turn:
+    """The target fast on all streams, side by side, in one thread."""
+    kernel = emulation.kernel
+    emulation.kernel = timed = _TimedKernel(kernel)
+    begun = _clocks()
+    emulation.run(streams, spec.presentation.steps, spec.presentation.gap)
+    seconds = _clocks() - begun
+    emulation.kernel = kernel
+    return Turn(seconds, timed.seconds, streams.shape[0] * streams.shape[1])
+
+
+def same_answer(spec, emulation, images, output, spikes) -> bool:
+    """Every spike the same, outputs within 1e-9, predictions the same."""
+    gap, watched = spec.presentation.gap, []
+    mine = emulation.run(images[None], spec.presentation.steps, gap, watched.append)
+    counts = {name: counts[0] for name, counts in mine.counts.items()}
+    predictions = [
+        read_output(spec, out[:, gap:], counts).predictions for out in (mine.output[0], output)
+    ]
+    return (
+        set(watched[0]) == set(spikes)
+        and all(
+            np.array_equal(packed[name][0], rows[index])
+            for name, rows in spikes.items()
+            for index, packed in enumerate(watched)
+        )
+        and bool(np.allclose(mine.output[0], output, rtol=0, atol=1e-9))
+        and np.array_equal(*predictions)
+    )

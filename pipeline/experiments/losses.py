@@ -1,0 +1,179 @@
+"""What conversion and chip cost, on the whole test split and over seeds.
+
+The yardstick is the stronger of two CNNs of one architecture: the paper's recipe, and the annealed
+one that the spiking network is trained with (:data:`pipeline.training.networks.RECIPES`).
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from deploy.network.operations import multiply_accumulates
+from deploy.targets.registry import answer
+from pipeline.experiments.resampling import estimate
+from pipeline.inputs.images import tactile_images
+from pipeline.inputs.library import recordings_of
+from pipeline.inputs.splits import random_split
+from pipeline.settings import Settings
+
+SCHEMA = "stmnist-losses/2"
+STEPS = (100, 50)
+PAPER = {"spiking-lif": 0.02, "chip-100": 0.03}
+"""Accuracy that the paper loses from CNN to spiking network and to Loihi (Table 2)."""
+
+
+def check(settings: Settings):
+    """Refuse settings that do not go with every number of steps.
+
+    Raises
+    ------
+    UserError
+        They read the output later than the shortest presentation lasts.
+    """
+    for steps in STEPS:
+        settings.with_values({"presentation": {"steps": steps}}, "benchmark losses")
+
+
+def measure(job) -> dict:
+    """Train and test everything for one seed.
+
+    Parameters
+    ----------
+    job : object
+        With ``settings`` and ``seed``, that of the split and of every training.
+
+    Returns
+    -------
+    dict
+        ``accuracy`` of each stage on the whole test split, ``disagreements`` with the rate-based
+        network as shares, ``operations`` as multiples of the CNN's multiply-accumulates.
+    """
+    from pipeline.run.conversion import deployed
+    from pipeline.training import nengodl  # TensorFlow, in the process that needs it
+    from pipeline.training import networks as training
+
+    begun = time.perf_counter()
+    settings, seed = job.settings, job.seed
+    recordings = recordings_of(settings.data)
+    split = random_split(len(recordings), seed, settings.split.test_fraction)
+    images = tactile_images(recordings, settings.image.aggregation, settings.image.normalisation)
+    train = images[split.train], recordings.labels[split.train]
+    shown, labels = images[split.test], recordings.labels[split.test]
+
+    def predictions(logits):
+        return np.argmax(logits, axis=1)
+
+    paper = training.train_cnn(settings, train, seed)
+    annealed = training.train_cnn(settings, train, seed, recipe=training.RECIPES["loihi"])
+    rate = training.train_rate_network(settings, train, seed, paper.weights)
+    found = {
+        "cnn": predictions(training.cnn_logits(settings, paper.weights, shown)),
+        "cnn-annealed": predictions(training.cnn_logits(settings, annealed.weights, shown)),
+        "rate-lif": predictions(training.rate_logits(settings, rate.weights, shown)),
+        "spiking-lif": nengodl.predict(settings, rate.weights, shown, max(STEPS)),
+    }
+    spec = deployed(settings, rate.weights, {}, train[0])
+    operations, decided = {}, {}
+    for steps in STEPS:
+        responses = answer(spec.with_presentation(steps=steps), shown, "fast", seed)
+        stage = f"chip-{steps}"
+        found[stage] = responses.predictions
+        total = sum(counts.mean() for counts in responses.operations.values())
+        operations[stage] = float(total / sum(multiply_accumulates(spec).values()))
+        decided[stage] = float(np.median(responses.decided_at))
+    return {
+        "schema": SCHEMA,
+        "seed": seed,
+        "n_train": len(split.train),
+        "n_test": len(labels),
+        "accuracy": {stage: float(np.mean(p == labels)) for stage, p in found.items()},
+        "disagreements": {
+            stage: float(np.mean(found[stage] != found["rate-lif"]))
+            for stage in ("spiking-lif", *operations)
+        },
+        "operations": operations,
+        "decided_at_median": decided,
+        "seconds": time.perf_counter() - begun,
+    }
+
+
+def summarise(results, simulated: bool) -> dict:
+    """Means over seeds, with 95 % intervals for overlapping splits; losses are paired by seed.
+
+    Parameters
+    ----------
+    results : sequence of dict
+        From :func:`measure`.
+    simulated : bool
+
+    Returns
+    -------
+    dict
+    """
+    stages = list(results[0]["accuracy"])
+    accuracy = {stage: np.array([r["accuracy"][stage] for r in results]) for stage in stages}
+    stronger = max(("cnn", "cnn-annealed"), key=lambda stage: accuracy[stage].mean())
+
+    def interval(values):
+        found = estimate(values, results[0]["n_train"], results[0]["n_test"])
+        return {
+            "mean": found.mean,
+            "ci95": list(found.interval) if found.interval else None,
+            "values": list(map(float, values)),
+        }
+
+    def over_seeds(name):
+        return {key: interval([r[name][key] for r in results]) for key in results[0][name]}
+
+    return {
+        "schema": SCHEMA,
+        "simulated": simulated,
+        "seeds": [r["seed"] for r in results],
+        "n_train": results[0]["n_train"],
+        "n_test": results[0]["n_test"],
+        "accuracy": over_seeds("accuracy"),
+        "stronger_cnn": stronger,
+        "loss": {
+            stage: interval(accuracy[stronger] - accuracy[stage])
+            for stage in stages
+            if not stage.startswith("cnn")
+        },
+        "disagreements": over_seeds("disagreements"),
+        "operations": over_seeds("operations"),
+        "decided_at_median": over_seeds("decided_at_median"),
+    }
+
+
+def losses_text(summary: dict) -> str:
+    """The summary as a table."""
+
+    def shown(entry, scale=100, digits=2):
+        mean = f"{scale * entry['mean']:7.{digits}f}"
+        if entry["ci95"] is None:
+            return mean
+        low, high = (f"{scale * value:.{digits}f}" for value in entry["ci95"])
+        return f"{mean}  ({low} to {high})"
+
+    what = "simulated samples" if summary["simulated"] else "samples"
+    lines = [
+        f"Mean over {len(summary['seeds'])} seeds (95 % interval), each on the whole test split of "
+        f"{summary['n_test']} {what}",
+        "",
+        "accuracy in %",
+        *(f"  {stage:<22}{shown(entry)}" for stage, entry in summary["accuracy"].items()),
+        f"points lost from the stronger CNN ({summary['stronger_cnn']}); in the paper "
+        + ", ".join(f"{100 * lost:.0f} to {stage}" for stage, lost in PAPER.items()),
+        *(f"  {stage:<22}{shown(entry)}" for stage, entry in summary["loss"].items()),
+        "predictions that differ from the rate-based network's, in %",
+        *(f"  {stage:<22}{shown(entry)}" for stage, entry in summary["disagreements"].items()),
+        "synaptic operations an inference, in multiples of the CNN's multiply-accumulates",
+        *(f"  {stage:<22}{shown(entry, 1)}" for stage, entry in summary["operations"].items()),
+        "step from which half the samples are decided for good",
+        *(
+            f"  {stage:<22}{shown(entry, 1, 0)}"
+            for stage, entry in summary["decided_at_median"].items()
+        ),
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,209 @@
+"""The paper's Table 2 from the results of splits: rows, paired comparisons, text."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.experiments.resampling import estimate
+from pipeline.experiments.table2 import (
+    KINDS,
+    MODELS,
+    Benchmark,
+    loihi_target,
+    read_split,
+    splits_there,
+)
+
+COMPARISONS = (
+    ("cnn", "ann-snn"),
+    ("cnn", "loihi"),
+    ("ann-snn", "loihi"),
+    ("cnn", "slayer"),
+    ("cnn", "own-ann-snn"),
+    ("own-ann-snn", "own-loihi"),
+    ("own-loihi", "loihi"),
+)
+"""Pairs of models whose difference is told."""
+
+
+def summarise(benchmark: Benchmark, failures=()) -> dict:
+    """Put the table together from all results that are there, asked for this time or earlier.
+
+    Parameters
+    ----------
+    benchmark : Benchmark
+    failures : sequence of (Job, Failure)
+        Of this run.
+
+    Returns
+    -------
+    dict
+        Plain values: ``simulated``, ``splits`` (asked for this time), ``rows`` (those of random
+        splits, the paper's protocol), ``writer_rows``, ``comparisons``, ``failures``.
+    """
+    results = {
+        (kind, name): [
+            result
+            for index in splits_there(benchmark.folder, kind, name)
+            if (result := read_split(benchmark, kind, index, name)) is not None
+        ]
+        for kind in KINDS
+        for name in MODELS
+    }
+
+    def rows(kind):
+        asked = benchmark.models if kind in benchmark.kinds else ()
+        return [
+            _row(name, results[kind, name])
+            for name in MODELS
+            if name in asked or results[kind, name]
+        ]
+
+    everything = [result for group in results.values() for result in group]
+    return {
+        "schema": "stmnist-table2/1",
+        "simulated": all(result["simulated"] for result in everything) if everything else None,
+        "source_sha256": benchmark.source_sha256,
+        "splits": benchmark.splits,
+        "seed": benchmark.settings.seed,
+        "check_samples": benchmark.settings.check.samples,
+        "loihi_target": loihi_target(),
+        "rows": rows("random"),
+        "writer_rows": rows("writers"),
+        "comparisons": [
+            comparison
+            for kind in KINDS
+            for a, b in COMPARISONS
+            if (comparison := _compare(kind, a, b, results)) is not None
+        ],
+        "failures": [
+            {"split": job.kind, "index": index, "models": missing, "error": failure.error}
+            for job, failure in failures
+            for index in job.indices
+            if (missing := [m for m in job.models if m not in _answered(results, job.kind, index)])
+        ],
+    }
+
+
+def _row(name, results):
+    paper = MODELS[name].paper or (None, None)
+    row = {
+        "model": name,
+        "title": MODELS[name].title,
+        "accuracy_mean": None,
+        "accuracy_sd": None,
+        "accuracy_ci95": None,
+        "paper_mean": paper[0],
+        "paper_sd": paper[1],
+        "per_split": [result["accuracy"] for result in results],
+        "indices": [result["index"] for result in results],
+        "n_test": _mean(results, "n_test"),
+        "seconds": [result["seconds"] for result in results],
+    }
+    if results:
+        got = estimate(row["per_split"], _mean(results, "n_train"), row["n_test"])
+        row["accuracy_mean"], row["accuracy_sd"] = got.mean, got.sd
+        if got.interval:
+            row["accuracy_ci95"] = [max(got.interval[0], 0.0), min(got.interval[1], 1.0)]
+    return row
+
+
+def _mean(results, size):
+    """Mean of a number of samples over splits, which differ in it where writers are apart."""
+    return float(np.mean([result[size] for result in results])) if results else None
+
+
+def _answered(results, kind, index):
+    """Models that have a result of the split."""
+    return {
+        model
+        for (of_kind, model), group in results.items()
+        if of_kind == kind and any(result["index"] == index for result in group)
+    }
+
+
+def _compare(kind, a, b, results):
+    """Accuracy of a less that of b, on the samples of each split that both have answered."""
+    of_b = {result["index"]: result for result in results[kind, b]}
+    pairs = [(r, of_b[r["index"]]) for r in results[kind, a] if r["index"] in of_b]
+    if not pairs:
+        return None
+    differences, n_shared = [], []
+    for one, two in pairs:
+        right = [
+            {s: p == y for s, p, y in zip(r["samples"], r["predictions"], r["labels"], strict=True)}
+            for r in (one, two)
+        ]
+        shared = sorted(right[0].keys() & right[1].keys())
+        n_shared.append(len(shared))
+        differences.append(float(np.mean([right[0][s] - right[1][s] for s in shared])))
+    n_test = float(np.mean(n_shared))
+    got = estimate(differences, _mean([one for one, _ in pairs], "n_train"), n_test)
+    return {
+        "split": kind,
+        "a": a,
+        "b": b,
+        "difference": got.mean,
+        "ci95": list(got.interval) if got.interval else None,
+        "p_value": got.p_value,
+        "n_splits": len(pairs),
+        "n_samples": n_test,
+    }
+
+
+def table_text(table: dict) -> str:
+    """The table as text, the paper's figures beside ours."""
+    what = "simulated recordings" if table["simulated"] else "recordings"
+    lines = [f"Table 2 of the paper, on {what}; mean (SD) of the accuracy over splits"]
+    if table["simulated"]:
+        lines.append("The paper's figures are of real recordings and not to be compared as equals.")
+    for key, heading in (
+        ("rows", "random 80-20 splits, as in the paper"),
+        ("writer_rows", "writers of the test samples not in training"),
+    ):
+        if not table[key]:
+            continue
+        lines += [
+            "",
+            f"{heading:<44} {'ours':>13}  {'95 % interval':<15} {'splits':>6}  {'paper':>11}",
+        ]
+        lines += [_line(row) for row in table[key]]
+    if table["comparisons"]:
+        lines += ["", "paired differences, on the same samples of the same splits"]
+        for c in table["comparisons"]:
+            interval = "" if c["ci95"] is None else f"  [{_signed(c['ci95'])}]  p {_p(c)}"
+            lines.append(
+                f"  {c['split']:<8} {c['a']} less {c['b']}: {c['difference']:+.3f}{interval}"
+            )
+    lines.append("")
+    lines.append(
+        f"In the place of Loihi stands the target '{table['loihi_target']}', "
+        f"{table['check_samples']} test samples a split."
+    )
+    for failure in table["failures"]:
+        lines.append(
+            f"FAILED: split {failure['split']} {failure['index']}, "
+            f"{', '.join(failure['models'])}: {failure['error']}"
+        )
+    return "\n".join(lines)
+
+
+def _line(row):
+    paper = "" if row["paper_mean"] is None else f"{row['paper_mean']:.2f} ({row['paper_sd']:.2f})"
+    if row["accuracy_mean"] is None:
+        return f"{row['title']:<44} {'not run':>13}  {'':<15} {0:>6}  {paper:>11}".rstrip()
+    sd = " " * 8 if row["accuracy_sd"] is None else f" ({row['accuracy_sd']:.3f})"
+    interval = row["accuracy_ci95"]
+    interval = "" if interval is None else f"{interval[0]:.3f} to {interval[1]:.3f}"
+    ours = f"{row['accuracy_mean']:.3f}{sd}"
+    splits = len(row["per_split"])
+    return f"{row['title']:<44} {ours:>13}  {interval:<15} {splits:>6}  {paper:>11}".rstrip()
+
+
+def _signed(interval):
+    return ", ".join(f"{bound:+.3f}" for bound in interval)
+
+
+def _p(comparison):
+    p_value = comparison["p_value"]
+    return "< 0.001" if p_value < 0.001 else f"= {p_value:.3f}"

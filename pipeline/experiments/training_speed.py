@@ -1,0 +1,122 @@
+"""How fast the rate-based network of the paper's recipe trains, in three ways, in one process."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from models.cnn import get_weights
+from models.keras2 import tf
+from models.together import Stack
+from pipeline.settings import Settings
+from pipeline.training import nengodl
+from pipeline.training.networks import build_rate_network, make_deterministic, optimizer, snn_recipe
+
+WAYS = ("nengodl", "keras", "together")
+
+
+def measure(settings: Settings, data, networks: int = 5, rounds: int = 3, advance=None) -> dict:
+    """Time epochs of NengoDL's fit, of Keras's fit, and of the networks trained together.
+
+    The ways take turns, so that whatever else the machine does meets all of them.  Building and
+    compiling (the first epoch) is left out of the epochs' times and told separately.
+
+    Parameters
+    ----------
+    settings : Settings
+    data : (images, labels)
+        Training samples, the same for every network.
+    networks : int
+        The first two ways train them one after the other.
+    rounds : int
+        Epochs that are timed.
+    advance : callable, optional
+        ``advance(1, note)`` after each turn.
+
+    Returns
+    -------
+    dict
+        ``seconds_per_epoch`` (median, of all networks), ``first_epoch_seconds`` and
+        ``ratio_to_nengodl`` (median of the rounds) by way; ``samples``, ``networks``, ``rounds``.
+    """
+    settings = replace(settings, snn=replace(settings.snn, recipe="paper"))
+    recipe = snn_recipe(settings.snn)
+    times = {way: [] for way in WAYS}
+    with contextlib.ExitStack() as simulators:
+        turns = {
+            "nengodl": _nengodl_turn(settings, data, networks, recipe, simulators),
+            "keras": _keras_turn(settings, data, networks, recipe),
+            "together": _together_turn(settings, data, networks, recipe),
+        }
+        for number in range(rounds + 1):
+            for way in WAYS:
+                begun = time.perf_counter()
+                turns[way]()
+                times[way].append(time.perf_counter() - begun)
+                if advance is not None:
+                    advance(1, f"{way}, round {number}")
+    yardstick = np.array(times["nengodl"][1:])
+    return {
+        "samples": len(data[0]),
+        "networks": networks,
+        "rounds": rounds,
+        "first_epoch_seconds": {way: times[way][0] for way in WAYS},
+        "seconds_per_epoch": {way: float(np.median(times[way][1:])) for way in WAYS},
+        "ratio_to_nengodl": {
+            way: float(np.median(yardstick / np.array(times[way][1:]))) for way in WAYS
+        },
+    }
+
+
+def speed_text(result: dict) -> str:
+    """The measurement as a table."""
+    lines = [
+        f"Training {result['networks']} networks on {result['samples']} samples, one epoch; "
+        f"medians of {result['rounds']} rounds in which the ways took turns",
+        f"{'way':<34} {'seconds':>8} {'times as fast':>14}",
+    ]
+    titles = {
+        "nengodl": "NengoDL's fit, one by one",
+        "keras": "Keras's fit, one by one",
+        "together": "stacked, all at once",
+    }
+    for way in WAYS:
+        seconds, ratio = result["seconds_per_epoch"][way], result["ratio_to_nengodl"][way]
+        lines.append(f"{titles[way]:<34} {seconds:>8.2f} {ratio:>14.1f}")
+    return "\n".join(lines)
+
+
+def _models(settings, networks):
+    make_deterministic(settings.seed)
+    return [build_rate_network(settings) for _ in range(networks)]
+
+
+def _nengodl_turn(settings, data, networks, recipe, simulators):
+    trainers = [
+        simulators.enter_context(
+            nengodl.open_trainer(settings, get_weights(model), data, recipe.batch_size)
+        )
+        for model in _models(settings, networks)
+    ]
+    return lambda: [train_epoch() for train_epoch in trainers]
+
+
+def _keras_turn(settings, data, networks, recipe):
+    models = _models(settings, networks)
+    for model in models:
+        model.compile(
+            tf.keras.optimizers.RMSprop(recipe.learning_rate),
+            tf.keras.losses.SparseCategoricalCrossentropy(from_logits=True),
+        )
+    return lambda: [
+        model.fit(*data, batch_size=recipe.batch_size, epochs=1, verbose=0) for model in models
+    ]
+
+
+def _together_turn(settings, data, networks, recipe):
+    stack = Stack(_models(settings, networks), data, optimizer(recipe, len(data[0])))
+    parts, seeds = [np.arange(len(data[0]))] * networks, list(range(networks))
+    return lambda: stack.train_epoch(parts, seeds, 0, recipe.batch_size)

@@ -1,0 +1,1 @@
+"""From recordings to what networks are shown: images, event frames, splits."""

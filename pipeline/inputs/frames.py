@@ -1,0 +1,41 @@
+"""Events in bins of time: the input of a network that is trained on events themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.recordings.events import DURATION_S, GRID, Recordings
+
+
+def bin_events(recordings: Recordings, bins: int = 200) -> np.ndarray:
+    """Where there is an event of which polarity in which bin (paper, Section 3.2.3).
+
+    The bins divide the two seconds of a recording evenly: 200 bins are 10 ms each.  Several events
+    of one taxel and polarity in one bin count as one, a spike being there or not; so it makes no
+    difference whether the decoder's repeated columns were merged before.  Events after the two
+    seconds are left out.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    bins : int
+
+    Returns
+    -------
+    ndarray of uint8, shape (n_samples, bins, 10, 10, 2)
+        1 or 0 for each sample, bin, row and column of the tactile image, and polarity: first ON,
+        then OFF.
+    """
+    frames = np.zeros((len(recordings), bins, GRID, GRID, 2), np.uint8)
+    events, taxels = recordings.events, recordings.taxels
+    time = (events.time_ns * bins / (DURATION_S * 1e9)).astype(np.int64)
+    inside = (time >= 0) & (time < bins)
+    taxel = events.taxel[inside]
+    frames[
+        recordings.sample_of_event[inside],
+        time[inside],
+        taxels.x[taxel],
+        taxels.y[taxel],
+        (events.polarity[inside] < 0).astype(np.int64),
+    ] = 1
+    return frames

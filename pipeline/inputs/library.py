@@ -1,0 +1,87 @@
+"""From the name of a source to recordings: simulated or imported, and cached."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pipeline.progress import progress
+from pipeline.recordings import archive, cache
+from pipeline.recordings.events import Recordings
+from pipeline.settings import Data
+from pipeline.skin.simulate import SAMPLES_PER_DIGIT, simulate, source_of
+
+SIMULATED = "simulated"
+"""The name of the built-in source."""
+
+
+def load_recordings(
+    source: str = SIMULATED,
+    simulation_seed: int = 0,
+    samples_per_digit: int = 0,
+    skip_bad: bool = False,
+    jobs: int = 2,
+    warn=None,
+) -> Recordings:
+    """Recordings of a source, made or imported on first use and cached.
+
+    Parameters
+    ----------
+    source : str
+        ``"simulated"``, or the path of an ST-MNIST zip or folder.
+    simulation_seed : int
+        Of simulated recordings.
+    samples_per_digit : int
+        Of simulated recordings; 0 for the published numbers, 6,953 in all.
+    skip_bad : bool
+        Leave out files that cannot be read instead of stopping.
+    jobs : int
+        Processes.
+    warn : callable, optional
+        Called with one line for each file that was left out.
+
+    Returns
+    -------
+    Recordings
+
+    Raises
+    ------
+    UserError
+        The source cannot be read, or the cache is damaged.
+    """
+    if source == SIMULATED:
+        return _simulated(simulation_seed, samples_per_digit, jobs)
+    return _imported(Path(source), skip_bad, jobs, warn)
+
+
+def recordings_of(data: Data, jobs: int = 1, warn=None) -> Recordings:
+    """Recordings that settings ask for; see :func:`load_recordings`."""
+    return load_recordings(
+        data.source, data.simulation_seed, data.samples_per_digit, data.skip_bad, jobs, warn
+    )
+
+
+def _simulated(seed, samples_per_digit, jobs):
+    counts = [samples_per_digit] * 10 if samples_per_digit else list(SAMPLES_PER_DIGIT)
+    key = cache.key_of("simulated", source_of(seed, counts).sha256)
+    recordings = cache.load(key)
+    if recordings is None:
+        with progress("simulate", sum(counts)) as advance:
+            recordings = simulate(seed, counts, jobs, advance)
+        cache.store(key, recordings)
+    return recordings
+
+
+def _imported(path, skip_bad, jobs, warn):
+    archive.list_source(path)  # a wrong path or a damaged zip is said before anything is hashed
+    fingerprint = archive.fingerprint(path)
+    sha256 = cache.recall(fingerprint)
+    if sha256 is None:
+        sha256 = archive.content_hash(path)
+        cache.remember(fingerprint, sha256)
+    # What was imported with bad files left out must not pass for a clean import later.
+    key = cache.key_of("imported", path.name, sha256, skip_bad)
+    recordings = cache.load(key)
+    if recordings is None:
+        recordings = archive.read_source(path, jobs, skip_bad, progress, warn)
+        cache.store(key, recordings)
+    return recordings

@@ -1,0 +1,1 @@
+"""Recordings: events, MAT files, archives of them, the cache, and the counts of Table 1."""

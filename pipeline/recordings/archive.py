@@ -1,0 +1,278 @@
+"""Recordings as published: a zip or a folder with a sub-folder for each digit.
+
+The layout is ``data_submission/<digit>/*.mat``; the digit folders may stand at any depth, and
+``LUT.mat`` anywhere or nowhere.  The zip is read without being unpacked to disk.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+import joblib
+
+from deploy.errors import UserError
+from deploy.files import replacing, sha256_of
+from pipeline.recordings.events import Recordings, Source, collect
+from pipeline.recordings.matfile import (
+    BadRecording,
+    MatRecording,
+    lookup_table_bytes,
+    read_lookup_table,
+    read_recording,
+    recording_bytes,
+)
+
+LOOKUP_TABLE = "lut.mat"
+DIGITS = tuple("0123456789")
+CHUNK = 32
+"""Files that a worker reads at a time: enough to hide the hand-over, few enough for the bar."""
+
+
+@dataclass(frozen=True)
+class Listing:
+    """The files of a source.
+
+    Attributes
+    ----------
+    path : Path
+    recordings : tuple of (str, int)
+        Member path and digit of each recording, in order of digit and path.
+    lookup_table : str or None
+        Member path of ``LUT.mat``.
+    refused : tuple of (str, str)
+        Member path and reason of what can't be a recording.
+    """
+
+    path: Path
+    recordings: tuple
+    lookup_table: str | None
+    refused: tuple
+
+
+def list_source(path) -> Listing:
+    """Find the recordings in a zip or folder.
+
+    Raises
+    ------
+    UserError
+        No such file or folder, not a zip, a damaged zip, or nothing in it looks like ST-MNIST.
+    """
+    path = Path(path)
+    refused, recordings, tables, seen = [], [], [], set()
+    for name, problem in _members(path):
+        member = PurePosixPath(name)
+        if problem is None and (member.is_absolute() or ".." in member.parts):
+            problem = "its path leaves the archive"
+        elif problem is None and name in seen:
+            problem = "is in the archive twice"
+        seen.add(name)
+        hidden = member.name.startswith(".") or "__MACOSX" in member.parts
+        if hidden or member.suffix.lower() != ".mat":
+            if problem:
+                refused.append((name, problem))
+            continue
+        if problem:
+            refused.append((name, problem))
+        elif member.name.lower() == LOOKUP_TABLE:
+            tables.append(name)
+        elif len(member.parts) >= 2 and member.parts[-2] in DIGITS:
+            recordings.append((name, int(member.parts[-2])))
+        else:
+            refused.append((name, "is not in a folder named for a digit, 0 to 9"))
+    if not recordings and not refused:
+        raise UserError(
+            f"{path}: holds no recordings; expected <digit>/*.mat, as in the ST-MNIST archive"
+        )
+    recordings.sort(key=lambda entry: (entry[1], entry[0]))
+    return Listing(path, tuple(recordings), min(tables, default=None), tuple(refused))
+
+
+def read_source(path, jobs: int = 2, skip_bad: bool = False, progress=None, warn=None):
+    """Read every recording of a zip or folder, in parallel.
+
+    Parameters
+    ----------
+    path : path-like
+    jobs : int
+        Processes.
+    skip_bad : bool
+        Go on without the files that are refused.
+    progress : callable, optional
+        ``progress(label, total)``, a context manager that yields ``advance(n)``.
+    warn : callable, optional
+        Called with one line for each file that was left out.
+
+    Returns
+    -------
+    Recordings
+
+    Raises
+    ------
+    UserError
+        Listing every refused file with its reason, unless ``skip_bad``.
+    """
+    listing = list_source(path)
+    refused, read = list(listing.refused), []
+    chunks = [
+        listing.recordings[start : start + CHUNK]
+        for start in range(0, len(listing.recordings), CHUNK)
+    ]
+    work = joblib.Parallel(n_jobs=jobs, return_as="generator")(
+        joblib.delayed(_read_members)(listing.path, [name for name, _ in chunk]) for chunk in chunks
+    )
+    with _shown(progress, "import", len(listing.recordings)) as advance:
+        for chunk, results in zip(chunks, work, strict=True):
+            for (name, digit), result in zip(chunk, results, strict=True):
+                if isinstance(result, MatRecording):
+                    read.append((name, digit, result))
+                else:
+                    refused.append((name, result))
+            advance(len(chunk))
+    taxels = None
+    if listing.lookup_table is not None:
+        try:
+            taxels = read_lookup_table(_Reader(listing.path).read(listing.lookup_table))
+        except BadRecording as error:
+            refused.append((listing.lookup_table, str(error)))
+    if refused and not skip_bad:
+        lines = "; ".join(f"{name} {reason}" for name, reason in sorted(refused))
+        raise UserError(
+            f"{path}: {len(refused)} of {len(refused) + len(read)} files refused: {lines}; "
+            "mend them, or leave them out with --skip-bad"
+        )
+    for name, reason in sorted(refused):
+        if warn is not None:
+            warn(f"{path}: left out {name}: {reason}")
+    if not read:
+        raise UserError(f"{path}: no recording in it can be read")
+    return collect(
+        parts=[recording.events for _, _, recording in read],
+        labels=[digit for _, digit, _ in read],
+        ids=_ids([name for name, _, _ in read]),
+        writers=[recording.writer for _, _, recording in read],
+        source=Source(
+            name=listing.path.name,
+            sha256=content_hash(listing.path),
+            simulated=any(recording.simulated for _, _, recording in read),
+        ),
+        taxels=taxels,
+    )
+
+
+def write_zip(path, recordings: Recordings, progress=None):
+    """Write recordings as a zip in the published layout, the same bytes for the same recordings.
+
+    Parameters
+    ----------
+    path : path-like
+    recordings : Recordings
+        Their ids become the names: ``"3/0042"`` is ``data_submission/3/0042.mat``.
+    progress : callable, optional
+        As in :func:`read_source`.
+    """
+    root = PurePosixPath("data_submission")
+    with (
+        replacing(path) as file,
+        zipfile.ZipFile(file, "w") as archive,
+        _shown(progress, "write", len(recordings)) as advance,
+    ):
+        _add(archive, root / "LUT.mat", lookup_table_bytes(recordings.taxels))
+        for index, name in enumerate(recordings.ids):
+            recording = MatRecording(
+                recordings[index], recordings.source.simulated, int(recordings.writers[index])
+            )
+            _add(archive, root / f"{name}.mat", recording_bytes(recording))
+            advance(1)
+
+
+def content_hash(path) -> str:
+    """SHA-256 over a source's content: of the zip, or of every MAT file of a folder."""
+    path = Path(path)
+    if not path.is_dir():
+        return sha256_of(path)
+    files = {name: sha256_of(path / name) for name, _ in _members(path) if _is_mat(name)}
+    return hashlib.sha256(json.dumps(files, sort_keys=True).encode()).hexdigest()
+
+
+def fingerprint(path) -> str:
+    """A cheap stand-in for the content hash: names, sizes and times of change."""
+    path = Path(path)
+    files = [path] if not path.is_dir() else [path / n for n, _ in _members(path) if _is_mat(n)]
+    stats = [(str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns) for f in files]
+    return hashlib.sha256(json.dumps(stats).encode()).hexdigest()
+
+
+def _is_mat(name):
+    return name.lower().endswith(".mat")
+
+
+def _add(archive, name, content):
+    # Stored: the MAT file is compressed already.
+    archive.writestr(zipfile.ZipInfo(str(name), date_time=(1980, 1, 1, 0, 0, 0)), content)
+
+
+def _shown(progress, label, total):
+    return progress(label, total) if progress else contextlib.nullcontext(lambda n: None)
+
+
+def _ids(names):
+    short = [f"{PurePosixPath(n).parts[-2]}/{PurePosixPath(n).stem}" for n in names]
+    return short if len(set(short)) == len(short) else [str(PurePosixPath(n)) for n in names]
+
+
+def _members(path: Path):
+    """Paths of all files of a source, each with what is wrong with it as a member, or None."""
+    if path.is_dir():
+        return [
+            (file.relative_to(path).as_posix(), None)
+            for file in sorted(path.rglob("*"))
+            if file.is_file()
+        ]
+    if not path.exists():
+        raise UserError(f"{path}: no such file or folder; give the ST-MNIST zip or its folder")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return [
+                (info.filename, "is encrypted" if info.flag_bits & 1 else None)
+                for info in archive.infolist()
+                if not info.is_dir()
+            ]
+    except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, ValueError) as error:
+        raise UserError(
+            f"{path}: not a zip archive, or cut short ({error}); download it again"
+        ) from error
+
+
+class _Reader:
+    """Content of a source's members."""
+
+    def __init__(self, path: Path):
+        self.folder = path if path.is_dir() else None
+        self.archive = None if self.folder else zipfile.ZipFile(path)
+
+    def read(self, name) -> bytes:
+        try:
+            if self.folder:
+                return (self.folder / name).read_bytes()
+            return self.archive.read(name)
+        except (OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
+            raise BadRecording(f"cannot be read from the source ({error})") from error
+        except NotImplementedError as error:
+            raise BadRecording(f"is compressed in a way not supported ({error})") from error
+
+
+def _read_members(path, names):
+    """Read some members; a reason takes the place of a recording that is refused."""
+    reader, results = _Reader(path), []
+    for name in names:
+        try:
+            results.append(read_recording(reader.read(name)))
+        except BadRecording as error:
+            results.append(str(error))
+    return results

@@ -1,0 +1,98 @@
+"""Recordings on disk, ready to load: imported or simulated once, keyed by the source's content."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+
+from deploy.errors import UserError
+from deploy.files import read_arrays, read_json, write_arrays, write_json
+from pipeline.recordings.events import EVENT_DTYPES, Events, Recordings, Source, TaxelMap
+
+FORMAT = 1
+"""Raise it with any change of what is stored or of how recordings are read."""
+
+
+def folder() -> Path:
+    """Where the cache is: ``$STMNIST_CACHE``, or ``stmnist`` in the user's cache folder."""
+    if "STMNIST_CACHE" in os.environ:
+        return Path(os.environ["STMNIST_CACHE"])
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stmnist"
+
+
+def key_of(*parts) -> str:
+    """A file name for whatever the parts (plain values) determine."""
+    return hashlib.sha256(json.dumps([FORMAT, *parts]).encode()).hexdigest()[:24]
+
+
+def store(key: str, recordings: Recordings):
+    """Save recordings under a key."""
+    source = recordings.source
+    write_arrays(
+        _path(key),
+        compress=False,  # loads at the disk's speed
+        **{name: getattr(recordings.events, name) for name in EVENT_DTYPES},
+        offsets=recordings.offsets,
+        labels=recordings.labels,
+        ids=np.array(recordings.ids, dtype=str),
+        writers=recordings.writers,
+        x=recordings.taxels.x,
+        y=recordings.taxels.y,
+        source=np.array([source.name, source.sha256]),
+        simulated=np.array(source.simulated),
+    )
+
+
+def load(key: str) -> Recordings | None:
+    """Load recordings, or None if the key is not there.
+
+    Raises
+    ------
+    UserError
+        The file is there but damaged.
+    """
+    path = _path(key)
+    if not path.exists():
+        return None
+    remedy = "delete it and run the command again to make it anew"
+    arrays = read_arrays(path, remedy)
+    try:
+        name, sha256 = (str(text) for text in arrays["source"])
+        recordings = Recordings(
+            events=Events(*(arrays[column] for column in EVENT_DTYPES)),
+            offsets=arrays["offsets"],
+            labels=arrays["labels"],
+            ids=tuple(arrays["ids"].tolist()),
+            writers=arrays["writers"],
+            source=Source(name, sha256, bool(arrays["simulated"])),
+            taxels=TaxelMap(arrays["x"], arrays["y"]),
+        )
+        n = len(recordings)
+        whole = recordings.offsets[-1] == len(recordings.events)
+        whole = whole and len(recordings.ids) == len(recordings.offsets) - 1 == n
+    except (KeyError, ValueError, TypeError, IndexError) as error:
+        raise UserError(f"{path}: damaged cache ({error}); {remedy}") from error
+    if not whole:
+        raise UserError(f"{path}: damaged cache; {remedy}")
+    return recordings
+
+
+def remember(fingerprint: str, sha256: str):
+    """Note the content hash of a source, so that it need not be read again to know it."""
+    write_json(folder() / f"source-{fingerprint[:24]}.json", {"sha256": sha256})
+
+
+def recall(fingerprint: str) -> str | None:
+    """The content hash of a source seen before, or None."""
+    path = folder() / f"source-{fingerprint[:24]}.json"
+    if not path.exists():
+        return None
+    return read_json(path, "delete it and run the command again").get("sha256")
+
+
+def _path(key):
+    return folder() / f"recordings-{key}.npz"

@@ -1,0 +1,228 @@
+"""One recording, one MATLAB file: ``spiketrain``, 101 x n (paper, Section 2.3).
+
+Rows 0 to 99 hold 1 (ON), -1 (OFF) or 0 for the taxels, row 100 the time of each column in seconds.
+MATLAB 5 files are read with SciPy, 7.3 files (HDF5) with h5py; nothing in them is executed.
+"""
+
+from __future__ import annotations
+
+import io
+import zlib
+from dataclasses import dataclass
+
+import h5py
+import numpy as np
+import scipy.io
+
+from pipeline.recordings.events import (
+    DURATION_S,
+    GRID,
+    N_TAXELS,
+    Events,
+    TaxelMap,
+    expand_bursts,
+    merge_bursts,
+)
+
+VARIABLE = "spiketrain"
+LATEST_S = 2 * DURATION_S
+"""A recording lasts 2 s; a time past this is taken for milliseconds."""
+
+
+class BadRecording(ValueError):
+    """A file is not a recording; the message says why in a few words."""
+
+
+@dataclass(frozen=True)
+class MatRecording:
+    """What one file holds.
+
+    Attributes
+    ----------
+    events : Events
+    simulated : bool
+        True if the file says of itself that it is simulated (a variable that this project adds).
+    writer : int
+        The writer if the file tells (likewise), else -1.
+    """
+
+    events: Events
+    simulated: bool = False
+    writer: int = -1
+
+
+def read_recording(content: bytes) -> MatRecording:
+    """Read a recording.
+
+    Parameters
+    ----------
+    content : bytes
+        Of a MATLAB 5 or 7.3 file.
+
+    Returns
+    -------
+    MatRecording
+
+    Raises
+    ------
+    BadRecording
+        Not a MAT file, or not a recording; see :func:`events_of`.
+    """
+    variables = read_variables(content, (VARIABLE, "simulated", "writer"))
+    if VARIABLE not in variables:
+        raise BadRecording(f"has no variable {VARIABLE!r}")
+    simulated, writer = (_number(variables.get(name)) for name in ("simulated", "writer"))
+    return MatRecording(
+        events=events_of(variables[VARIABLE]),
+        simulated=bool(simulated),
+        writer=-1 if writer is None else int(writer),
+    )
+
+
+def _number(variable):
+    """A variable's value if it is one finite number; else another's use of the name, and None."""
+    values = np.ravel([] if variable is None else variable)
+    is_number = values.size == 1 and values.dtype.kind in "fiub" and np.isfinite(values[0])
+    return values[0] if is_number else None
+
+
+def events_of(spiketrain) -> Events:
+    """Check a ``spiketrain`` and turn it into physical events.
+
+    Parameters
+    ----------
+    spiketrain : array_like, shape (101, n)
+
+    Raises
+    ------
+    BadRecording
+        Not 101 rows of numbers; empty; a value other than -1, 0 and 1; a column with several events
+        or none; times that are NaN, negative, not increasing or in milliseconds.
+    """
+    spiketrain = np.asarray(spiketrain)
+    if spiketrain.dtype.kind not in "fiub" or spiketrain.ndim != 2:
+        raise BadRecording(f"{VARIABLE!r} is not a matrix of numbers")
+    if spiketrain.shape[0] != N_TAXELS + 1:
+        raise BadRecording(f"{VARIABLE!r} has {spiketrain.shape[0]} rows, not {N_TAXELS + 1}")
+    if spiketrain.shape[1] == 0:
+        raise BadRecording("is empty: no events")
+    values, times = spiketrain[:-1], spiketrain[-1].astype(float)
+    if not np.isin(values, (-1, 0, 1)).all():
+        raise BadRecording("has a value other than -1, 0 and 1")
+    per_column = np.count_nonzero(values, axis=0)
+    if (per_column != 1).any():
+        column = int(np.argmax(per_column != 1))
+        raise BadRecording(f"column {column + 1} has {per_column[column]} events, not one")
+    if not np.isfinite(times).all():
+        raise BadRecording("has a time that is NaN or infinite")
+    if times[0] < 0:
+        raise BadRecording("has a negative time")
+    time_ns = np.rint(times * 1e9).astype(np.int64)
+    if (np.diff(time_ns) <= 0).any():
+        column = int(np.argmax(np.diff(time_ns) <= 0)) + 1
+        raise BadRecording(f"times do not increase at column {column + 1}")
+    if times[-1] > LATEST_S:
+        raise BadRecording(f"times go up to {times[-1]:g}, not seconds; in milliseconds?")
+    taxel = np.argmax(values != 0, axis=0)
+    return merge_bursts(time_ns, taxel, values[taxel, np.arange(values.shape[1])])
+
+
+def read_variables(content: bytes, names) -> dict:
+    """Read named variables of a MATLAB 5 or 7.3 file, those that it has.
+
+    Raises
+    ------
+    BadRecording
+        The content is not a MAT file or is damaged.
+    """
+    if not content:
+        raise BadRecording("is an empty file")
+    try:
+        if content[512:520] == b"\x89HDF\r\n\x1a\n":
+            with h5py.File(io.BytesIO(content), "r") as file:
+                # MATLAB stores columns first, so that HDF5 sees each matrix transposed.
+                return {name: file[name][()].T for name in names if name in file}
+        if not content.startswith(b"MATLAB 5.0 MAT-file"):
+            raise BadRecording("is not a MAT file")
+        with io.BytesIO(content) as file:
+            found = scipy.io.loadmat(file, variable_names=names)
+            return {name: found[name] for name in names if name in found}
+    except BadRecording:
+        raise
+    except (ValueError, TypeError, KeyError, OSError, EOFError, IndexError, zlib.error) as error:
+        raise BadRecording("is a damaged MAT file") from error
+    except Exception as error:  # SciPy's reader fails in many ways on damaged files
+        raise BadRecording(f"is a damaged MAT file ({type(error).__name__})") from error
+
+
+def spiketrain_of(events: Events) -> np.ndarray:
+    """The published form of a recording, shape (101, n_columns); inverse of :func:`events_of`."""
+    time_ns, taxel, polarity = expand_bursts(events)
+    spiketrain = np.zeros((N_TAXELS + 1, len(time_ns)))
+    spiketrain[taxel, np.arange(len(time_ns))] = polarity
+    spiketrain[-1] = time_ns * 1e-9
+    return spiketrain
+
+
+def recording_bytes(recording: MatRecording) -> bytes:
+    """A recording as a compressed MATLAB 5 file; inverse of :func:`read_recording`."""
+    variables = {}  # the events last: without them a file that was cut short is no recording
+    if recording.simulated:
+        variables["simulated"] = 1.0
+    if recording.writer >= 0:
+        variables["writer"] = float(recording.writer)
+    variables[VARIABLE] = spiketrain_of(recording.events)
+    return _mat_bytes(variables)
+
+
+def read_lookup_table(content: bytes) -> TaxelMap:
+    """Read ``LUT.mat``: 100 rows of X and Y, or of address, X and Y, in any one variable.
+
+    Raises
+    ------
+    BadRecording
+        No variable of that form, or its entries are no positions of 100 different taxels.
+    """
+    with_names = _all_variables(content)
+    for table in with_names.values():
+        table = np.asarray(table)
+        if table.dtype.kind in "fiu" and table.shape in ((N_TAXELS, 2), (N_TAXELS, 3)):
+            break
+    else:
+        raise BadRecording("has no table of 100 rows with X and Y, or address, X and Y")
+    if table.shape[1] == 3:
+        if sorted(table[:, 0]) != list(range(1, N_TAXELS + 1)):
+            raise BadRecording("its first column is not the addresses 1 to 100")
+        table = table[np.argsort(table[:, 0]), 1:]
+    positions = {tuple(row) for row in table.tolist()}
+    if len(positions) != N_TAXELS or not np.isin(table, np.arange(1, GRID + 1)).all():
+        raise BadRecording(f"X and Y are not {N_TAXELS} different positions from 1 to {GRID}")
+    x, y = (table[:, i].astype(int) - 1 for i in (0, 1))
+    return TaxelMap(x, y)
+
+
+def lookup_table_bytes(taxels: TaxelMap) -> bytes:
+    """A lookup table as a MATLAB 5 file; inverse of :func:`read_lookup_table`."""
+    address = np.arange(1, N_TAXELS + 1)
+    return _mat_bytes({"LUT": np.stack([address, taxels.x + 1, taxels.y + 1], 1).astype(float)})
+
+
+def _all_variables(content):
+    try:
+        if content[512:520] == b"\x89HDF\r\n\x1a\n":
+            with h5py.File(io.BytesIO(content), "r") as file:
+                names = [name for name in file if isinstance(file[name], h5py.Dataset)]
+        else:
+            names = [entry[0] for entry in scipy.io.whosmat(io.BytesIO(content))]
+    except Exception as error:
+        raise BadRecording("is a damaged MAT file") from error
+    return read_variables(content, names)
+
+
+def _mat_bytes(variables):
+    buffer = io.BytesIO()
+    scipy.io.savemat(buffer, variables, do_compression=True)
+    content = bytearray(buffer.getvalue())
+    # SciPy writes the time of day into the header's text; the same recording has the same bytes.
+    content[:116] = b"MATLAB 5.0 MAT-file, written by stmnist-loihi".ljust(116)
+    return bytes(content)

@@ -1,0 +1,454 @@
+"""The report of a run: one HTML file that needs nothing else."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import dataclass
+from importlib import resources
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from deploy import __version__
+from deploy.check.bundle import Bundle
+from deploy.check.energy import estimate
+from deploy.network.responses import seconds_per_sample
+from pipeline.experiments.table2 import MODELS
+from pipeline.inputs.images import aggregate, normalise
+from pipeline.recordings import table1 as statistics
+from pipeline.recordings.events import Recordings, collect
+from pipeline.report import charts
+from pipeline.run.ladder import ladder_json
+from pipeline.settings import Settings
+
+STAGE_TITLES = {
+    "cnn": "CNN",
+    "rate-lif": "Rate LIF",
+    "spiking-lif": "Spiking LIF, NengoDL",
+    "nengo": "Spiking, Nengo",
+    "simreal": "Loihi, not discretised",
+    "emulator": "Loihi emulator",
+    "fast": "Loihi, fast emulator",
+    "loihi": "Loihi board",
+}
+STAGE_NOTES = {
+    "cnn": "the paper's convolutional network, no spikes",
+    "rate-lif": "trained with the firing rates of LIF neurons in the place of spikes",
+    "spiking-lif": "the same weights, neurons that spike",
+    "nengo": "the network as deployed, input as spikes too, on Nengo's reference simulator",
+    "simreal": "NengoLoihi's model of the chip in floating point",
+    "emulator": "NengoLoihi's model of the chip in its integers: 8-bit weights, rounded voltages",
+    "fast": "the same, bit for bit, by this project's own emulator",
+    "loihi": "the chip itself",
+}
+ZERO_MEANS = {
+    "data.samples_per_digit": "0: the published numbers",
+    **{f"snn.{name}": "0: the recipe's own" for name in ("epochs", "batch_size", "learning_rate")},
+}
+FRAMES = 6
+"""Pictures of a tactile image in the making."""
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """All that a report is made from.
+
+    Attributes
+    ----------
+    settings : Settings
+    recordings : Recordings
+    bundle : Bundle
+    results : list of dict
+        Check results of the bundle, in the order of the ladder.
+    metrics : dict of str to dict
+        ``metrics.json`` of ``cnn`` and ``snn``.
+    histories : dict of str to list of dict
+        Rows of an epoch each, of whatever was trained.
+    table2 : dict or None
+        See :func:`pipeline.experiments.table2_summary.summarise`.
+    table2_settings : Settings or None
+        What it was measured with.
+    answers : dict of str to (labels, predictions)
+        Of the benchmark's random splits, for the confusion matrices.
+    plan : dict or None
+        Cores and what they hold.
+    replays : dict of int to Replay
+        Spikes of the samples that are shown, by their index in the check.
+    """
+
+    settings: Settings
+    recordings: Recordings
+    bundle: Bundle
+    results: list
+    metrics: dict
+    histories: dict
+    table2: dict | None
+    table2_settings: Settings | None
+    answers: dict
+    plan: dict | None
+    replays: dict
+
+
+def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
+    """Write the report.
+
+    Parameters
+    ----------
+    inputs : Inputs
+    now : datetime, optional
+        Printed in the head.
+
+    Returns
+    -------
+    str
+        HTML with its style and pictures in it; no script and nothing from elsewhere.
+    """
+    environment = Environment(
+        loader=PackageLoader("pipeline.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["percent"] = lambda share: f"{100 * share:.1f} %"
+    now = now or datetime.datetime.now(datetime.UTC)
+    return environment.get_template("report.html.j2").render(
+        style=resources.files("pipeline.report").joinpath("report.css").read_text(encoding="utf-8"),
+        made=now.strftime("%Y-%m-%d %H:%M UTC"),
+        package=__version__,
+        settings=_flat(inputs.settings),
+        defaults=ZERO_MEANS,
+        titles={name: model.title for name, model in MODELS.items()},
+        other_settings=_other_settings(inputs),
+        source=inputs.recordings.source,
+        n_recordings=len(inputs.recordings),
+        bundle=inputs.bundle,
+        metrics=inputs.metrics,
+        plan=inputs.plan,
+        table2=inputs.table2,
+        ladder=_ladder(inputs),
+        benchmark=_benchmark(inputs.table2),
+        table1=_table1(inputs.recordings),
+        anytime=_anytime(inputs),
+        curves=_learning_curves(inputs.histories),
+        matrices=_confusions(inputs),
+        stories=_stories(inputs),
+        energy=_energy(inputs),
+        activity=_activity(inputs),
+        versions={k: v for result in inputs.results for k, v in result["versions"].items()},
+    )
+
+
+def choose_samples(result: dict, stream_length: int) -> list:
+    """Indices of a sample that was answered rightly and of one that was not, if there are both.
+
+    Those that come early in their streams, because a replay starts with the stream.
+    """
+    chosen = []
+    for right in (True, False):
+        candidates = [
+            index
+            for index, sample in enumerate(result["samples"])
+            if (sample["label"] == sample["prediction"]) == right
+        ]
+        if candidates:
+            chosen.append(min(candidates, key=lambda index: (index % stream_length, index)))
+    return chosen
+
+
+def _flat(settings):
+    """Settings by their dotted names, as ``--set`` takes them."""
+    flat = {}
+    for section, values in settings.to_json().items():
+        if isinstance(values, dict):
+            flat |= {f"{section}.{name}": value for name, value in values.items()}
+        else:
+            flat[section] = values
+    return flat
+
+
+def _other_settings(inputs):
+    """Settings that the benchmark has otherwise than the run."""
+    if inputs.table2_settings is None:
+        return {}
+    ours = _flat(inputs.settings)
+    return {k: v for k, v in _flat(inputs.table2_settings).items() if v != ours[k]}
+
+
+def _ladder(inputs):
+    rows = ladder_json(inputs.results)["rows"]
+    for row in rows:
+        row["title"] = STAGE_TITLES.get(row["stage"], row["stage"])
+        row["note"] = STAGE_NOTES.get(row["stage"], "")
+    chart = charts.interval_chart(
+        [(row["title"], row["accuracy"], row["accuracy_ci95"], None) for row in rows],
+        "accuracy, with 95 % interval",
+        "Accuracy of each stage from CNN to chip",
+    )
+    return {"rows": rows, "chart": chart, "n": inputs.results[0]["n_samples"]}
+
+
+def _benchmark(table):
+    if table is None:
+        return None
+    run = [row for row in table["rows"] if row["accuracy_mean"] is not None]
+    chart = run and charts.interval_chart(
+        [
+            (row["title"], row["accuracy_mean"], row["accuracy_ci95"], row["paper_mean"])
+            for row in run
+        ],
+        "accuracy, mean over splits with 95 % interval",
+        "Accuracy of the models of Table 2, the paper's marked",
+    )
+    random, writers = (
+        {row["model"]: row for row in table[kind]} for kind in ("rows", "writer_rows")
+    )
+    rows = [
+        {
+            "title": model.title,
+            "paper": model.paper,
+            "random": random.get(name),
+            "writers": writers.get(name),
+        }
+        for name, model in MODELS.items()
+        if model.paper or name in random or name in writers
+    ]
+    return {"rows": rows, "chart": chart}
+
+
+def _table1(recordings):
+    names = {
+        "on": "ON events",
+        "off": "OFF events",
+        "x_mean": "X mean",
+        "y_mean": "Y mean",
+        "x_range": "X range",
+        "y_range": "Y range",
+    }
+    ours = statistics.table(recordings)
+    return [
+        {
+            "title": title,
+            "cells": [
+                {"ours": ours[digit][name], "paper": statistics.PAPER[digit][name]}
+                for digit in sorted(ours)
+            ],
+            "places": 0 if name in ("on", "off") else 2,
+        }
+        for name, title in names.items()
+    ] + [
+        {
+            "title": "Sample size",
+            "cells": [
+                {
+                    "ours": (ours[digit]["samples"], None),
+                    "paper": (statistics.PAPER[digit]["samples"], None),
+                }
+                for digit in sorted(ours)
+            ],
+            "places": 0,
+        }
+    ]
+
+
+def _anytime(inputs):
+    shown = [r for r in inputs.results if len(r["anytime_accuracy"]) > 1][-4:]
+    if not shown:
+        return None
+    start = inputs.bundle.spec.presentation.readout_start
+    series = [
+        charts.Series(
+            STAGE_TITLES.get(r["target"], r["target"]),
+            tuple(range(start + 1, len(r["anytime_accuracy"]) + 1)),
+            tuple(r["anytime_accuracy"][start:]),
+        )
+        for r in shown
+    ]
+    return {
+        "chart": charts.line_chart(
+            series,
+            "steps of 1 ms since the sample was shown",
+            "accuracy",
+            description="Accuracy if the decision were taken at each step",
+        ),
+        "legend": charts.legend([s.name for s in series]),
+        "median": shown[-1]["decided_at_median"],
+        "target": STAGE_TITLES.get(shown[-1]["target"], shown[-1]["target"]),
+    }
+
+
+def _learning_curves(histories):
+    curves = []
+    for name, rows in histories.items():
+        columns = {
+            "accuracy": "training",
+            "val_accuracy": "validation",
+            "test_accuracy": "test, only watched",
+        }
+        series = [
+            charts.Series(
+                title, tuple(row["epoch"] for row in rows), tuple(row[column] for row in rows)
+            )
+            for column, title in columns.items()
+            if column in rows[0]
+        ]
+        curves.append(
+            {
+                "title": name,
+                "chart": charts.line_chart(
+                    series, "epoch", "accuracy", description=f"Learning curve of {name}"
+                ),
+                "legend": charts.legend([s.name for s in series]),
+            }
+        )
+    return curves
+
+
+def _confusions(inputs):
+    wanted = {
+        f"{title}, test samples of all splits": inputs.answers[name]
+        for name, title in (("cnn", "CNN"), ("ann-snn", "ANN-SNN"), ("slayer", "SNN-SLAYER"))
+        if name in inputs.answers
+    }
+    for result in (inputs.results[0], inputs.results[-1]):
+        answers = [[s[key] for s in result["samples"]] for key in ("label", "prediction")]
+        title = STAGE_TITLES.get(result["target"], result["target"])
+        if not (result["target"] == "cnn" and "cnn" in inputs.answers):
+            wanted[f"{title}, the check's {len(answers[0])} samples"] = answers
+    matrices = []
+    for title, (labels, predictions) in wanted.items():
+        matrix = np.zeros((10, 10), int)
+        np.add.at(matrix, (np.asarray(labels), np.asarray(predictions)), 1)
+        matrices.append({"title": title, "chart": charts.confusion(matrix, f"Confusions: {title}")})
+    return matrices
+
+
+def _stories(inputs):
+    result, stories = inputs.results[-1], []
+    position = {name: index for index, name in enumerate(inputs.recordings.ids)}
+    for index, replay in inputs.replays.items():
+        sample = result["samples"][index]
+        recording = position[sample["id"]]
+        events = inputs.recordings[recording]
+        rasters = [
+            _layer_raster(layer, steps[steps >= 0], neurons[steps >= 0], replay)
+            for layer, (steps, neurons) in replay.spikes.items()
+        ]
+        stories.append(
+            {
+                "sample": sample,
+                "right": sample["label"] == sample["prediction"],
+                "frames": _frames(inputs, recording),
+                "events": charts.raster(
+                    [
+                        (name, events.time_ns[mask] / 1e9, events.taxel[mask])
+                        for name, mask in (
+                            ("on", events.polarity > 0),
+                            ("off", events.polarity < 0),
+                        )
+                    ],
+                    max(float(events.time_ns.max(initial=0)) / 1e9, 0.1),
+                    "seconds",
+                    "taxel",
+                    "Events of the 100 taxels, ON and OFF",
+                    100,
+                ),
+                "n_events": len(events),
+                "layers": rasters,
+                "scores": _scores(sample),
+                "target": STAGE_TITLES.get(result["target"], result["target"]),
+            }
+        )
+    return stories
+
+
+def _layer_raster(layer, steps, neurons, replay):
+    size = replay.neurons[layer]
+    return {
+        "title": f"{layer}: {size} neurons, {len(steps)} spikes",
+        "chart": charts.raster(
+            [("s1", steps, neurons)],
+            replay.steps,
+            "steps of 1 ms",
+            "neuron",
+            f"Spikes of {layer}",
+            size,
+        ),
+    }
+
+
+def _frames(inputs, recording):
+    """The tactile image as it grows, up to the last event."""
+    whole = inputs.recordings[recording]
+    end = int(whole.time_ns[-1]) + 1 if len(whole) else 1
+    frames = []
+    for number in range(1, FRAMES + 1):
+        until = end * number // FRAMES
+        mask = whole.time_ns < until
+        part = type(whole)(
+            *(getattr(whole, c)[mask] for c in ("time_ns", "taxel", "polarity", "columns"))
+        )
+        one = collect(
+            [part], [0], ["part"], [-1], inputs.recordings.source, inputs.recordings.taxels
+        )
+        image = inputs.settings.image
+        pixels = normalise(aggregate(one, image.aggregation), image.normalisation)[0]
+        caption = f"{until / 1e9:.2f} s"
+        frames.append(
+            {"chart": charts.image(pixels, f"Tactile image at {caption}"), "caption": caption}
+        )
+    return frames
+
+
+def _scores(sample):
+    """Bars of the classes' scores, longest for the largest."""
+    scores = np.asarray(sample["scores"])
+    spread = scores.max() - scores.min()
+    width = (scores - scores.min()) / (spread or 1.0)
+    return [
+        {
+            "digit": digit,
+            "score": float(score),
+            "width": float(100 * w),
+            "written": digit == sample["label"],
+        }
+        for digit, (score, w) in enumerate(zip(scores, width, strict=True))
+    ]
+
+
+def _energy(inputs):
+    counted = [r for r in inputs.results if r["spikes"]]
+    if not counted:
+        return None
+    got = estimate(inputs.bundle.spec, counted[-1])
+    chip = [layer for layer in got.layers if layer.on_chip]
+    products = sum(layer.multiply_accumulates for layer in got.layers)
+    return {
+        "operations": sum(layer.synaptic_operations for layer in chip),
+        "updates": sum(layer.neuron_updates for layer in chip),
+        "products": products,
+        "microjoules": {
+            "Loihi, layers on the chip": 1e6 * got.chip_joules,
+            "CNN on a CPU": 1e6 * got.cnn_joules("cpu"),
+            "CNN on a GPU, in large batches": 1e6 * got.cnn_joules("gpu"),
+        },
+    }
+
+
+def _activity(inputs):
+    counted = [r for r in inputs.results if r["spikes"]]
+    if not counted:
+        return None
+    result = counted[-1]
+    sizes = {layer.name: layer.size for layer in inputs.bundle.spec.layers}
+    sizes["input"] = int(np.prod(inputs.bundle.spec.input_shape))
+    seconds = seconds_per_sample(inputs.bundle.spec)
+    return [
+        {
+            "layer": layer,
+            "neurons": sizes[layer],
+            "spikes": spikes / result["n_samples"],
+            "rate": spikes / result["n_samples"] / sizes[layer] / seconds,
+        }
+        for layer, spikes in result["spikes"].items()
+    ]

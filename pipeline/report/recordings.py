@@ -1,0 +1,156 @@
+"""The paper's figures of recordings: one over time, its events by taxel, the layout, a sheet."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from pipeline.inputs.images import aggregate, normalise
+from pipeline.recordings.events import (
+    DURATION_S,
+    GRID,
+    N_TAXELS,
+    Events,
+    Recordings,
+    TaxelMap,
+    collect,
+)
+
+ON, OFF = "red", "black"
+"""Colours of the paper's Figure 4."""
+
+FRAMES = 8
+"""Tactile images above the raster."""
+
+
+def recording(recordings: Recordings, index: int) -> Figure:
+    """The tactile image as it grows, above a raster of all taxels (paper, Figure 4).
+
+    Parameters
+    ----------
+    recordings : Recordings
+    index : int
+        Which of them.
+    """
+    events = recordings[index]
+    figure = Figure(figsize=(10, 7), layout="constrained")
+    figure.suptitle(_title(recordings, index))
+    frames, raster = figure.subfigures(2, 1, height_ratios=[1, 3])
+    ends = np.arange(1, FRAMES + 1) * DURATION_S / FRAMES
+    grown = np.stack([_image(events, end, recordings.taxels) for end in ends])
+    grown = grown / max(grown[-1].max(), 1)
+    for axes, end, image in zip(frames.subplots(1, FRAMES), ends, grown, strict=True):
+        _show(axes, image)
+        axes.set_title(f"to {end:.2f} s", fontsize=9)
+    axes = raster.subplots()
+    seconds = events.time_ns * 1e-9
+    for polarity, colour, label in ((1, ON, "ON"), (-1, OFF, "OFF")):
+        mine = events.polarity == polarity
+        axes.scatter(
+            seconds[mine], events.taxel[mine] + 1, 4, colour, marker="|", linewidths=1, label=label
+        )
+    axes.set(xlim=(0, DURATION_S), ylim=(0.5, N_TAXELS + 0.5), xlabel="time (s)")
+    axes.set_ylabel("taxel address")
+    axes.legend(loc="upper right", markerscale=3, frameon=True)
+    return figure
+
+
+def events_by_taxel(recordings: Recordings, index: int) -> Figure:
+    """Each taxel's decoded events over time, at the taxel's place (paper, Figure 2).
+
+    Parameters
+    ----------
+    recordings : Recordings
+    index : int
+        Which of them.
+    """
+    events, taxels = recordings[index], recordings.taxels
+    figure = Figure(figsize=(11, 9), layout="constrained")
+    axes = figure.subplots()
+    # One cell a taxel: time runs from its left to its right, zero is its middle.
+    x = taxels.y[events.taxel] - 0.5 + events.time_ns * 1e-9 / DURATION_S
+    zero = taxels.x[events.taxel]
+    for polarity, colour, label in ((1, ON, "ON, up"), (-1, OFF, "OFF, down")):
+        mine = events.polarity == polarity
+        tip = zero[mine] - 0.4 * polarity
+        axes.vlines(x[mine], zero[mine], tip, colour, linewidth=0.6, label=label)
+    for taxel, (row, column) in enumerate(zip(taxels.x, taxels.y, strict=True)):
+        axes.text(column - 0.47, row - 0.3, taxel + 1, fontsize=7, color="0.5")
+    _cells(axes)
+    axes.set(title=f"{_title(recordings, index)}: each taxel's events, 0 to {DURATION_S:g} s")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.03), ncols=2, frameon=False)
+    return figure
+
+
+def layout(taxels: TaxelMap) -> Figure:
+    """Where each taxel lies: address in bold, (X, Y) below it, 1-based (paper, Figure 1)."""
+    figure = Figure(figsize=(7, 7), layout="constrained")
+    axes = figure.subplots()
+    for taxel, (x, y) in enumerate(zip(taxels.x, taxels.y, strict=True)):
+        axes.text(y, x - 0.12, taxel + 1, ha="center", va="center", weight="bold", fontsize=11)
+        axes.text(y, x + 0.22, f"({x + 1},{y + 1})", ha="center", va="center", fontsize=8)
+    _cells(axes)
+    axes.set(aspect="equal", title="Taxel addresses and (X, Y)")
+    return figure
+
+
+def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
+    """Tactile images of samples drawn at random, a row for each digit.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    per_digit : int
+    seed : int
+        Of the draw.
+    """
+    rng = np.random.default_rng(seed)
+    digits = np.unique(recordings.labels)
+    images = normalise(aggregate(recordings))
+    figure = Figure(figsize=(0.6 * per_digit + 0.4, 0.6 * len(digits) + 0.5))
+    figure.suptitle(_source(recordings))
+    panels = figure.subplots(len(digits), per_digit, squeeze=False)
+    figure.subplots_adjust(0.03, 0.01, 0.99, 0.94, 0.06, 0.06)
+    for row, digit in zip(panels, digits, strict=True):
+        pool = np.flatnonzero(recordings.labels == digit)
+        chosen = np.sort(rng.choice(pool, min(per_digit, len(pool)), replace=False))
+        row[0].set_ylabel(digit, rotation=0, labelpad=8, va="center")
+        for axes in row[len(chosen) :]:
+            axes.set_visible(False)
+        for axes, index in zip(row, chosen, strict=False):
+            _show(axes, images[index])
+    return figure
+
+
+def _cells(axes):
+    """A grid of taxels, numbered as the paper does."""
+    edges = np.arange(GRID + 1) - 0.5
+    axes.hlines(edges, -0.5, GRID - 0.5, "0.8", linewidth=0.8)
+    axes.vlines(edges, -0.5, GRID - 0.5, "0.8", linewidth=0.8)
+    axes.set_xticks(range(GRID), range(1, GRID + 1))
+    axes.set_yticks(range(GRID), range(1, GRID + 1))
+    axes.tick_params(length=0)
+    axes.set(xlim=(-0.5, GRID - 0.5), ylim=(GRID - 0.5, -0.5), xlabel="Y", ylabel="X")
+
+
+def _show(axes, image):
+    axes.imshow(image, cmap="gray_r", vmin=0, vmax=1)
+    axes.set(xticks=[], yticks=[])
+
+
+def _image(events, until_s, taxels):
+    early = events.time_ns < until_s * 1e9
+    part = Events(*(getattr(events, name)[early] for name in vars(events)))
+    return aggregate(collect([part], [0], ["part"], [-1], None, taxels))[0]
+
+
+def _source(recordings):
+    name = recordings.source.name
+    if recordings.source.simulated and "simulated" not in name:
+        return f"{name}, simulated"
+    return name
+
+
+def _title(recordings, index):
+    name = recordings.ids[index]
+    return f"digit {recordings.labels[index]}, sample {name} ({_source(recordings)})"

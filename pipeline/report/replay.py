@@ -1,0 +1,65 @@
+"""One sample of a check once more, this time with every spike of every layer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deploy.check.bundle import Bundle
+from deploy.network.build import build
+from deploy.network.loihi_import import nengo_loihi
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Spikes of the gap before a sample and while it was shown.
+
+    Attributes
+    ----------
+    spikes : dict of str to (steps, neurons)
+        For each layer two arrays of int, one entry a spike: its step, from 0 when the sample is
+        first shown and below 0 in the gap, and its neuron.
+    neurons : dict of str to int
+        Neurons of each layer.
+    steps : int
+    """
+
+    spikes: dict
+    neurons: dict
+    steps: int
+
+
+def replay(bundle: Bundle, index: int, seed: int = 0) -> Replay:
+    """Run NengoLoihi's emulator on a sample and on those before it in its stream.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    index : int
+        Of the sample in the bundle's check.
+    seed : int
+
+    Returns
+    -------
+    Replay
+    """
+    spec = bundle.spec
+    built = build(spec, seed)
+    length = spec.presentation.stream_length
+    first = index - index % length
+    built.feed.images = bundle.checks.images[first : index + 1].reshape(index + 1 - first, -1)
+    with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as simulator:
+        for _ in range(first, index + 1):
+            simulator.clear_probes()
+            simulator.run_steps(built.feed.period)
+        fired = {name: np.array(simulator.data[probe]) > 0 for name, probe in built.spikes.items()}
+    spikes = {}
+    for name, mask in fired.items():
+        steps, neurons = np.nonzero(mask)
+        spikes[name] = steps - spec.presentation.gap, neurons
+    return Replay(
+        spikes=spikes,
+        neurons={name: mask.shape[1] for name, mask in fired.items()},
+        steps=spec.presentation.steps,
+    )

@@ -1,0 +1,1 @@
+"""A run: its folder, its stages, the bundle, and what each stage answers."""

@@ -1,0 +1,119 @@
+"""From trained rate-based weights to the network that is deployed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deploy.network.spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
+from models.lif import gain_for
+from models.notation import parse
+from models.quantised import eight_bits, twelve_bits
+from pipeline.settings import Settings
+from pipeline.training.networks import rate_logits
+
+
+def deployed(settings: Settings, weights: dict, provenance: dict, images) -> NetworkSpec:
+    """Describe the spiking network with the given weights; see :func:`to_spec`.
+
+    Parameters
+    ----------
+    settings, weights, provenance
+        As in :func:`to_spec`.
+    images : ndarray
+        Training images, by which the range of a readout on the chip is set.
+    """
+    on_chip = settings.deployment.readout == "chip"
+    logits = rate_logits(settings, weights, images) if on_chip else None
+    return to_spec(settings, weights, provenance, logits)
+
+
+def to_spec(settings: Settings, weights: dict, provenance: dict, logits=None) -> NetworkSpec:
+    """Describe the spiking network with the given weights.
+
+    With activation ``z`` at which the trained network's neurons get ``J = 1 + gain * z``, the
+    deployed convolution has weights ``gain * W`` and bias current ``1 + gain * b``, and a spike has
+    the area ``1 / max_rate``.
+
+    Parameters
+    ----------
+    settings : Settings
+    weights : dict
+        Of the rate-based network.
+    provenance : dict
+        Kept in the bundle.
+    logits : ndarray, shape (n_samples, outputs), optional
+        Of training samples; only for a readout on the chip, whose range is set by them.
+
+    Returns
+    -------
+    NetworkSpec
+    """
+    snn, deployment = settings.snn, settings.deployment
+    architecture = parse(settings.cnn.architecture)
+    layers = []
+    on_host = deployment.first_layer == "host"
+    for index, shape in enumerate(architecture.shapes[1:]):
+        name = f"conv{index + 1}"
+        gain = gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
+        kernel = gain * weights[f"{name}.kernel"].astype(float)
+        bias = 1 + gain * weights[f"{name}.bias"].astype(float)
+        if snn.recipe == "loihi":  # on the host too: that is what was trained
+            kernel, bias = eight_bits(kernel).numpy(), twelve_bits(bias).numpy()
+        layers.append(
+            Layer(
+                name=name,
+                kind="conv",
+                input_shape=architecture.shapes[index],
+                shape=shape,
+                placement="host" if on_host and index == 0 else "chip",
+                neurons=Neurons("lif", 1 / snn.max_rate(index), snn.tau_rc, snn.tau_ref),
+                synapse=None if on_host and index == 0 else deployment.synapse or None,
+                kernel=architecture.convs[index].kernel,
+                block_shape=None,
+                pop_type=deployment.pop_type,
+                weights=kernel,
+                bias=bias,
+            )
+        )
+    layers.append(_readout(settings, architecture, weights, logits))
+    return NetworkSpec(
+        architecture=str(architecture),
+        input_shape=architecture.input_shape,
+        encoder=None if on_host else Encoder(deployment.input_rate, deployment.input_phase),
+        layers=tuple(layers),
+        presentation=Presentation(**vars(settings.presentation)),
+        provenance=provenance,
+    )
+
+
+def _readout(settings, architecture, weights, logits):
+    common = dict(
+        name="output",
+        kind="dense",
+        input_shape=architecture.shapes[-1],
+        shape=(architecture.outputs,),
+        kernel=0,
+        block_shape=None,
+        pop_type=settings.deployment.pop_type,
+    )
+    kernel = weights["output.kernel"].T.astype(float)
+    bias = weights["output.bias"].astype(float)
+    if settings.deployment.readout == "host":
+        return Layer(
+            placement="host", neurons=None, synapse=None, weights=kernel, bias=bias, **common
+        )
+    # Ten LIF neurons: the median of a sample's best wrong logit gives threshold, the largest right
+    # ones the full rate, so that what decides lies in the neurons' range.
+    snn = settings.snn
+    top = np.sort(np.asarray(logits, float), axis=1)
+    threshold, full = np.median(top[:, -2]), np.percentile(top[:, -1], 99)
+    rate = snn.max_rates[-1]
+    gain = gain_for(rate, snn.tau_rc, snn.tau_ref) / max(full - threshold, 1e-6)
+    return Layer(
+        placement="chip",
+        neurons=Neurons("lif", 1 / rate, snn.tau_rc, snn.tau_ref),
+        synapse=settings.deployment.synapse or None,
+        weights=gain * kernel,
+        bias=1 + gain * (bias - threshold),
+        **common,
+    )

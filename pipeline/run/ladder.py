@@ -1,0 +1,182 @@
+"""The loss ladder: from CNN to chip, one row a stage, the same samples in each."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from deploy.check.results import compare
+from pipeline.run.diagnosis import layers_text, least_faithful
+
+STAGES = ("cnn", "rate-lif", "spiking-lif", "nengo", "simreal", "emulator", "loihi")
+"""Of the ladder on the check's samples."""
+
+WHOLE_STAGES = ("cnn", "rate-lif", "spiking-lif", "nengo", "simreal", "fast")
+"""Of the ladder on the whole test split; ``fast`` answers as ``emulator`` does, bit for bit."""
+
+SLOW = ("nengo", "simreal")
+"""Of `WHOLE_STAGES`, those that take minutes."""
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One stage of the ladder.
+
+    Attributes
+    ----------
+    stage : str
+    accuracy : float
+    accuracy_ci95 : tuple of float
+        Wilson interval.
+    drop : float or None
+        Accuracy lost from the stage above; None in the first row.
+    disagreements : int or None
+        Samples for which the stage above predicts another digit.
+    mcnemar_p : float or None
+        Exact McNemar test against the stage above.
+    confusion : list of list of int
+        Samples by label (row) and prediction (column).
+    """
+
+    stage: str
+    accuracy: float
+    accuracy_ci95: tuple
+    drop: float | None
+    disagreements: int | None
+    mcnemar_p: float | None
+    confusion: list
+
+
+def climb(results) -> list:
+    """Compare each result with the one before it.
+
+    Parameters
+    ----------
+    results : sequence of dict
+        Check results of the same bundle, in the order of the stages.
+
+    Returns
+    -------
+    list of Rung
+
+    Raises
+    ------
+    UserError
+        They are of different bundles or samples.
+    """
+    rungs, above = [], None
+    for result in results:
+        against = compare(above, result) if above is not None else None
+        rungs.append(
+            Rung(
+                stage=result["target"],
+                accuracy=result["accuracy"],
+                accuracy_ci95=tuple(result["accuracy_ci95"]),
+                drop=against and against.accuracy_drop,
+                disagreements=against and len(against.disagreements),
+                mcnemar_p=against and against.p_value,
+                confusion=confusion_matrix(result["samples"]),
+            )
+        )
+        above = result
+    return rungs
+
+
+def confusion_matrix(samples, classes: int = 10) -> list:
+    """Count samples by label (row) and prediction (column).
+
+    Parameters
+    ----------
+    samples : sequence of dict
+        With ``label`` and ``prediction``.
+    classes : int
+    """
+    matrix = np.zeros((classes, classes), int)
+    for sample in samples:
+        matrix[sample["label"], sample["prediction"]] += 1
+    return matrix.tolist()
+
+
+def ladder_json(results, layers=None, left_out=()) -> dict:
+    """The ladder as plain values.
+
+    Parameters
+    ----------
+    results : sequence of dict
+        As in :func:`climb`.
+    layers : list of dict, optional
+        From :func:`pipeline.run.diagnosis.layers_json`.
+    left_out : sequence of str
+        Stages that were not asked for.
+    """
+    first = results[0]
+    return {
+        "schema": "stmnist-ladder/1",
+        "bundle": first["bundle"],
+        "simulated": first["simulated"],
+        "n_samples": first["n_samples"],
+        "rows": [asdict(rung) for rung in climb(results)],
+        "left_out": list(left_out),
+        "layers": layers,
+        "least_faithful_layer": layers and least_faithful(layers),
+    }
+
+
+def losing_stages(ladder: dict, limit: float) -> list:
+    """What loses more than ``limit`` points after the rate-based network, as (from, to, points).
+
+    Each stage against the one above it, and the last one against the rate-based network.
+    """
+    stages = [row["stage"] for row in ladder["rows"]]
+    if "rate-lif" not in stages:
+        return []
+    rows = ladder["rows"][stages.index("rate-lif") :]
+    pairs = list(itertools.pairwise(rows))
+    if len(rows) > 2:
+        pairs.append((rows[0], rows[-1]))
+    drops = [(a["stage"], b["stage"], 100 * (a["accuracy"] - b["accuracy"])) for a, b in pairs]
+    return [(a, b, points) for a, b, points in drops if points > limit + 1e-9]
+
+
+def ladder_text(ladder: dict, limit: float = 1.0) -> str:
+    """The ladder as a table, with the layers under it where a stage loses too much.
+
+    Parameters
+    ----------
+    ladder : dict
+        From :func:`ladder_json`.
+    limit : float
+        Points that a stage after the rate-based network may lose.
+    """
+    what = "simulated samples" if ladder["simulated"] else "samples"
+    lines = [
+        f"Loss ladder, {ladder['n_samples']} {what}, each stage on the same ones",
+        f"{'stage':<12} {'accuracy':>8}  {'95 % interval':<15} {'drop':>6}  {'disagree':>8}"
+        f"  {'McNemar p':>9}",
+    ]
+    for row in ladder["rows"]:
+        low, high = row["accuracy_ci95"]
+        line = f"{row['stage']:<12} {row['accuracy']:>8.3f}  {low:.3f} to {high:.3f} "
+        if row["drop"] is not None:
+            p = row["mcnemar_p"]
+            # "+ 0.0" keeps a rounded -0.0 from being printed as such
+            line += f" {round(row['drop'], 3) + 0.0:>+6.3f}  {row['disagreements']:>8}"
+            line += f"  {'< 0.001' if p < 0.001 else format(p, '.3f'):>9}"
+        lines.append(line.rstrip())
+    first, last = ladder["rows"][0], ladder["rows"][-1]
+    lines.append(
+        f"from {first['stage']} to {last['stage']}: "
+        f"{100 * (first['accuracy'] - last['accuracy']) + 0.0:.1f} points lost"
+    )
+    if any(row["stage"] == "fast" for row in ladder["rows"]):
+        lines.append("fast: NengoLoihi's emulator, bit for bit")
+    if ladder["left_out"]:
+        lines.append(f"left out: {', '.join(ladder['left_out'])} (minutes each; add --slow)")
+    losing = losing_stages(ladder, limit)
+    for a, b, points in losing:
+        lines.append(f"{b} loses {points:.1f} points on {a}, more than {limit:g}")
+    if losing and ladder["layers"]:
+        lines += ["", layers_text(ladder["layers"])]
+    return "\n".join(lines)

@@ -1,0 +1,1 @@
+"""Training of every kind of network, and NengoDL."""

@@ -1,0 +1,212 @@
+"""NengoDL: the trained network with its neurons exchanged for LIF, rate-based or spiking.
+
+The only module that touches NengoDL.  Its ``Converter`` sets gain to its scale and bias to 0, with
+which a LIF neuron stays silent up to an activation of 1; both are set here to what the network was
+trained with (``J = 1 + gain * z``).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import logging
+import subprocess
+import sys
+import types
+import warnings
+
+import nengo
+import numpy as np
+
+from models.cnn import build_cnn, set_weights
+from models.keras2 import tf
+from models.lif import gain_for
+from models.notation import parse
+from models.quantised import eight_bits
+from pipeline.settings import Settings
+
+
+@contextlib.contextmanager
+def keras_of_its_time():
+    """While NengoDL is imported: the world of TensorFlow 2.12, for which NengoDL 3.6 was made.
+
+    - The name ``keras`` is Keras 2.  NengoDL takes from ``keras.engine.functional`` what moved to
+      ``src``, and from ``keras.layers`` two names of batch normalisation; it converts the second.
+    - NengoDL imports TensorFlow in a process of its own only to ask for a GPU, which takes seconds;
+      this process is asked instead.
+    """
+    functional = importlib.import_module("tf_keras.src.engine.functional")
+    layers = types.ModuleType("keras.layers")
+    layers.BatchNormalizationV1 = type("BatchNormalizationV1", (), {})
+    layers.BatchNormalizationV2 = tf.keras.layers.BatchNormalization
+    names = {
+        "keras": tf.keras,
+        "keras.engine": types.ModuleType("keras.engine"),
+        "keras.engine.functional": functional,
+        "keras.layers": layers,
+    }
+    kept = {name: sys.modules.get(name) for name in names}
+    call = subprocess.call
+    sys.modules.update(names)
+    subprocess.call = lambda command: not tf.config.list_physical_devices("GPU")
+    try:
+        yield
+    finally:
+        subprocess.call = call
+        for name, module in kept.items():
+            if module is None:
+                del sys.modules[name]
+            else:
+                sys.modules[name] = module
+
+
+with warnings.catch_warnings(), keras_of_its_time():
+    warnings.simplefilter("ignore")
+    import nengo_dl
+
+# A missing GPU and functions traced once a network are no news to the user.
+warnings.filterwarnings("ignore", "No GPU support", module="nengo_dl")
+for _name in ("nengo_dl", "tensorflow"):
+    logging.getLogger(_name).setLevel(logging.ERROR)
+
+
+def run(
+    settings: Settings,
+    weights: dict,
+    images,
+    steps: int,
+    spiking: bool = True,
+    batch: int = 100,
+    advance=None,
+) -> np.ndarray:
+    """Run the converted network on images, each from a fresh state.
+
+    Parameters
+    ----------
+    settings : Settings
+    weights : dict
+        Of the rate-based network.
+    images : ndarray, shape (n_samples, 10, 10, 1)
+        Fed in as constant currents.
+    steps : int
+        Steps of 1 ms; 1 is enough for the rate-based neurons.
+    spiking : bool
+        Spiking LIF neurons; False for rate-based ones.
+    batch : int
+        Samples side by side.
+    advance : callable, optional
+        Called with the number of samples done since the last call.
+
+    Returns
+    -------
+    ndarray, shape (n_samples, steps, 10)
+        Logits at each step, the readout's bias included.
+    """
+    converter, source, output = _convert(
+        settings,
+        weights,
+        nengo.LIF if spiking else nengo.LIFRate,
+        synapse=(settings.deployment.synapse or None) if spiking else None,
+    )
+    images = np.asarray(images, np.float32).reshape(len(images), 1, -1)
+    padding = -len(images) % batch  # NengoDL runs whole batches only
+    padded = np.concatenate([images, np.zeros((padding, *images.shape[1:]), np.float32)])
+    with nengo_dl.Simulator(
+        converter.net, minibatch_size=batch, progress_bar=False, seed=settings.seed
+    ) as simulator:
+        results = []
+        for part in np.split(padded, len(padded) // batch):
+            results.append(simulator.predict_on_batch({source: np.repeat(part, steps, 1)})[output])
+            if advance is not None:
+                advance(min(batch, len(images) - (len(results) - 1) * batch))
+    return np.concatenate(results)[: len(images)]
+
+
+@contextlib.contextmanager
+def open_trainer(settings: Settings, weights: dict, data, batch: int):
+    """NengoDL's own training of the rate-based network, as its users write it.
+
+    Slower than :mod:`pipeline.training.networks`, and here to be measured against it.
+
+    Parameters
+    ----------
+    settings : Settings
+    weights : dict
+        To start from.
+    data : (images, labels)
+        As many as make whole batches are used.
+    batch : int
+
+    Yields
+    ------
+    callable
+        ``train_epoch() -> loss``; the simulator is kept open between calls.
+    """
+    converter, source, output = _convert(settings, weights, nengo.LIFRate, None, False)
+    count = len(data[0]) // batch * batch
+    images = np.asarray(data[0][:count], np.float32).reshape(count, 1, -1)
+    labels = np.asarray(data[1][:count]).reshape(count, 1, 1)
+    with nengo_dl.Simulator(
+        converter.net, minibatch_size=batch, progress_bar=False, seed=settings.seed
+    ) as simulator:
+        simulator.compile(
+            tf.keras.optimizers.RMSprop(settings.cnn.learning_rate),
+            loss={output: tf.keras.losses.SparseCategoricalCrossentropy(from_logits=True)},
+        )
+
+        def train_epoch():
+            history = simulator.fit({source: images}, {output: labels}, verbose=0).history
+            return history["loss"][-1]
+
+        yield train_epoch
+
+
+def predict(settings: Settings, weights: dict, images, steps: int) -> np.ndarray:
+    """Answers of the spiking network: the highest mean logit from the start of the readout on.
+
+    Parameters
+    ----------
+    settings, weights, images, steps
+        As in :func:`run`.
+
+    Returns
+    -------
+    ndarray of int, shape (n_samples,)
+    """
+    outputs = run(settings, weights, images, steps)
+    return outputs[:, settings.presentation.readout_start :].mean(axis=1).argmax(1)
+
+
+def _convert(settings, weights, kind, synapse, inference_only=True):
+    """The network with neurons of a kind: converter, its input node and its output probe."""
+    snn = settings.snn
+    model = build_cnn(
+        parse(settings.cnn.architecture),
+        activation=lambda index: tf.keras.layers.Activation(tf.nn.relu),
+    )
+    if snn.recipe == "loihi":
+        weights = {
+            name: eight_bits(array).numpy()
+            if name.startswith("conv") and array.ndim == 4
+            else array
+            for name, array in weights.items()
+        }
+    set_weights(model, weights)
+    converter = nengo_dl.Converter(
+        model,
+        swap_activations={tf.nn.relu: kind()},
+        synapse=synapse,
+        inference_only=inference_only,
+    )
+    for index in range(len(parse(settings.cnn.architecture).convs)):
+        ensemble = converter.layers[model.get_layer(f"conv{index + 1}_neurons").output].ensemble
+        ensemble.neuron_type = kind(
+            tau_rc=snn.tau_rc, tau_ref=snn.tau_ref, amplitude=1 / snn.max_rate(index)
+        )
+        ensemble.gain = np.full(
+            ensemble.n_neurons, gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
+        )
+        ensemble.bias = np.ones(ensemble.n_neurons)
+    output = converter.outputs[model.output]
+    output.synapse = None
+    return converter, converter.inputs[model.input], output

@@ -1,0 +1,289 @@
+"""Training: the paper's CNN, and the same network with rate-based LIF neurons."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deploy.errors import UserError
+from deploy.network.operations import convolution_fan_out
+from models.cnn import activations, build_cnn, get_weights, predict, set_weights
+from models.keras2 import tf
+from models.lif import DT, RateLIF, gain_for
+from models.notation import parse
+from models.quantised import OnChipConv2D
+from pipeline.settings import Settings
+
+PERCENTILE = 99.9
+"""Of a layer's activations that becomes 1 when a CNN's weights are carried over."""
+
+
+PRICED_STEPS = 100
+"""Steps whose synaptic operations ``snn.spike_penalty`` weighs, whatever the presentation is, so
+that the same weights serve any number of steps."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a network is trained.
+
+    Attributes
+    ----------
+    epochs, batch_size : int
+    learning_rate : float
+        At the start.
+    annealed : bool
+        Adam with the learning rate falling to 0 along a half cosine; else RMSProp with a steady one
+        (paper, Section 3.2).
+    """
+
+    epochs: int
+    batch_size: int
+    learning_rate: float
+    annealed: bool = False
+
+
+RECIPES = {
+    "paper": Recipe(epochs=20, batch_size=32, learning_rate=0.001),
+    "loihi": Recipe(epochs=60, batch_size=64, learning_rate=0.002, annealed=True),
+}
+"""Of the rate-based networks, where the settings say 0."""
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A trained network.
+
+    Attributes
+    ----------
+    weights : dict of str to ndarray
+        See :func:`models.cnn.get_weights`.
+    history : list of dict
+        One row an epoch: ``epoch``, ``loss``, ``accuracy``, and ``val_loss`` and ``val_accuracy``
+        where there are validation samples.
+    """
+
+    weights: dict
+    history: list
+
+
+def train_cnn(
+    settings: Settings, data, seed: int, validation=None, advance=None, recipe=None
+) -> Trained:
+    """Train the paper's CNN (Section 3.2.1).
+
+    Parameters
+    ----------
+    settings : Settings
+    data : (images, labels)
+        Of the training samples.
+    seed : int
+        Same seed, same machine: same weights.
+    validation : (images, labels), optional
+        Only watched.
+    advance : callable, optional
+        ``advance(1, note)`` after each epoch.
+    recipe : Recipe, optional
+        Default: the paper's, with the settings' epochs, batch size and learning rate.
+
+    Returns
+    -------
+    Trained
+    """
+    model = new_cnn(settings, seed)
+    history = fit(model, recipe or cnn_recipe(settings.cnn), data, validation, advance)
+    return Trained(get_weights(model), history)
+
+
+def new_cnn(settings: Settings, seed: int) -> tf.keras.Model:
+    """The CNN as its training starts."""
+    make_deterministic(seed)
+    return build_cnn(parse(settings.cnn.architecture))
+
+
+def cnn_recipe(cnn) -> Recipe:
+    """The paper's recipe of the CNN, with the settings' epochs, batch size and learning rate."""
+    return Recipe(cnn.epochs, cnn.batch_size, cnn.learning_rate)
+
+
+def snn_recipe(snn) -> Recipe:
+    """The recipe of the rate-based network, with what the settings change of it."""
+    own = RECIPES[snn.recipe]
+    names = ("epochs", "batch_size", "learning_rate")
+    return replace(own, **{name: getattr(snn, name) or getattr(own, name) for name in names})
+
+
+def build_rate_network(settings: Settings) -> tf.keras.Model:
+    """The network with rate-based LIF neurons, as the recipe wants it."""
+    snn, architecture = settings.snn, parse(settings.cnn.architecture)
+    on_chip = snn.recipe == "loihi"
+    costs = _spike_costs(settings, architecture) if on_chip and snn.spike_penalty else None
+
+    def neurons(index):
+        return RateLIF(
+            snn.max_rate(index),
+            snn.tau_rc,
+            snn.tau_ref,
+            on_chip=on_chip,
+            noise=snn.noise if on_chip else 0.0,
+            spike_costs=costs and costs[index],
+        )
+
+    def convolution(index, conv, name):
+        gain = gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
+        return OnChipConv2D(conv.filters, conv.kernel, gain, name=name)
+
+    try:
+        return build_cnn(architecture, neurons, convolution if on_chip else None)
+    except ValueError as error:
+        raise UserError(f"settings: snn.max_rates: {error}") from error
+
+
+def _spike_costs(settings, architecture):
+    """Of each layer, the loss when a neuron fires at its ``max_rate`` for the priced steps."""
+    shapes = architecture.shapes
+    synapses = [
+        convolution_fan_out(shape, conv.kernel, conv.filters).reshape(shape)
+        for shape, conv in zip(shapes, architecture.convs, strict=False)
+    ]
+    synapses.append(np.full(shapes[-1], architecture.outputs))
+    operations = sum(int(layer.sum()) for layer in synapses)
+    seconds = PRICED_STEPS * DT
+    return [
+        (
+            settings.snn.spike_penalty * settings.snn.max_rate(index) * seconds * layer / operations
+        ).astype(np.float32)
+        for index, layer in enumerate(synapses[1:])
+    ]
+
+
+def train_rate_network(
+    settings: Settings, data, seed: int, cnn_weights=None, validation=None, advance=None
+) -> Trained:
+    """Train with rate-based LIF neurons (paper, Section 3.2.2).
+
+    With ``recipe = "paper"`` from new weights; with ``"loihi"`` from the CNN's, scaled so that the
+    activations fit the neurons' range, with the chip's rates and weights in the forward pass, noise
+    on the neurons' input, and a price on spikes if the settings have one.
+
+    Parameters
+    ----------
+    settings, data, seed, validation, advance
+        As in :func:`train_cnn`.
+    cnn_weights : dict, optional
+        Needed for ``"loihi"``.
+
+    Returns
+    -------
+    Trained
+    """
+    model = new_rate_network(settings, seed, data[0], cnn_weights)
+    history = fit(model, snn_recipe(settings.snn), data, validation, advance)
+    return Trained(get_weights(model), history)
+
+
+def new_rate_network(settings: Settings, seed: int, images, cnn_weights=None) -> tf.keras.Model:
+    """The rate-based network as its training on some images starts."""
+    make_deterministic(seed)
+    model = build_rate_network(settings)
+    if settings.snn.recipe == "loihi":
+        set_weights(model, scale_to_unit(settings, cnn_weights, images))
+    return model
+
+
+def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
+    """Scale a ReLU network's weights so that each layer's activations reach 1.
+
+    The function of the network is unchanged: what a layer's weights are divided by, the next
+    layer's are multiplied with.
+
+    Parameters
+    ----------
+    settings : Settings
+    weights : dict
+        Of the CNN.
+    images : ndarray
+        Training images, on which the activations are measured.
+    """
+    architecture = parse(settings.cnn.architecture)
+    model = build_cnn(architecture)
+    set_weights(model, weights)
+    scaled, before = dict(weights), 1.0
+    for name, output in activations(model, images).items():
+        scale = max(float(np.percentile(output, PERCENTILE)), 1e-6)
+        scaled[f"{name}.kernel"] = weights[f"{name}.kernel"] * before / scale
+        scaled[f"{name}.bias"] = weights[f"{name}.bias"] / scale
+        before = scale
+    scaled["output.kernel"] = weights["output.kernel"] * before
+    return scaled
+
+
+def fit(model, recipe: Recipe, data, validation=None, advance=None) -> list:
+    """Train a model that puts out logits with sparse categorical cross-entropy.
+
+    Parameters
+    ----------
+    model : tf.keras.Model
+    recipe : Recipe
+    data, validation : (images, labels)
+    advance : callable, optional
+
+    Returns
+    -------
+    list of dict
+        The history, one row an epoch.
+    """
+    model.compile(
+        optimizer(recipe, len(data[0])),
+        tf.keras.losses.SparseCategoricalCrossentropy(from_logits=True),
+        metrics=["accuracy"],
+    )
+    history = []
+
+    class Rows(tf.keras.callbacks.Callback):
+        def on_epoch_end(self, epoch, logs=None):
+            history.append({"epoch": epoch + 1, **{k: float(v) for k, v in logs.items()}})
+            if advance is not None:
+                advance(1, f"accuracy {logs['accuracy']:.3f}")
+
+    model.fit(
+        *data,
+        batch_size=recipe.batch_size,
+        epochs=recipe.epochs,
+        validation_data=validation,
+        callbacks=[Rows()],
+        verbose=0,
+    )
+    return history
+
+
+def optimizer(recipe: Recipe, n_samples: int) -> tf.keras.optimizers.Optimizer:
+    """The recipe's optimiser for so many training samples."""
+    if not recipe.annealed:
+        return tf.keras.optimizers.RMSprop(recipe.learning_rate)
+    batches = -(-n_samples // recipe.batch_size)
+    return tf.keras.optimizers.Adam(
+        tf.keras.optimizers.schedules.CosineDecay(recipe.learning_rate, batches * recipe.epochs)
+    )
+
+
+def make_deterministic(seed: int):
+    """Same seed, same machine: same weights."""
+    tf.keras.backend.clear_session()
+    tf.keras.utils.set_random_seed(seed)
+    tf.config.experimental.enable_op_determinism()
+
+
+def cnn_logits(settings: Settings, weights: dict, images) -> np.ndarray:
+    """Logits of the CNN, shape (n_samples, 10)."""
+    model = build_cnn(parse(settings.cnn.architecture))
+    set_weights(model, weights)
+    return predict(model, images)
+
+
+def rate_logits(settings: Settings, weights: dict, images) -> np.ndarray:
+    """Logits of the rate-based network, shape (n_samples, 10)."""
+    model = build_rate_network(settings)
+    set_weights(model, weights)
+    return predict(model, images)

@@ -1,0 +1,210 @@
+"""Training a spiking network on events with SLAYER (paper, Section 3.2.3)."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from deploy.errors import UserError
+from deploy.files import read_arrays, write_arrays
+from models.keras2 import tf
+from models.notation import parse
+from models.slayer import SpikeResponse, SpikingNetwork, spike_count_loss, spike_counts
+from pipeline.recordings.events import DURATION_S
+from pipeline.settings import Slayer
+
+
+@dataclass(frozen=True)
+class TrainedSlayer:
+    """A network trained with SLAYER.
+
+    Attributes
+    ----------
+    kernels : list of ndarray
+        See :class:`models.slayer.SpikingNetwork`.
+    history : list of dict
+        One row an epoch: ``epoch``, ``loss``, ``accuracy`` (of the training samples, as they were
+        trained on), ``test_accuracy`` (only watched), ``seconds``.
+    counts : ndarray, shape (n_test, outputs)
+        Spike counts of the test samples after the last epoch; the largest one wins.
+    """
+
+    kernels: list
+    history: list
+    counts: np.ndarray
+
+
+def train_slayer(
+    settings: Slayer, frames, labels, train, test, seed: int, checkpoint=None, advance=None
+) -> TrainedSlayer:
+    """Train for all epochs and answer the test samples.
+
+    Parameters
+    ----------
+    settings : Slayer
+    frames : ndarray of uint8, shape (n_samples, bins, rows, columns, 2)
+        See :func:`pipeline.inputs.frames.bin_events`.
+    labels : ndarray of int, shape (n_samples,)
+    train, test : ndarray of int
+        Indices of samples.
+    seed : int
+        Of the initial weights and of the order of the samples.
+    checkpoint : path-like, optional
+        The state after each epoch is kept there; a run that was interrupted goes on from it and
+        ends as it would have without the interruption.
+    advance : callable, optional
+        ``advance(1, note)`` after each epoch, those of an earlier session included.
+
+    Returns
+    -------
+    TrainedSlayer
+
+    Raises
+    ------
+    UserError
+        The checkpoint is damaged.
+    """
+    trainer = _Trainer(settings, frames, labels, seed)
+    run = _identity(settings, labels, train, test, seed)
+    history = trainer.resume(checkpoint, run)
+    if advance is not None and history:
+        advance(len(history), _note(history[-1]))
+    for epoch in range(len(history), settings.epochs):
+        begun = time.perf_counter()
+        loss, right = trainer.epoch(train, epoch)
+        seconds = time.perf_counter() - begun
+        counts = trainer.count(test)
+        history.append(
+            {
+                "epoch": epoch + 1,
+                "loss": loss,
+                "accuracy": right,
+                "test_accuracy": float(np.mean(counts.argmax(1) == labels[test])),
+                "seconds": seconds,
+            }
+        )
+        trainer.save(checkpoint, run, history)
+        if advance is not None:
+            advance(1, _note(history[-1]))
+    kernels = [kernel.numpy() for kernel in trainer.network.kernels]
+    return TrainedSlayer(kernels, history, trainer.count(test))
+
+
+def spike_response(settings: Slayer) -> SpikeResponse:
+    """The neuron that the settings describe, in time steps of one bin."""
+    return SpikeResponse(DURATION_S / settings.bins, settings.tau_s, settings.tau_r)
+
+
+def layer_spikes(settings: Slayer, kernels, frames) -> list:
+    """Spikes of every layer of a trained network.
+
+    Parameters
+    ----------
+    settings : Slayer
+    kernels : list of ndarray
+    frames : ndarray, shape (n_samples, bins, rows, columns, 2)
+
+    Returns
+    -------
+    list of ndarray of bool, shape (n_samples, bins, ...)
+    """
+    network = SpikingNetwork(parse(settings.architecture), spike_response(settings))
+    for variable, kernel in zip(network.kernels, kernels, strict=True):
+        variable.assign(kernel)
+    theta = network.neuron.theta
+    return [np.moveaxis(u.numpy() >= theta, 0, 1) for _, u in network.layers(frames)]
+
+
+class _Trainer:
+    """The network, the optimiser, and their compiled steps."""
+
+    def __init__(self, settings, frames, labels, seed):
+        self.settings, self.seed, self.labels = settings, seed, labels
+        architecture, neuron = parse(settings.architecture), spike_response(settings)
+        scales = settings.conv_scale, settings.dense_scale
+        self.network = network = SpikingNetwork(architecture, neuron, seed, *scales)
+        self.optimizer = tf.keras.optimizers.Adam(settings.learning_rate, amsgrad=True)
+        self.optimizer.build(network.kernels)
+        outputs = np.eye(network.architecture.outputs, dtype=np.float32)[labels]
+        self.desired = settings.false_count + outputs * (settings.true_count - settings.false_count)
+        # On the CPU whatever else there is: the frames stay where they are, bytes as they are.
+        with tf.device("CPU"):
+            frames = tf.constant(frames)
+
+        @tf.function(autograph=False)
+        def step(indices, desired):
+            with tf.GradientTape() as tape:
+                response, potential = network(tf.gather(frames, indices))
+                loss = spike_count_loss(response, potential, desired, network.neuron)
+            gradients = tape.gradient(loss, network.kernels)
+            self.optimizer.apply_gradients(zip(gradients, network.kernels, strict=True))
+            return loss, spike_counts(potential, network.neuron)
+
+        @tf.function(autograph=False)
+        def count(indices):
+            _, potential = network(tf.gather(frames, indices))
+            return spike_counts(potential, network.neuron)
+
+        self._step, self._count = step, count
+
+    def epoch(self, train, epoch):
+        """One pass over the training samples; their mean loss and the share that was right."""
+        order = np.random.default_rng([self.seed, epoch, 0x51A]).permutation(train)
+        loss, right = 0.0, 0
+        for batch in self._batches(order):
+            batch_loss, counts = self._step(batch, self.desired[batch])
+            loss += float(batch_loss) * len(batch)
+            right += int(np.sum(counts.numpy().argmax(1) == self.labels[batch]))
+        return loss / len(order), right / len(order)
+
+    def count(self, indices):
+        """Spike counts of the outputs, shape (n, outputs)."""
+        return np.concatenate([self._count(batch).numpy() for batch in self._batches(indices)])
+
+    def _batches(self, indices):
+        size = self.settings.batch_size
+        return (indices[start : start + size] for start in range(0, len(indices), size))
+
+    def save(self, checkpoint, run, history):
+        """Keep all that the next epoch depends on."""
+        if checkpoint is None:
+            return
+        state = {f"kernel{i}": v.numpy() for i, v in enumerate(self.network.kernels)}
+        state |= {f"optimizer{i}": v.numpy() for i, v in enumerate(self.optimizer.variables)}
+        write_arrays(checkpoint, run=np.array(run), history=np.array(json.dumps(history)), **state)
+
+    def resume(self, checkpoint, run):
+        """Take up the state of an earlier session of the same run; return its history."""
+        if checkpoint is None or not Path(checkpoint).exists():
+            return []
+        remedy = "delete it to train from the start"
+        state = read_arrays(checkpoint, remedy)
+        try:
+            if str(state["run"]) != run:
+                return []
+            history = json.loads(str(state["history"]))
+            if len(history) > self.settings.epochs:
+                return []  # trained for longer than is asked for now
+            for i, variable in enumerate(self.network.kernels):
+                variable.assign(state[f"kernel{i}"])
+            for i, variable in enumerate(self.optimizer.variables):
+                variable.assign(state[f"optimizer{i}"])
+        except (KeyError, ValueError) as error:
+            raise UserError(f"{checkpoint}: damaged checkpoint ({error}); {remedy}") from error
+        return history
+
+
+def _identity(settings, labels, train, test, seed):
+    """What must be the same for a checkpoint to be of this run; more epochs may be asked for."""
+    plain = {**asdict(settings), "epochs": None, "seed": seed}
+    parts = [np.asarray(part).astype(int) for part in (labels, train, test)]
+    sums = [int(np.dot(part, np.arange(1, len(part) + 1)) % (1 << 61)) for part in parts]
+    return json.dumps([plain, asdict(spike_response(settings)), sums])
+
+
+def _note(row):
+    return f"accuracy {row['accuracy']:.3f}"

@@ -1,0 +1,177 @@
+import json
+import shutil
+import zipfile
+
+import numpy as np
+import pytest
+
+from deploy.check import bundle as bundles
+from deploy.check.bundle import FILES, read_bundle, write_bundle
+from deploy.errors import UserError
+from deploy.files import read_json, sha256_of, write_json
+from tests.deploy.networks import bundle_at, random_checks, small_spec
+
+
+@pytest.fixture
+def bundle(tmp_path):
+    return bundle_at(tmp_path / "bundle")
+
+
+def test_round_trip(bundle):
+    read = read_bundle(bundle.path)
+    checks = random_checks(small_spec(), 7)
+    assert read.id == bundle.id == sha256_of(bundle.path / "MANIFEST.json")
+    assert read.spec == small_spec()
+    np.testing.assert_array_equal(read.spec.layers[0].weights, small_spec().layers[0].weights)
+    np.testing.assert_array_equal(read.checks.images, np.float32(checks.images))
+    np.testing.assert_array_equal(read.checks.labels, checks.labels)
+    assert (read.checks.ids, read.checks.seed, len(read.checks)) == (checks.ids, checks.seed, 7)
+
+
+def test_the_files_of_the_contract(bundle):
+    assert {path.name for path in bundle.path.iterdir()} == {
+        *("network.json", "weights.npz", "checks.npz", "MANIFEST.json", "deploy.pyz")
+    }
+    manifest = read_json(bundle.path / "MANIFEST.json", "")
+    for name in FILES:
+        assert manifest["files"][name] == sha256_of(bundle.path / name)
+
+
+def test_the_same_inputs_make_the_same_id_and_others_another(bundle, tmp_path):
+    assert bundle_at(tmp_path / "again").id == bundle.id
+    assert bundle_at(tmp_path / "other", small_spec(seed=1)).id != bundle.id
+    assert bundle_at(tmp_path / "gap", small_spec(gap=6)).id != bundle.id
+    assert bundle_at(tmp_path / "more", count=8).id != bundle.id
+
+
+@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("where", [0.0, 0.5, 1.0])
+def test_a_changed_byte_is_refused_by_name(bundle, name, where):
+    path = bundle.path / name
+    content = bytearray(path.read_bytes())
+    content[int(where * (len(content) - 1))] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(UserError, match=f"{name}: changed since the bundle was made"):
+        read_bundle(bundle.path)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_missing_file_is_refused_by_name(bundle, name):
+    (bundle.path / name).unlink()
+    with pytest.raises(UserError, match=f"{name}: missing from the bundle"):
+        read_bundle(bundle.path)
+
+
+def test_an_extra_file_is_refused_by_name(bundle):
+    (bundle.path / "checks").mkdir()
+    read_bundle(bundle.path)  # where deploy.pyz leaves results
+    (bundle.path / "extra.py").write_text("")
+    with pytest.raises(UserError, match=r"extra\.py: not part of the bundle"):
+        read_bundle(bundle.path)
+
+
+def rewrite(bundle, change):
+    """Change the description and give it a hash that fits, as another version might."""
+    description = read_json(bundle.path / "network.json", "")
+    change(description)
+    write_json(bundle.path / "network.json", description)
+    manifest = read_json(bundle.path / "MANIFEST.json", "")
+    manifest["files"]["network.json"] = sha256_of(bundle.path / "network.json")
+    write_json(bundle.path / "MANIFEST.json", manifest)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d.update(schema="stmnist-bundle/2"), "schema 'stmnist-bundle/2'.*reads"),
+        (lambda d: d.update(dt=0.002), "time step is 0.002 s"),
+        (lambda d: d["layers"][0].update(pop_type=64), "pop_type is neither"),
+        (lambda d: d["layers"][0].update(shape="abc"), "wrong kind"),
+        (lambda d: d["presentation"].pop("steps"), "."),
+        (lambda d: d.pop("layers"), "'layers' is missing"),
+    ],
+)
+def test_a_bundle_of_another_version(bundle, change, message):
+    rewrite(bundle, change)
+    if message == ".":  # the default number of steps takes its place
+        assert read_bundle(bundle.path).spec.presentation.steps == 100
+        return
+    with pytest.raises(UserError, match=message) as caught:
+        read_bundle(bundle.path)
+    assert str(bundle.path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "manifest",
+    ["", "[]", "{}", '{"schema": "stmnist-manifest/1"}', '{"schema": "stmnist-manifest/9"}']
+    + [json.dumps({"schema": "stmnist-manifest/1", "files": {"network.json": "0"}})],
+)
+def test_a_broken_manifest(bundle, manifest):
+    (bundle.path / "MANIFEST.json").write_text(manifest)
+    with pytest.raises(UserError, match=r"MANIFEST\.json"):
+        read_bundle(bundle.path)
+
+
+def test_what_is_no_bundle(tmp_path):
+    with pytest.raises(UserError, match="no such bundle folder"):
+        read_bundle(tmp_path / "nowhere")
+    with pytest.raises(UserError, match="is this a bundle"):
+        read_bundle(tmp_path)
+
+
+def test_an_interruption_leaves_the_earlier_bundle(bundle, tmp_path, monkeypatch):
+    def interrupt():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(bundles, "zipapp_bytes", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        bundle_at(bundle.path, small_spec(seed=1))
+    assert read_bundle(bundle.path).id == bundle.id
+    assert [path.name for path in tmp_path.iterdir()] == ["bundle"]
+
+
+def test_an_interruption_of_the_exchange_leaves_the_earlier_bundle(bundle, tmp_path, monkeypatch):
+    replace = bundles.os.replace
+
+    def interrupt(source, target):
+        if str(target) == str(bundle.path) and "earlier" not in monkeypatched:
+            monkeypatched.append("earlier")
+            raise KeyboardInterrupt
+        replace(source, target)
+
+    monkeypatched = []
+    new = small_spec(seed=1), random_checks(small_spec(), 7)
+    monkeypatch.setattr(bundles.os, "replace", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        write_bundle(bundle.path, *new)
+    monkeypatch.undo()
+    assert read_bundle(bundle.path).id == bundle.id
+    assert [path.name for path in tmp_path.iterdir()] == ["bundle"]
+    assert write_bundle(bundle.path, *new).id != bundle.id
+    assert [path.name for path in tmp_path.iterdir()] == ["bundle"]
+
+
+def test_a_place_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="file/bundle: cannot write"):
+        bundle_at(tmp_path / "file" / "bundle")
+    with pytest.raises(UserError, match="file: is a file"):
+        bundle_at(tmp_path / "file")
+    assert (tmp_path / "file").is_file()
+
+
+def test_a_copied_bundle_is_the_same(bundle, tmp_path):
+    shutil.copytree(bundle.path, tmp_path / "copy")
+    assert read_bundle(tmp_path / "copy").id == bundle.id
+
+
+def test_the_zipapp_holds_the_package(bundle):
+    with zipfile.ZipFile(bundle.path / "deploy.pyz") as archive:
+        names = archive.namelist()
+    assert {
+        "__main__.py",
+        "deploy/__init__.py",
+        "deploy/cli.py",
+        "deploy/targets/registry.py",
+    } <= set(names)
+    assert not [name for name in names if name.startswith(("pipeline", "models", "tests"))]

@@ -1,0 +1,154 @@
+"""Reading results and comparing them, here and through both command lines."""
+
+import json
+
+import pytest
+
+from deploy import cli
+from deploy.check.results import compare, read_result
+from deploy.errors import UserError
+from deploy.files import write_json
+from tests.command import call
+
+
+def result(predictions=(0, 1, 2, 3), labels=(0, 1, 2, 3), target="nengo", **changes):
+    right = sum(a == b for a, b in zip(predictions, labels, strict=True))
+    return {
+        "schema": "stmnist-check/1",
+        "target": target,
+        "bundle": "b" * 64,
+        "seed": 0,
+        "simulated": True,
+        "steps_per_sample": 100,
+        "n_samples": len(labels),
+        "accuracy": right / len(labels),
+        "accuracy_ci95": [0.0, 1.0],
+        "samples": [
+            {"id": f"x/{i}", "label": label, "prediction": p, "scores": [0.0] * 10, "decided_at": 1}
+            for i, (label, p) in enumerate(zip(labels, predictions, strict=True))
+        ],
+        "spikes": {"conv1": 10},
+        "wall_seconds": 1.0,
+        "versions": {},
+        **changes,
+    }
+
+
+def test_a_comparison_by_hand():
+    comparison = compare(result(), result((0, 2, 2, 1), target="emulator"))
+    assert comparison.targets == ("nengo", "emulator")
+    assert comparison.accuracy_drop == pytest.approx(0.5)
+    assert comparison.p_value == pytest.approx(0.5)  # both lost: 2 * 0.5**2
+    assert comparison.disagreements == [
+        {"id": "x/1", "label": 1, "a": 1, "b": 2},
+        {"id": "x/3", "label": 3, "a": 3, "b": 1},
+    ]
+    plain = comparison.to_json()
+    assert plain["n_disagreements"] == 2
+    assert json.loads(json.dumps(plain)) == plain
+
+
+def test_two_wrong_answers_disagree_without_a_drop():
+    comparison = compare(result((5, 1, 2, 3)), result((6, 1, 2, 3)))
+    assert len(comparison.disagreements) == 1
+    assert comparison.accuracy_drop == 0
+    assert comparison.p_value == 1
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        (result(bundle="c" * 64), "different bundles .bbbbbbbbbbbb and cccccccccccc"),
+        (result((0, 1, 2), (0, 1, 2)), "different samples"),
+        (result(labels=(0, 1, 2, 4)), "different samples"),
+    ],
+)
+def test_what_cannot_be_compared(other, message):
+    with pytest.raises(UserError, match=message):
+        compare(result(), other)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"schema": "stmnist-check/2"},
+        {"schema": None},
+        {"accuracy": 0.5},
+        {"accuracy": "high"},
+        {"accuracy_ci95": None},
+        {"accuracy_ci95": [0.1]},
+        {"n_samples": 5},
+        {"samples": []},
+        {"samples": {}},
+        {"samples": [1, 2, 3, 4]},
+        {"samples": [{"id": "x", "label": 0, "prediction": 0}] * 4},
+        {"bundle": None},
+    ],
+)
+def test_a_file_that_is_no_whole_result_is_named_with_the_remedy(tmp_path, change):
+    write_json(tmp_path / "a.json", {**result(), **change})
+    with pytest.raises(UserError, match=r"a\.json: .*; run 'stmnist check run' again"):
+        read_result(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize("name", sorted(result()))
+def test_a_missing_entry_is_refused_or_not_needed(tmp_path, name):
+    plain = result()
+    del plain[name]
+    write_json(tmp_path / "a.json", plain)
+    if name in ("seed", "versions"):
+        read_result(tmp_path / "a.json")
+        return
+    with pytest.raises(UserError, match=r"a\.json"):
+        read_result(tmp_path / "a.json")
+
+
+@pytest.fixture
+def pair(tmp_path):
+    """B differs in two samples of which it lost one."""
+    write_json(tmp_path / "a.json", result((0, 1, 2, 9)))
+    write_json(tmp_path / "b.json", result((0, 7, 2, 8), target="emulator"))
+    return tmp_path / "a.json", tmp_path / "b.json"
+
+
+@pytest.fixture(params=["stmnist", "deploy.pyz"])
+def run(request):
+    """``check compare`` of the command, and ``compare`` of the zipapp."""
+    if request.param == "stmnist":
+        return lambda *options: call("check", "compare", *options)
+    return lambda *options: cli.main(["compare", *map(str, options)])
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "message"),
+    [
+        ([], 0, ""),
+        (["--max-disagreements", 2], 0, ""),
+        (["--max-disagreements", 1], 1, "2 disagreements, more than the 1 allowed"),
+        (["--max-accuracy-drop", 0.25], 0, ""),
+        (["--max-accuracy-drop", 0.2], 1, "accuracy drops by 0.2500, more than the 0.2 allowed"),
+        (["--max-disagreements", "few"], 2, "--max-disagreements"),
+    ],
+)
+def test_limits_and_exit_status(run, pair, capsys, options, status, message):
+    try:
+        found = run(*pair, *options)
+    except SystemExit as end:  # argparse leaves by itself
+        found = end.code
+    out, err = capsys.readouterr()
+    assert found == status
+    assert message in err
+    if status < 2:
+        assert "2 of 4 predictions differ" in out
+        assert "x/1" in out
+
+
+def test_other_bundles_are_refused_with_status_2(run, pair, tmp_path, capsys):
+    write_json(tmp_path / "c.json", result(bundle="c" * 64))
+    assert run(pair[0], tmp_path / "c.json") == 2
+    assert "different bundles" in capsys.readouterr().err
+
+
+def test_the_comparison_for_a_program(pair, capsys):
+    assert call("check", "compare", *pair, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["n_disagreements"] == 2

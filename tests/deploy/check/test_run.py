@@ -1,0 +1,173 @@
+"""A check is saved stream by stream, and goes on where it stopped."""
+
+import fcntl
+import json
+import shutil
+
+import pytest
+
+from deploy.check.results import read_result
+from deploy.check.run import run_check
+from deploy.errors import UserError
+from tests.deploy.networks import bundle_at, small_spec
+
+CONTRACT = {
+    *("schema", "target", "bundle", "seed", "steps_per_sample", "n_samples", "accuracy"),
+    *("accuracy_ci95", "samples", "spikes", "wall_seconds", "versions"),
+}
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory):
+    """Seven samples in streams of three."""
+    return bundle_at(tmp_path_factory.mktemp("bundle") / "bundle")
+
+
+@pytest.fixture(scope="module")
+def whole(bundle, tmp_path_factory):
+    """The result of a check that nothing disturbed."""
+    return run_check(bundle, "emulator", tmp_path_factory.mktemp("whole") / "emulator.json")
+
+
+def partial(out):
+    return out.with_name(f".{out.name}.partial")
+
+
+def interrupted(bundle, out, after, target="emulator"):
+    """Run a check that is interrupted after some streams."""
+    told = []
+
+    def advance(n):
+        told.append(n)
+        if len(told) == after:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_check(bundle, target, out, advance=advance)
+    assert not out.exists()
+    return partial(out)
+
+
+def same_answers(a, b):
+    differ = {"wall_seconds"}
+    assert {k: v for k, v in a.items() if k not in differ} == {
+        k: v for k, v in b.items() if k not in differ
+    }
+
+
+def test_the_result_has_the_contracts_entries(bundle, whole):
+    assert whole.keys() >= CONTRACT
+    assert whole["schema"] == "stmnist-check/1"
+    assert (whole["target"], whole["bundle"]) == ("emulator", bundle.id)
+    assert (whole["n_samples"], whole["steps_per_sample"]) == (7, 30)
+    assert [s["id"] for s in whole["samples"]] == list(bundle.checks.ids)
+    assert [s["label"] for s in whole["samples"]] == bundle.checks.labels.tolist()
+    for sample in whole["samples"]:
+        assert len(sample["scores"]) == 10
+        assert sample["prediction"] == max(range(10), key=sample["scores"].__getitem__)
+    right = sum(s["label"] == s["prediction"] for s in whole["samples"])
+    assert whole["accuracy"] == right / 7
+    assert list(whole["spikes"]) == ["input", "conv1", "conv2"]
+    assert min(whole["spikes"].values()) > 0
+    assert {"python", "numpy", "nengo", "nengo_loihi"} <= whole["versions"].keys()
+    assert whole["simulated"] is True
+    assert whole["wall_seconds"] > 0
+
+
+def test_what_is_written_is_what_is_returned(bundle, tmp_path):
+    out = tmp_path / "new" / "nengo.json"
+    result = run_check(bundle, "nengo", out)
+    assert read_result(out) == json.loads(json.dumps(result))
+    assert [path.name for path in out.parent.iterdir()] == ["nengo.json"]
+
+
+@pytest.mark.parametrize("after", [1, 2, 3])
+def test_an_interrupted_check_goes_on_and_ends_the_same(bundle, whole, tmp_path, after):
+    out = tmp_path / "emulator.json"
+    saved = interrupted(bundle, out, after)
+    assert len(saved.read_text().splitlines()) == 1 + after
+    told = []
+    same_answers(run_check(bundle, "emulator", out, advance=told.append), whole)
+    assert told == [3, 3, 1]
+    assert [path.name for path in tmp_path.iterdir()] == ["emulator.json"]
+
+
+def test_what_is_done_is_not_done_again(bundle, tmp_path):
+    out = tmp_path / "nengo.json"
+    saved = interrupted(bundle, out, 2, "nengo")
+    header, first, second = saved.read_text().splitlines()
+    record = json.loads(first)
+    record["samples"][0]["scores"][0] = 123.0
+    saved.write_text("\n".join([header, json.dumps(record), second]) + "\n")
+    assert run_check(bundle, "nengo", out)["samples"][0]["scores"][0] == 123.0
+
+
+@pytest.mark.parametrize("cut", [1, 40, 400])
+def test_a_line_that_was_cut_short_is_done_again(bundle, whole, tmp_path, cut):
+    out = tmp_path / "emulator.json"
+    saved = interrupted(bundle, out, 2)
+    saved.write_bytes(saved.read_bytes()[:-cut])
+    same_answers(run_check(bundle, "emulator", out), whole)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [b"", b"[]", b"3", b"null", b"{}", b'"samples"', b'{"samples": [1]}', b"\xff\xfe\x00"]
+    + [b'{"samples": [{"id": 1}], "seconds": 1.0}'],
+)
+def test_a_damaged_line_starts_the_check_afresh(bundle, whole, tmp_path, line):
+    out = tmp_path / "emulator.json"
+    saved = interrupted(bundle, out, 1)
+    header = saved.read_bytes().splitlines()[0]
+    saved.write_bytes(header + b"\n" + line + b"\n")
+    same_answers(run_check(bundle, "emulator", out), whole)
+
+
+def test_the_answers_to_another_bundle_are_not_taken(bundle, whole, tmp_path):
+    out = tmp_path / "emulator.json"
+    other = bundle_at(tmp_path / "other", small_spec(seed=1))
+    interrupted(other, out, 1)
+    same_answers(run_check(bundle, "emulator", out), whole)
+
+
+def test_nor_those_of_another_target(bundle, whole, tmp_path):
+    out = tmp_path / "emulator.json"
+    shutil.move(interrupted(bundle, tmp_path / "nengo.json", 1, "nengo"), partial(out))
+    same_answers(run_check(bundle, "emulator", out), whole)
+
+
+def test_a_second_writer_is_refused_and_loses_nothing(bundle, tmp_path):
+    out = tmp_path / "nengo.json"
+    saved = interrupted(bundle, out, 1, "nengo")
+    before = saved.read_bytes()
+    with saved.open("a") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        with pytest.raises(UserError, match="another process is writing this result"):
+            run_check(bundle, "nengo", out)
+    assert saved.read_bytes() == before
+
+
+def test_an_earlier_result_stays_until_the_new_one_is_whole(bundle, tmp_path):
+    out = tmp_path / "nengo.json"
+    run_check(bundle, "nengo", out)
+    before = out.read_bytes()
+    with pytest.raises(KeyboardInterrupt):
+        run_check(bundle, "nengo", out, advance=_raise)
+    assert out.read_bytes() == before
+
+
+def _raise(n):
+    raise KeyboardInterrupt
+
+
+def test_a_place_that_cannot_be_written(bundle, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match=r"file/nengo\.json: cannot write"):
+        run_check(bundle, "nengo", tmp_path / "file" / "nengo.json")
+    with pytest.raises(UserError, match="cannot write"):
+        run_check(bundle, "nengo", tmp_path)
+    with pytest.raises(UserError, match="no target"):
+        run_check(bundle, "gpu", tmp_path / "gpu.json")
+    with pytest.raises(UserError, match="seed -1: must be from 0"):
+        run_check(bundle, "nengo", tmp_path / "nengo.json", seed=-1)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -1,0 +1,150 @@
+"""Export to NIR: read back, and run in Norse, which knows nothing of this project."""
+
+import math
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deploy.errors import UserError
+from deploy.files import read_arrays
+from deploy.network.nir import input_spikes, nir_graph, write_nir
+from deploy.network.spec import DT
+from deploy.targets.registry import answer
+from tests.deploy.networks import host_first_spec, paper_spec, random_checks, small_spec
+from tests.nir_reader.result import responses_of
+
+nir = pytest.importorskip("nir")
+
+ROOT = Path(__file__).parent.parent.parent.parent
+READER = ROOT / ".venv-nir" / "bin" / "python"
+
+
+def test_file_is_read_back_whole(tmp_path):
+    spec = small_spec()
+    write_nir(tmp_path / "network.nir", spec)
+    graph = nir.read(str(tmp_path / "network.nir"))
+    edges = dict(graph.edges)
+    path, place = [], "input"
+    while place != "output":
+        place = edges[place]
+        path.append(type(graph.nodes[place]).__name__)
+    assert path == ["Conv2d", "CubaLIF", "Conv2d", "CubaLIF", "Flatten", "Affine", "Output"]
+    conv1 = graph.nodes["conv1_weights"]
+    # filter 2, channel 0, row 1, column 2; a spike of the encoder lasts 1 ms and has area 1 / 500
+    assert conv1.weight[2, 0, 1, 2] == spec.layers[0].weights[1, 2, 0, 2] / 500 / 0.001
+    np.testing.assert_array_equal(conv1.bias, spec.layers[0].bias)
+    assert graph.nodes["conv1_neurons"].tau_syn.shape == (4, 4, 4)
+    assert graph.metadata["dt"] == DT
+
+
+def test_readout_is_permuted_to_channels_first():
+    """Flattened as (channels, rows, columns), the same map must give the same output."""
+    spec = small_spec()
+    layer = spec.layers[-1]
+    values = np.random.default_rng(1).normal(size=layer.input_shape)
+    weight = nir_graph(spec).nodes["output_weights"].weight
+    ours = layer.weights @ values.ravel() * 0.01 / 0.001  # of the spike's amplitude over dt
+    np.testing.assert_allclose(weight @ np.moveaxis(values, -1, 0).ravel(), ours)
+
+
+def test_output_neurons_and_rectified_linear_ones():
+    spec = small_spec(on_chip_output=True)
+    assert type(nir_graph(spec).nodes["output_neurons"]) is nir.CubaLIF
+    relu = replace(spec.layers[0].neurons, kind="relu")
+    layers = (replace(spec.layers[0], neurons=relu), *spec.layers[1:])
+    nodes = nir_graph(replace(spec, layers=layers)).nodes
+    assert type(nodes["conv1_filter"]) is nir.LI
+    assert type(nodes["conv1_neurons"]) is nir.IF
+
+
+def test_first_layer_on_the_host_takes_the_image():
+    spec = host_first_spec()
+    graph = nir_graph(spec)
+    weights = spec.layers[0].weights.transpose(3, 2, 0, 1)
+    np.testing.assert_array_equal(graph.nodes["conv1_weights"].weight, weights)
+    assert type(graph.nodes["conv1_neurons"]) is nir.LIF
+    images = random_checks(spec, 2).images
+    fed = input_spikes(spec, images)
+    assert fed.shape == (2, 35, 1, 6, 6)
+    assert not fed[:, :5].any()
+    np.testing.assert_allclose(fed[1, 5, 0], images[1, :, :, 0], rtol=1e-6)
+
+
+def test_input_spikes_are_the_encoders():
+    spec = small_spec()
+    images = random_checks(spec, 7).images
+    spikes = input_spikes(spec, images)
+    assert set(np.unique(spikes)) == {0, 1}
+    counted = answer(spec, images, "nengo").spikes["input"]
+    np.testing.assert_array_equal(spikes.sum((1, 2, 3, 4)), counted)
+
+
+def test_same_bytes_for_the_same_network_but_for_hdf5(tmp_path):
+    for name in "ab":
+        write_nir(tmp_path / name, paper_spec())
+    a, b = (nir.read(str(tmp_path / name)) for name in "ab")
+    for key, node in a.nodes.items():
+        if hasattr(node, "weight"):
+            np.testing.assert_array_equal(node.weight, b.nodes[key].weight)
+
+
+def test_without_the_package(monkeypatch, tmp_path):
+    monkeypatch.setitem(__import__("sys").modules, "nir", None)
+    with pytest.raises(UserError, match="needs the package nir"):
+        write_nir(tmp_path / "x.nir", small_spec())
+
+
+def euler(tau):
+    """The time constant whose exact decay over one step is the Euler step's of ``tau``."""
+    return -DT / math.log(1 - DT / tau)
+
+
+def without_what_nir_leaves_out(spec):
+    """No refractory period, no lower bound of the voltage, decays as Euler steps make them."""
+    layers = []
+    for layer in spec.layers:
+        if layer.neurons is not None:
+            neurons = replace(
+                layer.neurons, tau_ref=0.0, min_voltage=-1e6, tau_rc=euler(layer.neurons.tau_rc)
+            )
+            layer = replace(layer, neurons=neurons, synapse=euler(layer.synapse))
+        layers.append(layer)
+    return replace(spec, layers=tuple(layers))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not READER.exists(), reason="no environment with Norse; 'make setup-nir'")
+def test_norse_gives_what_the_reference_gives_without_what_nir_leaves_out(tmp_path):
+    spec = paper_spec(steps=60, gap=10)
+    images = random_checks(spec, 20).images
+    write_nir(tmp_path / "network.nir", spec)
+    np.savez(tmp_path / "in.npz", spikes=input_spikes(spec, images))
+    subprocess.run(
+        [
+            str(READER), str(ROOT / "tests" / "nir_reader" / "run_norse.py"),
+            str(tmp_path / "network.nir"), str(tmp_path / "in.npz"), str(tmp_path / "out.npz"),
+        ],
+        check=True, timeout=300,
+    )  # fmt: skip
+    norse = responses_of(
+        spec,
+        read_arrays(tmp_path / "in.npz", "run the test again"),
+        read_arrays(tmp_path / "out.npz", "run the test again"),
+    )
+    as_deployed = answer(spec, images, "nengo")
+    as_nir_says = answer(without_what_nir_leaves_out(spec), images, "nengo")
+
+    def likeness(answers):
+        return np.corrcoef(norse.scores.ravel(), answers.scores.ravel())[0, 1]
+
+    for layer in ("conv1", "conv2"):
+        # what is left is one step of delay a layer and the bias that comes through the filter
+        spikes = norse.spikes[layer].sum()
+        assert spikes == pytest.approx(as_nir_says.spikes[layer].sum(), rel=0.03)
+        assert spikes > 1.05 * as_deployed.spikes[layer].sum()
+    np.testing.assert_array_equal(norse.spikes["input"], as_deployed.spikes["input"])
+    assert likeness(as_nir_says) > 0.99
+    assert likeness(as_nir_says) > likeness(as_deployed)

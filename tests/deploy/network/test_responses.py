@@ -1,0 +1,84 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deploy.network.build import Feed, default_block
+from deploy.network.responses import read_output, seconds_per_sample, streams_of
+from tests.deploy.networks import paper_spec, small_spec
+
+
+@given(st.integers(0, 300), st.integers(1, 50))
+def test_streams_cut_the_samples_in_order(n, length):
+    streams = streams_of(n, length)
+    assert [i for s in streams for i in range(n)[s]] == list(range(n))
+    assert all(s.stop - s.start == length for s in streams[:-1])
+
+
+def spikes_of(spec, n):
+    layers = [("input", int(np.prod(spec.input_shape)))]
+    layers += [(layer.name, layer.size) for layer in spec.layers if layer.neurons is not None]
+    return {name: np.zeros((n, size), int) for name, size in layers}
+
+
+def test_scores_and_decisions_by_hand():
+    spec = small_spec(steps=4, readout_start=1)
+    output = np.zeros((1, 4, 10))
+    output[0, 0, 9] = 100  # before the readout starts
+    output[0, 1, 3] = 3
+    output[0, 2, 5] = 8
+    output[0, 3, 5] = 1
+    responses = read_output(spec, output, spikes_of(spec, 1))
+    bias = spec.layers[-1].bias
+    expected = bias + np.eye(10)[3] * 1 + np.eye(10)[5] * 3
+    np.testing.assert_allclose(responses.scores[0], expected)
+    means = [np.eye(10)[3] * 3, np.eye(10)[3] * 1.5 + np.eye(10)[5] * 4, expected - bias]
+    assert responses.decisions[0].tolist() == [-1, *(int(np.argmax(m + bias)) for m in means)]
+    assert responses.predictions.tolist() == responses.decisions[:, -1].tolist()
+
+
+def test_the_readout_on_the_chip_has_no_bias_to_add():
+    spec = small_spec(on_chip_output=True, steps=3, readout_start=0)
+    responses = read_output(spec, np.ones((2, 3, 10)), spikes_of(spec, 2))
+    np.testing.assert_array_equal(responses.scores, 1)
+
+
+@pytest.mark.parametrize(
+    ("decisions", "at"), [([-1, 3, 3], 2), ([3, 3, 3], 1), ([-1, 3, 4], 3), ([-1, 4, 3, 3], 3)]
+)
+def test_decided_at(decisions, at):
+    from deploy.network.responses import Responses
+
+    responses = Responses(np.zeros((1, 10)), np.array([decisions]), {}, {})
+    assert responses.decided_at.tolist() == [at]
+
+
+def test_equal_scores_tie_alike_whatever_the_order_of_adding():
+    spec = small_spec(steps=30, readout_start=0)
+    rng = np.random.default_rng(0)
+    steps = rng.uniform(size=30)
+    output = np.zeros((1, 30, 10))
+    output[0, :, 4] = steps * (1 + 1e-14)
+    output[0, :, 2] = steps
+    output += 10  # far above the biases' differences
+    output[:, :, [0, 1, 3, 5, 6, 7, 8, 9]] = -100
+    output[0, :, 4] -= spec.layers[-1].bias[4]
+    output[0, :, 2] -= spec.layers[-1].bias[2]
+    assert read_output(spec, output, spikes_of(spec, 1)).predictions.tolist() == [2]
+
+
+def test_what_is_shown_at_each_step():
+    spec = small_spec(steps=3, gap=2, readout_start=0)
+    feed = Feed(spec)
+    feed.images = np.stack([np.full(36, 0.1), np.full(36, 0.2)])
+    shown = [float(feed(step * 0.001)[0]) for step in range(1, 11)]
+    assert shown == [0, 0, 0.1, 0.1, 0.1, 0, 0, 0.2, 0.2, 0.2]
+    assert seconds_per_sample(spec) == pytest.approx(0.005)
+
+
+def test_blocks_hold_what_a_core_can():
+    assert default_block((7, 7, 6)) == (7, 7, 6)
+    assert default_block((28, 28, 4)) == (14, 14, 4)
+    assert default_block((1, 1, 5000)) == (1, 1, 625)
+    assert default_block((3000,)) == (750,)
+    assert paper_spec().layers[1].size == 600

@@ -1,0 +1,170 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deploy.errors import UserError
+from deploy.network.spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
+from tests.deploy.networks import conv, paper_spec, readout, small_spec
+
+
+def assert_same(a, b):
+    assert a == b
+    for ours, theirs in zip(a.layers, b.layers, strict=True):
+        np.testing.assert_array_equal(ours.weights, theirs.weights)
+        np.testing.assert_array_equal(ours.bias, theirs.bias)
+
+
+@st.composite
+def specs(draw):
+    rng = np.random.default_rng(draw(st.integers(0, 99)))
+    side = draw(st.integers(4, 9))
+    shape, layers = (side, side, draw(st.integers(1, 2))), []
+    host_first = draw(st.booleans())
+    for index in range(draw(st.integers(1, 3))):
+        layer = conv(
+            f"conv{index + 1}", shape, draw(st.integers(1, 5)), draw(st.integers(1, 2)), rng
+        )
+        neurons = Neurons(
+            draw(st.sampled_from(["lif", "relu"])),
+            draw(st.floats(1e-4, 1)),
+            draw(st.floats(1e-3, 1)),
+            draw(st.floats(0, 0.01)),
+            -draw(st.floats(0, 2)),
+        )
+        synapse = draw(st.none() | st.floats(1e-4, 0.1))
+        placement = "host" if host_first and index == 0 else "chip"
+        block = draw(st.none() | st.just((1, 1, layer.shape[2])))
+        layer = replace(layer, neurons=neurons, synapse=synapse, placement=placement)
+        layers.append(replace(layer, block_shape=block))
+        shape = layer.shape
+    layers.append(readout(shape, rng, draw(st.integers(2, 12)), draw(st.booleans())))
+    steps = draw(st.integers(1, 300))
+    return NetworkSpec(
+        architecture=draw(st.text(max_size=9)),
+        input_shape=layers[0].input_shape,
+        encoder=None if host_first else Encoder(draw(st.floats(1, 1000)), draw(st.floats(0, 0.9))),
+        layers=tuple(layers),
+        presentation=Presentation(
+            steps,
+            draw(st.integers(0, 50)),
+            draw(st.integers(0, steps - 1)),
+            draw(st.integers(1, 9)),
+        ),
+        provenance={"seed": draw(st.integers(0, 5)), "simulated": draw(st.booleans())},
+    )
+
+
+@given(specs())
+def test_round_trip_through_json_text(spec):
+    text = json.dumps(spec.to_json(), allow_nan=False)
+    assert_same(NetworkSpec.from_json(json.loads(text), spec.arrays()), spec)
+
+
+@given(
+    place=st.sampled_from(
+        [(), ("layers", 0), ("layers", 0, "neurons"), ("encoder",), ("presentation",)]
+    ),
+    junk=st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.lists(st.none()),
+    pick=st.integers(0, 99),
+)
+def test_any_value_in_any_place_is_taken_or_refused_in_one_line(place, junk, pick):
+    spec = small_spec()
+    value = json.loads(json.dumps(spec.to_json()))
+    target = value
+    for key in place:
+        target = target[key]
+    target[sorted(target)[pick % len(target)]] = junk
+    try:
+        NetworkSpec.from_json(value, spec.arrays())
+    except UserError as error:
+        assert "network description" in str(error)  # noqa: PT017 - anything else is a crash
+
+
+def changed(path, value):
+    plain = json.loads(json.dumps(paper_spec().to_json()))
+    target = plain
+    for key in path[:-1]:
+        target = target[key]
+    target[path[-1]] = value
+    return plain
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (("dt",), 0.002, "time step is 0.002 s, this version runs 0.001 s"),
+        (("layers",), [], "has no layers"),
+        (("layers", 0, "kind"), "pool", "layer 'conv1': kind is neither"),
+        (("layers", 0, "placement"), "gpu", "layer 'conv1': placement"),
+        (("layers", 0, "neurons"), None, "layer 'conv1': a layer on the chip needs neurons"),
+        (("layers", 0, "neurons", "kind"), "izhikevich", "kind is neither 'lif' nor 'relu'"),
+        (("layers", 0, "neurons", "amplitude"), 0, "amplitude must be positive"),
+        (("layers", 0, "neurons", "tau_rc"), 0, "time constants"),
+        (("layers", 0, "neurons", "min_voltage"), 1, "min_voltage"),
+        (("layers", 0, "neurons", "extra"), 1, "unknown entries extra"),
+        (("layers", 0, "pop_type"), 8, "pop_type is neither 16 nor 32"),
+        (("layers", 0, "synapse"), 0, "synapse must be above 0"),
+        (("layers", 0, "shape"), [7, 7, 5], "weights have shape"),
+        (("layers", 0, "shape"), [8, 7, 6], "shape should be"),
+        (("layers", 0, "shape"), "abc", "wrong kind"),
+        (("layers", 0, "input_shape"), [10, 10], "wrong kind"),
+        (("layers", 1, "input_shape"), [7, 7, 5], "layer 'conv2'"),
+        (("layers", 1, "name"), "conv1", "weights have shape|two layers of one name"),
+        (("layers", 2, "shape"), [9], "weights have shape"),
+        (("input_shape",), [10, 10, 2], "layer 'conv1': input_shape should be"),
+        (("encoder", "max_rate"), 2000, "max_rate must be above 0, at most 1000"),
+        (("encoder", "initial_phase"), 1, "initial_phase"),
+        (("presentation", "steps"), 0, "steps must be at least 1"),
+        (("presentation", "steps"), 40.5, "whole numbers"),
+        (("presentation", "gap"), -1, "gap must not be negative"),
+        (("presentation", "readout_start"), 100, "from 0 to steps - 1 = 99"),
+        (("presentation", "stream_length"), 0, "stream_length must be at least 1"),
+        (("presentation", "stream_length"), True, "whole numbers"),
+    ],
+)
+def test_what_does_not_fit_is_named(path, value, message):
+    with pytest.raises(UserError, match=message):
+        NetworkSpec.from_json(changed(path, value), paper_spec().arrays())
+
+
+def test_what_is_missing_is_named():
+    spec = paper_spec()
+    plain = spec.to_json()
+    del plain["presentation"]
+    with pytest.raises(UserError, match="'presentation' is missing"):
+        NetworkSpec.from_json(plain, spec.arrays())
+    arrays = spec.arrays()
+    del arrays["conv2.bias"]
+    with pytest.raises(UserError, match=r"'conv2\.bias' is missing"):
+        NetworkSpec.from_json(spec.to_json(), arrays)
+
+
+def test_weights_must_be_finite_and_fit():
+    spec = paper_spec()
+    broken = {**spec.arrays(), "conv2.weights": spec.layers[1].weights * np.nan}
+    with pytest.raises(UserError, match="'conv2': weights has NaN"):
+        NetworkSpec.from_json(spec.to_json(), broken)
+    broken["conv2.weights"] = np.array([["a"]])
+    with pytest.raises(UserError, match="wrong kind"):
+        NetworkSpec.from_json(spec.to_json(), broken)
+
+
+def test_the_order_of_the_layers():
+    conv1, conv2, output = small_spec().layers
+    common = dict(architecture="", input_shape=(6, 6, 1), presentation=Presentation())
+    with pytest.raises(UserError, match="last layer is dense"):
+        NetworkSpec(encoder=Encoder(), layers=(conv1, conv2), **common)
+    with pytest.raises(UserError, match="input_shape should be"):
+        NetworkSpec(encoder=Encoder(), layers=(conv2, output), **common)
+    with pytest.raises(UserError, match="'input' is the encoder's name"):
+        NetworkSpec(
+            encoder=Encoder(), layers=(replace(conv1, name="input"), conv2, output), **common
+        )
+    with pytest.raises(UserError):  # an image as a current goes only into a layer on the host
+        NetworkSpec(encoder=None, layers=(conv1, conv2, output), **common)
+    assert isinstance(conv1, Layer)
+    assert conv1.size == 64

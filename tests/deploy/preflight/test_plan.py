@@ -1,0 +1,176 @@
+"""Pre-flight: counts against hand-worked ones and the stand-in's, limits, remedies."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.errors import UserError
+from deploy.network.build import build
+from deploy.network.loihi_import import nengo_loihi
+from deploy.network.spec import Encoder, NetworkSpec, Presentation
+from deploy.preflight.plan import make_plan, plan_text, require_fit
+from deploy.preflight.resources import LIMITS, synapse_words
+from tests.deploy.networks import conv, paper_spec, readout, small_spec
+
+
+def spec_of(*filters_kernels, shape=(10, 10, 1), **options):
+    rng = np.random.default_rng(0)
+    layers, before = [], shape
+    for i, (filters, kernel) in enumerate(filters_kernels):
+        layers.append(conv(f"conv{i + 1}", before, filters, kernel, rng, **options))
+        before = layers[-1].shape
+    layers.append(readout(before, rng))
+    return NetworkSpec("test", shape, Encoder(), layers, Presentation())
+
+
+def used(plan, layer):
+    return [core.used for core in plan.cores if core.layer == layer]
+
+
+def test_small_network_by_hand():
+    # conv1: 4 x 4 pixels of 4 channels; 36 input pixels; its 16 pixels go out as pop32, 2 each.
+    # Every input pixel reaches 3 x 3 pixels of 4 neurons, fewer at the edges: of the 36, 16 are
+    # away from the edges by more than one, with 36 synapses of 8 bits and 7 bits of index.
+    plan = make_plan(small_spec())
+    (conv1,) = used(plan, "conv1")
+    assert (conv1["compartments"], conv1["input axons"], conv1["output axons"]) == (64, 36, 32)
+    assert conv1["AxonCfg registers"] == 32
+    (conv2,) = used(plan, "conv2")
+    # 16 pixels; none go out to the chip, since the readout is on the host
+    assert (conv2["compartments"], conv2["input axons"], conv2["output axons"]) == (72, 16, 0)
+    assert plan.chips == 1
+    assert plan.problems == plan.warnings == []
+
+
+def test_synapse_words_by_hand():
+    # one list of 70 weights: 64 of 8 bits and 10 of header are 9 words, 6 more are 1 word
+    from nengo_loihi.block import Synapse
+
+    synapse = Synapse(1)
+    synapse.set_weights(np.ones((1, 70)))
+    assert synapse_words(synapse) == 9 + 1
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        small_spec(),
+        small_spec(on_chip_output=True),
+        paper_spec(),
+        spec_of((8, 3), (8, 3), pop_type=16),
+        spec_of((4, 3), (24, 3), block_shape=(3, 3, 4)),
+    ],
+    ids=["small", "output-on-chip", "paper", "pop16", "split"],
+)
+def test_counts_are_those_of_the_registers_written(nxsdk, spec):
+    """Build the board for real and count what NengoLoihi wrote to it."""
+    if spec.layers[1].block_shape:
+        layers = [replace(spec.layers[1], block_shape=(2, 3, 24))]
+        spec = replace(spec, layers=(spec.layers[0], *layers, spec.layers[2]))
+    with nengo_loihi.Simulator(build(spec).network, target="loihi", precompute=True) as sim:
+        board = sim.sims["loihi"].nxsdk_board
+    plan = make_plan(spec)
+    assert len(plan.cores) == sum(len(chip.n2Cores) for chip in board.n2Chips)
+    for core in plan.cores:
+        written = board.n2Chips[core.chip].n2Cores[core.core]
+        assert core.used["compartments"] == len(written.cxCfg.registers)
+        assert core.used["AxonCfg registers"] == written.axon_cfgs()
+        assert core.used["synapse words"] == written.synapse_words()
+        assert core.used["input axons"] >= len(written.synapseMap.registers)  # but for dummies
+        nxsdk.faults.FAULTS.share_axon_cfgs = False
+        assert core.unshared_axon_cfgs == written.axon_cfgs()
+        nxsdk.faults.FAULTS.share_axon_cfgs = True
+
+
+def test_current_never_exceeds_its_bound(nxsdk):
+    """The worst case is not passed by what the stand-in really computes."""
+    spec = paper_spec()
+    bounds = {(core.chip, core.core): core for core in make_plan(spec).cores}
+    built = build(spec)
+    built.feed.images = np.ones((1, 100))
+    with nengo_loihi.Simulator(built.network, target="loihi", precompute=True) as sim:
+        board = sim.sims["loihi"].nxsdk_board
+        peaks = {}
+        for _ in range(100):
+            sim.run_steps(1)
+            for i, core in enumerate(board.n2Chips[0].n2Cores):
+                peaks[0, i] = max(peaks.get((0, i), 0), int(np.abs(core.u).max()))
+    for place, peak in peaks.items():
+        assert 0 < peak <= bounds[place].worst_current
+
+
+def test_too_many_compartments_names_layer_limit_excess_and_remedy():
+    spec = spec_of((24, 3), block_shape=(8, 8, 24))  # 8 x 8 x 24 = 1536
+    plan = make_plan(spec)
+    assert plan.problems == [
+        "layer conv1, part 0: 1536 compartments, 512 more than the 1024 of a core; "
+        "give the layer a block_shape of at most 1024 neurons"
+    ]
+    with pytest.raises(UserError, match="does not fit: layer conv1, part 0: 1536 compartments"):
+        require_fit(spec)
+
+
+def test_too_many_input_axons():
+    plan = make_plan(spec_of((1, 60), shape=(70, 70, 1)))
+    assert any("4900 input axons, 804 more than the 4096" in line for line in plan.problems)
+
+
+def test_too_many_chips():
+    spec = spec_of((4, 3), (4, 3), shape=(40, 40, 1), block_shape=(4, 4, 4))
+    plan = make_plan(spec)
+    assert len(plan.cores) == 100 + 81
+    assert plan.chips == 2
+    assert "181 cores need 2 chips, 1 more than the 1 asked for" in plan.problems[-1]
+    assert make_plan(spec, chips=2).problems == []
+
+
+@pytest.mark.parametrize(
+    ("layers", "message"),
+    [
+        (((6, 3), (8, 3)), "multiple of 4"),
+        (((36, 3), (4, 3)), "36 channels before it, 4 more than the 32"),
+    ],
+)
+def test_pop16_limits(layers, message):
+    plan = make_plan(spec_of(*layers, pop_type=16, shape=(6, 6, 1)))
+    assert any(message in line for line in plan.problems)
+
+
+def test_pop16_can_address_fewer_axons():
+    plan = make_plan(spec_of((4, 30), shape=(36, 36, 1), pop_type=16))
+    assert any("1296 input axons, 272 more than the 1024" in line for line in plan.problems)
+
+
+def test_registers_that_may_not_be_shared_are_a_warning():
+    spec = spec_of((16, 3), (4, 3), shape=(10, 10, 1))  # 1024 neurons, 64 pixels
+    split = replace(spec.layers[1], block_shape=(2, 2, 4))  # nine parts, up to four a pixel
+    plan = make_plan(replace(spec, layers=(spec.layers[0], split, spec.layers[2])))
+    assert plan.problems == []
+    (warning,) = plan.warnings
+    assert "AxonCfg registers if populations cannot share them" in warning
+    assert "issue 326" in warning
+    core = plan.cores[0]
+    assert core.used["AxonCfg registers"] <= LIMITS["AxonCfg registers"] < core.unshared_axon_cfgs
+
+
+def test_weights_that_can_overflow_are_a_warning():
+    spec = spec_of((4, 30), shape=(32, 32, 1))
+    layer = spec.layers[0]
+    alike = replace(layer, weights=np.ones_like(layer.weights))  # 900 inputs of the same sign
+    plan = make_plan(replace(spec, layers=(alike, *spec.layers[1:])))
+    assert plan.problems == []
+    one_step, current = plan.warnings
+    assert "one step's input can wrap around" in one_step
+    assert "the current can wrap around" in current
+    assert plan.cores[0].worst_input == 900 * 254 * 64  # of 8 bits one is the sign
+
+
+def test_text_and_json_tell_the_same():
+    plan = make_plan(paper_spec())
+    text = plan_text(plan)
+    assert "conv2[0]" in text
+    assert "600 59%" in text
+    value = plan.to_json()
+    assert value["fits"] is True
+    assert value["cores"][1]["used"]["compartments"] == 600

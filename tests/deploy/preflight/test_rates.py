@@ -1,0 +1,51 @@
+"""Firing rates: counted, summed up, and warned of."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.preflight.rates import firing_rates, rate_summary, rate_warnings, rates_text
+from tests.deploy.networks import random_checks, small_spec
+
+
+def test_rate_of_a_constant_drive():
+    """LIF at J = 2: threshold reached after 14 steps, one more is refractory; 1000 / 15 Hz."""
+    spec = small_spec(steps=150, gap=0)
+    layer = replace(
+        spec.layers[0], weights=np.zeros_like(spec.layers[0].weights), bias=np.full(4, 2.0)
+    )
+    images = np.zeros((1, 6, 6, 1))
+    rates = firing_rates(replace(spec, layers=(layer, *spec.layers[1:])), images)
+    expected = 1 / (0.001 + 0.02 * np.log(2))
+    assert np.ptp(rates["conv1"]) == 0
+    assert rates["conv1"][0, 0] == pytest.approx(expected, rel=0.1)
+
+
+def test_all_layers_on_the_chip_and_all_samples():
+    spec = small_spec(on_chip_output=True)
+    rates = firing_rates(spec, random_checks(spec, 3).images)
+    assert {name: values.shape for name, values in rates.items()} == {
+        "conv1": (3, 64),
+        "conv2": (3, 72),
+        "output": (3, 10),
+    }
+
+
+def test_summary_by_hand():
+    summary = rate_summary({"a": np.array([[0.0, 100.0], [0.0, 300.0]])})["a"]
+    assert summary["silent"] == 0.5
+    assert summary["mean_hz"] == 200
+    assert summary["max_hz"] == 300
+    assert summary["coarse"] == 0.5
+    # at 1000 / k Hz the next rate down is 1000 / (k + 1): at 250 Hz (k = 4) a fifth lower
+    quarter = rate_summary({"a": np.array([[250.0]])})["a"]
+    assert quarter["step_at_p99"] == pytest.approx(0.2)
+
+
+def test_warnings():
+    summary = rate_summary({"quiet": np.zeros((1, 3)), "loud": np.full((1, 3), 400.0)})
+    silent, coarse = rate_warnings(summary)
+    assert "layer quiet: no neuron fires" in silent
+    assert "layer loud: 100% of the firing neurons are above 250 Hz" in coarse
+    assert "warning: layer loud" in rates_text(summary, 1)

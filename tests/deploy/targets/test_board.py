@@ -1,0 +1,215 @@
+"""Target loihi, with the NxSDK stand-in where a board would be."""
+
+import json
+
+import numpy as np
+import pytest
+
+from deploy.check.bundle import read_bundle
+from deploy.check.results import compare, read_result
+from deploy.check.run import run_check
+from deploy.cli import summary
+from deploy.errors import UserError
+from deploy.targets import board as hardware
+from deploy.targets import registry as targets
+from deploy.targets.board import Settings
+from tests.deploy.networks import bundle_at, host_first_spec, paper_spec, random_checks, small_spec
+
+PATIENT = Settings(wait=0)
+
+
+@pytest.fixture(autouse=True)
+def no_waiting(monkeypatch):
+    monkeypatch.setattr("time.sleep", lambda seconds: None)
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory):
+    return bundle_at(tmp_path_factory.mktemp("bundle") / "bundle", small_spec(), 7)
+
+
+@pytest.fixture(scope="module")
+def emulated(bundle, tmp_path_factory):
+    return run_check(bundle, "emulator", tmp_path_factory.mktemp("home") / "emulator.json")
+
+
+def same_answers(a, b):
+    return a["samples"] == b["samples"] and a["spikes"] == b["spikes"]
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [small_spec(), small_spec(on_chip_output=True), host_first_spec()],
+    ids=["small", "output-on-chip", "first-layer-on-host"],
+)
+def test_every_spike_is_the_emulators(nxsdk, spec):
+    images = random_checks(spec, 7).images.reshape(7, -1)
+    streams = [images[:3], images[3:6], images[6:]]
+    for mine, theirs in zip(
+        targets.run_loihi(spec, streams), targets.run_emulator(spec, streams), strict=True
+    ):
+        np.testing.assert_array_equal(mine.spike_hashes, theirs.spike_hashes)
+        np.testing.assert_array_equal(mine.scores, theirs.scores)
+        np.testing.assert_array_equal(mine.decisions, theirs.decisions)
+        for name, counts in theirs.spikes.items():
+            np.testing.assert_array_equal(mine.spikes[name], counts)
+
+
+def test_result_has_the_same_schema_and_the_hardware(nxsdk, bundle, emulated, tmp_path):
+    settings = Settings(board="ncl-ext-ghrd-01", partition="nahuku32", wait=0)
+    result = run_check(bundle, "loihi", tmp_path / "loihi.json", settings=settings)
+    assert same_answers(result, emulated)
+    assert set(emulated) <= set(result)
+    assert result["hardware"] == {
+        "board": "ncl-ext-ghrd-01",
+        "partition": "nahuku32",
+        "chips": 1,
+        "connections": 3,
+        "attempts": 3,
+    }
+    assert result["versions"]["nxsdk"] == "1.0.0"
+    assert all(value > 0 for value in result["timing"].values())
+    assert "power" not in result
+    comparison = compare(read_result(tmp_path / "loihi.json"), emulated)
+    assert (comparison.disagreements, comparison.other_spikes) == ([], 0)
+
+
+def test_nxsdk_is_told_board_and_partition_and_only_then(nxsdk, monkeypatch):
+    import os
+
+    seen = {}
+    monkeypatch.delenv("SLURM", raising=False)
+    from nxsdk.arch.n2a.n2board import N2Board
+
+    start = N2Board.start
+
+    def spying(board):
+        seen.update({name: os.environ.get(name) for name in ("BOARD", "PARTITION", "SLURM")})
+        start(board)
+
+    monkeypatch.setattr(N2Board, "start", spying)
+    spec = small_spec()
+    images = random_checks(spec, 1).images.reshape(1, -1)
+    list(targets.run_loihi(spec, [images], settings=Settings(board="b", partition="p")))
+    assert seen == {"BOARD": "b", "PARTITION": "p", "SLURM": "1"}
+    assert "SLURM" not in os.environ
+
+
+def test_refused_connection_is_tried_again(nxsdk, bundle, emulated, tmp_path):
+    nxsdk.faults.FAULTS.refuse = 4  # NengoLoihi gives up after three, the second attempt gets it
+    result = run_check(bundle, "loihi", tmp_path / "r.json", settings=PATIENT)
+    assert same_answers(result, emulated)
+    assert result["hardware"]["attempts"] == 4
+
+
+def test_board_that_stays_away_is_one_line(nxsdk, bundle, tmp_path):
+    nxsdk.faults.FAULTS.refuse = 100
+    with pytest.raises(UserError, match=r"board lost in stream 1 .*3 attempts.*connection refused"):
+        run_check(bundle, "loihi", tmp_path / "r.json", settings=PATIENT)
+    assert not (tmp_path / "r.json").exists()
+
+
+def test_connection_lost_in_mid_run_begins_the_stream_again(nxsdk, bundle, emulated, tmp_path):
+    nxsdk.faults.FAULTS.lose_at_step = 150  # in the second stream
+    result = run_check(bundle, "loihi", tmp_path / "r.json", settings=PATIENT)
+    assert same_answers(result, emulated)
+    assert result["hardware"] | {"board": None, "partition": None} == {
+        "board": None, "partition": None, "chips": 1, "connections": 3, "attempts": 4,
+    }  # fmt: skip
+
+
+def test_run_goes_on_where_the_board_was_lost(nxsdk, bundle, emulated, tmp_path):
+    once = Settings(attempts=1, wait=0)
+    nxsdk.faults.FAULTS.lose_at_step = 150
+    with pytest.raises(UserError, match=r"lost in stream 2 .*connection to the board lost"):
+        run_check(bundle, "loihi", tmp_path / "r.json", settings=once)
+    before = nxsdk.faults.FAULTS.steps
+    result = run_check(bundle, "loihi", tmp_path / "r.json", settings=once)
+    assert same_answers(result, emulated)
+    period = 35
+    assert nxsdk.faults.FAULTS.steps - before == 4 * period  # streams 2 (3 samples) and 3 (1)
+    assert result["hardware"]["connections"] == 3
+
+
+def test_missing_steps_are_noticed(nxsdk, bundle, tmp_path):
+    nxsdk.faults.FAULTS.short_probes = 1
+    with pytest.raises(UserError, match="34 of 35 steps of layer conv1 came back"):
+        run_check(bundle, "loihi", tmp_path / "r.json", settings=PATIENT)
+
+
+def test_lost_input_spikes_show_in_the_comparison(nxsdk, bundle, emulated, tmp_path):
+    nxsdk.faults.FAULTS.drop_spikes = 10
+    result = run_check(bundle, "loihi", tmp_path / "r.json", settings=PATIENT)
+    assert compare(result, emulated).other_spikes >= 1
+
+
+@pytest.mark.parametrize(("version", "wrong"), [("0.8.7", "old"), ("1.1.0", "new")])
+def test_wrong_version_of_nxsdk(nxsdk, bundle, tmp_path, monkeypatch, version, wrong):
+    monkeypatch.setattr(nxsdk, "__version__", version)
+    with pytest.raises(UserError, match=f"NxSDK {version} is too {wrong}.* 0.9.0 to 1.0.0"):
+        run_check(bundle, "loihi", tmp_path / "r.json", settings=PATIENT)
+
+
+def test_without_nxsdk(bundle, tmp_path):
+    with pytest.raises(UserError, match="needs Intel's NxSDK, which is not installed here"):
+        run_check(bundle, "loihi", tmp_path / "r.json")
+
+
+def test_axon_cfgs_refused_by_the_board(nxsdk, bundle, tmp_path, monkeypatch):
+    monkeypatch.setattr("nxsdk.core.AXON_CFGS", 10)
+    with pytest.raises(UserError, match=r"the board refuses the network: .*AxonCfg.*block_shape"):
+        run_check(bundle, "loihi", tmp_path / "r.json", settings=PATIENT)
+
+
+def test_power_is_taken_down_apart_from_idle(nxsdk, bundle, tmp_path):
+    nxsdk.faults.FAULTS.power = {"total": 30.0, "static": 25.0, "dynamic": 5.0, "core": {}}
+    settings = Settings(energy=True, wait=0)
+    result = run_check(bundle, "loihi", tmp_path / "r.json", settings=settings)
+    assert result["power"] == {
+        "measured_samples": 7,
+        "total_mw": 30.0,
+        "static_mw": 25.0,
+        "dynamic_mw": 5.0,
+        "step_microseconds": 10.0,
+    }
+    text = summary(result)
+    assert "board of the cluster, partition none, NxSDK 1.0.0, 3 connections" in text
+    assert "measured power: 5 mW beside 25 mW when idle" in text
+
+
+def test_board_without_energy_probe(nxsdk, bundle, tmp_path):
+    with pytest.raises(UserError, match=r"no energy probe.*leave --energy out"):
+        run_check(bundle, "loihi", tmp_path / "r.json", settings=Settings(energy=True, wait=0))
+
+
+def test_mean_power_is_weighted_by_steps():
+    note = {
+        "board": None, "partition": None, "chips": 1, "attempts": 1, "nxsdk": "1.0.0",
+        "build_seconds": 1.0, "connect_seconds": 2.0, "run_seconds": 3.0,
+    }  # fmt: skip
+    power = {"total_mw": 2.0, "static_mw": 1.0, "dynamic_mw": 1.0, "step_microseconds": 8.0}
+    stronger = {"total_mw": 5.0, "static_mw": 1.0, "dynamic_mw": 4.0, "step_microseconds": 8.0}
+    result = hardware.describe(
+        [
+            {**note, "samples": 2, "steps": 20, "power": power},
+            {**note, "samples": 1, "steps": 10, "power": stronger},
+        ]
+    )
+    assert result["power"]["dynamic_mw"] == pytest.approx(2.0)
+    assert result["timing"]["run_seconds_per_sample"] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("wrong", [{"chips": 0}, {"attempts": 0}, {"wait": -1}])
+def test_senseless_settings(wrong):
+    with pytest.raises(UserError, match="must be at least"):
+        Settings(**wrong)
+
+
+@pytest.mark.slow
+def test_200_samples_of_the_papers_network_equal_the_emulators(nxsdk, tmp_path):
+    bundle = bundle_at(tmp_path / "bundle", paper_spec(steps=30, gap=5, stream_length=25), 200)
+    emulated = run_check(bundle, "emulator", tmp_path / "emulator.json")
+    executed = run_check(read_bundle(bundle.path), "loihi", tmp_path / "loihi.json")
+    assert len({sample["prediction"] for sample in executed["samples"]}) > 2
+    assert same_answers(executed, emulated)
+    assert json.loads((tmp_path / "loihi.json").read_text())["hardware"]["connections"] == 8

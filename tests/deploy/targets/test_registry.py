@@ -1,0 +1,159 @@
+"""Each target on small networks: the presentation to the letter, and near what was meant."""
+
+from dataclasses import replace
+
+import nengo
+import numpy as np
+import pytest
+
+from deploy.errors import UserError
+from deploy.network.build import build
+from deploy.network.spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
+from deploy.targets.registry import _loihi_simulator, answer, target_named
+from tests.deploy.networks import conv, paper_spec, random_checks, readout, small_spec
+
+EXACT = ("nengo", "simreal", "emulator")
+
+
+def assert_same(a, b, part=slice(None)):
+    np.testing.assert_array_equal(a.scores[part], b.scores)
+    np.testing.assert_array_equal(a.decisions[part], b.decisions)
+    assert a.spikes.keys() == b.spikes.keys()
+    for name in a.spikes:
+        np.testing.assert_array_equal(a.spikes[name][part], b.spikes[name])
+
+
+@pytest.fixture(scope="module")
+def images():
+    return random_checks(small_spec(), 6).images
+
+
+@pytest.mark.parametrize("target", EXACT)
+def test_streams_do_not_know_of_each_other(target, images):
+    spec = small_spec()  # streams of three
+    together = answer(spec, images, target)
+    assert_same(together, answer(spec, images[3:], target), slice(3, None))
+    assert_same(together, answer(spec, images, target))
+    assert min(counts.min() for counts in together.spikes.values()) > 0
+
+
+@pytest.mark.parametrize("target", EXACT)
+def test_in_a_stream_of_one_every_sample_is_fresh(target, images):
+    fresh = small_spec(stream_length=1)
+    together = answer(fresh, images[:3], target)
+    backwards = answer(fresh, images[2::-1], target)
+    assert_same(together, backwards, slice(None, None, -1))
+
+
+@pytest.mark.parametrize("target", EXACT)
+def test_a_stream_goes_on_from_the_state_that_it_is_in(target, images):
+    fresh = answer(small_spec(stream_length=1), images[:3], target)
+    stream = answer(small_spec(), images[:3], target)
+    np.testing.assert_array_equal(stream.scores[0], fresh.scores[0])
+    assert (stream.scores[1:] != fresh.scores[1:]).any()
+
+
+@pytest.mark.parametrize("target", EXACT)
+def test_sample_by_sample_is_the_same_as_in_one_run(target, images):
+    spec = small_spec(gap=4)
+    built = build(spec)
+    built.feed.images = images[:3].reshape(3, -1)
+    if target == "nengo":
+        simulator = nengo.Simulator(built.network, progress_bar=False, optimize=False)
+    else:
+        simulator = _loihi_simulator(
+            built.network, {"simreal": "simreal", "emulator": "sim"}[target]
+        )
+    with simulator as sim:
+        sim.run_steps(3 * built.feed.period)
+        whole = np.array(sim.data[built.output]).reshape(3, built.feed.period, 10)
+        counts = {name: np.array(sim.data[p]) for name, p in built.spikes.items()}
+    start = spec.presentation.gap + spec.presentation.readout_start
+    scores = whole[:, start:].mean(1) + spec.layers[-1].bias
+    responses = answer(spec, images[:3], target)
+    np.testing.assert_allclose(responses.scores, scores, atol=1e-12)
+    for name, data in counts.items():
+        expected = np.count_nonzero(data, axis=1).reshape(3, -1).sum(1)
+        np.testing.assert_array_equal(responses.spikes[name], expected)
+
+
+def test_the_encoder_makes_the_rounded_number_of_spikes():
+    spec = small_spec(steps=50, gap=0, readout_start=0)
+    image = np.zeros((1, 6, 6, 1))
+    image[0, 0, :5, 0] = [1.0, 0.5, 0.25, 0.1, 0.01]
+    counts = answer(spec, image, "nengo").spikes["input"]
+    # 500 Hz for 50 ms: 25, 12.5, 6.25, 2.5 and 0.25 spikes; rounded (a half up or down)
+    assert 25 + 12 + 6 + 2 <= counts[0] <= 25 + 13 + 6 + 3
+
+
+def linear_network(steps, readout_start=0, synapse=None):
+    """One convolution of one neuron with a known current, decoded on the host."""
+    neurons = Neurons("lif", amplitude=0.01)
+    first = Layer(
+        name="conv1", kind="conv", input_shape=(2, 2, 1), shape=(1, 1, 2), placement="chip",
+        neurons=neurons, synapse=0.005, kernel=2, block_shape=None, pop_type=32,
+        weights=np.zeros((2, 2, 1, 2)), bias=np.array([1.6, 0.9]),
+    )  # fmt: skip
+    output = Layer(
+        name="output", kind="dense", input_shape=(1, 1, 2), shape=(2,), placement="host",
+        neurons=None, synapse=synapse, kernel=0, block_shape=None, pop_type=32,
+        weights=np.eye(2), bias=np.array([0.25, -0.5]),
+    )  # fmt: skip
+    presentation = Presentation(steps, 0, readout_start, 1)
+    return NetworkSpec("test", (2, 2, 1), Encoder(), (first, output), presentation)
+
+
+@pytest.mark.parametrize("target", EXACT)
+def test_a_neuron_fires_at_the_rate_of_its_bias_current(target):
+    responses = answer(linear_network(2000), np.zeros((1, 2, 2, 1)), target)
+    rate = 1 / (0.001 * np.ceil((0.001 + 0.02 * np.log1p(1 / 0.6)) / 0.001))
+    assert responses.spikes["conv1"][0] == pytest.approx(2 * rate, abs=3)
+    assert responses.scores[0] == pytest.approx([0.25 + 0.01 * rate, -0.5], rel=0.05)
+
+
+def test_a_readout_on_the_chip(images):
+    spec = small_spec(on_chip_output=True)
+    for target in EXACT:
+        responses = answer(spec, images[:2], target)
+        assert responses.spikes["output"].sum() > 0
+        assert np.isfinite(responses.scores).all()
+
+
+def test_the_first_layer_on_the_host(images):
+    spec = small_spec()
+    first = replace(spec.layers[0], placement="host", synapse=None)
+    spec = replace(spec, encoder=None, layers=(first, *spec.layers[1:]))
+    for target in EXACT:
+        responses = answer(spec, images[:2], target)
+        assert list(responses.spikes) == ["conv1", "conv2"]
+        assert responses.spikes["conv2"].sum() > 0
+
+
+def test_what_nengo_loihi_cannot_build_is_one_error():
+    rng = np.random.default_rng(0)
+    wide = conv("conv1", (6, 6, 1), 64, 3, rng)
+    wider = conv("conv2", wide.shape, 256, 2, rng)
+    layers = (wide, wider, readout(wider.shape, rng))
+    spec = NetworkSpec("6x6-64c3-256c2-10o", (6, 6, 1), Encoder(), layers, Presentation())
+    with pytest.raises(UserError, match=r"NengoLoihi cannot build this network: .* bits"):
+        answer(spec, np.zeros((1, 36)), "emulator")
+
+
+def test_population_axons_of_16_bits_and_filters_not_in_fours():
+    spec = paper_spec()
+    first = replace(spec.layers[0], pop_type=16)
+    with pytest.raises(UserError, match="NengoLoihi cannot build this network"):
+        answer(replace(spec, layers=(first, *spec.layers[1:])), np.zeros((1, 100)), "emulator")
+
+
+def test_an_unknown_target_is_named_with_the_known_ones():
+    with pytest.raises(UserError, match=r"no target 'gpu'; the targets are nengo, simreal, emu"):
+        target_named("gpu")
+
+
+def test_progress_is_told_stream_by_stream(images):
+    told = []
+    answer(
+        small_spec(stream_length=4, steps=9, readout_start=0), images, "nengo", advance=told.append
+    )
+    assert told == [4, 2]

@@ -1,0 +1,131 @@
+"""The verbs of the simulated skin."""
+
+import json
+
+import numpy as np
+import pytest
+
+from pipeline.commands import skin
+from pipeline.recordings.archive import read_source
+from pipeline.skin import parameters
+from tests.command import call
+
+SEVENS = """\
+.SEGMENT DIGIT 0 ? "7"
+.PEN_DOWN
+ 100 200
+ 150 200
+ 200 200
+ 150 0
+.PEN_UP
+"""
+
+
+@pytest.fixture
+def archive(tmp_path, capsys):
+    path = tmp_path / "few.zip"
+    assert call("data", "simulate", "--out", path, "--samples-per-digit", 3, "--jobs", 1) == 0
+    capsys.readouterr()
+    return path
+
+
+def test_simulated_zip_is_read_back_and_counted(archive, capsys):
+    recordings = read_source(archive, jobs=1)
+    assert recordings.source.simulated
+    assert len(recordings) == 30
+    assert call("data", "stats", "--data", archive, "--json", "--jobs", 1) == 0
+    stats = json.loads(capsys.readouterr().out)
+    assert stats["simulated"] is True
+    assert stats["samples"] == 30
+    assert list(stats["digits"]) == [str(digit) for digit in range(10)]
+    row = stats["digits"]["4"]
+    assert row["samples"] == 3
+    events = recordings.events
+    on = [
+        events.columns[part][events.polarity[part] > 0].sum()
+        for index in np.flatnonzero(recordings.labels == 4)
+        for part in [slice(recordings.offsets[index], recordings.offsets[index + 1])]
+    ]
+    assert row["on"] == pytest.approx([np.mean(on), np.std(on, ddof=1)])
+    assert {"off", "x_mean", "y_mean", "x_range", "y_range"} < set(row)
+
+
+def test_stats_against_the_paper(archive, capsys):
+    assert call("data", "stats", "--data", archive, "--against-paper", "--json", "--jobs", 1) == 0
+    row = json.loads(capsys.readouterr().out)["digits"]["8"]
+    assert row["paper"]["on"] == [1399.14, 898.56]
+    assert row["error"]["on"][0] == pytest.approx(row["on"][0] / 1399.14 - 1)
+    assert call("data", "stats", "--data", archive, "--against-paper", "--jobs", 1) == 0
+    text = capsys.readouterr().out
+    assert "simulated" in text
+    assert "1399 (899)" in text
+    assert "physical OFF" in text
+
+
+@pytest.mark.parametrize("what", ["recording", "events", "layout", "sheet"])
+def test_plot(what, archive, tmp_path):
+    out = tmp_path / f"{what}.png"
+    arguments = ["--data", archive, "--sample", "2/0001", "--per-digit", 2, "--jobs", 1]
+    assert call("data", "plot", what, "--out", out, *arguments) == 0
+    assert out.read_bytes().startswith(b"\x89PNG")
+
+
+def test_plot_mistakes(archive, tmp_path, capsys):
+    out = tmp_path / "x.png"
+    assert call("data", "plot", "pie", "--out", out) == 2
+    assert "choose one of" in capsys.readouterr().err
+    assert call("data", "plot", "sheet", "--out", tmp_path / "x.doc") == 2
+    assert "x.doc" in capsys.readouterr().err
+    assert (
+        call("data", "plot", "recording", "--data", archive, "--sample", "none", "--out", out) == 2
+    )
+    assert "ids are like" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_recorded_handwriting(tmp_path, capsys):
+    unipen = tmp_path / "sevens.unipen"
+    unipen.write_text(SEVENS)
+    out = tmp_path / "written.zip"
+    arguments = ["--out", out, "--handwriting", unipen, "--samples-per-digit", 1, "--jobs", 1]
+    assert call("data", "simulate", *arguments) == 2
+    assert "has no 0" in capsys.readouterr().err
+    text = "".join(SEVENS.replace('"7"', f'"{digit}"') for digit in range(10))
+    unipen.write_text(text)
+    assert call("data", "simulate", *arguments, "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["samples"] == 10
+    assert facts["simulated"] is True
+    assert "recorded handwriting" in facts["source"]
+    assert len(read_source(out, jobs=1)) == 10
+
+
+def test_simulate_mistakes(tmp_path, capsys):
+    assert call("data", "simulate", "--out", tmp_path / "x.tar") == 2
+    assert "must end in .zip" in capsys.readouterr().err
+    missing = tmp_path / "none.unipen"
+    assert call("data", "simulate", "--out", tmp_path / "x.zip", "--handwriting", missing) == 2
+    assert "none.unipen" in capsys.readouterr().err
+
+
+def test_aces(capsys, monkeypatch):
+    monkeypatch.setattr(skin, "NOISES", (0.0, 0.2))
+    monkeypatch.setattr(skin, "AT_ONCE", (1, 100))
+    assert call("data", "aces", "--trials", 1, "--json") == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [(row["noise"], row["at_once"]) for row in rows] == [
+        (0, 1),
+        (0, 100),
+        (0.2, 1),
+        (0.2, 100),
+    ]
+    assert all(row["found"] == 1 and row["false"] == 0 for row in rows)
+
+
+def test_what_is_fitted_is_read_back(tmp_path):
+    path = tmp_path / "calibration.json"
+    p = parameters.load()
+    parameters.write_calibration(path, p, {"seed": 3, "rounds": 2})
+    stored = json.loads(path.read_text())
+    assert stored["fit"]["seed"] == 3
+    assert stored["forms"] == json.loads(parameters.CALIBRATION.read_text())["forms"]

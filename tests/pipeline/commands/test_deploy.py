@@ -1,0 +1,116 @@
+"""``stmnist deploy``: plan, export and energy from the command line."""
+
+import json
+
+import numpy as np
+import pytest
+
+from deploy.check.run import run_check
+from pipeline.commands.main import main
+from tests.deploy.networks import bundle_at, small_spec
+from tests.deploy.preflight.test_plan import spec_of
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory):
+    return bundle_at(tmp_path_factory.mktemp("run") / "bundle", small_spec(), 7)
+
+
+def run(capsys, *arguments):
+    with pytest.raises(SystemExit) as end:
+        main([str(argument) for argument in arguments])
+    out, err = capsys.readouterr()
+    return end.value.code or 0, out, err
+
+
+def test_plan(bundle, capsys):
+    status, out, _ = run(capsys, "deploy", "plan", bundle.path)
+    assert status == 0
+    assert "conv2[0]" in out
+    assert "firing rates on the emulator, 3 samples" in out
+
+
+def test_plan_as_json(bundle, capsys):
+    _, out, _ = run(capsys, "deploy", "plan", bundle.path, "--json")
+    value = json.loads(out)
+    assert value["fits"] is True
+    assert set(value["firing_rates"]) == {"conv1", "conv2"}
+
+
+@pytest.mark.parametrize("kind", ["png", "svg", "pdf"])
+def test_plan_draws_the_placement(bundle, capsys, tmp_path, kind):
+    status, _, _ = run(
+        capsys, "deploy", "plan", bundle.path, "--figure", tmp_path / f"placement.{kind}"
+    )
+    assert status == 0
+    start = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[kind]
+    assert (tmp_path / f"placement.{kind}").read_bytes().startswith(start)
+
+
+def test_plan_draws_no_other_kind(bundle, capsys, tmp_path):
+    status, _, err = run(capsys, "deploy", "plan", bundle.path, "--figure", tmp_path / "x.bmp")
+    assert status == 2
+    assert "use .png, .svg or .pdf" in err
+
+
+def test_plan_refuses_what_will_not_fit(capsys, tmp_path):
+    big = bundle_at(tmp_path / "bundle", spec_of((24, 3), block_shape=(8, 8, 24)), 2)
+    status, out, err = run(capsys, "deploy", "plan", big.path)
+    assert status == 2
+    assert "layer conv1, part 0: 1536 compartments, 512 more than the 1024" in err
+    assert len(err.strip().splitlines()) == 1
+    assert "does not fit" in out
+
+
+def test_export_with_inputs(bundle, capsys, tmp_path):
+    nir = pytest.importorskip("nir")
+    status, out, _ = run(
+        capsys, "deploy", "export", bundle.path, "--format", "nir",
+        "--out", tmp_path / "network.nir", "--inputs", tmp_path / "in.npz",
+    )  # fmt: skip
+    assert status == 0
+    assert "input spikes of 7 samples" in out
+    assert "conv1_neurons" in nir.read(str(tmp_path / "network.nir")).nodes
+    with np.load(tmp_path / "in.npz", allow_pickle=False) as arrays:
+        assert arrays["spikes"].shape == (7, 35, 1, 6, 6)
+
+
+def test_export_to_something_else(bundle, capsys, tmp_path):
+    status, _, err = run(
+        capsys, "deploy", "export", bundle.path, "--format", "onnx", "--out", tmp_path / "x"
+    )
+    assert status == 2
+    assert "nir" in err
+
+
+def test_energy(bundle, capsys):
+    checks = bundle.path.parent / "checks"
+    run_check(bundle, "emulator", checks / "emulator.json")
+    status, out, _ = run(capsys, "deploy", "energy", bundle.path)
+    assert status == 0
+    assert out.startswith("ESTIMATE")
+    _, out, _ = run(capsys, "deploy", "energy", bundle.path, checks / "emulator.json", "--json")
+    assert json.loads(out)["joules_per_inference"]["loihi"] > 0
+
+
+def test_energy_of_another_bundle(bundle, capsys, tmp_path):
+    other = bundle_at(tmp_path / "bundle", small_spec(seed=5), 7)
+    result = tmp_path / "other.json"
+    run_check(other, "emulator", result)
+    status, _, err = run(capsys, "deploy", "energy", bundle.path, result)
+    assert status == 2
+    assert "of another bundle" in err
+
+
+def test_check_run_takes_board_options_for_a_board_only(bundle, capsys):
+    status, _, err = run(
+        capsys, "check", "run", bundle.path, "--target", "emulator", "--partition", "nahuku32"
+    )
+    assert status == 2
+    assert "--partition is for --target loihi, not for emulator" in err
+
+
+def test_check_run_without_nxsdk(bundle, capsys):
+    status, _, err = run(capsys, "check", "run", bundle.path, "--target", "loihi")
+    assert status == 2
+    assert "needs Intel's NxSDK" in err

@@ -1,0 +1,89 @@
+"""The benchmark of the target ``fast``: it times two equal answers, and notices unequal ones."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from deploy.targets.fast.emulation import Emulation, compile_spec
+from pipeline.commands.benchmark_emulator import as_text
+from pipeline.experiments import emulator_speed as measure
+from tests.command import call
+from tests.deploy.fast_networks import images_for
+from tests.deploy.networks import bundle_at, paper_spec, small_spec
+
+pytest.importorskip("numba")
+
+PROMISED = {
+    "identical", "ratio_whole", "ratio_chip", "ratio_whole_numpy",
+    "samples_per_second", "reference_samples_per_second",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory):
+    """A bundle of a small network with 7 samples in streams of 3."""
+    return bundle_at(tmp_path_factory.mktemp("benchmark") / "bundle", small_spec(), 7)
+
+
+def test_json_has_what_is_promised(bundle, capsys):
+    assert call("benchmark", "emulator", bundle.path, "--json", "--compare-only") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert set(result) >= PROMISED
+    assert result["identical"] is True
+    assert result["n_samples"] == 7
+    assert result["turns"] == 3
+    assert result["mean_rates_hz"]["conv1"] > 0
+    assert set(result["processor_time"]) == {name for name in result if name.startswith("ratio")}
+
+
+def test_text_tells_growth_and_limit(bundle, capsys):
+    assert call("benchmark", "emulator", bundle.path, "--samples", "6") == 0
+    text = capsys.readouterr().out
+    for said in ("6 simulated samples", "fast, numba", "fast, numpy", "steps a sample", "limit: "):
+        assert said in text
+
+
+def test_missing_bundle_is_one_line(tmp_path, capsys):
+    assert call("benchmark", "emulator", tmp_path / "none") == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_a_single_other_spike_is_noticed():
+    spec = small_spec()
+    images = images_for(spec, 2)
+    _, output, spikes = measure.reference_turn(spec, images)
+    emulation = Emulation(compile_spec(spec))
+    assert measure.same_answer(spec, emulation, images, output, spikes)
+    assert not measure.same_answer(spec, emulation, images, output + 1e-6, spikes)
+    spikes["conv1"][1] = spikes["conv1"][1].copy()
+    spikes["conv1"][1][3, 0] ^= 1
+    assert not measure.same_answer(spec, emulation, images, output, spikes)
+
+
+def test_disagreement_is_a_failed_check(bundle, capsys, monkeypatch):
+    monkeypatch.setattr(measure, "same_answer", lambda *_: False)
+    assert call("benchmark", "emulator", bundle.path, "--compare-only") == 1
+    captured = capsys.readouterr()
+    assert "do not give the same spikes" in captured.err
+    assert "NO: the answers differ" in captured.out
+
+
+def test_without_numba_the_numpy_kernel_is_measured(monkeypatch):
+    monkeypatch.setattr(measure, "kernels_here", lambda: ("numpy",))
+    spec = small_spec()
+    result = measure.compare(spec, images_for(spec, 3))
+    assert result["identical"]
+    assert result["ratio_whole"] == result["ratio_whole_numpy"]
+    assert "numba" not in as_text({**result, "simulated": True})
+
+
+def test_many_times_faster():
+    """A floor far below what the benchmark finds, for machines with other work."""
+    spec = paper_spec(steps=50, gap=10, stream_length=10)
+    result = measure.compare(spec, np.concatenate([images_for(spec, 40)] * 2))
+    assert result["identical"]
+    assert result["processor_time"]["ratio_whole"] > 20
+    assert result["processor_time"]["ratio_whole_numpy"] > 5

@@ -1,0 +1,110 @@
+import os
+import signal
+from threading import Timer
+
+import pytest
+
+from deploy.errors import UserError
+from pipeline.experiments.jobs import Failure, run_jobs
+
+
+def reciprocal(number):
+    return 1 / number
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_failure_does_not_stop_the_others(processes):
+    results = dict(run_jobs(reciprocal, [1, 2, 0, 4], processes))
+    assert {job: results[job] for job in (1, 2, 4)} == {1: 1.0, 2: 0.5, 4: 0.25}
+    assert isinstance(results[0], Failure)
+    assert results[0].error == "ZeroDivisionError: division by zero"
+    assert "reciprocal" in results[0].details
+
+
+def die_of_two(number):
+    if number == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def test_a_killed_process_is_a_failure_and_the_others_go_on():
+    results = dict(run_jobs(die_of_two, [0, 1, 2, 3, 4], 2))
+    assert "killed" in results.pop(2).error
+    assert results == {number: number for number in (0, 1, 3, 4)}
+
+
+def complain_at_length(job):
+    raise ValueError("word " * 500)
+
+
+def test_a_long_message_is_cut_and_kept_in_the_details():
+    ((_, failure),) = run_jobs(complain_at_length, [1])
+    assert len(failure.error) < 200
+    assert failure.error.endswith("…")
+    assert "word " * 500 in failure.details
+
+
+def test_no_jobs():
+    assert list(run_jobs(reciprocal, [], 2)) == []
+
+
+def test_an_interruption_is_no_failure():
+    def interrupt(job):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        list(run_jobs(interrupt, [1]))
+
+
+def test_a_wrong_address_is_named():
+    pytest.importorskip("distributed")
+    with pytest.raises(UserError, match=r"tcp://127\.0\.0\.1:1"):
+        list(run_jobs(reciprocal, [1], scheduler="tcp://127.0.0.1:1"))
+
+
+def test_on_a_dask_cluster():
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        results = dict(run_jobs(reciprocal, [2, 0], scheduler=cluster.scheduler_address))
+    assert results[2] == 0.5
+    assert results[0].error.startswith("ZeroDivisionError")
+
+
+@pytest.fixture
+def cluster(request):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        **request.param, threads_per_worker=1, dashboard_address=None, silence_logs=50
+    ) as cluster:
+        yield cluster
+
+
+@pytest.mark.parametrize("cluster", [{"n_workers": 0, "processes": False}], indirect=True)
+def test_jobs_wait_for_a_worker(cluster, capsys):
+    Timer(1, cluster.scale, (1,)).start()
+    assert list(run_jobs(reciprocal, [2], scheduler=cluster.scheduler_address)) == [(2, 0.5)]
+    assert "no workers yet" in capsys.readouterr().err
+
+
+def die(job):
+    os._exit(1)
+
+
+@pytest.mark.parametrize("cluster", [{"n_workers": 1, "processes": True}], indirect=True)
+def test_a_job_that_kills_its_workers_is_a_failure(cluster):
+    cluster.scheduler.allowed_failures = 0
+    ((job, failure),) = run_jobs(die, [1], scheduler=cluster.scheduler_address)
+    assert job == 1
+    assert failure.error.startswith("KilledWorker: ")
+    assert len(failure.error) < 200
+
+
+@pytest.mark.parametrize("cluster", [{"n_workers": 0, "processes": False}], indirect=True)
+def test_a_scheduler_that_goes_away_is_a_failure(cluster):
+    address = cluster.scheduler_address
+    Timer(1, cluster.close).start()
+    ((job, failure),) = run_jobs(reciprocal, [2], scheduler=address)
+    assert job == 2
+    assert failure.error == f"lost the scheduler {address}"

@@ -1,0 +1,279 @@
+"""The sweep: its grid, its Pareto front, its tables, and a small one from end to end."""
+
+import csv
+import io
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from matplotlib.image import imread
+
+from deploy.errors import UserError
+from deploy.files import read_json
+from pipeline.experiments import sweep
+from pipeline.experiments.sweep_text import short_names, sweep_csv, sweep_text
+from pipeline.settings import Settings, read_settings
+from tests.command import call
+
+SMALL = Settings().with_values(
+    {"data": {"samples_per_digit": 12}, "split": {"validation_fraction": 0.25}}, "test"
+)
+
+
+def changes(points):
+    return [dict(point.changes) for point in points]
+
+
+def test_every_combination_of_the_grid(tmp_path):
+    grid = ["presentation.steps=30, 50", "snn.max_rates=[100,150],[200],120"]
+    points = sweep.points_of(tmp_path, SMALL, grid)
+    assert len(points) == 6
+    assert changes(points)[0] == {"presentation.steps": 30, "snn.max_rates": [100, 150]}
+    assert changes(points)[-1] == {"presentation.steps": 50, "snn.max_rates": [120]}
+    assert points[-1].settings.snn.max_rates == (120.0,)
+    assert points[-1].settings.presentation.steps == 50
+    assert len({point.stamp for point in points}) == 6
+    assert len({point.result for point in points}) == 6
+
+
+def test_only_what_matters_to_a_training_makes_another_one(tmp_path):
+    grid = ["presentation.steps=30,50", "deployment.synapse=0.005,0.01", "snn.spike_penalty=0,0.1"]
+    points = sweep.points_of(tmp_path, SMALL, grid)
+    assert len({point.cnn for point in points}) == 1
+    free = {p.snn for p in points if not p.settings.snn.spike_penalty}
+    priced = {p.snn for p in points if p.settings.snn.spike_penalty}
+    assert (len(free), len(priced)) == (1, 1)
+    assert not free & priced
+    assert len({point.networks.snn for point in points}) == 2
+
+
+@pytest.mark.parametrize(
+    ("entry", "problem"),
+    [
+        ("presentation.steps", "expected section.name=value"),
+        ("presentation.steps=", "expected section.name=value"),
+        ("presentation.steps=30,,50", "expected section.name=value"),
+        ("presentation.stops=30", "unknown setting 'presentation.stops'"),
+        ("presentation.steps=30,many", "'presentation.steps' must be a whole number"),
+        ("presentation.steps=5", "'presentation.readout_start' must be"),
+        ("seed=0,1", "different samples"),
+        ("split.test_fraction=0.2,0.3", "different samples"),
+    ],
+)
+def test_a_wrong_grid_is_refused_before_anything_is_trained(tmp_path, entry, problem):
+    with pytest.raises(UserError, match=problem):
+        sweep.points_of(tmp_path, SMALL, [entry])
+
+
+def test_a_setting_given_twice_is_refused(tmp_path):
+    with pytest.raises(UserError, match="given twice"):
+        sweep.points_of(tmp_path, SMALL, ["presentation.steps=30", "presentation.steps=50"])
+
+
+def test_the_default_grid_is_a_grid(tmp_path):
+    points = sweep.points_of(tmp_path, SMALL, sweep.DEFAULT_GRID)
+    assert len(points) == 16
+    assert len({point.snn for point in points}) == 4
+
+
+def test_there_is_always_a_validation_part_and_never_a_test_part():
+    assert sweep.base_settings(Settings()).split.validation_fraction == sweep.VALIDATION
+    assert sweep.base_settings(SMALL).split.validation_fraction == 0.25
+    dataset = sweep.dataset_of(SMALL)
+    whole = sweep.stages.load_dataset(SMALL)
+    assert len(dataset.split.test) == 0
+    assert len(dataset.split.validation) == 24  # of 96 that are not for testing
+    assert not set(dataset.split.train) & set(whole.split.test)
+    assert not set(dataset.split.validation) & set(whole.split.test)
+    assert not set(dataset.split.validation) & set(dataset.split.train)
+
+
+def test_pareto_front_by_hand():
+    costs = [
+        (1, 5),  # on it: the least of the first
+        (2, 3),  # on it
+        (3, 3),  # beaten by (2, 3)
+        (4, 1),  # on it: the least of the second
+        (4, 1),  # its equal is on it too
+        (5, 5),  # beaten by all
+    ]
+    assert sweep.pareto_front(costs).tolist() == [True, True, False, True, True, False]
+    assert sweep.pareto_front([(7, 7, 7)]).tolist() == [True]
+
+
+@given(arrays(int, st.tuples(st.integers(1, 12), st.just(3)), elements=st.integers(0, 4)))
+def test_whatever_is_off_the_front_is_beaten_from_on_it(costs):
+    front = sweep.pareto_front(costs)
+    assert front.any()
+    for cost in costs[~front]:
+        assert any((other <= cost).all() and (other < cost).any() for other in costs[front])
+    for cost in costs[front]:
+        assert not any((other <= cost).all() and (other < cost).any() for other in costs)
+
+
+def test_names_are_short_where_that_says_enough():
+    assert short_names(["snn.epochs", "deployment.synapse"]) == {
+        "snn.epochs": "epochs",
+        "deployment.synapse": "synapse",
+    }
+    assert short_names(["snn.epochs", "cnn.epochs"])["snn.epochs"] == "snn.epochs"
+
+
+def point(stamp, steps, synapse):
+    changed = (("presentation.steps", steps), ("deployment.synapse", synapse))
+    return sweep.Point(Path("x"), Settings(), changed, stamp, "cnn", "snn")
+
+
+def result(accuracy, operations, steps, synapse):
+    return {
+        "changes": {"presentation.steps": steps, "deployment.synapse": synapse},
+        "simulated": True,
+        "n_samples": 100,
+        "steps": steps,
+        "accuracy": accuracy,
+        "accuracy_ci95": [accuracy - 0.1, accuracy + 0.1],
+        "cnn_accuracy": 0.9,
+        "rate_accuracy": 0.91,
+        "operations": operations,
+        "operations_per_mac": operations / 1000,
+        "decided_at_median": 25.0,
+    }
+
+
+POINTS = [point("a", 30, 0.005), point("b", 50, 0.005), point("c", 30, 0.01), point("d", 50, 0.01)]
+RESULTS = {
+    "a": result(0.7, 800, 30, 0.005),
+    "b": result(0.8, 1500, 50, 0.005),
+    "c": result(0.7, 900, 30, 0.01),  # a is as good for less
+}
+ERRORS = {"d": "ValueError: no good"}
+
+
+def test_the_table():
+    text = sweep_text(sweep.summarise(POINTS, RESULTS, ERRORS))
+    lines = text.splitlines()
+    assert lines[0] == "3 points, each on the same 100 simulated validation samples"
+    assert " ".join(lines[2].split()) == (
+        "* 1 0.800 0.700 to 0.900 1.50 x 50 25 0.910 0.900 50 0.005"
+    )
+    assert lines[3].split()[:3] == ["*", "2", "0.700"]
+    assert lines[4].split()[:2] == ["3", "0.700"]
+    assert lines[4].endswith("30     0.01")
+    assert lines[-1] == (
+        "failed: presentation.steps=50, deployment.synapse=0.01: ValueError: no good"
+    )
+
+
+def test_the_csv():
+    summary = sweep.summarise(POINTS, RESULTS, ERRORS)
+    rows = list(csv.DictReader(io.StringIO(sweep_csv(summary))))
+    assert [row["pareto"] for row in rows] == ["True", "True", "False", ""]
+    assert [float(row["operations"]) for row in rows[:3]] == [1500, 800, 900]
+    assert (float(rows[0]["accuracy_low"]), float(rows[0]["accuracy_high"])) == (
+        pytest.approx(0.7),
+        pytest.approx(0.9),
+    )
+    assert rows[3]["error"] == "ValueError: no good"
+    assert rows[3]["presentation.steps"] == "50"
+
+
+def test_a_sweep_in_which_everything_failed():
+    summary = sweep.summarise(POINTS[3:], {}, ERRORS)
+    assert summary["points"] == []
+    assert sweep_text(summary).startswith("failed: ")
+    assert len(sweep_csv(summary).splitlines()) == 2
+
+
+TINY = (
+    *("--set", "data.samples_per_digit=40", "--set", "cnn.epochs=4", "--set", "snn.epochs=2"),
+    *("--set", "presentation.readout_start=10", "--jobs", 1),
+)
+GRID = ("--grid", "presentation.steps=24,40", "--grid", "snn.spike_penalty=0,3")
+
+
+@pytest.fixture(scope="module")
+def tiny_sweep(tmp_path_factory):
+    """Four points from three trainings."""
+    folder = tmp_path_factory.mktemp("sweep") / "out"
+    assert call("sweep", folder, *TINY, *GRID) == 0
+    return folder
+
+
+def test_a_small_sweep(tiny_sweep):
+    summary = read_json(tiny_sweep / "sweep.json", "")
+    points = summary["points"]
+    assert summary["failed"] == []
+    assert (len(points), len(list((tiny_sweep / "points").iterdir()))) == (4, 4)
+    assert len(list((tiny_sweep / "cnn").iterdir())) == 1
+    assert len(list((tiny_sweep / "snn").iterdir())) == 2
+    assert all(p["simulated"] is True for p in points)
+    assert {p["n_samples"] for p in points} == {48}  # 15 % of 320
+    assert any(p["pareto"] for p in points)
+    by_setting = {tuple(p["changes"].values()): p for p in points}
+    # Longer presentations and no price on spikes mean more operations, whatever was learnt.
+    assert by_setting[40, 0]["operations"] > by_setting[24, 0]["operations"]
+    assert by_setting[40, 3]["operations"] < by_setting[40, 0]["operations"]
+    assert by_setting[24, 0]["rate_accuracy"] == by_setting[40, 0]["rate_accuracy"]
+    for p in points:
+        low, high = p["accuracy_ci95"]
+        assert low <= p["accuracy"] <= high
+        assert 1 <= p["decided_at_median"] <= p["steps"]
+    assert len((tiny_sweep / "sweep.csv").read_text().splitlines()) == 5
+    assert imread(tiny_sweep / "pareto.png")[..., :3].std() > 0.05
+
+
+def test_its_networks_were_never_shown_the_test_split(tiny_sweep):
+    for path in tiny_sweep.glob("*nn/*/metrics.json"):
+        metrics = read_json(path, "")
+        assert set(metrics["accuracy"]) == {"train", "validation"}
+        assert metrics["n_validation"] == 48
+        assert "n_test" not in metrics
+    assert read_settings(tiny_sweep / "experiment.toml").split.validation_fraction == 0.15
+
+
+def test_a_sweep_is_resumed(tiny_sweep, tmp_path, capsys):
+    folder = tmp_path / "out"
+    shutil.copytree(tiny_sweep, folder)
+    lost, *kept = sorted((folder / "points").iterdir())
+    expected = read_json(lost, "")
+    lost.unlink()
+    before = {path: path.stat().st_mtime_ns for path in [*kept, *folder.glob("*nn/*/weights.npz")]}
+    assert call("sweep", folder, "--jobs", 1, *GRID, "--json") == 0
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    again = read_json(lost, "")
+    assert {**again, "seconds": 0} == {**expected, "seconds": 0}
+    summary = json.loads(capsys.readouterr().out)
+    assert summary == read_json(folder / "sweep.json", "")
+    np.testing.assert_equal(
+        [p["accuracy"] for p in summary["points"]],
+        [p["accuracy"] for p in read_json(tiny_sweep / "sweep.json", "")["points"]],
+    )
+
+
+def test_a_failed_point_is_reported_and_the_others_stand(tiny_sweep, tmp_path, capsys):
+    """A learning rate that blows the weights up beyond what the chip can hold."""
+    folder = tmp_path / "out"
+    shutil.copytree(tiny_sweep, folder)
+    grid = ("--grid", "snn.learning_rate=0,1e30", "--grid", "snn.spike_penalty=0")
+    status = call("sweep", folder, "--jobs", 1, *grid, "--set", "presentation.steps=24")
+    out, err = capsys.readouterr()
+    assert status == 1
+    assert "1 points, each on" in out
+    assert "failed: snn.learning_rate=1e+30" in out
+    assert err.strip().splitlines()[-1].startswith("stmnist: 1 of 2 points failed")
+    summary = read_json(folder / "sweep.json", "")
+    assert (len(summary["points"]), len(summary["failed"])) == (1, 1)
+    assert "NengoLoihi cannot build this network" in summary["failed"][0]["error"]
+
+
+def test_a_wrong_grid_is_one_line_and_leaves_nothing(tmp_path, capsys):
+    folder = tmp_path / "out"
+    grid = ("--grid", "presentation.stops=1", "--set", "data.samples_per_digit=12")
+    assert call("sweep", folder, *grid) == 2
+    assert "unknown setting 'presentation.stops'" in capsys.readouterr().err
+    assert {path.name for path in folder.iterdir()} == {".lock"}

@@ -1,0 +1,280 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.errors import UserError
+from deploy.files import write_json
+from pipeline.commands import main as cli
+from pipeline.experiments import table2
+from pipeline.experiments.jobs import Failure
+from pipeline.experiments.table2_summary import summarise, table_text
+from pipeline.settings import Settings
+
+
+@pytest.fixture
+def benchmark(tmp_path):
+    return table2.Benchmark(
+        Settings(), "0" * 64, tmp_path, ("random",), 3, ("cnn", "ann-snn", "loihi")
+    )
+
+
+def store(benchmark, model, index, right, samples=None, kind="random"):
+    """A split's result with the given answers right (1) or wrong (0)."""
+    right = np.array(right)
+    samples = list(range(len(right))) if samples is None else samples
+    labels = [s % 10 for s in samples]
+    result = {
+        "model": model,
+        "split": kind,
+        "index": index,
+        "simulated": True,
+        "made_from": table2.stamp(benchmark, model),
+        "n_train": 4 * len(right),
+        "n_test": len(right),
+        "accuracy": float(right.mean()),
+        "samples": samples,
+        "labels": labels,
+        "predictions": [(y + 1 - r) % 10 for y, r in zip(labels, right.tolist(), strict=True)],
+        "seconds": 1.0,
+    }
+    write_json(table2.split_path(benchmark.folder, kind, index, model), result)
+
+
+def test_what_is_missing_is_planned(benchmark):
+    everything = ("cnn", "ann-snn", "loihi")
+    jobs = table2.plan(benchmark)
+    assert [(j.indices, j.models) for j in jobs] == [((0, 1, 2), everything)]
+    jobs = table2.plan(benchmark, processes=2)
+    assert [(j.indices, j.models) for j in jobs] == [((0, 1), everything), ((2,), everything)]
+    assert jobs[1].seeds == [Settings().seed + 2]
+    for model in ("cnn", "ann-snn", "loihi"):
+        store(benchmark, model, 0, [1, 0])
+    store(benchmark, "cnn", 2, [1, 0])
+    assert [(j.indices, j.models) for j in table2.plan(benchmark)] == [
+        ((1,), everything),
+        ((2,), ("ann-snn", "loihi")),
+    ]
+
+
+def test_slayer_comes_last_in_jobs_of_its_own(benchmark):
+    both = replace(benchmark, models=("cnn", "slayer"), kinds=("random", "writers"), splits=1)
+    assert [(j.kind, j.models) for j in table2.plan(both)] == [
+        ("random", ("cnn",)),
+        ("writers", ("cnn",)),
+        ("random", ("slayer",)),
+        ("writers", ("slayer",)),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("section", "change", "redone"),
+    [
+        ("cnn", {"epochs": 3}, {"cnn", "ann-snn", "loihi"}),
+        ("snn", {"epochs": 3}, {"ann-snn", "loihi"}),
+        ("check", {"samples": 50}, {"loihi"}),
+        ("slayer", {"epochs": 3}, {"slayer"}),
+        ("image", {"aggregation": "signed"}, {"cnn", "ann-snn", "loihi"}),
+    ],
+)
+def test_a_setting_redoes_what_depends_on_it(benchmark, section, change, redone):
+    settings = Settings().with_values({section: change}, "test")
+    other = replace(benchmark, settings=settings)
+    models = ("cnn", "ann-snn", "loihi", "slayer")
+    assert {m for m in models if table2.stamp(other, m) != table2.stamp(benchmark, m)} == redone
+
+
+def test_other_recordings_redo_everything(benchmark):
+    store(benchmark, "cnn", 0, [1, 0])
+    assert table2.read_split(benchmark, "random", 0, "cnn") is not None
+    other = replace(benchmark, source_sha256="1" * 64)
+    assert table2.read_split(other, "random", 0, "cnn") is None
+
+
+def test_the_table_by_hand(benchmark):
+    store(benchmark, "cnn", 0, [1, 1, 1, 0])
+    store(benchmark, "cnn", 1, [1, 1, 0, 0])
+    store(benchmark, "ann-snn", 0, [1, 0, 1, 0])
+    store(benchmark, "loihi", 0, [0, 0], samples=[2, 3])
+    table = summarise(benchmark)
+    assert table["simulated"] is True
+    assert table["splits"] == 3
+    cnn, ann, loihi = table["rows"]
+    assert cnn["per_split"] == [0.75, 0.5]
+    assert cnn["accuracy_mean"] == 0.625
+    assert cnn["accuracy_sd"] == pytest.approx(0.125 * np.sqrt(2))
+    assert (cnn["paper_mean"], cnn["paper_sd"]) == (0.89, 0.01)
+    assert ann["per_split"] == [0.5]
+    assert ann["accuracy_sd"] is None
+    assert loihi["n_test"] == 2
+    first, whole, second = table["comparisons"]
+    assert (whole["a"], whole["b"], whole["difference"]) == ("cnn", "loihi", 0.5)
+    # Split 0 only, since ann-snn has no split 1: 0.75 less 0.5.
+    assert (first["a"], first["b"], first["difference"]) == ("cnn", "ann-snn", 0.25)
+    # On the two samples that both have seen: right, wrong against wrong, wrong.
+    assert (second["a"], second["b"], second["difference"]) == ("ann-snn", "loihi", 0.5)
+    assert second["n_samples"] == 2
+    text = table_text(table)
+    assert "simulated recordings" in text
+    assert "0.625 (0.177)" in text
+    assert "0.89 (0.01)" in text
+
+
+def test_splits_of_several_sizes_count_by_their_mean(benchmark):
+    for index, right in enumerate(([1, 0], [1, 0, 1, 1])):
+        for model in ("cnn", "ann-snn"):
+            store(benchmark, model, index, right)
+    table = summarise(benchmark)
+    assert table["rows"][0]["n_test"] == 3
+    assert table["comparisons"][0]["n_samples"] == 3
+
+
+def test_the_same_answers_differ_by_nothing(benchmark):
+    for index in range(3):
+        for model in ("cnn", "ann-snn"):
+            store(benchmark, model, index, [1, 0, index % 2, 1])
+    comparison = summarise(benchmark)["comparisons"][0]
+    assert comparison["difference"] == 0
+    assert comparison["p_value"] == 1
+
+
+def test_a_failed_split_is_reported_and_not_counted(benchmark):
+    store(benchmark, "cnn", 0, [1, 0])
+    store(benchmark, "cnn", 1, [1, 1])
+    job = table2.Job(benchmark, "random", (2,), ("cnn",))
+    table = summarise(benchmark, [(job, Failure("MemoryError: no message", ""))])
+    assert table["rows"][0]["per_split"] == [0.5, 1.0]
+    assert table["failures"] == [
+        {"split": "random", "index": 2, "models": ["cnn"], "error": "MemoryError: no message"}
+    ]
+    assert "FAILED: split random 2, cnn: MemoryError" in table_text(table)
+
+
+def test_results_of_earlier_commands_stay_in_the_table(benchmark):
+    """A later call for SLAYER alone must not take the other rows away."""
+    for index in range(2):
+        store(benchmark, "cnn", index, [1, 0])
+    store(benchmark, "cnn", 0, [1, 1], kind="writers")
+    store(benchmark, "slayer", 0, [1, 1])
+    table = summarise(replace(benchmark, models=("slayer",), splits=1))
+    assert [(row["model"], row["indices"]) for row in table["rows"]] == [
+        ("cnn", [0, 1]),
+        ("slayer", [0]),
+    ]
+    assert [row["model"] for row in table["writer_rows"]] == ["cnn"]
+    assert [(c["a"], c["b"]) for c in table["comparisons"]] == [("cnn", "slayer")]
+
+
+def test_a_worker_with_other_recordings_or_another_version_is_found_out(benchmark, monkeypatch):
+    data = replace(Settings().data, samples_per_digit=2)
+    (job,) = table2.plan(replace(benchmark, settings=replace(Settings(), data=data)))
+    with pytest.raises(UserError, match="other recordings"):
+        table2.run(job)
+    results = [{"model": "cnn", "made_from": table2.stamp(job.benchmark, "cnn")}]
+    assert table2.of_this_version(job, results)
+    monkeypatch.setattr(table2, "__version__", "0.0.0")
+    assert not table2.of_this_version(job, results)
+
+
+def test_a_row_that_was_not_run_says_so(benchmark):
+    table = summarise(benchmark)
+    assert table["rows"][0]["accuracy_mean"] is None
+    assert "not run" in table_text(table)
+
+
+SMALL = (
+    *("--splits", "1", "--jobs", "1", "--kind", "random", "--set", "data.samples_per_digit=12"),
+    *("--set", "cnn.epochs=1", "--set", "snn.epochs=1", "--set", "slayer.epochs=1"),
+    *("--set", "slayer.bins=20", "--set", "check.samples=5", "--set", "presentation.steps=20"),
+    *("--set", "presentation.readout_start=5"),
+)
+
+
+def run(capsys, *arguments):
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["benchmark", "table2", *arguments])
+    return stop.value.code, capsys.readouterr()
+
+
+@pytest.mark.slow
+def test_the_command_runs_resumes_and_prints(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("STMNIST_CACHE", str(tmp_path / "cache"))
+    out = tmp_path / "out"
+    names = ["cnn", "ann-snn", "slayer", "own-loihi"]  # each recipe and each kind of answer once
+    models = ",".join(names)
+    status, said = run(capsys, "--out", str(out), "--models", models, *SMALL)
+    assert status == 0, said.err
+    table = json.loads((out / "table2.json").read_text())
+    assert [row["model"] for row in table["rows"]] == names
+    assert all(len(row["per_split"]) == 1 for row in table["rows"])
+    assert [row["n_test"] for row in table["rows"]] == [24, 24, 24, 5]
+    curve = (out / "splits/random-00/slayer.csv").read_text().splitlines()
+    assert curve[0] == "epoch,loss,accuracy,test_accuracy,seconds"
+    assert len(curve) == 2
+    assert "epochs = 1\n" in (out / "experiment.toml").read_text()
+
+    # One result gone, the chain it belongs to is run again, nothing else.
+    def refuse(*_):
+        raise AssertionError("SLAYER was run again")
+
+    monkeypatch.setattr(table2, "_run_slayer", refuse)
+    before = (out / "splits/random-00/ann-snn.json").stat().st_mtime_ns
+    (out / "splits/random-00/cnn.json").unlink()
+    status, said = run(capsys, "--out", str(out), "--models", models, "--json", *SMALL)
+    assert status == 0, said.err
+    assert json.loads(said.out) == json.loads((out / "table2.json").read_text())
+    assert [row["per_split"] for row in json.loads(said.out)["rows"]] == [
+        row["per_split"] for row in table["rows"]
+    ]
+    assert (out / "splits/random-00/ann-snn.json").stat().st_mtime_ns == before
+
+
+def test_a_failing_split_ends_with_status_1(tmp_path, monkeypatch, capsys):
+    def fail(job):
+        raise RuntimeError("the disk is on fire")
+
+    monkeypatch.setenv("STMNIST_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(table2, "run", fail)
+    status, said = run(capsys, "--out", str(tmp_path / "out"), "--models", "cnn", *SMALL)
+    assert status == 1
+    assert "1 of 1 jobs failed" in said.err
+    assert "the disk is on fire" in said.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--models", "cnn,svm"], "'svm'"),
+        (["--models", ","], "models"),
+        (["--kind", "stratified"], "stratified"),
+        (["--set", "check.samples=100"], "check.samples"),
+        (["--set", "slayer.epochs=0"], "slayer.epochs"),
+    ],
+)
+def test_mistakes_end_with_status_2(arguments, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("STMNIST_CACHE", str(tmp_path / "cache"))
+    status, said = run(capsys, "--out", str(tmp_path / "out"), *SMALL, *arguments)
+    assert status == 2
+    assert message in said.err
+    assert "Traceback" not in said.err
+
+
+def test_writers_that_are_not_known_are_refused(benchmark):
+    recordings = type("R", (), {"writers": np.full(10, -1)})()
+    with pytest.raises(ValueError, match="not known"):
+        table2.split_of(recordings, Settings(), "writers", 0)
+
+
+@pytest.mark.slow
+def test_the_training_speed_is_told(capsys):
+    """Figures as they come; that they are good is for a quiet machine to say."""
+    with pytest.raises(SystemExit) as stop:
+        cli.main(
+            "benchmark training --networks 1 --rounds 1 --samples 12 --jobs 1 --json".split()  # noqa: SIM905
+        )
+    assert stop.value.code == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["ratio_to_nengodl"]["nengodl"] == 1
+    assert all(seconds > 0 for seconds in result["seconds_per_epoch"].values())
+    assert result["samples"] == 96

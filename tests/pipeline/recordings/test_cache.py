@@ -1,0 +1,99 @@
+import numpy as np
+import pytest
+
+from deploy.errors import UserError
+from pipeline.inputs import library as sources
+from pipeline.recordings import archive, cache
+from pipeline.recordings.events import TaxelMap
+from tests.pipeline.handmade import GOOD, assert_same, good_members, recordings
+from tests.pipeline.handmade import archive as write_archive
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    monkeypatch.setenv("STMNIST_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def test_round_trip(own):
+    table = TaxelMap(x=np.arange(100) // 10, y=np.arange(100) % 10)
+    stored = recordings(GOOD, [], GOOD[1:3], labels=[3, 1, 4], taxels=table)
+    assert cache.load("key") is None
+    cache.store("key", stored)
+    assert_same(cache.load("key"), stored)
+
+
+def test_keys_tell_their_parts_apart():
+    parts = [("a", 1), ("a", "1"), ("a1",), ("a", 1, False), ("a", 1, True)]
+    assert len({cache.key_of(*p) for p in parts}) == len(parts)
+
+
+@pytest.mark.parametrize("damage", ["cut", "flipped", "text", "other arrays", "counts", "pickle"])
+def test_a_damaged_file_is_named_with_a_remedy(own, damage):
+    cache.store("key", recordings(GOOD))
+    (path,) = own.glob("recordings-*")
+    content = bytearray(path.read_bytes())
+    if damage == "cut":
+        path.write_bytes(content[: len(content) // 2])
+    elif damage == "flipped":
+        content[len(content) // 4] ^= 0xFF
+        path.write_bytes(content)
+    elif damage == "text":
+        path.write_text("not an archive")
+    elif damage == "other arrays":
+        np.savez(path, x=np.zeros(3))
+    else:
+        with np.load(path) as file:
+            arrays = dict(file)
+        if damage == "counts":
+            arrays["offsets"] = arrays["offsets"][:0]
+        else:
+            arrays["ids"] = np.array([{"a": 1}], dtype=object)
+        np.savez(path, **arrays)
+    with pytest.raises(UserError, match=f"{path.name}: .*damaged.*; delete it and run the command"):
+        cache.load("key")
+
+
+def test_the_second_start_reads_the_cache(own, tmp_path, monkeypatch):
+    write_archive(tmp_path / "st.zip", good_members(2))
+    first = sources.load_recordings(str(tmp_path / "st.zip"), jobs=1)
+
+    def no_reading(*args, **kwargs):
+        raise AssertionError("the archive was read or hashed again")
+
+    monkeypatch.setattr(archive, "read_source", no_reading)
+    monkeypatch.setattr(archive, "content_hash", no_reading)
+    assert_same(sources.load_recordings(str(tmp_path / "st.zip"), jobs=1), first)
+
+
+def test_other_content_under_the_same_name_is_read_anew(own, tmp_path):
+    path = tmp_path / "st.zip"
+    write_archive(path, good_members(1))
+    assert len(sources.load_recordings(str(path), jobs=1)) == 10
+    write_archive(path, good_members(2))
+    assert len(sources.load_recordings(str(path), jobs=1)) == 20
+
+
+def test_an_import_with_files_left_out_does_not_pass_for_a_clean_one(own, tmp_path):
+    path = tmp_path / "st.zip"
+    write_archive(path, {**good_members(), "3/bad.mat": b"bad"})
+    assert len(sources.load_recordings(str(path), skip_bad=True, jobs=1)) == 10
+    with pytest.raises(UserError, match=r"3/bad\.mat"):
+        sources.load_recordings(str(path), jobs=1)
+
+
+def test_simulated_recordings_are_cached_by_seed_and_number(own, monkeypatch):
+    first = sources.load_recordings(samples_per_digit=2, simulation_seed=1, jobs=1)
+    other = sources.load_recordings(samples_per_digit=2, simulation_seed=2, jobs=1)
+    assert first.source.sha256 != other.source.sha256
+    monkeypatch.setattr(sources, "simulate", None)  # calling it would raise TypeError
+    again = sources.load_recordings(samples_per_digit=2, simulation_seed=1, jobs=1)
+    assert_same(again, first)
+    assert again.source.simulated
+
+
+def test_an_unwritable_cache_is_one_clear_error(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("STMNIST_CACHE", str(tmp_path / "file" / "cache"))
+    with pytest.raises(UserError, match=r"file/cache.*cannot write"):
+        sources.load_recordings(samples_per_digit=1, jobs=1)

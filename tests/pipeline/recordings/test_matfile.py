@@ -1,0 +1,189 @@
+import numpy as np
+import pytest
+
+from pipeline.recordings.events import TaxelMap, expand_bursts
+from pipeline.recordings.matfile import (
+    BadRecording,
+    MatRecording,
+    events_of,
+    lookup_table_bytes,
+    read_lookup_table,
+    read_recording,
+    recording_bytes,
+    spiketrain_of,
+)
+from tests.pipeline.handmade import events, mat5, mat73, spiketrain
+
+
+def changed(row, column, value):
+    array = spiketrain()
+    array[row, column] = value
+    return array
+
+
+def times(*values):
+    array = spiketrain(len(values))
+    array[100] = values
+    return array
+
+
+BAD = {
+    "not 101 rows": (spiketrain()[:-1], "has 100 rows, not 101"),
+    "transposed": (spiketrain().T, "has 6 rows, not 101"),
+    "a vector in three dimensions": (np.zeros((101, 2, 2)), "not a matrix of numbers"),
+    "text": (np.array(["a", "b"]), "not a matrix of numbers"),
+    "complex": (spiketrain() + 0j, "not a matrix of numbers"),
+    "empty": (np.zeros((101, 0)), "is empty"),
+    "value 2": (changed(0, 0, 2), "other than -1, 0 and 1"),
+    "value one half": (changed(0, 0, 0.5), "other than -1, 0 and 1"),
+    "value NaN": (changed(0, 0, np.nan), "other than -1, 0 and 1"),
+    "two events": (changed(50, 2, 1), "column 3 has 2 events"),
+    "no event": (changed(3, 3, 0), "column 4 has 0 events"),
+    "time NaN": (changed(100, 1, np.nan), "NaN or infinite"),
+    "time infinite": (changed(100, 5, np.inf), "NaN or infinite"),
+    "time negative": (times(-0.1, 0.2), "negative time"),
+    "times equal": (times(0.1, 0.2, 0.2), "do not increase at column 3"),
+    "times fall": (times(0.1, 0.3, 0.2), "do not increase at column 3"),
+    "milliseconds": (times(196.6, 500.0, 895.7), "milliseconds"),
+}
+
+
+@pytest.mark.parametrize("write", [mat5, mat73])
+def test_a_good_file(write):
+    recording = read_recording(write(spiketrain=spiketrain(4)))
+    assert recording.events.taxel.tolist() == [0, 1, 2, 3]
+    assert recording.events.polarity.tolist() == [1, -1, 1, -1]
+    assert recording.events.time_ns.tolist() == [100_000_000 + i * 1_000_000 for i in range(4)]
+    assert not recording.simulated
+    assert recording.writer == -1
+
+
+@pytest.mark.parametrize(("array", "reason"), BAD.values(), ids=BAD)
+def test_a_bad_spiketrain_is_refused_with_its_reason(array, reason):
+    with pytest.raises(BadRecording, match=reason):
+        read_recording(mat5(spiketrain=array))
+
+
+@pytest.mark.parametrize("name", ["value 2", "two events", "times fall", "milliseconds"])
+def test_and_in_a_matlab_73_file(name):
+    array, reason = BAD[name]
+    with pytest.raises(BadRecording, match=reason):
+        read_recording(mat73(spiketrain=array))
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"", "empty file"),
+        (b"hello", "not a MAT file"),
+        (b"\x89PNG" * 300, "not a MAT file"),
+        (mat5(other=spiketrain()), "no variable 'spiketrain'"),
+        (mat73(other=spiketrain()), "no variable 'spiketrain'"),
+        (mat5(spiketrain=spiketrain())[:300], "damaged"),
+        (mat5(spiketrain=spiketrain())[:128], "no variable|damaged"),
+        (mat73(spiketrain=spiketrain())[:1500], "damaged"),
+        (mat5(spiketrain={"a": 1.0}), "not a matrix of numbers"),
+    ],
+)
+def test_a_file_that_is_no_recording(content, reason):
+    with pytest.raises(BadRecording, match=reason):
+        read_recording(content)
+
+
+def test_every_way_of_cutting_a_file_short_is_a_reason_not_a_crash():
+    content = recording_bytes(MatRecording(events(), True, 3))
+    for length in range(0, len(content), 7):
+        with pytest.raises(BadRecording):
+            read_recording(content[:length])
+
+
+def test_flipped_bytes_give_a_reason_or_a_recording():
+    content = recording_bytes(MatRecording(events(), True, 3))
+    refused = 0
+    for position in range(0, len(content), 3):
+        damaged = bytearray(content)
+        damaged[position] ^= 0xFF
+        try:
+            read_recording(bytes(damaged))
+        except BadRecording:
+            refused += 1
+    assert refused > len(content) / 3 / 2  # most of the file is compressed and has a checksum
+
+
+@pytest.mark.parametrize("writer", ["Anna", np.nan, [1.0, 2.0], []])
+def test_another_use_of_the_name_writer_is_no_writer(writer):
+    assert read_recording(mat5(spiketrain=spiketrain(), writer=writer)).writer == -1
+
+
+def test_round_trip_of_a_recording():
+    written = MatRecording(events(), simulated=True, writer=22)
+    content = recording_bytes(written)
+    read = read_recording(content)
+    for name in ("time_ns", "taxel", "polarity", "columns"):
+        np.testing.assert_array_equal(getattr(read.events, name), getattr(written.events, name))
+    assert (read.simulated, read.writer) == (True, 22)
+    assert recording_bytes(read) == content
+
+
+def test_the_real_recording(real_recording):
+    recording = read_recording(real_recording.read_bytes())
+    assert recording.events.columns.sum() == 2346
+    assert len(recording.events) == 665
+    assert (recording.events.polarity == 1).sum() == 359
+    assert (recording.events.polarity == -1).sum() == 306
+    assert not recording.simulated
+    assert (recording.events.time_ns % 16 == 0).all()
+
+
+def test_the_real_recording_comes_back_column_by_column(real_recording):
+    read = read_recording(real_recording.read_bytes()).events
+    again = events_of(spiketrain_of(read))
+    for found, expected in zip(expand_bursts(again), expand_bursts(read), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+ADDRESS = np.arange(1, 101.0)
+X, Y = (ADDRESS - 1) // 10 + 1, (ADDRESS - 1) % 10 + 1
+
+
+@pytest.mark.parametrize("write", [mat5, mat73])
+def test_lookup_tables(write):
+    two = read_lookup_table(write(LUT=np.stack([X, Y], 1)))
+    assert (two.x[17], two.y[17]) == (1, 7)
+    shuffled = np.random.default_rng(0).permutation(100)
+    three = read_lookup_table(write(any_name=np.stack([ADDRESS, X, Y], 1)[shuffled]))
+    np.testing.assert_array_equal(three.x, two.x)
+    np.testing.assert_array_equal(three.y, two.y)
+
+
+def test_the_transposed_table_gives_the_transposed_positions():
+    table = read_lookup_table(mat5(LUT=np.stack([Y, X], 1)))
+    assert (table.x[17], table.y[17]) == (7, 1)
+
+
+@pytest.mark.parametrize(
+    ("table", "reason"),
+    [
+        (np.ones((100, 2)), "different positions"),
+        (np.stack([X, Y], 1) - 1, "different positions from 1 to 10"),
+        (np.stack([X + 0.5, Y], 1), "different positions"),
+        (np.stack([ADDRESS - 1, X, Y], 1), "addresses 1 to 100"),
+        (np.stack([np.ones(100), X, Y], 1), "addresses 1 to 100"),
+        (np.ones((50, 2)), "no table of 100 rows"),
+    ],
+)
+def test_a_bad_lookup_table(table, reason):
+    with pytest.raises(BadRecording, match=reason):
+        read_lookup_table(mat5(LUT=table))
+
+
+def test_a_lookup_table_that_is_no_mat_file():
+    with pytest.raises(BadRecording):
+        read_lookup_table(b"address x y\n1 1 1\n")
+
+
+def test_round_trip_of_a_lookup_table():
+    table = TaxelMap(x=np.arange(100) // 10, y=np.arange(100) % 10)
+    read = read_lookup_table(lookup_table_bytes(table))
+    np.testing.assert_array_equal(read.x, table.x)
+    np.testing.assert_array_equal(read.y, table.y)

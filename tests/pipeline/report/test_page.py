@@ -1,0 +1,226 @@
+"""The report of the small run: complete, self-contained, and read by a real browser."""
+
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html import escape
+from html.parser import HTMLParser
+
+import pytest
+
+from deploy.check.bundle import read_bundle
+from deploy.check.results import read_result
+from deploy.preflight.plan import make_plan
+from pipeline.experiments import table2
+from pipeline.report import page as report
+from pipeline.report.replay import replay
+from pipeline.settings import read_settings, write_settings
+from tests.command import call
+
+BROWSER = next(filter(shutil.which, ("chromium", "chromium-browser", "google-chrome")), None)
+
+
+@pytest.fixture(scope="module")
+def html(tiny_run, tmp_path_factory):
+    out = tmp_path_factory.mktemp("report") / "report.html"
+    assert call("report", tiny_run, "--benchmark", with_benchmark(tiny_run), "--out", out) == 0
+    return out
+
+
+def with_benchmark(run):
+    """A benchmark of the run's recordings with results made by hand."""
+    folder = run.parent / "table2"
+    source = json.loads((run / "dataset.json").read_text())["sha256"]
+    rows = []
+    for name, model in table2.MODELS.items():
+        if name == "loihi":  # not asked for
+            continue
+        ran = name in ("cnn", "slayer")
+        rows.append(
+            {
+                "model": name,
+                "title": model.title,
+                "accuracy_mean": 0.7125 if ran else None,
+                "accuracy_sd": 0.0213 if ran else None,
+                "accuracy_ci95": [0.68, 0.74] if ran else None,
+                "paper_mean": model.paper and model.paper[0],
+                "paper_sd": model.paper and model.paper[1],
+                "per_split": [0.7, 0.725] if ran else [],
+                "indices": [0, 1] if ran else [],
+                "n_test": 100,
+                "seconds": [1.0, 1.0],
+            }
+        )
+        for index in rows[-1]["indices"]:
+            path = table2.split_path(folder, "random", index, name)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            history = [{"epoch": e, "accuracy": e / 5, "test_accuracy": e / 6} for e in (1, 2, 3)]
+            answers = {"labels": [0, 1, 2], "predictions": [0, 1, 7], "history": history}
+            path.write_text(json.dumps(answers))
+    table = {
+        "simulated": True,
+        "source_sha256": source,
+        "splits": 2,
+        "seed": 0,
+        "loihi_target": "fast",
+        "check_samples": 20,
+        "rows": rows,
+        "writer_rows": [{**rows[0], "accuracy_mean": 0.6543}],
+        "comparisons": [
+            {"split": "random", "a": "cnn", "b": "slayer", "difference": 0.05, "ci95": [0.01, 0.09],
+             "p_value": 0.02, "n_splits": 2, "n_samples": 100},
+        ],
+        "failures": [{"split": "random", "index": 7, "models": ["loihi"], "error": "<oops> & co"}],
+    }  # fmt: skip
+    folder.mkdir(exist_ok=True)
+    (folder / "table2.json").write_text(json.dumps(table))
+    settings = read_settings(run / "experiment.toml")
+    write_settings(folder / "experiment.toml", replace(settings, seed=settings.seed + 4))
+    return folder
+
+
+class Outline(HTMLParser):
+    """Checks that tags close, and collects what a reader and a browser see."""
+
+    VOID = frozenset({"meta", "link", "br"})
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tags, self.text, self.loads = [], [], "", []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.loads += [v for k, v in attrs if k in ("src", "href", "xlink:href", "data")]
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] != "style":
+            self.text += data + " "
+
+
+def test_it_is_whole_and_needs_nothing_else(html):
+    page = html.read_text()
+    outline = Outline(page)
+    assert all(load.startswith(("#", "data:")) for load in outline.loads)
+    assert "script" not in outline.tags
+    assert "@import" not in page
+    assert "url(" not in page
+    assert "None" not in outline.text.replace("None is a figure", "")
+    assert "nan" not in outline.text.split()
+
+
+def test_it_says_what_was_measured(html, tiny_run):
+    text = " ".join(Outline(html.read_text()).text.split())
+    assert "Simulated recordings." in text
+    bundle = read_bundle(tiny_run / "bundle")
+    assert bundle.id in text
+    for stage in ("cnn", "emulator"):
+        assert f"{read_result(tiny_run / f'checks/{stage}.json')['accuracy']:.3f}" in text
+    assert "0.713 (0.021)" in text or "0.712 (0.021)" in text
+    assert "0.89 (0.01)" in text  # the paper's CNN
+    assert "0.654" in text  # new writers
+    assert "1738 (1366)" in text  # the paper's ON events of 0
+    assert "ANN-SNN on Loihi not run not run 0.86 (0.02)" in text
+    assert "Set otherwise than in the run: seed = 4 (run: 0)" in text
+    assert "snn.batch_size 0: the recipe's own" in text
+    used = make_plan(bundle.spec).cores[0].used
+    assert f"core 0 {used['compartments']} {used['input axons']}" in text
+    assert "Failed: random split 7, loihi: <oops> & co" in text  # escaped on the way
+    assert "estimate, not a measurement" in text
+    assert "data.samples_per_digit 60" in text
+    metrics = json.loads((tiny_run / "cnn/metrics.json").read_text())
+    assert f"{100 * metrics['accuracy']['test']:.1f} %" in text
+
+
+def test_without_a_benchmark_it_says_how_to_get_one(tiny_run, tmp_path, capsys):
+    out = tmp_path / "report.html"
+    assert call("report", tiny_run, "--benchmark", tmp_path, "--out", out) == 0
+    assert "Not measured yet" in out.read_text()
+
+
+def test_a_benchmark_of_other_recordings_is_left_out(tiny_run, tmp_path, capsys):
+    (tmp_path / "table2.json").write_text(json.dumps({"source_sha256": "0" * 64}))
+    out = tmp_path / "report.html"
+    assert call("report", tiny_run, "--benchmark", tmp_path, "--out", out) == 0
+    assert "left out" in capsys.readouterr().err
+    assert "Not measured yet" in out.read_text()
+
+
+def test_a_run_that_is_not_there(tmp_path, capsys):
+    assert call("report", tmp_path / "nowhere") == 2
+    assert "nowhere" in capsys.readouterr().err
+
+
+def browse(page, *arguments):
+    command = [BROWSER, "--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
+    command += ["--enable-logging=stderr", *arguments, page.as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    return done.stdout, done.stderr
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium here (Debian: apt install chromium)")
+@pytest.mark.parametrize("width", [390, 1280])
+def test_a_browser_shows_it_without_errors(html, tmp_path, width):
+    """No console message, nothing wider than the page or to be scrolled, a picture not blank."""
+    # In a frame, since the browser's own window is never narrower than 500 pixels.
+    wrapper = tmp_path / "wrapper.html"
+    wrapper.write_text(
+        f'<iframe style="width: {width}px; height: 900px; border: 0" '
+        f'srcdoc="{escape(html.read_text())}" onload="'
+        "const page = this.contentDocument.documentElement;"
+        "const wide = [...page.querySelectorAll('.wide')];"
+        "const cut = wide.filter(table => table.scrollWidth > table.clientWidth);"
+        "document.title = [page.scrollWidth, page.clientWidth, page.scrollHeight, cut.length]"
+        ".join(' ')"
+        '"></iframe>'
+    )
+    page, log = browse(wrapper, "--dump-dom")
+    content, window, height, cut = map(int, re.search(r"<title>([\d ]+)</title>", page)[1].split())
+    assert "CONSOLE" not in log
+    assert window == width
+    assert content == width
+    assert cut == 0
+    assert height > 3000
+    picture = tmp_path / "picture.png"
+    _, log = browse(html, f"--window-size={width},1200", f"--screenshot={picture}")
+    assert "CONSOLE" not in log
+    from PIL import Image
+
+    with Image.open(picture) as image:
+        assert image.size == (width, 1200)
+        assert len(image.convert("L").getcolors(256)) > 20
+
+
+def test_a_right_and_a_wrong_sample_are_chosen_early_in_their_streams():
+    samples = [{"label": 1, "prediction": p} for p in (1, 1, 0, 1, 0, 1)]
+    assert report.choose_samples({"samples": samples}, 4) == [0, 4]
+    assert report.choose_samples({"samples": samples[:2]}, 4) == [0]
+
+
+def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
+    bundle = read_bundle(tiny_run / "bundle")
+    spec = bundle.spec.with_presentation(steps=12, gap=5, readout_start=3, stream_length=2)
+    short = replace(bundle, spec=spec)
+    from deploy.targets.registry import answer
+
+    counted = answer(spec, bundle.checks.images[:4], "emulator").spikes
+    for index in (2, 3):
+        played = replay(short, index)
+        for layer, (times, units) in played.spikes.items():
+            assert len(times) == counted[layer][index]
+            assert units.max(initial=0) < played.neurons[layer]
+            assert times.min(initial=0) >= -5
+            assert times.max(initial=0) < 12
+        # Nothing is shown in the gap, and the image is there from step 0.
+        assert played.spikes["input"][0].min() >= 0

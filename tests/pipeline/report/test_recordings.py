@@ -1,0 +1,81 @@
+"""Figures of recordings: what is drawn, and where."""
+
+import io
+
+import numpy as np
+import pytest
+
+from pipeline.recordings.events import Events, Source, TaxelMap, collect
+from pipeline.report import recordings as data_figures
+
+
+@pytest.fixture
+def recordings():
+    # Taxel 3 is in row 3 of the first column, taxel 70 in the first row of column 7 (zero-based).
+    events = Events([100e6, 200e6, 1500e6], [3, 70, 70], [1, -1, 1], [4, 2, 5])
+    other = Events([300e6], [99], [1], [4])
+    return collect(
+        [events, other], [4, 8], ["4/0000", "8/0000"], [0, 1], Source("simulated, seed 0", "", True)
+    )
+
+
+def drawn(figure):
+    file = io.BytesIO()
+    figure.savefig(file, format="png", dpi=40)
+    return file.getvalue()
+
+
+def test_recording(recordings):
+    figure = data_figures.recording(recordings, 0)
+    *frames, raster = figure.get_axes()
+    first, last = (np.asarray(axes.images[0].get_array()) for axes in (frames[0], frames[-1]))
+    assert len(frames) == 8
+    assert first[3, 0] > 0
+    assert first[0, 7] == first[3, 0]  # one event each within the first quarter of a second
+    assert last[0, 7] == 1.0  # two events at the end, the most of all
+    assert last[3, 0] == 0.5
+    assert (raster.get_xlim(), raster.get_ylim()) == ((0, 2), (0.5, 100.5))
+    on, off = raster.collections
+    np.testing.assert_allclose(on.get_offsets(), [[0.1, 4], [1.5, 71]])
+    np.testing.assert_allclose(off.get_offsets(), [[0.2, 71]])
+    red, black = (tuple(marks.get_facecolor()[0][:3]) for marks in (on, off))
+    assert red[0] > 0.8 > 0.3 > red[1]
+    assert black == (0, 0, 0)
+    assert "simulated" in figure.get_suptitle()
+    assert drawn(figure).startswith(b"\x89PNG")
+
+
+def test_events_by_taxel(recordings):
+    (axes,) = data_figures.events_by_taxel(recordings, 0).get_axes()
+    on, off = ({tuple(map(tuple, line)) for line in lines.get_segments()} for lines in
+               axes.collections[:2])  # fmt: skip
+    # From the middle of the cell upwards for ON (the axis points down), downwards for OFF.
+    expected = {((-0.45, 3.0), (-0.45, 2.6)), ((7.25, 0.0), (7.25, -0.4))}
+    assert {rounded(line) for line in on} == expected
+    assert {rounded(line) for line in off} == {((6.6, 0.0), (6.6, 0.4))}
+    assert axes.yaxis_inverted()
+
+
+def rounded(line):
+    return tuple((round(x, 6), round(y, 6)) for x, y in line)
+
+
+def test_layout_names_every_taxel():
+    figure = data_figures.layout(TaxelMap())
+    (axes,) = figure.get_axes()
+    texts = [text.get_text() for text in axes.texts]
+    assert {str(n) for n in range(1, 101)} <= set(texts)
+    assert texts[texts.index("12") + 1] == "(2,2)"
+    assert texts[texts.index("71") + 1] == "(1,8)"
+    assert axes.yaxis_inverted()
+
+
+def test_sheet_has_a_row_for_each_digit(recordings):
+    figure = data_figures.sheet(recordings, per_digit=3)
+    shown = [axes for axes in figure.get_axes() if axes.get_visible()]
+    assert len(shown) == 2
+    assert [axes.get_ylabel() for axes in shown] == ["4", "8"]
+    image = np.asarray(shown[1].images[0].get_array())
+    assert image[9, 9] == 1
+    assert image.sum() == 1
+    assert "simulated" in figure.get_suptitle()

@@ -1,0 +1,121 @@
+"""The network in NengoDL and in Nengo against the rate-based network that was trained."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.network.responses import join
+from deploy.targets.registry import answer
+from pipeline.run.conversion import to_spec
+from pipeline.settings import Settings
+from pipeline.training import nengodl
+from pipeline.training import networks as training
+
+N = 6
+
+
+def settings_of(recipe, **presentation):
+    changes = {"snn": {"recipe": recipe, "max_rates": [200.0]}, "presentation": presentation}
+    return Settings().with_values(changes, "test")
+
+
+@pytest.fixture(scope="module")
+def images():
+    rng = np.random.default_rng(0)
+    shape = (N, 10, 10, 1)
+    return (rng.uniform(size=shape) * (rng.uniform(size=shape) < 0.4)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def weights():
+    """Random weights with which the activations are about 0 to 1 and every layer counts."""
+    rng = np.random.default_rng(1)
+    shapes = {
+        "conv1.kernel": (4, 4, 1, 6),
+        "conv1.bias": (6,),
+        "conv2.kernel": (3, 3, 6, 24),
+        "conv2.bias": (24,),
+        "output.kernel": (600, 10),
+        "output.bias": (10,),
+    }
+    scales = [0.35, 0.05, 0.25, 0.05, 0.2, 0.3]
+    return {
+        name: (scale * rng.normal(size=shape)).astype(np.float32)
+        for (name, shape), scale in zip(shapes.items(), scales, strict=True)
+    }
+
+
+def test_the_rate_network_in_nengodl_is_the_trained_one(images, weights):
+    settings = settings_of("paper")
+    trained = training.rate_logits(settings, weights, images)
+    ours = nengodl.run(settings, weights, images, 1, spiking=False, batch=4)
+    assert ours.shape == (N, 1, 10)
+    assert trained.std() > 0.3
+    np.testing.assert_allclose(ours[:, 0], trained, atol=2e-4)
+
+
+def test_the_spiking_network_in_nengodl_is_near_its_rate_version(images, weights):
+    settings = settings_of("paper")
+    rates = training.rate_logits(settings, weights, images)
+    spiking = nengodl.run(settings, weights, images, 600, batch=N)[:, 100:].mean(1)
+    assert np.abs(spiking - rates).mean() < 0.12 * rates.std()
+    assert np.corrcoef(spiking.ravel(), rates.ravel())[0, 1] > 0.98
+
+
+def test_the_number_of_samples_need_not_fill_the_batches(images, weights):
+    settings = settings_of("paper")
+    whole = nengodl.run(settings, weights, images, 1, spiking=False, batch=6)
+    parts = nengodl.run(settings, weights, images, 1, spiking=False, batch=4)
+    np.testing.assert_allclose(parts, whole, atol=1e-4)
+
+
+@pytest.mark.parametrize("recipe", ["loihi", "paper"])
+def test_shown_long_the_deployed_network_answers_as_the_rate_network(images, weights, recipe):
+    settings = settings_of(recipe, steps=900, gap=0, readout_start=100, stream_length=1)
+    images = images[:4]
+    rates = training.rate_logits(settings, weights, images)
+    responses = answer(to_spec(settings, weights, {}), images, "nengo")
+    tolerance = 0.15 if recipe == "loihi" else 0.35  # the paper's rates know no whole steps
+    assert np.abs(responses.scores - rates).mean() < tolerance * rates.std()
+    assert np.corrcoef(responses.scores.ravel(), rates.ravel())[0, 1] > 0.97
+
+
+def test_the_longer_it_is_shown_the_nearer_it_gets(images, weights):
+    errors = []
+    for steps in (60, 200, 700):
+        settings = settings_of("loihi", steps=steps, readout_start=30, stream_length=1)
+        rates = training.rate_logits(settings, weights, images[:3])
+        scores = answer(to_spec(settings, weights, {}), images[:3], "nengo").scores
+        errors.append(np.abs(scores - rates).mean())
+    assert errors[0] > errors[1] > errors[2]
+
+
+def test_on_the_emulator_it_is_near_too(images, weights):
+    settings = settings_of("loihi", steps=300, readout_start=50, stream_length=1)
+    rates = training.rate_logits(settings, weights, images)
+    parts = [answer(to_spec(settings, weights, {}), images[i : i + 2], "emulator") for i in (0, 2)]
+    scores = join(parts).scores
+    assert np.corrcoef(scores.ravel(), rates[:4].ravel())[0, 1] > 0.95
+
+
+def test_scaling_the_activations_leaves_the_cnn_as_it_is(images, weights):
+    settings = settings_of("loihi")
+    scaled = training.scale_to_unit(settings, weights, images)
+    before, after = (training.cnn_logits(settings, w, images) for w in (weights, scaled))
+    np.testing.assert_allclose(after, before, rtol=1e-3, atol=1e-3)
+    assert not np.allclose(scaled["conv1.kernel"], weights["conv1.kernel"])
+
+
+def test_where_the_layers_are_is_a_setting(weights):
+    settings = settings_of("loihi")
+    spec = to_spec(settings, weights, {})
+    assert [layer.placement for layer in spec.layers] == ["chip", "chip", "host"]
+    moved = replace(settings, deployment=replace(settings.deployment, first_layer="host"))
+    assert [layer.placement for layer in to_spec(moved, weights, {}).layers] == [
+        *("host", "chip", "host")
+    ]
+    assert to_spec(moved, weights, {}).encoder is None
+    chip = replace(settings, deployment=replace(settings.deployment, readout="chip"))
+    logits = np.random.default_rng(0).normal(size=(20, 10))
+    assert to_spec(chip, weights, {}, logits).layers[-1].placement == "chip"

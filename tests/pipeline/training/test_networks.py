@@ -1,0 +1,87 @@
+"""Training learns, repeats itself, and hands over what it learned."""
+
+import numpy as np
+import pytest
+
+from models.cnn import activations
+from pipeline.settings import Settings
+from pipeline.training import networks as training
+
+
+@pytest.fixture(scope="module")
+def stripes():
+    """Images that a few epochs can tell apart: class k has its row k lit."""
+    rng = np.random.default_rng(0)
+    labels = np.tile(np.arange(10), 40)
+    images = rng.uniform(0, 0.2, (len(labels), 10, 10, 1)).astype(np.float32)
+    images[np.arange(len(labels)), labels] += 0.8
+    return images, labels
+
+
+def settings(**snn):
+    return Settings().with_values({"cnn": {"epochs": 6, "batch_size": 16}, "snn": snn}, "test")
+
+
+def accuracy(logits, labels):
+    return np.mean(np.argmax(logits, axis=1) == labels)
+
+
+@pytest.fixture(scope="module")
+def cnn(stripes):
+    return training.train_cnn(settings(), stripes, seed=0)
+
+
+def test_the_weights_are_the_trained_ones(cnn, stripes):
+    images, labels = stripes
+    found = accuracy(training.cnn_logits(settings(), cnn.weights, images), labels)
+    assert found >= cnn.history[-1]["accuracy"] - 0.02
+    assert found > 0.9
+
+
+def test_same_seed_same_weights(cnn, stripes):
+    again = training.train_cnn(settings(), stripes, seed=0)
+    other = training.train_cnn(settings(), stripes, seed=1)
+    for name, array in cnn.weights.items():
+        np.testing.assert_array_equal(array, again.weights[name])
+    assert not np.array_equal(cnn.weights["output.kernel"], other.weights["output.kernel"])
+
+
+@pytest.mark.parametrize("recipe", ["paper", "loihi"])
+def test_rate_networks_learn(cnn, stripes, recipe):
+    images, labels = stripes
+    chosen = settings(recipe=recipe, epochs=8, batch_size=16)
+    trained = training.train_rate_network(chosen, stripes, 0, cnn.weights)
+    assert accuracy(training.rate_logits(chosen, trained.weights, images), labels) > 0.9
+
+
+def test_a_price_on_spikes_saves_spikes(cnn, stripes):
+    totals = []
+    for penalty in (0.0, 5.0):
+        chosen = settings(spike_penalty=penalty, epochs=6, batch_size=16)
+        trained = training.train_rate_network(chosen, stripes, 0, cnn.weights)
+        model = training.build_rate_network(chosen)
+        training.set_weights(model, trained.weights)
+        totals.append(activations(model, stripes[0])["conv1"].sum())
+    assert totals[1] < 0.8 * totals[0]
+
+
+def test_scaling_to_unit_keeps_the_function(cnn, stripes):
+    images, _ = stripes
+    scaled = training.scale_to_unit(settings(), cnn.weights, images)
+    np.testing.assert_allclose(
+        training.cnn_logits(settings(), scaled, images),
+        training.cnn_logits(settings(), cnn.weights, images),
+        rtol=1e-3,
+        atol=1e-3,
+    )
+    assert not np.allclose(scaled["conv1.kernel"], cnn.weights["conv1.kernel"])
+
+
+def test_the_prices_add_up_to_the_operations():
+    """Every neuron at its full rate for 100 steps, by hand for the paper's network."""
+    chosen = settings(spike_penalty=1.0, max_rates=[100.0, 50.0])
+    conv1, conv2 = training._spike_costs(chosen, training.parse("10x10-6c4-24c3-10o"))
+    operations = 4704 + 32400 + 6000  # multiply-accumulates of the CNN
+    seconds = 0.1
+    assert conv1.sum() == pytest.approx(32400 * 100 * seconds / operations, rel=1e-5)
+    assert conv2.sum() == pytest.approx(6000 * 50 * seconds / operations, rel=1e-5)

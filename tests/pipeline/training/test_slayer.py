@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+
+from deploy.errors import UserError
+from pipeline.settings import Slayer
+from pipeline.training.slayer import layer_spikes, train_slayer
+
+SETTINGS = Slayer(
+    architecture="10x10x2-4c2-6c3-3o", bins=40, epochs=6, batch_size=8, learning_rate=0.05,
+    true_count=10.0, false_count=1.0, tau_s=0.5, tau_r=0.05,
+    conv_scale=10.0,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def data():
+    """Bars at the left, in the middle and at the right, in noise: 36 samples of 3 classes."""
+    rng = np.random.default_rng(0)
+    labels = np.arange(36) % 3
+    frames = (rng.random((36, 40, 10, 10, 2)) < 0.02).astype(np.uint8)
+    for frame, label in zip(frames, labels, strict=True):
+        at = slice(1 + 3 * label, 3 + 3 * label)
+        frame[:25, :, at] |= rng.random(frame[:25, :, at].shape) < 0.6
+    return frames, labels, np.arange(27), np.arange(27, 36)
+
+
+@pytest.fixture(scope="module")
+def trained(data):
+    return train_slayer(SETTINGS, *data, seed=3)
+
+
+def test_it_learns(trained):
+    assert [row["epoch"] for row in trained.history] == [1, 2, 3, 4, 5, 6]
+    assert trained.history[-1]["loss"] < trained.history[0]["loss"] / 2
+    assert trained.history[-1]["test_accuracy"] >= 8 / 9
+
+
+def test_the_counts_are_those_of_the_last_epoch(trained, data):
+    frames, labels, _, test = data
+    *_, outputs = layer_spikes(SETTINGS, trained.kernels, frames[test])
+    np.testing.assert_array_equal(outputs.sum(1), trained.counts)
+    right = trained.counts.argmax(1) == labels[test]
+    assert right.mean() == trained.history[-1]["test_accuracy"]
+
+
+def test_layers_have_the_shapes_of_the_notation(trained, data):
+    spikes = layer_spikes(SETTINGS, trained.kernels, data[0][:4])
+    assert [s.shape for s in spikes] == [(4, 40, 9, 9, 4), (4, 40, 7, 7, 6), (4, 40, 3)]
+    assert all(s.any() for s in spikes)
+
+
+def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):
+    def interrupt(n, note):
+        seen.append(n)
+        if len(seen) == 3:
+            raise KeyboardInterrupt
+
+    seen = []
+    with pytest.raises(KeyboardInterrupt):
+        train_slayer(SETTINGS, *data, 3, tmp_path / "state.npz", interrupt)
+    seen = [0, 0, 0]
+    resumed = train_slayer(SETTINGS, *data, 3, tmp_path / "state.npz", interrupt)
+    assert seen[3:] == [3, 1, 1, 1]
+    for got, expected in zip(resumed.kernels, trained.kernels, strict=True):
+        np.testing.assert_allclose(got, expected, atol=1e-5)
+    np.testing.assert_array_equal(resumed.counts, trained.counts)
+
+
+def test_a_checkpoint_of_another_run_is_not_taken_up(data, tmp_path):
+    short = Slayer(**{**vars(SETTINGS), "epochs": 1})
+    train_slayer(short, *data, 3, tmp_path / "state.npz")
+    other = train_slayer(short, *data, 4, tmp_path / "state.npz")
+    fresh = train_slayer(short, *data, 4)
+    np.testing.assert_allclose(other.kernels[0], fresh.kernels[0], atol=1e-6)
+
+
+def test_fewer_epochs_than_a_checkpoint_has_start_afresh(trained, data, tmp_path):
+    longer, shorter = (Slayer(**{**vars(SETTINGS), "epochs": epochs}) for epochs in (2, 1))
+    train_slayer(longer, *data, 3, tmp_path / "state.npz")
+    got = train_slayer(shorter, *data, 3, tmp_path / "state.npz")
+    assert len(got.history) == 1
+    assert got.history[0]["loss"] == pytest.approx(trained.history[0]["loss"], rel=1e-4)
+
+
+def test_a_damaged_checkpoint_is_named(data, tmp_path):
+    (tmp_path / "state.npz").write_bytes(b"no archive")
+    with pytest.raises(UserError, match=r"state\.npz"):
+        train_slayer(SETTINGS, *data, 3, tmp_path / "state.npz")
