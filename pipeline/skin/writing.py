@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.recordings import GRID, N_TAXELS, Events
+from pipeline.recordings.events import GRID, N_TAXELS, Events
 from pipeline.skin import aces, contact
 from pipeline.skin.handwriting import on_skin
 from pipeline.skin.receptors import Receptors
