@@ -13,6 +13,8 @@ import typer
 from deploy.errors import UserError
 from pipeline.commands import options
 from pipeline.inputs.library import load_recordings
+from pipeline.progress import progress
+from pipeline.recordings import archive
 from pipeline.recordings.events import Events, expand_bursts
 from pipeline.recordings.matfile import BadRecording, read_recording
 
@@ -35,6 +37,7 @@ def import_(
         "source": recordings.source.name,
         "sha256": recordings.source.sha256,
         "simulated": recordings.source.simulated,
+        "written": recordings.source.written,
         "samples": len(recordings),
         "samples_per_digit": counts,
         "events": len(recordings.events),
@@ -44,8 +47,20 @@ def import_(
         print(json.dumps(facts, indent=2))
         return
     kind = "simulated recordings" if recordings.source.simulated else "recordings"
+    if recordings.source.written:
+        kind = "recordings, written by hand on the simulated skin,"
     print(f"{len(recordings)} {kind} in {facts['source']}; of each digit: {counts}")
     print(f"{facts['events']} physical events in {facts['columns']} columns")
+
+
+@app.command("export")
+def export_(
+    folder: Annotated[Path, typer.Argument(help="Recordings, such as those kept by stmnist live.")],
+    out: Annotated[Path, typer.Argument(help="The zip to write, laid out as published.")],
+):
+    """Pack a folder of recordings as a zip that works as DATA, each file as it is."""
+    n = archive.export_zip(out, folder, progress)
+    print(f"{n} recordings written to {out}")
 
 
 @app.command()
@@ -61,11 +76,20 @@ def inspect(
     except BadRecording as error:
         raise UserError(f"{file}: {error}; expected a recording as ST-MNIST has them") from error
     facts = {"simulated": recording.simulated, **recording_facts(recording.events)}
+    kind = " (simulated)" if recording.simulated else ""
+    if recording.written is not None:
+        facts |= {
+            "source": "written",
+            "time": recording.written.time,
+            "writer": recording.writer,
+            "handedness": recording.written.handedness or None,
+        }
+        kind = f" (written by hand on the simulated skin, {recording.written.time})"
     if as_json:
         print(json.dumps(facts, indent=2))
         return
     print(
-        f"{file.name}{' (simulated)' if recording.simulated else ''}: "
+        f"{file.name}{kind}: "
         f"{facts['columns']} columns, {facts['events']} physical events "
         f"({facts['on']} ON, {facts['off']} OFF) of {facts['taxels']} taxels, "
         f"{facts['t_first_s']:.4f} s to {facts['t_last_s']:.4f} s"

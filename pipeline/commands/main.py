@@ -10,7 +10,7 @@ import typer
 from deploy import __version__
 from deploy.errors import CheckFailed, UserError
 from models.notation import NotationError
-from pipeline.commands import benchmark, check, data, report, run
+from pipeline.commands import benchmark, check, data, live, report, run
 from pipeline.commands import benchmark_conversion as _conversion  # noqa: F401 - adds to benchmark.app
 from pipeline.commands import benchmark_emulator as _emulator  # noqa: F401 - adds to benchmark.app
 from pipeline.commands import benchmark_losses as _losses  # noqa: F401 - adds to benchmark.app
@@ -42,6 +42,7 @@ app.add_typer(deployment.app, name="deploy")
 app.add_typer(benchmark.app, name="benchmark")
 app.command("sweep")(sweeping.sweep_)
 app.command("report")(report.report_)
+app.command("live")(live.live)
 
 
 @app.callback(invoke_without_command=True)

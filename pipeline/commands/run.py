@@ -50,7 +50,7 @@ def convert(
     folder = RunFolder(run)
     with folder.locked():
         resolved = options.resolve(folder, data, seed, samples, steps, settings, set_)
-        _, bundle = _bundle(folder, resolved, jobs)
+        _, bundle = make_bundle(folder, resolved, jobs)
         for stage in REFERENCES:
             stages.answer(folder, resolved, bundle, stage, _say)
 
@@ -84,7 +84,7 @@ def ladder(
     folder = RunFolder(run)
     with folder.locked():
         resolved = options.resolve(folder, data, seed, samples, steps, settings, set_)
-        dataset, bundle = _bundle(folder, resolved, jobs)
+        dataset, bundle = make_bundle(folder, resolved, jobs)
         if whole:
             bundle = stages.on_test_split(resolved, dataset, bundle)
             left_out = () if slow else SLOW
@@ -114,7 +114,8 @@ def ladder(
         print(f"confusion matrices: {folder.confusion}")
 
 
-def _bundle(folder, resolved, jobs):
+def make_bundle(folder, resolved, jobs):
+    """Do what is missing up to the bundle; returns the data set and the bundle."""
     dataset = stages.open_dataset(folder, resolved, jobs, _say)
     stages.train(folder, resolved, dataset, _say)
     stages.train_rates(folder, resolved, dataset, _say)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import h5py
 import numpy as np
@@ -25,12 +25,36 @@ from pipeline.recordings.events import (
 )
 
 VARIABLE = "spiketrain"
+_WRITTEN = ("source", "time", "handedness", "seed", "pen")
 LATEST_S = 2 * DURATION_S
 """A recording lasts 2 s; a time past this is taken for milliseconds."""
 
 
 class BadRecording(ValueError):
     """A file is not a recording; the message says why in a few words."""
+
+
+@dataclass(frozen=True)
+class Written:
+    """Of a recording that a real hand wrote on the simulated skin: who, when and how.
+
+    Attributes
+    ----------
+    time : str
+        When, ISO 8601 with its zone.
+    handedness : str
+        ``"left"``, ``"right"``, or empty where it was not told.
+    seed : tuple of int
+        Of what the skin's noise was drawn with.
+    pen : ndarray of float, shape (n, 5)
+        Time in seconds, place in taxels (down, right), pressure and touch (1 or 0) of each point
+        of the pen as it came (:class:`pipeline.skin.writing.Point`).
+    """
+
+    time: str
+    handedness: str = ""
+    seed: tuple = ()
+    pen: np.ndarray = field(default_factory=lambda: np.empty((0, 5)))
 
 
 @dataclass(frozen=True)
@@ -44,11 +68,15 @@ class MatRecording:
         True if the file says of itself that it is simulated (a variable that this project adds).
     writer : int
         The writer if the file tells (likewise), else -1.
+    written : Written or None
+        Not None if the file says of itself that a real hand wrote it on the simulated skin
+        (likewise, ``source`` being ``"written"``).
     """
 
     events: Events
     simulated: bool = False
     writer: int = -1
+    written: Written | None = None
 
 
 def read_recording(content: bytes) -> MatRecording:
@@ -68,7 +96,7 @@ def read_recording(content: bytes) -> MatRecording:
     BadRecording
         Not a MAT file, or not a recording; see :func:`events_of`.
     """
-    variables = read_variables(content, (VARIABLE, "simulated", "writer"))
+    variables = read_variables(content, (VARIABLE, "simulated", "writer", *_WRITTEN))
     if VARIABLE not in variables:
         raise BadRecording(f"has no variable {VARIABLE!r}")
     simulated, writer = (_number(variables.get(name)) for name in ("simulated", "writer"))
@@ -76,7 +104,28 @@ def read_recording(content: bytes) -> MatRecording:
         events=events_of(variables[VARIABLE]),
         simulated=bool(simulated),
         writer=-1 if writer is None else int(writer),
+        written=_written(variables),
     )
+
+
+def _written(variables):
+    source, time, handedness = (_text(variables.get(n)) for n in ("source", "time", "handedness"))
+    if source != "written":
+        return None
+    seed, pen = (np.asarray(variables.get(name, [])) for name in ("seed", "pen"))
+    known = pen.dtype.kind == "f" and pen.ndim == 2 and pen.shape[1] == 5
+    return Written(
+        time=time,
+        handedness=handedness,
+        seed=tuple(seed.ravel().astype(int).tolist()) if seed.dtype.kind in "fiu" else (),
+        pen=pen if known else np.empty((0, 5)),
+    )
+
+
+def _text(variable):
+    """A variable's text; empty if it is anything else."""
+    values = np.ravel([] if variable is None else variable)
+    return str(values[0]) if values.size == 1 and values.dtype.kind == "U" else ""
 
 
 def _number(variable):
@@ -171,6 +220,12 @@ def recording_bytes(recording: MatRecording) -> bytes:
         variables["simulated"] = 1.0
     if recording.writer >= 0:
         variables["writer"] = float(recording.writer)
+    if recording.written is not None:
+        written = recording.written
+        variables |= {"source": "written", "time": written.time, "pen": np.asarray(written.pen)}
+        variables["seed"] = np.array(written.seed, float)
+        if written.handedness:
+            variables["handedness"] = written.handedness
     variables[VARIABLE] = spiketrain_of(recording.events)
     return _mat_bytes(variables)
 

@@ -78,6 +78,7 @@ def open_dataset(run: RunFolder, settings: Settings, jobs: int = 2, warn=None) -
             "source": recordings.source.name,
             "sha256": recordings.source.sha256,
             "simulated": recordings.source.simulated,
+            "written": recordings.source.written,
             "samples": len(recordings),
             "samples_per_digit": np.bincount(recordings.labels, minlength=10).tolist(),
             "train": len(split.train),
@@ -196,6 +197,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         "simulated": recordings.source.simulated,
         "seed": settings.seed,
         "recipe": settings.snn.recipe,
+        "image": asdict(settings.image),
         "package": __version__,
     }
     spec = deployed(settings, weights, provenance, dataset.part("train")[0])

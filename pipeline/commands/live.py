@@ -1,0 +1,112 @@
+"""``stmnist live``: the skin in the browser."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import webbrowser
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deploy.check.bundle import read_bundle
+from deploy.errors import UserError
+from pipeline.commands import options
+from pipeline.commands.run import make_bundle
+from pipeline.run.folder import RunFolder
+from pipeline.settings import Image, read_settings
+from pipeline.skin import parameters
+
+PORT = 8765
+RECORD = Path("written")
+
+
+def live(
+    run: Annotated[
+        Path, typer.Argument(help="The run's folder, or a bundle's copied from anywhere.")
+    ] = Path("runs/default"),
+    port: Annotated[
+        int, typer.Option(help="Of this machine; 0 for any that is free.", min=0, max=65535)
+    ] = PORT,
+    record: Annotated[
+        Path, typer.Option(help="Folder in which recordings are kept; works as DATA.")
+    ] = RECORD,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Only print the address.")
+    ] = False,
+    data: options.Data = None,
+    seed: options.Seed = None,
+    settings: options.SettingsFile = None,
+    set_: options.Assignments = None,
+    jobs: options.Jobs = 2,
+):
+    """Write digits in the browser, watch the network decide, keep what was written.
+
+    Trains first if the run is not there.  Serves on 127.0.0.1 only, until Ctrl-C.
+    """
+    try:
+        from pipeline.live.keeping import Keeper
+        from pipeline.live.server import Live, Server, listen
+    except ImportError as error:
+        raise UserError(
+            f"the page needs {error.name}: pip install 'stmnist-loihi[live]', or make setup"
+        ) from error
+    keeper = Keeper(record)
+    listening = listen(port)  # said now, not when the network is trained
+    try:
+        bundle, image = _network(run, data, seed, settings, set_, jobs)
+        about = {
+            "folder": str(record),
+            "architecture": bundle.spec.architecture,
+            "bundle": bundle.id[:12],
+            "trained_on": bundle.spec.provenance.get("source", "recordings of unknown origin"),
+            "simulated": bool(bundle.spec.provenance.get("simulated", False)),
+        }
+
+        def make_decider():
+            from pipeline.live.deciding import decider_of  # Nengo: a second that the page can spare
+
+            return decider_of(bundle, image)
+
+        def opened(url):
+            print(f"live: {url}", flush=True)
+            if not no_browser:  # in a thread: some browsers return when they are closed
+                threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+
+        Server(Live(make_decider, keeper, parameters.load(), about), listening, opened).run()
+    finally:
+        listening.close()
+        keeper.close()
+        print(f"live: ended; {len(keeper)} recordings are kept in {record}", file=sys.stderr)
+
+
+def _network(run, data, seed, settings, set_, jobs):
+    """The bundle, made if it is not there, and how events become its images."""
+    if (run / "MANIFEST.json").exists():
+        bundle = read_bundle(run)
+        return bundle, _image(bundle, Image())
+    folder = RunFolder(run)
+    if folder.bundle.exists() and not any((data, seed is not None, settings, set_)):
+        bundle = read_bundle(folder.bundle)
+        known = folder.experiment.exists()
+        return bundle, _image(bundle, read_settings(folder.experiment).image if known else Image())
+    if not folder.bundle.exists():
+        _say(f"live: {run} has no network yet; training it first, about a minute")
+    with folder.locked():
+        resolved = options.resolve(folder, data, seed, None, None, settings, set_)
+        _, bundle = make_bundle(folder, resolved, jobs)
+    return bundle, resolved.image
+
+
+def _image(bundle, otherwise):
+    """What the bundle says of its images; bundles of before say nothing."""
+    said = bundle.spec.provenance.get("image")
+    try:
+        return otherwise if said is None else Image(**said)
+    except TypeError as error:
+        raise UserError(f"{bundle.path}: its images are made in an unknown way ({error})") from error
+
+
+def _say(line):
+    print(line, file=sys.stderr)
