@@ -102,9 +102,9 @@ export function drawRaster(canvas, events, time) {
     context.fillStyle = colour(name);
     for (let i = 0; i < events.taxel.length; i++) {
       if (events.polarity[i] !== polarity) continue;
-      // OFF is a short mark, ON a tall one: told apart without colour.
-      const high = polarity > 0 ? Math.max(tall, 2.5) : Math.max(tall * 0.6, 1.25);
-      context.fillRect(x(events.ns[i] * 1e-9), events.taxel[i] * tall, polarity > 0 ? 1.5 : 3, high);
+      // ON stands, OFF lies: told apart without colour.
+      const [wide, high] = polarity > 0 ? [2, Math.max(1.4 * tall, 4)] : [4, Math.max(0.7 * tall, 2)];
+      context.fillRect(x(events.ns[i] * 1e-9), (events.taxel[i] + 0.5) * tall - high / 2, wide, high);
     }
   }
 }

@@ -132,11 +132,10 @@ link.on("ready", (network) => {
     const canvas = document.createElement("canvas");
     canvas.setAttribute("role", "img");
     canvas.setAttribute("aria-label", `Spikes of layer ${name}`);
-    canvas.style.height = `${Math.min(Math.max(neurons / 4, 90), 150)}px`;
     part.append(title, canvas);
     $("layers").append(part);
   }
-  $("about").textContent = `One row for each neuron, every mark is a spike. ${network.about}`;
+  $("about").textContent = `One row for each neuron, every mark is a spike; the part at the left is before it is shown anything. ${network.about}`;
   $("status").textContent = "Ready: write on the square with finger, pen or mouse.";
   $("status").classList.add("ready");
   document.body.dataset.ready = "yes";
@@ -265,7 +264,6 @@ function showSession() {
   }
   $("progress").max = all;
   $("progress").value = writer.done;
-  $("progress").setAttribute("aria-label", "Digits written");
   $("done").textContent = `Writer ${writer.number}: ${writer.done} of ${all} digits.`;
 }
 
