@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import webbrowser
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
@@ -52,9 +53,8 @@ def live(
         raise UserError(
             f"the page needs {error.name}: pip install 'stmnist-loihi[live]', or make setup"
         ) from error
-    keeper = Keeper(record)
-    listening = listen(port)  # said now, not when the network is trained
-    try:
+    # Said now, not when the network is trained: a folder or a port that is in use.
+    with closing(Keeper(record)) as keeper, closing(listen(port)) as listening:
         bundle, image = _network(run, data, seed, settings, set_, jobs)
         about = {
             "folder": str(record),
@@ -74,11 +74,10 @@ def live(
             if not no_browser:  # in a thread: some browsers return when they are closed
                 threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
-        Server(Live(make_decider, keeper, parameters.load(), about), listening, opened).run()
-    finally:
-        listening.close()
-        keeper.close()
-        print(f"live: ended; {len(keeper)} recordings are kept in {record}", file=sys.stderr)
+        try:
+            Server(Live(make_decider, keeper, parameters.load(), about), listening, opened).run()
+        finally:
+            _say(f"live: ended; {len(keeper)} recordings are kept in {record}")
 
 
 def _network(run, data, seed, settings, set_, jobs):
@@ -105,7 +104,9 @@ def _image(bundle, otherwise):
     try:
         return otherwise if said is None else Image(**said)
     except TypeError as error:
-        raise UserError(f"{bundle.path}: its images are made in an unknown way ({error})") from error
+        raise UserError(
+            f"{bundle.path}: its images are made in an unknown way ({error})"
+        ) from error
 
 
 def _say(line):

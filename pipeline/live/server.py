@@ -30,7 +30,6 @@ from pipeline.live.keeping import Keeper
 from pipeline.live.session import EACH, LONGEST_S, PAUSE_S, BadMessage, Session, problem
 
 HOST = "127.0.0.1"
-PORT = 8765
 LARGEST = 64 * 1024
 """Bytes of a message."""
 
@@ -153,14 +152,10 @@ class Live:
             Route("/{token}/{name}", self._page),
             WebSocketRoute("/{token}/pen", self._socket),
         ]
-        return Guard(
-            Starlette(
-                routes=routes,
-                lifespan=self.lifespan,
-                exception_handlers={404: lambda request, error: _missing()},
-            ),
-            port,
-        )
+        handlers = {404: lambda request, error: _missing()}
+        app = Starlette(routes=routes, lifespan=self.lifespan, exception_handlers=handlers)
+        app.router.redirect_slashes = False
+        return Guard(app, port)
 
     def _knows(self, connection):
         token = connection.path_params["token"]

@@ -17,7 +17,9 @@ from pipeline.recordings.matfile import MatRecording, Written, read_recording
 def recording(writer=1, taxel=5, handedness="left"):
     events = Events([160_000_000, 170_000_000], [taxel, taxel], [1, -1], [4, 2])
     pen = np.array([[0.2, 4.0, 5.0, 0.5, 1.0], [0.3, 5.0, 5.0, 0.5, 0.0]])
-    return MatRecording(events, True, writer, Written("2026-01-02T03:04:05+00:00", handedness, (0, 2), pen))
+    return MatRecording(
+        events, True, writer, Written("2026-01-02T03:04:05+00:00", handedness, (0, 2), pen)
+    )
 
 
 @pytest.fixture

@@ -39,7 +39,9 @@ def test_the_film_piece_by_piece_is_the_film_at_once():
         if len(rows) == 0:
             continue
         signal = pressure(motion.down[rows], motion.right[rows], motion.force[rows], P.skin)
-        mine = [(row - rows[0], felt) for row, felt in zip(lands, jolts, strict=True) if row in rows]
+        mine = [
+            (row - rows[0], felt) for row, felt in zip(lands, jolts, strict=True) if row in rows
+        ]
         film.advance(signal, mine, speed[rows], rng)
         parts.append(signal)
     np.testing.assert_allclose(np.concatenate(parts), whole, rtol=1e-5, atol=1e-7)
@@ -109,7 +111,12 @@ def test_how_time_is_divided_changes_nothing_but_rounding():
     once = written(p=quiet, pieces=[1.0]).events
     often = written(p=quiet, pieces=list(np.arange(0.2, 1.0, 0.0131)) + [1.0]).events
     assert abs(len(once) - len(often)) <= 2
-    assert np.abs(np.bincount(once.taxel, minlength=100) - np.bincount(often.taxel, minlength=100)).max() <= 1
+    assert (
+        np.abs(
+            np.bincount(once.taxel, minlength=100) - np.bincount(often.taxel, minlength=100)
+        ).max()
+        <= 1
+    )
 
 
 def test_the_same_seed_and_points_give_the_same_events():
