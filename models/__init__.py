@@ -1,1 +1,1 @@
-"""What is trained: the paper's notation, the Keras CNN, rate-based LIF activations, SLAYER."""
+"""What is trained: architectures, the Keras CNN, rate-based LIF activations, SLAYER."""

@@ -21,6 +21,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deploy.network.geometry import (
+    convolution_fan_out,
+    convolution_shape,
+    reached,
+    unpooled,
+    windows,
+)
+
 MAX_LAYERS = 64
 """Layers that a text may declare, the output included."""
 
@@ -61,18 +69,10 @@ class Convolution:
             raise ValueError(f"{self}: padding is neither 'valid' nor 'same'")
 
     def pads(self, input_shape) -> tuple:
-        """Zeros before and after the rows and the columns: ((before, after), (before, after)).
-
-        With "same" padding the output of n values at stride S has ceil(n / S), which takes
-        max((ceil(n / S) - 1) S + K - n, 0) zeros, half of them before, rounded down.
-        """
-        if self.padding == "valid":
-            return ((0, 0), (0, 0))
-        zeros = [
-            max((-(-n // self.stride) - 1) * self.stride + self.kernel - n, 0)
-            for n in input_shape[:2]
-        ]
-        return tuple((n // 2, n - n // 2) for n in zeros)
+        """Zeros around the rows and the columns: ((before, after), (before, after))."""
+        return tuple(
+            windows(n, self.kernel, self.stride, self.padding)[1:] for n in input_shape[:2]
+        )
 
     def shape(self, input_shape) -> tuple:
         """(rows, columns, channels) of the output.
@@ -82,13 +82,11 @@ class Convolution:
         ValueError
             The kernel is larger than the input.
         """
-        lengths = [
-            n + sum(pad) for n, pad in zip(input_shape, self.pads(input_shape), strict=False)
-        ]
-        if self.kernel > min(lengths):
+        shape = convolution_shape(input_shape, self.kernel, self.filters, self.stride, self.padding)
+        if min(shape) < 1:
             rows, columns = input_shape[:2]
             raise ValueError(f"does not fit: its kernel is larger than its {rows}x{columns} input")
-        return (*((n - self.kernel) // self.stride + 1 for n in lengths), self.filters)
+        return shape
 
     def weight_shapes(self, input_shape) -> dict:
         """Shapes of ``"kernel"`` (rows, columns, channels in, filters) and of ``"bias"``."""
@@ -97,13 +95,9 @@ class Convolution:
 
     def fan_out(self, input_shape) -> np.ndarray:
         """Synapses that leave each input position, int64, of shape ``input_shape``."""
-        reach = [
-            _reached(n, outputs, self.kernel, self.stride, before)
-            for n, outputs, (before, _) in zip(
-                input_shape, self.shape(input_shape), self.pads(input_shape), strict=False
-            )
-        ]
-        return _over_channels(np.outer(*reach) * self.filters, input_shape)
+        return convolution_fan_out(
+            input_shape, self.kernel, self.filters, self.stride, self.padding
+        )
 
     def __str__(self):
         stride = f"s{self.stride}" if self.stride > 1 else ""
@@ -149,10 +143,10 @@ class Pooling:
     def fan_out(self, input_shape) -> np.ndarray:
         """Synapses that leave each input position, int64: 1, and 0 in what is left over."""
         reach = [
-            _reached(n, outputs, self.size, self.size, 0)
+            reached(n, outputs, self.size, self.size, 0)
             for n, outputs in zip(input_shape[:2], self.shape(input_shape), strict=False)
         ]
-        return _over_channels(np.outer(*reach), input_shape)
+        return np.repeat(np.outer(*reach)[..., None], input_shape[2], axis=2)
 
     def __str__(self):
         return f"{self.size}a"
@@ -195,6 +189,36 @@ class Dense:
 
     def __str__(self):
         return f"{self.units}{'o' * self.output}"
+
+
+@dataclass(frozen=True)
+class Folded:
+    """A layer with weights and the averaging before it, as the chip has them: one layer.
+
+    Attributes
+    ----------
+    name : str
+    layer : Convolution or Dense
+    input_shape : tuple of int
+        Of what comes from the layer with weights before it, not yet averaged.
+    pool : int
+        Side of the squares that are averaged; 1 for none.
+    pooled_shape, shape : tuple of int
+        What the layer itself reads, and puts out.
+    """
+
+    name: str
+    layer: Convolution | Dense
+    input_shape: tuple
+    pool: int
+    pooled_shape: tuple
+    shape: tuple
+
+    @property
+    def fan_out(self) -> np.ndarray:
+        """Synapses that leave each input position, int64, of shape ``input_shape``."""
+        fan_out = self.layer.fan_out(self.pooled_shape)
+        return fan_out if self.pool == 1 else unpooled(fan_out, self.input_shape, self.pool)
 
 
 @dataclass(frozen=True)
@@ -256,6 +280,25 @@ class Architecture:
     def convs(self) -> tuple:
         """The convolutions in order, possibly none."""
         return tuple(layer for layer in self.layers if layer.kind == "conv")
+
+    @property
+    def spiking(self) -> dict:
+        """The layers of neurons by name, in order: convolutions and hidden dense layers."""
+        layers = zip(self.names, self.layers, strict=True)
+        return {name: layer for name, layer in layers if layer.kind in ("conv", "dense")}
+
+    @property
+    def folded(self) -> tuple:
+        """The layers with weights, each with the averaging before it: a tuple of `Folded`."""
+        folded, before, pool = [], self.input_shape, 1
+        shapes = zip(self.shapes, self.shapes[1:], strict=False)
+        for name, layer, (read, shape) in zip(self.names, self.layers, shapes, strict=True):
+            if layer.kind == "pool":
+                pool *= layer.size
+                continue
+            folded.append(Folded(name, layer, before, pool, read, shape))
+            before, pool = shape, 1
+        return tuple(folded)
 
     @property
     def outputs(self) -> int:
@@ -404,19 +447,6 @@ def _check_place(layer, input_shape, last):
         raise ValueError(f"is {what} after a dense layer, which has no rows and columns")
     if layer.kind == "output" and not last:
         raise ValueError("is an output before the end")
-
-
-def _reached(n, outputs, kernel, stride, before):
-    """How many of ``outputs`` windows along one dimension hold each of its n positions."""
-    count = np.zeros(n + 1, np.int64)
-    start = np.arange(outputs) * stride - before
-    np.add.at(count, np.clip(start, 0, n), 1)
-    np.add.at(count, np.clip(start + kernel, 0, n), -1)
-    return np.cumsum(count)[:n]
-
-
-def _over_channels(positions, input_shape):
-    return np.repeat(positions[..., None], input_shape[2], axis=2)
 
 
 def _size(shape) -> int:

@@ -1,47 +1,58 @@
-"""The convolutional network of the paper's Table 2, built from its notation."""
+"""The networks of :mod:`models.architecture` in Keras, the CNN of the paper among them."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from models.architecture import Architecture
 from models.keras2 import tf
-from models.notation import Architecture
 
 
-def build_cnn(architecture: Architecture, activation=None, convolution=None) -> tf.keras.Model:
+def build_cnn(architecture: Architecture, activation=None, sums=None) -> tf.keras.Model:
     """Build the network; its output are logits, the softmax is in the loss.
 
     Parameters
     ----------
     architecture : Architecture
     activation : callable, optional
-        ``activation(index)`` makes the layer that follows convolution ``index`` (from 0).
-        Default: rectified linear.
-    convolution : callable, optional
-        ``convolution(index, conv, name)`` makes convolution ``index``, described by ``conv``.
-        Default: a ``Conv2D``.
+        ``activation(index)`` makes the neurons of layer ``index``, counted from 0 over the layers
+        of neurons (convolutions and hidden dense layers).  Default: rectified linear.
+    sums : callable, optional
+        ``sums(index, layer, name)`` makes the weighted sums before them, of a convolution or a
+        hidden dense layer.  Default: a ``Conv2D`` or a ``Dense``.
 
     Returns
     -------
     tf.keras.Model
         Input (n, rows, columns, channels), output (n, outputs).  Layers are named ``conv1``,
-        ``conv1_neurons``, ..., ``output``.
+        ``conv1_neurons``, ``pool1``, ``dense1``, ..., ``output``.
     """
     activation = activation or (lambda index: tf.keras.layers.ReLU())
-    convolution = convolution or _plain_convolution
+    sums = sums or _plain_sums
     signal = inputs = tf.keras.Input(architecture.input_shape, name="image")
-    for index, conv in enumerate(architecture.convs):
-        signal = convolution(index, conv, f"conv{index + 1}")(signal)
-        neurons = activation(index)
-        neurons._name = f"conv{index + 1}_neurons"
-        signal = neurons(signal)
-    signal = tf.keras.layers.Flatten(name="flatten")(signal)
-    outputs = tf.keras.layers.Dense(architecture.outputs, name="output")(signal)
-    return tf.keras.Model(inputs, outputs)
+    index = 0
+    for name, layer in zip(architecture.names, architecture.layers, strict=True):
+        if layer.kind in ("dense", "output") and len(signal.shape) > 2:
+            signal = tf.keras.layers.Flatten(name="flatten")(signal)
+        if layer.kind == "pool":
+            signal = tf.keras.layers.AveragePooling2D(layer.size, name=name)(signal)
+        elif layer.kind == "output":
+            signal = tf.keras.layers.Dense(layer.units, name=name)(signal)
+        else:
+            signal = sums(index, layer, name)(signal)
+            neurons = activation(index)
+            neurons._name = f"{name}_neurons"
+            signal = neurons(signal)
+            index += 1
+    return tf.keras.Model(inputs, signal)
 
 
-def _plain_convolution(index, conv, name):
-    return tf.keras.layers.Conv2D(conv.filters, conv.kernel, name=name)
+def _plain_sums(index, layer, name):
+    if layer.kind == "dense":
+        return tf.keras.layers.Dense(layer.units, name=name)
+    return tf.keras.layers.Conv2D(
+        layer.filters, layer.kernel, strides=layer.stride, padding=layer.padding, name=name
+    )
 
 
 def get_weights(model: tf.keras.Model) -> dict:
@@ -75,12 +86,12 @@ def predict(model: tf.keras.Model, images) -> np.ndarray:
 
 
 def activations(model: tf.keras.Model, images) -> dict:
-    """What the neurons of each convolution put out, by the convolution's name.
+    """What the neurons of each layer put out, by the layer's name.
 
     Returns
     -------
     dict of str to ndarray, shape (n_samples, n_neurons)
-        ``"conv1"``, ...; neurons in the order (row, column, channel).
+        ``"conv1"``, ..., ``"dense1"``, ...; neurons in the order (row, column, channel).
     """
     suffix, images = "_neurons", np.asarray(images, np.float32)
     layers = [layer for layer in model.layers if layer.name.endswith(suffix)]

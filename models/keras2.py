@@ -6,7 +6,10 @@ before anybody asks it for Keras.
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import os
+import sys
 
 os.environ["TF_USE_LEGACY_KERAS"] = "1"
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # a GPU that nobody asked for is no news
@@ -22,4 +25,26 @@ if not tf.keras.Model.__module__.startswith("tf_keras."):
 # That a function is traced anew for each network is no news to the user.
 tf.get_logger().setLevel("ERROR")
 
-__all__ = ["tf"]
+
+@contextlib.contextmanager
+def silenced():
+    """Nothing on standard error from below Python, where no log level reaches."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    try:
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+@functools.cache
+def quiet_compiler():
+    """Have XLA say now, unheard, what it says once a process when it first compiles something."""
+    with silenced():
+        tf.function(lambda x: x + 1, jit_compile=True)(tf.ones(()))
+
+
+__all__ = ["quiet_compiler", "tf"]

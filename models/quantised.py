@@ -41,14 +41,29 @@ def twelve_bits(bias):
     return bias + tf.stop_gradient(tf.round(bias / unit) * unit - bias)
 
 
+def on_chip(kernel, bias, gain: float, stacked=False):
+    """Kernel and bias as the chip has them.
+
+    Parameters
+    ----------
+    kernel, bias : tensor
+    gain : float
+        Of the neurons that follow: their current is ``1 + gain * (kernel * input + bias)``, which
+        makes ``1 + gain * bias`` their bias current.
+    stacked : bool
+        As in :func:`eight_bits`.
+    """
+    return eight_bits(kernel, stacked), (twelve_bits(1 + gain * bias) - 1) / gain
+
+
 class OnChipConv2D(tf.keras.layers.Conv2D):
-    """A ``Conv2D`` (stride 1, valid padding) with the weights and bias currents of the chip.
+    """A ``Conv2D`` with the weights and bias currents of the chip.
 
     Parameters
     ----------
     filters, kernel_size : int
     gain : float
-        Of the neurons that follow: their current is ``1 + gain * output``.
+        See :func:`on_chip`.
     """
 
     def __init__(self, filters, kernel_size, gain, **kwargs):
@@ -57,12 +72,27 @@ class OnChipConv2D(tf.keras.layers.Conv2D):
 
     def call(self, inputs):
         """Convolve; shapes as in ``Conv2D``."""
-        kernel, bias = self.on_chip(self.kernel, self.bias)
-        return tf.nn.bias_add(tf.nn.conv2d(inputs, kernel, strides=1, padding="VALID"), bias)
-
-    def on_chip(self, kernel, bias, stacked=False):
-        """Kernel and bias as the chip has them; ``stacked`` as in :func:`eight_bits`."""
-        return (
-            eight_bits(kernel, stacked),
-            (twelve_bits(1 + self.gain * bias) - 1) / self.gain,
+        kernel, bias = on_chip(self.kernel, self.bias, self.gain)
+        return tf.nn.bias_add(
+            tf.nn.conv2d(inputs, kernel, strides=self.strides, padding=self.padding.upper()), bias
         )
+
+
+class OnChipDense(tf.keras.layers.Dense):
+    """A ``Dense`` layer with the weights and bias currents of the chip.
+
+    Parameters
+    ----------
+    units : int
+    gain : float
+        See :func:`on_chip`.
+    """
+
+    def __init__(self, units, gain, **kwargs):
+        super().__init__(units, **kwargs)
+        self.gain = gain
+
+    def call(self, inputs):
+        """Weigh; shapes as in ``Dense``."""
+        kernel, bias = on_chip(self.kernel, self.bias, self.gain)
+        return tf.matmul(inputs, kernel) + bias

@@ -37,8 +37,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.architecture import Architecture
 from models.keras2 import tf
-from models.notation import Architecture
 
 
 @dataclass(frozen=True)
@@ -231,12 +231,13 @@ def spike_counts(potential, neuron: SpikeResponse):
 
 
 class SpikingNetwork(tf.Module):
-    """Convolutions and a dense output of spike response neurons.
+    """Convolutions and dense layers of spike response neurons.
 
     Parameters
     ----------
     architecture : Architecture
-        For example ``notation.parse("10x10x2-6c2-24c3-10o")``.
+        Averaging acts on the responses, without neurons of its own.  For example
+        ``architecture.parse("10x10x2-6c2-24c3-10o")``.
     neuron : SpikeResponse
     seed : int
         Of the initial weights: uniform in +-scale/sqrt(fan-in).
@@ -248,8 +249,8 @@ class SpikingNetwork(tf.Module):
     Attributes
     ----------
     kernels : list of Variable
-        Of each convolution, shape (k, k, channels in, filters), and of the dense layer, shape
-        (features in, outputs).
+        Of each convolution, shape (k, k, channels in, filters), and of each dense layer, shape
+        (features in, units), the output last.
     """
 
     def __init__(
@@ -268,13 +269,12 @@ class SpikingNetwork(tf.Module):
             reach = scale / np.sqrt(np.prod(shape[:-1]))
             return tf.Variable(rng.uniform(-reach, reach, shape), dtype=tf.float32, name=name)
 
-        shapes = architecture.shapes
-        self.kernels = [
-            uniform(f"conv{i + 1}", conv_scale, (c.kernel, c.kernel, shapes[i][2], c.filters))
-            for i, c in enumerate(architecture.convs)
-        ]
-        features = int(np.prod(shapes[-1]))
-        self.kernels.append(uniform("output", dense_scale, (features, architecture.outputs)))
+        self.kernels = []
+        for name, shape in architecture.weight_shapes.items():
+            layer, _, array = name.partition(".")
+            if array == "kernel":
+                scale = conv_scale if len(shape) == 4 else dense_scale
+                self.kernels.append(uniform(layer, scale, shape))
 
     def __call__(self, events):
         """Run the network on events.
@@ -293,27 +293,38 @@ class SpikingNetwork(tf.Module):
         return output
 
     def layers(self, events):
-        """Response and potential of every layer, from the first convolution to the output.
+        """Response and potential of every layer with weights, from the first to the output.
 
         Returns
         -------
         list of (response, potential)
-            Each of shape (steps, samples, rows, columns, filters); the output's as in a call.
+            Each of shape (steps, samples, rows, columns, filters) or (steps, samples, units).
         """
         spikes = tf.transpose(tf.cast(events, tf.float32), (1, 0, 2, 3, 4))
-        response, results = spike_response(spikes, self.neuron), []
-        for kernel in self.kernels:
-            results.append(fire(_weigh(response, kernel), self.neuron))
+        response, results, kernels = spike_response(spikes, self.neuron), [], iter(self.kernels)
+        for layer in self.architecture.layers:
+            if layer.kind == "pool":
+                response = _averaged(response, layer.size)
+                continue
+            results.append(fire(_weigh(response, next(kernels), layer), self.neuron))
             response = results[-1][0]
         return results
 
 
-def _weigh(response, kernel):
+def _averaged(response, size):
+    """The mean over squares."""
+    steps, samples = response.shape[0], tf.shape(response)[1]
+    frames = tf.reshape(response, (-1, *response.shape[2:]))
+    mean = tf.nn.avg_pool2d(frames, size, size, "VALID")
+    return tf.reshape(mean, (steps, samples, *mean.shape[1:]))
+
+
+def _weigh(response, kernel, layer):
     """W a for all steps and samples at once."""
     steps, samples = response.shape[0], tf.shape(response)[1]
     if len(kernel.shape) == 2:
         current = tf.matmul(tf.reshape(response, (-1, kernel.shape[0])), kernel)
         return tf.reshape(current, (steps, samples, kernel.shape[1]))
     frames = tf.reshape(response, (-1, *response.shape[2:]))
-    current = tf.nn.conv2d(frames, kernel, strides=1, padding="VALID")
+    current = tf.nn.conv2d(frames, kernel, strides=layer.stride, padding=layer.padding.upper())
     return tf.reshape(current, (steps, samples, *current.shape[1:]))

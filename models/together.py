@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.keras2 import tf
+from deploy.network.geometry import windows
+from models.keras2 import quiet_compiler, tf
 from models.lif import RateLIF
-from models.quantised import OnChipConv2D
+from models.quantised import OnChipConv2D, OnChipDense, on_chip
 
 MOST_BATCHES = 1 << 16
 """Of an epoch; numbers the noise of each."""
@@ -75,6 +76,7 @@ class Stack:
         self._labels = tf.constant(data[1], tf.int32)
         layers = models[0].layers
         optimizer.build(variables)
+        quiet_compiler()
         # Everything that a step changes and that has a part for each network.
         stacked = variables + [v for v in optimizer.variables if v.shape.rank]
 
@@ -157,21 +159,23 @@ def forward_together(layers, variables, images, noise_seeds=None):
     for number, layer in enumerate(layers):
         _check_plain(layer)
         # Exact types: a subclass may compute with something else than its kernel.
-        if type(layer) is tf.keras.layers.Conv2D:
-            signal = _convolve(signal, next(remaining), next(remaining))
-        elif type(layer) is OnChipConv2D:
-            kernel, bias = layer.on_chip(next(remaining), next(remaining), stacked=True)
-            signal = _convolve(signal, kernel, bias)
+        if type(layer) in (tf.keras.layers.Conv2D, OnChipConv2D):
+            kernel, bias = _weights(layer, remaining)
+            signal = _convolve(signal, kernel, bias, layer.strides[0], layer.padding)
+        elif type(layer) in (tf.keras.layers.Dense, OnChipDense):
+            kernel, bias = _weights(layer, remaining)
+            signal = tf.matmul(signal, kernel) + bias[:, None]
         elif type(layer) is RateLIF:
             if layer.noise and noise_seeds is not None:
                 signal += layer.noise * _normal(signal.shape, noise_seeds, number)
             signal = layer.rates(signal)
             if layer.spike_costs is not None:
                 costs += layer.cost(signal)
-        elif type(layer) is tf.keras.layers.Dense:
-            signal = tf.matmul(signal, next(remaining)) + next(remaining)[:, None]
         elif isinstance(layer, tf.keras.layers.Flatten):
             signal = tf.reshape(signal, (n, batch, int(np.prod(signal.shape[2:]))))
+        elif type(layer) is tf.keras.layers.AveragePooling2D:
+            pooled = layer(tf.reshape(signal, (n * batch, *signal.shape[2:])))
+            signal = tf.reshape(pooled, (n, batch, *pooled.shape[1:]))
         elif not layer.weights and not isinstance(layer, tf.keras.layers.InputLayer):
             signal = layer(signal)  # neurons, one by one
         elif layer.weights:
@@ -179,12 +183,22 @@ def forward_together(layers, variables, images, noise_seeds=None):
     return signal, costs
 
 
+def _weights(layer, remaining):
+    """A layer's stacked kernel and bias, as the chip has them where the layer is for it."""
+    kernel, bias = next(remaining), next(remaining)
+    if isinstance(layer, (OnChipConv2D, OnChipDense)):
+        return on_chip(kernel, bias, layer.gain, stacked=True)
+    return kernel, bias
+
+
 def _check_plain(layer):
     """Refuse what a layer may do to its sums that is not done here."""
-    expected = {"use_bias": True, "strides": (1, 1), "padding": "valid", "dilation_rate": (1, 1)}
-    for name, value in expected.items():
+    for name, value in {"use_bias": True, "dilation_rate": (1, 1)}.items():
         if getattr(layer, name, value) != value:
             raise ValueError(f"layer {layer.name!r}: {name} must be {value} to be stacked")
+    strides = getattr(layer, "strides", (1, 1))
+    if strides[0] != strides[1]:
+        raise ValueError(f"layer {layer.name!r}: strides must be equal to be stacked")
     sums = isinstance(layer, (tf.keras.layers.Conv2D, tf.keras.layers.Dense))
     if sums and layer.activation is not tf.keras.activations.linear:
         raise ValueError(f"layer {layer.name!r}: its neurons must be a layer of their own")
@@ -198,13 +212,21 @@ def _normal(shape, seeds, number):
     )
 
 
-def _convolve(signal, kernel, bias):
+def _convolve(signal, kernel, bias, stride, padding):
     """A convolution as a product of matrices, for which there is a batched form."""
-    n, batch, rows, columns, channels = signal.shape
+    n, batch, *shape, channels = signal.shape
     k, filters = kernel.shape[1], kernel.shape[-1]
-    rows, columns = rows - k + 1, columns - k + 1
+    (rows, top, bottom), (columns, left, right) = (windows(m, k, stride, padding) for m in shape)
+    if top + bottom + left + right:
+        signal = tf.pad(signal, ((0, 0), (0, 0), (top, bottom), (left, right), (0, 0)))
+    down, across = stride * (rows - 1) + 1, stride * (columns - 1) + 1
     patches = tf.concat(
-        [signal[:, :, i : i + rows, j : j + columns] for i in range(k) for j in range(k)], -1
+        [
+            signal[:, :, i : i + down : stride, j : j + across : stride]
+            for i in range(k)
+            for j in range(k)
+        ],
+        -1,
     )
     product = tf.matmul(
         tf.reshape(patches, (n, batch * rows * columns, k * k * channels)),

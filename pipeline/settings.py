@@ -10,7 +10,7 @@ from pathlib import Path
 
 from deploy.errors import UserError
 from deploy.files import replacing
-from models.notation import NotationError, parse
+from models.architecture import NotationError, parse
 
 AGGREGATIONS = ("count", "columns", "signed", "on", "off")
 NORMALISATIONS = ("max", "sum", "sqrt-max", "none")
@@ -79,15 +79,15 @@ class SNN:
     """Weight in the loss of the synaptic operations of 100 steps, in units of the CNN's
     multiply-accumulates; recipe ``"loihi"`` only."""
     max_rates: tuple = (150.0, 150.0)
-    """Spikes a second of each convolution's neurons at activation 1; the last entry holds for all
-    convolutions after it."""
+    """Spikes a second of the neurons of each convolution and hidden dense layer at activation 1;
+    the last entry holds for all layers after it."""
     tau_rc: float = 0.02
     """Membrane time constant in seconds."""
     tau_ref: float = 0.001
     """Refractory period in seconds."""
 
     def max_rate(self, index: int) -> float:
-        """Of convolution ``index``, from 0."""
+        """Of layer of neurons ``index``, from 0."""
         return self.max_rates[min(index, len(self.max_rates) - 1)]
 
 
@@ -344,14 +344,14 @@ def _validate(s: Settings, origin):
     architecture = _parsed(s.cnn.architecture, "cnn.architecture", origin)
     need(architecture.input_shape == (10, 10, 1), "cnn.architecture",
          "for a tactile image of 10x10")  # fmt: skip
-    need(len(architecture.convs) >= 1, "cnn.architecture", "a network with a convolution")
+    n_spiking = len(architecture.spiking)
+    need(n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output")
     need(architecture.outputs == 10, "cnn.architecture", "a network with an output for each digit")
     on_chip = architecture.convs[1:] if s.deployment.first_layer == "host" else architecture.convs
     need(s.deployment.pop_type == 32 or not any(conv.filters % 4 for conv in on_chip),
          "deployment.pop_type", "32 unless filters on the chip come in multiples of 4")  # fmt: skip
-    need(1 <= len(s.snn.max_rates) <= len(architecture.convs) and min(s.snn.max_rates) > 0,
-         "snn.max_rates",
-         f"1 to {len(architecture.convs)} rates above 0, one a convolution")  # fmt: skip
+    need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) > 0, "snn.max_rates",
+         f"1 to {n_spiking} rates above 0, one a layer of neurons")  # fmt: skip
     need(max(s.snn.max_rates) * s.snn.tau_ref < 1, "snn.max_rates",
          f"below 1 / snn.tau_ref = {1 / s.snn.tau_ref:g} spikes a second")  # fmt: skip
 

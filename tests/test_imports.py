@@ -34,7 +34,7 @@ sys.modules.pop("numba", None)
 OPTIONAL = {"numba", "nir", "nxsdk"}  # imported where they are used, and said if they are missing
 OF_DEPLOY = {"numpy", "scipy", "nengo", "nengo_loihi", "deploy", *OPTIONAL}
 ALLOWED = {
-    "models": {"models"},
+    "models": {"models", "deploy"},
     "deploy": {"deploy"},
     "pipeline": {"pipeline", "models", "deploy"},
 }

@@ -9,7 +9,7 @@ import typer
 
 from deploy import __version__
 from deploy.errors import CheckFailed, UserError
-from models.notation import NotationError
+from models.architecture import NotationError
 from pipeline.commands import benchmark, check, data, live, report, run
 from pipeline.commands import benchmark_conversion as _conversion  # noqa: F401 - adds to benchmark.app
 from pipeline.commands import benchmark_emulator as _emulator  # noqa: F401 - adds to benchmark.app

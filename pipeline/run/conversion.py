@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from deploy.network.spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
+from models.architecture import parse
 from models.lif import gain_for
-from models.notation import parse
 from models.quantised import eight_bits, twelve_bits
 from pipeline.settings import Settings
 from pipeline.training.networks import rate_logits
@@ -52,7 +52,7 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, logits=None) ->
     architecture = parse(settings.cnn.architecture)
     layers = []
     on_host = deployment.first_layer == "host"
-    for index, shape in enumerate(architecture.shapes[1:]):
+    for index, shape in enumerate(architecture.shapes[1:-1]):
         name = f"conv{index + 1}"
         gain = gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
         kernel = gain * weights[f"{name}.kernel"].astype(float)
@@ -90,7 +90,7 @@ def _readout(settings, architecture, weights, logits):
     common = dict(
         name="output",
         kind="dense",
-        input_shape=architecture.shapes[-1],
+        input_shape=architecture.shapes[-2],
         shape=(architecture.outputs,),
         kernel=0,
         block_shape=None,

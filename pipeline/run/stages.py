@@ -15,7 +15,7 @@ from deploy.check.results import read_result
 from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.files import read_arrays, read_json, write_arrays, write_json
-from models.notation import parse
+from models.architecture import parse
 from pipeline.inputs.images import tactile_images
 from pipeline.inputs.library import recordings_of
 from pipeline.inputs.splits import Split, draw_check_samples, random_split

@@ -18,11 +18,11 @@ import warnings
 import nengo
 import numpy as np
 
+from models.architecture import parse
 from models.cnn import build_cnn, set_weights
 from models.keras2 import tf
 from models.lif import gain_for
-from models.notation import parse
-from models.quantised import eight_bits
+from models.quantised import on_chip
 from pipeline.settings import Settings
 
 
@@ -86,7 +86,7 @@ def run(
     settings : Settings
     weights : dict
         Of the rate-based network.
-    images : ndarray, shape (n_samples, 10, 10, 1)
+    images : ndarray, shape (n_samples, rows, columns, channels)
         Fed in as constant currents.
     steps : int
         Steps of 1 ms; 1 is enough for the rate-based neurons.
@@ -99,7 +99,7 @@ def run(
 
     Returns
     -------
-    ndarray, shape (n_samples, steps, 10)
+    ndarray, shape (n_samples, steps, outputs)
         Logits at each step, the readout's bias included.
     """
     converter, source, output = _convert(
@@ -179,18 +179,18 @@ def predict(settings: Settings, weights: dict, images, steps: int) -> np.ndarray
 
 def _convert(settings, weights, kind, synapse, inference_only=True):
     """The network with neurons of a kind: converter, its input node and its output probe."""
-    snn = settings.snn
-    model = build_cnn(
-        parse(settings.cnn.architecture),
-        activation=lambda index: tf.keras.layers.Activation(tf.nn.relu),
-    )
-    if snn.recipe == "loihi":
-        weights = {
-            name: eight_bits(array).numpy()
-            if name.startswith("conv") and array.ndim == 4
-            else array
-            for name, array in weights.items()
-        }
+    snn, architecture = settings.snn, parse(settings.cnn.architecture)
+    gains = {
+        name: gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
+        for index, name in enumerate(architecture.spiking)
+    }
+    model = build_cnn(architecture, activation=lambda index: tf.keras.layers.Activation(tf.nn.relu))
+    if snn.recipe == "loihi":  # what was trained has the chip's weights and biases
+        weights = dict(weights)
+        for name, gain in gains.items():
+            names = f"{name}.kernel", f"{name}.bias"
+            arrays = on_chip(*(tf.constant(weights[n], tf.float32) for n in names), gain)
+            weights.update(zip(names, (array.numpy() for array in arrays), strict=True))
     set_weights(model, weights)
     converter = nengo_dl.Converter(
         model,
@@ -198,14 +198,12 @@ def _convert(settings, weights, kind, synapse, inference_only=True):
         synapse=synapse,
         inference_only=inference_only,
     )
-    for index in range(len(parse(settings.cnn.architecture).convs)):
-        ensemble = converter.layers[model.get_layer(f"conv{index + 1}_neurons").output].ensemble
+    for index, (name, gain) in enumerate(gains.items()):
+        ensemble = converter.layers[model.get_layer(f"{name}_neurons").output].ensemble
         ensemble.neuron_type = kind(
             tau_rc=snn.tau_rc, tau_ref=snn.tau_ref, amplitude=1 / snn.max_rate(index)
         )
-        ensemble.gain = np.full(
-            ensemble.n_neurons, gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
-        )
+        ensemble.gain = np.full(ensemble.n_neurons, gain)
         ensemble.bias = np.ones(ensemble.n_neurons)
     output = converter.outputs[model.output]
     output.synapse = None

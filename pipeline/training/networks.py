@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.network.operations import convolution_fan_out
+from models.architecture import parse
 from models.cnn import activations, build_cnn, get_weights, predict, set_weights
 from models.keras2 import tf
 from models.lif import DT, RateLIF, gain_for
-from models.notation import parse
-from models.quantised import OnChipConv2D
+from models.quantised import OnChipConv2D, OnChipDense
 from pipeline.settings import Settings
 
 PERCENTILE = 99.9
@@ -92,7 +91,7 @@ def train_cnn(
     Trained
     """
     model = new_cnn(settings, seed)
-    history = fit(model, recipe or cnn_recipe(settings.cnn), data, validation, advance)
+    history = fit(model, recipe or cnn_recipe(settings.cnn), data, seed, validation, advance)
     return Trained(get_weights(model), history)
 
 
@@ -130,24 +129,30 @@ def build_rate_network(settings: Settings) -> tf.keras.Model:
             spike_costs=costs and costs[index],
         )
 
-    def convolution(index, conv, name):
+    def sums(index, layer, name):
         gain = gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
-        return OnChipConv2D(conv.filters, conv.kernel, gain, name=name)
+        if layer.kind == "dense":
+            return OnChipDense(layer.units, gain, name=name)
+        return OnChipConv2D(
+            layer.filters,
+            layer.kernel,
+            gain,
+            strides=layer.stride,
+            padding=layer.padding,
+            name=name,
+        )
 
-    try:
-        return build_cnn(architecture, neurons, convolution if on_chip else None)
-    except ValueError as error:
-        raise UserError(f"settings: snn.max_rates: {error}") from error
+    for rate in snn.max_rates:
+        try:
+            gain_for(rate, snn.tau_rc, snn.tau_ref)
+        except ValueError as error:
+            raise UserError(f"settings: snn.max_rates: {error}") from error
+    return build_cnn(architecture, neurons, sums if on_chip else None)
 
 
 def _spike_costs(settings, architecture):
     """Of each layer, the loss when a neuron fires at its ``max_rate`` for the priced steps."""
-    shapes = architecture.shapes
-    synapses = [
-        convolution_fan_out(shape, conv.kernel, conv.filters).reshape(shape)
-        for shape, conv in zip(shapes, architecture.convs, strict=False)
-    ]
-    synapses.append(np.full(shapes[-1], architecture.outputs))
+    synapses = [layer.fan_out for layer in architecture.folded]
     operations = sum(int(layer.sum()) for layer in synapses)
     seconds = PRICED_STEPS * DT
     return [
@@ -179,7 +184,7 @@ def train_rate_network(
     Trained
     """
     model = new_rate_network(settings, seed, data[0], cnn_weights)
-    history = fit(model, snn_recipe(settings.snn), data, validation, advance)
+    history = fit(model, snn_recipe(settings.snn), data, seed, validation, advance)
     return Trained(get_weights(model), history)
 
 
@@ -219,43 +224,77 @@ def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
     return scaled
 
 
-def fit(model, recipe: Recipe, data, validation=None, advance=None) -> list:
+def fit(model, recipe: Recipe, data, seed: int, validation=None, advance=None) -> list:
     """Train a model that puts out logits with sparse categorical cross-entropy.
+
+    Each epoch is one call of a compiled loop over its batches: Keras's own ``fit`` returns to
+    Python between them, which costs these small networks as much time as their arithmetic.
 
     Parameters
     ----------
     model : tf.keras.Model
+        Trained in place; what its layers add to the loss counts.
     recipe : Recipe
     data, validation : (images, labels)
+    seed : int
+        Of the order of the samples: that of a network trained with others, see
+        :mod:`models.together`.
     advance : callable, optional
+        ``advance(1, note)`` after each epoch.
 
     Returns
     -------
     list of dict
         The history, one row an epoch.
     """
-    model.compile(
-        optimizer(recipe, len(data[0])),
-        tf.keras.losses.SparseCategoricalCrossentropy(from_logits=True),
-        metrics=["accuracy"],
-    )
+    images, labels = tf.constant(data[0], tf.float32), tf.constant(data[1], tf.int32)
+    rule = optimizer(recipe, len(data[0]))
+    rule.build(model.trainable_variables)
     history = []
-
-    class Rows(tf.keras.callbacks.Callback):
-        def on_epoch_end(self, epoch, logs=None):
-            history.append({"epoch": epoch + 1, **{k: float(v) for k, v in logs.items()}})
-            if advance is not None:
-                advance(1, f"accuracy {logs['accuracy']:.3f}")
-
-    model.fit(
-        *data,
-        batch_size=recipe.batch_size,
-        epochs=recipe.epochs,
-        validation_data=validation,
-        callbacks=[Rows()],
-        verbose=0,
-    )
+    epoch_of = _compiled_epoch(model, rule, images, labels, recipe.batch_size)
+    for epoch in range(recipe.epochs):
+        order = np.random.default_rng([seed, epoch]).permutation(len(data[0]))
+        loss, right = (float(n) / len(order) for n in epoch_of(tf.constant(order)).numpy())
+        history.append({"epoch": epoch + 1, "loss": loss, "accuracy": right})
+        if validation is not None:
+            history[-1] |= _judged(predict(model, validation[0]), validation[1])
+        if advance is not None:
+            advance(1, f"accuracy {right:.3f}")
     return history
+
+
+def _compiled_epoch(model, rule, images, labels, batch_size):
+    """``epoch(order) -> [sum of losses, number of right answers]``, training the model."""
+    variables = model.trainable_variables
+
+    def step(chosen):
+        wanted = tf.gather(labels, chosen)
+        with tf.GradientTape() as tape:
+            logits = model(tf.gather(images, chosen), training=True)
+            losses = tf.nn.sparse_softmax_cross_entropy_with_logits(wanted, logits)
+            loss = tf.reduce_mean(losses) + tf.add_n([0.0, *model.losses])
+        rule.apply_gradients(
+            zip(tape.gradient(loss, variables), variables, strict=True),
+            skip_gradients_aggregation=True,
+        )
+        right = tf.reduce_sum(tf.cast(tf.argmax(logits, 1, tf.int32) == wanted, tf.float32))
+        return tf.stack([loss * tf.cast(len(wanted), tf.float32), right])
+
+    @tf.function
+    def epoch(order):
+        sums = tf.zeros(2)
+        for start in tf.range(0, len(order), batch_size):
+            sums += step(order[start : start + batch_size])
+        return sums
+
+    return epoch
+
+
+def _judged(logits, labels):
+    """Loss and accuracy on samples that are not trained on, as a row of the history has them."""
+    losses = tf.nn.sparse_softmax_cross_entropy_with_logits(np.asarray(labels, np.int32), logits)
+    right = np.mean(np.argmax(logits, 1) == labels)
+    return {"val_loss": float(np.mean(losses)), "val_accuracy": float(right)}
 
 
 def optimizer(recipe: Recipe, n_samples: int) -> tf.keras.optimizers.Optimizer:

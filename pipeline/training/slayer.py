@@ -11,8 +11,8 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import read_arrays, write_arrays
+from models.architecture import parse
 from models.keras2 import tf
-from models.notation import parse
 from models.slayer import SpikeResponse, SpikingNetwork, spike_count_loss, spike_counts
 from pipeline.recordings.events import DURATION_S
 from pipeline.settings import Slayer

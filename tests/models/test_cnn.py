@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from models.cnn import build_cnn, get_weights, predict, set_weights
-from models.notation import parse
+from models.architecture import parse
+from models.cnn import activations, build_cnn, get_weights, predict, set_weights
 
 PAPER = parse("10x10-6c4-24c3-10o")
 
@@ -48,3 +48,27 @@ def test_weights_that_do_not_fit_are_named(change):
         weights["conv2.bias"] = np.zeros(23)
     with pytest.raises(ValueError, match=r"conv2\.bias"):
         set_weights(model, weights)
+
+
+def test_strides_padding_pooling_and_dense_layers_against_numpy():
+    rng = np.random.default_rng(2)
+    architecture = parse("7x6x2-3c3s2p-2a-5-4o")
+    assert architecture.shapes == ((7, 6, 2), (4, 3, 3), (2, 1, 3), (5,), (4,))
+    weights = {name: rng.normal(size=shape) for name, shape in architecture.weight_shapes.items()}
+    model = build_cnn(architecture)
+    set_weights(model, weights)
+    image = rng.uniform(size=(7, 6, 2))
+    padded = np.zeros((9, 7, 2))  # one row before and one after, one column after
+    padded[1:8, :6] = image
+    conv = np.zeros((4, 3, 3))
+    for row in range(4):
+        for column in range(3):
+            patch = padded[2 * row : 2 * row + 3, 2 * column : 2 * column + 3, :, None]
+            conv[row, column] = (patch * weights["conv1.kernel"]).sum((0, 1, 2))
+    conv = np.maximum(conv + weights["conv1.bias"], 0)
+    pooled = conv[:, :2].reshape(2, 2, 1, 2, 3).mean((1, 3))  # the third column is left over
+    dense = np.maximum(pooled.ravel() @ weights["dense1.kernel"] + weights["dense1.bias"], 0)
+    expected = dense @ weights["output.kernel"] + weights["output.bias"]
+    np.testing.assert_allclose(predict(model, image[None])[0], expected, atol=1e-5)
+    shapes = {name: array.shape for name, array in activations(model, image[None]).items()}
+    assert shapes == {"conv1": (1, 36), "dense1": (1, 5)}

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models import notation, slayer
+from models import architecture, slayer
 from models.keras2 import tf
 
 NEURON = slayer.SpikeResponse(tau_s=0.04, tau_r=0.02, theta=2.0)
@@ -174,7 +174,7 @@ def test_errors_do_not_flow_through_the_potential():
     assert tape.gradient(loss, x) is None
 
 
-ARCHITECTURE = notation.parse("5x5x2-3c2-4c3-3o")
+ARCHITECTURE = architecture.parse("5x5x2-3c2-4c3-3o")
 
 
 @pytest.fixture(scope="module")
@@ -278,7 +278,7 @@ def test_the_same_seed_gives_the_same_weights():
 
 
 def test_kernels_have_the_shapes_of_the_notation():
-    network = slayer.SpikingNetwork(notation.parse("10x10x2-6c2-24c3-10o"))
+    network = slayer.SpikingNetwork(architecture.parse("10x10x2-6c2-24c3-10o"))
     assert [tuple(k.shape) for k in network.kernels] == [
         (2, 2, 2, 6),
         (3, 3, 6, 24),

@@ -1,19 +1,19 @@
 import numpy as np
 import pytest
 
+from models.architecture import parse
 from models.cnn import build_cnn, get_weights
 from models.keras2 import tf
 from models.lif import RateLIF, gain_for
-from models.notation import parse
-from models.quantised import OnChipConv2D
+from models.quantised import OnChipConv2D, OnChipDense
 from models.together import _orders, fit_together, forward_together
 
 ARCHITECTURE = parse("6x6-3c3-4c2-10o")
 
 
-def build(seed, activation=None, convolution=None):
+def build(seed, activation=None, sums=None):
     tf.keras.utils.set_random_seed(seed)
-    return build_cnn(ARCHITECTURE, activation, convolution)
+    return build_cnn(ARCHITECTURE, activation, sums)
 
 
 def rate_lif(index):
@@ -41,6 +41,31 @@ def test_logits_are_those_of_each_network(activation, data):
     assert costs == 0
     for model, part, got in zip(models, images, logits, strict=True):
         np.testing.assert_allclose(got, model(part), atol=1e-4)
+
+
+def test_every_kind_of_layer_stacked():
+    architecture = parse("7x7x2-3c3s2p-2a-5-4o")
+    models = []
+    for seed in (1, 2):
+        tf.keras.utils.set_random_seed(seed)
+        models.append(build_cnn(architecture, rate_lif, on_chip_sums))
+    variables = [
+        tf.stack([v.numpy() for v in group])
+        for group in zip(*(m.trainable_variables for m in models), strict=True)
+    ]
+    images = np.random.default_rng(0).random((2, 6, 7, 7, 2)).astype(np.float32)
+    logits, _ = forward_together(models[0].layers, variables, tf.constant(images))
+    for model, part, got in zip(models, images, logits, strict=True):
+        np.testing.assert_allclose(got, model(part), atol=1e-4)
+
+
+def on_chip_sums(index, layer, name):
+    gain = gain_for(150.0, 0.02, 0.001)
+    if layer.kind == "dense":
+        return OnChipDense(layer.units, gain, name=name)
+    return OnChipConv2D(
+        layer.filters, layer.kernel, gain, strides=layer.stride, padding=layer.padding, name=name
+    )
 
 
 def check_against_keras(start, parts, data, optimizer):
@@ -88,13 +113,12 @@ def test_they_learn(data):
 
 def own_recipe(seed, noise=0.0):
     """A network as the recipe "loihi" trains it: the chip's weights, spikes at a price."""
-    gain = gain_for(150.0, 0.02, 0.001)
     rng = np.random.default_rng(0)
     costs = [rng.random(shape).astype(np.float32) / 50 for shape in ((4, 4, 3), (3, 3, 4))]
     return build(
         seed,
         lambda index: RateLIF(150.0, on_chip=True, noise=noise, spike_costs=costs[index]),
-        lambda index, conv, name: OnChipConv2D(conv.filters, conv.kernel, gain, name=name),
+        on_chip_sums,
     )
 
 
@@ -128,14 +152,14 @@ def test_a_layer_that_cannot_be_stacked_is_named():
     class Own(tf.keras.layers.Conv2D):
         pass
 
-    model = build(
-        1, convolution=lambda index, conv, name: Own(conv.filters, conv.kernel, name=name)
-    )
+    model = build(1, sums=lambda index, conv, name: Own(conv.filters, conv.kernel, name=name))
     with pytest.raises(ValueError, match="conv1"):
         forward_together(model.layers, [], tf.zeros((1, 2, 6, 6, 1)))
 
 
-@pytest.mark.parametrize("option", [{"use_bias": False}, {"strides": 2}, {"activation": "relu"}])
+@pytest.mark.parametrize(
+    "option", [{"use_bias": False}, {"strides": (1, 2)}, {"activation": "relu"}]
+)
 def test_an_option_that_is_not_done_is_refused(option):
     layer = tf.keras.layers.Conv2D(2, 3, name="conv1", **option)
     layer.build((None, 6, 6, 1))

@@ -86,7 +86,11 @@ BAD = [
     ("no samples", {"check": {"samples": 0}}, "'check.samples' must be 1 or more"),
     ("notation", {"cnn": {"architecture": "10x10-6p2-10o"}}, r"token 2 \('6p2'\)"),
     ("other image", {"cnn": {"architecture": "12x12-6c4-10o"}}, "tactile image of 10x10"),
-    ("no convolution", {"cnn": {"architecture": "10x10-10o"}}, "a network with a convolution"),
+    (
+        "no convolution",
+        {"cnn": {"architecture": "10x10-10o"}},
+        "a layer of neurons before its output",
+    ),
     ("nine outputs", {"cnn": {"architecture": "10x10-6c4-9o"}}, "an output for each digit"),
 ]
 

@@ -1,0 +1,81 @@
+"""Windows over an image: what a convolution or a pooling reads, and how often."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def windows(n: int, kernel: int, stride: int = 1, padding: str = "valid"):
+    """Windows of a convolution along one dimension.
+
+    Parameters
+    ----------
+    n : int
+        Values along the dimension.
+    kernel, stride : int
+    padding : str
+        ``"valid"``, or ``"same"``: ceil(n / stride) windows, which takes max((ceil(n / stride) - 1)
+        stride + kernel - n, 0) zeros, half of them before the values, rounded down (as TensorFlow
+        and Nengo have it).
+
+    Returns
+    -------
+    count, before, after : int
+        How many windows (0 or less if none fits), and the zeros before and after the values.
+    """
+    zeros = 0
+    if padding == "same":
+        zeros = max((-(-n // stride) - 1) * stride + kernel - n, 0)
+    return (n + zeros - kernel) // stride + 1, zeros // 2, zeros - zeros // 2
+
+
+def reached(n: int, count: int, kernel: int, stride: int, before: int) -> np.ndarray:
+    """How many of ``count`` windows hold each of n positions, int64, shape (n,)."""
+    steps = np.zeros(n + 1, np.int64)
+    start = np.arange(count) * stride - before
+    np.add.at(steps, np.clip(start, 0, n), 1)
+    np.add.at(steps, np.clip(start + kernel, 0, n), -1)
+    return np.cumsum(steps)[:n]
+
+
+def convolution_shape(input_shape, kernel, filters, stride=1, padding="valid") -> tuple:
+    """(rows, columns, channels) of a convolution's output."""
+    return (*(windows(n, kernel, stride, padding)[0] for n in input_shape[:2]), filters)
+
+
+def convolution_fan_out(input_shape, kernel, filters, stride=1, padding="valid") -> np.ndarray:
+    """Synapses that leave each input of a convolution, int64, of shape ``input_shape``."""
+    reach = []
+    for n in input_shape[:2]:
+        count, before, _ = windows(n, kernel, stride, padding)
+        reach.append(reached(n, count, kernel, stride, before))
+    positions = np.outer(*reach) * filters
+    return np.repeat(positions[..., None], input_shape[2], axis=2)
+
+
+def pooled_shape(input_shape, size: int) -> tuple:
+    """Shape after averaging over squares that do not overlap; what is left over is not read."""
+    rows, columns, channels = input_shape
+    return (rows // size, columns // size, channels)
+
+
+def unpooled(values, input_shape, size: int) -> np.ndarray:
+    """What holds for each value after a pooling, for each value before it.
+
+    Parameters
+    ----------
+    values : ndarray, shape (rows // size, columns // size, channels, ...)
+    input_shape : tuple of int
+        (rows, columns, channels).
+    size : int
+
+    Returns
+    -------
+    ndarray, shape (rows, columns, channels, ...)
+        0 for what is left over at the end.
+    """
+    values = np.asarray(values)
+    spread = values.repeat(size, axis=0).repeat(size, axis=1)
+    result = np.zeros((*input_shape[:2], *values.shape[2:]), values.dtype)
+    result[: spread.shape[0], : spread.shape[1]] = spread
+    return result
