@@ -13,6 +13,7 @@ from models.architecture import NotationError
 from pipeline.commands import benchmark, check, data, live, report, run
 from pipeline.commands import benchmark_conversion as _conversion  # noqa: F401 - adds to benchmark.app
 from pipeline.commands import benchmark_emulator as _emulator  # noqa: F401 - adds to benchmark.app
+from pipeline.commands import benchmark_live as _live  # noqa: F401 - adds to benchmark.app
 from pipeline.commands import benchmark_losses as _losses  # noqa: F401 - adds to benchmark.app
 from pipeline.commands import deploy as deployment
 from pipeline.commands import skin as _skin  # noqa: F401 - adds its verbs to data.app

@@ -139,7 +139,7 @@ def asked_next(counts, each: int, seed) -> int | None:
     """Which digit to ask for next.
 
     The digits come in one random order, ``each`` of every digit; those that are there already are
-    left out, wherever they came from, so that a session goes on after a break, an undo or a restart.
+    left out, so that a session goes on after a break, an undo or a restart.
 
     Parameters
     ----------

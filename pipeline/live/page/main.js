@@ -330,6 +330,7 @@ painted.port1.onmessage = ({ data: last }) => {
   $("latency").textContent =
     `From the last event to the decision on this screen: ${median.toFixed(0)} ms at the median of ${sorted.length}.`;
   $("latency").dataset.median = median.toFixed(2);
+  $("latency").dataset.ninetieth = sorted[Math.floor(0.9 * sorted.length)].toFixed(2);
   $("latency").dataset.count = sorted.length;
 };
 function afterPaint(last) {

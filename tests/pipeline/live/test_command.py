@@ -61,7 +61,7 @@ def test_ctrl_c_ends_it_cleanly_and_what_was_kept_works_as_data(live, tmp_path, 
     with socket_of(address(process)) as page:
         assert write_and_label(page, 4)["type"] == "saved"
         os.kill(process.pid, signal.SIGINT)
-        out, error = process.communicate(timeout=30)
+        _, error = process.communicate(timeout=30)
     assert process.returncode == 130
     assert "Traceback" not in error
     assert "1 recordings are kept" in error

@@ -21,8 +21,8 @@ from tests.pipeline.live.conftest import served
 
 pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
 
-from pipeline.live import robot  # noqa: E402
-from pipeline.live.server import PAGE  # noqa: E402
+from pipeline.live import robot
+from pipeline.live.server import PAGE
 
 P = parameters.load()
 STEP_S = 1 / 500
@@ -99,7 +99,7 @@ def test_twenty_digits_of_real_hands(browser, shared_data, tmp_path):
     traces = unipen.read(shared_data / "pendigits-train.unipen")
     others = [trace for trace in traces if trace.writer < 24]
     assert {trace.writer for trace in traces} > set(range(24))
-    learnt = simulate.simulate(1, [250] * 10, jobs=2, traces=others)
+    learnt = simulate.simulate(1, [400] * 10, jobs=2, traces=others)
     write_zip(tmp_path / "hands.zip", learnt)
     options = ("--data", tmp_path / "hands.zip", "--samples", "200")
     assert call("convert", tmp_path / "run", *options) == 0
@@ -161,8 +161,8 @@ def test_twenty_digits_of_real_hands(browser, shared_data, tmp_path):
     by_id = dict(zip(kept.ids, again, strict=True))
     numbers = sorted(kept.ids, key=lambda name: name.split("-")[-1])
     assert [by_id[name] for name in numbers] == decisions
-    # Strangers' hands: below the check's by no more than thirty samples and new writers explain.
-    assert right / len(chosen) > check - 0.2
+    # Strangers' hands, and thirty samples have a standard error of seven points.
+    assert right / len(chosen) > check - 0.25
 
 
 @pytest.fixture
@@ -310,8 +310,8 @@ def test_text_and_marks_stand_out_from_what_is_behind_them():
     assert dark["paper"] != light["paper"]
     for colours in (light, dark):
         for front, behind, least in [
-            ("ink", "paper", 7), ("ink", "panel", 7), ("soft", "paper", 4.5), ("soft", "panel", 4.5),
-            ("key-ink", "key", 4.5), ("note-ink", "note", 4.5),
+            ("ink", "paper", 7), ("ink", "panel", 7), ("soft", "paper", 4.5),
+            ("soft", "panel", 4.5), ("key-ink", "key", 4.5), ("note-ink", "note", 4.5),
             ("on", "paper", 3), ("off", "paper", 3), ("on", "panel", 3), ("off", "panel", 3),
         ]:  # fmt: skip
             bright, dim = sorted(map(luminance, (colours[front], colours[behind])), reverse=True)

@@ -159,8 +159,9 @@ def test_what_no_later_moment_depends_on_is_forgotten():
 
 
 @pytest.mark.parametrize(
-    ("place", "why"), [((np.nan, 1), "finite"), ((1, np.inf), "finite"), ((-3, 1), "outside"), ((1, 12), "outside")]
-)  # fmt: skip
+    ("place", "why"),
+    [((np.nan, 1), "finite"), ((1, np.inf), "finite"), ((-3, 1), "outside"), ((1, 12), "outside")],
+)
 def test_points_that_no_pen_makes_are_refused(place, why):
     with pytest.raises(ValueError, match=why):
         Writing([0], P).point(Point(START_S, *place, 0.5, True))
