@@ -10,6 +10,7 @@ RUN ?= runs/default
 JOBS ?= 2
 TARGET ?= emulator
 PYTHON38 ?= $(shell sh setup.sh --find 3.8)
+PYTHON310 ?= $(shell sh setup.sh --find 3.10)
 
 BIN := .venv/bin
 STMNIST := $(BIN)/stmnist
@@ -17,7 +18,7 @@ SOURCE_OPTIONS := $(if $(DATA),--data "$(DATA)") $(if $(SEED),--seed $(SEED)) --
 BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $(PARTITION))
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
 
-.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report live test test-pythons lint setup-inrc test-inrc setup-nir test-nir check-nir clean help
+.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report live test test-pythons torture lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava clean help
 .DEFAULT_GOAL := help
 
 setup:  ## Make .venv with everything pinned in constraints.txt (2.6 GB)
@@ -65,6 +66,9 @@ test-pythons:  ## Run the tests on each of Python 3.11 to 3.13 that this machine
 	  .venv-$$version/bin/python -m pytest $(TESTS) || exit; \
 	done
 
+torture: setup  ## Damaged input, kills, interruptions, full disks: half an hour (TORTURE: options)
+	@$(BIN)/python -m tests.torture $(TORTURE)
+
 lint: setup  ## Check style
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
@@ -98,6 +102,24 @@ check-nir: convert setup-nir  ## The check's samples in Norse, compared with che
 	@.venv-nir/bin/python tests/nir_reader/run_norse.py $(RUN)/nir/network.nir $(RUN)/nir/input.npz $(RUN)/nir/output.npz
 	@$(BIN)/python -m tests.nir_reader.result $(RUN)/bundle $(RUN)/nir/input.npz $(RUN)/nir/output.npz $(RUN)/checks/norse.json
 	@$(STMNIST) check compare $(RUN)/checks/emulator.json $(RUN)/checks/norse.json
+
+setup-lava: .venv-lava/installed  ## Make .venv-lava: Lava's integer models of Loihi on Python 3.10
+
+.venv-lava/installed: tests/lava_reader/requirements.txt
+	@test -n "$(PYTHON310)" && "$(PYTHON310)" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 10))' 2>/dev/null || \
+	  { echo "setup-lava: Python 3.10 is needed; install one, or name it with PYTHON310=/path/to/python3.10" >&2; exit 2; }
+	@$(PYTHON310) -m venv --clear .venv-lava
+	@.venv-lava/bin/pip install -qq -r tests/lava_reader/requirements.txt
+	@touch $@
+
+test-lava: setup setup-lava  ## Show that Lava's integer models give every spike of fast
+	@$(BIN)/python -m pytest tests/deploy/targets/test_lava.py
+
+check-lava: convert setup-lava  ## The check's samples in Lava, every spike compared with fast
+	@$(STMNIST) deploy export $(RUN)/bundle --format lava --out $(RUN)/lava/network.npz
+	@.venv-lava/bin/python tests/lava_reader/run_lava.py $(RUN)/lava/network.npz $(RUN)/lava/output.npz
+	@.venv-lava/bin/python tests/lava_reader/run_lava.py $(RUN)/lava/network.npz $(RUN)/lava/stock.npz --stock
+	@$(BIN)/python -m tests.lava_reader.result $(RUN)/bundle $(RUN)/lava/output.npz $(RUN)/checks/lava.json $(RUN)/lava/stock.npz
 
 clean:  ## Remove the run RUN; the cache and .venv stay
 	@rm -rf $(RUN)

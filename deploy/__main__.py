@@ -2,13 +2,17 @@
 
 import sys
 
+from .interrupts import end_at_once, raised
 from .requirements import complaint
 
 if __name__ == "__main__":
+    end_at_once("deploy")
     problem = complaint()
     if problem is not None:
         print("deploy: " + problem, file=sys.stderr)
         sys.exit(2)
     from .cli import main
 
-    sys.exit(main())
+    with raised("deploy"):
+        status = main()
+    sys.exit(status)

@@ -7,14 +7,14 @@ import json
 import sys
 from pathlib import Path
 
-from . import __version__
+from . import __version__, interrupts
 from .check.bundle import RESULTS, read_bundle
-from .check.results import compare, read_result
+from .check.results import compare_results, read_result
 from .check.run import run_check
 from .errors import CheckFailed, UserError
 from .preflight.plan import make_plan, plan_text
-from .targets.board import Settings, nxsdk_version, settings_for
-from .targets.registry import TARGETS
+from .targets.board import BoardOptions, nxsdk_version
+from .targets.registry import TARGETS, options_for
 
 
 def main(arguments=None) -> int:
@@ -34,7 +34,7 @@ def main(arguments=None) -> int:
     except UserError as error:
         return _say(error, 2)
     except KeyboardInterrupt:
-        return _say("interrupted; the same command goes on where it stopped", 130)
+        return _say(interrupts.LINE, interrupts.STATUS)
 
 
 def _say(message, status):
@@ -55,7 +55,7 @@ def _parser():
     check.add_argument("--out", type=Path, help="the result (default: BUNDLE/checks/TARGET.json)")
     check.add_argument("--seed", type=int, default=0)
     board = check.add_argument_group("target loihi")
-    defaults = Settings()
+    defaults = BoardOptions()
     board.add_argument("--board", help="name of a board (default: the cluster's choice)")
     board.add_argument("--partition", help="SLURM partition (default: the board is on this host)")
     board.add_argument("--chips", type=int, default=defaults.chips, metavar="N")
@@ -89,8 +89,8 @@ def _parser():
 
 
 def _check(options):
-    given = {name: getattr(options, name) for name in vars(Settings())}
-    settings = settings_for(options.target, **given)
+    given = {name: getattr(options, name) for name in vars(BoardOptions())}
+    chosen = options_for(options.target, **given)
     bundle = read_bundle(options.bundle)
     out = options.out or options.bundle / RESULTS / f"{options.target}.json"
     total, done = len(bundle.checks), 0
@@ -101,7 +101,7 @@ def _check(options):
         if sys.stderr.isatty():
             print(f"\r{options.target}: {done} of {total} samples", end="", file=sys.stderr)
 
-    result = run_check(bundle, options.target, out, options.seed, advance, settings)
+    result = run_check(bundle, options.target, out, options.seed, advance, chosen)
     if sys.stderr.isatty():
         print(file=sys.stderr)
     print(summary(result))
@@ -116,7 +116,7 @@ def _plan(options):
 
 
 def _compare(options):
-    comparison = compare(read_result(options.a), read_result(options.b))
+    comparison = compare_results(read_result(options.a), read_result(options.b))
     print(comparison_text(comparison))
     enforce(comparison, options.max_disagreements, options.max_accuracy_drop)
 

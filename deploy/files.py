@@ -1,6 +1,7 @@
 """Files: written whole or not at all, hashed, and never executed on reading."""
 
 import contextlib
+import fcntl
 import hashlib
 import json
 import os
@@ -63,6 +64,26 @@ def _umask():
     mask = os.umask(0)
     os.umask(mask)
     return mask
+
+
+def lock(file, taken: str):
+    """Lock an open file against other processes until it is closed.
+
+    Parameters
+    ----------
+    file : file object
+    taken : str
+        The error's line if another process holds the lock.
+
+    Raises
+    ------
+    UserError
+        Another process does.
+    """
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        raise UserError(taken) from None
 
 
 def write_json(path, value):

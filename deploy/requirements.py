@@ -17,7 +17,7 @@ except ImportError:  # Python 3.7 and earlier, refused below
 OLDEST_PYTHON = (3, 8)
 PACKAGES = {
     "numpy": ((1, 17), (3,), ""),
-    "scipy": ((1, 4), (2,), ""),
+    "scipy": ((1, 7), (2,), ""),
     "nengo": ((3, 1), (5,), "NengoLoihi 1.1 works with Nengo 3.1 to 4.1"),
     "nengo-loihi": ((1, 1), (1, 2), "the bundle was made with NengoLoihi 1.1"),
 }

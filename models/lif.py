@@ -22,13 +22,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from deploy.network.chip import LOIHI
 from models.keras2 import tf
 
-DT = 0.001
+DT = LOIHI.dt
 """Time step in seconds."""
 
-DECAY_LEVELS = 2**12 - 1
-"""Loihi keeps the decay of a compartment as 12 bits."""
+DECAY_LEVELS = LOIHI.decay_levels
+"""Largest decay of a compartment."""
 
 
 def on_chip_time_constants(tau_rc: float, tau_ref: float):

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from deploy.network.chip import LOIHI
 from models.keras2 import tf
 
-WEIGHT_LEVELS = 127
-"""Largest magnitude of an 8-bit weight that may have either sign."""
+WEIGHT_LEVELS = LOIHI.weight_levels
+"""Largest magnitude of a weight that may have either sign."""
 
-BIAS_BITS = 12
+BIAS_BITS = LOIHI.bias_bits
 """Bits of the mantissa of a bias current."""
 
 

@@ -1,19 +1,54 @@
-"""Every setting of an experiment, with its default, in one place; kept in ``experiment.toml``."""
+"""Every setting of an experiment: its default, its limits, and below it what it means.
+
+A run keeps its own in ``experiment.toml``; ``stmnist settings`` lists them with their meanings.
+"""
 
 from __future__ import annotations
 
+import ast
+import functools
+import inspect
+import itertools
 import json
 import math
+import textwrap
 import tomllib
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
+from typing import Annotated, NamedTuple, get_type_hints
 
 from deploy.errors import UserError
 from deploy.files import replacing
+from deploy.network.spec import Presentation
+from deploy.tables import aligned
 from models.architecture import NotationError, parse
+from pipeline import paper
 
 AGGREGATIONS = ("count", "columns", "signed", "on", "off")
 NORMALISATIONS = ("max", "sum", "sqrt-max", "none")
+
+
+class Limit(NamedTuple):
+    """What holds of a value, and how an error says so."""
+
+    holds: Callable
+    expected: str
+
+
+def one_of(*values) -> Limit:
+    """The limit of a setting that has only these values."""
+    return Limit(lambda value: value in values, "one of " + ", ".join(values))
+
+
+SEED = Limit(lambda value: 0 <= value < 2**31, f"from 0 to {2**31 - 1}")
+AT_LEAST_0 = Limit(lambda value: value >= 0, "0 or more")
+AT_LEAST_1 = Limit(lambda value: value >= 1, "1 or more")
+ABOVE_0 = Limit(lambda value: value > 0, "above 0")
+INSIDE_0_1 = Limit(lambda value: 0 < value < 1, "between 0 and 1")
+FROM_0_BELOW_1 = Limit(lambda value: 0 <= value < 1, "from 0 to below 1")
+RATE = Limit(lambda value: 0 < value <= 1000, "above 0, at most 1000")
+POP_TYPE = Limit(lambda value: value in (16, 32), "16 or 32")
 
 
 @dataclass(frozen=True)
@@ -21,10 +56,10 @@ class Data:
     """Which recordings."""
 
     source: str = "simulated"
-    """``"simulated"``, or the path of an ST-MNIST zip or folder."""
-    simulation_seed: int = 0
+    """``simulated``, or the path of an ST-MNIST zip or folder."""
+    simulation_seed: Annotated[int, SEED] = 0
     """Seed of simulated recordings; the experiment's own seed does not change them."""
-    samples_per_digit: int = 0
+    samples_per_digit: Annotated[int, AT_LEAST_0] = 0
     """Simulated recordings of each digit; 0 for the published numbers, 6,953 in all."""
     skip_bad: bool = False
     """Leave out files that cannot be read instead of stopping."""
@@ -34,17 +69,22 @@ class Data:
 class Image:
     """How events become a tactile image; see :mod:`pipeline.inputs.images`."""
 
-    aggregation: str = "count"
-    normalisation: str = "max"
+    aggregation: Annotated[str, one_of(*AGGREGATIONS)] = "count"
+    """What is summed up of a taxel: ``count``, physical events; ``columns``, columns of the file,
+    as the paper's Table 1 counts; ``signed``, ON less OFF events; ``on``, ``off``, events of one
+    polarity."""
+    normalisation: Annotated[str, one_of(*NORMALISATIONS)] = "max"
+    """What an image is divided by: ``max``, its largest magnitude; ``sum``, the sum of magnitudes;
+    ``sqrt-max``, as ``max`` after the square root of each magnitude; ``none``."""
 
 
 @dataclass(frozen=True)
 class Split:
     """Which samples are for what."""
 
-    test_fraction: float = 0.2
+    test_fraction: Annotated[float, INSIDE_0_1] = paper.TEST_FRACTION
     """Share of all samples (paper: 80-20 splits)."""
-    validation_fraction: float = 0.0
+    validation_fraction: Annotated[float, FROM_0_BELOW_1] = 0.0
     """Share of the training samples that is kept for choosing settings."""
 
 
@@ -53,10 +93,12 @@ class CNN:
     """The convolutional network and its training (paper, Section 3.2.1)."""
 
     architecture: str = "10x10-6c4-24c3-10o"
-    epochs: int = 20
-    batch_size: int = 32
+    """Input, convolutions (``6c4``: six filters of 4x4) and outputs."""
+    epochs: Annotated[int, AT_LEAST_1] = 20
+    """Passes over the training samples."""
+    batch_size: Annotated[int, AT_LEAST_1] = 32
     """Not given in the paper; Keras's default."""
-    learning_rate: float = 0.001
+    learning_rate: Annotated[float, ABOVE_0] = 0.001
     """Not given in the paper; Keras's default for RMSProp."""
 
 
@@ -64,26 +106,28 @@ class CNN:
 class SNN:
     """Training with rate-based LIF neurons (paper, Section 3.2.2)."""
 
-    recipe: str = "loihi"
-    """``"loihi"``: the chip's rates and 8-bit weights in the forward pass, noise that stands for
-    the ripple of spikes, starting from the CNN's weights; ``"paper"``: plain rate-based LIF, from
+    recipe: Annotated[str, one_of("loihi", "paper")] = "loihi"
+    """``loihi``: the chip's rates and 8-bit weights in the forward pass, noise that stands for
+    the ripple of spikes, starting from the CNN's weights; ``paper``: plain rate-based LIF, from
     new weights, trained as the CNN is."""
-    epochs: int = 0
-    """0 here and in the next two for the recipe's own; see pipeline/training/networks.py."""
-    batch_size: int = 0
-    learning_rate: float = 0.0
-    noise: float = 0.1
+    epochs: Annotated[int, AT_LEAST_0] = 0
+    """Passes over the training samples; 0 for the recipe's own."""
+    batch_size: Annotated[int, AT_LEAST_0] = 0
+    """Samples a step; 0 for the recipe's own."""
+    learning_rate: Annotated[float, AT_LEAST_0] = 0.0
+    """At the start; 0 for the recipe's own."""
+    noise: Annotated[float, AT_LEAST_0] = 0.1
     """Standard deviation of the noise on each neuron's input while training, relative to the
-    activation at ``max_rates``; recipe ``"loihi"`` only."""
-    spike_penalty: float = 0.05
+    activation at ``max_rates``; recipe ``loihi`` only."""
+    spike_penalty: Annotated[float, AT_LEAST_0] = 0.05
     """Weight in the loss of the synaptic operations of 100 steps, in units of the CNN's
-    multiply-accumulates; recipe ``"loihi"`` only."""
+    multiply-accumulates; recipe ``loihi`` only."""
     max_rates: tuple = (150.0, 150.0)
     """Spikes a second of the neurons of each convolution and hidden dense layer at activation 1;
     the last entry holds for all layers after it."""
-    tau_rc: float = 0.02
+    tau_rc: Annotated[float, ABOVE_0] = 0.02
     """Membrane time constant in seconds."""
-    tau_ref: float = 0.001
+    tau_ref: Annotated[float, ABOVE_0] = 0.001
     """Refractory period in seconds."""
 
     def max_rate(self, index: int) -> float:
@@ -96,27 +140,29 @@ class Slayer:
     """Training on the events themselves (paper, Section 3.2.3)."""
 
     architecture: str = "10x10x2-6c2-24c3-10o"
-    bins: int = 200
+    """As the CNN's, with a channel for each polarity."""
+    bins: Annotated[int, AT_LEAST_1] = 200
     """Time steps; of two seconds, so 10 ms each (paper)."""
-    epochs: int = 100
-    batch_size: int = 32
+    epochs: Annotated[int, AT_LEAST_1] = 100
+    """Passes over the training samples."""
+    batch_size: Annotated[int, AT_LEAST_1] = 32
     """Not given in the paper."""
-    learning_rate: float = 0.01
+    learning_rate: Annotated[float, ABOVE_0] = 0.01
     """Not given in the paper; that of the SLAYER authors' own examples, as is the optimiser."""
     true_count: float = 60.0
     """Desired spikes of the right digit's output neuron (paper)."""
     false_count: float = 10.0
     """Desired spikes of each other output neuron (paper)."""
-    tau_s: float = 0.1
+    tau_s: Annotated[float, ABOVE_0] = 0.1
     """Time constant in seconds of a neuron's response to a spike.  Not given in the paper; the
     SLAYER authors' own examples have 10 time steps, which are 0.1 s here."""
-    tau_r: float = 0.01
+    tau_r: Annotated[float, ABOVE_0] = 0.01
     """Time constant in seconds of its refractory response; 1 time step in those examples."""
-    conv_scale: float = 100.0
+    conv_scale: Annotated[float, ABOVE_0] = 100.0
     """How far the first weights of a convolution reach, in units of 1/sqrt(inputs): that of the
     SLAYER authors' code, which the paper used unmodified.  10 does far better
     (results/README.md)."""
-    dense_scale: float = 10.0
+    dense_scale: Annotated[float, ABOVE_0] = 10.0
     """The same of the output layer's weights, from the same code."""
 
 
@@ -124,43 +170,49 @@ class Slayer:
 class Deployment:
     """How the spiking network is laid out; see :mod:`deploy.network.spec`."""
 
-    first_layer: str = "chip"
-    """``"chip"``: the image becomes spikes in an input layer on the host, all convolutions are on
-    the chip; ``"host"``: the first convolution's neurons are on the host, fed with currents."""
-    readout: str = "host"
-    """``"host"``: output decoded from the last convolution's spikes; ``"chip"``: ten neurons."""
-    input_rate: float = 500.0
+    first_layer: Annotated[str, one_of("chip", "host")] = "chip"
+    """``chip``: the image becomes spikes in an input layer on the host, all convolutions are on
+    the chip; ``host``: the first convolution's neurons are on the host, fed with currents."""
+    readout: Annotated[str, one_of("chip", "host")] = "host"
+    """``host``: output decoded from the last convolution's spikes; ``chip``: ten neurons."""
+    input_rate: Annotated[float, RATE] = 500.0
     """Spikes a second of a pixel of value 1."""
-    input_phase: float = 0.5
+    input_phase: Annotated[float, FROM_0_BELOW_1] = 0.5
     """Voltage of the input neurons at the start of a stream."""
-    synapse: float = 0.008
+    synapse: Annotated[float, AT_LEAST_0] = 0.008
     """Time constant in seconds of the low-pass on every spiking connection; 0 for none."""
-    pop_type: int = 32
+    pop_type: Annotated[int, POP_TYPE] = 32
+    """How convolutions' axons are laid out on the chip; 16 halves them, and wants filters in
+    multiples of 4."""
 
 
 @dataclass(frozen=True)
-class Presentation:
+class Showing:
     """How samples are shown; see :class:`deploy.network.spec.Presentation`."""
 
-    steps: int = 100
-    gap: int = 20
-    readout_start: int = 20
-    stream_length: int = 10
+    steps: Annotated[int, AT_LEAST_1] = Presentation.steps
+    """Steps of 1 ms that a sample is shown."""
+    gap: Annotated[int, AT_LEAST_0] = Presentation.gap
+    """Blank steps before each sample."""
+    readout_start: int = Presentation.readout_start
+    """Step from which on the mean of the outputs decides."""
+    stream_length: Annotated[int, AT_LEAST_1] = Presentation.stream_length
+    """Samples that are shown one after the other before the network starts afresh."""
 
 
 @dataclass(frozen=True)
 class Check:
     """The check that every target answers."""
 
-    samples: int = 200
-    """Drawn from the test split (paper: 200 random test samples)."""
+    samples: Annotated[int, AT_LEAST_1] = paper.CHECK_SAMPLES
+    """Drawn at random from the test split, as in the paper."""
 
 
 @dataclass(frozen=True)
 class Settings:
     """All settings of an experiment."""
 
-    seed: int = 0
+    seed: Annotated[int, SEED] = 0
     """Of the split, the training and the choice of the check's samples."""
     data: Data = field(default_factory=Data)
     image: Image = field(default_factory=Image)
@@ -169,7 +221,7 @@ class Settings:
     snn: SNN = field(default_factory=SNN)
     slayer: Slayer = field(default_factory=Slayer)
     deployment: Deployment = field(default_factory=Deployment)
-    presentation: Presentation = field(default_factory=Presentation)
+    presentation: Showing = field(default_factory=Showing)
     check: Check = field(default_factory=Check)
 
     def with_values(self, changes: dict, origin: str) -> Settings:
@@ -195,6 +247,10 @@ class Settings:
         """As plain values."""
         return asdict(self)
 
+    def flat(self) -> dict:
+        """Values by their dotted names, as ``--set`` takes them."""
+        return {name: getattr(section, entry) for name, section, entry in _entries(self)}
+
 
 def read_settings(path) -> Settings:
     """Read ``experiment.toml``.
@@ -216,13 +272,46 @@ def read_settings(path) -> Settings:
 def write_settings(path, settings: Settings):
     """Write every setting, resolved; inverse of :func:`read_settings`."""
     sections = settings.to_json()
-    lines = ["# Every setting of this experiment; what each means is in pipeline/settings.py."]
+    lines = ["# Every setting of this experiment; 'stmnist settings' says what each means."]
     lines += [f"{k} = {_toml(v)}" for k, v in sections.items() if not isinstance(v, dict)]
     for name, section in sections.items():
         if isinstance(section, dict):
             lines += ["", f"[{name}]", *(f"{k} = {_toml(v)}" for k, v in section.items())]
     with replacing(path, "w") as file:
         file.write("\n".join(lines) + "\n")
+
+
+def describe(settings: Settings) -> list:
+    """Every setting: a dict of its ``name``, ``value``, ``default`` and ``meaning``."""
+    defaults = Settings().flat()
+    return [
+        {
+            "name": name,
+            "value": getattr(section, entry),
+            "default": defaults[name],
+            "meaning": _meanings(type(section))[entry],
+        }
+        for name, section, entry in _entries(settings)
+    ]
+
+
+def settings_text(described: list, width: int = 96) -> str:
+    """What :func:`describe` gives, as a table; a star marks what is not the default."""
+    rows = [["", "setting", "value", "default"]]
+    for row in described:
+        star = "" if row["value"] == row["default"] else "*"
+        rows.append([star, row["name"], _toml(row["value"]), _toml(row["default"])])
+    heads, *lines = aligned(rows, left=4)
+    text = [heads]
+    for line, row in zip(lines, described, strict=True):
+        text += [
+            line,
+            *(
+                f"      {part}"
+                for part in textwrap.wrap(row["meaning"], width - 6, break_on_hyphens=False)
+            ),
+        ]
+    return "\n".join(text)
 
 
 def parse_assignments(assignments) -> dict:
@@ -277,7 +366,10 @@ def _changed(settings, changes, origin, prefix):
             values[name] = _changed(default, value, origin, full + ".")
         else:
             values[name] = _coerced(value, default, origin, full)
-    return replace(settings, **values)
+    try:
+        return replace(settings, **values)
+    except ValueError as error:
+        raise UserError(f"{origin}: {error}") from error
 
 
 def _coerced(value, default, origin, name):
@@ -302,43 +394,45 @@ def _coerced(value, default, origin, name):
     return value
 
 
+def _entries(settings, prefix=""):
+    """(dotted name, section that has it, name there) of every setting."""
+    for entry in fields(settings):
+        value = getattr(settings, entry.name)
+        if hasattr(value, "__dataclass_fields__"):
+            yield from _entries(value, f"{prefix}{entry.name}.")
+        else:
+            yield prefix + entry.name, settings, entry.name
+
+
+@functools.cache
+def _limits(section):
+    """The limit of each entry of a section that has one."""
+    hints = get_type_hints(section, include_extras=True)
+    return {n: hint.__metadata__[0] for n, hint in hints.items() if hasattr(hint, "__metadata__")}
+
+
+@functools.cache
+def _meanings(section):
+    """The text below each entry of a section, in one line and without its markup."""
+    (body,) = ast.parse(textwrap.dedent(inspect.getsource(section))).body
+    return {
+        entry.target.id: inspect.cleandoc(text.value.value).replace("\n", " ").replace("``", "")
+        for entry, text in itertools.pairwise(body.body)
+        if isinstance(entry, ast.AnnAssign) and isinstance(text, ast.Expr)
+    }
+
+
 def _validate(s: Settings, origin):
     def need(condition, name, expected):
         if not condition:
             raise UserError(f"{origin}: {name!r} must be {expected}")
 
-    need(0 <= s.seed < 2**31, "seed", f"from 0 to {2**31 - 1}")
-    need(0 <= s.data.simulation_seed < 2**31, "data.simulation_seed", f"from 0 to {2**31 - 1}")
-    need(s.data.samples_per_digit >= 0, "data.samples_per_digit", "0 or more")
-    need(s.image.aggregation in AGGREGATIONS, "image.aggregation", _one_of(AGGREGATIONS))
-    need(s.image.normalisation in NORMALISATIONS, "image.normalisation", _one_of(NORMALISATIONS))
-    need(0 < s.split.test_fraction < 1, "split.test_fraction", "between 0 and 1")
-    need(0 <= s.split.validation_fraction < 1, "split.validation_fraction", "from 0 to below 1")
-    for name, training in (("cnn", s.cnn), ("slayer", s.slayer)):
-        need(training.epochs >= 1, f"{name}.epochs", "1 or more")
-        need(training.batch_size >= 1, f"{name}.batch_size", "1 or more")
-        need(training.learning_rate > 0, f"{name}.learning_rate", "above 0")
-    for name in ("epochs", "batch_size", "learning_rate", "noise", "spike_penalty"):
-        need(getattr(s.snn, name) >= 0, f"snn.{name}", "0 or more")
-    need(s.snn.recipe in ("loihi", "paper"), "snn.recipe", _one_of(("loihi", "paper")))
-    need(s.snn.tau_rc > 0, "snn.tau_rc", "above 0")
-    need(s.snn.tau_ref > 0, "snn.tau_ref", "above 0")
-    for name in ("first_layer", "readout"):
-        need(getattr(s.deployment, name) in ("chip", "host"), f"deployment.{name}",
-             _one_of(("chip", "host")))  # fmt: skip
-    need(0 < s.deployment.input_rate <= 1000, "deployment.input_rate", "above 0, at most 1000")
-    need(0 <= s.deployment.input_phase < 1, "deployment.input_phase", "from 0 to below 1")
-    need(s.deployment.synapse >= 0, "deployment.synapse", "0 or more")
-    need(s.deployment.pop_type in (16, 32), "deployment.pop_type", "16 or 32")
-    need(s.presentation.steps >= 1, "presentation.steps", "1 or more")
-    need(s.presentation.gap >= 0, "presentation.gap", "0 or more")
+    for name, section, entry in _entries(s):
+        limit = _limits(type(section)).get(entry)
+        if limit is not None:
+            need(limit.holds(getattr(section, entry)), name, limit.expected)
     need(0 <= s.presentation.readout_start < s.presentation.steps, "presentation.readout_start",
          f"from 0 to below presentation.steps ({s.presentation.steps})")  # fmt: skip
-    need(s.presentation.stream_length >= 1, "presentation.stream_length", "1 or more")
-    need(s.check.samples >= 1, "check.samples", "1 or more")
-    need(s.slayer.bins >= 1, "slayer.bins", "1 or more")
-    for name in ("tau_s", "tau_r", "conv_scale", "dense_scale"):
-        need(getattr(s.slayer, name) > 0, f"slayer.{name}", "above 0")
     need(_parsed(s.slayer.architecture, "slayer.architecture", origin).input_shape == (10, 10, 2),
          "slayer.architecture", "for 10x10x2, a channel for each polarity")  # fmt: skip
     architecture = _parsed(s.cnn.architecture, "cnn.architecture", origin)
@@ -361,7 +455,3 @@ def _parsed(architecture, name, origin):
         return parse(architecture)
     except NotationError as error:
         raise UserError(f"{origin}: {name!r}: {error}") from error
-
-
-def _one_of(values):
-    return "one of " + ", ".join(values)

@@ -57,7 +57,8 @@ def imported(path):
 
 FLOORS = {
     "pipeline": [
-        {"settings", "progress"},
+        {"paper", "progress", "temporary"},
+        {"settings"},
         {"recordings"},
         {"skin"},
         {"inputs", "training"},
@@ -69,7 +70,7 @@ FLOORS = {
         {"__main__"},
     ],
     "deploy": [
-        {"errors", "tables", "requirements"},
+        {"errors", "interrupts", "tables", "requirements"},
         {"files"},
         {"network"},
         {"preflight"},

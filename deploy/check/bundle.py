@@ -3,7 +3,7 @@
 ========================  ==================================================================
 ``network.json``          schema, layers, neurons, time step, presentation, placement
 ``weights.npz``           weights and biases of each layer
-``checks.npz``            images, labels and sample ids of the check, and its seed
+``checks.npz``            inputs, labels and sample ids of the check, and its seed
 ``deploy.pyz``            this package as a zipapp
 ``MANIFEST.json``         SHA-256 of each file; its own SHA-256 is the bundle's id
 ``checks/``               not part of the bundle: where ``deploy.pyz`` leaves results
@@ -28,7 +28,11 @@ from ..errors import UserError
 from ..files import read_arrays, read_json, replacing, sha256_of, write_arrays, write_json
 from ..network.spec import NetworkSpec
 
-NETWORK_SCHEMA = "stmnist-bundle/1"
+NETWORK_SCHEMA = "stmnist-bundle/2"
+"""Of ``network.json`` as it is written."""
+READ_SCHEMAS = (NETWORK_SCHEMA, "stmnist-bundle/1")
+"""As it is read: the first had an encoder in the place of a stimulus, and ``images`` in
+``checks.npz``."""
 MANIFEST_SCHEMA = "stmnist-manifest/1"
 FILES = ("network.json", "weights.npz", "checks.npz", "deploy.pyz")
 RESULTS = "checks"
@@ -41,15 +45,15 @@ class CheckSet:
 
     Attributes
     ----------
-    images : ndarray, shape (n_samples, rows, columns, channels)
-        Normalised tactile images.
+    inputs : ndarray, shape (n_samples, ...)
+        Normalised tactile images or frames of events, as the network's stimulus takes them.
     labels : ndarray of int, shape (n_samples,)
     ids : tuple of str
     seed : int
         By which they were drawn from the test split.
     """
 
-    images: np.ndarray
+    inputs: np.ndarray
     labels: np.ndarray
     ids: tuple
     seed: int
@@ -99,7 +103,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
         write_arrays(temporary / "weights.npz", **spec.arrays())
         write_arrays(
             temporary / "checks.npz",
-            images=np.asarray(checks.images, np.float32),
+            inputs=np.asarray(checks.inputs, np.float32 if spec.stimulus.held else np.uint8),
             labels=np.asarray(checks.labels, np.int64),
             ids=np.array(checks.ids, dtype=str),
             seed=np.int64(checks.seed),
@@ -147,7 +151,7 @@ def read_bundle(path) -> Bundle:
     if not path.is_dir():
         raise UserError(f"{path}: no such bundle folder; make one with 'stmnist convert RUN'")
     manifest = read_json(path / "MANIFEST.json", "is this a bundle? " + _REMEDY)
-    _check_schema(path / "MANIFEST.json", manifest.get("schema"), MANIFEST_SCHEMA)
+    _check_schema(path / "MANIFEST.json", manifest.get("schema"), (MANIFEST_SCHEMA,))
     hashes = manifest.get("files")
     if not isinstance(hashes, dict) or sorted(hashes) != sorted(FILES):
         raise UserError(f"{path / 'MANIFEST.json'}: does not list the files of a bundle; {_REMEDY}")
@@ -163,7 +167,7 @@ def read_bundle(path) -> Bundle:
             "move it out of the folder"
         )
     description = read_json(path / "network.json", _REMEDY)
-    _check_schema(path / "network.json", description.get("schema"), NETWORK_SCHEMA)
+    _check_schema(path / "network.json", description.get("schema"), READ_SCHEMAS)
     try:
         spec = NetworkSpec.from_json(description, read_arrays(path / "weights.npz", _REMEDY))
         checks = _read_checks(path / "checks.npz", spec)
@@ -176,25 +180,29 @@ def read_bundle(path) -> Bundle:
 def _read_checks(path, spec):
     arrays = read_arrays(path, _REMEDY)
     try:
+        inputs = arrays["inputs" if "inputs" in arrays else "images"]
         checks = CheckSet(
-            images=arrays["images"].astype(float),
+            inputs=inputs.astype(float) if spec.stimulus.held else inputs,
             labels=arrays["labels"],
             ids=tuple(str(name) for name in arrays["ids"]),
             seed=int(arrays["seed"]),
         )
         count = len(checks.labels)
-        fits = checks.images.shape == (count, *spec.input_shape) and len(checks.ids) == count >= 1
+        steps = spec.presentation.steps
+        complaint = spec.stimulus.complaint(checks.inputs, spec.input_shape, steps)
+        if complaint is None and not len(checks.inputs) == len(checks.ids) == count >= 1:
+            complaint = "inputs, labels and ids differ in number, or there are none"
     except (KeyError, ValueError, TypeError) as error:
         raise UserError(f"{path}: not the samples of a check ({error}); {_REMEDY}") from error
-    if not fits:
-        raise UserError(f"{path}: images, labels and ids do not fit the network; {_REMEDY}")
+    if complaint is not None:
+        raise UserError(f"{path}: does not fit the network: {complaint}; {_REMEDY}")
     return checks
 
 
 def _check_schema(path, found, known):
-    if found != known:
+    if found not in known:
         raise UserError(
-            f"{path}: schema {found!r}, but this version reads {known!r}; "
+            f"{path}: schema {found!r}, but this version reads {' and '.join(map(repr, known))}; "
             "use the version of this package that made the bundle, or make the bundle again"
         )
 

@@ -24,11 +24,15 @@ from dataclasses import asdict, dataclass
 from typing import List
 
 from ..errors import UserError
+from ..network.chip import LOIHI
 from ..network.operations import multiply_accumulates
-from ..network.spec import DT, NetworkSpec
+from ..network.spec import NetworkSpec
 from ..tables import aligned
 
-LOIHI = {"synaptic operation": (23.6 + 3.5) * 1e-12, "neuron update": 81e-12}
+CHIP = {
+    "synaptic operation": LOIHI.synaptic_operation_joules,
+    "neuron update": LOIHI.neuron_update_joules,
+}
 """Joules (Davies et al. 2018)."""
 
 MAC = {"cpu": 8.6e-9, "gpu": 0.3e-9}
@@ -66,21 +70,24 @@ class LayerEstimate:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class EnergyEstimate:
     """Energy and latency of one inference, estimated.
 
     Attributes
     ----------
     layers : list of LayerEstimate
     latency_seconds : float
-        Time that a sample is shown, on the network's clock of 1 ms a step.
+        Time that a sample is shown.
     decided_seconds : float
         Median time after which the decision no longer changed.
+    step_seconds : float
+        Of one time step.
     """
 
     layers: List[LayerEstimate]
     latency_seconds: float
     decided_seconds: float
+    step_seconds: float
 
     @property
     def chip_joules(self) -> float:
@@ -101,7 +108,7 @@ class Estimate:
                 **{f"cnn_{device}": self.cnn_joules(device) for device in MAC},
             },
             "joules_per_operation": {
-                "loihi": LOIHI,
+                "loihi": CHIP,
                 **{f"cnn_{device}": value for device, value in MAC.items()},
             },
             "latency_seconds": self.latency_seconds,
@@ -116,7 +123,7 @@ class Estimate:
         }
 
 
-def estimate(spec: NetworkSpec, result: dict) -> Estimate:
+def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
     """Estimate the energy of an inference from a check's counts.
 
     Parameters
@@ -150,15 +157,17 @@ def estimate(spec: NetworkSpec, result: dict) -> Estimate:
                 synaptic_operations=operations,
                 neuron_updates=updates,
                 chip_joules=on_chip
-                * (operations * LOIHI["synaptic operation"] + updates * LOIHI["neuron update"]),
+                * (operations * CHIP["synaptic operation"] + updates * CHIP["neuron update"]),
                 multiply_accumulates=macs[layer.name],
                 neurons=layer.size,
             )
         )
-    return Estimate(layers, shown.steps * DT, result["decided_at_median"] * DT)
+    step = spec.stimulus.step_seconds
+    times = shown.steps * step, result["decided_at_median"] * step
+    return EnergyEstimate(layers, *times, step)
 
 
-def estimate_text(value: Estimate) -> str:
+def estimate_text(value: EnergyEstimate) -> str:
     """An estimate in a table and a few lines."""
     heads = [
         "layer",
@@ -192,7 +201,8 @@ def estimate_text(value: Estimate) -> str:
             "(Degnan et al. 2016)",
             "left out: idle power, host, spikes to and from the chip, memory traffic",
             f"latency: shown for {value.latency_seconds * 1000:.0f} ms, decided after "
-            f"{value.decided_seconds * 1000:.0f} ms (median), at 1 ms a step",
+            f"{value.decided_seconds * 1000:.0f} ms (median), "
+            f"at {value.step_seconds * 1000:g} ms a step",
         ]
     )
 

@@ -20,11 +20,8 @@ def wilson_interval(correct: int, n: int, confidence: float = 0.95):
     low, high : float
         In [0, 1].
     """
-    z = stats.norm.ppf(0.5 + confidence / 2)
-    share = correct / n
-    centre = (share + z**2 / (2 * n)) / (1 + z**2 / n)
-    half = z / (1 + z**2 / n) * np.sqrt(share * (1 - share) / n + z**2 / (4 * n**2))
-    return float(max(0.0, centre - half)), float(min(1.0, centre + half))
+    interval = stats.binomtest(correct, n).proportion_ci(confidence, method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def mcnemar(correct_a, correct_b) -> float:
@@ -46,5 +43,4 @@ def mcnemar(correct_a, correct_b) -> float:
     only_b = int(np.sum(correct_b & ~correct_a))
     if only_a + only_b == 0:
         return 1.0
-    tail = stats.binom.cdf(min(only_a, only_b), only_a + only_b, 0.5)
-    return float(min(1.0, 2 * tail))
+    return float(stats.binomtest(only_a, only_a + only_b).pvalue)

@@ -168,7 +168,7 @@ class Comparison:
         }
 
 
-def compare(a: dict, b: dict) -> Comparison:
+def compare_results(a: dict, b: dict) -> Comparison:
     """Compare two results sample by sample.
 
     Raises

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import os
 import time
@@ -11,9 +10,9 @@ from pathlib import Path
 from typing import Optional
 
 from ..errors import UserError
-from ..files import write_json
-from ..network.responses import Responses, streams_of
-from ..targets.board import Settings, describe
+from ..files import lock, write_json
+from ..network.responses import Responses
+from ..network.stream import streams_of
 from ..targets.registry import target_named
 from .bundle import Bundle
 from .results import result_of, versions
@@ -28,7 +27,7 @@ def run_check(
     out,
     seed: int = 0,
     advance=None,
-    settings: Optional[Settings] = None,
+    options: Optional[object] = None,
 ) -> dict:
     """Let a target answer the bundle's samples and write the result.
 
@@ -45,8 +44,8 @@ def run_check(
     seed : int
     advance : callable, optional
         Called with the number of samples done since the last call, resumed ones included.
-    settings : Settings, optional
-        Which board, for target ``loihi``.
+    options : object, optional
+        Of the target's own class, see :func:`deploy.targets.registry.options_for`.
 
     Returns
     -------
@@ -58,13 +57,13 @@ def run_check(
     UserError
         Unknown target, unwritable result, or another process is writing it.
     """
-    run = target_named(target)
+    found = target_named(target)
     if not 0 <= seed < 2**31:
         raise UserError(f"seed {seed}: must be from 0 to {2**31 - 1}")
-    options = {} if settings is None else {"settings": settings}
+    chosen = {} if options is None else {"options": options}
     out = Path(out)
     streams = streams_of(len(bundle.checks), bundle.spec.presentation.stream_length)
-    images = bundle.checks.images.reshape(len(bundle.checks), -1)
+    samples = bundle.spec.stimulus.flat(bundle.checks.inputs)
     header = {"bundle": bundle.id, "target": target, "seed": seed, "versions": versions()}
     with _partial_file(out, header) as (done, append):
         for record in done:
@@ -72,7 +71,7 @@ def run_check(
         begun = time.perf_counter()
         remaining = streams[len(done) :]
         for part, responses in zip(
-            remaining, run(bundle.spec, [images[s] for s in remaining], seed, **options)
+            remaining, found.run(bundle.spec, [samples[s] for s in remaining], seed, **chosen)
         ):
             now = time.perf_counter()
             record = {"samples": records_of(bundle, part, responses), "seconds": now - begun}
@@ -82,10 +81,10 @@ def run_check(
             append(record)
             done.append(record)
             _advance(advance, record)
-        samples = [sample for record in done for sample in record["samples"]]
+        answers = [sample for record in done for sample in record["samples"]]
         notes = [record["notes"] for record in done if "notes" in record]
-        extra = describe(notes) if notes else None
-        result = result_of(bundle, target, seed, samples, sum(r["seconds"] for r in done), extra)
+        extra = found.describe(notes) if notes and found.describe else None
+        result = result_of(bundle, target, seed, answers, sum(r["seconds"] for r in done), extra)
         write_json(out, result)
     return result
 
@@ -127,12 +126,9 @@ def _partial_file(out: Path, header: dict):
     except OSError as error:
         raise UserError(f"{out}: cannot write ({error.strerror}); choose another --out") from error
     with file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise UserError(
-                f"{out}: another process is writing this result; wait for it or use another --out"
-            ) from None
+        lock(
+            file, f"{out}: another process is writing this result; wait for it or use another --out"
+        )
         with _disk_errors(path):
             done = _resume(file, header)
 

@@ -7,36 +7,10 @@ from dataclasses import dataclass
 import nengo
 import numpy as np
 
+from .chip import LOIHI
 from .loihi_import import nengo_loihi
-from .spec import DT, Layer, NetworkSpec
-
-MAX_COMPARTMENTS = 1024
-"""Compartments of one core of Loihi 1."""
-
-
-class Feed:
-    """The image at every step of a stream: a function of time for a ``nengo.Node``.
-
-    Parameters
-    ----------
-    spec : NetworkSpec
-        Whose presentation it follows.
-
-    Attributes
-    ----------
-    images : ndarray, shape (n_samples, n_pixels)
-        The images of the stream, one after the other; set before a run.
-    """
-
-    def __init__(self, spec):
-        self.period = spec.presentation.period
-        self.gap = spec.presentation.gap
-        self.blank = np.zeros(int(np.prod(spec.input_shape)))
-        self.images = self.blank[None]
-
-    def __call__(self, t):
-        sample, step = divmod(round(float(t) / DT) - 1, self.period)
-        return self.images[sample] if step >= self.gap else self.blank
+from .spec import Layer, NetworkSpec
+from .stimulus import EventFrames, Feed
 
 
 class EvenSpikes(nengo.SpikingRectifiedLinear):
@@ -61,6 +35,35 @@ class EvenSpikes(nengo.SpikingRectifiedLinear):
         """One step of Nengo's neurons, then the reset; arrays of any one shape."""
         super().step(dt, J, output, voltage)
         voltage[J <= 0] = self.phase
+
+
+class Relay(nengo.neurons.NeuronType):
+    """A spike in each step in which there is an input, and no memory.
+
+    Parameters
+    ----------
+    amplitude : float
+        Area of a spike.
+    """
+
+    spiking = True
+    amplitude = nengo.params.NumberParam("amplitude", low=0, low_open=True)
+
+    def __init__(self, amplitude=1.0):
+        super().__init__()
+        self.amplitude = amplitude
+
+    def gain_bias(self, max_rates, intercepts):
+        """Gain and bias are given, not sought."""
+        raise NotImplementedError
+
+    def max_rates_intercepts(self, gain, bias):
+        """Of no meaning here."""
+        return np.full_like(gain, np.nan), np.full_like(bias, np.nan)
+
+    def step(self, dt, J, output):
+        """One step; arrays of any one shape."""
+        output[...] = (J > 0) * (self.amplitude / dt)
 
 
 @dataclass(frozen=True)
@@ -100,16 +103,16 @@ def build(spec: NetworkSpec, seed: int = 0) -> Built:
     -------
     Built
     """
-    feed = Feed(spec)
+    feed = Feed(spec.presentation, int(np.prod(spec.input_shape)))
     spikes = {}
     with nengo.Network(label=spec.architecture, seed=seed) as network:
         nengo_loihi.add_params(network)
         source = nengo.Node(feed, size_out=feed.blank.size, label="pixels")
-        if spec.encoder is not None:
-            encoder = _encoder(spec)
-            network.config[encoder].on_chip = False
-            nengo.Connection(source, encoder.neurons, synapse=None)
-            source = encoder.neurons
+        if spec.stimulus.area is not None:
+            neurons = _input_neurons(spec)
+            network.config[neurons].on_chip = False
+            nengo.Connection(source, neurons.neurons, synapse=None)
+            source = neurons.neurons
             spikes["input"] = nengo.Probe(source)
         for layer in spec.layers:
             if layer.neurons is None:
@@ -143,19 +146,24 @@ def default_block(shape):
         (rows, columns, channels) of a convolution or (units,) of a dense layer.
     """
     block = list(shape)
-    while np.prod(block) > MAX_COMPARTMENTS:
+    while np.prod(block) > LOIHI.limits["compartments"]:
         axis = int(np.argmax(block[:2])) if max(block[:2]) > 1 else len(block) - 1
         block[axis] = -(-block[axis] // 2)
     return tuple(block)
 
 
-def _encoder(spec):
-    encoder = spec.encoder
+def _input_neurons(spec):
+    stimulus = spec.stimulus
+    if isinstance(stimulus, EventFrames):
+        neuron_type, gain = Relay(amplitude=stimulus.area), 1.0
+    else:
+        neuron_type = EvenSpikes(stimulus.initial_phase, amplitude=stimulus.area)
+        gain = stimulus.max_rate
     return nengo.Ensemble(
         int(np.prod(spec.input_shape)),
         1,
-        neuron_type=EvenSpikes(encoder.initial_phase, amplitude=1 / encoder.max_rate),
-        gain=nengo.dists.Choice([encoder.max_rate]),
+        neuron_type=neuron_type,
+        gain=nengo.dists.Choice([gain]),
         bias=nengo.dists.Choice([0.0]),
         label="input",
     )

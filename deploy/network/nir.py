@@ -12,7 +12,7 @@ current is the convolution's bias; it reaches the neuron through the synaptic fi
 after a few ``tau_syn``.  Readers that know a leak voltage disagree on where it acts, on zero they
 agree.
 
-The encoder is not in the graph: what goes in are its spikes, which
+The input neurons are not in the graph: what goes in are their spikes, which
 :func:`input_spikes` gives.  Scores are the mean of the output from the readout's start on.
 """
 
@@ -28,8 +28,9 @@ from .. import __version__
 from ..errors import UserError
 from ..files import replacing
 from .build import build
-from .responses import streams_of
+from .geometry import windows
 from .spec import DT, Layer, NetworkSpec
+from .stream import show, streams_of
 
 
 def nir_graph(spec: NetworkSpec):
@@ -47,21 +48,25 @@ def nir_graph(spec: NetworkSpec):
     nir = _nir()
     rows, columns, channels = spec.input_shape
     nodes = {"input": nir.Input({"input": np.array([channels, rows, columns])})}
-    area = 1.0 if spec.encoder is None else 1 / spec.encoder.max_rate / DT
+    area = 1.0 if spec.stimulus.area is None else spec.stimulus.area / DT
     for layer in spec.layers:
+        if layer.pool > 1:
+            size = np.array([layer.pool, layer.pool])
+            nodes[f"{layer.name}_pool"] = nir.AvgPool2d(size, size, np.array([0, 0]))
         if layer.kind == "conv":
+            weights, padding = _padded_evenly(layer)
             nodes[f"{layer.name}_weights"] = nir.Conv2d(
-                input_shape=layer.input_shape[:2],
-                weight=layer.weights.transpose(3, 2, 0, 1) * area,  # filter, channel, row, column
-                stride=1,
-                padding=0,
+                input_shape=layer.read_shape[:2],
+                weight=weights.transpose(3, 2, 0, 1) * area,  # filter, channel, row, column
+                stride=layer.stride,
+                padding=padding,
                 dilation=1,
                 groups=1,
                 bias=layer.bias.copy(),
             )
         else:
             nodes[f"{layer.name}_flatten"] = nir.Flatten(
-                {"input": _channels_first(layer.input_shape)}, start_dim=0
+                {"input": _channels_first(layer.read_shape)}, start_dim=0
             )
             nodes[f"{layer.name}_weights"] = nir.Affine(
                 weight=_columns_channels_first(layer) * area, bias=layer.bias.copy()
@@ -84,41 +89,40 @@ def write_nir(path, spec: NetworkSpec):
         file.write(buffer.getvalue())
 
 
-def input_spikes(spec: NetworkSpec, images) -> np.ndarray:
+def input_spikes(spec: NetworkSpec, samples) -> np.ndarray:
     """The input of the graph for some samples, in the streams of the network's presentation.
 
     Parameters
     ----------
     spec : NetworkSpec
-    images : ndarray, shape (n_samples, rows, columns, channels)
+    samples : ndarray
+        Images or frames, as the network's stimulus takes them.
 
     Returns
     -------
     ndarray, shape (n_samples, gap + steps, channels, rows, columns)
-        The encoder's spikes, 0 or 1; without an encoder, the blank gap and the image itself.
+        The input neurons' spikes, 0 or 1; without them, the silent gap and the image itself.
     """
-    images = np.asarray(images, float).reshape(len(images), -1)
-    # the encoder alone, with a readout of nothing
-    size, period = images.shape[1], spec.presentation.period
+    flat, period = spec.stimulus.flat(samples), spec.presentation.period
+    size = flat.shape[-1]
+    # the input neurons alone, with a readout of nothing
     nothing = Layer(
         name="nothing", kind="dense", input_shape=spec.input_shape, shape=(1,), placement="host",
         neurons=None, synapse=None, kernel=0, block_shape=None, pop_type=32,
         weights=np.zeros((1, size)), bias=np.zeros(1),
     )  # fmt: skip
     spikes = []
-    for part in streams_of(len(images), spec.presentation.stream_length):
-        if spec.encoder is None:
+    for part in streams_of(len(flat), spec.presentation.stream_length):
+        if spec.stimulus.area is None:
             shown = np.zeros((part.stop - part.start, period, size))
-            shown[:, spec.presentation.gap :] = images[part, None]
+            shown[:, spec.presentation.gap :] = flat[part, None]
         else:
             built = build(replace(spec, layers=(nothing,)))
-            built.feed.images = images[part]
             with nengo.Simulator(built.network, progress_bar=False, optimize=False) as sim:
-                sim.run_steps(period * (part.stop - part.start))
-            shown = (sim.data[built.spikes["input"]] > 0).reshape(-1, period, size)
+                shown = np.array([one.spikes["input"] for one in show(built, sim, flat[part])])
         spikes.append(shown)
     rows, columns, channels = spec.input_shape
-    spikes = np.concatenate(spikes).reshape(len(images), period, rows, columns, channels)
+    spikes = np.concatenate(spikes).reshape(len(flat), period, rows, columns, channels)
     return np.moveaxis(spikes, -1, 2).astype(np.float32)
 
 
@@ -132,13 +136,25 @@ def _nir():
     return nir
 
 
+def _padded_evenly(layer):
+    """Kernel and padding of a convolution for readers that pad alike before and after.
+
+    Where there is one zero more after the values than before, the kernel gets a zero in front.
+    """
+    if layer.padding == "valid":
+        return layer.weights, 0
+    pads = [windows(n, layer.kernel, layer.stride, "same")[1:] for n in layer.read_shape[:2]]
+    front = [(after - before, 0) for before, after in pads]
+    return np.pad(layer.weights, (*front, (0, 0), (0, 0))), tuple(after for _, after in pads)
+
+
 def _channels_first(shape):
     return np.array([shape[-1], *shape[:-1]])
 
 
 def _columns_channels_first(layer):
     """A dense layer's weights for an input flattened as (channels, rows, columns)."""
-    by_position = layer.weights.reshape(layer.shape[0], *layer.input_shape)
+    by_position = layer.weights.reshape(layer.shape[0], *layer.read_shape)
     return np.moveaxis(by_position, -1, 1).reshape(layer.weights.shape)
 
 
@@ -191,5 +207,5 @@ def _metadata(spec):
         "refractory_steps": max(
             (round(layer.neurons.tau_ref / DT) for layer in spec.layers if layer.neurons), default=0
         ),
-        "left_out": "encoder, refractory period, lower bound of the voltage, 8-bit weights",
+        "left_out": "input neurons, refractory period, lower bound of the voltage, 8-bit weights",
     }

@@ -10,39 +10,41 @@ from typing import Dict
 
 import numpy as np
 
+from .geometry import convolution_fan_out, unpooled
 from .spec import Layer, NetworkSpec
 
 
 def fan_out(layer: Layer) -> np.ndarray:
     """Synapses that each neuron of the layer before has onto this layer, shape (n_inputs,).
 
-    Neurons near the edge of a convolution reach fewer positions.
+    Neurons near the edge of a convolution reach fewer positions; what an averaging leaves over
+    reaches none.  Zeros that pad a kernel are not counted.
     """
+    reached = _read_fan_out(layer)
+    if layer.pool > 1:
+        reached = unpooled(reached, layer.input_shape, layer.pool)
+    return reached.ravel()
+
+
+def _read_fan_out(layer):
+    """Synapses of each value that the weights are for, of shape ``layer.read_shape``."""
     if layer.kind == "dense":
-        return np.full(int(np.prod(layer.input_shape)), layer.size)
-    return convolution_fan_out(layer.input_shape, layer.kernel, layer.shape[-1])
-
-
-def convolution_fan_out(input_shape, kernel: int, filters: int) -> np.ndarray:
-    """Synapses of each input of a convolution without padding, stride 1, shape (n_inputs,)."""
-    rows, columns, channels = input_shape
-    reach = [
-        np.minimum.reduce(
-            [
-                np.arange(1, n + 1),
-                np.arange(n, 0, -1),
-                np.full(n, min(kernel, n - kernel + 1)),
-            ]
-        )
-        for n in (rows, columns)
-    ]
-    positions = np.outer(*reach) * filters
-    return np.repeat(positions.ravel(), channels)
+        return np.full(layer.read_shape, layer.size)
+    return convolution_fan_out(
+        layer.read_shape, layer.kernel, layer.shape[-1], layer.stride, layer.padding
+    )
 
 
 def multiply_accumulates(spec: NetworkSpec) -> Dict[str, int]:
-    """Multiply-accumulates of each layer of the CNN of the same architecture, one inference."""
-    return {layer.name: int(fan_out(layer).sum()) for layer in spec.layers}
+    """Multiply-accumulates of each layer of the CNN of the same architecture, one inference.
+
+    An averaging before a layer counts with it: one for each value that it reads.
+    """
+    return {
+        layer.name: int(_read_fan_out(layer).sum())
+        + (int(np.prod(layer.read_shape)) * layer.pool**2 if layer.pool > 1 else 0)
+        for layer in spec.layers
+    }
 
 
 def synaptic_operations(spec: NetworkSpec, spikes: Dict[str, np.ndarray]) -> Dict[str, np.ndarray]:
@@ -59,7 +61,10 @@ def synaptic_operations(spec: NetworkSpec, spikes: Dict[str, np.ndarray]) -> Dic
     dict of str to ndarray, shape (...)
         Without an entry for a first layer on the host, which receives currents and no spikes.
     """
-    senders = ["input" if spec.encoder else None, *(layer.name for layer in spec.layers[:-1])]
+    senders = [
+        "input" if spec.stimulus.area is not None else None,
+        *(layer.name for layer in spec.layers[:-1]),
+    ]
     return {
         layer.name: spikes[sender] @ fan_out(layer)
         for sender, layer in zip(senders, spec.layers)

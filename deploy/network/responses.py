@@ -1,4 +1,4 @@
-"""Streams of samples, and what is read from the output at each step.
+"""What is read from the output at each step.
 
 A run of a target over samples gives, for each sample, the output at each of its steps.  The score
 of a class at a step is the mean of its output from ``readout_start`` up to that step (plus the
@@ -14,7 +14,8 @@ from typing import Dict, Optional
 import numpy as np
 
 from .operations import synaptic_operations
-from .spec import DT, NetworkSpec
+from .spec import NetworkSpec
+from .stream import show
 
 
 @dataclass(frozen=True)
@@ -58,19 +59,7 @@ class Responses:
         return np.where(differs.any(1), steps + 1 - np.argmax(differs[:, ::-1], 1), 1)
 
 
-class ShortOfSteps(Exception):
-    """A simulator or board handed back fewer steps than it was asked for."""
-
-
-def streams_of(n_samples: int, stream_length: int) -> list:
-    """Cut samples 0 to n_samples - 1 into streams, as slices in order."""
-    return [
-        slice(start, min(start + stream_length, n_samples))
-        for start in range(0, n_samples, stream_length)
-    ]
-
-
-def show(spec: NetworkSpec, built, sim, images) -> Responses:
+def respond(spec: NetworkSpec, built, sim, samples) -> Responses:
     """Show one stream to a simulator, or to a board that NengoLoihi drives, and read the answers.
 
     Parameters
@@ -80,29 +69,21 @@ def show(spec: NetworkSpec, built, sim, images) -> Responses:
         The network that ``sim`` runs.
     sim : nengo.Simulator or nengo_loihi.Simulator
         Fresh.
-    images : ndarray, shape (n_samples, n_pixels)
+    samples : ndarray
+        As `Stimulus.flat` gives them.
 
     Raises
     ------
     ShortOfSteps
         The simulator handed back fewer steps than it was asked for.
     """
-    built.feed.images = images
-    period, gap = built.feed.period, spec.presentation.gap
-    outputs, hashes, spikes = [], [], {name: [] for name in built.spikes}
-    for _ in images:  # sample by sample, so that the probes hold no more than one sample's steps
-        sim.run_steps(period)
-        packed = []
-        for name, probe in built.spikes.items():
-            rows = sim.data[probe]
-            if len(rows) != period:
-                raise ShortOfSteps(f"{len(rows)} of {period} steps of layer {name} came back")
-            spikes[name].append(np.count_nonzero(rows, axis=0))
-            packed.append(np.packbits(np.asarray(rows) != 0, axis=1))
-        hashes.append(spike_hash(packed))
-        outputs.append(np.array(sim.data[built.output][gap:]))
-        sim.clear_probes()
-    counts = {name: np.array(rows) for name, rows in spikes.items()}
+    outputs, hashes, counts = [], [], {name: [] for name in built.spikes}
+    for shown in show(built, sim, samples):
+        for name, rows in shown.spikes.items():
+            counts[name].append(np.count_nonzero(rows, axis=0))
+        hashes.append(spike_hash(np.packbits(rows, axis=1) for rows in shown.spikes.values()))
+        outputs.append(shown.output[spec.presentation.gap :])
+    counts = {name: np.array(rows) for name, rows in counts.items()}
     return replace(read_output(spec, np.array(outputs), counts), spike_hashes=np.array(hashes))
 
 
@@ -177,5 +158,5 @@ def join(parts) -> Responses:
 
 
 def seconds_per_sample(spec: NetworkSpec) -> float:
-    """Time that one sample takes on the network's own clock, gap included."""
-    return spec.presentation.period * DT
+    """Time that one sample takes at the stimulus's own pace, gap included."""
+    return spec.presentation.period * spec.stimulus.step_seconds

@@ -16,8 +16,11 @@ from typing import Optional, Tuple
 import numpy as np
 
 from ..errors import UserError
+from .chip import LOIHI
+from .geometry import convolution_shape, pooled_shape
+from .stimulus import KINDS, ImageCurrent, ImageSpikes, Stimulus
 
-DT = 0.001
+DT = LOIHI.dt
 """Time step in seconds; NengoLoihi's decays and the firing rates of training are made for it."""
 
 
@@ -51,38 +54,13 @@ class Neurons:
 
 
 @dataclass(frozen=True)
-class Encoder:
-    """How the tactile image becomes spikes: host neurons without leak, one a pixel.
-
-    A pixel of value v makes ``max_rate * v`` spikes a second, evenly spaced, each of area
-    1 / ``max_rate``, so that the mean of the spike train is v again.  A pixel that turns blank
-    forgets what it had summed up, so that a sample's spikes do not depend on the one before it.
-
-    Attributes
-    ----------
-    max_rate : float
-        Spikes a second of a pixel of value 1; at most 1 / dt, one spike a step.
-    initial_phase : float
-        Voltage of a blank pixel as a share of the threshold.  With 0.5 the number of spikes is the
-        expected number rounded to the nearest, with 0 it is rounded down.
-    """
-
-    max_rate: float = 500.0
-    initial_phase: float = 0.5
-
-    def __post_init__(self):
-        _require(0 < self.max_rate <= 1 / DT, "encoder", "max_rate must be above 0, at most 1000")
-        _require(0 <= self.initial_phase < 1, "encoder", "initial_phase must be in [0, 1)")
-
-
-@dataclass(frozen=True)
 class Layer:
     """A layer of the deployed network.
 
     Attributes
     ----------
     name : str
-        ``"conv1"``, ``"conv2"``, ..., ``"output"``.
+        ``"conv1"``, ``"conv2"``, ..., ``"dense1"``, ..., ``"output"``.
     kind : str
         ``"conv"`` or ``"dense"``.
     input_shape, shape : tuple of int
@@ -100,8 +78,17 @@ class Layer:
     pop_type : int
         NengoLoihi's population axon type, 16 or 32.
     weights : ndarray, shape (kernel, kernel, channels_in, filters) or (units, inputs)
+        For the input once it is averaged, if ``pool`` says so.
     bias : ndarray, shape (channels,) or (units,)
         Bias current J of each channel's neurons, or the additive bias of a linear readout.
+    stride : int
+        Of the convolution.
+    padding : str
+        ``"valid"``, or ``"same"`` as in :func:`deploy.network.geometry.windows`.
+    pool : int
+        Side of squares without overlap over which the input is averaged before it is weighted; 1
+        for no averaging.  What is left over at the end is not read.  The chip has no averaging of
+        its own: it is folded into the weights when the network is built.
     """
 
     name: str
@@ -116,6 +103,9 @@ class Layer:
     pop_type: int
     weights: np.ndarray = field(repr=False, compare=False)
     bias: np.ndarray = field(repr=False, compare=False)
+    stride: int = 1
+    padding: str = "valid"
+    pool: int = 1
 
     def __post_init__(self):
         where = f"layer {self.name!r}"
@@ -132,13 +122,24 @@ class Layer:
                  "a layer on the chip needs neurons")  # fmt: skip
         _require(self.pop_type in (16, 32), where, "pop_type is neither 16 nor 32")
         _require(self.synapse is None or self.synapse > 0, where, "synapse must be above 0")
+        for name in ("stride", "pool"):
+            value = getattr(self, name)
+            _require(type(value) is int and value >= 1, where, f"{name} must be at least 1")
+        _require(self.padding in ("valid", "same"), where, "padding is neither 'valid' nor 'same'")
+        image = self.kind == "conv" or self.pool > 1
+        _require(len(self.input_shape) in ((3,) if image else (1, 3)), where,
+                 f"input_shape {self.input_shape} is of the wrong kind")  # fmt: skip
+        read = self.read_shape
+        _require(min(read) >= 1, where, "its averaging is larger than its input")
         if self.kind == "conv":
-            rows, columns, channels = self.input_shape
-            weights = (self.kernel, self.kernel, channels, self.shape[-1])
-            expected = (rows - self.kernel + 1, columns - self.kernel + 1, self.shape[-1])
+            weights = (self.kernel, self.kernel, read[2], self.shape[-1])
+            expected = convolution_shape(
+                read, self.kernel, self.shape[-1], self.stride, self.padding
+            )
+            _require(min(expected) >= 1, where, "its kernel is larger than its input")
             _require(self.shape == expected, where, f"shape should be {expected}")
         else:
-            weights = (self.shape[0], int(np.prod(self.input_shape)))
+            weights = (self.shape[0], int(np.prod(read)))
         _require(self.weights.shape == weights, where,
                  f"weights have shape {self.weights.shape}, not {weights}")  # fmt: skip
         _require(self.bias.shape == self.shape[-1:], where,
@@ -149,32 +150,37 @@ class Layer:
         """Number of neurons or units."""
         return int(np.prod(self.shape))
 
+    @property
+    def read_shape(self) -> Tuple[int, ...]:
+        """Shape of what the weights are for: of the input, averaged if ``pool`` says so."""
+        if self.pool == 1:
+            return self.input_shape
+        return pooled_shape(self.input_shape, self.pool)
+
 
 @dataclass(frozen=True)
 class Presentation:
     """How samples are shown and read; every target follows it step by step.
 
     Samples come in streams.  A stream starts from a fresh network; in it each sample follows
-    ``gap`` steps of a blank image and is shown for ``steps`` steps.  The network goes on from the
+    ``gap`` silent steps and is shown for ``steps`` steps.  The network goes on from the
     state that it is in, because a board cannot be reset between samples.  The gap comes first, so
     that every sample, the first of a stream too, meets a network at rest under its bias currents.
 
-    Attributes
-    ----------
-    steps : int
-        Steps (of 1 ms) that a sample is shown for.
-    gap : int
-        Blank steps before each sample.
-    readout_start : int
-        Steps at the start of each sample that the readout leaves out.
-    stream_length : int
-        Samples a stream; 1 means that every sample starts from a fresh network.
+    Raises
+    ------
+    ValueError
+        A number does not fit; the message names it as the setting that it comes from.
     """
 
     steps: int = 100
+    """Steps that a sample is shown for."""
     gap: int = 20
-    readout_start: int = 15
+    """Silent steps before each sample."""
+    readout_start: int = 20
+    """Steps at the start of each sample that the readout leaves out."""
     stream_length: int = 10
+    """Samples a stream; 1 means that every sample starts from a fresh network."""
 
     @property
     def period(self) -> int:
@@ -182,13 +188,17 @@ class Presentation:
         return self.gap + self.steps
 
     def __post_init__(self):
-        whole = all(type(getattr(self, entry.name)) is int for entry in fields(self))
-        _require(whole, "presentation", "its entries must be whole numbers")
-        _require(self.steps >= 1, "presentation", "steps must be at least 1")
-        _require(self.gap >= 0, "presentation", "gap must not be negative")
-        _require(0 <= self.readout_start < self.steps, "presentation",
-                 f"readout_start must be from 0 to steps - 1 = {self.steps - 1}")  # fmt: skip
-        _require(self.stream_length >= 1, "presentation", "stream_length must be at least 1")
+        def need(condition, name, expected):
+            if not condition:
+                raise ValueError(f"'presentation.{name}' must be {expected}")
+
+        for entry in fields(self):
+            need(type(getattr(self, entry.name)) is int, entry.name, "a whole number")
+        need(self.steps >= 1, "steps", "1 or more")
+        need(self.gap >= 0, "gap", "0 or more")
+        need(0 <= self.readout_start < self.steps, "readout_start",
+             f"from 0 to below presentation.steps ({self.steps})")  # fmt: skip
+        need(self.stream_length >= 1, "stream_length", "1 or more")
 
 
 @dataclass(frozen=True)
@@ -201,8 +211,8 @@ class NetworkSpec:
         The paper's notation.
     input_shape : tuple of int
         (rows, columns, channels) of the image.
-    encoder : Encoder or None
-        None if the image goes as a current into a first layer on the host.
+    stimulus : Stimulus
+        What is fed in.
     layers : tuple of Layer
         In order; the last one is the readout.
     presentation : Presentation
@@ -212,7 +222,7 @@ class NetworkSpec:
 
     architecture: str
     input_shape: Tuple[int, ...]
-    encoder: Optional[Encoder]
+    stimulus: Stimulus
     layers: Tuple[Layer, ...]
     presentation: Presentation
     provenance: dict = field(default_factory=dict)
@@ -223,26 +233,28 @@ class NetworkSpec:
         _require(len(self.layers) >= 1, "network", "has no layers")
         names = [layer.name for layer in self.layers]
         _require(len(set(names)) == len(names), "network", "has two layers of one name")
-        _require("input" not in names, "network", "'input' is the encoder's name, not a layer's")
+        _require(
+            "input" not in names, "network", "'input' is the input neurons' name, not a layer's"
+        )
         shape = self.input_shape
         for position, layer in enumerate(self.layers):
             where = f"layer {layer.name!r}"
             _require(layer.input_shape == shape, where, f"input_shape should be {shape}")
             last = position == len(self.layers) - 1
-            _require((layer.kind == "dense") == last, where,
-                     "the last layer is dense, all others are convolutions")  # fmt: skip
+            _require(not last or layer.kind == "dense", where, "the last layer is dense")
             _require(last or layer.neurons is not None, where, "needs neurons")
             _require(position == 0 or last or layer.placement == "chip", where,
                      "only the first and the last layer can be on the host")  # fmt: skip
             shape = layer.shape
-        current_input = self.layers[0].placement == "host" and self.layers[0].kind == "conv"
-        _require((self.encoder is None) == current_input, "network",
-                 "an encoder is needed exactly when the first layer is on the chip")  # fmt: skip
+        on_host = self.layers[0].placement == "host" and len(self.layers) > 1
+        _require((self.stimulus.area is None) == on_host, "network",
+                 "an image goes as a current into a first layer on the host, all else as spikes "
+                 "into one on the chip")  # fmt: skip
 
     @property
     def spiking_layers(self) -> tuple:
-        """Names of the layers that spike, the encoder's (``"input"``) first."""
-        names = ["input"] if self.encoder else []
+        """Names of the layers that spike, the input neurons (``"input"``) first."""
+        names = [] if self.stimulus.area is None else ["input"]
         return (*names, *(layer.name for layer in self.layers if layer.neurons))
 
     def with_presentation(self, **changes) -> NetworkSpec:
@@ -259,7 +271,7 @@ class NetworkSpec:
             "architecture": self.architecture,
             "dt": DT,
             "input_shape": list(self.input_shape),
-            "encoder": None if self.encoder is None else asdict(self.encoder),
+            "stimulus": {"kind": self.stimulus.kind, **asdict(self.stimulus)},
             "layers": layers,
             "presentation": asdict(self.presentation),
             "provenance": self.provenance,
@@ -296,11 +308,10 @@ class NetworkSpec:
                     bias=arrays[f"{name}.bias"],
                 )
                 layers.append(_build(Layer, own))
-            encoder = value["encoder"]
             return cls(
                 architecture=str(value["architecture"]),
                 input_shape=value["input_shape"],
-                encoder=None if encoder is None else _build(Encoder, encoder),
+                stimulus=_stimulus(value),
                 layers=tuple(layers),
                 presentation=_build(Presentation, value["presentation"]),
                 provenance=dict(value.get("provenance", {})),
@@ -308,13 +319,24 @@ class NetworkSpec:
         except KeyError as error:
             raise UserError(f"network description: {error} is missing") from error
         except (TypeError, AttributeError, ValueError, IndexError, OverflowError) as error:
-            raise UserError(f"network description: a value of the wrong kind ({error})") from error
+            raise UserError(f"network description: a wrong value ({error})") from error
 
 
-def _build(kind, values):
+def _stimulus(value):
+    """The stimulus of a description; in the first schema, an encoder or none."""
+    if "stimulus" not in value:
+        encoder = value["encoder"]
+        return ImageCurrent() if encoder is None else _build(ImageSpikes, encoder, "encoder")
+    values = dict(value["stimulus"])
+    kind = values.pop("kind")
+    _require(kind in KINDS, "stimulus", f"kind {kind!r} is not one of {', '.join(KINDS)}")
+    return _build(KINDS[kind], values, "stimulus")
+
+
+def _build(kind, values, where=None):
     known = {f.name for f in fields(kind)}
     unknown = sorted(set(values) - known)
-    _require(not unknown, kind.__name__.lower(), f"unknown entries {', '.join(unknown)}")
+    _require(not unknown, where or kind.__name__.lower(), f"unknown entries {', '.join(unknown)}")
     return kind(**values)
 
 

@@ -15,6 +15,7 @@ import nengo
 
 from ..errors import UserError
 from ..network.build import build
+from ..network.chip import LOIHI
 from ..network.loihi_import import nengo_loihi
 from ..network.spec import DT, NetworkSpec
 from ..tables import aligned
@@ -28,7 +29,7 @@ from .resources import (
     worst_case,
 )
 
-CORES_PER_CHIP = 128
+CORES_PER_CHIP = LOIHI.cores
 
 COLUMNS = ("compartments", "axons in", "axons out", "AxonCfg", "synapse words")
 """Heads of `LIMITS` in a table."""
@@ -41,9 +42,6 @@ REMEDIES = {
     "after it, so that a neuron has fewer cores to reach",
     "synapse words": "give the layer a smaller block_shape or fewer filters",
 }
-
-POP16_ATOMS = 32
-POP16_AXONS = 1024
 
 
 @dataclass(frozen=True)
@@ -219,10 +217,9 @@ def _core_plan(layer, part, chip, core, block, intervals):
 def _shortest_intervals(spec, model):
     """Fewest steps between two spikes of a source, for each synapse object by its ``id``."""
     intervals = {}
-    encoder = 1 if spec.encoder is None else max(1, int(1 / (spec.encoder.max_rate * DT)))
     for source in model.inputs:
         for axon in source.axons:
-            intervals[id(axon.target)] = encoder
+            intervals[id(axon.target)] = spec.stimulus.shortest_interval
     for block in model.blocks:
         refractory = max(1, int(block.compartment.refract_delay.min()))
         for axon in block.axons:
@@ -242,6 +239,7 @@ def _problems(core):
 
 def _pop16_problems(placed):
     """Limits of the 16-bit population spike, which has room for little."""
+    channels, most = LOIHI.population_channels, LOIHI.population_axons
     for layer, part, block in placed:
         axons = 0
         for synapse in block.synapses:
@@ -249,16 +247,16 @@ def _pop16_problems(placed):
             if synapse.pop_type != 16:
                 continue
             atoms = max(weights.shape[0] for weights in synapse.weights)
-            if atoms > POP16_ATOMS:
+            if atoms > channels:
                 yield (
                     f"layer {layer}, part {part}: pop_type 16 with {atoms} channels before it, "
-                    f"{atoms - POP16_ATOMS} more than the {POP16_ATOMS} that NxSDK knows; "
+                    f"{atoms - channels} more than the {channels} that NxSDK knows; "
                     "use pop_type 32"
                 )
-            if axons > POP16_AXONS:
+            if axons > most:
                 yield (
                     f"layer {layer}, part {part}: pop_type 16 with {axons} input axons, "
-                    f"{axons - POP16_AXONS} more than the {POP16_AXONS} that it can address; "
+                    f"{axons - most} more than the {most} that it can address; "
                     "use pop_type 32, or a smaller block_shape"
                 )
             bases = synapse.axon_compartment_bases

@@ -9,20 +9,16 @@ from typing import Dict
 
 import numpy as np
 
-LIMITS = {
-    "compartments": 1024,
-    "input axons": 4096,
-    "output axons": 4096,
-    "AxonCfg registers": 4096,
-    "synapse words": 16384,
-}
-"""Of one core (Davies et al. 2018, IEEE Micro 38(1); NengoLoihi 1.1, ``block.py``)."""
+from ..network.chip import LOIHI
 
-CURRENT_LIMIT = 2**23
-INPUT_LIMIT = 2**21
+LIMITS = LOIHI.limits
+"""Of one core."""
+
+CURRENT_LIMIT = 2**LOIHI.current_bits
+INPUT_LIMIT = 2**LOIHI.input_bits
 """What the current and one step's synaptic input can hold before they wrap around."""
 
-VOLTAGE_LIMIT = 2**23 - 1
+VOLTAGE_LIMIT = 2**LOIHI.voltage_bits - 1
 """Where the membrane voltage is clipped; the nearer the threshold, the less may go beyond it."""
 
 AXON_CFGS_PER_AXON = {0: 1, 16: 1, 32: 2}

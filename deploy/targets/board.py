@@ -20,7 +20,7 @@ import numpy as np
 from ..errors import UserError
 from ..network.build import build
 from ..network.loihi_import import nengo_loihi
-from ..network.responses import Responses, show
+from ..network.responses import Responses, respond
 from ..network.spec import NetworkSpec
 from ..preflight.plan import require_fit
 
@@ -29,7 +29,7 @@ POWER_BINS = 1024
 
 
 @dataclass(frozen=True)
-class Settings:
+class BoardOptions:
     """Which board, and how hard to try.
 
     Attributes
@@ -60,22 +60,6 @@ class Settings:
         for name, least in (("chips", 1), ("attempts", 1), ("wait", 0)):
             if getattr(self, name) < least:
                 raise UserError(f"--{name} must be at least {least}")
-
-
-def settings_for(target: str, **given) -> Optional[Settings]:
-    """Settings from a command's options.
-
-    Raises
-    ------
-    UserError
-        A board's option was given for another target.
-    """
-    if target == "loihi":
-        return Settings(**given)
-    for name, default in vars(Settings()).items():
-        if given[name] != default:
-            raise UserError(f"--{name} is for --target loihi, not for {target}")
-    return None
 
 
 class BoardLost(Exception):
@@ -109,15 +93,16 @@ def nxsdk_version() -> str:
     return found
 
 
-def run_loihi(spec: NetworkSpec, streams, seed=0, settings=None) -> Iterator[Responses]:
-    """Show streams of images to a board.
+def run_loihi(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[Responses]:
+    """Show streams of samples to a board.
 
     Parameters
     ----------
     spec : NetworkSpec
-    streams : iterable of ndarray, shape (n_samples, n_pixels)
+    streams : iterable of ndarray
+        As `Stimulus.flat` gives samples.
     seed : int
-    settings : Settings, optional
+    options : BoardOptions, optional
 
     Yields
     ------
@@ -129,66 +114,66 @@ def run_loihi(spec: NetworkSpec, streams, seed=0, settings=None) -> Iterator[Res
     UserError
         No NxSDK, a network that does not fit, or a board that could not be reached or kept.
     """
-    settings = settings or Settings()
+    options = options or BoardOptions()
     version = nxsdk_version()
-    require_fit(spec, settings.chips)
-    for index, images in enumerate(streams):
-        for attempt in range(1, settings.attempts + 1):
+    require_fit(spec, options.chips)
+    for index, samples in enumerate(streams):
+        for attempt in range(1, options.attempts + 1):
             try:
-                responses = _run_stream(spec, images, seed, settings)
+                responses = _run_stream(spec, samples, seed, options)
                 break
             except BoardLost as error:
-                if attempt == settings.attempts:
+                if attempt == options.attempts:
                     raise UserError(
                         f"board lost in stream {index + 1} of this run, {attempt} attempts: "
                         f"{error}; the streams before it are saved: the same command goes on there"
                     ) from error
-                time.sleep(settings.wait * 2 ** (attempt - 1))
+                time.sleep(options.wait * 2 ** (attempt - 1))
         responses.notes.update(nxsdk=version, attempts=attempt)
         yield responses
 
 
-def _run_stream(spec, images, seed, settings):
+def _run_stream(spec, samples, seed, options):
     built = build(spec, seed)
-    steps = built.feed.period * len(images)
+    steps = built.feed.period * len(samples)
     begun = time.perf_counter()
-    with _environment(settings):
-        sim = _simulator(built.network, settings)
+    with _environment(options):
+        sim = _simulator(built.network, options)
         built_at = time.perf_counter()
         try:
             board = sim.sims["loihi"].nxsdk_board
-            if settings.energy:
+            if options.energy:
                 _probe_energy(board, steps)
             with _board_errors():
                 sim.__enter__()
             connected_at = time.perf_counter()
             with _board_errors():
-                responses = show(spec, built, sim, images)
+                responses = respond(spec, built, sim, samples)
             ended_at = time.perf_counter()
         finally:
             _close(sim)
     notes = {
-        "board": settings.board or os.environ.get("BOARD"),
-        "partition": settings.partition or os.environ.get("PARTITION"),
-        "chips": settings.chips,
+        "board": options.board or os.environ.get("BOARD"),
+        "partition": options.partition or os.environ.get("PARTITION"),
+        "chips": options.chips,
         "build_seconds": built_at - begun,
         "connect_seconds": connected_at - built_at,
         "run_seconds": ended_at - connected_at,
-        "samples": len(images),
+        "samples": len(samples),
         "steps": steps,
     }
-    if settings.energy:
+    if options.energy:
         notes["power"] = _measured_power(board)
     return replace(responses, notes=notes)
 
 
-def _simulator(network, settings):
+def _simulator(network, options):
     try:
         return nengo_loihi.Simulator(
             network,
             target="loihi",
             precompute=True,
-            hardware_options={"n_chips": settings.chips},
+            hardware_options={"n_chips": options.chips},
         )
     except (nengo.exceptions.NengoException, ImportError, NotImplementedError) as error:
         raise UserError(f"NengoLoihi cannot build this network for a board: {error}") from error
@@ -213,10 +198,10 @@ def _board_errors():
 
 
 @contextlib.contextmanager
-def _environment(settings):
+def _environment(options):
     """NxSDK reads the board, the partition and whether to go through SLURM from here."""
-    wanted = {"BOARD": settings.board, "PARTITION": settings.partition}
-    if settings.partition is not None:
+    wanted = {"BOARD": options.board, "PARTITION": options.partition}
+    if options.partition is not None:
         wanted["SLURM"] = "1"
     before = {name: os.environ.get(name) for name in wanted}
     os.environ.update({name: value for name, value in wanted.items() if value is not None})

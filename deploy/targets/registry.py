@@ -1,24 +1,58 @@
 """Targets: what answers the samples of a check.
 
-A target is a function ``run(spec, streams, seed)`` that yields, for each stream of images in
-order, the :class:`~deploy.network.responses.Responses` to its samples.  Each stream starts from a
-fresh network.
+To add one, put a `Target` into `TARGETS`; ladder, report and command line read it from there.
 """
 
 from __future__ import annotations
 
-from typing import Callable, Dict, Iterable, Iterator
+from dataclasses import dataclass, fields
+from typing import Callable, Dict, Iterable, Iterator, Optional
 
 import nengo
-import numpy as np
 
 from ..errors import UserError
 from ..network.build import build
 from ..network.loihi_import import nengo_loihi
-from ..network.responses import Responses, join, show, streams_of
+from ..network.responses import Responses, join, respond
 from ..network.spec import NetworkSpec
-from .board import run_loihi
+from ..network.stream import streams_of
+from .board import BoardOptions, describe, run_loihi
 from .fast.emulation import run_fast
+
+
+@dataclass(frozen=True)
+class Target:
+    """Something that answers.
+
+    Attributes
+    ----------
+    name : str
+    run : callable
+        ``run(spec, streams, seed)`` yields, for each stream of samples in order, the
+        :class:`~deploy.network.responses.Responses` to them; each stream starts from a fresh
+        network.  Where there are ``options`` it takes a keyword of that name.
+    title : str
+        What it is, in a few words.
+    note : str
+        What a reader of its figures must know; empty if the title says it.
+    slow : bool
+        Whether the whole test split takes it minutes.
+    hardware : bool
+        Whether it is hardware, which few have; everything else runs anywhere.
+    options : type or None
+        Dataclass of what can be chosen; its fields are the names of the command's options.
+    describe : callable or None
+        From the notes of all streams, a list of dict, to what a result says besides its samples.
+    """
+
+    name: str
+    run: Callable
+    title: str
+    note: str = ""
+    slow: bool = False
+    hardware: bool = False
+    options: Optional[type] = None
+    describe: Optional[Callable] = None
 
 
 def run_nengo(spec, streams, seed=0) -> Iterator[Responses]:
@@ -41,16 +75,33 @@ def run_emulator(spec, streams, seed=0) -> Iterator[Responses]:
     return _run(spec, streams, seed, lambda network: _loihi_simulator(network, "sim"))
 
 
-TARGETS: Dict[str, Callable] = {
-    "nengo": run_nengo,
-    "simreal": run_simreal,
-    "emulator": run_emulator,
-    "fast": run_fast,
-    "loihi": run_loihi,
+TARGETS: Dict[str, Target] = {
+    target.name: target
+    for target in (
+        Target("nengo", run_nengo, "Nengo's reference simulator, in floating point", slow=True),
+        Target("simreal", run_simreal, "NengoLoihi before discretisation", slow=True),
+        Target("emulator", run_emulator, "NengoLoihi's emulator, the chip's integers", slow=True),
+        Target(
+            "fast",
+            run_fast,
+            "NengoLoihi's emulator, many streams at once",
+            note="NengoLoihi's emulator, bit for bit",
+        ),
+        Target(
+            "loihi",
+            run_loihi,
+            "Loihi 1 through NxSDK",
+            slow=True,
+            hardware=True,
+            options=BoardOptions,
+            describe=describe,
+        ),
+    )
 }
+"""By name, in the order of a ladder."""
 
 
-def target_named(name: str) -> Callable:
+def target_named(name: str) -> Target:
     """Look a target up.
 
     Raises
@@ -65,14 +116,46 @@ def target_named(name: str) -> Callable:
         raise UserError(f"no target {name!r}; the targets are {known}") from None
 
 
-def answer(spec: NetworkSpec, images, target: str, seed=0, advance=None) -> Responses:
-    """Show images to a target in the network's own presentation.
+def options_for(name: str, **given):
+    """A target's options from a command's.
+
+    Parameters
+    ----------
+    name : str
+        Of the target.
+    **given
+        The value of every option that any target has.
+
+    Returns
+    -------
+    object or None
+        Of the target's own class of options; None if it has none.
+
+    Raises
+    ------
+    UserError
+        There is no target of that name, or an option of another target was given.
+    """
+    own = target_named(name).options
+    for target in TARGETS.values():
+        if target.options is None or target.options is own:
+            continue
+        for option in fields(target.options):
+            if given[option.name] != option.default:
+                raise UserError(f"--{option.name} is for --target {target.name}, not for {name}")
+    if own is None:
+        return None
+    return own(**{option.name: given[option.name] for option in fields(own)})
+
+
+def answer(spec: NetworkSpec, samples, target: str, seed=0, advance=None) -> Responses:
+    """Show samples to a target in the network's own presentation.
 
     Parameters
     ----------
     spec : NetworkSpec
-    images : ndarray, shape (n_samples, ...)
-        Tactile images with values from 0 to 1.
+    samples : ndarray, shape (n_samples, ...)
+        Images with values from 0 to 1, or frames, as the network's stimulus takes them.
     target : str
         ``"nengo"``, ``"simreal"``, ``"emulator"``, ...
     seed : int
@@ -83,10 +166,10 @@ def answer(spec: NetworkSpec, images, target: str, seed=0, advance=None) -> Resp
     -------
     Responses
     """
-    images = np.asarray(images, float).reshape(len(images), -1)
-    streams = [images[part] for part in streams_of(len(images), spec.presentation.stream_length)]
+    flat = spec.stimulus.flat(samples)
+    streams = [flat[part] for part in streams_of(len(flat), spec.presentation.stream_length)]
     parts = []
-    for responses in target_named(target)(spec, streams, seed):
+    for responses in target_named(target).run(spec, streams, seed):
         parts.append(responses)
         if advance is not None:
             advance(len(responses.scores))
@@ -108,7 +191,7 @@ def _loihi_simulator(network, target):
 
 
 def _run(spec: NetworkSpec, streams: Iterable, seed, simulator) -> Iterator[Responses]:
-    for images in streams:
+    for samples in streams:
         built = build(spec, seed)
         with simulator(built.network) as sim:
-            yield show(spec, built, sim, images)
+            yield respond(spec, built, sim, samples)

@@ -1,40 +1,33 @@
-"""``stmnist benchmark``: the paper's Table 2, and the speed of training."""
+"""``stmnist benchmark``: the paper's Table 2, what conversion costs, and speed."""
 
 from __future__ import annotations
 
-import json
-import sys
 from pathlib import Path
 from typing import Annotated, Optional
 
 import typer
 
+from deploy.check.bundle import read_bundle
 from deploy.errors import CheckFailed, UserError
-from deploy.files import write_json
 from pipeline.commands import options
-from pipeline.experiments import table2
-from pipeline.experiments.jobs import Failure, run_jobs
-from pipeline.experiments.table2_summary import summarise, table_text
-from pipeline.inputs.library import load_recordings, recordings_of
-from pipeline.progress import progress
-from pipeline.run.folder import RunFolder
-from pipeline.settings import Settings
+from pipeline.experiments import emulator_speed
+from pipeline.experiments.choices import choices_text, measure_choices
+from pipeline.experiments.losses import losses_text, measure_losses
+from pipeline.experiments.study import Workers
+from pipeline.experiments.table2 import measure_table, table_text
+from pipeline.experiments.table2_splits import MODELS
 
-app = typer.Typer(help="The paper's Table 2, and speed.", no_args_is_help=True)
-
-WITHOUT_SLAYER = tuple(name for name in table2.MODELS if name != "slayer")
+WITHOUT_SLAYER = tuple(name for name in MODELS if name != "slayer")
+OUT = typer.Option(help="Folder of the results; splits that are there are not run again.")
 
 
-@app.command("table2")
-def table2_(
-    out: Annotated[
-        Path, typer.Option(help="Folder of the results; splits that are there are not run again.")
-    ] = Path("runs/table2"),
+def table2(
+    out: Annotated[Path, OUT] = Path("runs/table2"),
     splits: Annotated[int, typer.Option(help="Splits of each kind.", min=1)] = 10,
     models: Annotated[
         str,
         typer.Option(
-            help=f"Rows, separated by commas: {', '.join(table2.MODELS)}. Left out by default "
+            help=f"Rows, separated by commas: {', '.join(MODELS)}. Left out by default "
             "is slayer, which takes some forty minutes a split."
         ),
     ] = ",".join(WITHOUT_SLAYER),
@@ -50,10 +43,7 @@ def table2_(
     settings: options.SettingsFile = None,
     set_: options.Assignments = None,
     jobs: options.Jobs = 2,
-    scheduler: Annotated[
-        Optional[str],  # noqa: UP045 - Typer reads the annotation at run time
-        typer.Option(help="Address of a Dask scheduler whose workers run the splits, one a job."),
-    ] = None,
+    scheduler: options.Scheduler = None,
     as_json: options.Json = False,
 ):
     """Run the paper's Table 2: mean (SD) over splits, beside the paper's figures.
@@ -61,47 +51,57 @@ def table2_(
     Goes on where it was interrupted.  A split that fails is reported and its row is of the others;
     exit status 1.
     """
-    names = _names(models)
-    folder = RunFolder(out)
-    with folder.locked():
-        resolved = options.resolve(folder, data, seed, None, None, settings, set_)
-        recordings = recordings_of(resolved.data, jobs)
-        kinds = _kinds(kind, recordings)
-        try:
-            for each in kinds:
-                test = table2.split_of(recordings, resolved, each, resolved.seed).test
-                table2.draw_check_samples(test, resolved.check.samples, resolved.seed)
-        except ValueError as error:
-            raise UserError(
-                f"{resolved.data.source}: {error}; change --kind, check.samples or the data"
-            ) from error
-        folder.save_settings(resolved)
-        benchmark = table2.Benchmark(
-            resolved, recordings.source.sha256, out.absolute(), kinds, splits, names
-        )
-        todo = table2.plan(benchmark, splits if scheduler else jobs)
-        failures = []
-        with progress("table 2", sum(len(job.indices) for job in todo)) as advance:
-            for job, result in run_jobs(table2.run, todo, jobs, scheduler):
-                if not isinstance(result, Failure) and not table2.of_this_version(job, result):
-                    message = "the worker has another version of this package"
-                    result = Failure(message, message)
-                if isinstance(result, Failure):
-                    failures.append((job, result))
-                    print(result.details, file=sys.stderr)
-                else:
-                    table2.write_splits(job, result)
-                advance(len(job.indices), f"{job.kind} splits")
-        table = summarise(benchmark, failures)
-        write_json(out / "table2.json", table)
-    print(json.dumps(table, indent=2) if as_json else table_text(table))
-    if failures:
-        raise CheckFailed(
-            f"{len(failures)} of {len(todo)} jobs failed; the same command tries them again"
-        )
+    names, workers = _names(models), Workers(jobs, scheduler)
+    with options.opened(out, data, seed, None, None, settings, set_) as (folder, resolved):
+        found = measure_table(folder, resolved, names, kind, splits, workers, options.say)
+    options.conclude(found, table_text, as_json)
 
 
-@app.command()
+def conversion(
+    out: Annotated[Path, OUT] = Path("runs/conversion"),
+    splits: Annotated[int, typer.Option(help="Random splits.", min=1)] = 10,
+    data: options.Data = None,
+    settings: options.SettingsFile = None,
+    set_: options.Assignments = None,
+    jobs: options.Jobs = 2,
+    scheduler: options.Scheduler = None,
+    as_json: options.Json = False,
+):
+    """Run the paper's networks under presentations, readouts and rates that it leaves open.
+
+    Tells what could have cost the paper 2 points from CNN to spiking network and 3 to Loihi.  Goes
+    on where it was interrupted.
+    """
+    workers = Workers(jobs, scheduler)
+    with options.opened(out, data, None, None, None, settings, set_) as (folder, resolved):
+        found = measure_choices(folder, resolved, splits, workers, options.say)
+    options.conclude(found, choices_text, as_json)
+
+
+def losses(
+    out: Annotated[
+        Path, typer.Option(help="Folder of the results; seeds that are there are not run again.")
+    ] = Path("runs/losses"),
+    seeds: Annotated[
+        int, typer.Option(help="Seeds, from the settings' own on; one a split.", min=1)
+    ] = 10,
+    data: options.Data = None,
+    settings: options.SettingsFile = None,
+    set_: options.Assignments = None,
+    jobs: options.Jobs = 2,
+    scheduler: options.Scheduler = None,
+    as_json: options.Json = False,
+):
+    """Measure what is lost from the CNN to the chip: whole test split, several seeds.
+
+    The chip is the target fast, at 100 and at 50 steps.  Goes on where it was interrupted.
+    """
+    workers = Workers(jobs, scheduler)
+    with options.opened(out, data, None, None, None, settings, set_) as (folder, resolved):
+        found = measure_losses(folder, resolved, seeds, workers, options.say)
+    options.conclude(found, losses_text, as_json)
+
+
 def training(
     networks: Annotated[int, typer.Option(help="Networks to train.", min=1)] = 5,
     rounds: Annotated[int, typer.Option(help="Epochs that are timed.", min=1)] = 3,
@@ -112,36 +112,39 @@ def training(
     as_json: options.Json = False,
 ):
     """Time the training of the rate-based network: NengoDL's fit, Keras's, several at once."""
-    from pipeline.experiments.training_speed import WAYS, measure, speed_text
-    from pipeline.inputs.images import tactile_images
+    from pipeline.experiments.training_speed import measure_simulated, speed_text
 
-    settings = Settings()
-    recordings = load_recordings(samples_per_digit=samples, jobs=jobs)
-    split = table2.split_of(recordings, settings, "random", settings.seed)
-    images = tactile_images(recordings, settings.image.aggregation, settings.image.normalisation)
-    data = images[split.train], recordings.labels[split.train]
-    with progress("training speed", len(WAYS) * (rounds + 1)) as advance:
-        result = measure(settings, data, networks, rounds, advance)
-    print(json.dumps(result, indent=2) if as_json else speed_text(result))
+    result = measure_simulated(samples, networks, rounds, jobs)
+    options.tell(result, speed_text, as_json)
+
+
+def emulator(
+    bundle: options.Bundle = Path("runs/default/bundle"),
+    samples: Annotated[
+        Optional[int],  # noqa: UP045 - Typer reads the annotation at run time
+        typer.Option(help="Use only the first samples of the bundle's check.", min=1),
+    ] = None,
+    compare_only: Annotated[
+        bool, typer.Option("--compare-only", help="Leave out how the cost grows and its limit.")
+    ] = False,
+    as_json: options.Json = False,
+):
+    """Time NengoLoihi's emulator and the target fast in turns, on a bundle's samples.
+
+    Checks that both give the same spikes; exit status 1 if not.
+    """
+    result = emulator_speed.measure(read_bundle(bundle), samples, compare_only)
+    options.tell(result, emulator_speed.speed_text, as_json)
+    if not result["identical"]:
+        raise CheckFailed("the target fast and NengoLoihi's emulator do not give the same spikes")
 
 
 def _names(models):
     names = tuple(dict.fromkeys(name.strip() for name in models.split(",") if name.strip()))
-    unknown = [name for name in names if name not in table2.MODELS]
+    unknown = [name for name in names if name not in MODELS]
     if unknown or not names:
         raise UserError(
             f"--models {models!r}: no model {(unknown or [''])[0]!r}; "
-            f"the models are {', '.join(table2.MODELS)}"
+            f"the models are {', '.join(MODELS)}"
         )
-    return tuple(name for name in table2.MODELS if name in names)
-
-
-def _kinds(kind, recordings):
-    known = recordings.writers.min(initial=0) >= 0
-    if kind in ("random", "writers"):
-        return (kind,)
-    if kind == "both" or (kind == "" and known):
-        return table2.KINDS
-    if kind == "":
-        return ("random",)
-    raise UserError(f"--kind {kind!r}: must be random, writers or both")
+    return tuple(name for name in MODELS if name in names)

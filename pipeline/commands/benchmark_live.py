@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 import tempfile
@@ -14,13 +13,11 @@ import typer
 
 from deploy.errors import UserError
 from pipeline.commands import options
-from pipeline.commands.benchmark import app
 from pipeline.progress import progress
 from pipeline.skin import handwriting, parameters, simulate
 
 
-@app.command("live")
-def live_(
+def live(
     run: options.Run = Path("runs/default"),
     digits: Annotated[int, typer.Option(help="Digits to write.", min=1)] = 20,
     seed: Annotated[int, typer.Option(help="Seed of the simulated hands.", min=0)] = 0,
@@ -58,14 +55,12 @@ def live_(
         "decisions": int(told["count"]),
         "digits": digits,
     }
-    if as_json:
-        print(json.dumps(facts, indent=2))
-        return
-    print(
+    text = (
         f"last event to decision on the screen: {facts['median_ms']:.0f} ms at the median, "
         f"{facts['ninetieth_percentile_ms']:.0f} ms at the 90th percentile of "
         f"{facts['decisions']} decisions while {digits} digits were written"
     )
+    options.tell(facts, lambda _: text, as_json)
 
 
 def _motions(n, seed):

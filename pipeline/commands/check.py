@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Optional
 
 import typer
 
 from deploy.check.bundle import read_bundle
-from deploy.check.results import compare as compare_results
-from deploy.check.results import read_result
+from deploy.check.results import compare_results, read_result
 from deploy.check.run import run_check
 from deploy.cli import comparison_text, enforce, summary
-from deploy.targets.board import Settings as HardwareSettings
-from deploy.targets.board import settings_for
-from deploy.targets.registry import TARGETS
+from deploy.targets.board import BoardOptions
+from deploy.targets.registry import TARGETS, options_for
 from pipeline.commands import options
 from pipeline.progress import progress
 
 BOARD = {"rich_help_panel": "Target loihi"}
 
-app = typer.Typer(help="The check that every target answers.", no_args_is_help=True)
 
-
-@app.command()
 def run(
-    bundle: Annotated[Path, typer.Argument(help="The bundle's folder.")],
+    bundle: options.Bundle,
     target: Annotated[str, typer.Option(help=f"One of {', '.join(TARGETS)}.")],
     out: Annotated[
         Optional[Path],  # noqa: UP045
@@ -43,21 +37,21 @@ def run(
     ] = None,
     chips: Annotated[
         int, typer.Option(help="Chips that may be used.", **BOARD)
-    ] = HardwareSettings.chips,
+    ] = BoardOptions.chips,
     attempts: Annotated[
         int, typer.Option(help="How often a stream is begun before giving up.", **BOARD)
-    ] = HardwareSettings.attempts,
+    ] = BoardOptions.attempts,
     wait: Annotated[
         float,
         typer.Option(help="Seconds before the second attempt, then twice as long.", **BOARD),
-    ] = HardwareSettings.wait,
+    ] = BoardOptions.wait,
     energy: Annotated[
         bool, typer.Option("--energy", help="Measure power if the board can.", **BOARD)
     ] = False,
     as_json: options.Json = False,
 ):
     """Let a target answer the bundle's samples; an interrupted check goes on where it stopped."""
-    settings = settings_for(
+    chosen = options_for(
         target,
         board=board,
         partition=partition,
@@ -69,11 +63,10 @@ def run(
     opened = read_bundle(bundle)
     path = out or opened.path.absolute().parent / "checks" / f"{target}.json"
     with progress(f"check {target}", len(opened.checks)) as advance:
-        result = run_check(opened, target, path, seed, advance, settings)
-    print(json.dumps(result, indent=2) if as_json else f"{summary(result)}\nwritten to {path}")
+        result = run_check(opened, target, path, seed, advance, chosen)
+    options.tell(result, lambda value: f"{summary(value)}\nwritten to {path}", as_json)
 
 
-@app.command()
 def compare(
     a: Annotated[Path, typer.Argument(help="A result, JSON.")],
     b: Annotated[Path, typer.Argument(help="Another of the same bundle.")],
@@ -89,6 +82,5 @@ def compare(
 ):
     """Set two results side by side: agreement, McNemar's test, the first samples that differ."""
     comparison = compare_results(read_result(a), read_result(b))
-    as_text = json.dumps(comparison.to_json(), indent=2) if as_json else comparison_text(comparison)
-    print(as_text)
+    options.tell(comparison.to_json(), lambda _: comparison_text(comparison), as_json)
     enforce(comparison, max_disagreements, max_accuracy_drop)

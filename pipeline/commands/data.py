@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import numpy as np
 import typer
 
 from deploy.errors import UserError
+from deploy.files import replacing
 from pipeline.commands import options
-from pipeline.inputs.library import load_recordings
+from pipeline.inputs.library import SIMULATED, load_recordings
+from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import progress
-from pipeline.recordings import archive
+from pipeline.recordings.archive import export_zip, write_zip
 from pipeline.recordings.events import Events, expand_bursts
-from pipeline.recordings.matfile import BadRecording, read_recording
+from pipeline.recordings.matfile import BadRecording, read_limited, read_recording
+from pipeline.recordings.table1 import table1_json, table1_text
+from pipeline.skin import unipen
+from pipeline.skin.simulate import simulate
 
-app = typer.Typer(help="Recordings: read, look at, make, count, draw.", no_args_is_help=True)
+Source = Annotated[str, typer.Option("--data", help="ST-MNIST zip or folder, or 'simulated'.")]
+SimulationSeed = Annotated[int, typer.Option("--seed", help="Seed of simulated recordings.", min=0)]
+PerDigit = Annotated[
+    int, typer.Option(help="Recordings of each digit; 0 for the published numbers.", min=0)
+]
 
 
-@app.command("import")
 def import_(
     source: Annotated[str, typer.Argument(help="ST-MNIST zip or folder.")],
     skip_bad: Annotated[
@@ -31,7 +37,7 @@ def import_(
     as_json: options.Json = False,
 ):
     """Read recordings once and keep them in the cache, so that the next start is quick."""
-    recordings = load_recordings(source, skip_bad=skip_bad, jobs=jobs, warn=_warn)
+    recordings = load_recordings(source, skip_bad=skip_bad, jobs=jobs, warn=options.say)
     counts = np.bincount(recordings.labels, minlength=10).tolist()
     facts = {
         "source": recordings.source.name,
@@ -43,34 +49,35 @@ def import_(
         "events": len(recordings.events),
         "columns": int(recordings.events.columns.sum(dtype=np.int64)),
     }
-    if as_json:
-        print(json.dumps(facts, indent=2))
-        return
     kind = "simulated recordings" if recordings.source.simulated else "recordings"
     if recordings.source.written:
         kind = "recordings, written by hand on the simulated skin,"
-    print(f"{len(recordings)} {kind} in {facts['source']}; of each digit: {counts}")
-    print(f"{facts['events']} physical events in {facts['columns']} columns")
+    text = (
+        f"{len(recordings)} {kind} in {facts['source']}; of each digit: {counts}\n"
+        f"{facts['events']} physical events in {facts['columns']} columns"
+    )
+    options.tell(facts, lambda _: text, as_json)
 
 
-@app.command("export")
-def export_(
+def export(
     folder: Annotated[Path, typer.Argument(help="Recordings, such as those kept by stmnist live.")],
     out: Annotated[Path, typer.Argument(help="The zip to write, laid out as published.")],
 ):
     """Pack a folder of recordings as a zip that works as DATA, each file as it is."""
-    n = archive.export_zip(out, folder, progress)
+    if out.suffix != ".zip":
+        raise UserError(f"{out}: the name must end in .zip")
+    n = export_zip(out, folder, progress)
     print(f"{n} recordings written to {out}")
 
 
-@app.command()
 def inspect(
     file: Annotated[Path, typer.Argument(help="One recording, a MAT file.")],
     as_json: options.Json = False,
 ):
     """Print one recording's facts."""
     try:
-        recording = read_recording(file.read_bytes())
+        with file.open("rb") as opened:
+            recording = read_recording(read_limited(opened))
     except OSError as error:
         raise UserError(f"{file}: cannot read ({error.strerror}); check the path") from error
     except BadRecording as error:
@@ -85,15 +92,13 @@ def inspect(
             "handedness": recording.written.handedness or None,
         }
         kind = f" (written by hand on the simulated skin, {recording.written.time})"
-    if as_json:
-        print(json.dumps(facts, indent=2))
-        return
-    print(
+    text = (
         f"{file.name}{kind}: "
         f"{facts['columns']} columns, {facts['events']} physical events "
         f"({facts['on']} ON, {facts['off']} OFF) of {facts['taxels']} taxels, "
         f"{facts['t_first_s']:.4f} s to {facts['t_last_s']:.4f} s"
     )
+    options.tell(facts, lambda _: text, as_json)
 
 
 def recording_facts(events: Events) -> dict:
@@ -110,5 +115,101 @@ def recording_facts(events: Events) -> dict:
     }
 
 
-def _warn(line):
-    print(line, file=sys.stderr)
+def simulate_(
+    out: Annotated[Path, typer.Option(help="The zip to write, in the published layout.")],
+    handwriting: Annotated[
+        Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
+        typer.Option(help="UNIPEN file of digits to press on the skin instead of simulated hands."),
+    ] = None,
+    seed: SimulationSeed = 0,
+    samples_per_digit: PerDigit = 0,
+    jobs: options.Jobs = 2,
+    as_json: options.Json = False,
+):
+    """Write simulated recordings as a zip in the layout of ST-MNIST."""
+    if out.suffix != ".zip":
+        raise UserError(f"{out}: the name must end in .zip")
+    if handwriting is None:
+        recordings = load_recordings(SIMULATED, seed, samples_per_digit, jobs=jobs)
+    else:
+        counts = [samples_per_digit] * 10 if samples_per_digit else list(SAMPLES_PER_DIGIT)
+        traces = unipen.read(handwriting)
+        with progress("simulate", sum(counts)) as advance:
+            recordings = simulate(seed, counts, jobs, advance, traces=traces)
+    write_zip(out, recordings, progress)
+    facts = {
+        "file": str(out),
+        "simulated": True,
+        "source": recordings.source.name,
+        "sha256": recordings.source.sha256,
+        "samples": len(recordings),
+        "events": len(recordings.events),
+    }
+    text = f"{out}: {facts['samples']} simulated recordings, {facts['events']} events"
+    options.tell(facts, lambda _: text, as_json)
+
+
+def stats(
+    data: Source = SIMULATED,
+    seed: SimulationSeed = 0,
+    against_paper: Annotated[
+        bool, typer.Option("--against-paper", help="The paper's Table 1 and the errors beside it.")
+    ] = False,
+    jobs: options.Jobs = 2,
+    as_json: options.Json = False,
+):
+    """Print the paper's Table 1 for any recordings.
+
+    Events are counted as the paper does, one for each column of a file; physical events count each
+    burst of columns once.
+    """
+    recordings = load_recordings(data, seed, jobs=jobs)
+    value = table1_json(recordings, against_paper)
+    options.tell(value, lambda _: table1_text(recordings, against_paper), as_json)
+
+
+FIGURES = ("recording", "events", "layout", "sheet")
+
+
+def plot(
+    what: Annotated[str, typer.Argument(help=f"One of {', '.join(FIGURES)}.")],
+    out: Annotated[Path, typer.Option(help="The picture to write: .png, .pdf or .svg.")],
+    data: Source = SIMULATED,
+    seed: SimulationSeed = 0,
+    sample: Annotated[str, typer.Option(help="Id of a recording, such as 8/0000.")] = "8/0000",
+    per_digit: Annotated[int, typer.Option(help="Samples of each digit on a sheet.", min=1)] = 16,
+    jobs: options.Jobs = 2,
+):
+    """Draw recordings as the paper does.
+
+    recording: the tactile image as it grows, above a raster of 100 taxels over 2 s.
+
+    events: each taxel's events, at its place on the array.
+
+    layout: taxel addresses and their (X, Y).
+
+    sheet: tactile images of random samples of each digit.
+    """
+    from pipeline.report import recordings as data_figures  # Matplotlib takes a second to import
+
+    if what not in FIGURES:
+        raise UserError(f"{what!r} is no figure; choose one of {', '.join(FIGURES)}")
+    if out.suffix.lower() not in (".png", ".pdf", ".svg"):
+        raise UserError(f"{out}: cannot draw that format; end the name in .png, .pdf or .svg")
+    recordings = load_recordings(data, seed, jobs=jobs)
+    if what == "layout":
+        figure = data_figures.layout(recordings.taxels)
+    elif what == "sheet":
+        figure = data_figures.sheet(recordings, per_digit, seed)
+    else:
+        draw = data_figures.recording if what == "recording" else data_figures.events_by_taxel
+        figure = draw(recordings, _index_of(recordings, sample))
+    with replacing(out) as file:
+        figure.savefig(file, format=out.suffix[1:].lower(), dpi=120)
+    print(out)
+
+
+def _index_of(recordings, name):
+    if name in recordings.ids:
+        return recordings.ids.index(name)
+    raise UserError(f"no recording {name!r}; ids are like {recordings.ids[0]!r}")

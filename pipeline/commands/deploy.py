@@ -11,29 +11,26 @@ from typing import Annotated, Optional
 import typer
 
 from deploy.check.bundle import read_bundle
-from deploy.check.energy import estimate, estimate_text
+from deploy.check.energy import estimate_energy, estimate_text
+from deploy.check.rates import firing_rates, rate_summary, rate_warnings, rates_text
 from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import replacing, write_arrays
 from deploy.network.nir import input_spikes, write_nir
 from deploy.preflight.plan import make_plan, plan_text
-from deploy.preflight.rates import firing_rates, rate_summary, rate_warnings, rates_text
+from deploy.targets.lava import write_lava
 from pipeline.commands import options
-
-app = typer.Typer(help="Before and beside a board: what fits, exports.", no_args_is_help=True)
-
-Bundle = Annotated[Path, typer.Argument(help="The bundle's folder.")]
 
 
 class Format(StrEnum):
     """What a bundle can be exported to."""
 
     nir = "nir"
+    lava = "lava"
 
 
-@app.command()
 def plan(
-    bundle: Bundle,
+    bundle: options.Bundle,
     chips: Annotated[int, typer.Option(help="Chips that may be used.", min=1)] = 1,
     figure: Annotated[
         Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
@@ -44,7 +41,7 @@ def plan(
     """Say what the network takes of each core, and refuse one that will not fit (status 2)."""
     opened = read_bundle(bundle)
     made = make_plan(opened.spec, chips)
-    images = opened.checks.images[: opened.spec.presentation.stream_length]
+    images = opened.checks.inputs[: opened.spec.presentation.stream_length]
     rates = rate_summary(firing_rates(opened.spec, images)) if not made.problems else {}
     if as_json:
         value = made.to_json()
@@ -61,29 +58,39 @@ def plan(
         raise UserError("the network does not fit: " + made.problems[0])
 
 
-@app.command()
 def export(
-    bundle: Bundle,
-    format: Annotated[Format, typer.Option(help="To what.")],
+    bundle: options.Bundle,
+    format: Annotated[
+        Format,
+        typer.Option(
+            help="To what: the network as NIR, or the chip's integers and the spikes into it for "
+            "Lava, as .npz."
+        ),
+    ],
     out: Annotated[Path, typer.Option(help="The file to write.")],
     inputs: Annotated[
         Optional[Path],  # noqa: UP045
-        typer.Option(help="Also write the input spikes of the check's samples, as .npz."),
+        typer.Option(help="NIR: also write the input spikes of the check's samples, as .npz."),
     ] = None,
 ):
     """Export the network, so that it reaches other neuromorphic platforms."""
     opened = read_bundle(bundle)
+    if format is Format.lava:
+        if inputs is not None:
+            raise UserError("--inputs is for NIR: a file for Lava holds the input spikes itself")
+        write_lava(out, opened.spec, opened.checks.inputs)
+        print(f"written to {out}, with the input spikes of {len(opened.checks)} samples")
+        return
     write_nir(out, opened.spec)
     print(f"written to {out}")
     if inputs is not None:
         checks = opened.checks
-        write_arrays(inputs, spikes=input_spikes(opened.spec, checks.images), labels=checks.labels)
+        write_arrays(inputs, spikes=input_spikes(opened.spec, checks.inputs), labels=checks.labels)
         print(f"input spikes of {len(checks)} samples written to {inputs}")
 
 
-@app.command()
 def energy(
-    bundle: Bundle,
+    bundle: options.Bundle,
     result: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Argument(help="A check result (default: checks/emulator.json beside the bundle)."),
@@ -96,8 +103,8 @@ def energy(
     counted = read_result(path)
     if counted["bundle"] != opened.id:
         raise UserError(f"{path}: of another bundle than {bundle}; run the check again")
-    value = estimate(opened.spec, counted)
-    print(json.dumps(value.to_json(), indent=2) if as_json else estimate_text(value))
+    value = estimate_energy(opened.spec, counted)
+    options.tell(value.to_json(), lambda _: estimate_text(value), as_json)
 
 
 def _draw(made, path):

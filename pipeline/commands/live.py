@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import webbrowser
 from contextlib import closing
@@ -14,7 +13,7 @@ import typer
 from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
 from pipeline.commands import options
-from pipeline.commands.run import make_bundle
+from pipeline.run import stages
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Image, read_settings
 from pipeline.skin import parameters
@@ -77,7 +76,7 @@ def live(
         try:
             Server(Live(make_decider, keeper, parameters.load(), about), listening, opened).run()
         finally:
-            _say(f"live: ended; {len(keeper)} recordings are kept in {record}")
+            options.say(f"live: ended; {len(keeper)} recordings are kept in {record}")
 
 
 def _network(run, data, seed, settings, set_, jobs):
@@ -91,10 +90,9 @@ def _network(run, data, seed, settings, set_, jobs):
         known = folder.experiment.exists()
         return bundle, _image(bundle, read_settings(folder.experiment).image if known else Image())
     if not folder.bundle.exists():
-        _say(f"live: {run} has no network yet; training it first, about a minute")
-    with folder.locked():
-        resolved = options.resolve(folder, data, seed, None, None, settings, set_)
-        _, bundle = make_bundle(folder, resolved, jobs)
+        options.say(f"live: {run} has no network yet; training it first, about a minute")
+    with options.opened(run, data, seed, None, None, settings, set_) as (folder, resolved):
+        _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
     return bundle, resolved.image
 
 
@@ -107,7 +105,3 @@ def _image(bundle, otherwise):
         raise UserError(
             f"{bundle.path}: its images are made in an unknown way ({error})"
         ) from error
-
-
-def _say(line):
-    print(line, file=sys.stderr)

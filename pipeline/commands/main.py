@@ -7,43 +7,90 @@ import sys
 
 import typer
 
-from deploy import __version__
+from deploy import __version__, interrupts
 from deploy.errors import CheckFailed, UserError
 from models.architecture import NotationError
-from pipeline.commands import benchmark, check, data, live, report, run
-from pipeline.commands import benchmark_conversion as _conversion  # noqa: F401 - adds to benchmark.app
-from pipeline.commands import benchmark_emulator as _emulator  # noqa: F401 - adds to benchmark.app
-from pipeline.commands import benchmark_live as _live  # noqa: F401 - adds to benchmark.app
-from pipeline.commands import benchmark_losses as _losses  # noqa: F401 - adds to benchmark.app
-from pipeline.commands import deploy as deployment
-from pipeline.commands import skin as _skin  # noqa: F401 - adds its verbs to data.app
-from pipeline.commands import sweep as sweeping
+from pipeline.commands import (
+    benchmark,
+    benchmark_live,
+    check,
+    data,
+    deploy,
+    live,
+    report,
+    run,
+    settings,
+    skin,
+    sweep,
+)
 
 # Typer brings its own copy of Click from some version on: these are the classes that it raises.
 UsageError = typer.BadParameter.__base__
 ClickException = UsageError.__base__
 
-INTERRUPTED = 130
-"""Exit status after Ctrl-C, as shells have it."""
+VERBS = {
+    "data": (
+        "Recordings: read, look at, make, count, draw.",
+        {
+            "import": data.import_,
+            "inspect": data.inspect,
+            "export": data.export,
+            "simulate": data.simulate_,
+            "stats": data.stats,
+            "plot": data.plot,
+            "calibrate": skin.calibrate,
+            "difficulty": skin.difficulty,
+            "aces": skin.aces_,
+        },
+    ),
+    "train": run.train,
+    "convert": run.convert,
+    "check": (
+        "The check that every target answers.",
+        {"run": check.run, "compare": check.compare},
+    ),
+    "ladder": run.ladder,
+    "deploy": (
+        "Before and beside a board: what fits, exports.",
+        {"plan": deploy.plan, "export": deploy.export, "energy": deploy.energy},
+    ),
+    "benchmark": (
+        "The paper's Table 2, and speed.",
+        {
+            "table2": benchmark.table2,
+            "training": benchmark.training,
+            "conversion": benchmark.conversion,
+            "emulator": benchmark.emulator,
+            "losses": benchmark.losses,
+            "live": benchmark_live.live,
+        },
+    ),
+    "sweep": sweep.sweep,
+    "report": report.report_,
+    "live": live.live,
+    "settings": settings.settings,
+}
+"""Every verb: a function, or a help text and verbs of its own."""
 
-app = typer.Typer(
-    help="From event-based touch to a spiking network on Loihi.",
-    no_args_is_help=True,
+
+def _typer(help_text, verbs, **options) -> typer.Typer:
+    made = typer.Typer(help=help_text, no_args_is_help=True, **options)
+    for name, verb in verbs.items():
+        if callable(verb):
+            made.command(name)(verb)
+        else:
+            made.add_typer(_typer(*verb), name=name)
+    return made
+
+
+app = _typer(
+    "From event-based touch to a spiking network on Loihi.",
+    VERBS,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",  # which fills paragraphs
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
-app.add_typer(data.app, name="data")
-app.command()(run.train)
-app.command()(run.convert)
-app.add_typer(check.app, name="check")
-app.command()(run.ladder)
-app.add_typer(deployment.app, name="deploy")
-app.add_typer(benchmark.app, name="benchmark")
-app.command("sweep")(sweeping.sweep_)
-app.command("report")(report.report_)
-app.command("live")(live.live)
 
 
 @app.callback(invoke_without_command=True)
@@ -57,16 +104,16 @@ def root(
 
 
 def main(arguments=None):
-    """Run the command; the entry point of the script ``stmnist``.
+    """Run the command.
 
     Exit status 0: done; 1: a check failed; 2: wrong usage or bad input; 130: interrupted.
     """
     try:
         status = app(args=arguments, prog_name="stmnist", standalone_mode=False)
-        if status == INTERRUPTED:  # Typer turns an interruption into this status
+        if status == interrupts.STATUS:  # Typer turns an interruption into this status
             raise KeyboardInterrupt
     except (KeyboardInterrupt, typer.Abort):
-        status = _say("interrupted; the same command goes on where it stopped", INTERRUPTED)
+        status = _say(interrupts.LINE, interrupts.STATUS)
     except UsageError as error:
         context = error.ctx.command_path if error.ctx else "stmnist"
         problem = error.format_message().rstrip(".") or "a command is missing"
@@ -80,6 +127,8 @@ def main(arguments=None):
     except BrokenPipeError:  # the reader, such as head, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 0
+    except MemoryError:
+        status = _say("not enough memory for this; ask for less, or close other programs", 2)
     except OSError as error:  # what no module foresaw: a full disk, a folder that may not be read
         where = f"{error.filename}: " if error.filename else ""
         status = _say(f"{where}{error.strerror or error}; check the path and its permissions", 2)
@@ -89,7 +138,3 @@ def main(arguments=None):
 def _say(message, status):
     print("stmnist: " + " ".join(message.split()), file=sys.stderr)
     return status
-
-
-if __name__ == "__main__":
-    main()

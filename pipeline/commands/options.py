@@ -1,17 +1,22 @@
-"""Options that several verbs share."""
+"""Options that several verbs share, and what is done with them: settings, workers, answers."""
 
 from __future__ import annotations
 
+import contextlib
+import json
+import sys
 from pathlib import Path
 from typing import Annotated, Optional
 
 import typer
 
+from deploy.errors import CheckFailed
 from pipeline.inputs.library import SIMULATED
 from pipeline.run.folder import RunFolder
-from pipeline.settings import Settings, parse_assignments
+from pipeline.settings import parse_assignments
 
 Run = Annotated[Path, typer.Argument(help="The run's folder, such as runs/default.")]
+Bundle = Annotated[Path, typer.Argument(help="The bundle's folder.")]
 Data = Annotated[
     Optional[str],  # noqa: UP045 - Typer reads the annotation at run time
     typer.Option(help="ST-MNIST zip or folder, or 'simulated' (default: the run's own)."),
@@ -28,34 +33,77 @@ Assignments = Annotated[
     typer.Option("--set", help="Change a setting, such as --set cnn.epochs=5; repeatable."),
 ]
 Jobs = Annotated[int, typer.Option(help="Processes.", min=1)]
+Scheduler = Annotated[
+    Optional[str],  # noqa: UP045
+    typer.Option(
+        help="Address of a Dask scheduler, such as tcp://host:8786, whose workers do the jobs "
+        "instead of processes of this machine."
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
-def resolver(data=None, settings_file=None, assignments=None):
-    """:func:`resolve` of whatever folder it is called with."""
-    return lambda run: resolve(run, data, settings_file=settings_file, assignments=assignments)
+@contextlib.contextmanager
+def opened(
+    path: Path, data=None, seed=None, samples=None, steps=None, settings=None, assignments=None
+):
+    """A folder for this process alone, with its settings and the options that were given.
+
+    Parameters
+    ----------
+    path : Path
+    data, seed, samples, steps, settings, assignments
+        What the options of the same names gave, or None.
+
+    Yields
+    ------
+    RunFolder, Settings
+
+    Raises
+    ------
+    UserError
+        A file or value is wrong, or another process is working in the folder.
+    """
+    folder = RunFolder(path)
+    with folder.locked():
+        changes = parse_assignments(assignments or [])
+        if data is not None and data != SIMULATED:
+            data = str(Path(data).absolute())  # the run can be repeated from any folder
+        for section, name, value in (
+            ("data", "source", data),
+            (None, "seed", seed),
+            ("check", "samples", samples),
+            ("presentation", "steps", steps),
+        ):
+            if value is not None:
+                (changes.setdefault(section, {}) if section else changes)[name] = value
+        yield folder, folder.resolve_settings(settings, changes)
 
 
-def resolve(
-    run: RunFolder,
-    data=None,
-    seed=None,
-    samples=None,
-    steps=None,
-    settings_file=None,
-    assignments=None,
-) -> Settings:
-    """Settings of a run from its folder and the options that were given."""
-    changes = parse_assignments(assignments or [])
+def say(line: str):
+    """What happens goes to standard error, answers to standard output."""
+    print(line, file=sys.stderr)
 
-    def put(section, name, value):
-        if value is not None:
-            (changes.setdefault(section, {}) if section else changes)[name] = value
 
-    if data is not None and data != SIMULATED:
-        data = str(Path(data).absolute())  # the run can be repeated from any folder
-    put("data", "source", data)
-    put(None, "seed", seed)
-    put("check", "samples", samples)
-    put("presentation", "steps", steps)
-    return run.resolve_settings(settings_file, changes)
+def tell(value, as_text, as_json: bool):
+    """Print an answer, as JSON or as ``as_text`` makes of it."""
+    print(json.dumps(value, indent=2) if as_json else as_text(value))
+
+
+def conclude(findings, as_text, as_json: bool):
+    """Print what came out of an experiment.
+
+    Parameters
+    ----------
+    findings : pipeline.experiments.study.Findings
+    as_text, as_json
+        As in :func:`tell`.
+
+    Raises
+    ------
+    CheckFailed
+        Some of it failed.
+    """
+    tell(findings.summary, as_text, as_json)
+    if findings.failed:
+        raise CheckFailed(findings.failed)

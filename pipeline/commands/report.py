@@ -15,7 +15,7 @@ from deploy.errors import UserError
 from deploy.files import read_json, replacing
 from deploy.preflight.plan import make_plan
 from pipeline.commands import options
-from pipeline.experiments import table2
+from pipeline.experiments.table2_splits import split_path
 from pipeline.inputs.library import recordings_of
 from pipeline.progress import progress
 from pipeline.report import page as report
@@ -124,7 +124,7 @@ def _read_benchmark(folder, recordings):
     answers, curves = {}, {}
     for row in table["rows"]:
         results = [
-            read_json(table2.split_path(folder, "random", index, row["model"]), REMEDY)
+            read_json(split_path(folder, "random", index, row["model"]), REMEDY)
             for index in row["indices"]
         ]
         if results:

@@ -14,15 +14,15 @@ NengoLoihi's (100 Hz, samples shown without a gap between them, the first layer 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
 from deploy.targets.registry import answer
 from pipeline.experiments.resampling import estimate
-from pipeline.inputs.images import tactile_images
-from pipeline.inputs.library import recordings_of
-from pipeline.inputs.splits import random_split
+from pipeline.experiments.study import Findings, SplitJob, Workers, over_splits
+from pipeline.paper import points_lost
+from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings
 
 SCHEMA = "stmnist-conversion/1"
@@ -99,13 +99,22 @@ read in the last four fifths of the steps.  ``host layer``: the first convolutio
 """
 
 
-def measure(job) -> dict:
+def measure_choices(
+    folder: RunFolder, settings: Settings, splits: int, workers: Workers, say
+) -> Findings:
+    """Measure what is not there yet; see :func:`pipeline.experiments.study.over_splits`."""
+    depends_on = SCHEMA, [asdict(choice) for choice in CHOICES]
+    return over_splits(
+        "conversion", measure, summarise, folder, settings, splits, workers, say, depends_on
+    )
+
+
+def measure(job: SplitJob) -> dict:
     """Train a split's networks and let them answer under every choice.
 
     Parameters
     ----------
-    job : object
-        With ``settings`` and ``seed``, that of the split and of the training.
+    job : SplitJob
 
     Returns
     -------
@@ -113,47 +122,42 @@ def measure(job) -> dict:
         ``seed``, ``n_train``, ``n_test``, the accuracies ``rate`` of the rate-based networks by
         maximum rate, and ``choices``, in the order of :data:`CHOICES`.
     """
-    from pipeline.training import networks as training
-    from pipeline.training import (  # TensorFlow, in the process that needs it
-        stacked as joint_training,
-    )
+    from pipeline.training.stacked import train_rate_networks  # TensorFlow, where it is needed
 
     settings, seed = job.settings, job.seed
-    recordings = recordings_of(settings.data)
-    images = tactile_images(recordings, settings.image.aggregation, settings.image.normalisation)
-    split = random_split(len(images), seed, settings.split.test_fraction)
-    data = images, recordings.labels
-
-    def share(predictions):
-        return float(np.mean(predictions == recordings.labels[split.test]))
-
+    dataset = job.dataset()
+    data, parts = (dataset.inputs, dataset.labels), [dataset.split.train]
+    shown, labels = dataset.part("test")
     weights, rates = {}, {}
     for max_rate in sorted({choice.max_rate for choice in CHOICES}):
-        of_rate = _trained_as(settings, max_rate)
-        (net,) = joint_training.train_rate_networks(of_rate, data, [split.train], [seed])
+        (net,) = train_rate_networks(_trained_as(settings, max_rate), data, parts, [seed])
         weights[max_rate] = net.weights
-        logits = training.rate_logits(of_rate, net.weights, images[split.test])
-        rates[str(max_rate)] = share(logits.argmax(1))
+        rates[str(max_rate)] = float(np.mean(net.logits(shown).argmax(1) == labels))
     return {
         "seed": seed,
-        "n_train": len(split.train),
-        "n_test": len(split.test),
+        "n_train": len(dataset.split.train),
+        "n_test": len(labels),
         "rate": rates,
         "choices": [
-            share(_predictions(choice, settings, weights[choice.max_rate], images, split, seed))
+            float(
+                np.mean(
+                    _predictions(choice, settings, weights[choice.max_rate], dataset, seed)
+                    == labels
+                )
+            )
             for choice in CHOICES
         ],
     }
 
 
-def _predictions(choice, settings, weights, images, split, seed):
+def _predictions(choice, settings, weights, dataset, seed):
     from pipeline.run.conversion import deployed
     from pipeline.training import nengodl
 
-    chosen = choice.apply(settings)
-    shown = images[split.test]
+    chosen = replace(choice.apply(settings), seed=seed)
+    shown, _ = dataset.part("test")
     if choice.row == "loihi":
-        spec = deployed(chosen, weights, {}, images[split.train])
+        spec = deployed(chosen, weights, {}, dataset.part("train")[0])
         return answer(spec, shown, "fast", seed).predictions
     steps = chosen.presentation.steps
     if choice.smoothed:
@@ -234,8 +238,8 @@ def choices_text(summary: dict) -> str:
         "host layer: the first convolution is on the host",
     ]
     for row, heading in (
-        ("ann-snn", "NengoDL (the paper loses 2 points)"),
-        ("loihi", "fast (the paper loses 3 points on Loihi)"),
+        ("ann-snn", f"NengoDL (the paper loses {points_lost('ann-snn'):.0f} points)"),
+        ("loihi", f"fast (the paper loses {points_lost('loihi'):.0f} points on Loihi)"),
     ):
         lines += ["", f"{heading:<45} {'accuracy':>8} {'points lost':>12}  95 % interval"]
         for entry in summary["choices"]:

@@ -8,6 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from deploy.files import write_json
+from pipeline.inputs.dataset import Dataset
+from pipeline.progress import progress
+from pipeline.settings import Settings
 from pipeline.skin.parameters import CALIBRATION
 
 AIM = (0.86, 0.92)
@@ -17,38 +21,43 @@ RECORD = CALIBRATION.with_name("difficulty.json")
 """The last measurement on the built-in recordings, with their hash."""
 
 
-def measure(recordings, splits=10, settings=None, advance=None) -> list:
-    """Test accuracy of the CNN on random 80-20 splits (paper, Section 3.2).
+def measure(dataset: Dataset, settings: Settings, splits: int = 10) -> list:
+    """Test accuracy of the CNN on random splits (paper, Section 3.2).
 
     Parameters
     ----------
-    recordings : Recordings
+    dataset : Dataset
+    settings : Settings
     splits : int
-    settings : Settings, optional
-        Default: the built-in ones, 20 epochs.
-    advance : callable, optional
-        ``advance(1, note)`` after each epoch of all networks.
 
     Returns
     -------
     list of float
         One accuracy a split.
     """
-    # TensorFlow takes seconds to import, and whoever only wants the record need not wait for it.
-    from pipeline.inputs.images import tactile_images
-    from pipeline.inputs.splits import random_split
-    from pipeline.settings import Settings
-    from pipeline.training.networks import cnn_logits
-    from pipeline.training.stacked import train_cnns
+    from pipeline.training.stacked import train_cnns  # TensorFlow takes seconds to import
 
-    settings = settings or Settings()
-    images = tactile_images(recordings, settings.image.aggregation, settings.image.normalisation)
-    labels, seeds = recordings.labels, range(splits)
-    parts = [random_split(len(labels), seed, settings.split.test_fraction) for seed in seeds]
-    trained = train_cnns(settings, (images, labels), [part.train for part in parts], seeds, advance)
-    return [
-        float(
-            np.mean(cnn_logits(settings, cnn.weights, images[p.test]).argmax(1) == labels[p.test])
-        )
-        for cnn, p in zip(trained, parts, strict=True)
-    ]
+    seeds = range(splits)
+    divided = [dataset.divided(seed, settings.split.test_fraction) for seed in seeds]
+    data, parts = (dataset.inputs, dataset.labels), [each.split.train for each in divided]
+    with progress("train", settings.cnn.epochs) as advance:
+        trained = train_cnns(settings, data, parts, seeds, advance)
+    accuracies = []
+    for cnn, each in zip(trained, divided, strict=True):
+        images, labels = each.part("test")
+        accuracies.append(float(np.mean(cnn.logits(images).argmax(1) == labels)))
+    return accuracies
+
+
+def store(dataset: Dataset, accuracies: list):
+    """Keep the accuracies beside the simulation's settings, in :data:`RECORD`."""
+    source = dataset.recordings.source
+    write_json(
+        RECORD,
+        {
+            "source": source.name,
+            "sha256": source.sha256,
+            "simulated": source.simulated,
+            "accuracies": accuracies,
+        },
+    )

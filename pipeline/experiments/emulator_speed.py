@@ -12,11 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deploy.check.bundle import Bundle
 from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
-from deploy.network.responses import read_output, seconds_per_sample, streams_of
+from deploy.network.responses import read_output, seconds_per_sample
 from deploy.network.spec import NetworkSpec
+from deploy.network.stream import show, streams_of
 from deploy.targets.fast.emulation import Emulation, compile_spec
+from pipeline.experiments import emulator_limits
+from pipeline.progress import progress
 
 KERNELS = ("numba", "numpy")
 
@@ -66,7 +70,38 @@ def kernels_here() -> tuple:
     return KERNELS
 
 
-def compare(spec: NetworkSpec, images, advance=None) -> dict:
+def measure(bundle: Bundle, samples: int | None = None, compare_only: bool = False) -> dict:
+    """Let reference and fast take turns over a bundle's samples.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    samples : int, optional
+        Only so many, the first.
+    compare_only : bool
+        Leave out how the cost grows and what limits it.
+
+    Returns
+    -------
+    dict
+        That of :func:`compare_speed` with ``simulated``, ``growth`` and, where Numba is,
+        ``limits``.
+    """
+    images = bundle.checks.inputs[:samples]
+    with progress("benchmark", len(images)) as advance:
+        result = compare_speed(bundle.spec, images, advance)
+    result["simulated"] = bundle.spec.provenance.get("simulated")
+    if not compare_only:
+        with progress("growth and limit", 2) as advance:
+            result["growth"] = emulator_limits.growth(bundle.spec, images)
+            advance()
+            if result["kernel"] == "numba":
+                result["limits"] = emulator_limits.limits(bundle.spec, images)
+            advance()
+    return result
+
+
+def compare_speed(spec: NetworkSpec, images, advance=None) -> dict:
     """Let reference and fast take turns over a set of samples.
 
     Parameters
@@ -81,7 +116,7 @@ def compare(spec: NetworkSpec, images, advance=None) -> dict:
     dict
         Ready for JSON.  Ratios are medians over the turns, one turn a stream of the reference.
     """
-    images = np.asarray(images, float).reshape(len(images), -1)
+    images = spec.stimulus.flat(images)
     parts = streams_of(len(images), spec.presentation.stream_length)
     program = compile_spec(spec)
     emulations = {name: Emulation(program, name) for name in kernels_here()}
@@ -160,7 +195,6 @@ def reference_turn(spec, images):
         Time, the output probe, and every spike, for each layer packed by sample.
     """
     built = build(spec)
-    built.feed.images = images
     chip, whole, outputs = np.zeros(2), np.zeros(2), []
     spikes = {name: [] for name in built.spikes}
     with warnings.catch_warnings():
@@ -176,14 +210,19 @@ def reference_turn(spec, images):
                 chip += _clocks() - begun
 
             emulator.run_steps = timed
-            for _ in images:
+            all_steps = sim.run_steps
+
+            def timed_whole(steps):
                 begun = _clocks()
-                sim.run_steps(built.feed.period)
+                all_steps(steps)
+                nonlocal whole
                 whole += _clocks() - begun
-                outputs.append(np.array(sim.data[built.output]))
-                for name, probe in built.spikes.items():
-                    spikes[name].append(np.packbits(np.array(sim.data[probe]) != 0, axis=1))
-                sim.clear_probes()
+
+            sim.run_steps = timed_whole
+            for shown in show(built, sim, images):
+                outputs.append(shown.output)
+                for name, rows in shown.spikes.items():
+                    spikes[name].append(np.packbits(rows, axis=1))
     return Turn(whole, chip, len(images)), np.array(outputs), spikes
 
 
@@ -216,3 +255,67 @@ def same_answer(spec, emulation, images, output, spikes) -> bool:
         and bool(np.allclose(mine.output[0], output, rtol=0, atol=1e-9))
         and np.array_equal(*predictions)
     )
+
+
+def speed_text(result: dict) -> str:
+    """The result as a table and a few lines."""
+    kind = "simulated samples" if result["simulated"] else "samples"
+    verdict = (
+        "every spike at every step, predictions, outputs within 1e-9"
+        if result["identical"]
+        else "NO: the answers differ"
+    )
+    lines = [
+        f"{result['n_samples']} {kind} of {result['gap_per_sample']} blank and "
+        f"{result['steps_per_sample']} shown steps, one thread, medians of {result['turns']} turns",
+        f"identical: {verdict}",
+        f"{'':<22}{'samples/s':>10}{'whole':>9}{'chip':>9}{'whole, CPU':>12}{'chip, CPU':>11}",
+        _row("NengoLoihi's emulator", result["reference_samples_per_second"], [1, 1, 1, 1]),
+    ]
+    for name, suffix in (("numba", ""), ("numpy", "_numpy")):
+        if name == "numpy" or result["kernel"] == name:
+            ratios = [
+                times[f"ratio_{part}{suffix}"]
+                for times in (result, result["processor_time"])
+                for part in ("whole", "chip")
+            ]
+            lines.append(_row(f"fast, {name}", result["samples_per_second" + suffix], ratios))
+    rates = ", ".join(f"{name} {rate:.0f}" for name, rate in result["mean_rates_hz"].items())
+    lines.append(f"mean rates in Hz: {rates}")
+    lines += _growth(result["growth"]) if "growth" in result else []
+    lines += _limits(result["limits"]) if "limits" in result else []
+    return "\n".join(lines)
+
+
+def _row(name, pace, ratios):
+    whole, chip, whole_cpu, chip_cpu = (f"{ratio:.0f}x" for ratio in ratios)
+    return f"{name:<22}{pace:>10.0f}{whole:>9}{chip:>9}{whole_cpu:>12}{chip_cpu:>11}"
+
+
+def _growth(growth):
+    def listed(name, unit):
+        return ", ".join(f"{row[name]:g}{unit} {1e3 * row['seconds']:.0f}" for row in growth[name])
+
+    brightness = ", ".join(
+        f"{row['chip_hz']:.0f} Hz {1e3 * row['seconds']:.0f}" for row in growth["brightness"]
+    )
+    return [
+        "milliseconds for",
+        f"  samples: {listed('samples', '')}",
+        f"  steps a sample: {listed('steps', '')}",
+        f"  mean rate on the chip: {brightness}",
+    ]
+
+
+def _limits(limits):
+    return [
+        f"chip: {limits['compartment_updates_per_second'] / 1e9:.2f} G compartment updates and "
+        f"{limits['synaptic_operations_per_second'] / 1e9:.2f} G synaptic operations a second; "
+        f"updates take {limits['share_of_time_updating']:.0%} of the time",
+        f"limit: this machine adds {limits['adds_per_second_in_cache'] / 1e9:.0f} G weights of "
+        f"{limits['weight_bits']} bits a second in its first cache and "
+        f"{limits['adds_per_second_from_memory'] / 1e9:.1f} G from memory;",
+        "  delivering spikes, padding included, adds "
+        f"{limits['weights_added_per_second'] / 1e9:.1f} G, "
+        f"{limits['share_of_cache_limit']:.0%} of the first",
+    ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import sys
 import traceback
 import warnings
 from dataclasses import dataclass
@@ -15,6 +14,9 @@ from deploy.errors import UserError
 
 MESSAGE_LENGTH = 160
 """Of a failure's line; the traceback has it all."""
+
+PATIENCE = 5
+"""Seconds in which a scheduler must answer."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class Failure:
     details: str
 
 
-def run_jobs(function, jobs, processes: int = 1, scheduler: str | None = None):
+def run_jobs(function, jobs, processes: int = 1, scheduler: str | None = None, say=print):
     """Call a function once for each job, and yield what it returns as it comes.
 
     A job that fails does not stop the others.
@@ -48,6 +50,8 @@ def run_jobs(function, jobs, processes: int = 1, scheduler: str | None = None):
         On this machine; with 1 the jobs run in this process, one after the other.
     scheduler : str, optional
         Address of a Dask scheduler, such as ``tcp://host:8786``; its workers run the jobs.
+    say : callable
+        Called with a line where the jobs have to wait.
 
     Yields
     ------
@@ -61,7 +65,7 @@ def run_jobs(function, jobs, processes: int = 1, scheduler: str | None = None):
     """
     jobs = list(jobs)
     if scheduler is not None:
-        yield from _on_cluster(function, jobs, scheduler)
+        yield from _on_cluster(function, jobs, scheduler, say)
     elif processes == 1 or len(jobs) <= 1:
         for job in jobs:
             yield job, _attempt(function, job)
@@ -112,7 +116,7 @@ def _one_line(error):
     return f"{type(error).__name__}: {message}"
 
 
-def _on_cluster(function, jobs, scheduler):
+def _on_cluster(function, jobs, scheduler, say):
     try:
         from distributed import Client, as_completed
     except ImportError:
@@ -120,7 +124,7 @@ def _on_cluster(function, jobs, scheduler):
             "--scheduler needs Dask, which is not installed; pip install 'stmnist-loihi[cluster]'"
         ) from None
     try:
-        client = Client(scheduler, timeout=5)
+        client = Client(scheduler, timeout=PATIENCE)
     except (OSError, ValueError, TimeoutError) as error:
         raise UserError(
             f"--scheduler {scheduler}: no Dask scheduler answers there ({type(error).__name__}); "
@@ -130,7 +134,7 @@ def _on_cluster(function, jobs, scheduler):
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     with client:
         if not client.scheduler_info()["workers"]:
-            print(f"{scheduler} has no workers yet; the jobs wait for one", file=sys.stderr)
+            say(f"{scheduler} has no workers yet; the jobs wait for one")
         tasks = {client.submit(_attempt, function, job, pure=False): job for job in jobs}
         for task in as_completed(tasks):
             if task.status == "finished":

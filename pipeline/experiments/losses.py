@@ -7,42 +7,47 @@ one that the spiking network is trained with (:data:`pipeline.training.networks.
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
 from deploy.network.operations import multiply_accumulates
 from deploy.targets.registry import answer
 from pipeline.experiments.resampling import estimate
-from pipeline.inputs.images import tactile_images
-from pipeline.inputs.library import recordings_of
-from pipeline.inputs.splits import random_split
+from pipeline.experiments.study import Findings, SplitJob, Workers, over_splits
+from pipeline.paper import points_lost
+from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings
 
 SCHEMA = "stmnist-losses/2"
 STEPS = (100, 50)
-PAPER = {"spiking-lif": 0.02, "chip-100": 0.03}
-"""Accuracy that the paper loses from CNN to spiking network and to Loihi (Table 2)."""
+PAPERS = {"spiking-lif": "ann-snn", "chip-100": "loihi"}
+"""Stages that are models of the paper's Table 2."""
 
 
-def check(settings: Settings):
-    """Refuse settings that do not go with every number of steps.
+def measure_losses(
+    folder: RunFolder, settings: Settings, seeds: int, workers: Workers, say
+) -> Findings:
+    """Measure what is not there yet; see :func:`pipeline.experiments.study.over_splits`.
 
     Raises
     ------
     UserError
-        They read the output later than the shortest presentation lasts.
+        The settings read the output later than the shortest presentation lasts, or as there.
     """
     for steps in STEPS:
         settings.with_values({"presentation": {"steps": steps}}, "benchmark losses")
+    return over_splits(
+        "losses", measure, summarise, folder, settings, seeds, workers, say, (SCHEMA,)
+    )
 
 
-def measure(job) -> dict:
+def measure(job: SplitJob) -> dict:
     """Train and test everything for one seed.
 
     Parameters
     ----------
-    job : object
-        With ``settings`` and ``seed``, that of the split and of every training.
+    job : SplitJob
 
     Returns
     -------
@@ -56,11 +61,8 @@ def measure(job) -> dict:
 
     begun = time.perf_counter()
     settings, seed = job.settings, job.seed
-    recordings = recordings_of(settings.data)
-    split = random_split(len(recordings), seed, settings.split.test_fraction)
-    images = tactile_images(recordings, settings.image.aggregation, settings.image.normalisation)
-    train = images[split.train], recordings.labels[split.train]
-    shown, labels = images[split.test], recordings.labels[split.test]
+    dataset = job.dataset()
+    train, (shown, labels) = dataset.part("train"), dataset.part("test")
 
     def predictions(logits):
         return np.argmax(logits, axis=1)
@@ -69,10 +71,12 @@ def measure(job) -> dict:
     annealed = training.train_cnn(settings, train, seed, recipe=training.RECIPES["loihi"])
     rate = training.train_rate_network(settings, train, seed, paper.weights)
     found = {
-        "cnn": predictions(training.cnn_logits(settings, paper.weights, shown)),
-        "cnn-annealed": predictions(training.cnn_logits(settings, annealed.weights, shown)),
-        "rate-lif": predictions(training.rate_logits(settings, rate.weights, shown)),
-        "spiking-lif": nengodl.predict(settings, rate.weights, shown, max(STEPS)),
+        "cnn": predictions(paper.logits(shown)),
+        "cnn-annealed": predictions(annealed.logits(shown)),
+        "rate-lif": predictions(rate.logits(shown)),
+        "spiking-lif": nengodl.predict(
+            replace(settings, seed=seed), rate.weights, shown, max(STEPS)
+        ),
     }
     spec = deployed(settings, rate.weights, {}, train[0])
     operations, decided = {}, {}
@@ -86,7 +90,7 @@ def measure(job) -> dict:
     return {
         "schema": SCHEMA,
         "seed": seed,
-        "n_train": len(split.train),
+        "n_train": len(train[1]),
         "n_test": len(labels),
         "accuracy": {stage: float(np.mean(p == labels)) for stage, p in found.items()},
         "disagreements": {
@@ -164,7 +168,7 @@ def losses_text(summary: dict) -> str:
         "accuracy in %",
         *(f"  {stage:<22}{shown(entry)}" for stage, entry in summary["accuracy"].items()),
         f"points lost from the stronger CNN ({summary['stronger_cnn']}); in the paper "
-        + ", ".join(f"{100 * lost:.0f} to {stage}" for stage, lost in PAPER.items()),
+        + ", ".join(f"{points_lost(model):.0f} to {stage}" for stage, model in PAPERS.items()),
         *(f"  {stage:<22}{shown(entry)}" for stage, entry in summary["loss"].items()),
         "predictions that differ from the rate-based network's, in %",
         *(f"  {stage:<22}{shown(entry)}" for stage, entry in summary["disagreements"].items()),

@@ -19,8 +19,13 @@ import numpy as np
 from deploy import __version__
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
+from deploy.files import read_json, replacing, write_json
 from deploy.network.operations import multiply_accumulates
 from deploy.targets.registry import answer
+from pipeline.experiments.jobs import Failure
+from pipeline.experiments.study import Findings, Workers, read_kept, study, write_kept
+from pipeline.experiments.sweep_text import sweep_csv
+from pipeline.inputs.dataset import Dataset
 from pipeline.progress import hidden
 from pipeline.run import stages
 from pipeline.run.folder import RunFolder, stamp_of
@@ -73,7 +78,7 @@ class Point:
         return Networks(self.folder, self.cnn, self.snn)
 
     @property
-    def result(self) -> Path:
+    def path(self) -> Path:
         """Where its result is."""
         return self.folder / "points" / f"{self.stamp[:16]}.json"
 
@@ -191,13 +196,13 @@ def _put(values, name, value):
     values[last] = value
 
 
-def dataset_of(settings: Settings, jobs: int = 1, warn=None) -> stages.Dataset:
+def dataset_of(settings: Settings, jobs: int = 1, warn=None) -> Dataset:
     """The samples of a sweep: as for a run, but without a test split.
 
     Parameters
     ----------
     settings, jobs, warn
-        As in :func:`pipeline.run.stages.load_dataset`.
+        As in :meth:`pipeline.inputs.dataset.Dataset.of`.
     """
     dataset = _dataset_of(
         Settings(
@@ -216,21 +221,21 @@ def dataset_of(settings: Settings, jobs: int = 1, warn=None) -> stages.Dataset:
 
 @functools.lru_cache(maxsize=4)
 def _dataset_of(settings, jobs, warn):
-    dataset = stages.load_dataset(settings, jobs, warn)
+    dataset = Dataset.of(settings, jobs, warn)
     return replace(dataset, split=replace(dataset.split, test=dataset.split.test[:0]))
 
 
 def train_cnn(point: Point) -> dict:
     """Train a point's CNN, unless it is there."""
     with hidden():
-        return stages.train(point.networks, point.settings, dataset_of(point.settings), _silent)
+        return stages.train(point.networks, point.settings, _samples(point), _silent)
 
 
 def train_rates(point: Point) -> dict:
     """Train a point's rate-based network from its CNN, unless it is there."""
+    train_cnn(point)  # where a worker does not see the folder of the one that trained it
     with hidden():
-        dataset = dataset_of(point.settings)
-        return stages.train_rates(point.networks, point.settings, dataset, _silent)
+        return stages.train_rates(point.networks, point.settings, _samples(point), _silent)
 
 
 def judge(point: Point) -> dict:
@@ -246,9 +251,10 @@ def judge(point: Point) -> dict:
     """
     from pipeline.run.conversion import deployed
 
+    train_rates(point)
     begun = time.perf_counter()
     settings, networks = point.settings, point.networks
-    dataset = dataset_of(settings)
+    dataset = _samples(point)
     images, labels = dataset.part("validation")
     weights = stages.read_weights(networks.snn, settings)
     spec = deployed(settings, weights, {}, dataset.part("train")[0])
@@ -256,7 +262,7 @@ def judge(point: Point) -> dict:
     right = responses.predictions == labels
     operations = float(sum(counts.mean() for counts in responses.operations.values()))
     before = {
-        name: stages.read_json(path / "metrics.json", stages.REMEDY)["accuracy"]["validation"]
+        name: read_json(path / "metrics.json", stages.REMEDY)["accuracy"]["validation"]
         for name, path in (("cnn", networks.cnn), ("rate-lif", networks.snn))
     }
     return {
@@ -330,6 +336,65 @@ def summarise(points, results, errors) -> dict:
             if point.stamp in errors
         ],
     }
+
+
+def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers, say) -> Findings:
+    """Train and judge what is missing of a sweep, and write it.
+
+    Parameters
+    ----------
+    folder : RunFolder
+        Of the sweep, locked.  Workers of a cluster that do not see it train for themselves.
+    settings : Settings
+    grid : sequence of str
+        As in :func:`points_of`.
+    workers, say
+        As in :func:`pipeline.experiments.study.study`.
+
+    Raises
+    ------
+    UserError
+        As in :func:`points_of`, or the recordings cannot be read or are too few.
+    """
+    base = base_settings(settings)
+    dataset_of(base, workers.processes, say)
+    points = points_of(folder.path.absolute(), base, grid)
+    folder.save_settings(base)
+    results, errors = _measure(points, workers, say)
+    summary = summarise(points, results, errors)
+    write_json(folder.path / "sweep.json", summary)
+    with replacing(folder.path / "sweep.csv", "w") as file:
+        file.write(sweep_csv(summary))
+    failed = f"{len(errors)} of {len(points)} points failed; the same command tries them again"
+    return Findings(summary, failed if errors else "")
+
+
+def _measure(points, workers, say):
+    """Results and errors by stamp: trainings that points share first, then the points."""
+    results = {p.stamp: kept for p in points if (kept := read_kept(p)) is not None}
+    errors = {}
+    for label, function, key, keep in (
+        ("train cnn", train_cnn, lambda point: point.cnn, None),
+        ("train rate-lif", train_rates, lambda point: point.snn, None),
+        ("judge", judge, lambda point: point.stamp, write_kept),
+    ):
+        left = [p for p in points if p.stamp not in results and p.stamp not in errors]
+        waiting = {key(point): point for point in left}
+        answers = study(label, function, waiting.values(), workers, say, keep=keep)
+        for what, answer_ in zip(waiting, answers, strict=True):
+            if isinstance(answer_, Failure):
+                errors.update({p.stamp: answer_.error for p in left if key(p) == what})
+            elif keep is not None:
+                results[what] = answer_
+    return results, errors
+
+
+def _samples(point):
+    """The samples of a point, where it is judged."""
+    dataset = dataset_of(point.settings)
+    if stages.cnn_stamp(point.settings, dataset) != point.cnn:
+        raise UserError(f"{point.settings.data.source}: the worker has other recordings there")
+    return dataset
 
 
 def _silent(line):

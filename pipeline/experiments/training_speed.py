@@ -11,11 +11,31 @@ import numpy as np
 from models.cnn import get_weights
 from models.keras2 import tf
 from models.together import Stack
+from pipeline.inputs.dataset import Dataset
+from pipeline.progress import progress
 from pipeline.settings import Settings
 from pipeline.training import nengodl
 from pipeline.training.networks import build_rate_network, make_deterministic, optimizer, snn_recipe
 
 WAYS = ("nengodl", "keras", "together")
+
+
+def measure_simulated(samples: int, networks: int, rounds: int, jobs: int = 1) -> dict:
+    """:func:`measure` with the default settings on simulated recordings.
+
+    Parameters
+    ----------
+    samples : int
+        Recordings of each digit; 0 for 6,953 in all.
+    networks, rounds
+        As there.
+    jobs : int
+        Processes for recordings that are not in the cache.
+    """
+    settings = Settings().with_values({"data": {"samples_per_digit": samples}}, "--samples")
+    data = Dataset.of(settings, jobs).part("train")
+    with progress("training speed", len(WAYS) * (rounds + 1)) as advance:
+        return measure(settings, data, networks, rounds, advance)
 
 
 def measure(settings: Settings, data, networks: int = 5, rounds: int = 3, advance=None) -> dict:

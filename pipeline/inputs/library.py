@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import progress
 from pipeline.recordings import archive, cache
 from pipeline.recordings.events import Recordings
 from pipeline.settings import Data
-from pipeline.skin.simulate import SAMPLES_PER_DIGIT, simulate, source_of
+from pipeline.skin.simulate import simulate, source_of
 
 SIMULATED = "simulated"
 """The name of the built-in source."""

@@ -7,22 +7,27 @@ The layout is ``data_submission/<digit>/*.mat``; the digit folders may stand at 
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import json
+import lzma
 import zipfile
 import zlib
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import joblib
+from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from deploy.errors import UserError
 from deploy.files import replacing, sha256_of
 from pipeline.recordings.events import Recordings, Source, TaxelMap, collect
+from pipeline.recordings.mat5 import LARGEST
 from pipeline.recordings.matfile import (
     BadRecording,
     MatRecording,
     lookup_table_bytes,
+    read_limited,
     read_lookup_table,
     read_recording,
     recording_bytes,
@@ -32,6 +37,18 @@ LOOKUP_TABLE = "lut.mat"
 DIGITS = tuple("0123456789")
 CHUNK = 32
 """Files that a worker reads at a time: enough to hide the hand-over, few enough for the bar."""
+
+LISTED = 10
+"""Refused files that a message names."""
+
+LONGEST_NAME = 120
+"""Characters of a name in a message."""
+
+READ_ERRORS = (
+    *(OSError, EOFError, RuntimeError, ValueError, KeyError, zipfile.BadZipFile),
+    *(zlib.error, lzma.LZMAError),
+)
+"""What reading a member of a damaged zip raises."""
 
 
 @dataclass(frozen=True)
@@ -123,9 +140,7 @@ def read_source(path, jobs: int = 2, skip_bad: bool = False, progress=None, warn
         listing.recordings[start : start + CHUNK]
         for start in range(0, len(listing.recordings), CHUNK)
     ]
-    work = joblib.Parallel(n_jobs=jobs, return_as="generator")(
-        joblib.delayed(_read_members)(listing.path, [name for name, _ in chunk]) for chunk in chunks
-    )
+    work = _read_chunks(listing.path, [[name for name, _ in chunk] for chunk in chunks], jobs)
     with _shown(progress, "import", len(listing.recordings)) as advance:
         for chunk, results in zip(chunks, work, strict=True):
             for (name, digit), result in zip(chunk, results, strict=True):
@@ -137,18 +152,20 @@ def read_source(path, jobs: int = 2, skip_bad: bool = False, progress=None, warn
     taxels = None
     if listing.lookup_table is not None:
         try:
-            taxels = read_lookup_table(_Reader(listing.path).read(listing.lookup_table))
+            taxels = read_lookup_table(_reader(listing.path).read(listing.lookup_table))
         except BadRecording as error:
             refused.append((listing.lookup_table, str(error)))
     if refused and not skip_bad:
-        lines = "; ".join(f"{name} {reason}" for name, reason in sorted(refused))
+        lines = "; ".join(f"{_short(name)} {reason}" for name, reason in _first(refused))
         raise UserError(
-            f"{path}: {len(refused)} of {len(refused) + len(read)} files refused: {lines}; "
-            "mend them, or leave them out with --skip-bad"
+            f"{path}: {len(refused)} of {len(refused) + len(read)} files refused: {lines}"
+            f"{_and_more(refused)}; mend them, or leave them out with --skip-bad"
         )
-    for name, reason in sorted(refused):
-        if warn is not None:
-            warn(f"{path}: left out {name}: {reason}")
+    if warn is not None:
+        for name, reason in _first(refused):
+            warn(f"{path}: left out {_short(name)}: {reason}")
+        if len(refused) > LISTED:
+            warn(f"{path}: left out {len(refused) - LISTED} more")
     if not read:
         raise UserError(f"{path}: no recording in it can be read")
     return collect(
@@ -310,20 +327,79 @@ class _Reader:
     def read(self, name) -> bytes:
         try:
             if self.folder:
-                return (self.folder / name).read_bytes()
-            return self.archive.read(name)
-        except (OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
-            raise BadRecording(f"cannot be read from the source ({error})") from error
+                with (self.folder / name).open("rb") as file:
+                    return read_limited(file)
+            member = self.archive.getinfo(name)
+            if member.file_size > LARGEST:
+                raise BadRecording(f"says that it has {member.file_size} bytes, too many")
+            with self.archive.open(member) as file:
+                return read_limited(file)
+        except BadRecording:
+            raise
         except NotImplementedError as error:
             raise BadRecording(f"is compressed in a way not supported ({error})") from error
+        except READ_ERRORS as error:
+            raise BadRecording(f"cannot be read from the source ({error})") from error
+
+
+def _reader(path: Path) -> _Reader:
+    """A reader of the source as it is now; opened once a process, for a zip's list is long."""
+    state = path.stat()
+    return _open_reader(path, state.st_ino, state.st_size, state.st_mtime_ns)
+
+
+@functools.lru_cache(maxsize=1)
+def _open_reader(path, *_state):
+    return _Reader(path)
+
+
+def _read_chunks(path, chunks, jobs):
+    """Yield the recordings and reasons of each chunk of names; see :func:`_read_members`."""
+    done = 0
+    work = joblib.Parallel(n_jobs=jobs, return_as="generator")(
+        joblib.delayed(_read_members)(path, names) for names in chunks
+    )
+    try:
+        for results in work:
+            yield results
+            done += 1
+    except TerminatedWorkerError:
+        # Nothing tells whose file it was: those that are left are read with more care.
+        for names in chunks[done:]:
+            yield _read_carefully(path, names)
+
+
+def _read_carefully(path, names):
+    """As :func:`_read_members`, in a process that may die; halves show which file it dies of."""
+    try:
+        return joblib.Parallel(n_jobs=2)([joblib.delayed(_read_members)(path, names)])[0]
+    except TerminatedWorkerError:
+        if len(names) == 1:
+            return ["ends the process that reads it; damaged, or the memory is too small"]
+        half = len(names) // 2
+        return _read_carefully(path, names[:half]) + _read_carefully(path, names[half:])
 
 
 def _read_members(path, names):
     """Read some members; a reason takes the place of a recording that is refused."""
-    reader, results = _Reader(path), []
+    reader, results = _reader(path), []
     for name in names:
         try:
             results.append(read_recording(reader.read(name)))
         except BadRecording as error:
             results.append(str(error))
+        except MemoryError:
+            results.append("takes more memory than there is")
     return results
+
+
+def _first(refused):
+    return sorted(refused)[:LISTED]
+
+
+def _and_more(refused):
+    return f"; and {len(refused) - LISTED} more" if len(refused) > LISTED else ""
+
+
+def _short(name):
+    return name if len(name) <= LONGEST_NAME else f"...{name[3 - LONGEST_NAME :]}"

@@ -1,12 +1,14 @@
 """One recording, one MATLAB file: ``spiketrain``, 101 x n (paper, Section 2.3).
 
 Rows 0 to 99 hold 1 (ON), -1 (OFF) or 0 for the taxels, row 100 the time of each column in seconds.
-MATLAB 5 files are read with SciPy, 7.3 files (HDF5) with h5py; nothing in them is executed.
+MATLAB 5 files are read by :mod:`pipeline.recordings.mat5`, 7.3 files (HDF5) with h5py; nothing in
+them is executed, and nothing is read that is larger than a recording can be.
 """
 
 from __future__ import annotations
 
 import io
+import math
 import zlib
 from dataclasses import dataclass, field
 
@@ -14,6 +16,7 @@ import h5py
 import numpy as np
 import scipy.io
 
+from pipeline.recordings import mat5
 from pipeline.recordings.events import (
     DURATION_S,
     GRID,
@@ -164,44 +167,92 @@ def events_of(spiketrain) -> Events:
         raise BadRecording(f"column {column + 1} has {per_column[column]} events, not one")
     if not np.isfinite(times).all():
         raise BadRecording("has a time that is NaN or infinite")
-    if times[0] < 0:
+    if times.min() < 0:
         raise BadRecording("has a negative time")
+    if times.max() > LATEST_S:
+        raise BadRecording(f"times go up to {times.max():g}, not seconds; in milliseconds?")
     time_ns = np.rint(times * 1e9).astype(np.int64)
     if (np.diff(time_ns) <= 0).any():
         column = int(np.argmax(np.diff(time_ns) <= 0)) + 1
         raise BadRecording(f"times do not increase at column {column + 1}")
-    if times[-1] > LATEST_S:
-        raise BadRecording(f"times go up to {times[-1]:g}, not seconds; in milliseconds?")
     taxel = np.argmax(values != 0, axis=0)
-    return merge_bursts(time_ns, taxel, values[taxel, np.arange(values.shape[1])])
+    events = merge_bursts(time_ns, taxel, values[taxel, np.arange(values.shape[1])])
+    if events.columns.sum(dtype=np.int64) != len(time_ns):  # they are counted in 16 bits
+        raise BadRecording("has one event in more than 65,535 columns")
+    return events
 
 
-def read_variables(content: bytes, names) -> dict:
-    """Read named variables of a MATLAB 5 or 7.3 file, those that it has.
+def read_variables(content: bytes, names=None) -> dict:
+    """Read the named variables of a MATLAB 5 or 7.3 file, those that it has.
+
+    Parameters
+    ----------
+    content : bytes
+    names : sequence of str, optional
+        Default: all that hold numbers.
+
+    Returns
+    -------
+    dict of str to ndarray or None
+        None for a named variable that is something else than real numbers.
 
     Raises
     ------
     BadRecording
-        The content is not a MAT file or is damaged.
+        The content is not a MAT file, is damaged, or declares more than a recording can have.
     """
     if not content:
         raise BadRecording("is an empty file")
+    if len(content) > mat5.LARGEST:
+        raise BadRecording(f"is larger than a recording of {DURATION_S:g} s can be")
     try:
         if content[512:520] == b"\x89HDF\r\n\x1a\n":
             with h5py.File(io.BytesIO(content), "r") as file:
-                # MATLAB stores columns first, so that HDF5 sees each matrix transposed.
-                return {name: file[name][()].T for name in names if name in file}
-        if not content.startswith(b"MATLAB 5.0 MAT-file"):
+                return _datasets(file, list(file) if names is None else names)
+        if not content.startswith(mat5.HEADER):
             raise BadRecording("is not a MAT file")
-        with io.BytesIO(content) as file:
-            found = scipy.io.loadmat(file, variable_names=names)
-            return {name: found[name] for name in names if name in found}
+        return mat5.read(content, names)
+    except mat5.TooLarge as error:
+        raise BadRecording(
+            f"{error}, more than a recording of {DURATION_S:g} s can have"
+        ) from error
     except BadRecording:
+        raise
+    except MemoryError:
         raise
     except (ValueError, TypeError, KeyError, OSError, EOFError, IndexError, zlib.error) as error:
         raise BadRecording("is a damaged MAT file") from error
-    except Exception as error:  # SciPy's reader fails in many ways on damaged files
+    except Exception as error:  # h5py's fails in many ways on damaged files
         raise BadRecording(f"is a damaged MAT file ({type(error).__name__})") from error
+
+
+def _datasets(file, names):
+    """The arrays of numbers of an HDF5 file; nothing outside it is opened."""
+    found = {}
+    if len(names) > mat5.MOST_VARIABLES:
+        raise BadRecording(f"has {len(names)} variables")
+    for name in names:
+        if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+            continue
+        dataset = file[name]
+        found[name] = None
+        if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiub":
+            continue
+        if dataset.external or dataset.is_virtual or dataset.shape is None:
+            raise BadRecording(f"keeps {name!r} in another file")
+        held = max(math.prod(map(int, shape)) for shape in (dataset.shape, dataset.chunks or ()))
+        if held * dataset.dtype.itemsize > mat5.LARGEST:
+            raise mat5.TooLarge(
+                f"says that {name!r} has {' x '.join(map(str, dataset.shape))} values"
+            )
+        # MATLAB stores columns first, so that HDF5 sees each matrix transposed.
+        found[name] = dataset[()].T
+    return found
+
+
+def read_limited(file) -> bytes:
+    """The content of an open file, or of as much as shows that it is too large."""
+    return file.read(mat5.LARGEST + 1)
 
 
 def spiketrain_of(events: Events) -> np.ndarray:
@@ -238,8 +289,7 @@ def read_lookup_table(content: bytes) -> TaxelMap:
     BadRecording
         No variable of that form, or its entries are no positions of 100 different taxels.
     """
-    with_names = _all_variables(content)
-    for table in with_names.values():
+    for table in read_variables(content).values():
         table = np.asarray(table)
         if table.dtype.kind in "fiu" and table.shape in ((N_TAXELS, 2), (N_TAXELS, 3)):
             break
@@ -260,18 +310,6 @@ def lookup_table_bytes(taxels: TaxelMap) -> bytes:
     """A lookup table as a MATLAB 5 file; inverse of :func:`read_lookup_table`."""
     address = np.arange(1, N_TAXELS + 1)
     return _mat_bytes({"LUT": np.stack([address, taxels.x + 1, taxels.y + 1], 1).astype(float)})
-
-
-def _all_variables(content):
-    try:
-        if content[512:520] == b"\x89HDF\r\n\x1a\n":
-            with h5py.File(io.BytesIO(content), "r") as file:
-                names = [name for name in file if isinstance(file[name], h5py.Dataset)]
-        else:
-            names = [entry[0] for entry in scipy.io.whosmat(io.BytesIO(content))]
-    except Exception as error:
-        raise BadRecording("is a damaged MAT file") from error
-    return read_variables(content, names)
 
 
 def _mat_bytes(variables):

@@ -6,6 +6,9 @@ import math
 
 import numpy as np
 
+from deploy.tables import aligned
+from pipeline.paper import SAMPLES_PER_DIGIT, TABLE1
+
 MEASURES = ("on", "off", "x_mean", "y_mean", "x_range", "y_range")
 """Rows of the table, in the paper's order."""
 
@@ -70,35 +73,88 @@ def _mean_sd(values):
     return mean, float(values.std(ddof=1)) if len(values) > 1 else math.nan
 
 
-_PAPER = {
-    "on": [
-        (1738.13, 1365.54), (362.95, 204.57), (878.78, 405.13), (1053.44, 673.43),
-        (823.63, 458.51), (1113.90, 701.60), (739.37, 521.99), (809.30, 631.05),
-        (1399.14, 898.56), (773.13, 483.25),
-    ],
-    "off": [
-        (1139.66, 803.17), (245.77, 124.34), (623.88, 294.57), (810.22, 1403.10),
-        (597.57, 355.25), (819.76, 677.03), (548.48, 410.00), (538.98, 361.39),
-        (1000.42, 755.04), (546.29, 295.75),
-    ],
-    "x_mean": [
-        (5.57, 0.51), (6.17, 0.70), (6.57, 0.70), (5.88, 0.59), (6.05, 0.57),
-        (5.41, 0.53), (6.04, 0.45), (5.32, 0.57), (5.78, 0.57), (5.24, 0.54),
-    ],
-    "y_mean": [
-        (6.84, 0.75), (6.21, 1.16), (7.02, 0.82), (7.12, 0.88), (6.93, 0.93),
-        (6.57, 0.79), (6.68, 0.76), (6.92, 0.89), (6.76, 0.90), (6.58, 0.91),
-    ],
-    "x_range": [
-        (8.92, 0.53), (8.72, 0.70), (8.80, 0.64), (8.94, 0.53), (8.95, 0.52),
-        (8.91, 0.58), (8.94, 0.52), (8.96, 0.49), (8.94, 0.52), (8.91, 0.53),
-    ],
-    "y_range": [
-        (8.48, 1.04), (7.04, 1.36), (8.21, 1.04), (8.20, 1.08), (8.44, 0.87),
-        (8.38, 1.00), (8.33, 1.02), (7.97, 1.18), (8.19, 1.17), (8.17, 1.13),
-    ],
-    "samples": [697, 690, 699, 690, 690, 693, 698, 704, 697, 695],
-}  # fmt: skip
+LABELS = {
+    "on": "ON events",
+    "off": "OFF events",
+    "on_physical": "physical ON",
+    "off_physical": "physical OFF",
+    "x_mean": "X mean",
+    "y_mean": "Y mean",
+    "x_range": "X range",
+    "y_range": "Y range",
+}
 
-PAPER = {digit: {name: row[digit] for name, row in _PAPER.items()} for digit in range(10)}
-"""Table 1 of the paper, in the form of :func:`table`."""
+
+def is_st_mnist(recordings) -> bool:
+    """True if they are, by all one can see, those of the paper: recorded, and as many a digit."""
+    counts = np.bincount(recordings.labels, minlength=10).tolist()
+    return not recordings.source.simulated and counts == list(SAMPLES_PER_DIGIT)
+
+
+def table1_json(recordings, against_paper: bool = False) -> dict:
+    """The table as plain values.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    against_paper : bool
+        With the paper's figures and how far these are from them, relative to the paper's.
+    """
+    digits = {}
+    for digit, row in table(recordings).items():
+        digits[str(digit)] = _plain(row)
+        if against_paper:
+            paper = TABLE1[digit]
+            digits[str(digit)]["paper"] = _plain(paper)
+            digits[str(digit)]["error"] = _plain(
+                {name: _relative(row[name], paper[name]) for name in MEASURES}
+            )
+    return {
+        "simulated": recordings.source.simulated,
+        "samples": len(recordings),
+        "digits": digits,
+    }
+
+
+def table1_text(recordings, against_paper: bool = False) -> str:
+    """The table as text; parameters as in :func:`table1_json`."""
+    ours = table(recordings)
+    name = recordings.source.name
+    if recordings.source.simulated and "simulated" not in name:
+        name += " (simulated)"
+    rows = [["", *map(str, ours)]]
+    for measure, label in LABELS.items():
+        decimals = 2 if measure[0] in "xy" else 0
+        rows.append([label, *(_cell(row[measure], decimals) for row in ours.values())])
+        if against_paper and measure in MEASURES:
+            paper = {digit: TABLE1[digit][measure] for digit in ours}
+            rows.append(["  paper", *(_cell(pair, decimals) for pair in paper.values())])
+            rows.append(["  error %", *(_error(ours[d][measure], paper[d]) for d in ours)])
+    rows.append(["samples", *(str(row["samples"]) for row in ours.values())])
+    if against_paper:
+        rows.append(["  paper", *(str(TABLE1[digit]["samples"]) for digit in ours)])
+    lines = [f"{name}, {len(recordings)} samples: mean (SD)", *aligned(rows)]
+    if against_paper and not is_st_mnist(recordings):
+        what = "simulated" if recordings.source.simulated else "others"
+        lines.append(f"The paper's figures are those of ST-MNIST; these recordings are {what}.")
+    return "\n".join(lines)
+
+
+def _plain(row):
+    return {
+        name: [None if math.isnan(v) else v for v in value] if isinstance(value, tuple) else value
+        for name, value in row.items()
+    }
+
+
+def _relative(pair, paper):
+    return tuple(value / target - 1 for value, target in zip(pair, paper, strict=True))
+
+
+def _cell(pair, decimals):
+    return f"{pair[0]:.{decimals}f} ({pair[1]:.{decimals}f})"
+
+
+def _error(pair, paper):
+    mean, spread = (100 * error for error in _relative(pair, paper))
+    return f"{mean:+.0f} ({spread:+.0f})"

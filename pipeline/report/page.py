@@ -11,10 +11,11 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from deploy import __version__
 from deploy.check.bundle import Bundle
-from deploy.check.energy import estimate
+from deploy.check.energy import estimate_energy
 from deploy.network.responses import seconds_per_sample
-from pipeline.experiments.table2 import MODELS
+from pipeline.experiments.table2_splits import MODELS
 from pipeline.inputs.images import aggregate, normalise
+from pipeline.paper import TABLE1
 from pipeline.recordings import table1 as statistics
 from pipeline.recordings.events import Recordings, collect
 from pipeline.report import charts
@@ -65,7 +66,7 @@ class Inputs:
     histories : dict of str to list of dict
         Rows of an epoch each, of whatever was trained.
     table2 : dict or None
-        See :func:`pipeline.experiments.table2_summary.summarise`.
+        See :func:`pipeline.experiments.table2.summarise`.
     table2_settings : Settings or None
         What it was measured with.
     answers : dict of str to (labels, predictions)
@@ -230,8 +231,7 @@ def _table1(recordings):
         {
             "title": title,
             "cells": [
-                {"ours": ours[digit][name], "paper": statistics.PAPER[digit][name]}
-                for digit in sorted(ours)
+                {"ours": ours[digit][name], "paper": TABLE1[digit][name]} for digit in sorted(ours)
             ],
             "places": 0 if name in ("on", "off") else 2,
         }
@@ -242,7 +242,7 @@ def _table1(recordings):
             "cells": [
                 {
                     "ours": (ours[digit]["samples"], None),
-                    "paper": (statistics.PAPER[digit]["samples"], None),
+                    "paper": (TABLE1[digit]["samples"], None),
                 }
                 for digit in sorted(ours)
             ],
@@ -420,7 +420,7 @@ def _energy(inputs):
     counted = [r for r in inputs.results if r["spikes"]]
     if not counted:
         return None
-    got = estimate(inputs.bundle.spec, counted[-1])
+    got = estimate_energy(inputs.bundle.spec, counted[-1])
     chip = [layer for layer in got.layers if layer.on_chip]
     products = sum(layer.multiply_accumulates for layer in got.layers)
     return {

@@ -9,6 +9,7 @@ import numpy as np
 from deploy.check.bundle import Bundle
 from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
+from deploy.network.stream import show
 
 
 @dataclass(frozen=True)
@@ -48,12 +49,10 @@ def replay(bundle: Bundle, index: int, seed: int = 0) -> Replay:
     built = build(spec, seed)
     length = spec.presentation.stream_length
     first = index - index % length
-    built.feed.images = bundle.checks.images[first : index + 1].reshape(index + 1 - first, -1)
+    samples = spec.stimulus.flat(bundle.checks.inputs[first : index + 1])
     with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as simulator:
-        for _ in range(first, index + 1):
-            simulator.clear_probes()
-            simulator.run_steps(built.feed.period)
-        fired = {name: np.array(simulator.data[probe]) > 0 for name, probe in built.spikes.items()}
+        *_, shown = show(built, simulator, samples)
+    fired = shown.spikes
     spikes = {}
     for name, mask in fired.items():
         steps, neurons = np.nonzero(mask)

@@ -38,7 +38,7 @@ def reference_result(
         See :func:`deploy.check.results.result_of`.
     """
     begun = time.perf_counter()
-    logits = _logits(stage, settings, weights, bundle.checks.images, advance)
+    logits = _logits(stage, settings, weights, bundle.checks.inputs, advance)
     seconds = time.perf_counter() - begun
     everything = slice(0, len(bundle.checks))
     samples = records_of(bundle, everything, responses_of(logits, settings.presentation))
@@ -64,22 +64,6 @@ def responses_of(logits: np.ndarray, presentation) -> Responses:
     return Responses(scores[:, -1], decisions, {}, {})
 
 
-def rate_activations(settings: Settings, weights: dict, images) -> dict:
-    """Activations of the rate-based network's neurons, 1 for ``max_rate``.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (n_samples, n_neurons)
-        Of each convolution.
-    """
-    from models.cnn import activations, set_weights
-    from pipeline.training.networks import build_rate_network
-
-    model = build_rate_network(settings)
-    set_weights(model, weights)
-    return activations(model, images)
-
-
 def training_versions() -> dict:
     """Versions of what only these networks need."""
     names = ("tensorflow", "nengo-dl")
@@ -93,10 +77,10 @@ def _logits(stage, settings, weights, images, advance):
         from pipeline.training import nengodl
 
         return nengodl.run(settings, weights, images, settings.presentation.steps, advance=advance)
-    from pipeline.training import networks as training
+    from pipeline.training.networks import TrainedCNN, TrainedRates
 
-    network = {"cnn": training.cnn_logits, "rate-lif": training.rate_logits}[stage]
-    logits = network(settings, weights, images)[:, None]
+    network = TrainedCNN if stage == "cnn" else TrainedRates
+    logits = network(settings, weights).logits(images)[:, None]
     if advance is not None:
         advance(len(images))
     return logits

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from deploy.network.spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.stimulus import ImageCurrent, ImageSpikes
 from models.architecture import parse
 from models.lif import gain_for
 from models.quantised import eight_bits, twelve_bits
 from pipeline.settings import Settings
-from pipeline.training.networks import rate_logits
+from pipeline.training.networks import TrainedRates
 
 
 def deployed(settings: Settings, weights: dict, provenance: dict, images) -> NetworkSpec:
@@ -23,7 +24,7 @@ def deployed(settings: Settings, weights: dict, provenance: dict, images) -> Net
         Training images, by which the range of a readout on the chip is set.
     """
     on_chip = settings.deployment.readout == "chip"
-    logits = rate_logits(settings, weights, images) if on_chip else None
+    logits = TrainedRates(settings, weights).logits(images) if on_chip else None
     return to_spec(settings, weights, provenance, logits)
 
 
@@ -52,8 +53,9 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, logits=None) ->
     architecture = parse(settings.cnn.architecture)
     layers = []
     on_host = deployment.first_layer == "host"
-    for index, shape in enumerate(architecture.shapes[1:-1]):
-        name = f"conv{index + 1}"
+    *hidden, output = architecture.folded
+    for index, folded in enumerate(hidden):
+        name, first = folded.name, on_host and index == 0
         gain = gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
         kernel = gain * weights[f"{name}.kernel"].astype(float)
         bias = 1 + gain * weights[f"{name}.bias"].astype(float)
@@ -61,41 +63,47 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, logits=None) ->
             kernel, bias = eight_bits(kernel).numpy(), twelve_bits(bias).numpy()
         layers.append(
             Layer(
-                name=name,
-                kind="conv",
-                input_shape=architecture.shapes[index],
-                shape=shape,
-                placement="host" if on_host and index == 0 else "chip",
+                placement="host" if first else "chip",
                 neurons=Neurons("lif", 1 / snn.max_rate(index), snn.tau_rc, snn.tau_ref),
-                synapse=None if on_host and index == 0 else deployment.synapse or None,
-                kernel=architecture.convs[index].kernel,
-                block_shape=None,
-                pop_type=deployment.pop_type,
-                weights=kernel,
+                synapse=None if first else deployment.synapse or None,
+                weights=kernel.T if folded.layer.kind == "dense" else kernel,
                 bias=bias,
+                **_geometry(folded, deployment.pop_type),
             )
         )
-    layers.append(_readout(settings, architecture, weights, logits))
+    layers.append(_readout(settings, output, weights, logits))
     return NetworkSpec(
         architecture=str(architecture),
         input_shape=architecture.input_shape,
-        encoder=None if on_host else Encoder(deployment.input_rate, deployment.input_phase),
+        stimulus=ImageCurrent()
+        if on_host
+        else ImageSpikes(deployment.input_rate, deployment.input_phase),
         layers=tuple(layers),
         presentation=Presentation(**vars(settings.presentation)),
         provenance=provenance,
     )
 
 
-def _readout(settings, architecture, weights, logits):
-    common = dict(
-        name="output",
+def _geometry(folded, pop_type):
+    """What a layer of the bundle takes over from the architecture."""
+    geometry = dict(
+        name=folded.name,
         kind="dense",
-        input_shape=architecture.shapes[-2],
-        shape=(architecture.outputs,),
+        input_shape=folded.input_shape,
+        shape=folded.shape,
         kernel=0,
         block_shape=None,
-        pop_type=settings.deployment.pop_type,
+        pop_type=pop_type,
+        pool=folded.pool,
     )
+    if folded.layer.kind == "conv":
+        for name in ("kind", "kernel", "stride", "padding"):
+            geometry[name] = getattr(folded.layer, name)
+    return geometry
+
+
+def _readout(settings, folded, weights, logits):
+    common = _geometry(folded, settings.deployment.pop_type)
     kernel = weights["output.kernel"].T.astype(float)
     bias = weights["output.bias"].astype(float)
     if settings.deployment.readout == "host":

@@ -14,18 +14,14 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from deploy.network.responses import streams_of
+from deploy.check.rates import firing_rates, silent_share
 from deploy.network.spec import DT, NetworkSpec
-from deploy.targets.fast.emulation import Emulation, compile_spec
 
 NEAR_FASTEST = 0.9
 """Share of the fastest rate from which a neuron is at its limit."""
 
 SATURATED_SAMPLES = 0.01
 """Share of the samples on which a saturated neuron is at its limit, at the least."""
-
-STREAMS_AT_ONCE = 8
-"""Streams whose every spike is held in memory at a time."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +40,7 @@ class Activity:
 
 @dataclass(frozen=True)
 class LayerFidelity:
-    """How well a convolution's firing rates on the chip stand for its activations.
+    """How well a layer's firing rates on the chip stand for its activations.
 
     Attributes
     ----------
@@ -82,7 +78,7 @@ def activity(rates, fastest: float) -> Activity:
     rates = np.asarray(rates)
     at_limit = np.mean(rates >= NEAR_FASTEST * fastest, axis=0)
     return Activity(
-        silent=float(np.mean(np.all(rates <= 0, axis=0))),
+        silent=silent_share(rates),
         saturated=float(np.mean(at_limit >= SATURATED_SAMPLES)),
     )
 
@@ -119,66 +115,17 @@ def fidelity(layer: str, rates, activations, max_rate: float, tau_ref: float) ->
     )
 
 
-def window_rates(spec: NetworkSpec, images, seed: int = 0, advance=None) -> dict:
-    """Firing rates in the readout window, by the fast emulator, in the network's presentation.
-
-    Parameters
-    ----------
-    spec : NetworkSpec
-    images : ndarray, shape (n_samples, ...)
-    seed : int
-    advance : callable, optional
-        Called with the number of samples done since the last call.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (n_samples, n_neurons)
-        Of each convolution, in spikes a second from ``readout_start`` on.
-    """
-    emulation = Emulation(compile_spec(spec, seed))
-    shown = spec.presentation
-    sizes = {layer.name: layer.size for layer in spec.layers if layer.kind == "conv"}
-    window = shown.steps - shown.readout_start
-    images = np.asarray(images, float).reshape(len(images), -1)
-    counts = {name: [] for name in sizes}
-    for batch in _batches(images, shown.stream_length):
-        of_batch = {name: [] for name in sizes}
-
-        def watch(spikes, of_batch=of_batch):
-            """Spikes of one sample of each stream, packed to bits."""
-            for name, size in sizes.items():
-                read = np.unpackbits(spikes[name][:, -window:], axis=2, count=size)
-                of_batch[name].append(read.sum(axis=1))
-
-        emulation.run(batch, shown.steps, shown.gap, watch=watch)
-        for name, of_samples in of_batch.items():
-            counts[name].append(np.stack(of_samples, axis=1).reshape(-1, sizes[name]))
-        if advance is not None:
-            advance(batch.shape[0] * batch.shape[1])
-    return {name: np.concatenate(parts) / (window * DT) for name, parts in counts.items()}
-
-
-def _batches(images, stream_length):
-    """Arrays of streams of one length each, shape (n_streams, n_samples, n_pixels), in order."""
-    whole = [part for part in streams_of(len(images), stream_length)]
-    rest = [whole.pop()] if len(images) % stream_length else []
-    for first in range(0, len(whole), STREAMS_AT_ONCE):
-        yield np.stack([images[part] for part in whole[first : first + STREAMS_AT_ONCE]])
-    for part in rest:
-        yield images[part][None]
-
-
 def layers_json(spec: NetworkSpec, images, activations: dict, seed: int = 0, advance=None) -> list:
-    """Compare every convolution; each a dict of :class:`LayerFidelity`'s attributes.
+    """Compare every layer of neurons; each a dict of :class:`LayerFidelity`'s attributes.
 
     Parameters
     ----------
     spec, images, seed, advance
-        As in :func:`window_rates`.
+        As in :func:`deploy.check.rates.firing_rates`.
     activations : dict of str to ndarray, shape (n_samples, n_neurons)
         Of the rate-based network, on the same images.
     """
-    rates = window_rates(spec, images, seed, advance)
+    rates = firing_rates(spec, images, seed, spec.presentation.readout_start, advance)
     neurons = {layer.name: layer.neurons for layer in spec.layers}
     return [
         asdict(
@@ -190,7 +137,7 @@ def layers_json(spec: NetworkSpec, images, activations: dict, seed: int = 0, adv
                 tau_ref=neurons[name].tau_ref,
             )
         )
-        for name in rates
+        for name in activations
     ]
 
 

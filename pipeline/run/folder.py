@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
 
 from deploy.errors import UserError
-from deploy.files import read_json
+from deploy.files import lock, read_json
 from pipeline.settings import Settings, read_settings, write_settings
 
 
@@ -118,19 +117,17 @@ class RunFolder:
         """
         try:
             self.path.mkdir(parents=True, exist_ok=True)
-            lock = (self.path / ".lock").open("w")
+            file = (self.path / ".lock").open("w")
         except OSError as error:
             raise UserError(
                 f"{self.path}: cannot write ({error.strerror}); choose another RUN"
             ) from error
-        with lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                raise UserError(
-                    f"{self.path}: another process is working in this run; "
-                    "wait for it or choose another RUN"
-                ) from None
+        with file:
+            lock(
+                file,
+                f"{self.path}: another process is working in this run; "
+                "wait for it or choose another RUN",
+            )
             yield
 
 

@@ -7,8 +7,14 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from deploy.check.results import compare
-from pipeline.run.diagnosis import layers_text, least_faithful
+from deploy.check.bundle import Bundle
+from deploy.check.results import compare_results, read_result
+from deploy.files import read_json, write_json
+from pipeline.progress import progress
+from pipeline.run import stages
+from pipeline.run.diagnosis import layers_json, layers_text, least_faithful
+from pipeline.run.folder import RunFolder
+from pipeline.settings import Settings
 
 STAGES = ("cnn", "rate-lif", "spiking-lif", "nengo", "simreal", "emulator", "loihi")
 """Of the ladder on the check's samples."""
@@ -18,6 +24,62 @@ WHOLE_STAGES = ("cnn", "rate-lif", "spiking-lif", "nengo", "simreal", "fast")
 
 SLOW = ("nengo", "simreal")
 """Of `WHOLE_STAGES`, those that take minutes."""
+
+
+def measure_ladder(
+    run: RunFolder, settings: Settings, jobs: int, whole: bool, slow: bool, say
+) -> dict:
+    """Do what is missing of a run up to the emulator; compare its stages and write the ladder.
+
+    Parameters
+    ----------
+    run : RunFolder
+        Locked.
+    settings : Settings
+    jobs : int
+        Processes for recordings that are not in the cache.
+    whole : bool
+        On the whole test split, not on the check's samples.
+    slow : bool
+        With ``whole``: the stages of :data:`SLOW` too.
+    say : callable
+        Called with a line about each stage.
+
+    Returns
+    -------
+    dict
+        See :func:`ladder_json`.
+    """
+    dataset, bundle = stages.make_bundle(run, settings, jobs, say)
+    left_out, asked = (), [stage for stage in STAGES if stage != "loihi"]
+    if whole:
+        bundle = stages.on_test_split(settings, dataset, bundle)
+        left_out = () if slow else SLOW
+        asked = [stage for stage in WHOLE_STAGES if stage not in left_out]
+    results = [stages.answer(run, settings, bundle, stage, say, whole) for stage in asked]
+    board = run.check("loihi")
+    # A board's result is a row of its own if it is there and of this bundle.
+    if not whole and board.exists() and read_result(board)["bundle"] == bundle.id:
+        results.append(read_result(board))
+    path = run.whole_ladder if whole else run.ladder
+    table = ladder_json(results, _layers(run, path, settings, bundle), left_out)
+    write_json(path, table)
+    return table
+
+
+def _layers(run: RunFolder, path, settings: Settings, bundle: Bundle) -> list:
+    """How faithful each layer is on the bundle's samples; from an earlier ladder if it has that."""
+    if path.exists():
+        earlier = read_json(path, "delete it and run the command again")
+        if earlier.get("bundle") == bundle.id and earlier.get("layers"):
+            return earlier["layers"]
+    from pipeline.training.networks import TrainedRates  # TensorFlow, where it is needed
+
+    images = bundle.checks.inputs
+    trained = TrainedRates(settings, stages.read_weights(run.snn, settings))
+    with progress("compare layers", len(images)) as advance:
+        activations = trained.activations(images)
+        return layers_json(bundle.spec, images, activations, settings.seed, advance)
 
 
 @dataclass(frozen=True)
@@ -68,7 +130,7 @@ def climb(results) -> list:
     """
     rungs, above = [], None
     for result in results:
-        against = compare(above, result) if above is not None else None
+        against = compare_results(above, result) if above is not None else None
         rungs.append(
             Rung(
                 stage=result["target"],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,42 +16,18 @@ from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.files import read_arrays, read_json, write_arrays, write_json
 from models.architecture import parse
-from pipeline.inputs.images import tactile_images
-from pipeline.inputs.library import recordings_of
-from pipeline.inputs.splits import Split, draw_check_samples, random_split
+from pipeline.inputs.dataset import TOO_SMALL, Dataset
+from pipeline.inputs.splits import draw_check_samples
 from pipeline.progress import progress
-from pipeline.recordings.events import Recordings
 from pipeline.run.answers import STAGES as REFERENCES
-from pipeline.run.answers import rate_activations, reference_result, training_versions
+from pipeline.run.answers import reference_result, training_versions
 from pipeline.run.diagnosis import activity, fastest_rate, training_lines
 from pipeline.run.folder import RunFolder, is_current, stamp_of
 from pipeline.run.history import write_history
 from pipeline.settings import Settings
 
 REMEDY = "delete its folder and run the command again"
-REMEDY_SMALL = "ask for fewer (SAMPLES, or check.samples) or give more data"
 REMEDY_CHECK = "delete it and run the command again"
-
-
-@dataclass(frozen=True)
-class Dataset:
-    """Recordings as the networks see them.
-
-    Attributes
-    ----------
-    recordings : Recordings
-    images : ndarray, shape (n_samples, 10, 10, 1)
-    split : Split
-    """
-
-    recordings: Recordings
-    images: np.ndarray
-    split: Split
-
-    def part(self, name: str):
-        """(images, labels) of ``"train"``, ``"validation"`` (None if empty) or ``"test"``."""
-        index = getattr(self.split, name)
-        return (self.images[index], self.recordings.labels[index]) if len(index) else None
 
 
 def open_dataset(run: RunFolder, settings: Settings, jobs: int = 2, warn=None) -> Dataset:
@@ -65,12 +41,12 @@ def open_dataset(run: RunFolder, settings: Settings, jobs: int = 2, warn=None) -
     UserError
         The source cannot be read, or is too small for the split or the check.
     """
-    dataset = load_dataset(settings, jobs, warn)
+    dataset = Dataset.of(settings, jobs, warn)
     recordings, split = dataset.recordings, dataset.split
     try:
         draw_check_samples(split.test, settings.check.samples, settings.seed)
     except ValueError as error:
-        raise UserError(f"{settings.data.source}: {error}; {REMEDY_SMALL}") from error
+        raise UserError(f"{settings.data.source}: {error}; {TOO_SMALL}") from error
     run.save_settings(settings)
     write_json(
         run.dataset,
@@ -89,80 +65,49 @@ def open_dataset(run: RunFolder, settings: Settings, jobs: int = 2, warn=None) -
     return dataset
 
 
-def load_dataset(settings: Settings, jobs: int = 2, warn=None) -> Dataset:
-    """Load and split recordings and make their tactile images.
-
-    Raises
-    ------
-    UserError
-        The source cannot be read, or is too small for the split.
-    """
-    data, parts = settings.data, settings.split
-    recordings = recordings_of(data, jobs, warn)
-    try:
-        split = random_split(
-            len(recordings), settings.seed, parts.test_fraction, parts.validation_fraction
-        )
-    except ValueError as error:
-        raise UserError(f"{data.source}: {error}; {REMEDY_SMALL}") from error
-    images = tactile_images(recordings, settings.image.aggregation, settings.image.normalisation)
-    return Dataset(recordings, images, split)
-
-
 def train(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> dict:
     """Train the CNN, unless it is there already; return its metrics."""
     stamp = cnn_stamp(settings, dataset)
-    weights, metrics = run.cnn / "weights.npz", run.cnn / "metrics.json"
-    if is_current(metrics, stamp, weights):
-        say(f"cnn: up to date ({metrics.parent})")
-        return read_json(metrics, REMEDY)
-    from pipeline.training import (
-        networks as training,  # imports TensorFlow: ten seconds that a finished stage can spare
-    )
+    if done := _done("cnn", run.cnn, stamp, say):
+        return done
+    from pipeline.training.networks import train_cnn  # TensorFlow: seconds that _done can spare
 
-    begun = time.perf_counter()
-    with progress("train cnn", settings.cnn.epochs) as advance:
-        trained = training.train_cnn(
-            settings,
-            dataset.part("train"),
-            settings.seed,
-            dataset.part("validation"),
-            advance,
-        )
-    seconds = time.perf_counter() - begun
-    logits = training.cnn_logits(settings, trained.weights, dataset.images)
-    return _finish(run.cnn, stamp, trained, logits, dataset, seconds, say, "cnn")
+    def train_it(advance):
+        data, watched = dataset.part("train"), dataset.part("validation")
+        return train_cnn(settings, data, settings.seed, watched, advance)
+
+    return _train("cnn", run.cnn, stamp, settings.cnn.epochs, train_it, dataset, say)
 
 
 def train_rates(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> dict:
     """Train the rate-based LIF network, unless it is there already; return its metrics."""
     stamp = snn_stamp(settings, dataset)
-    weights, metrics = run.snn / "weights.npz", run.snn / "metrics.json"
-    if is_current(metrics, stamp, weights):
-        say(f"rate-lif: up to date ({metrics.parent})")
-        return read_json(metrics, REMEDY)
-    from pipeline.training import networks as training
+    if done := _done("rate-lif", run.snn, stamp, say):
+        return done
+    from pipeline.training.networks import snn_recipe, train_rate_network
 
-    start = read_weights(run.cnn, settings)
-    begun = time.perf_counter()
-    epochs = training.snn_recipe(settings.snn).epochs
-    with progress("train rate-lif", epochs) as advance:
-        trained = training.train_rate_network(
-            settings,
-            dataset.part("train"),
-            settings.seed,
-            start,
-            dataset.part("validation"),
-            advance,
-        )
-    seconds = time.perf_counter() - begun
-    logits = training.rate_logits(settings, trained.weights, dataset.images)
-    neurons = _neurons(settings, trained.weights, dataset.part("train")[0])
-    extra = {"neurons": neurons}
-    metrics = _finish(run.snn, stamp, trained, logits, dataset, seconds, say, "rate-lif", extra)
-    for line in training_lines(neurons):
+    start, data = read_weights(run.cnn, settings), dataset.part("train")
+
+    def train_it(advance):
+        watched = dataset.part("validation")
+        return train_rate_network(settings, data, settings.seed, start, watched, advance)
+
+    def neurons_of(trained):
+        return {"neurons": _neurons(settings, trained, data[0])}
+
+    epochs = snn_recipe(settings.snn).epochs
+    metrics = _train("rate-lif", run.snn, stamp, epochs, train_it, dataset, say, neurons_of)
+    for line in training_lines(metrics["neurons"]):
         say(f"rate-lif: {line}")
     return metrics
+
+
+def make_bundle(run: RunFolder, settings: Settings, jobs: int = 1, say=print) -> tuple:
+    """Do what is missing of a run up to its bundle; return the dataset and the bundle."""
+    dataset = open_dataset(run, settings, jobs, say)
+    train(run, settings, dataset, say)
+    train_rates(run, settings, dataset, say)
+    return dataset, convert(run, settings, dataset, say)
 
 
 def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> Bundle:
@@ -260,7 +205,7 @@ def read_weights(folder: Path, settings: Settings) -> dict:
 def _check_set(settings, dataset, chosen):
     recordings = dataset.recordings
     ids = tuple(recordings.ids[i] for i in chosen)
-    return CheckSet(dataset.images[chosen], recordings.labels[chosen], ids, settings.seed)
+    return CheckSet(dataset.inputs[chosen], recordings.labels[chosen], ids, settings.seed)
 
 
 def _answers(path, bundle):
@@ -280,19 +225,32 @@ def snn_stamp(settings: Settings, dataset: Dataset) -> str:
     return stamp_of(cnn_stamp(settings, dataset), asdict(settings.snn))
 
 
-def _neurons(settings, weights, images):
-    """Shares of silent and saturated neurons of each convolution on the training images."""
+def _neurons(settings, trained, inputs):
+    """Shares of silent and saturated neurons of each convolution on the training samples."""
     fastest = fastest_rate(settings.snn.tau_ref)
-    outputs = rate_activations(settings, weights, images)
+    outputs = trained.activations(inputs)
     return {
         name: asdict(activity(output * settings.snn.max_rate(index), fastest))
         for index, (name, output) in enumerate(outputs.items())
     }
 
 
-def _finish(folder, stamp, trained, logits, dataset, seconds, say, name, extra=None):
-    """Write a trained network's files, the metrics last: they say that the rest is there."""
-    right = np.argmax(logits, axis=1) == dataset.recordings.labels
+def _done(name, folder, stamp, say):
+    """The metrics of a network that was trained from the same, or None."""
+    path = folder / "metrics.json"
+    if not is_current(path, stamp, folder / "weights.npz"):
+        return None
+    say(f"{name}: up to date ({folder})")
+    return read_json(path, REMEDY)
+
+
+def _train(name, folder, stamp, epochs, train_it, dataset, say, more=lambda trained: {}):
+    """Train, judge and write a network; return its metrics, with ``more`` of the network."""
+    begun = time.perf_counter()
+    with progress(f"train {name}", epochs) as advance:
+        trained = train_it(advance)
+    seconds = time.perf_counter() - begun
+    right = np.argmax(trained.logits(dataset.inputs), axis=1) == dataset.labels
     parts = {part: getattr(dataset.split, part) for part in ("train", "validation", "test")}
     accuracy = {part: float(right[index].mean()) for part, index in parts.items() if len(index)}
     judge = list(accuracy)[-1]  # where settings are being chosen there is no test split
@@ -306,9 +264,10 @@ def _finish(folder, stamp, trained, logits, dataset, seconds, say, name, extra=N
         f"n_{judge}": n_judged,
         "epochs": len(trained.history),
         "seconds": seconds,
-        **(extra or {}),
+        **more(trained),
         "versions": training_versions(),
     }
+    # The metrics come last: they say that the rest is there.
     (folder / "metrics.json").unlink(missing_ok=True)
     write_arrays(folder / "weights.npz", **trained.weights)
     write_history(folder / "history.csv", trained.history)

@@ -15,9 +15,11 @@ carries the polarity and the length of a burst follows from where the event fall
 from __future__ import annotations
 
 import functools
+import itertools
 
 import numpy as np
 
+from deploy.tables import aligned
 from pipeline.recordings.events import N_TAXELS, TICK_NS, Events
 
 SIGNATURE_SEED = 2020
@@ -264,3 +266,52 @@ def round_trip(at_once, noise, trials, rng, p) -> dict:
         "timing_ns": float(np.sqrt(np.mean(errors**2))) if found else float("nan"),
         "sent": sent,
     }
+
+
+NOISES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
+AT_ONCE = (1, 10, 30, 100)
+
+
+def wire_losses(trials: int, seed: int, p, advance=None) -> list:
+    """:func:`round_trip` for each noise of :data:`NOISES` and number of events of :data:`AT_ONCE`.
+
+    Parameters
+    ----------
+    trials : int
+        Of each condition.
+    seed : int
+    p : parameters
+        As there.
+    advance : callable, optional
+        ``advance(1)`` after each condition.
+
+    Returns
+    -------
+    list of dict
+        With ``noise`` and ``at_once``.
+    """
+    rows = []
+    for index, (noise, at_once) in enumerate(itertools.product(NOISES, AT_ONCE)):
+        rng = np.random.default_rng([seed, index])
+        rows.append(
+            {"noise": noise, "at_once": at_once, **round_trip(at_once, noise, trials, rng, p)}
+        )
+        if advance is not None:
+            advance(1)
+    return rows
+
+
+def wire_losses_text(rows: list) -> str:
+    """The conditions as a table."""
+    table = [["noise", "at once", "found", "polarity", "false/event", "timing (ns)", "sent"]]
+    table += [
+        [
+            f"{row['noise']:.2f}",
+            str(row["at_once"]),
+            *(f"{row[name]:.4f}" for name in ("found", "polarity", "false")),
+            f"{row['timing_ns']:.1f}",
+            str(row["sent"]),
+        ]
+        for row in rows
+    ]
+    return "\n".join(aligned(table, left=0))

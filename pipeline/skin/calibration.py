@@ -28,6 +28,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from deploy.tables import aligned
+from pipeline.paper import TABLE1
 from pipeline.recordings import table1 as statistics
 from pipeline.skin.parameters import Form, Parameters
 from pipeline.skin.simulate import simulate
@@ -100,13 +102,26 @@ def cells(table) -> list:
     """Every cell that is fitted, worst first."""
     found = [
         Cell(digit, measure, part, row[measure][index], paper[measure][index], limit)
-        for digit, paper in statistics.PAPER.items()
+        for digit, paper in TABLE1.items()
         if (row := table.get(digit)) is not None
         for measure, limits in LIMITS.items()
         for index, (part, limit) in enumerate(zip(("mean", "sd"), limits, strict=True))
         if limit is not None and (digit, measure, part) not in LEFT_OUT
     ]
     return sorted(found, key=lambda cell: -cell.strain)
+
+
+def cells_text(cells: list) -> str:
+    """The cells as a table, each with how much of its limit it takes."""
+    rows = [["digit", "measure", "part", "simulated", "paper", "of the limit"]]
+    rows += [
+        [
+            *(str(cell.digit), cell.measure, cell.part),
+            *(f"{value:.2f}" for value in (cell.simulated, cell.paper, cell.strain)),
+        ]
+        for cell in cells
+    ]
+    return "\n".join(aligned(rows, left=3))
 
 
 def step(form: Form, row, paper, damping) -> Form:
@@ -182,7 +197,7 @@ def calibrate(parameters: Parameters, rounds=12, seed=0, jobs=2, counts=None, ad
         parameters = replace(
             parameters,
             forms=tuple(
-                step(form, table[digit], statistics.PAPER[digit], 0.8 / (1 + number / 3))
+                step(form, table[digit], TABLE1[digit], 0.8 / (1 + number / 3))
                 for digit, form in enumerate(parameters.forms)
             ),
         )

@@ -12,6 +12,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from deploy.errors import UserError
+from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.recordings.events import GRID, N_TAXELS, Recordings, Source, TaxelMap, collect
 from pipeline.skin import aces, handwriting, unipen
 from pipeline.skin import parameters as settings
@@ -20,9 +21,6 @@ from pipeline.skin.receptors import fire
 
 VERSION = 5
 """Goes into the hash of the recordings; raise it with any change of what is simulated."""
-
-SAMPLES_PER_DIGIT = (697, 690, 699, 690, 690, 693, 698, 704, 697, 695)
-"""Recordings of each digit in the published data (paper, Table 1)."""
 
 STEP_S = 3.27e-3 / 3
 """Time step of motion and contact; events stand on a finer grid within it."""
@@ -73,7 +71,7 @@ def simulate(
     seed : int
         The same seed gives the same recordings, whatever the number of processes.
     samples_per_digit : sequence of 10 int, optional
-        Default: as published, :data:`SAMPLES_PER_DIGIT`.
+        Default: as published, :data:`pipeline.paper.SAMPLES_PER_DIGIT`.
     jobs : int
         Processes.
     advance : callable, optional

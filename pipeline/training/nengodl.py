@@ -198,6 +198,9 @@ def _convert(settings, weights, kind, synapse, inference_only=True):
         synapse=synapse,
         inference_only=inference_only,
     )
+    # Spiking neurons start from voltages drawn at random: without a seed of its own the network
+    # takes one from NumPy's global state, which depends on all that ran in the process before.
+    converter.net.seed = settings.seed
     for index, (name, gain) in enumerate(gains.items()):
         ensemble = converter.layers[model.get_layer(f"{name}_neurons").output].ensemble
         ensemble.neuron_type = kind(

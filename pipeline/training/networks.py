@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -52,24 +52,58 @@ RECIPES = {
 
 @dataclass(frozen=True)
 class Trained:
-    """A trained network.
+    """A trained network and what it answers.
 
     Attributes
     ----------
+    settings : Settings
+        What it was trained with.
     weights : dict of str to ndarray
         See :func:`models.cnn.get_weights`.
     history : list of dict
         One row an epoch: ``epoch``, ``loss``, ``accuracy``, and ``val_loss`` and ``val_accuracy``
-        where there are validation samples.
+        where there are validation samples; empty where only the answers matter.
     """
 
+    settings: Settings
     weights: dict
-    history: list
+    history: list = field(default_factory=list)
+
+    def logits(self, inputs) -> np.ndarray:
+        """Logits, shape (n_samples, classes)."""
+        return predict(self._model(), inputs)
+
+    def activations(self, inputs) -> dict:
+        """What the neurons of each layer put out, shape (n_samples, n_neurons), by the layer."""
+        return activations(self._model(), inputs)
+
+    def _model(self):
+        model = self.build(self.settings)
+        set_weights(model, self.weights)
+        return model
+
+
+class TrainedCNN(Trained):
+    """The paper's CNN; its activations are those of rectified linear units."""
+
+    @staticmethod
+    def build(settings: Settings) -> tf.keras.Model:
+        """The network before it has its weights."""
+        return build_cnn(parse(settings.cnn.architecture))
+
+
+class TrainedRates(Trained):
+    """The network with rate-based LIF neurons; an activation of 1 stands for ``max_rate``."""
+
+    @staticmethod
+    def build(settings: Settings) -> tf.keras.Model:
+        """The network before it has its weights."""
+        return build_rate_network(settings)
 
 
 def train_cnn(
     settings: Settings, data, seed: int, validation=None, advance=None, recipe=None
-) -> Trained:
+) -> TrainedCNN:
     """Train the paper's CNN (Section 3.2.1).
 
     Parameters
@@ -88,17 +122,17 @@ def train_cnn(
 
     Returns
     -------
-    Trained
+    TrainedCNN
     """
     model = new_cnn(settings, seed)
     history = fit(model, recipe or cnn_recipe(settings.cnn), data, seed, validation, advance)
-    return Trained(get_weights(model), history)
+    return TrainedCNN(settings, get_weights(model), history)
 
 
 def new_cnn(settings: Settings, seed: int) -> tf.keras.Model:
     """The CNN as its training starts."""
     make_deterministic(seed)
-    return build_cnn(parse(settings.cnn.architecture))
+    return TrainedCNN.build(settings)
 
 
 def cnn_recipe(cnn) -> Recipe:
@@ -165,7 +199,7 @@ def _spike_costs(settings, architecture):
 
 def train_rate_network(
     settings: Settings, data, seed: int, cnn_weights=None, validation=None, advance=None
-) -> Trained:
+) -> TrainedRates:
     """Train with rate-based LIF neurons (paper, Section 3.2.2).
 
     With ``recipe = "paper"`` from new weights; with ``"loihi"`` from the CNN's, scaled so that the
@@ -181,11 +215,11 @@ def train_rate_network(
 
     Returns
     -------
-    Trained
+    TrainedRates
     """
     model = new_rate_network(settings, seed, data[0], cnn_weights)
     history = fit(model, snn_recipe(settings.snn), data, seed, validation, advance)
-    return Trained(get_weights(model), history)
+    return TrainedRates(settings, get_weights(model), history)
 
 
 def new_rate_network(settings: Settings, seed: int, images, cnn_weights=None) -> tf.keras.Model:
@@ -211,11 +245,8 @@ def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
     images : ndarray
         Training images, on which the activations are measured.
     """
-    architecture = parse(settings.cnn.architecture)
-    model = build_cnn(architecture)
-    set_weights(model, weights)
     scaled, before = dict(weights), 1.0
-    for name, output in activations(model, images).items():
+    for name, output in TrainedCNN(settings, weights).activations(images).items():
         scale = max(float(np.percentile(output, PERCENTILE)), 1e-6)
         scaled[f"{name}.kernel"] = weights[f"{name}.kernel"] * before / scale
         scaled[f"{name}.bias"] = weights[f"{name}.bias"] / scale
@@ -312,17 +343,3 @@ def make_deterministic(seed: int):
     tf.keras.backend.clear_session()
     tf.keras.utils.set_random_seed(seed)
     tf.config.experimental.enable_op_determinism()
-
-
-def cnn_logits(settings: Settings, weights: dict, images) -> np.ndarray:
-    """Logits of the CNN, shape (n_samples, 10)."""
-    model = build_cnn(parse(settings.cnn.architecture))
-    set_weights(model, weights)
-    return predict(model, images)
-
-
-def rate_logits(settings: Settings, weights: dict, images) -> np.ndarray:
-    """Logits of the rate-based network, shape (n_samples, 10)."""
-    model = build_rate_network(settings)
-    set_weights(model, weights)
-    return predict(model, images)

@@ -6,7 +6,8 @@ from models.cnn import get_weights
 from models.together import fit_together
 from pipeline.settings import Settings
 from pipeline.training.networks import (
-    Trained,
+    TrainedCNN,
+    TrainedRates,
     cnn_recipe,
     new_cnn,
     new_rate_network,
@@ -32,10 +33,11 @@ def train_cnns(settings: Settings, data, parts, seeds, advance=None) -> list:
 
     Returns
     -------
-    list of Trained
+    list of TrainedCNN
     """
     models = [new_cnn(settings, seed) for seed in seeds]
-    return _train(models, cnn_recipe(settings.cnn), data, parts, seeds, advance)
+    recipe = cnn_recipe(settings.cnn)
+    return _train(TrainedCNN, settings, models, recipe, data, parts, seeds, advance)
 
 
 def train_rate_networks(
@@ -44,17 +46,22 @@ def train_rate_networks(
     """Train with rate-based LIF neurons, by either recipe.
 
     What :func:`pipeline.training.networks.train_rate_network` does, for several splits.  Parameters
-    and result as in :func:`train_cnns`; ``cnn_weights`` are those of each split's CNN, needed for
-    the recipe ``"loihi"``.
+    as in :func:`train_cnns`; ``cnn_weights`` are those of each split's CNN, needed for the recipe
+    ``"loihi"``.
+
+    Returns
+    -------
+    list of TrainedRates
     """
     models = [
         new_rate_network(settings, seed, data[0][part], cnn_weights and cnn_weights[index])
         for index, (part, seed) in enumerate(zip(parts, seeds, strict=True))
     ]
-    return _train(models, snn_recipe(settings.snn), data, parts, seeds, advance)
+    recipe = snn_recipe(settings.snn)
+    return _train(TrainedRates, settings, models, recipe, data, parts, seeds, advance)
 
 
-def _train(models, recipe, data, parts, seeds, advance):
+def _train(kind, settings, models, recipe, data, parts, seeds, advance):
     histories = fit_together(
         models,
         data,
@@ -65,4 +72,7 @@ def _train(models, recipe, data, parts, seeds, advance):
         optimizer(recipe, max(len(part) for part in parts)),
         advance,
     )
-    return [Trained(get_weights(m), history) for m, history in zip(models, histories, strict=True)]
+    return [
+        kind(settings, get_weights(model), history)
+        for model, history in zip(models, histories, strict=True)
+    ]

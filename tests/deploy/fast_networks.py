@@ -9,7 +9,9 @@ import numpy as np
 
 from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
-from deploy.network.spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.stimulus import ImageCurrent, ImageSpikes
+from deploy.network.stream import show
 
 LOUD = 300.0
 
@@ -44,9 +46,9 @@ def random_spec(seed):
     return NetworkSpec(
         architecture="random",
         input_shape=input_shape,
-        encoder=None
+        stimulus=ImageCurrent()
         if host_input
-        else Encoder(rng.choice([200.0, 500.0, 1000.0]), rng.choice([0, 0.5])),
+        else ImageSpikes(rng.choice([200.0, 500.0, 1000.0]), rng.choice([0, 0.5])),
         layers=tuple(layers),
         presentation=Presentation(
             steps=steps,
@@ -140,7 +142,6 @@ class Reference:
 def reference(spec, images) -> Reference:
     """Run NengoLoihi's own emulator on one stream and write down every state."""
     built = build(spec)
-    built.feed.images = images
     log, outputs, spikes = [], [], {name: [] for name in built.spikes}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -165,12 +166,10 @@ def reference(spec, images) -> Reference:
                 )
 
             state._overflow, emulator.step = counting, logging
-            for _ in images:
-                sim.run_steps(built.feed.period)
-                outputs.append(np.array(sim.data[built.output]))
-                for name, probe in built.spikes.items():
-                    spikes[name].append(np.array(sim.data[probe]) != 0)
-                sim.clear_probes()
+            for shown in show(built, sim, images):
+                outputs.append(shown.output)
+                for name, rows in shown.spikes.items():
+                    spikes[name].append(rows)
     return Reference(
         *(np.array(part) for part in zip(*log, strict=True)),
         output=np.array(outputs),

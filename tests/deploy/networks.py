@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from deploy.check.bundle import CheckSet, write_bundle
-from deploy.network.spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.stimulus import EventFrames, ImageCurrent, ImageSpikes
 
 LIF = Neurons("lif", amplitude=0.01)
 
@@ -58,7 +59,7 @@ def small_spec(seed=0, on_chip_output=False, **presentation):
     return NetworkSpec(
         architecture="6x6-4c3-8c2-10o",
         input_shape=(6, 6, 1),
-        encoder=Encoder(),
+        stimulus=ImageSpikes(),
         layers=(conv1, conv2, readout(conv2.shape, rng, on_chip=on_chip_output)),
         presentation=Presentation(**shown),
         provenance={"simulated": True, "weights": "random"},
@@ -69,7 +70,7 @@ def host_first_spec(seed=0):
     """The small network with its first convolution on the host, which takes the image itself."""
     spec = small_spec(seed)
     first = replace(spec.layers[0], placement="host", synapse=None)
-    return replace(spec, encoder=None, layers=(first, *spec.layers[1:]))
+    return replace(spec, stimulus=ImageCurrent(), layers=(first, *spec.layers[1:]))
 
 
 def paper_spec(seed=0, **presentation):
@@ -80,7 +81,7 @@ def paper_spec(seed=0, **presentation):
     return NetworkSpec(
         architecture="10x10-6c4-24c3-10o",
         input_shape=(10, 10, 1),
-        encoder=Encoder(),
+        stimulus=ImageSpikes(),
         layers=(conv1, conv2, readout(conv2.shape, rng)),
         presentation=Presentation(**presentation),
         provenance={"simulated": True, "weights": "random"},
@@ -100,3 +101,33 @@ def bundle_at(path, spec=None, count=7):
     """A bundle of random weights and random images."""
     spec = spec or small_spec()
     return write_bundle(path, spec, random_checks(spec, count))
+
+
+def events_spec(seed=0, **presentation):
+    """6x6x2-4c4s1-5-3o on frames of events: a convolution and a hidden dense layer."""
+    rng = np.random.default_rng(seed)
+    shown = {"steps": 20, "gap": 4, "readout_start": 0, "stream_length": 3, **presentation}
+    conv1 = conv("conv1", (6, 6, 2), 4, 4, rng, scale=8.0)
+    dense1 = Layer(
+        name="dense1", kind="dense", input_shape=conv1.shape, shape=(5,), placement="chip",
+        neurons=LIF, synapse=0.002, kernel=0, block_shape=None, pop_type=32,
+        weights=rng.normal(size=(5, conv1.size)), bias=np.full(5, 0.9),
+    )  # fmt: skip
+    return NetworkSpec(
+        architecture="6x6x2-4c4-5-3o",
+        input_shape=(6, 6, 2),
+        stimulus=EventFrames(0.01),
+        layers=(conv1, dense1, readout((5,), rng, classes=3)),
+        presentation=Presentation(**shown),
+        provenance={"simulated": True, "weights": "random"},
+    )
+
+
+def random_frames(spec, count, seed=0, share=0.05):
+    """Frames of events that end at different steps, uint8."""
+    rng = np.random.default_rng(seed)
+    steps = spec.presentation.steps
+    frames = rng.random((count, steps, *spec.input_shape)) < share
+    for frame, end in zip(frames, rng.integers(1, steps + 1, count), strict=True):
+        frame[end:] = False
+    return frames.astype(np.uint8)

@@ -27,8 +27,10 @@ from typing import NamedTuple, Tuple
 import numpy as np
 import scipy.sparse
 
-Q_BITS = 21  # synaptic accumulator, without sign
-U_BITS = 23  # current and compartment input, without sign
+from ...network.chip import LOIHI
+
+Q_BITS = LOIHI.input_bits  # synaptic accumulator, without sign
+U_BITS = LOIHI.current_bits  # current and compartment input, without sign
 OVERFLOWS = ("q0", "current", "u2")  # where one can occur; the emulator's names
 
 
@@ -50,7 +52,7 @@ class Segments(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Layer:
+class ChipLayer:
     """A population of neurons on the chip, possibly split into several blocks.
 
     Attributes
@@ -88,7 +90,7 @@ class Network:
         From a source's spike to a compartment's ``q``, without the segment's power of two.
     segments : Segments
     bias, threshold : (n,) int32 array
-    layers : tuple of Layer
+    layers : tuple of ChipLayer
     emulator_order : (n,) int array
         Where each compartment of NengoLoihi's emulator, in its order, stands here.
     """
@@ -98,7 +100,7 @@ class Network:
     segments: Segments
     bias: np.ndarray
     threshold: np.ndarray
-    layers: Tuple[Layer, ...]
+    layers: Tuple[ChipLayer, ...]
     emulator_order: np.ndarray
 
     @property

@@ -17,7 +17,7 @@ from ...network.spec import DT
 from . import kernel_numpy
 from .arrays import OVERFLOWS, State
 from .from_nengo import Program, compile_network
-from .host_stage import OutputStage, Population
+from .host_stage import HostSide, OutputStage
 
 KERNELS = ("numba", "numpy")
 MEMORY = 32 << 20
@@ -61,14 +61,15 @@ class Emulation:
         self.program = program
         self.kernel = _kernel(kernel)(program.network, program.output.decoders)
 
-    def run(self, images, steps, gap, watch=None, memory=MEMORY) -> Recording:
-        """Show streams of images, each to a fresh network.
+    def run(self, samples, steps, gap, watch=None, memory=MEMORY) -> Recording:
+        """Show streams of samples, each to a fresh network.
 
         Parameters
         ----------
-        images : (n_streams, n_samples, n_pixels) array
+        samples : (n_streams, n_samples, size) or (n_streams, n_samples, steps, size) array
+            A frame that is held for all steps of its sample, or a frame for each of them.
         steps, gap : int
-            For how many steps each image is shown, and a blank one before it.
+            For how many steps each sample is shown, and a blank frame before it.
         watch : callable, optional
             Called after each sample of the streams with every spike of each layer in it: a dict of
             str to uint8 arrays (n_streams, period, n_neurons / 8), packed by `numpy.packbits`.
@@ -80,21 +81,19 @@ class Emulation:
         Recording
         """
         program, network = self.program, self.program.network
-        images = np.asarray(images, float)
-        n_streams, n_samples, n_pixels = images.shape
+        samples = np.asarray(samples)
+        n_streams, n_samples, size = samples.shape[0], samples.shape[1], samples.shape[-1]
         state = State.fresh(network, n_streams)
-        host = [Population(neurons, n_streams, program.dt) for neurons in program.inputs]
+        host = HostSide(program, n_streams, size)
         stage = OutputStage(program.output, n_streams, program.dt)
-        blank = np.repeat(program.drive(np.zeros((1, n_pixels))), n_streams, axis=0)
         at_once = max(1, memory // self.bytes_per_step(n_streams))
-        overflows, samples = 0, []
+        overflows, shown = 0, []
         for index in range(n_samples):
-            drive = program.drive(images[:, index])
+            host.take(samples[:, index])
             outputs, counts, packed = [], collections.Counter(), collections.defaultdict(list)
             for first in range(0, steps + gap, at_once):
                 last = min(first + at_once, steps + gap)
-                dark = min(max(gap - first, 0), last - first)
-                inputs = _host_spikes(host, ((blank, dark), (drive, last - first - dark)))
+                inputs = host.spikes(first - gap, last - gap)
                 done = self.kernel.advance(state, inputs)
                 outputs.append(stage.advance(done.spikes, done.decoded))
                 overflows = overflows + done.overflows
@@ -103,12 +102,12 @@ class Emulation:
                 if watch is not None:
                     for label, spikes in self._spikes(inputs, done, outputs[-1]):
                         packed[label].append(np.packbits(spikes, axis=2))
-            samples.append((np.concatenate(outputs, axis=1), counts))
+            shown.append((np.concatenate(outputs, axis=1), counts))
             if watch is not None:
                 watch({label: np.concatenate(parts, axis=1) for label, parts in packed.items()})
         return Recording(
-            output=np.stack([output for output, _ in samples], axis=1),
-            counts={k: np.stack([c[k] for _, c in samples], axis=1) for k in samples[0][1]},
+            output=np.stack([output for output, _ in shown], axis=1),
+            counts={k: np.stack([c[k] for _, c in shown], axis=1) for k in shown[0][1]},
             overflows=overflows,
         )
 
@@ -147,26 +146,6 @@ class Emulation:
             start += neurons.n
 
 
-def _host_spikes(host, shown):
-    """Spikes of the host's input neurons to some drives, each for some steps.
-
-    Returns
-    -------
-    (n_streams, n_steps, n_inputs) uint8 array
-    """
-    n_streams, n_inputs = shown[0][0].shape
-    spikes = np.empty((n_streams, sum(n for _, n in shown), n_inputs), np.uint8)
-    column = 0
-    for population in host:
-        part = slice(column, column + population.neurons.n)
-        first = 0
-        for drive, n_steps in shown:
-            population.spikes(drive[:, part], n_steps, spikes[:, first : first + n_steps, part])
-            first += n_steps
-        column = part.stop
-    return spikes
-
-
 def _kernel(name):
     if name not in (None, *KERNELS):
         raise UserError(f"no kernel {name!r}; the kernels are {', '.join(KERNELS)}")
@@ -196,7 +175,8 @@ def run_fast(spec, streams, seed=0, kernel=None, threads=1, memory=MEMORY) -> It
     Parameters
     ----------
     spec : NetworkSpec
-    streams : iterable of (n_samples, n_pixels) array
+    streams : iterable of array
+        Each as `Stimulus.flat` gives samples.
     seed : int
     kernel : str, optional
         See `Emulation`.

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse
 
 from ...errors import UserError
-from .arrays import U_BITS, Layer, Network, Segments
+from .arrays import U_BITS, ChipLayer, Network, Segments
 
 _SCALARS = ("keep_u", "keep_v", "v_min", "v_max", "refractory")
 
@@ -86,7 +86,7 @@ def chip_arrays(network, model, inputs):
         bias=table["bias"].astype(np.int32),
         threshold=table["threshold"].astype(np.int32),
         layers=tuple(
-            Layer(label, _in_own_order(table, index)) for index, (label, _) in enumerate(layers)
+            ChipLayer(label, _in_own_order(table, index)) for index, (label, _) in enumerate(layers)
         ),
         emulator_order=position,
     )

@@ -18,7 +18,7 @@ from nengo.builder.processes import SimProcess
 from nengo.builder.transforms import ConvInc
 
 from ...errors import UserError
-from ...network.build import EvenSpikes
+from ...network.build import EvenSpikes, Relay
 from ...network.loihi_import import nengo_loihi
 from .arrays import Network
 from .from_loihi import cannot, chip_arrays
@@ -29,6 +29,7 @@ HOST_NEURONS = (
     nengo.LIF,
     nengo.SpikingRectifiedLinear,
     EvenSpikes,
+    Relay,
     nengo_loihi.neurons.LoihiLIF,
     nengo_loihi.neurons.LoihiSpikingRectifiedLinear,
 )
@@ -56,6 +57,9 @@ class Program(NamedTuple):
         The populations whose spikes go to the chip, in the order of the network's inputs.
     network : Network
     output : HostOutput
+    relays : bool
+        Whether the inputs spike just where a frame is above 0, so that there is no need to drive
+        them.
     """
 
     dt: float
@@ -63,6 +67,7 @@ class Program(NamedTuple):
     inputs: tuple
     network: Network
     output: HostOutput
+    relays: bool = False
 
 
 def compile_network(network, source, output, dt=0.001) -> Program:
@@ -104,12 +109,15 @@ def compile_network(network, source, output, dt=0.001) -> Program:
     _refuse_what_is_not_feed_forward(model)
     inputs = _host_inputs(model)
     chip, positions = chip_arrays(network, model, inputs)
+    drive = _Drive(model.host_pre, frame, [item.drive for item in inputs])
+    neurons = tuple(item.neurons for item in inputs)
     return Program(
         dt=float(dt),
-        drive=_Drive(model.host_pre, frame, [item.drive for item in inputs]),
-        inputs=tuple(item.neurons for item in inputs),
+        drive=drive,
+        inputs=neurons,
         network=chip,
         output=_output(model, output, chip, positions),
+        relays=_relays(drive, neurons, frame.size),
     )
 
 
@@ -261,6 +269,18 @@ class _Drive:
                     step()
                 row[:] = np.concatenate(self.signals) if self.signals else 0.0
         return drive
+
+
+def _relays(drive, neurons, size):
+    """Whether each input is a relay that one value of the frame, of the same place, excites."""
+    if any(type(one.neuron_type) is not Relay or one.synapse is not None for one in neurons):
+        return False
+    if sum(one.n for one in neurons) != size:
+        return False
+    # The way from a frame to the drive is linear: nothing else is let through by `_host_input`.
+    currents = drive(np.eye(size))
+    own = np.diag(currents)
+    return bool(np.all(own > 0) and np.count_nonzero(currents) == size)
 
 
 # --- from the chip to the result ----------------------------------------------------------------

@@ -11,7 +11,7 @@ from typing import NamedTuple, Optional
 import nengo
 import numpy as np
 
-from ...network.build import EvenSpikes
+from ...network.build import EvenSpikes, Relay
 
 
 class HostNeurons(NamedTuple):
@@ -109,6 +109,9 @@ class Population:
         if rectified and not self.filtered:
             self._rectified(drive, n_steps, out)
             return
+        if type(self.neurons.neuron_type) is Relay and not self.filtered:
+            out[:] = (drive > 0)[:, None]
+            return
         for step in range(n_steps):
             current = self.current(self._filter(drive)) if self.filtered else drive
             np.not_equal(self.step(current), 0, out=out[:, step])
@@ -153,6 +156,67 @@ class Population:
     def current(self, value):
         """``bias + gain * value``."""
         return self.neurons.bias + self.neurons.gain * value
+
+
+class HostSide:
+    """The input neurons of several streams while they run.
+
+    Parameters
+    ----------
+    program : Program
+    n_streams : int
+    size : int
+        Values of a frame.
+    """
+
+    def __init__(self, program, n_streams, size):
+        self._program = program
+        self._populations = [
+            Population(neurons, n_streams, program.dt) for neurons in program.inputs
+        ]
+        self._blank = np.repeat(program.drive(np.zeros((1, size))), n_streams, axis=0)
+        self._frames = self._drive = None
+
+    def take(self, samples):
+        """Show one sample of each stream from now on: (n_streams, size) or (..., steps, size)."""
+        held = samples.ndim == 2
+        self._frames = None if held else samples
+        self._drive = self._program.drive(samples) if held else None
+
+    def spikes(self, first, last):
+        """Spikes of some steps of the sample.
+
+        Parameters
+        ----------
+        first, last : int
+            From which step to which, counted from 0 where the sample is first shown; in the gap
+            before it below 0.
+
+        Returns
+        -------
+        (n_streams, last - first, n_inputs) uint8 array
+        """
+        n_streams, n_inputs = self._blank.shape
+        spikes = np.empty((n_streams, last - first, n_inputs), np.uint8)
+        dark = min(max(-first, 0), last - first)
+        self._advance(self._blank, spikes[:, :dark])
+        if self._frames is None:
+            self._advance(self._drive, spikes[:, dark:])
+        elif self._program.relays:
+            np.greater(self._frames[:, first + dark : last], 0, out=spikes[:, dark:].view(bool))
+        else:
+            for step in range(first + dark, last):
+                drive = self._program.drive(self._frames[:, step])
+                self._advance(drive, spikes[:, step - first : step - first + 1])
+        return spikes
+
+    def _advance(self, drive, out):
+        """Steps in which the drive stays the same."""
+        column = 0
+        for population in self._populations:
+            part = slice(column, column + population.neurons.n)
+            population.spikes(drive[:, part], out.shape[1], out[:, :, part])
+            column = part.stop
 
 
 class OutputStage:

@@ -31,7 +31,7 @@ class Kernel:
     def __init__(self, network: Network, decoders):
         self._network = network
         self._decoders = np.asarray(decoders, np.float64)
-        self._layers = [_Layer(network, index) for index in range(len(network.layers))]
+        self._layers = [_LayerSteps(network, index) for index in range(len(network.layers))]
 
     def advance(self, state: State, inputs) -> Steps:
         """Advance several streams by some steps; see `kernel_numba.Kernel.advance`."""
@@ -65,7 +65,7 @@ class Kernel:
         return decoded, counts.reshape(n_streams, n).astype(np.int32)
 
 
-class _Layer:
+class _LayerSteps:
     """A layer's parameters and the steps of its update, on arrays (n_steps, n_streams, n)."""
 
     def __init__(self, network, index):

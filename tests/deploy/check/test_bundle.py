@@ -23,7 +23,7 @@ def test_round_trip(bundle):
     assert read.id == bundle.id == sha256_of(bundle.path / "MANIFEST.json")
     assert read.spec == small_spec()
     np.testing.assert_array_equal(read.spec.layers[0].weights, small_spec().layers[0].weights)
-    np.testing.assert_array_equal(read.checks.images, np.float32(checks.images))
+    np.testing.assert_array_equal(read.checks.inputs, np.float32(checks.inputs))
     np.testing.assert_array_equal(read.checks.labels, checks.labels)
     assert (read.checks.ids, read.checks.seed, len(read.checks)) == (checks.ids, checks.seed, 7)
 
@@ -83,10 +83,10 @@ def rewrite(bundle, change):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d.update(schema="stmnist-bundle/2"), "schema 'stmnist-bundle/2'.*reads"),
+        (lambda d: d.update(schema="stmnist-bundle/9"), "schema 'stmnist-bundle/9'.*reads"),
         (lambda d: d.update(dt=0.002), "time step is 0.002 s"),
         (lambda d: d["layers"][0].update(pop_type=64), "pop_type is neither"),
-        (lambda d: d["layers"][0].update(shape="abc"), "wrong kind"),
+        (lambda d: d["layers"][0].update(shape="abc"), "wrong value"),
         (lambda d: d["presentation"].pop("steps"), "."),
         (lambda d: d.pop("layers"), "'layers' is missing"),
     ],

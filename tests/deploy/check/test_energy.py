@@ -2,7 +2,7 @@
 
 import pytest
 
-from deploy.check.energy import LOIHI, MAC, estimate, estimate_text
+from deploy.check.energy import CHIP, MAC, estimate_energy, estimate_text
 from deploy.check.run import run_check
 from deploy.errors import UserError
 from tests.deploy.networks import bundle_at, host_first_spec, paper_spec, small_spec
@@ -19,7 +19,7 @@ def counted(spec, samples=2, **operations):
 def test_small_network_by_hand():
     # conv1 has 64 neurons and 36 inputs; a sample lasts 30 + 5 steps
     spec = small_spec()
-    value = estimate(spec, counted(spec, conv1=2000))
+    value = estimate_energy(spec, counted(spec, conv1=2000))
     conv1, conv2, output = value.layers
     assert conv1.synaptic_operations == 1000
     assert conv1.neuron_updates == 64 * 35
@@ -36,14 +36,14 @@ def test_small_network_by_hand():
 
 def test_output_neurons_on_the_chip_count():
     spec = small_spec(on_chip_output=True)
-    value = estimate(spec, counted(spec, output=400))
+    value = estimate_energy(spec, counted(spec, output=400))
     assert value.layers[-1].chip_joules == pytest.approx(200 * 27.1e-12 + 10 * 35 * 81e-12)
 
 
 def test_from_a_real_check(tmp_path):
     bundle = bundle_at(tmp_path / "bundle")
     result = run_check(bundle, "emulator", tmp_path / "emulator.json")
-    value = estimate(bundle.spec, result)
+    value = estimate_energy(bundle.spec, result)
     assert value.layers[0].synaptic_operations > 0
     text = estimate_text(value)
     assert text.startswith("ESTIMATE")
@@ -53,14 +53,14 @@ def test_from_a_real_check(tmp_path):
 def test_first_layer_on_the_host_takes_no_part(tmp_path):
     bundle = bundle_at(tmp_path / "bundle", host_first_spec())
     result = run_check(bundle, "emulator", tmp_path / "emulator.json")
-    conv1, conv2, _ = estimate(bundle.spec, result).layers
+    conv1, conv2, _ = estimate_energy(bundle.spec, result).layers
     assert (conv1.on_chip, conv1.chip_joules) == (False, 0)
     assert conv2.chip_joules > 0
 
 
 def test_result_without_counts_is_refused():
     with pytest.raises(UserError, match="no synaptic operations of this network"):
-        estimate(small_spec(), {"n_samples": 1})
+        estimate_energy(small_spec(), {"n_samples": 1})
 
 
 @pytest.mark.slow
@@ -70,8 +70,8 @@ def test_constants_and_cnn_are_those_of_keras_spiking():
     from models.keras2 import tf
 
     devices = keras_spiking.ModelEnergy.devices
-    assert devices["loihi"]["energy_per_synop"] == pytest.approx(LOIHI["synaptic operation"])
-    assert devices["loihi"]["energy_per_neuron"] == pytest.approx(LOIHI["neuron update"])
+    assert devices["loihi"]["energy_per_synop"] == pytest.approx(CHIP["synaptic operation"])
+    assert devices["loihi"]["energy_per_neuron"] == pytest.approx(CHIP["neuron update"])
     layers = tf.keras.layers
     cnn = tf.keras.Sequential(
         [
@@ -82,7 +82,7 @@ def test_constants_and_cnn_are_those_of_keras_spiking():
         ]
     )
     spec = paper_spec()
-    value = estimate(spec, counted(spec))
+    value = estimate_energy(spec, counted(spec))
     energy = keras_spiking.ModelEnergy(cnn)
     for device in MAC:
         assert energy.total_energy(device) == pytest.approx(value.cnn_joules(device))

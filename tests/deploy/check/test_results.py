@@ -5,7 +5,7 @@ import json
 import pytest
 
 from deploy import cli
-from deploy.check.results import compare, read_result
+from deploy.check.results import compare_results, read_result
 from deploy.errors import UserError
 from deploy.files import write_json
 from tests.command import call
@@ -35,7 +35,7 @@ def result(predictions=(0, 1, 2, 3), labels=(0, 1, 2, 3), target="nengo", **chan
 
 
 def test_a_comparison_by_hand():
-    comparison = compare(result(), result((0, 2, 2, 1), target="emulator"))
+    comparison = compare_results(result(), result((0, 2, 2, 1), target="emulator"))
     assert comparison.targets == ("nengo", "emulator")
     assert comparison.accuracy_drop == pytest.approx(0.5)
     assert comparison.p_value == pytest.approx(0.5)  # both lost: 2 * 0.5**2
@@ -49,7 +49,7 @@ def test_a_comparison_by_hand():
 
 
 def test_two_wrong_answers_disagree_without_a_drop():
-    comparison = compare(result((5, 1, 2, 3)), result((6, 1, 2, 3)))
+    comparison = compare_results(result((5, 1, 2, 3)), result((6, 1, 2, 3)))
     assert len(comparison.disagreements) == 1
     assert comparison.accuracy_drop == 0
     assert comparison.p_value == 1
@@ -65,7 +65,7 @@ def test_two_wrong_answers_disagree_without_a_drop():
 )
 def test_what_cannot_be_compared(other, message):
     with pytest.raises(UserError, match=message):
-        compare(result(), other)
+        compare_results(result(), other)
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ def test_file_is_read_back_whole(tmp_path):
         path.append(type(graph.nodes[place]).__name__)
     assert path == ["Conv2d", "CubaLIF", "Conv2d", "CubaLIF", "Flatten", "Affine", "Output"]
     conv1 = graph.nodes["conv1_weights"]
-    # filter 2, channel 0, row 1, column 2; a spike of the encoder lasts 1 ms and has area 1 / 500
+    # filter 2, channel 0, row 1, column 2; a spike of the input lasts 1 ms and has area 1 / 500
     assert conv1.weight[2, 0, 1, 2] == spec.layers[0].weights[1, 2, 0, 2] / 500 / 0.001
     np.testing.assert_array_equal(conv1.bias, spec.layers[0].bias)
     assert graph.nodes["conv1_neurons"].tau_syn.shape == (4, 4, 4)
@@ -66,7 +66,7 @@ def test_first_layer_on_the_host_takes_the_image():
     weights = spec.layers[0].weights.transpose(3, 2, 0, 1)
     np.testing.assert_array_equal(graph.nodes["conv1_weights"].weight, weights)
     assert type(graph.nodes["conv1_neurons"]) is nir.LIF
-    images = random_checks(spec, 2).images
+    images = random_checks(spec, 2).inputs
     fed = input_spikes(spec, images)
     assert fed.shape == (2, 35, 1, 6, 6)
     assert not fed[:, :5].any()
@@ -75,7 +75,7 @@ def test_first_layer_on_the_host_takes_the_image():
 
 def test_input_spikes_are_the_encoders():
     spec = small_spec()
-    images = random_checks(spec, 7).images
+    images = random_checks(spec, 7).inputs
     spikes = input_spikes(spec, images)
     assert set(np.unique(spikes)) == {0, 1}
     counted = answer(spec, images, "nengo").spikes["input"]
@@ -119,7 +119,7 @@ def without_what_nir_leaves_out(spec):
 @pytest.mark.skipif(not READER.exists(), reason="no environment with Norse; 'make setup-nir'")
 def test_norse_gives_what_the_reference_gives_without_what_nir_leaves_out(tmp_path):
     spec = paper_spec(steps=60, gap=10)
-    images = random_checks(spec, 20).images
+    images = random_checks(spec, 20).inputs
     write_nir(tmp_path / "network.nir", spec)
     np.savez(tmp_path / "in.npz", spikes=input_spikes(spec, images))
     subprocess.run(

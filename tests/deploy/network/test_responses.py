@@ -3,8 +3,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.network.build import Feed, default_block
-from deploy.network.responses import read_output, seconds_per_sample, streams_of
+from deploy.network.build import default_block
+from deploy.network.responses import read_output, seconds_per_sample
+from deploy.network.stimulus import Feed
+from deploy.network.stream import streams_of
 from tests.deploy.networks import paper_spec, small_spec
 
 
@@ -69,8 +71,8 @@ def test_equal_scores_tie_alike_whatever_the_order_of_adding():
 
 def test_what_is_shown_at_each_step():
     spec = small_spec(steps=3, gap=2, readout_start=0)
-    feed = Feed(spec)
-    feed.images = np.stack([np.full(36, 0.1), np.full(36, 0.2)])
+    feed = Feed(spec.presentation, 36)
+    feed.samples = np.stack([np.full(36, 0.1), np.full(36, 0.2)])
     shown = [float(feed(step * 0.001)[0]) for step in range(1, 11)]
     assert shown == [0, 0, 0.1, 0.1, 0.1, 0, 0, 0.2, 0.2, 0.2]
     assert seconds_per_sample(spec) == pytest.approx(0.005)

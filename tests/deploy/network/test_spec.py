@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deploy.errors import UserError
-from deploy.network.spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.stimulus import ImageCurrent, ImageSpikes
 from tests.deploy.networks import conv, paper_spec, readout, small_spec
 
 
@@ -46,7 +47,9 @@ def specs(draw):
     return NetworkSpec(
         architecture=draw(st.text(max_size=9)),
         input_shape=layers[0].input_shape,
-        encoder=None if host_first else Encoder(draw(st.floats(1, 1000)), draw(st.floats(0, 0.9))),
+        stimulus=ImageCurrent()
+        if host_first
+        else ImageSpikes(draw(st.floats(1, 1000)), draw(st.floats(0, 0.9))),
         layers=tuple(layers),
         presentation=Presentation(
             steps,
@@ -66,7 +69,7 @@ def test_round_trip_through_json_text(spec):
 
 @given(
     place=st.sampled_from(
-        [(), ("layers", 0), ("layers", 0, "neurons"), ("encoder",), ("presentation",)]
+        [(), ("layers", 0), ("layers", 0, "neurons"), ("stimulus",), ("presentation",)]
     ),
     junk=st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.lists(st.none()),
     pick=st.integers(0, 99),
@@ -110,20 +113,21 @@ def changed(path, value):
         (("layers", 0, "synapse"), 0, "synapse must be above 0"),
         (("layers", 0, "shape"), [7, 7, 5], "weights have shape"),
         (("layers", 0, "shape"), [8, 7, 6], "shape should be"),
-        (("layers", 0, "shape"), "abc", "wrong kind"),
-        (("layers", 0, "input_shape"), [10, 10], "wrong kind"),
+        (("layers", 0, "shape"), "abc", "wrong"),
+        (("layers", 0, "input_shape"), [10, 10], "wrong"),
         (("layers", 1, "input_shape"), [7, 7, 5], "layer 'conv2'"),
         (("layers", 1, "name"), "conv1", "weights have shape|two layers of one name"),
         (("layers", 2, "shape"), [9], "weights have shape"),
         (("input_shape",), [10, 10, 2], "layer 'conv1': input_shape should be"),
-        (("encoder", "max_rate"), 2000, "max_rate must be above 0, at most 1000"),
-        (("encoder", "initial_phase"), 1, "initial_phase"),
-        (("presentation", "steps"), 0, "steps must be at least 1"),
-        (("presentation", "steps"), 40.5, "whole numbers"),
-        (("presentation", "gap"), -1, "gap must not be negative"),
-        (("presentation", "readout_start"), 100, "from 0 to steps - 1 = 99"),
-        (("presentation", "stream_length"), 0, "stream_length must be at least 1"),
-        (("presentation", "stream_length"), True, "whole numbers"),
+        (("stimulus", "max_rate"), 2000, "max_rate must be above 0, at most 1000"),
+        (("stimulus", "initial_phase"), 1, "initial_phase"),
+        (("stimulus", "kind"), "film", "kind 'film' is not one of image-spikes"),
+        (("presentation", "steps"), 0, "'presentation.steps' must be 1 or more"),
+        (("presentation", "steps"), 40.5, "a whole number"),
+        (("presentation", "gap"), -1, "'presentation.gap' must be 0 or more"),
+        (("presentation", "readout_start"), 100, r"from 0 to below presentation.steps \(100\)"),
+        (("presentation", "stream_length"), 0, "'presentation.stream_length' must be 1 or more"),
+        (("presentation", "stream_length"), True, "a whole number"),
     ],
 )
 def test_what_does_not_fit_is_named(path, value, message):
@@ -149,7 +153,7 @@ def test_weights_must_be_finite_and_fit():
     with pytest.raises(UserError, match="'conv2': weights has NaN"):
         NetworkSpec.from_json(spec.to_json(), broken)
     broken["conv2.weights"] = np.array([["a"]])
-    with pytest.raises(UserError, match="wrong kind"):
+    with pytest.raises(UserError, match="wrong"):
         NetworkSpec.from_json(spec.to_json(), broken)
 
 
@@ -157,14 +161,14 @@ def test_the_order_of_the_layers():
     conv1, conv2, output = small_spec().layers
     common = dict(architecture="", input_shape=(6, 6, 1), presentation=Presentation())
     with pytest.raises(UserError, match="last layer is dense"):
-        NetworkSpec(encoder=Encoder(), layers=(conv1, conv2), **common)
+        NetworkSpec(stimulus=ImageSpikes(), layers=(conv1, conv2), **common)
     with pytest.raises(UserError, match="input_shape should be"):
-        NetworkSpec(encoder=Encoder(), layers=(conv2, output), **common)
-    with pytest.raises(UserError, match="'input' is the encoder's name"):
+        NetworkSpec(stimulus=ImageSpikes(), layers=(conv2, output), **common)
+    with pytest.raises(UserError, match="'input' is the input neurons' name"):
         NetworkSpec(
-            encoder=Encoder(), layers=(replace(conv1, name="input"), conv2, output), **common
+            stimulus=ImageSpikes(), layers=(replace(conv1, name="input"), conv2, output), **common
         )
     with pytest.raises(UserError):  # an image as a current goes only into a layer on the host
-        NetworkSpec(encoder=None, layers=(conv1, conv2, output), **common)
+        NetworkSpec(stimulus=ImageCurrent(), layers=(conv1, conv2, output), **common)
     assert isinstance(conv1, Layer)
     assert conv1.size == 64

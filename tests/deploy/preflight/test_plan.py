@@ -8,7 +8,8 @@ import pytest
 from deploy.errors import UserError
 from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
-from deploy.network.spec import Encoder, NetworkSpec, Presentation
+from deploy.network.spec import NetworkSpec, Presentation
+from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan, plan_text, require_fit
 from deploy.preflight.resources import LIMITS, synapse_words
 from tests.deploy.networks import conv, paper_spec, readout, small_spec
@@ -21,7 +22,7 @@ def spec_of(*filters_kernels, shape=(10, 10, 1), **options):
         layers.append(conv(f"conv{i + 1}", before, filters, kernel, rng, **options))
         before = layers[-1].shape
     layers.append(readout(before, rng))
-    return NetworkSpec("test", shape, Encoder(), layers, Presentation())
+    return NetworkSpec("test", shape, ImageSpikes(), layers, Presentation())
 
 
 def used(plan, layer):
@@ -88,7 +89,7 @@ def test_current_never_exceeds_its_bound(nxsdk):
     spec = paper_spec()
     bounds = {(core.chip, core.core): core for core in make_plan(spec).cores}
     built = build(spec)
-    built.feed.images = np.ones((1, 100))
+    built.feed.samples = np.ones((1, 100))
     with nengo_loihi.Simulator(built.network, target="loihi", precompute=True) as sim:
         board = sim.sims["loihi"].nxsdk_board
         peaks = {}

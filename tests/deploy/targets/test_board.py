@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from deploy.check.bundle import read_bundle
-from deploy.check.results import compare, read_result
+from deploy.check.results import compare_results, read_result
 from deploy.check.run import run_check
 from deploy.cli import summary
 from deploy.errors import UserError
 from deploy.targets import board as hardware
 from deploy.targets import registry as targets
-from deploy.targets.board import Settings
+from deploy.targets.board import BoardOptions
 from tests.deploy.networks import bundle_at, host_first_spec, paper_spec, random_checks, small_spec
 
-PATIENT = Settings(wait=0)
+PATIENT = BoardOptions(wait=0)
 
 
 @pytest.fixture(autouse=True)
@@ -43,7 +43,7 @@ def same_answers(a, b):
     ids=["small", "output-on-chip", "first-layer-on-host"],
 )
 def test_every_spike_is_the_emulators(nxsdk, spec):
-    images = random_checks(spec, 7).images.reshape(7, -1)
+    images = random_checks(spec, 7).inputs.reshape(7, -1)
     streams = [images[:3], images[3:6], images[6:]]
     for mine, theirs in zip(
         targets.run_loihi(spec, streams), targets.run_emulator(spec, streams), strict=True
@@ -56,8 +56,8 @@ def test_every_spike_is_the_emulators(nxsdk, spec):
 
 
 def test_result_has_the_same_schema_and_the_hardware(nxsdk, bundle, emulated, tmp_path):
-    settings = Settings(board="ncl-ext-ghrd-01", partition="nahuku32", wait=0)
-    result = run_check(bundle, "loihi", tmp_path / "loihi.json", settings=settings)
+    settings = BoardOptions(board="ncl-ext-ghrd-01", partition="nahuku32", wait=0)
+    result = run_check(bundle, "loihi", tmp_path / "loihi.json", options=settings)
     assert same_answers(result, emulated)
     assert set(emulated) <= set(result)
     assert result["hardware"] == {
@@ -70,7 +70,7 @@ def test_result_has_the_same_schema_and_the_hardware(nxsdk, bundle, emulated, tm
     assert result["versions"]["nxsdk"] == "1.0.0"
     assert all(value > 0 for value in result["timing"].values())
     assert "power" not in result
-    comparison = compare(read_result(tmp_path / "loihi.json"), emulated)
+    comparison = compare_results(read_result(tmp_path / "loihi.json"), emulated)
     assert (comparison.disagreements, comparison.other_spikes) == ([], 0)
 
 
@@ -89,15 +89,15 @@ def test_nxsdk_is_told_board_and_partition_and_only_then(nxsdk, monkeypatch):
 
     monkeypatch.setattr(N2Board, "start", spying)
     spec = small_spec()
-    images = random_checks(spec, 1).images.reshape(1, -1)
-    list(targets.run_loihi(spec, [images], settings=Settings(board="b", partition="p")))
+    images = random_checks(spec, 1).inputs.reshape(1, -1)
+    list(targets.run_loihi(spec, [images], options=BoardOptions(board="b", partition="p")))
     assert seen == {"BOARD": "b", "PARTITION": "p", "SLURM": "1"}
     assert "SLURM" not in os.environ
 
 
 def test_refused_connection_is_tried_again(nxsdk, bundle, emulated, tmp_path):
     nxsdk.faults.FAULTS.refuse = 4  # NengoLoihi gives up after three, the second attempt gets it
-    result = run_check(bundle, "loihi", tmp_path / "r.json", settings=PATIENT)
+    result = run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
     assert same_answers(result, emulated)
     assert result["hardware"]["attempts"] == 4
 
@@ -105,13 +105,13 @@ def test_refused_connection_is_tried_again(nxsdk, bundle, emulated, tmp_path):
 def test_board_that_stays_away_is_one_line(nxsdk, bundle, tmp_path):
     nxsdk.faults.FAULTS.refuse = 100
     with pytest.raises(UserError, match=r"board lost in stream 1 .*3 attempts.*connection refused"):
-        run_check(bundle, "loihi", tmp_path / "r.json", settings=PATIENT)
+        run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
     assert not (tmp_path / "r.json").exists()
 
 
 def test_connection_lost_in_mid_run_begins_the_stream_again(nxsdk, bundle, emulated, tmp_path):
     nxsdk.faults.FAULTS.lose_at_step = 150  # in the second stream
-    result = run_check(bundle, "loihi", tmp_path / "r.json", settings=PATIENT)
+    result = run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
     assert same_answers(result, emulated)
     assert result["hardware"] | {"board": None, "partition": None} == {
         "board": None, "partition": None, "chips": 1, "connections": 3, "attempts": 4,
@@ -119,12 +119,12 @@ def test_connection_lost_in_mid_run_begins_the_stream_again(nxsdk, bundle, emula
 
 
 def test_run_goes_on_where_the_board_was_lost(nxsdk, bundle, emulated, tmp_path):
-    once = Settings(attempts=1, wait=0)
+    once = BoardOptions(attempts=1, wait=0)
     nxsdk.faults.FAULTS.lose_at_step = 150
     with pytest.raises(UserError, match=r"lost in stream 2 .*connection to the board lost"):
-        run_check(bundle, "loihi", tmp_path / "r.json", settings=once)
+        run_check(bundle, "loihi", tmp_path / "r.json", options=once)
     before = nxsdk.faults.FAULTS.steps
-    result = run_check(bundle, "loihi", tmp_path / "r.json", settings=once)
+    result = run_check(bundle, "loihi", tmp_path / "r.json", options=once)
     assert same_answers(result, emulated)
     period = 35
     assert nxsdk.faults.FAULTS.steps - before == 4 * period  # streams 2 (3 samples) and 3 (1)
@@ -134,20 +134,20 @@ def test_run_goes_on_where_the_board_was_lost(nxsdk, bundle, emulated, tmp_path)
 def test_missing_steps_are_noticed(nxsdk, bundle, tmp_path):
     nxsdk.faults.FAULTS.short_probes = 1
     with pytest.raises(UserError, match="34 of 35 steps of layer conv1 came back"):
-        run_check(bundle, "loihi", tmp_path / "r.json", settings=PATIENT)
+        run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
 
 
 def test_lost_input_spikes_show_in_the_comparison(nxsdk, bundle, emulated, tmp_path):
     nxsdk.faults.FAULTS.drop_spikes = 10
-    result = run_check(bundle, "loihi", tmp_path / "r.json", settings=PATIENT)
-    assert compare(result, emulated).other_spikes >= 1
+    result = run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
+    assert compare_results(result, emulated).other_spikes >= 1
 
 
 @pytest.mark.parametrize(("version", "wrong"), [("0.8.7", "old"), ("1.1.0", "new")])
 def test_wrong_version_of_nxsdk(nxsdk, bundle, tmp_path, monkeypatch, version, wrong):
     monkeypatch.setattr(nxsdk, "__version__", version)
     with pytest.raises(UserError, match=f"NxSDK {version} is too {wrong}.* 0.9.0 to 1.0.0"):
-        run_check(bundle, "loihi", tmp_path / "r.json", settings=PATIENT)
+        run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
 
 
 def test_without_nxsdk(bundle, tmp_path):
@@ -158,13 +158,13 @@ def test_without_nxsdk(bundle, tmp_path):
 def test_axon_cfgs_refused_by_the_board(nxsdk, bundle, tmp_path, monkeypatch):
     monkeypatch.setattr("nxsdk.core.AXON_CFGS", 10)
     with pytest.raises(UserError, match=r"the board refuses the network: .*AxonCfg.*block_shape"):
-        run_check(bundle, "loihi", tmp_path / "r.json", settings=PATIENT)
+        run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
 
 
 def test_power_is_taken_down_apart_from_idle(nxsdk, bundle, tmp_path):
     nxsdk.faults.FAULTS.power = {"total": 30.0, "static": 25.0, "dynamic": 5.0, "core": {}}
-    settings = Settings(energy=True, wait=0)
-    result = run_check(bundle, "loihi", tmp_path / "r.json", settings=settings)
+    settings = BoardOptions(energy=True, wait=0)
+    result = run_check(bundle, "loihi", tmp_path / "r.json", options=settings)
     assert result["power"] == {
         "measured_samples": 7,
         "total_mw": 30.0,
@@ -179,7 +179,7 @@ def test_power_is_taken_down_apart_from_idle(nxsdk, bundle, tmp_path):
 
 def test_board_without_energy_probe(nxsdk, bundle, tmp_path):
     with pytest.raises(UserError, match=r"no energy probe.*leave --energy out"):
-        run_check(bundle, "loihi", tmp_path / "r.json", settings=Settings(energy=True, wait=0))
+        run_check(bundle, "loihi", tmp_path / "r.json", options=BoardOptions(energy=True, wait=0))
 
 
 def test_mean_power_is_weighted_by_steps():
@@ -202,7 +202,7 @@ def test_mean_power_is_weighted_by_steps():
 @pytest.mark.parametrize("wrong", [{"chips": 0}, {"attempts": 0}, {"wait": -1}])
 def test_senseless_settings(wrong):
     with pytest.raises(UserError, match="must be at least"):
-        Settings(**wrong)
+        BoardOptions(**wrong)
 
 
 @pytest.mark.slow

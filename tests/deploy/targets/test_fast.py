@@ -19,7 +19,8 @@ from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.responses import join
-from deploy.network.spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.stimulus import ImageCurrent, ImageSpikes
 from deploy.targets.fast import kernel_numpy
 from deploy.targets.fast.arrays import OVERFLOWS, State
 from deploy.targets.fast.emulation import Emulation, compile_spec, run_fast
@@ -114,7 +115,9 @@ def test_the_papers_network_is_identical_in_all_compartments(placement):
     spec = paper_spec(steps=40, gap=10)
     conv1, conv2, output = spec.layers
     layers = (replace(conv1, placement=placement), replace(conv2, block_shape=(3, 5, 24)), output)
-    spec = replace(spec, encoder=spec.encoder if placement == "chip" else None, layers=layers)
+    spec = replace(
+        spec, stimulus=spec.stimulus if placement == "chip" else ImageCurrent(), layers=layers
+    )
     images = images_for(spec, 2)
     expected = reference(spec, images)
     assert compile_spec(spec).network.is_plain.all()
@@ -183,7 +186,7 @@ def loud_spec(filters, sign):
         0, None, 32, np.full((3, 36 * filters), sign * 3.0), np.array([-9.0, 0.0, 9.0]),
     )  # fmt: skip
     presentation = Presentation(steps=60, gap=3, readout_start=0)
-    return NetworkSpec("loud", (6, 6, 1), Encoder(1000.0), (conv, output), presentation)
+    return NetworkSpec("loud", (6, 6, 1), ImageSpikes(1000.0), (conv, output), presentation)
 
 
 @pytest.mark.parametrize("sign", [1, -1])

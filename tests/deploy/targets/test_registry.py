@@ -8,7 +8,8 @@ import pytest
 
 from deploy.errors import UserError
 from deploy.network.build import build
-from deploy.network.spec import Encoder, Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.stimulus import ImageCurrent, ImageSpikes
 from deploy.targets.registry import _loihi_simulator, answer, target_named
 from tests.deploy.networks import conv, paper_spec, random_checks, readout, small_spec
 
@@ -25,7 +26,7 @@ def assert_same(a, b, part=slice(None)):
 
 @pytest.fixture(scope="module")
 def images():
-    return random_checks(small_spec(), 6).images
+    return random_checks(small_spec(), 6).inputs
 
 
 @pytest.mark.parametrize("target", EXACT)
@@ -57,7 +58,7 @@ def test_a_stream_goes_on_from_the_state_that_it_is_in(target, images):
 def test_sample_by_sample_is_the_same_as_in_one_run(target, images):
     spec = small_spec(gap=4)
     built = build(spec)
-    built.feed.images = images[:3].reshape(3, -1)
+    built.feed.samples = images[:3].reshape(3, -1)
     if target == "nengo":
         simulator = nengo.Simulator(built.network, progress_bar=False, optimize=False)
     else:
@@ -100,7 +101,7 @@ def linear_network(steps, readout_start=0, synapse=None):
         weights=np.eye(2), bias=np.array([0.25, -0.5]),
     )  # fmt: skip
     presentation = Presentation(steps, 0, readout_start, 1)
-    return NetworkSpec("test", (2, 2, 1), Encoder(), (first, output), presentation)
+    return NetworkSpec("test", (2, 2, 1), ImageSpikes(), (first, output), presentation)
 
 
 @pytest.mark.parametrize("target", EXACT)
@@ -122,7 +123,7 @@ def test_a_readout_on_the_chip(images):
 def test_the_first_layer_on_the_host(images):
     spec = small_spec()
     first = replace(spec.layers[0], placement="host", synapse=None)
-    spec = replace(spec, encoder=None, layers=(first, *spec.layers[1:]))
+    spec = replace(spec, stimulus=ImageCurrent(), layers=(first, *spec.layers[1:]))
     for target in EXACT:
         responses = answer(spec, images[:2], target)
         assert list(responses.spikes) == ["conv1", "conv2"]
@@ -134,7 +135,7 @@ def test_what_nengo_loihi_cannot_build_is_one_error():
     wide = conv("conv1", (6, 6, 1), 64, 3, rng)
     wider = conv("conv2", wide.shape, 256, 2, rng)
     layers = (wide, wider, readout(wider.shape, rng))
-    spec = NetworkSpec("6x6-64c3-256c2-10o", (6, 6, 1), Encoder(), layers, Presentation())
+    spec = NetworkSpec("6x6-64c3-256c2-10o", (6, 6, 1), ImageSpikes(), layers, Presentation())
     with pytest.raises(UserError, match=r"NengoLoihi cannot build this network: .* bits"):
         answer(spec, np.zeros((1, 36)), "emulator")
 

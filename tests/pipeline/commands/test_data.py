@@ -5,9 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from pipeline.commands import skin
 from pipeline.recordings.archive import read_source
-from pipeline.skin import parameters
+from pipeline.skin import aces, parameters
 from tests.command import call
 
 SEVENS = """\
@@ -109,8 +108,8 @@ def test_simulate_mistakes(tmp_path, capsys):
 
 
 def test_aces(capsys, monkeypatch):
-    monkeypatch.setattr(skin, "NOISES", (0.0, 0.2))
-    monkeypatch.setattr(skin, "AT_ONCE", (1, 100))
+    monkeypatch.setattr(aces, "NOISES", (0.0, 0.2))
+    monkeypatch.setattr(aces, "AT_ONCE", (1, 100))
     assert call("data", "aces", "--trials", 1, "--json") == 0
     rows = json.loads(capsys.readouterr().out)
     assert [(row["noise"], row["at_once"]) for row in rows] == [

@@ -114,3 +114,23 @@ def test_check_run_without_nxsdk(bundle, capsys):
     status, _, err = run(capsys, "check", "run", bundle.path, "--target", "loihi")
     assert status == 2
     assert "needs Intel's NxSDK" in err
+
+
+def test_export_to_lava(bundle, capsys, tmp_path):
+    wanted = tmp_path / "lava" / "network.npz"
+    status, out, _ = run(
+        capsys, "deploy", "export", bundle.path, "--format", "lava", "--out", wanted
+    )
+    assert status == 0
+    assert "input spikes of 7 samples" in out
+    with np.load(wanted, allow_pickle=False) as archive:
+        assert archive["spikes.input"].shape == (7, 35, 5)  # 36 pixels in 5 bytes
+
+
+def test_export_to_lava_takes_no_second_file(bundle, capsys, tmp_path):
+    status, _, err = run(
+        capsys, "deploy", "export", bundle.path, "--format", "lava",
+        "--out", tmp_path / "a.npz", "--inputs", tmp_path / "b.npz",
+    )  # fmt: skip
+    assert status == 2
+    assert "--inputs is for NIR" in err

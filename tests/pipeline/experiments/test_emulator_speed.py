@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from deploy.targets.fast.emulation import Emulation, compile_spec
-from pipeline.commands.benchmark_emulator import as_text
 from pipeline.experiments import emulator_speed as measure
 from tests.command import call
 from tests.deploy.fast_networks import images_for
@@ -77,7 +76,7 @@ def test_without_numba_the_numpy_kernel_is_measured(monkeypatch):
     result = measure.compare(spec, images_for(spec, 3))
     assert result["identical"]
     assert result["ratio_whole"] == result["ratio_whole_numpy"]
-    assert "numba" not in as_text({**result, "simulated": True})
+    assert "numba" not in measure.speed_text({**result, "simulated": True})
 
 
 def test_many_times_faster():

@@ -1,10 +1,11 @@
 import os
 import signal
-from threading import Timer
+from threading import Thread
 
 import pytest
 
 from deploy.errors import UserError
+from pipeline.experiments import jobs
 from pipeline.experiments.jobs import Failure, run_jobs
 
 
@@ -56,8 +57,9 @@ def test_an_interruption_is_no_failure():
         list(run_jobs(interrupt, [1]))
 
 
-def test_a_wrong_address_is_named():
+def test_a_wrong_address_is_named(monkeypatch):
     pytest.importorskip("distributed")
+    monkeypatch.setattr(jobs, "PATIENCE", 0.1)
     with pytest.raises(UserError, match=r"tcp://127\.0\.0\.1:1"):
         list(run_jobs(reciprocal, [1], scheduler="tcp://127.0.0.1:1"))
 
@@ -82,10 +84,15 @@ def cluster(request):
 
 
 @pytest.mark.parametrize("cluster", [{"n_workers": 0, "processes": False}], indirect=True)
-def test_jobs_wait_for_a_worker(cluster, capsys):
-    Timer(1, cluster.scale, (1,)).start()
-    assert list(run_jobs(reciprocal, [2], scheduler=cluster.scheduler_address)) == [(2, 0.5)]
-    assert "no workers yet" in capsys.readouterr().err
+def test_jobs_wait_for_a_worker(cluster):
+    said = []
+
+    def say(line):
+        said.append(line)
+        cluster.scale(1)
+
+    assert list(run_jobs(reciprocal, [2], 1, cluster.scheduler_address, say)) == [(2, 0.5)]
+    assert said == [f"{cluster.scheduler_address} has no workers yet; the jobs wait for one"]
 
 
 def die(job):
@@ -104,7 +111,8 @@ def test_a_job_that_kills_its_workers_is_a_failure(cluster):
 @pytest.mark.parametrize("cluster", [{"n_workers": 0, "processes": False}], indirect=True)
 def test_a_scheduler_that_goes_away_is_a_failure(cluster):
     address = cluster.scheduler_address
-    Timer(1, cluster.close).start()
-    ((job, failure),) = run_jobs(reciprocal, [2], scheduler=address)
+    gone = Thread(target=cluster.close)
+    ((job, failure),) = run_jobs(reciprocal, [2], 1, address, lambda line: gone.start())
+    gone.join()
     assert job == 2
     assert failure.error == f"lost the scheduler {address}"

@@ -1,12 +1,90 @@
 """The benchmarks over splits: measured once, kept, gone on with; a failure is said."""
 
 import json
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import pytest
 
+from deploy.errors import UserError
+from deploy.files import read_json
 from pipeline.experiments import choices as conversion_choices
-from pipeline.experiments import losses
+from pipeline.experiments import jobs, losses
+from pipeline.experiments.study import Workers, _work, read_kept, study, write_kept
 from tests.command import call
+
+
+@dataclass(frozen=True)
+class Half:
+    """A job: half a number, kept in a file."""
+
+    number: int
+    folder: Path
+    stamp: str = "0"
+
+    @property
+    def path(self):
+        return self.folder / f"{self.number}.json"
+
+
+def halve(job):
+    if job.number % 2:
+        raise ArithmeticError(f"{job.number} is odd")
+    return {"half": job.number // 2}
+
+
+def test_a_study_keeps_its_results_and_goes_on(tmp_path):
+    jobs, said = [Half(number, tmp_path) for number in (4, 3, 8)], []
+    found = study("halves", halve, jobs, Workers(1), said.append, read_kept, write_kept)
+    assert (found[0], found[2]) == ({"half": 2}, {"half": 4})
+    assert found[1].error == "ArithmeticError: 3 is odd"
+    assert len(said) == 1
+    assert "3 is odd" in said[0]
+    assert read_json(jobs[0].path, "") == {"made_from": "0", "half": 2}
+    assert not jobs[1].path.exists()
+
+    asked = []
+
+    def truncate(job):
+        asked.append(job)
+        return {"half": job.number // 2}
+
+    found = study("halves", truncate, jobs, Workers(1), said.append, read_kept, write_kept)
+    assert asked == [jobs[1]]
+    assert [result["half"] for result in found] == [2, 1, 4]
+    asked.clear()
+    outdated = [replace(jobs[0], stamp="1")]
+    study("halves", truncate, outdated, Workers(1), said.append, read_kept)
+    assert asked == outdated
+
+
+def test_a_study_on_a_cluster(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    jobs, said = [Half(number, tmp_path) for number in (4, 3)], []
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        workers = Workers(scheduler=cluster.scheduler_address)
+        found = study("halves", halve, jobs, workers, said.append, read_kept, write_kept)
+    assert read_json(jobs[0].path, "")["half"] == 2
+    assert found[1].error == "ArithmeticError: 3 is odd"
+
+
+def test_a_worker_of_another_version_is_found_out(tmp_path):
+    with pytest.raises(UserError, match=r"not 0\.0\.0"):
+        _work(halve, "0.0.0", (0, Half(4, tmp_path)))
+
+
+@pytest.mark.parametrize(
+    "command", [("sweep", "runs/x"), ("benchmark", "losses"), ("benchmark", "conversion")]
+)
+def test_every_experiment_takes_a_scheduler(command, tmp_path, monkeypatch, capsys):
+    pytest.importorskip("distributed")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(jobs, "PATIENCE", 0.1)
+    assert call(*command, "--scheduler", "tcp://127.0.0.1:1", *TINY) == 2
+    assert "no Dask scheduler answers there" in capsys.readouterr().err
+
 
 TINY = [
     "--jobs",

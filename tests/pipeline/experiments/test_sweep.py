@@ -17,6 +17,7 @@ from deploy.errors import UserError
 from deploy.files import read_json
 from pipeline.experiments import sweep
 from pipeline.experiments.sweep_text import short_names, sweep_csv, sweep_text
+from pipeline.inputs.dataset import Dataset
 from pipeline.settings import Settings, read_settings
 from tests.command import call
 
@@ -38,7 +39,7 @@ def test_every_combination_of_the_grid(tmp_path):
     assert points[-1].settings.snn.max_rates == (120.0,)
     assert points[-1].settings.presentation.steps == 50
     assert len({point.stamp for point in points}) == 6
-    assert len({point.result for point in points}) == 6
+    assert len({point.path for point in points}) == 6
 
 
 def test_only_what_matters_to_a_training_makes_another_one(tmp_path):
@@ -85,7 +86,7 @@ def test_there_is_always_a_validation_part_and_never_a_test_part():
     assert sweep.base_settings(Settings()).split.validation_fraction == sweep.VALIDATION
     assert sweep.base_settings(SMALL).split.validation_fraction == 0.25
     dataset = sweep.dataset_of(SMALL)
-    whole = sweep.stages.load_dataset(SMALL)
+    whole = Dataset.of(SMALL)
     assert len(dataset.split.test) == 0
     assert len(dataset.split.validation) == 24  # of 96 that are not for testing
     assert not set(dataset.split.train) & set(whole.split.test)

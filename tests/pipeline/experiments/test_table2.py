@@ -7,9 +7,9 @@ import pytest
 from deploy.errors import UserError
 from deploy.files import write_json
 from pipeline.commands import main as cli
-from pipeline.experiments import table2
+from pipeline.experiments import table2_splits as table2
 from pipeline.experiments.jobs import Failure
-from pipeline.experiments.table2_summary import summarise, table_text
+from pipeline.experiments.table2 import summarise, table_text
 from pipeline.settings import Settings
 
 
@@ -142,7 +142,7 @@ def test_the_same_answers_differ_by_nothing(benchmark):
 def test_a_failed_split_is_reported_and_not_counted(benchmark):
     store(benchmark, "cnn", 0, [1, 0])
     store(benchmark, "cnn", 1, [1, 1])
-    job = table2.Job(benchmark, "random", (2,), ("cnn",))
+    job = table2.Batch(benchmark, "random", (2,), ("cnn",))
     table = summarise(benchmark, [(job, Failure("MemoryError: no message", ""))])
     assert table["rows"][0]["per_split"] == [0.5, 1.0]
     assert table["failures"] == [
@@ -166,15 +166,11 @@ def test_results_of_earlier_commands_stay_in_the_table(benchmark):
     assert [(c["a"], c["b"]) for c in table["comparisons"]] == [("cnn", "slayer")]
 
 
-def test_a_worker_with_other_recordings_or_another_version_is_found_out(benchmark, monkeypatch):
+def test_a_worker_with_other_recordings_is_found_out(benchmark):
     data = replace(Settings().data, samples_per_digit=2)
-    (job,) = table2.plan(replace(benchmark, settings=replace(Settings(), data=data)))
+    (batch,) = table2.plan(replace(benchmark, settings=replace(Settings(), data=data)))
     with pytest.raises(UserError, match="other recordings"):
-        table2.run(job)
-    results = [{"model": "cnn", "made_from": table2.stamp(job.benchmark, "cnn")}]
-    assert table2.of_this_version(job, results)
-    monkeypatch.setattr(table2, "__version__", "0.0.0")
-    assert not table2.of_this_version(job, results)
+        table2.measure(batch)
 
 
 def test_a_row_that_was_not_run_says_so(benchmark):
@@ -218,7 +214,7 @@ def test_the_command_runs_resumes_and_prints(tmp_path, monkeypatch, capsys):
     def refuse(*_):
         raise AssertionError("SLAYER was run again")
 
-    monkeypatch.setattr(table2, "_run_slayer", refuse)
+    monkeypatch.setattr(table2, "_measure_slayer", refuse)
     before = (out / "splits/random-00/ann-snn.json").stat().st_mtime_ns
     (out / "splits/random-00/cnn.json").unlink()
     status, said = run(capsys, "--out", str(out), "--models", models, "--json", *SMALL)
@@ -235,7 +231,7 @@ def test_a_failing_split_ends_with_status_1(tmp_path, monkeypatch, capsys):
         raise RuntimeError("the disk is on fire")
 
     monkeypatch.setenv("STMNIST_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(table2, "run", fail)
+    monkeypatch.setattr(table2, "measure", fail)
     status, said = run(capsys, "--out", str(tmp_path / "out"), "--models", "cnn", *SMALL)
     assert status == 1
     assert "1 of 1 jobs failed" in said.err
@@ -258,12 +254,6 @@ def test_mistakes_end_with_status_2(arguments, message, tmp_path, monkeypatch, c
     assert status == 2
     assert message in said.err
     assert "Traceback" not in said.err
-
-
-def test_writers_that_are_not_known_are_refused(benchmark):
-    recordings = type("R", (), {"writers": np.full(10, -1)})()
-    with pytest.raises(ValueError, match="not known"):
-        table2.split_of(recordings, Settings(), "writers", 0)
 
 
 @pytest.mark.slow

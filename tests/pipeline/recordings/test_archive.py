@@ -1,3 +1,6 @@
+import functools
+import os
+import signal
 import zipfile
 
 import numpy as np
@@ -12,7 +15,7 @@ from pipeline.recordings.archive import (
     write_zip,
 )
 from pipeline.recordings.events import TaxelMap
-from pipeline.recordings.matfile import lookup_table_bytes
+from pipeline.recordings.matfile import lookup_table_bytes, read_recording
 from pipeline.skin.simulate import simulate
 from tests.pipeline.handmade import (
     archive,
@@ -213,3 +216,75 @@ def test_the_hash_of_a_folder_follows_its_content(tmp_path):
     (tmp_path / "a" / "3" / "x.mat").write_bytes(b"other")
     assert content_hash(tmp_path / "a") != content_hash(tmp_path / "b")
     assert fingerprint(tmp_path / "a") != before
+
+
+@pytest.mark.parametrize("kind", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_other_compressions_are_read_and_their_damage_is_a_reason(tmp_path, kind):
+    path = tmp_path / "st.zip"
+    with zipfile.ZipFile(path, "w", kind) as file:
+        for name, content in good_members().items():
+            file.writestr(name, content)
+    assert len(read_source(path, jobs=1)) == 10
+    content = bytearray(path.read_bytes())
+    content[90] ^= 0xFF  # in the first member
+    path.write_bytes(content)
+    with pytest.raises(UserError, match=r"1 of 10 files refused: .*0/000.mat cannot be read"):
+        read_source(path, jobs=1)
+
+
+def test_a_member_that_says_it_is_huge_is_not_read(tmp_path, monkeypatch):
+    monkeypatch.setattr("pipeline.recordings.archive.LARGEST", 10_000)
+    path = tmp_path / "st.zip"
+    archive(path, {**good_members(), "3/bomb.mat": bytes(10_001)})
+    with pytest.raises(UserError, match=r"3/bomb.mat says that it has 10001 bytes, too many"):
+        read_source(path, jobs=1)
+
+
+def test_ten_bad_names_are_listed_and_the_rest_counted(tmp_path):
+    path = tmp_path / "st.zip"
+    bad = {f"3/{'n' * 500}{i:03d}.mat": b"x" for i in range(300)}
+    archive(path, {**good_members(), **bad})
+    with pytest.raises(UserError, match=r"300 of 310 files refused.*and 290 more; mend") as error:
+        read_source(path, jobs=1)
+    assert len(str(error.value)) < 3000
+    warned = []
+    assert len(read_source(path, jobs=1, skip_bad=True, warn=warned.append)) == 10
+    assert len(warned) == 11
+    assert warned[-1].endswith("left out 290 more")
+
+
+def test_a_zip_is_opened_once_not_for_every_chunk(tmp_path, monkeypatch):
+    path = tmp_path / "st.zip"
+    archive(path, good_members(20))
+    opened = []
+    original = zipfile.ZipFile._RealGetContents
+    monkeypatch.setattr(
+        zipfile.ZipFile,
+        "_RealGetContents",
+        lambda self: (opened.append(self), original(self))[1],
+    )
+    assert len(read_source(path, jobs=1)) == 200  # seven chunks
+    assert len(opened) == 2  # to list and to read
+    archive(path, good_members(2))  # another file of that name is read anew
+    assert len(read_source(path, jobs=1)) == 20
+
+
+def die_of_the_bad_one(content):
+    if content == b"deadly":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return read_recording(content)
+
+
+def test_a_file_that_ends_its_worker_is_named(tmp_path, monkeypatch):
+    path = tmp_path / "st.zip"
+    archive(path, {**good_members(4), "5/deadly.mat": b"deadly"})
+    monkeypatch.setattr(
+        "pipeline.recordings.archive._read_members", functools.partial(_members_read)
+    )
+    with pytest.raises(UserError, match=r"1 of 41 files refused: 5/deadly.mat ends the process"):
+        read_source(path, jobs=2)
+
+
+def _members_read(path, names):
+    with zipfile.ZipFile(path) as file:
+        return [die_of_the_bad_one(file.read(name)) for name in names]

@@ -1,3 +1,6 @@
+import io
+
+import h5py
 import numpy as np
 import pytest
 
@@ -113,6 +116,81 @@ def test_flipped_bytes_give_a_reason_or_a_recording():
 @pytest.mark.parametrize("writer", ["Anna", np.nan, [1.0, 2.0], []])
 def test_another_use_of_the_name_writer_is_no_writer(writer):
     assert read_recording(mat5(spiketrain=spiketrain(), writer=writer)).writer == -1
+
+
+def hdf5(build):
+    """A MATLAB 7.3 file that a function fills."""
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w", userblock_size=512) as file:
+        build(file)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    "put",
+    [
+        lambda file: file.create_group("writer").create_dataset("name", data=[1.0]),
+        lambda file: file.create_dataset("writer", data=np.array([b"Anna"])),
+        lambda file: file.create_dataset("writer", data=np.zeros(0)),
+        lambda file: file.__setitem__("writer", h5py.SoftLink("/nowhere")),
+    ],
+)
+def test_another_use_of_the_name_writer_in_a_matlab_73_file(put):
+    def build(file):
+        file["spiketrain"] = spiketrain(4).T
+        put(file)
+
+    recording = read_recording(hdf5(build))
+    assert len(recording.events) == 4
+    assert recording.writer == -1
+
+
+@pytest.mark.parametrize(
+    ("build", "reason"),
+    [
+        (
+            lambda file: file.create_dataset("spiketrain", (10**6, 101), "f8", chunks=(100, 101)),
+            "says that 'spiketrain' has 1000000 x 101 values, more than",
+        ),
+        (
+            lambda file: file.create_dataset("spiketrain", (4, 101), "f8", chunks=(10**6, 101),
+                                             maxshape=(None, 101)),
+            "says that 'spiketrain' has",
+        ),
+        (lambda file: file.create_group("spiketrain"), "not a matrix of numbers"),
+        (
+            lambda file: file.__setitem__("spiketrain", h5py.ExternalLink("other.h5", "/x")),
+            "has no variable",
+        ),
+        (
+            lambda file: file.create_dataset("spiketrain", (4, 101), "f8",
+                                             external=[("/etc/hostname", 0, 4 * 101 * 8)]),
+            "keeps 'spiketrain' in another file",
+        ),
+    ],
+)  # fmt: skip
+def test_a_matlab_73_file_that_declares_too_much_or_points_elsewhere(build, reason):
+    with pytest.raises(BadRecording, match=reason):
+        read_recording(hdf5(build))
+
+
+def test_a_file_that_is_too_large(monkeypatch):
+    monkeypatch.setattr("pipeline.recordings.mat5.LARGEST", 1000)
+    with pytest.raises(BadRecording, match="larger than a recording of 2 s can be"):
+        read_recording(mat5(spiketrain=spiketrain()))
+
+
+def test_times_that_no_integer_holds():
+    with pytest.raises(BadRecording, match="go up to 1e"):
+        read_recording(mat5(spiketrain=times(0.1, 1e300)))
+
+
+def test_an_event_in_more_columns_than_are_counted():
+    n = 65_536
+    array = np.zeros((101, n), np.float32)
+    array[3] = 1
+    with pytest.raises(BadRecording, match="more than 65,535 columns"):
+        events_of(np.vstack([array[:-1], np.arange(n)[None] * 16e-9]))
 
 
 def test_round_trip_of_a_recording():

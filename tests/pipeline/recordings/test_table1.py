@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
+from pipeline.paper import TABLE1
 from pipeline.recordings import table1 as statistics
 from pipeline.recordings.events import Events, Source, TaxelMap, collect
 from pipeline.recordings.matfile import read_recording
@@ -63,6 +64,6 @@ def test_the_one_real_recording(real_recording):
 
 
 def test_the_papers_table():
-    assert sum(row["samples"] for row in statistics.PAPER.values()) == 6953
-    assert statistics.PAPER[2]["x_mean"] == (6.57, 0.70)
-    assert all(set(row) == {*statistics.MEASURES, "samples"} for row in statistics.PAPER.values())
+    assert sum(row["samples"] for row in TABLE1.values()) == 6953
+    assert TABLE1[2]["x_mean"] == (6.57, 0.70)
+    assert all(set(row) == {*statistics.MEASURES, "samples"} for row in TABLE1.values())

@@ -13,7 +13,7 @@ import pytest
 from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.preflight.plan import make_plan
-from pipeline.experiments import table2
+from pipeline.experiments import table2_splits as table2
 from pipeline.report import page as report
 from pipeline.report.replay import replay
 from pipeline.settings import read_settings, write_settings
@@ -214,7 +214,7 @@ def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
     short = replace(bundle, spec=spec)
     from deploy.targets.registry import answer
 
-    counted = answer(spec, bundle.checks.images[:4], "emulator").spikes
+    counted = answer(spec, bundle.checks.inputs[:4], "emulator").spikes
     for index in (2, 3):
         played = replay(short, index)
         for layer, (times, units) in played.spikes.items():

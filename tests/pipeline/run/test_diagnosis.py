@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deploy.check.rates import firing_rates
 from deploy.check.results import read_result
 from deploy.check.run import run_check
 from deploy.files import read_json
@@ -17,7 +18,6 @@ from pipeline.run.diagnosis import (
     layers_text,
     least_faithful,
     training_lines,
-    window_rates,
 )
 from tests.deploy.networks import bundle_at, random_checks, small_spec
 
@@ -66,7 +66,7 @@ def test_rates_of_the_readout_window_are_the_spikes_of_it():
         spec.layers[0], weights=np.zeros_like(spec.layers[0].weights), bias=np.full(4, 2.0)
     )
     spec = replace(spec, layers=(layer, *spec.layers[1:])).with_presentation(readout_start=30)
-    rates = window_rates(spec, np.zeros((3, 6, 6, 1)))["conv1"]
+    rates = firing_rates(spec, np.zeros((3, 6, 6, 1)), start=30)["conv1"]
     assert rates.shape == (3, 64)
     assert set(np.unique(rates * 0.12)) <= {8.0, 9.0}  # 120 steps of 15, or a spike more
 
@@ -78,7 +78,7 @@ def test_rates_and_the_targets_counts_agree_however_samples_are_streamed(tmp_pat
     bundle = bundle_at(tmp_path / "bundle", spec, 9)
     result = run_check(bundle, "fast", tmp_path / "fast.json")
     steps = []
-    rates = window_rates(spec, bundle.checks.images, advance=steps.append)
+    rates = firing_rates(spec, bundle.checks.inputs, advance=steps.append)
     assert sum(steps) == 9
     for name, values in rates.items():
         counts = values * spec.presentation.steps * 0.001
@@ -87,8 +87,8 @@ def test_rates_and_the_targets_counts_agree_however_samples_are_streamed(tmp_pat
 
 def test_a_layer_against_its_own_rates_is_perfect():
     spec = small_spec()
-    images = random_checks(spec, 4).images
-    rates = window_rates(spec, images)
+    images = random_checks(spec, 4).inputs
+    rates = firing_rates(spec, images, start=spec.presentation.readout_start)
     amplitudes = {layer.name: layer.neurons.amplitude for layer in spec.layers if layer.neurons}
     own = {name: values * amplitudes[name] for name, values in rates.items()}
     for layer in layers_json(spec, images, own):

@@ -10,8 +10,8 @@ from matplotlib.image import imread
 from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.files import read_json
+from pipeline.inputs.dataset import Dataset
 from pipeline.run.answers import responses_of
-from pipeline.run.stages import load_dataset
 from pipeline.settings import Presentation, read_settings
 from tests.command import call
 
@@ -29,7 +29,7 @@ def whole_run(tiny_run, tmp_path_factory):
 
 def test_every_stage_answers_the_whole_test_split(whole_run):
     bundle = read_bundle(whole_run / "bundle")
-    dataset = load_dataset(read_settings(whole_run / "experiment.toml"))
+    dataset = Dataset.of(read_settings(whole_run / "experiment.toml"))
     ids = sorted(dataset.recordings.ids[i] for i in dataset.split.test)
     assert len(ids) == 120
     folder = whole_run / "checks" / "whole"

@@ -9,6 +9,7 @@ import pytest
 from deploy.files import read_json
 from pipeline.commands import skin
 from pipeline.experiments.difficulty import AIM, RECORD
+from pipeline.paper import TABLE1
 from pipeline.recordings import table1 as statistics
 from pipeline.skin import parameters
 from pipeline.skin.calibration import BOUNDS, LEFT_OUT, calibrate, cells, step
@@ -33,7 +34,7 @@ def test_sample_counts_are_the_papers(built_in):
 @pytest.mark.slow
 @pytest.mark.parametrize("digit", range(10))
 def test_table_1_comes_out(built_in, digit):
-    simulated, paper = statistics.table(built_in)[digit], statistics.PAPER[digit]
+    simulated, paper = statistics.table(built_in)[digit], TABLE1[digit]
     for events in ("on", "off"):
         assert simulated[events][0] == pytest.approx(paper[events][0], rel=0.10)
         if (digit, events) != (3, "off"):  # the work of a recording that went wrong
@@ -61,7 +62,7 @@ def test_the_recordings_are_about_as_hard_as_the_papers():
 
 
 def paper_table():
-    return {digit: dict(row) for digit, row in statistics.PAPER.items()}
+    return {digit: dict(row) for digit, row in TABLE1.items()}
 
 
 def test_the_papers_own_table_has_no_errors():
@@ -95,7 +96,7 @@ def test_cells_by_hand():
     ],
 )
 def test_a_step_goes_the_right_way(measure, pair, name, sign):
-    paper = statistics.PAPER[4]
+    paper = TABLE1[4]
     middle = {key: np.mean(bounds) for key, bounds in BOUNDS.items()}
     form = replace(parameters.load().forms[4], **middle)
     moved = step(form, {**paper, measure: pair}, paper, 0.5)
@@ -104,7 +105,7 @@ def test_a_step_goes_the_right_way(measure, pair, name, sign):
 
 
 def test_steps_end_at_the_bounds():
-    paper = statistics.PAPER[4]
+    paper = TABLE1[4]
     form = parameters.load().forms[4]
     moved = step(form, {**paper, "y_range": (1.0, 1.0)}, paper, 1.0)
     assert moved.width == BOUNDS["width"][1]

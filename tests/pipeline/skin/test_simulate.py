@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
+from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.recordings.events import (
     DURATION_S,
     EVENT_DTYPES,
@@ -15,7 +16,7 @@ from pipeline.recordings.events import (
     merge_bursts,
 )
 from pipeline.skin import parameters
-from pipeline.skin.simulate import SAMPLES_PER_DIGIT, simulate, source_of
+from pipeline.skin.simulate import simulate, source_of
 from pipeline.skin.unipen import Trace
 
 FEW = [8] * 10

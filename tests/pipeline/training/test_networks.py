@@ -34,7 +34,7 @@ def cnn(stripes):
 
 def test_the_weights_are_the_trained_ones(cnn, stripes):
     images, labels = stripes
-    found = accuracy(training.cnn_logits(settings(), cnn.weights, images), labels)
+    found = accuracy(cnn.logits(images), labels)
     assert found >= cnn.history[-1]["accuracy"] - 0.02
     assert found > 0.9
 
@@ -52,7 +52,7 @@ def test_rate_networks_learn(cnn, stripes, recipe):
     images, labels = stripes
     chosen = settings(recipe=recipe, epochs=8, batch_size=16)
     trained = training.train_rate_network(chosen, stripes, 0, cnn.weights)
-    assert accuracy(training.rate_logits(chosen, trained.weights, images), labels) > 0.9
+    assert accuracy(trained.logits(images), labels) > 0.9
 
 
 def test_a_price_on_spikes_saves_spikes(cnn, stripes):
@@ -70,8 +70,8 @@ def test_scaling_to_unit_keeps_the_function(cnn, stripes):
     images, _ = stripes
     scaled = training.scale_to_unit(settings(), cnn.weights, images)
     np.testing.assert_allclose(
-        training.cnn_logits(settings(), scaled, images),
-        training.cnn_logits(settings(), cnn.weights, images),
+        training.TrainedCNN(settings(), scaled).logits(images),
+        cnn.logits(images),
         rtol=1e-3,
         atol=1e-3,
     )
@@ -108,7 +108,7 @@ def test_validation_samples_are_watched_and_not_trained_on():
     chosen = Settings().with_values({"cnn": {"epochs": 1}}, "test")
     watched = training.train_cnn(chosen, (images, labels), 0, (images[:8], labels[:8]))
     unwatched = training.train_cnn(chosen, (images, labels), 0)
-    logits = training.cnn_logits(chosen, watched.weights, images[:8])
+    logits = watched.logits(images[:8])
     right = float(np.mean(logits.argmax(1) == labels[:8]))
     shares = np.exp(logits - logits.max(1, keepdims=True))
     shares /= shares.sum(1, keepdims=True)

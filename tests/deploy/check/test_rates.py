@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.preflight.rates import firing_rates, rate_summary, rate_warnings, rates_text
+from deploy.check.rates import firing_rates, rate_summary, rate_warnings, rates_text
 from tests.deploy.networks import random_checks, small_spec
 
 
@@ -24,7 +24,7 @@ def test_rate_of_a_constant_drive():
 
 def test_all_layers_on_the_chip_and_all_samples():
     spec = small_spec(on_chip_output=True)
-    rates = firing_rates(spec, random_checks(spec, 3).images)
+    rates = firing_rates(spec, random_checks(spec, 3).inputs)
     assert {name: values.shape for name, values in rates.items()} == {
         "conv1": (3, 64),
         "conv2": (3, 72),
@@ -47,5 +47,5 @@ def test_warnings():
     summary = rate_summary({"quiet": np.zeros((1, 3)), "loud": np.full((1, 3), 400.0)})
     silent, coarse = rate_warnings(summary)
     assert "layer quiet: no neuron fires" in silent
-    assert "layer loud: 100% of the firing neurons are above 250 Hz" in coarse
+    assert "layer loud: 100% of the rates are above 250 Hz" in coarse
     assert "warning: layer loud" in rates_text(summary, 1)

@@ -1,0 +1,142 @@
+"""Firing rates, against the whole steps that the chip counts in.
+
+On Loihi the time between two spikes is a whole number of steps, so a neuron with a steady input
+fires at 1000 / k Hz and nothing between: at 100 Hz the next rates are 91 and 111 Hz, at 250 Hz they
+are 200 and 333 Hz.  Values that a network was trained to keep apart fall together there.
+"""
+
+from __future__ import annotations
+
+from typing import Dict, List
+
+import numpy as np
+
+from ..network.spec import DT, NetworkSpec
+from ..network.stream import streams_of
+from ..targets.fast.emulation import Emulation, compile_spec
+
+COARSE = 0.25
+"""Spikes a step above which the neighbouring rates are a quarter and more away."""
+
+STREAMS_AT_ONCE = 8
+"""Streams whose every spike is held in memory at a time."""
+
+
+def firing_rates(
+    spec: NetworkSpec, samples, seed: int = 0, start: int = 0, advance=None
+) -> Dict[str, np.ndarray]:
+    """Rates of each neuron of each layer of neurons, by the fast emulator.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    samples : ndarray
+        As the network's stimulus takes them; shown in the network's presentation.
+    seed : int
+    start : int
+        Steps at the start of each sample that are left out.
+    advance : callable, optional
+        Called with the number of samples done since the last call.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n_samples, n_neurons)
+        In spikes a second, from ``start`` on while the sample is shown.
+    """
+    emulation = Emulation(compile_spec(spec, seed))
+    presentation = spec.presentation
+    sizes = {layer.name: layer.size for layer in spec.layers if layer.neurons is not None}
+    window = presentation.steps - start
+    counts = {name: [] for name in sizes}
+    for batch in _batches(spec.stimulus.flat(samples), presentation.stream_length):
+        of_batch = {name: [] for name in sizes}
+
+        def watch(spikes, of_batch=of_batch):
+            """Spikes of one sample of each stream, packed to bits."""
+            for name, size in sizes.items():
+                read = np.unpackbits(spikes[name][:, -window:], axis=2, count=size)
+                of_batch[name].append(read.sum(axis=1))
+
+        emulation.run(batch, presentation.steps, presentation.gap, watch=watch)
+        for name, of_samples in of_batch.items():
+            counts[name].append(np.stack(of_samples, axis=1).reshape(-1, sizes[name]))
+        if advance is not None:
+            advance(batch.shape[0] * batch.shape[1])
+    seconds = window * spec.stimulus.step_seconds
+    return {name: np.concatenate(parts) / seconds for name, parts in counts.items()}
+
+
+def _batches(samples, stream_length):
+    """Arrays of streams of one length each, shape (n_streams, n_samples, ...), in order."""
+    whole = [part for part in streams_of(len(samples), stream_length)]
+    rest = [whole.pop()] if len(samples) % stream_length else []
+    for first in range(0, len(whole), STREAMS_AT_ONCE):
+        yield np.stack([samples[part] for part in whole[first : first + STREAMS_AT_ONCE]])
+    for part in rest:
+        yield samples[part][None]
+
+
+def silent_share(rates) -> float:
+    """Share of the neurons that fire on none of the samples.
+
+    Parameters
+    ----------
+    rates : ndarray, shape (n_samples, n_neurons)
+    """
+    return float(np.mean(np.all(np.asarray(rates) <= 0, axis=0)))
+
+
+def rate_summary(rates: Dict[str, np.ndarray], dt: float = DT) -> Dict[str, dict]:
+    """Of each layer: share of silent neurons; mean, 99th percentile and maximum where one fires.
+
+    Also how far, relative to it, the next lower rate is from the 99th percentile
+    (``step_at_p99``), and the share of the rates that are above `COARSE`.
+
+    Parameters
+    ----------
+    rates : dict of str to ndarray, shape (n_samples, n_neurons)
+        In spikes a second.
+    dt : float
+        Seconds that a step stands for.
+    """
+    summary = {}
+    for name, values in rates.items():
+        firing = values[values > 0]
+        p99 = float(np.percentile(firing, 99)) if firing.size else 0.0
+        summary[name] = {
+            "silent": silent_share(values),
+            "mean_hz": float(firing.mean()) if firing.size else 0.0,
+            "p99_hz": p99,
+            "max_hz": float(values.max()),
+            "step_at_p99": p99 * dt / (1 + p99 * dt),
+            "coarse": float(np.mean(firing > COARSE / dt)) if firing.size else 0.0,
+        }
+    return summary
+
+
+def rates_text(summary: Dict[str, dict], n_samples: int) -> str:
+    """A summary in a few lines."""
+    lines = [f"firing rates on the emulator, {n_samples} samples:"]
+    for name, layer in summary.items():
+        lines.append(
+            f"  {name}: {layer['silent']:.0%} silent; where one fires: "
+            f"mean {layer['mean_hz']:.0f} Hz, 99 % below {layer['p99_hz']:.0f} Hz "
+            f"(next rate {layer['step_at_p99']:.0%} lower), "
+            f"at most {layer['max_hz']:.0f} Hz"
+        )
+    lines += [f"warning: {line}" for line in rate_warnings(summary)]
+    return "\n".join(lines)
+
+
+def rate_warnings(summary: Dict[str, dict]) -> List[str]:
+    """Layers whose rates are too coarse, or that do not fire at all."""
+    lines = []
+    for name, layer in summary.items():
+        if layer["silent"] == 1:
+            lines.append(f"layer {name}: no neuron fires; its bias or its weights are too small")
+        elif layer["coarse"] > 0.05:
+            lines.append(
+                f"layer {name}: {layer['coarse']:.0%} of the rates are above {COARSE / DT:g} Hz, "
+                "where they are a quarter and more apart; train for lower rates"
+            )
+    return lines

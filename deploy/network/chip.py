@@ -1,0 +1,85 @@
+"""What a chip has and can hold: one place for training, pre-flight and the estimate of energy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Dict
+
+
+@dataclass(frozen=True)
+class Chip:
+    """A neuromorphic chip.
+
+    Attributes
+    ----------
+    name : str
+    dt : float
+        Time step in seconds that networks are made for.
+    cores : int
+        On one chip.
+    limits : dict of str to int
+        What one core has of each resource.
+    weight_bits : int
+        Of a weight, one of them its sign.
+    bias_bits : int
+        Of the mantissa of a bias current, without its sign.
+    decay_bits : int
+    input_bits, current_bits, voltage_bits : int
+        Of one step's synaptic input, of the current and of the voltage, without their signs; the
+        first two wrap around beyond that, the voltage is clipped.
+    population_channels, population_axons : int
+        Channels and input axons that the short form of population spikes (16 bits) can address.
+    synaptic_operation_joules, neuron_update_joules : float
+        Energy of one operation.
+    """
+
+    name: str
+    dt: float
+    cores: int
+    limits: Dict[str, int]
+    weight_bits: int
+    bias_bits: int
+    decay_bits: int
+    input_bits: int
+    current_bits: int
+    voltage_bits: int
+    population_channels: int
+    population_axons: int
+    synaptic_operation_joules: float
+    neuron_update_joules: float
+
+    @property
+    def weight_levels(self) -> int:
+        """Largest magnitude of a weight that may have either sign."""
+        return 2 ** (self.weight_bits - 1) - 1
+
+    @property
+    def decay_levels(self) -> int:
+        """Largest decay."""
+        return 2**self.decay_bits - 1
+
+
+LOIHI = Chip(
+    name="Loihi 1",
+    dt=0.001,
+    cores=128,
+    limits={
+        "compartments": 1024,
+        "input axons": 4096,
+        "output axons": 4096,
+        "AxonCfg registers": 4096,
+        "synapse words": 16384,
+    },
+    weight_bits=8,
+    bias_bits=12,
+    decay_bits=12,
+    input_bits=21,
+    current_bits=23,
+    voltage_bits=23,
+    population_channels=32,
+    population_axons=1024,
+    synaptic_operation_joules=(23.6 + 3.5) * 1e-12,
+    neuron_update_joules=81e-12,
+)
+"""Davies et al. 2018, IEEE Micro 38(1): cores and their limits, bits, and Table 2 for energies (see
+:mod:`deploy.check.energy`); NengoLoihi 1.1, ``block.py``, for what of them a network meets."""

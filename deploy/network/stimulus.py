@@ -1,0 +1,187 @@
+"""What is fed in: frames over time, and what is silent.
+
+A stimulus says how a sample becomes one frame of values for every step that it is shown for, and
+what the host makes of a frame: spikes of input neurons, one neuron a value, or currents into a
+first layer on the host.  In the gap before a sample the frame is zero and nothing spikes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Optional
+
+import numpy as np
+
+from ..errors import UserError
+from .chip import LOIHI
+
+
+@dataclass(frozen=True)
+class Stimulus:
+    """Common to all kinds.
+
+    Attributes
+    ----------
+    kind : str
+        What it is called in a bundle.
+    held : bool
+        Whether a sample is one frame that is shown at every step; else it has a frame a step.
+    area : float or None
+        Area of one spike of the input neurons; None if there are none.
+    """
+
+    kind: ClassVar[str] = ""
+    held: ClassVar[bool] = True
+
+    @property
+    def area(self) -> Optional[float]:
+        """See the class."""
+        return None
+
+    @property
+    def step_seconds(self) -> float:
+        """Time in seconds of the recording that one step stands for."""
+        return LOIHI.dt
+
+    @property
+    def shortest_interval(self) -> int:
+        """Fewest steps between two spikes of an input neuron."""
+        return 1
+
+    def sample_shape(self, input_shape, steps: int) -> tuple:
+        """Shape of one sample: (rows, columns, channels), before it (steps,) if it is not held."""
+        return tuple(input_shape) if self.held else (steps, *input_shape)
+
+    def flat(self, samples) -> np.ndarray:
+        """Samples as they are fed in: (n_samples, size), or (n_samples, steps, size)."""
+        samples = np.asarray(samples)
+        if self.held:
+            return samples.reshape(len(samples), -1).astype(float)
+        return samples.reshape(*samples.shape[:2], -1)
+
+    def complaint(self, samples, input_shape, steps: int) -> Optional[str]:
+        """Why samples are not what this stimulus shows, or None."""
+        wanted = self.sample_shape(input_shape, steps)
+        if samples.shape[1:] != wanted:
+            return f"samples have shape {samples.shape[1:]}, not {wanted}"
+        return None
+
+
+@dataclass(frozen=True)
+class ImageSpikes(Stimulus):
+    """A tactile image as evenly spaced spikes of host neurons without leak, one a pixel.
+
+    A pixel of value v makes ``max_rate * v`` spikes a second, evenly spaced, each of area
+    1 / ``max_rate``, so that the mean of the spike train is v again.  A pixel that turns blank
+    forgets what it had summed up, so that a sample's spikes do not depend on the one before it.
+
+    Attributes
+    ----------
+    max_rate : float
+        Spikes a second of a pixel of value 1; at most 1 / dt, one spike a step.
+    initial_phase : float
+        Voltage of a blank pixel as a share of the threshold.  With 0.5 the number of spikes is the
+        expected number rounded to the nearest, with 0 it is rounded down.
+    """
+
+    kind: ClassVar[str] = "image-spikes"
+    max_rate: float = 500.0
+    initial_phase: float = 0.5
+
+    def __post_init__(self):
+        _require(0 < self.max_rate <= 1 / LOIHI.dt, "max_rate must be above 0, at most 1000")
+        _require(0 <= self.initial_phase < 1, "initial_phase must be in [0, 1)")
+
+    @property
+    def area(self) -> float:
+        """Area of one spike."""
+        return 1 / self.max_rate
+
+    @property
+    def shortest_interval(self) -> int:
+        """Fewest steps between two spikes of a pixel."""
+        return max(1, int(1 / (self.max_rate * LOIHI.dt)))
+
+
+@dataclass(frozen=True)
+class ImageCurrent(Stimulus):
+    """A tactile image as currents into a first layer on the host; nothing spikes before it."""
+
+    kind: ClassVar[str] = "image-current"
+
+
+@dataclass(frozen=True)
+class EventFrames(Stimulus):
+    """The skin's own events: at most one spike a taxel, polarity and step.
+
+    A sample is a frame of 0 and 1 for each step, zero once its events are over.  An event makes a
+    relay neuron on the host spike in its step, a spike of height 1 for one step; so nothing spikes
+    where nothing is touched.
+
+    Attributes
+    ----------
+    seconds : float
+        Time in seconds of the recording that one step stands for.
+    """
+
+    kind: ClassVar[str] = "events"
+    held: ClassVar[bool] = False
+    seconds: float = 0.02
+
+    def __post_init__(self):
+        _require(self.seconds > 0, "seconds must be above 0")
+
+    @property
+    def area(self) -> float:
+        """Area of one spike."""
+        return LOIHI.dt
+
+    @property
+    def step_seconds(self) -> float:
+        """Time in seconds of the recording that one step stands for."""
+        return self.seconds
+
+    def complaint(self, samples, input_shape, steps: int) -> Optional[str]:
+        """Why samples are not what this stimulus shows, or None."""
+        found = super().complaint(samples, input_shape, steps)
+        if found is None and not np.isin(samples, (0, 1)).all():
+            found = "frames of events hold something else than 0 and 1"
+        return found
+
+
+KINDS = {stimulus.kind: stimulus for stimulus in (ImageSpikes, ImageCurrent, EventFrames)}
+
+
+class Feed:
+    """The frame at every step of a stream: a function of time for a ``nengo.Node``.
+
+    Parameters
+    ----------
+    presentation : Presentation
+        Which it follows.
+    size : int
+        Values of a frame.
+
+    Attributes
+    ----------
+    samples : ndarray, shape (n_samples, size) or (n_samples, steps, size)
+        The samples of the stream, see `Stimulus.flat`; set before a run.
+    """
+
+    def __init__(self, presentation, size: int):
+        self.period = presentation.period
+        self.gap = presentation.gap
+        self.blank = np.zeros(size)
+        self.samples = self.blank[None]
+
+    def __call__(self, t):
+        sample, step = divmod(round(float(t) / LOIHI.dt) - 1, self.period)
+        if step < self.gap:
+            return self.blank
+        shown = self.samples[sample]
+        return shown if shown.ndim == 1 else shown[step - self.gap].astype(float)
+
+
+def _require(condition, problem):
+    if not condition:
+        raise UserError(f"network description: stimulus: {problem}")

@@ -1,0 +1,24 @@
+"""``stmnist settings``: what can be set, what it is set to, and what it means."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Optional
+
+import typer
+
+from pipeline.commands import options
+from pipeline.run.folder import RunFolder
+from pipeline.settings import Settings, describe, read_settings, settings_text
+
+
+def settings(
+    run: Annotated[
+        Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
+        typer.Argument(help="The run's folder (default: the built-in values)."),
+    ] = None,
+    as_json: options.Json = False,
+):
+    """List every setting: its name, as --set takes it, its value, its default and its meaning."""
+    chosen = read_settings(RunFolder(run).experiment) if run else Settings()
+    options.tell(describe(chosen), settings_text, as_json)

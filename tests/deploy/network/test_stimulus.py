@@ -1,0 +1,153 @@
+"""What is fed in: frames over time, silence, and the spikes that the host makes of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.check.bundle import CheckSet, read_bundle, write_bundle
+from deploy.check.run import run_check
+from deploy.errors import UserError
+from deploy.files import read_arrays, write_arrays
+from deploy.network.build import build
+from deploy.network.loihi_import import nengo_loihi
+from deploy.network.operations import synaptic_operations
+from deploy.network.stimulus import EventFrames, Feed, ImageCurrent, ImageSpikes
+from deploy.network.stream import show
+from deploy.preflight.plan import make_plan
+from tests.deploy.networks import events_spec, random_frames, small_spec
+
+
+def test_frames_and_silence_by_hand():
+    """Two samples of three steps, two silent steps before each."""
+    spec = events_spec(steps=3, gap=2, readout_start=0)
+    feed = Feed(spec.presentation, 2)
+    feed.samples = np.array([[[1, 0], [0, 0], [1, 1]], [[0, 1], [0, 0], [0, 0]]], np.uint8)
+    frames = [feed(step * 0.001).tolist() for step in range(1, 11)]
+    assert frames == [
+        [0, 0], [0, 0], [1, 0], [0, 0], [1, 1], [0, 0], [0, 0], [0, 1], [0, 0], [0, 0],
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("target", ["nengo", "simreal", "sim"])
+def test_an_event_is_one_spike_in_its_step(target):
+    spec = events_spec()
+    frames = random_frames(spec, 3)
+    built = build(spec)
+    if target == "nengo":
+        import nengo
+
+        simulator = nengo.Simulator(built.network, progress_bar=False, optimize=False)
+    else:
+        simulator = nengo_loihi.Simulator(built.network, target=target, precompute=True)
+    with simulator as sim:
+        shown = list(show(built, sim, spec.stimulus.flat(frames)))
+    gap = spec.presentation.gap
+    for one, frame in zip(shown, frames, strict=True):
+        assert not one.spikes["input"][:gap].any()
+        np.testing.assert_array_equal(one.spikes["input"][gap:], frame.reshape(len(frame), -1))
+
+
+def test_an_event_arrives_as_a_spike_of_height_one():
+    """Without a filter, a weight of w adds w to the current of one step: threshold 1."""
+    spec = events_spec(steps=6, gap=2, readout_start=0)
+    layer = replace(spec.layers[0], synapse=None, bias=np.zeros(spec.layers[0].bias.shape))
+    frames = random_frames(spec, 1, share=0)
+    frames[0, 3, 2, 1, 0] = 1
+    fires = {}
+    for weight in (15.0, 25.0):  # of a membrane of 20 steps about a twentieth arrives in one step
+        weights = np.full_like(layer.weights, weight)
+        changed = replace(spec, layers=(replace(layer, weights=weights), *spec.layers[1:]))
+        built = build(changed)
+        with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
+            (shown,) = show(built, sim, changed.stimulus.flat(frames))
+        fires[weight] = shown.spikes["conv1"].any()
+    assert fires == {15.0: False, 25.0: True}
+
+
+def test_every_target_answers_and_fast_as_the_emulator_in_every_spike(tmp_path):
+    spec = events_spec()
+    frames = random_frames(spec, 7)
+    checks = CheckSet(frames, np.arange(7) % 3, tuple(f"sample{i}" for i in range(7)), 0)
+    bundle = write_bundle(tmp_path / "bundle", spec, checks)
+    assert bundle.checks.inputs.dtype == np.uint8
+    np.testing.assert_array_equal(bundle.checks.inputs, frames)
+    results = {
+        target: run_check(bundle, target, tmp_path / f"{target}.json")
+        for target in ("nengo", "simreal", "emulator", "fast")
+    }
+    emulated, fast = results["emulator"]["samples"], results["fast"]["samples"]
+    assert [s["spike_hash"] for s in fast] == [s["spike_hash"] for s in emulated]
+    assert [s["prediction"] for s in fast] == [s["prediction"] for s in emulated]
+    for result in results.values():
+        assert result["spikes"]["input"] == frames.sum()
+        assert result["spikes"]["conv1"] > 0
+        assert set(result["synaptic_operations"]) == {"conv1", "dense1", "output"}
+
+
+def test_operations_of_events_by_hand():
+    spec = events_spec()
+    counts = {"input": np.zeros((1, 72)), "conv1": np.zeros((1, 36)), "dense1": np.zeros((1, 5))}
+    counts["input"][0, 0] = 2  # a corner reaches one position of 4 filters
+    operations = synaptic_operations(spec, counts)
+    assert operations["conv1"].tolist() == [2 * 4]
+
+
+def test_no_event_no_spike():
+    """Silent for as long as nothing is touched, where no bias makes a neuron fire by itself."""
+    spec = events_spec()
+    layers = [replace(layer, bias=0 * layer.bias) for layer in spec.layers]
+    spec = replace(spec, layers=layers)
+    built = build(spec)
+    with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
+        (shown,) = show(built, sim, spec.stimulus.flat(random_frames(spec, 1, share=0)))
+    assert not any(rows.any() for rows in shown.spikes.values())
+
+
+def test_worst_case_counts_an_event_a_step():
+    assert EventFrames().shortest_interval == 1
+    assert ImageSpikes(250.0).shortest_interval == 4
+    assert make_plan(events_spec()).problems == []
+
+
+def test_wrong_samples_are_refused(tmp_path):
+    spec = events_spec()
+    frames = random_frames(spec, 2)
+    checks = CheckSet(frames, np.zeros(2, int), ("a", "b"), 0)
+    bundle = write_bundle(tmp_path / "bundle", spec, checks)
+    for change, message in (
+        (lambda a: a.update(inputs=a["inputs"] * 2), "something else than 0 and 1"),
+        (lambda a: a.update(inputs=a["inputs"][:, :-1]), "shape .* not"),
+        (lambda a: a.update(ids=a["ids"][:1]), "differ in number"),
+        (lambda a: a.pop("inputs"), "not the samples of a check"),
+    ):
+        broken = tmp_path / "broken"
+        arrays = read_arrays(bundle.path / "checks.npz", "")
+        change(arrays)
+        copy(bundle.path, broken, arrays)
+        with pytest.raises(UserError, match=message):
+            read_bundle(broken)
+
+
+def copy(bundle, path, arrays):
+    """A bundle with other checks, its manifest mended."""
+    import shutil
+
+    from deploy.files import read_json, sha256_of, write_json
+
+    shutil.rmtree(path, ignore_errors=True)
+    shutil.copytree(bundle, path)
+    write_arrays(path / "checks.npz", **arrays)
+    manifest = read_json(path / "MANIFEST.json", "")
+    manifest["files"]["checks.npz"] = sha256_of(path / "checks.npz")
+    write_json(path / "MANIFEST.json", manifest)
+
+
+def test_what_each_kind_shows():
+    assert ImageSpikes().sample_shape((10, 10, 1), 50) == (10, 10, 1)
+    assert EventFrames().sample_shape((10, 10, 2), 50) == (50, 10, 10, 2)
+    assert ImageCurrent().area is None
+    assert small_spec().stimulus.step_seconds == 0.001
+    assert EventFrames(0.01).step_seconds == 0.01
+    with pytest.raises(UserError, match="seconds must be above 0"):
+        EventFrames(0.0)

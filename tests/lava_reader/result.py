@@ -1,0 +1,126 @@
+"""Compare every spike of Lava's with ``fast``, and make a check result of what Lava answered.
+
+``python -m tests.lava_reader.result BUNDLE OUTPUT.npz RESULT.json [STOCK.npz]``
+
+OUTPUT holds the network's spikes as deployed, STOCK those of Lava's own LIF, which are compared
+with ``fast`` without refractory steps and without a lower bound of the voltage.  One spike that is
+not the same ends in status 1.
+"""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+
+from deploy.check.bundle import read_bundle
+from deploy.check.results import result_of
+from deploy.check.run import records_of
+from deploy.errors import CheckFailed, UserError
+from deploy.files import read_arrays, write_json
+from deploy.network.responses import join, read_output, spike_hash, streams_of
+from deploy.targets.fast.emulation import compile_spec
+from deploy.targets.fast.host_stage import OutputStage
+from deploy.targets.lava import spikes_of, without_refractory_and_floor
+
+REMEDY = "run 'make check-lava' again"
+
+
+def differing_bits(program, ours, theirs) -> dict:
+    """How many spikes of each layer on the chip are not the same.
+
+    Parameters
+    ----------
+    program : Program
+    ours, theirs : dict of str to uint8 ndarray, shape (n_samples, period, n / 8)
+        Spikes, eight neurons a byte.
+
+    Returns
+    -------
+    dict of str to (int, int)
+        Bits that differ, and all bits.
+    """
+    found = {}
+    for layer in program.network.layers:
+        n, a, b = len(layer.position), ours[layer.label], theirs[layer.label]
+        if a.shape != b.shape:
+            raise UserError(f"layer {layer.label}: {b.shape} spikes, not {a.shape}; {REMEDY}")
+        differ = np.unpackbits(a ^ b, axis=2)[:, :, :n]
+        found[layer.label] = int(differ.sum()), differ.size
+    return found
+
+
+def responses_of(spec, program, spikes):
+    """A target's responses from the spikes of its populations.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    program : Program
+    spikes : dict of str to uint8 ndarray, shape (n_samples, period, n / 8)
+    """
+    network, parts = program.network, []
+    sizes = {item.label: item.n for item in program.inputs}
+    sizes.update({layer.label: len(layer.position) for layer in network.layers})
+    plain = {n: np.unpackbits(spikes[n], axis=2)[:, :, :size] for n, size in sizes.items()}
+    for part in streams_of(len(next(iter(plain.values()))), spec.presentation.stream_length):
+        stage = OutputStage(program.output, 1, program.dt)
+        rows, output = {name: values[part] for name, values in plain.items()}, []
+        for index in range(part.stop - part.start):
+            chip = np.zeros((1, spec.presentation.period, network.n), np.uint8)
+            for layer in network.layers:
+                chip[0][:, layer.position] = rows[layer.label][index]
+            output.append(stage.advance(chip, chip @ program.output.decoders)[0])
+        if program.output.neurons is not None:
+            rows[program.output.neurons.label] = np.array(output) != 0
+        counts = {name: rows[name].sum(axis=1, dtype=int) for name in spec.spiking_layers}
+        hashes = [
+            spike_hash(np.packbits(rows[name][i], axis=1) for name in spec.spiking_layers)
+            for i in range(part.stop - part.start)
+        ]
+        answered = read_output(spec, np.array(output)[:, spec.presentation.gap :], counts)
+        parts.append(replace(answered, spike_hashes=np.array(hashes)))
+    return join(parts)
+
+
+def _spikes(given):
+    return {name[len("spikes.") :]: a for name, a in given.items() if name.startswith("spikes.")}
+
+
+def compared(title, opened, program, theirs):
+    """Say how many bits differ, layer by layer, and give the responses to Lava's spikes."""
+    spec, labels = opened.spec, opened.checks.labels
+    ours = spikes_of(program, spec, opened.checks.inputs)
+    found = differing_bits(program, ours, theirs)
+    answers = responses_of(spec, program, {**ours, **theirs})
+    wrong, total = (sum(column) for column in zip(*found.values(), strict=True))
+    layers = ", ".join(
+        f"{name} {answers.spikes[name].sum()} spikes, {bits} bits differ"
+        for name, (bits, _) in found.items()
+    )
+    print(
+        f"{title}: {wrong} of {total} spike bits differ from fast ({layers}); accuracy "
+        f"{np.mean(answers.predictions == labels):.3f} on {len(labels)} samples"
+    )
+    return wrong, answers
+
+
+def main(bundle, output, out, stock=None):
+    opened = read_bundle(bundle)
+    program = compile_spec(opened.spec)
+    given = read_arrays(output, REMEDY)
+    wrong, answers = compared("Lava as deployed", opened, program, _spikes(given))
+    samples = records_of(opened, slice(0, len(opened.checks)), answers)
+    write_json(out, result_of(opened, "lava", 0, samples, float(given["seconds"])))
+    if stock is not None:
+        free = without_refractory_and_floor(program)
+        title = "Lava's own LIF, no refractory time, no floor"
+        wrong += compared(title, opened, free, _spikes(read_arrays(stock, REMEDY)))[0]
+    if wrong:
+        raise CheckFailed(f"{wrong} spikes of Lava's are not those of fast")
+
+
+if __name__ == "__main__":
+    try:
+        main(*sys.argv[1:])
+    except CheckFailed as error:
+        sys.exit(f"check-lava: {error}")

@@ -1,0 +1,52 @@
+"""Temporary files of a process and of those that were killed."""
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from pipeline.temporary import own_folder
+from tests.command import environment
+
+
+def test_everything_in_it_goes(tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    with own_folder():
+        with tempfile.NamedTemporaryFile(delete=False) as file:
+            pass
+        assert Path(file.name).parent.parent == tmp_path
+        assert os.environ["TMPDIR"] == str(Path(file.name).parent)
+        inner = subprocess.run(
+            [sys.executable, "-c", "import tempfile; print(tempfile.mkstemp()[1])"],
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        assert Path(inner.stdout.strip()).parent == Path(file.name).parent
+    assert not list(tmp_path.iterdir())
+    assert os.environ["TMPDIR"] == str(tmp_path)
+
+
+def test_what_a_killed_process_left_goes_with_the_next_start(tmp_path, monkeypatch):
+    code = (
+        "import os, signal, tempfile; from pipeline.temporary import own_folder\n"
+        "with own_folder():\n"
+        "    tempfile.mkstemp(); os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    subprocess.run([sys.executable, "-c", code], env=environment(TMPDIR=str(tmp_path)), check=False)
+    (left,) = tmp_path.iterdir()
+    assert len(list(left.iterdir())) == 2
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    with own_folder():
+        assert not left.exists()
+        (mine,) = tmp_path.iterdir()
+        tempfile.tempdir = str(tmp_path)
+        with own_folder():
+            assert mine.exists()  # whose owner lives stays
+
+
+def test_no_place_for_it_is_no_reason_to_stop(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))
+    with own_folder():
+        assert tempfile.tempdir == str(tmp_path / "nowhere")

@@ -1,0 +1,139 @@
+"""One command in a process with limits of memory and time, and what became of it."""
+
+import contextlib
+import os
+import resource
+import signal
+import sys
+import time
+from dataclasses import dataclass
+
+SECONDS = 20
+"""No input takes longer."""
+
+MEMORY = 2 << 30
+"""Bytes that no input takes more of, resident."""
+
+ADDRESSES = 12 << 30
+"""Of the process's address space: what is beyond is refused before the machine suffers."""
+
+LINE = 3000
+"""Characters of an error's line at most."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command did.
+
+    Attributes
+    ----------
+    status : int
+        Exit status; a signal's number with a minus.
+    out, err : str
+    seconds : float
+    memory : int
+        Largest resident size in bytes.
+    """
+
+    status: int
+    out: str
+    err: str
+    seconds: float
+    memory: int
+
+    @property
+    def finding(self):
+        """What is wrong with it, in a few words, or None."""
+        lines = [line for line in self.err.splitlines() if line.startswith("stmnist: ")]
+        if self.seconds > SECONDS:
+            return f"took {self.seconds:.0f} s"
+        if self.memory > MEMORY:
+            return f"took {self.memory >> 20} MB"
+        if self.status < 0:
+            return f"died of signal {-self.status}"
+        if "Traceback" in self.err:
+            return "a traceback: " + self.err.strip().splitlines()[-1][:200]
+        if self.status == 0:
+            return None
+        if self.status != 2:
+            return f"status {self.status}: {self.err.strip()[-200:]}"
+        if len(lines) != 1 or self.err.rstrip().splitlines()[-1] != lines[0]:
+            return f"not one line: {self.err.strip()[-200:]!r}"
+        if len(lines[0]) > LINE:
+            return f"a line of {len(lines[0])} characters"
+        return None
+
+
+def run(arguments, folder, seconds=SECONDS):
+    """Call the command in a fork of this process, which has imported it already.
+
+    Parameters
+    ----------
+    arguments : sequence
+        Of ``stmnist``.
+    folder : Path
+        Where it works; its output, temporary files and cache are there too.
+    seconds : float
+        After these and some grace it is killed.
+
+    Returns
+    -------
+    Outcome
+    """
+    out, err = folder / ".out", folder / ".err"
+    begun = time.monotonic()
+    child = os.fork()
+    if child == 0:
+        _become(arguments, folder, out, err)
+    status, usage = _wait(child, begun + seconds + 2)
+    return Outcome(
+        status=os.waitstatus_to_exitcode(status),
+        out=out.read_text(errors="replace"),
+        err=err.read_text(errors="replace"),
+        seconds=time.monotonic() - begun,
+        memory=usage.ru_maxrss << 10,
+    )
+
+
+def _become(arguments, folder, out, err):
+    """Never returns."""
+    status = 70
+    try:
+        os.setsid()
+        for path, number in ((os.devnull, 0), (out, 1), (err, 2)):
+            flags = os.O_RDONLY if number == 0 else os.O_WRONLY | os.O_CREAT | os.O_TRUNC
+            os.dup2(os.open(str(path), flags), number)
+        sys.stdout = os.fdopen(1, "w", closefd=False)
+        sys.stderr = os.fdopen(2, "w", closefd=False)
+        resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        os.chdir(folder)
+        os.environ["STMNIST_CACHE"] = str(folder / "cache")
+        from pipeline.commands.main import main
+
+        try:
+            main([str(argument) for argument in arguments])
+        except SystemExit as end:
+            status = int(end.code or 0)
+        except BaseException:
+            import traceback
+
+            traceback.print_exc()
+            status = 1
+    finally:
+        with contextlib.suppress(Exception):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(status)
+
+
+def _wait(child, end):
+    while True:
+        pid, status, usage = os.wait4(child, os.WNOHANG)
+        if pid:
+            return status, usage
+        if time.monotonic() > end:
+            os.killpg(child, signal.SIGKILL)
+            _, status, usage = os.wait4(child, 0)
+            return status, usage
+        time.sleep(0.005)
