@@ -35,8 +35,8 @@ import numpy as np
 
 from ..errors import UserError
 from ..files import write_arrays
-from ..network.responses import streams_of
 from ..network.spec import NetworkSpec
+from ..network.stream import streams_of
 from .fast.arrays import U_BITS
 from .fast.emulation import Emulation, compile_spec
 from .fast.from_nengo import Program
@@ -130,7 +130,7 @@ def spikes_of(program: Program, spec: NetworkSpec, images) -> dict:
     dict of str to uint8 ndarray, shape (n_samples, period, n / 8)
         Eight neurons a byte, see `numpy.packbits`; inputs from the host included.
     """
-    images = np.asarray(images, float).reshape(len(images), -1)
+    images = spec.stimulus.flat(images)
     shown, emulation, samples = spec.presentation, Emulation(program), []
     for part in streams_of(len(images), shown.stream_length):
         emulation.run(images[part][None], shown.steps, shown.gap, samples.append)

@@ -17,7 +17,8 @@ from deploy.check.results import result_of
 from deploy.check.run import records_of
 from deploy.errors import CheckFailed, UserError
 from deploy.files import read_arrays, write_json
-from deploy.network.responses import join, read_output, spike_hash, streams_of
+from deploy.network.responses import join, read_output, spike_hash
+from deploy.network.stream import streams_of
 from deploy.targets.fast.emulation import compile_spec
 from deploy.targets.fast.host_stage import OutputStage
 from deploy.targets.lava import spikes_of, without_refractory_and_floor
