@@ -13,9 +13,10 @@ import numpy as np
 
 from deploy.check.bundle import Bundle
 from deploy.network.responses import read_output
+from deploy.network.stimulus import EventFrames
 from deploy.targets.fast.emulation import Emulation, compile_spec
 from pipeline.inputs.images import tactile_images
-from pipeline.recordings.events import Events, Source, collect
+from pipeline.recordings.events import GRID, Events, Source, TaxelMap, collect
 from pipeline.settings import Image
 
 
@@ -64,25 +65,65 @@ class Decider(Protocol):
     Attributes
     ----------
     about : str
-        One sentence for the page: what the network is shown.
+        How the page's picture of the spikes goes on after "One row for each neuron, every mark is
+        a spike; ".
     layers : tuple of Layer
         Those that spike, in order.
     steps : int
         Of the network's time in an answer's spikes.
     first_step : int
         The first one's number; below 0 where the network rests before it is shown anything.
+    clocked : bool
+        Whether an answer changes while time passes without an event.
     """
 
     about: str
     layers: tuple
     steps: int
     first_step: int
+    clocked: bool
 
     def begin(self) -> Deciding:
         """A recording begins."""
 
 
-class ImageDecider:
+class _Fast:
+    """What both kinds have in common: a network on the target ``fast``, ready to run."""
+
+    clocked = False
+
+    def __init__(self, bundle: Bundle, seed: int):
+        self._spec = spec = bundle.spec
+        self._emulation = Emulation(compile_spec(spec, seed))
+        self.steps, self.first_step = spec.presentation.period, -spec.presentation.gap
+        sizes = {layer.name: layer.size for layer in spec.layers}
+        sizes["input"] = int(np.prod(spec.input_shape))
+        self.layers = tuple(Layer(name, sizes[name]) for name in spec.spiking_layers)
+        shape = spec.stimulus.sample_shape(spec.input_shape, spec.presentation.steps)
+        self._show(np.zeros((1, *shape)), spec.presentation.steps)  # compiles the kernel
+
+    def begin(self):
+        """Nothing is kept from one answer to the next: each begins at the network's rest."""
+        return self
+
+    def _show(self, samples, steps):
+        """The answer to one sample after some of its steps."""
+        spec, spikes = self._spec, {}
+        shown, gap = spec.presentation, spec.presentation.gap
+
+        def watch(packed):
+            for name in spec.spiking_layers:
+                spikes[name] = packed[name][0].copy()
+                spikes[name][gap + steps :] = 0
+
+        done = self._emulation.run(spec.stimulus.flat(samples)[None], shown.steps, gap, watch)
+        counts = {name: done.counts[name][0] for name in spec.spiking_layers}
+        scores = read_output(spec, done.output[0, :, gap : gap + steps], counts).scores[0]
+        odds = np.exp(scores - scores.max())
+        return Answer(scores, odds / odds.sum(), spikes)
+
+
+class ImageDecider(_Fast):
     """A bundle whose input is the tactile image: shown the image so far, from rest, every time.
 
     Making one takes a few seconds, and some ten the first time ever, when the kernel is compiled;
@@ -97,46 +138,74 @@ class ImageDecider:
     """
 
     def __init__(self, bundle: Bundle, image: Image, seed: int = 0):
-        self._spec, self._image = bundle.spec, image
-        self._emulation = Emulation(compile_spec(bundle.spec, seed))
-        shown = bundle.spec.presentation
-        self.steps, self.first_step = shown.period, -shown.gap
+        super().__init__(bundle, seed)
+        self._image = image
         self.about = (
-            f"The network is shown the image as it is at this moment for {shown.steps} steps of "
-            "1 ms, from rest, again and again while you write."
+            "the part at the left is before it is shown anything. This network is shown the image "
+            f"as it is at the moment for {self._spec.presentation.steps} steps of 1 ms, from rest, "
+            "again and again while you write."
         )
-        answer = self._show(np.zeros((1, 1, int(np.prod(bundle.spec.input_shape)))))
-        self._n_bytes = {name: rows.shape[1] for name, rows in answer.spikes.items()}
-        sizes = {layer.name: layer.size for layer in bundle.spec.layers}
-        sizes["input"] = int(np.prod(bundle.spec.input_shape))
-        self.layers = tuple(Layer(name, sizes[name]) for name in bundle.spec.spiking_layers)
-
-    def begin(self):
-        """Nothing is kept from one answer to the next."""
-        return self
 
     def answer(self, events: Events, time_s: float) -> Answer | None:
         """See :class:`Deciding`."""
         if len(events) == 0:
             return None
-        alone = collect([events], [0], [""], [-1], Source("live", "", True))
-        image = tactile_images(alone, self._image.aggregation, self._image.normalisation)
-        return self._show(image.reshape(1, 1, -1))
+        image = tactile_images(_alone(events), self._image.aggregation, self._image.normalisation)
+        return self._show(image, self._spec.presentation.steps)
 
-    def _show(self, images):
-        spec, spikes = self._spec, {}
-        shown = spec.presentation
 
-        def watch(packed):
-            spikes.update({name: packed[name][0] for name in spec.spiking_layers})
+class EventDecider(_Fast):
+    """A bundle whose input is the events themselves, in the steps of the network's own time.
 
-        done = self._emulation.run(images, shown.steps, shown.gap, watch)
-        counts = {name: done.counts[name][0] for name in spec.spiking_layers}
-        scores = read_output(spec, done.output[0, :, shown.gap :], counts).scores[0]
-        odds = np.exp(scores - scores.max())
-        return Answer(scores, odds / odds.sum(), spikes)
+    No later event can change an earlier step: running all steps so far again gives what going on
+    from the last one would, and takes a millisecond.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    seed : int
+    """
+
+    clocked = True
+
+    def __init__(self, bundle: Bundle, seed: int = 0):
+        super().__init__(bundle, seed)
+        milliseconds = 1e3 * self._spec.stimulus.step_seconds
+        self.about = (
+            "time runs to the right as it does on the skin. This network feels the events "
+            f"themselves, in steps of {milliseconds:g} ms, and decides while they come."
+        )
+
+    def answer(self, events: Events, time_s: float) -> Answer | None:
+        """See :class:`Deciding`."""
+        shown, seconds = self._spec.presentation, self._spec.stimulus.step_seconds
+        steps = min(int(time_s / seconds), shown.steps)
+        if len(events) == 0 or steps <= shown.readout_start:
+            return None
+        return self._show(frames_of(events, shown.steps, seconds), steps)
+
+
+def frames_of(events: Events, steps: int, seconds: float) -> np.ndarray:
+    """Events in frames, as :func:`pipeline.inputs.frames.bin_events` makes them of whole seconds.
+
+    Returns
+    -------
+    ndarray of uint8, shape (1, steps, 10, 10, 2)
+    """
+    step = (events.time_ns / (seconds * 1e9)).astype(np.int64)
+    inside, taxels = step < steps, TaxelMap()
+    frames = np.zeros((1, steps, GRID, GRID, 2), np.uint8)
+    taxel, off = events.taxel[inside], (events.polarity[inside] < 0).astype(np.int64)
+    frames[0, step[inside], taxels.x[taxel], taxels.y[taxel], off] = 1
+    return frames
+
+
+def _alone(events):
+    return collect([events], [0], [""], [-1], Source("live", "", True))
 
 
 def decider_of(bundle: Bundle, image: Image) -> Decider:
     """The decider for a bundle; compiles what has to be compiled."""
+    if isinstance(bundle.spec.stimulus, EventFrames):
+        return EventDecider(bundle)
     return ImageDecider(bundle, image)

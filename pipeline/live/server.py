@@ -200,7 +200,7 @@ class Live:
                     raise BadMessage("not text")
                 replies = session.handle(message["text"], time.monotonic())
                 await _say(socket, replies)
-                if any(reply["type"] == "events" and reply["ns"] for reply in replies):
+                if any(r["type"] == "events" and (r["ns"] or session.clocked) for r in replies):
                     wake.set()
         except BadMessage as error:
             await _say(socket, [problem(f"a message was refused: {error}")])

@@ -172,6 +172,11 @@ class Session:
         """The network is ready."""
         self._decider = decider
 
+    @property
+    def clocked(self) -> bool:
+        """Whether the network may answer otherwise though nothing has happened."""
+        return self._decider is not None and self._decider.clocked
+
     def state(self) -> dict:
         """Who writes, what is kept, what is asked for: the message ``writer``."""
         counts = self._keeper.counts(self.writer)

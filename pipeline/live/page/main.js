@@ -135,7 +135,7 @@ link.on("ready", (network) => {
     part.append(title, canvas);
     $("layers").append(part);
   }
-  $("about").textContent = `One row for each neuron, every mark is a spike; the part at the left is before it is shown anything. ${network.about}`;
+  $("about").textContent = `One row for each neuron, every mark is a spike; ${network.about}`;
   $("status").textContent = "Ready: write on the square with finger, pen or mouse.";
   $("status").classList.add("ready");
   document.body.dataset.ready = "yes";

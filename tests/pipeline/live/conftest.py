@@ -15,7 +15,7 @@ class Parrot:
 
     about = "It is shown nothing."
     layers = (Layer("input", 100),)
-    steps, first_step = 3, -1
+    steps, first_step, clocked = 3, -1, False
 
     def begin(self):
         return self
