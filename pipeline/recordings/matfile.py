@@ -115,20 +115,17 @@ def _written(variables):
     source, time, handedness = (_text(variables.get(n)) for n in ("source", "time", "handedness"))
     if source != "written":
         return None
-    seed, pen = (np.asarray(variables.get(name, [])) for name in ("seed", "pen"))
-    known = pen.dtype.kind == "f" and pen.ndim == 2 and pen.shape[1] == 5
-    return Written(
-        time=time,
-        handedness=handedness,
-        seed=tuple(seed.ravel().astype(int).tolist()) if seed.dtype.kind in "fiu" else (),
-        pen=pen if known else np.empty((0, 5)),
-    )
+    numbers = {k: v for k, v in variables.items() if isinstance(v, np.ndarray)}
+    seed, pen = (numbers.get(name) for name in ("seed", "pen"))
+    if seed is None or seed.dtype.kind not in "fiu" or not np.isfinite(seed).all():
+        seed = np.empty(0)
+    if pen is None or pen.dtype.kind != "f" or pen.ndim != 2 or pen.shape[1] != 5:
+        pen = np.empty((0, 5))
+    return Written(time, handedness, tuple(seed.ravel().astype(int).tolist()), pen)
 
 
 def _text(variable):
-    """A variable's text; empty if it is anything else."""
-    values = np.ravel([] if variable is None else variable)
-    return str(values[0]) if values.size == 1 and values.dtype.kind == "U" else ""
+    return variable if isinstance(variable, str) else ""
 
 
 def _number(variable):
@@ -193,8 +190,8 @@ def read_variables(content: bytes, names=None) -> dict:
 
     Returns
     -------
-    dict of str to ndarray or None
-        None for a named variable that is something else than real numbers.
+    dict of str to ndarray, str or None
+        None for a named variable that is neither real numbers nor a short text.
 
     Raises
     ------
