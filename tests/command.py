@@ -1,9 +1,13 @@
 """Ways to run the command ``stmnist``."""
 
+import contextlib
 import os
+import re
+import select
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -25,18 +29,46 @@ def environment(**more) -> dict:
     return {**os.environ, "PYTHONPATH": str(ROOT), **more}
 
 
-def start(*arguments, **options) -> subprocess.Popen:
-    """Start it as a process of its own, in a group of its own.
+@contextlib.contextmanager
+def started(*arguments):
+    """Start it as a process of its own, in a group of its own that ends with the block.
 
-    Ctrl-C reaches it even if these tests run in a shell's background, where it is ignored.
+    Ctrl-C reaches it even if these tests run in a shell's background, where it is ignored.  Its
+    progress bars are drawn, so that :func:`wait_until_said` can follow them.
     """
-    return subprocess.Popen(
+    process = subprocess.Popen(
         [sys.executable, "-m", "pipeline", *map(str, arguments)],
-        env=environment(),
-        stdout=subprocess.PIPE,
+        env=environment(FORCE_COLOR="1", COLUMNS="100"),
+        stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
-        text=True,
         start_new_session=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        **options,
     )
+    try:
+        yield process
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+
+
+def wait_until_said(process, pattern, patience=300) -> str:
+    """Read what a process says on standard error until a pattern is in it; return all of it.
+
+    Waits for the process's own words, however long they take on a busy machine; ``patience`` in
+    seconds only ends a test that would never end.
+    """
+    said, end = b"", time.monotonic() + patience
+    while not re.search(pattern, plain(said)):
+        left = end - time.monotonic()
+        assert left > 0, f"it never said {pattern!r}: {plain(said)[-2000:]}"
+        if select.select([process.stderr], [], [], left)[0]:
+            part = os.read(process.stderr.fileno(), 1 << 16)
+            assert part, f"it ended without saying {pattern!r}: {plain(said)[-2000:]}"
+            said += part
+    return plain(said)
+
+
+def plain(said: bytes) -> str:
+    """Text without a terminal's control sequences."""
+    return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", said.decode(errors="replace"))

@@ -198,7 +198,7 @@ def _transform(layer: Layer):
         n_filters=layer.shape[-1],
         input_shape=layer.input_shape,
         kernel_size=(layer.kernel, layer.kernel),
-        strides=(1, 1),
-        padding="valid",
+        strides=(layer.stride, layer.stride),
+        padding=layer.padding,
         init=layer.weights,
     )

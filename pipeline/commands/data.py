@@ -9,7 +9,6 @@ import numpy as np
 import typer
 
 from deploy.errors import UserError
-from deploy.files import replacing
 from pipeline.commands import options
 from pipeline.inputs.library import SIMULATED, load_recordings
 from pipeline.paper import SAMPLES_PER_DIGIT
@@ -190,22 +189,21 @@ def plot(
 
     sheet: tactile images of random samples of each digit.
     """
-    from pipeline.report import recordings as data_figures  # Matplotlib takes a second to import
+    from pipeline.report import figures  # Matplotlib takes a second to import
+    from pipeline.report.figures import recordings as drawn
 
     if what not in FIGURES:
         raise UserError(f"{what!r} is no figure; choose one of {', '.join(FIGURES)}")
-    if out.suffix.lower() not in (".png", ".pdf", ".svg"):
-        raise UserError(f"{out}: cannot draw that format; end the name in .png, .pdf or .svg")
+    figures.format_of(out)  # said before the recordings are read
     recordings = load_recordings(data, seed, jobs=jobs)
     if what == "layout":
-        figure = data_figures.layout(recordings.taxels)
+        figure = drawn.layout(recordings.taxels)
     elif what == "sheet":
-        figure = data_figures.sheet(recordings, per_digit, seed)
+        figure = drawn.sheet(recordings, per_digit, seed)
     else:
-        draw = data_figures.recording if what == "recording" else data_figures.events_by_taxel
+        draw = drawn.recording if what == "recording" else drawn.events_by_taxel
         figure = draw(recordings, _index_of(recordings, sample))
-    with replacing(out) as file:
-        figure.savefig(file, format=out.suffix[1:].lower(), dpi=120)
+    figures.save(figure, out)
     print(out)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from enum import StrEnum
 from pathlib import Path
@@ -15,7 +14,7 @@ from deploy.check.energy import estimate_energy, estimate_text
 from deploy.check.rates import firing_rates, rate_summary, rate_warnings, rates_text
 from deploy.check.results import read_result
 from deploy.errors import UserError
-from deploy.files import replacing, write_arrays
+from deploy.files import write_arrays
 from deploy.network.nir import input_spikes, write_nir
 from deploy.preflight.plan import make_plan, plan_text
 from deploy.targets.lava import write_lava
@@ -53,7 +52,10 @@ def plan(
         if rates:
             print(rates_text(rates, len(images)))
     if figure is not None:
-        _draw(made, figure)
+        from pipeline.report import figures  # imports Matplotlib
+        from pipeline.report.figures.placement import placement_figure
+
+        figures.save(placement_figure(made), figure, dpi=150)
     if made.problems:
         raise UserError("the network does not fit: " + made.problems[0])
 
@@ -105,15 +107,3 @@ def energy(
         raise UserError(f"{path}: of another bundle than {bundle}; run the check again")
     value = estimate_energy(opened.spec, counted)
     options.tell(value.to_json(), lambda _: estimate_text(value), as_json)
-
-
-def _draw(made, path):
-    from pipeline.report.placement import placement_figure
-
-    kind = path.suffix.lstrip(".").lower()
-    if kind not in ("png", "svg", "pdf"):
-        raise UserError(f"{path}: not a picture that can be drawn; use .png, .svg or .pdf")
-    buffer = io.BytesIO()
-    placement_figure(made).savefig(buffer, format=kind, dpi=150)
-    with replacing(path) as file:
-        file.write(buffer.getvalue())

@@ -66,7 +66,7 @@ VERBS = {
         },
     ),
     "sweep": sweep.sweep,
-    "report": report.report_,
+    "report": report.report,
     "live": live.live,
     "settings": settings.settings,
 }

@@ -2,33 +2,19 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Optional
 
-import numpy as np
 import typer
 
-from deploy.check.bundle import read_bundle
-from deploy.check.results import read_result
-from deploy.errors import UserError
-from deploy.files import read_json, replacing
-from deploy.preflight.plan import make_plan
+from deploy.files import replacing
 from pipeline.commands import options
-from pipeline.experiments.table2_splits import split_path
-from pipeline.inputs.library import recordings_of
-from pipeline.progress import progress
-from pipeline.report import page as report
-from pipeline.report.replay import replay
+from pipeline.report.gather import gather
+from pipeline.report.page import render
 from pipeline.run.folder import RunFolder
-from pipeline.run.history import read_history
-from pipeline.run.ladder import STAGES
-from pipeline.settings import read_settings
-
-REMEDY = "delete it and make it again"
 
 
-def report_(
+def report(
     run: options.Run,
     benchmark: Annotated[
         Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
@@ -42,97 +28,8 @@ def report_(
 ):
     """Write the run as one self-contained HTML file, with whatever has been measured so far."""
     folder = RunFolder(run)
-    settings = read_settings(folder.experiment)
-    bundle = read_bundle(folder.bundle)
-    results = _results(folder, bundle)
-    recordings = recordings_of(settings.data, jobs)
-    made_from = bundle.spec.provenance.get("source_sha256")
-    if made_from != recordings.source.sha256:
-        raise UserError(
-            f"{folder.bundle}: made from other recordings than {settings.data.source} gives now; "
-            f"run 'stmnist ladder {run}' again"
-        )
-    table, table_settings, answers, curves = _read_benchmark(
-        benchmark or run.parent / "table2", recordings
-    )
-    histories = {
-        title: read_history(path)
-        for title, path in (
-            ("CNN", folder.cnn / "history.csv"),
-            ("Rate LIF", folder.snn / "history.csv"),
-        )
-        if path.exists()
-    }
-    chosen = []
-    if results[-1]["spikes"]:
-        chosen = report.choose_samples(results[-1], bundle.spec.presentation.stream_length)
-    replays = {}
-    with progress("replay samples", len(chosen)) as advance:
-        for index in chosen:
-            replays[index] = replay(bundle, index, settings.seed)
-            advance()
-    html = report.render(
-        report.Inputs(
-            settings=settings,
-            recordings=recordings,
-            bundle=bundle,
-            results=results,
-            metrics={
-                name: read_json(path / "metrics.json", REMEDY)
-                for name, path in (("cnn", folder.cnn), ("snn", folder.snn))
-                if (path / "metrics.json").exists()
-            },
-            histories={**histories, **curves},
-            table2=table,
-            table2_settings=table_settings,
-            answers=answers,
-            plan=make_plan(bundle.spec).to_json(),
-            replays=replays,
-        )
-    )
+    html = render(gather(folder, benchmark or run.parent / "table2", jobs, options.say))
     path = out or run / "report.html"
     with replacing(path, "w") as file:
         file.write(html)
-    print(f"report: {path} ({len(html) // 1024} KiB)", file=sys.stderr)
-
-
-def _results(folder, bundle):
-    """The check results of this bundle, in the order of the ladder."""
-    results = [
-        result
-        for stage in STAGES
-        if folder.check(stage).exists()
-        and (result := read_result(folder.check(stage)))["bundle"] == bundle.id
-    ]
-    if not results:
-        raise UserError(
-            f"{folder.path / 'checks'}: no check result of the bundle that is there; "
-            f"run 'stmnist ladder {folder.path}' first"
-        )
-    return results
-
-
-def _read_benchmark(folder, recordings):
-    """Table, its settings, answers of the random splits, SLAYER's learning curve: what is there."""
-    path = folder / "table2.json"
-    if not path.exists():
-        return None, None, {}, {}
-    table = read_json(path, REMEDY)
-    if table.get("source_sha256") != recordings.source.sha256:
-        print(f"report: {path} is of other recordings and left out", file=sys.stderr)
-        return None, None, {}, {}
-    answers, curves = {}, {}
-    for row in table["rows"]:
-        results = [
-            read_json(split_path(folder, "random", index, row["model"]), REMEDY)
-            for index in row["indices"]
-        ]
-        if results:
-            answers[row["model"]] = tuple(
-                np.concatenate([result[key] for result in results])
-                for key in ("labels", "predictions")
-            )
-        if row["model"] == "slayer" and results:
-            curves[f"SNN-SLAYER, split {row['indices'][0]}"] = results[0]["history"]
-    experiment = folder / "experiment.toml"
-    return table, read_settings(experiment) if experiment.exists() else None, answers, curves
+    options.say(f"report: {path} ({len(html) // 1024} KiB)")

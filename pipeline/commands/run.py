@@ -6,7 +6,6 @@ from typing import Annotated, Optional
 
 import typer
 
-from deploy.files import replacing
 from pipeline.commands import options
 from pipeline.run import stages
 from pipeline.run.answers import STAGES as REFERENCES
@@ -73,10 +72,10 @@ def ladder(
     with options.opened(run, data, seed, samples, steps, settings, set_) as (folder, resolved):
         table = measure_ladder(folder, resolved, jobs, whole, slow, options.say)
         if whole:
-            from pipeline.report.confusion import confusion  # imports Matplotlib
+            from pipeline.report import figures  # imports Matplotlib
+            from pipeline.report.figures.confusion import confusion
 
-            with replacing(folder.confusion) as file:
-                confusion(table).savefig(file, format="png", dpi=100)
+            figures.save(confusion(table), folder.confusion, dpi=100)
     if limit is None:
         limit = 1.0 if whole else 3.0
     options.tell(table, lambda ladder: "\n" + ladder_text(ladder, limit), as_json)

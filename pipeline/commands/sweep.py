@@ -7,7 +7,6 @@ from typing import Annotated, Optional
 
 import typer
 
-from deploy.files import replacing
 from pipeline.commands import options
 from pipeline.experiments.study import Workers
 from pipeline.experiments.sweep import DEFAULT_GRID, measure_sweep
@@ -40,8 +39,8 @@ def sweep(
     with options.opened(out, data, seed, None, None, settings, set_) as (folder, resolved):
         found = measure_sweep(folder, resolved, grid or DEFAULT_GRID, workers, options.say)
         if found.summary["points"]:
-            from pipeline.report.pareto import pareto  # imports Matplotlib
+            from pipeline.report import figures  # imports Matplotlib
+            from pipeline.report.figures.pareto import pareto
 
-            with replacing(out / "pareto.png") as file:
-                pareto(found.summary).savefig(file, format="png", dpi=120)
+            figures.save(pareto(found.summary), out / "pareto.png")
     options.conclude(found, sweep_text, as_json)

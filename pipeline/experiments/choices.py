@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
+from deploy.tables import aligned
 from deploy.targets.registry import answer
 from pipeline.experiments.resampling import estimate
 from pipeline.experiments.study import Findings, SplitJob, Workers, over_splits
@@ -241,14 +242,12 @@ def choices_text(summary: dict) -> str:
         ("ann-snn", f"NengoDL (the paper loses {points_lost('ann-snn'):.0f} points)"),
         ("loihi", f"fast (the paper loses {points_lost('loihi'):.0f} points on Loihi)"),
     ):
-        lines += ["", f"{heading:<45} {'accuracy':>8} {'points lost':>12}  95 % interval"]
+        rows = [[heading, "accuracy", "points lost", "95 % interval"]]
         for entry in summary["choices"]:
-            if entry["row"] != row:
-                continue
-            interval = entry["loss_ci95"]
-            interval = "" if interval is None else " to ".join(f"{100 * x:.2f}" for x in interval)
-            lines.append(
-                f"{entry['title']:<45} {entry['accuracy']:>8.3f} {100 * entry['loss']:>12.2f}  "
-                f"{interval}".rstrip()
-            )
+            if entry["row"] == row:
+                bounds = entry["loss_ci95"] or ()
+                interval = " to ".join(f"{100 * bound:.2f}" for bound in bounds)
+                accuracy, lost = f"{entry['accuracy']:.3f}", f"{100 * entry['loss']:.2f}"
+                rows.append([entry["title"], accuracy, lost, interval])
+        lines += ["", *aligned(rows)]
     return "\n".join(lines)

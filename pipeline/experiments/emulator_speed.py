@@ -18,6 +18,7 @@ from deploy.network.loihi_import import nengo_loihi
 from deploy.network.responses import read_output, seconds_per_sample
 from deploy.network.spec import NetworkSpec
 from deploy.network.stream import show, streams_of
+from deploy.tables import aligned
 from deploy.targets.fast.emulation import Emulation, compile_spec
 from pipeline.experiments import emulator_limits
 from pipeline.progress import progress
@@ -265,11 +266,8 @@ def speed_text(result: dict) -> str:
         if result["identical"]
         else "NO: the answers differ"
     )
-    lines = [
-        f"{result['n_samples']} {kind} of {result['gap_per_sample']} blank and "
-        f"{result['steps_per_sample']} shown steps, one thread, medians of {result['turns']} turns",
-        f"identical: {verdict}",
-        f"{'':<22}{'samples/s':>10}{'whole':>9}{'chip':>9}{'whole, CPU':>12}{'chip, CPU':>11}",
+    rows = [
+        ["", "samples/s", "whole", "chip", "whole, CPU", "chip, CPU"],
         _row("NengoLoihi's emulator", result["reference_samples_per_second"], [1, 1, 1, 1]),
     ]
     for name, suffix in (("numba", ""), ("numpy", "_numpy")):
@@ -279,17 +277,22 @@ def speed_text(result: dict) -> str:
                 for times in (result, result["processor_time"])
                 for part in ("whole", "chip")
             ]
-            lines.append(_row(f"fast, {name}", result["samples_per_second" + suffix], ratios))
+            rows.append(_row(f"fast, {name}", result["samples_per_second" + suffix], ratios))
     rates = ", ".join(f"{name} {rate:.0f}" for name, rate in result["mean_rates_hz"].items())
-    lines.append(f"mean rates in Hz: {rates}")
+    lines = [
+        f"{result['n_samples']} {kind} of {result['gap_per_sample']} blank and "
+        f"{result['steps_per_sample']} shown steps, one thread, medians of {result['turns']} turns",
+        f"identical: {verdict}",
+        *aligned(rows),
+        f"mean rates in Hz: {rates}",
+    ]
     lines += _growth(result["growth"]) if "growth" in result else []
     lines += _limits(result["limits"]) if "limits" in result else []
     return "\n".join(lines)
 
 
 def _row(name, pace, ratios):
-    whole, chip, whole_cpu, chip_cpu = (f"{ratio:.0f}x" for ratio in ratios)
-    return f"{name:<22}{pace:>10.0f}{whole:>9}{chip:>9}{whole_cpu:>12}{chip_cpu:>11}"
+    return [name, f"{pace:.0f}", *(f"{ratio:.0f}x" for ratio in ratios)]
 
 
 def _growth(growth):

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from deploy.network.operations import multiply_accumulates
+from deploy.tables import aligned
 from deploy.targets.registry import answer
 from pipeline.experiments.resampling import estimate
 from pipeline.experiments.study import Findings, SplitJob, Workers, over_splits
@@ -153,31 +154,29 @@ def summarise(results, simulated: bool) -> dict:
 def losses_text(summary: dict) -> str:
     """The summary as a table."""
 
-    def shown(entry, scale=100, digits=2):
-        mean = f"{scale * entry['mean']:7.{digits}f}"
-        if entry["ci95"] is None:
-            return mean
-        low, high = (f"{scale * value:.{digits}f}" for value in entry["ci95"])
-        return f"{mean}  ({low} to {high})"
+    def table(entries, scale=100, digits=2):
+        rows = []
+        for stage, entry in entries.items():
+            bounds = [f"{scale * value:.{digits}f}" for value in entry["ci95"] or ()]
+            interval = f"({' to '.join(bounds)})" if bounds else ""
+            rows.append([stage, f"{scale * entry['mean']:.{digits}f}", interval])
+        return [f"  {line}" for line in aligned(rows)]
 
     what = "simulated samples" if summary["simulated"] else "samples"
+    lost = ", ".join(f"{points_lost(model):.0f} to {stage}" for stage, model in PAPERS.items())
     lines = [
         f"Mean over {len(summary['seeds'])} seeds (95 % interval), each on the whole test split of "
         f"{summary['n_test']} {what}",
         "",
         "accuracy in %",
-        *(f"  {stage:<22}{shown(entry)}" for stage, entry in summary["accuracy"].items()),
-        f"points lost from the stronger CNN ({summary['stronger_cnn']}); in the paper "
-        + ", ".join(f"{points_lost(model):.0f} to {stage}" for stage, model in PAPERS.items()),
-        *(f"  {stage:<22}{shown(entry)}" for stage, entry in summary["loss"].items()),
+        *table(summary["accuracy"]),
+        f"points lost from the stronger CNN ({summary['stronger_cnn']}); in the paper {lost}",
+        *table(summary["loss"]),
         "predictions that differ from the rate-based network's, in %",
-        *(f"  {stage:<22}{shown(entry)}" for stage, entry in summary["disagreements"].items()),
+        *table(summary["disagreements"]),
         "synaptic operations an inference, in multiples of the CNN's multiply-accumulates",
-        *(f"  {stage:<22}{shown(entry, 1)}" for stage, entry in summary["operations"].items()),
+        *table(summary["operations"], 1),
         "step from which half the samples are decided for good",
-        *(
-            f"  {stage:<22}{shown(entry, 1, 0)}"
-            for stage, entry in summary["decided_at_median"].items()
-        ),
+        *table(summary["decided_at_median"], 1, 0),
     ]
     return "\n".join(lines)

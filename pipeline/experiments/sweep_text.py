@@ -6,6 +6,8 @@ import csv
 import io
 import textwrap
 
+from deploy.tables import aligned
+
 
 def short_names(names) -> dict:
     """Each setting's last word, or all of its name where two settings share that."""
@@ -24,35 +26,30 @@ def sweep_text(sweep: dict) -> str:
     sweep : dict
         From :func:`pipeline.experiments.sweep.summarise`.
     """
-    short = short_names(sweep["names"])
-    widths = {
-        name: max(len(short[name]), *(len(_value(p["changes"][name])) for p in sweep["points"]))
-        if sweep["points"]
-        else 0
-        for name in sweep["names"]
-    }
-    lines = []
-    if sweep["points"]:
-        first = sweep["points"][0]
-        kind = "simulated validation samples" if first["simulated"] else "validation samples"
-        lines.append(f"{len(sweep['points'])} points, each on the same {first['n_samples']} {kind}")
-        header = "  ".join(f"{short[name]:>{widths[name]}}" for name in sweep["names"])
-        lines.append(
-            f"   #  accuracy  95 % interval   operations  shown  decided  rate-lif    cnn  {header}"
-        )
-    for number, point in enumerate(sweep["points"], 1):
-        low, high = point["accuracy_ci95"]
-        values = "  ".join(
-            f"{_value(point['changes'][name]):>{widths[name]}}" for name in sweep["names"]
-        )
-        lines.append(
-            f"{'*' if point['pareto'] else ' '}{number:>3}  {point['accuracy']:>8.3f}  "
-            f"{low:.3f} to {high:.3f}  {point['operations_per_mac']:>8.2f} x  {point['steps']:>5}"
-            f"  {point['decided_at_median']:>7.0f}  {point['rate_accuracy']:>8.3f}"
-            f"  {point['cnn_accuracy']:>5.3f}  {values}"
-        )
-    if sweep["points"]:
-        lines += [
+    short, points, lines = short_names(sweep["names"]), sweep["points"], []
+    if points:
+        kind = "simulated validation samples" if points[0]["simulated"] else "validation samples"
+        figures = ["accuracy", "95 % interval", "operations", "shown", "decided", "rate-lif", "cnn"]
+        rows = [["", "#", *figures, *(short[name] for name in sweep["names"])]]
+        for number, point in enumerate(points, 1):
+            low, high = point["accuracy_ci95"]
+            rows.append(
+                [
+                    "*" if point["pareto"] else "",
+                    str(number),
+                    f"{point['accuracy']:.3f}",
+                    f"{low:.3f} to {high:.3f}",
+                    f"{point['operations_per_mac']:.2f} x",
+                    str(point["steps"]),
+                    f"{point['decided_at_median']:.0f}",
+                    f"{point['rate_accuracy']:.3f}",
+                    f"{point['cnn_accuracy']:.3f}",
+                    *(_value(point["changes"][name]) for name in sweep["names"]),
+                ]
+            )
+        lines = [
+            f"{len(points)} points, each on the same {points[0]['n_samples']} {kind}",
+            *aligned(rows),
             "* on the Pareto front: no other point is at least as good in accuracy, operations and",
             "steps and better in one of them",
             "operations: synaptic, an inference, in multiples of the CNN's multiply-accumulates;",

@@ -6,6 +6,7 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import write_json
+from deploy.tables import aligned
 from pipeline.experiments import table2_splits
 from pipeline.experiments.jobs import Failure
 from pipeline.experiments.resampling import estimate
@@ -251,11 +252,8 @@ def table_text(table: dict) -> str:
     ):
         if not table[key]:
             continue
-        lines += [
-            "",
-            f"{heading:<44} {'ours':>13}  {'95 % interval':<15} {'splits':>6}  {'paper':>11}",
-        ]
-        lines += [_line(row) for row in table[key]]
+        heads = [heading, "ours", "95 % interval", "splits", "paper"]
+        lines += ["", *aligned([heads, *map(_cells, table[key])])]
     if table["comparisons"]:
         lines += ["", "paired differences, on the same samples of the same splits"]
         for c in table["comparisons"]:
@@ -276,16 +274,16 @@ def table_text(table: dict) -> str:
     return "\n".join(lines)
 
 
-def _line(row):
+def _cells(row):
     paper = "" if row["paper_mean"] is None else f"{row['paper_mean']:.2f} ({row['paper_sd']:.2f})"
     if row["accuracy_mean"] is None:
-        return f"{row['title']:<44} {'not run':>13}  {'':<15} {0:>6}  {paper:>11}".rstrip()
+        return [row["title"], "not run", "", "0", paper]
+    # An SD that is not there leaves its place free, so that means stand below each other.
     sd = " " * 8 if row["accuracy_sd"] is None else f" ({row['accuracy_sd']:.3f})"
     interval = row["accuracy_ci95"]
     interval = "" if interval is None else f"{interval[0]:.3f} to {interval[1]:.3f}"
     ours = f"{row['accuracy_mean']:.3f}{sd}"
-    splits = len(row["per_split"])
-    return f"{row['title']:<44} {ours:>13}  {interval:<15} {splits:>6}  {paper:>11}".rstrip()
+    return [row["title"], ours, interval, str(len(row["per_split"])), paper]
 
 
 def _signed(interval):

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from deploy.tables import aligned
 from models.cnn import get_weights
 from models.keras2 import tf
 from models.together import Stack
@@ -93,20 +94,20 @@ def measure(settings: Settings, data, networks: int = 5, rounds: int = 3, advanc
 
 def speed_text(result: dict) -> str:
     """The measurement as a table."""
-    lines = [
-        f"Training {result['networks']} networks on {result['samples']} samples, one epoch; "
-        f"medians of {result['rounds']} rounds in which the ways took turns",
-        f"{'way':<34} {'seconds':>8} {'times as fast':>14}",
-    ]
     titles = {
         "nengodl": "NengoDL's fit, one by one",
         "keras": "Keras's fit, one by one",
         "together": "stacked, all at once",
     }
+    rows = [["way", "seconds", "times as fast"]]
     for way in WAYS:
         seconds, ratio = result["seconds_per_epoch"][way], result["ratio_to_nengodl"][way]
-        lines.append(f"{titles[way]:<34} {seconds:>8.2f} {ratio:>14.1f}")
-    return "\n".join(lines)
+        rows.append([titles[way], f"{seconds:.2f}", f"{ratio:.1f}"])
+    heading = (
+        f"Training {result['networks']} networks on {result['samples']} samples, one epoch; "
+        f"medians of {result['rounds']} rounds in which the ways took turns"
+    )
+    return "\n".join([heading, *aligned(rows)])
 
 
 def _models(settings, networks):

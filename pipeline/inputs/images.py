@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.recordings.events import GRID, N_TAXELS, Recordings
+from pipeline.recordings.events import GRID, N_TAXELS, Events, Recordings, TaxelMap, collect
 from pipeline.settings import AGGREGATIONS, NORMALISATIONS
 
 
@@ -93,3 +93,28 @@ def tactile_images(recordings, aggregation="count", normalisation="max") -> np.n
     """Normalised tactile images with a channel dimension, shape (n_samples, 10, 10, 1), float32."""
     images = normalise(aggregate(recordings, aggregation), normalisation)
     return images[..., None].astype(np.float32)
+
+
+def growing(events: Events, taxels: TaxelMap, ends, aggregation: str = "count") -> np.ndarray:
+    """A recording's tactile image as it grows, not normalised.
+
+    Parameters
+    ----------
+    events : Events
+        Of one recording.
+    taxels : TaxelMap
+    ends : sequence of int
+        Nanoseconds; an image has the events before its end.
+    aggregation : str
+        See the module's description.
+
+    Returns
+    -------
+    ndarray of float, shape (n_ends, 10, 10)
+    """
+    parts = [
+        Events(*(getattr(events, name)[events.time_ns < end] for name in vars(events)))
+        for end in ends
+    ]
+    n = len(parts)
+    return aggregate(collect(parts, [0] * n, ["part"] * n, [-1] * n, None, taxels), aggregation)

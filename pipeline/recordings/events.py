@@ -115,7 +115,7 @@ class Recordings:
         The digit, 0 to 9.
     ids : tuple of str
         A name for each recording that does not change from import to import, such as
-        ``"3/0042.mat"``.
+        ``"3/0042"``.
     writers : ndarray of int64, shape (n_samples,)
         The writer, from 0; -1 where it is not known.
     source : Source

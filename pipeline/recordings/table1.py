@@ -156,5 +156,5 @@ def _cell(pair, decimals):
 
 
 def _error(pair, paper):
-    mean, spread = (100 * error for error in _relative(pair, paper))
+    mean, spread = (np.round(100 * error) + 0.0 for error in _relative(pair, paper))  # no -0
     return f"{mean:+.0f} ({spread:+.0f})"

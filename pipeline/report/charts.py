@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup, escape
 
+from pipeline.run.ladder import confusion_shares
+
 WIDTH, HEIGHT = 360, 250
 LEFT, RIGHT, TOP, BOTTOM = 48, 14, 26, 40
 
@@ -137,7 +139,7 @@ def confusion(matrix, description="") -> Markup:
     """A confusion matrix: row the digit that was written, column the answer, in counts."""
     matrix = np.asarray(matrix)
     size, cell = len(matrix), 30
-    share = matrix / np.maximum(matrix.sum(1, keepdims=True), 1)
+    share = confusion_shares(matrix)
     side = 46 + size * cell
     marks = []
     for digit in range(size):

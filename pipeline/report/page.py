@@ -14,12 +14,12 @@ from deploy.check.bundle import Bundle
 from deploy.check.energy import estimate_energy
 from deploy.network.responses import seconds_per_sample
 from pipeline.experiments.table2_splits import MODELS
-from pipeline.inputs.images import aggregate, normalise
+from pipeline.inputs.images import growing, normalise
 from pipeline.paper import TABLE1
-from pipeline.recordings import table1 as statistics
-from pipeline.recordings.events import Recordings, collect
+from pipeline.recordings import table1
+from pipeline.recordings.events import Recordings
 from pipeline.report import charts
-from pipeline.run.ladder import ladder_json
+from pipeline.run.ladder import confusion_matrix, ladder_json
 from pipeline.settings import Settings
 
 STAGE_TITLES = {
@@ -117,7 +117,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         style=resources.files("pipeline.report").joinpath("report.css").read_text(encoding="utf-8"),
         made=now.strftime("%Y-%m-%d %H:%M UTC"),
         package=__version__,
-        settings=_flat(inputs.settings),
+        settings=inputs.settings.flat(),
         defaults=ZERO_MEANS,
         titles={name: model.title for name, model in MODELS.items()},
         other_settings=_other_settings(inputs),
@@ -157,23 +157,12 @@ def choose_samples(result: dict, stream_length: int) -> list:
     return chosen
 
 
-def _flat(settings):
-    """Settings by their dotted names, as ``--set`` takes them."""
-    flat = {}
-    for section, values in settings.to_json().items():
-        if isinstance(values, dict):
-            flat |= {f"{section}.{name}": value for name, value in values.items()}
-        else:
-            flat[section] = values
-    return flat
-
-
 def _other_settings(inputs):
     """Settings that the benchmark has otherwise than the run."""
     if inputs.table2_settings is None:
         return {}
-    ours = _flat(inputs.settings)
-    return {k: v for k, v in _flat(inputs.table2_settings).items() if v != ours[k]}
+    ours = inputs.settings.flat()
+    return {k: v for k, v in inputs.table2_settings.flat().items() if v != ours[k]}
 
 
 def _ladder(inputs):
@@ -218,37 +207,31 @@ def _benchmark(table):
 
 
 def _table1(recordings):
-    names = {
-        "on": "ON events",
-        "off": "OFF events",
-        "x_mean": "X mean",
-        "y_mean": "Y mean",
-        "x_range": "X range",
-        "y_range": "Y range",
+    """The table, with the paper's figures only where they are of the same recordings."""
+    ours = table1.table(recordings)
+    against_paper = table1.is_st_mnist(recordings)
+
+    def row(title, name, places, pair=lambda value: value):
+        cells = [
+            {
+                "ours": pair(mine[name]),
+                "paper": against_paper and pair(TABLE1[digit][name]),
+            }
+            for digit, mine in ours.items()
+        ]
+        return {"title": title, "cells": cells, "places": places}
+
+    return {
+        "digits": list(ours),
+        "against_paper": against_paper,
+        "rows": [
+            *(
+                row(table1.LABELS[name], name, 0 if name in ("on", "off") else 2)
+                for name in table1.MEASURES
+            ),
+            row("Sample size", "samples", 0, lambda value: (value, None)),
+        ],
     }
-    ours = statistics.table(recordings)
-    return [
-        {
-            "title": title,
-            "cells": [
-                {"ours": ours[digit][name], "paper": TABLE1[digit][name]} for digit in sorted(ours)
-            ],
-            "places": 0 if name in ("on", "off") else 2,
-        }
-        for name, title in names.items()
-    ] + [
-        {
-            "title": "Sample size",
-            "cells": [
-                {
-                    "ours": (ours[digit]["samples"], None),
-                    "paper": (TABLE1[digit]["samples"], None),
-                }
-                for digit in sorted(ours)
-            ],
-            "places": 0,
-        }
-    ]
 
 
 def _anytime(inputs):
@@ -317,8 +300,7 @@ def _confusions(inputs):
             wanted[f"{title}, the check's {len(answers[0])} samples"] = answers
     matrices = []
     for title, (labels, predictions) in wanted.items():
-        matrix = np.zeros((10, 10), int)
-        np.add.at(matrix, (np.asarray(labels), np.asarray(predictions)), 1)
+        matrix = confusion_matrix(labels, predictions)
         matrices.append({"title": title, "chart": charts.confusion(matrix, f"Confusions: {title}")})
     return matrices
 
@@ -379,20 +361,12 @@ def _layer_raster(layer, steps, neurons, replay):
 
 def _frames(inputs, recording):
     """The tactile image as it grows, up to the last event."""
-    whole = inputs.recordings[recording]
+    whole, image = inputs.recordings[recording], inputs.settings.image
     end = int(whole.time_ns[-1]) + 1 if len(whole) else 1
+    ends = [end * number // FRAMES for number in range(1, FRAMES + 1)]
+    grown = growing(whole, inputs.recordings.taxels, ends, image.aggregation)
     frames = []
-    for number in range(1, FRAMES + 1):
-        until = end * number // FRAMES
-        mask = whole.time_ns < until
-        part = type(whole)(
-            *(getattr(whole, c)[mask] for c in ("time_ns", "taxel", "polarity", "columns"))
-        )
-        one = collect(
-            [part], [0], ["part"], [-1], inputs.recordings.source, inputs.recordings.taxels
-        )
-        image = inputs.settings.image
-        pixels = normalise(aggregate(one, image.aggregation), image.normalisation)[0]
+    for until, pixels in zip(ends, normalise(grown, image.normalisation), strict=True):
         caption = f"{until / 1e9:.2f} s"
         frames.append(
             {"chart": charts.image(pixels, f"Tactile image at {caption}"), "caption": caption}

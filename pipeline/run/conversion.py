@@ -68,7 +68,7 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, logits=None) ->
                 synapse=None if first else deployment.synapse or None,
                 weights=kernel.T if folded.layer.kind == "dense" else kernel,
                 bias=bias,
-                **_geometry(folded, deployment.pop_type),
+                **geometry(folded, deployment.pop_type),
             )
         )
     layers.append(_readout(settings, output, weights, logits))
@@ -84,7 +84,7 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, logits=None) ->
     )
 
 
-def _geometry(folded, pop_type):
+def geometry(folded, pop_type):
     """What a layer of the bundle takes over from the architecture."""
     geometry = dict(
         name=folded.name,
@@ -103,7 +103,7 @@ def _geometry(folded, pop_type):
 
 
 def _readout(settings, folded, weights, logits):
-    common = _geometry(folded, settings.deployment.pop_type)
+    common = geometry(folded, settings.deployment.pop_type)
     kernel = weights["output.kernel"].T.astype(float)
     bias = weights["output.bias"].astype(float)
     if settings.deployment.readout == "host":

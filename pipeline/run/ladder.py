@@ -10,6 +10,7 @@ import numpy as np
 from deploy.check.bundle import Bundle
 from deploy.check.results import compare_results, read_result
 from deploy.files import read_json, write_json
+from deploy.tables import aligned
 from pipeline.progress import progress
 from pipeline.run import stages
 from pipeline.run.diagnosis import layers_json, layers_text, least_faithful
@@ -139,26 +140,36 @@ def climb(results) -> list:
                 drop=against and against.accuracy_drop,
                 disagreements=against and len(against.disagreements),
                 mcnemar_p=against and against.p_value,
-                confusion=confusion_matrix(result["samples"]),
+                confusion=confusion_matrix(
+                    *([s[key] for s in result["samples"]] for key in ("label", "prediction"))
+                ).tolist(),
             )
         )
         above = result
     return rungs
 
 
-def confusion_matrix(samples, classes: int = 10) -> list:
+def confusion_matrix(labels, predictions, classes: int = 10) -> np.ndarray:
     """Count samples by label (row) and prediction (column).
 
     Parameters
     ----------
-    samples : sequence of dict
-        With ``label`` and ``prediction``.
+    labels, predictions : sequence of int
     classes : int
+
+    Returns
+    -------
+    ndarray of int, shape (classes, classes)
     """
     matrix = np.zeros((classes, classes), int)
-    for sample in samples:
-        matrix[sample["label"], sample["prediction"]] += 1
-    return matrix.tolist()
+    np.add.at(matrix, (np.asarray(labels, int), np.asarray(predictions, int)), 1)
+    return matrix
+
+
+def confusion_shares(matrix) -> np.ndarray:
+    """A confusion matrix as shares of each label's samples; 0 where a label has none."""
+    matrix = np.asarray(matrix)
+    return matrix / np.maximum(matrix.sum(axis=1, keepdims=True), 1)
 
 
 def ladder_json(results, layers=None, left_out=()) -> dict:
@@ -213,25 +224,25 @@ def ladder_text(ladder: dict, limit: float = 1.0) -> str:
         Points that a stage after the rate-based network may lose.
     """
     what = "simulated samples" if ladder["simulated"] else "samples"
-    lines = [
-        f"Loss ladder, {ladder['n_samples']} {what}, each stage on the same ones",
-        f"{'stage':<12} {'accuracy':>8}  {'95 % interval':<15} {'drop':>6}  {'disagree':>8}"
-        f"  {'McNemar p':>9}",
-    ]
+    table = [["stage", "accuracy", "95 % interval", "drop", "disagree", "McNemar p"]]
     for row in ladder["rows"]:
         low, high = row["accuracy_ci95"]
-        line = f"{row['stage']:<12} {row['accuracy']:>8.3f}  {low:.3f} to {high:.3f} "
+        cells = [row["stage"], f"{row['accuracy']:.3f}", f"{low:.3f} to {high:.3f}", "", "", ""]
         if row["drop"] is not None:
             p = row["mcnemar_p"]
-            # "+ 0.0" keeps a rounded -0.0 from being printed as such
-            line += f" {round(row['drop'], 3) + 0.0:>+6.3f}  {row['disagreements']:>8}"
-            line += f"  {'< 0.001' if p < 0.001 else format(p, '.3f'):>9}"
-        lines.append(line.rstrip())
+            cells[3:] = [
+                f"{round(row['drop'], 3) + 0.0:+.3f}",  # "+ 0.0" turns -0.0 into 0.0
+                str(row["disagreements"]),
+                "< 0.001" if p < 0.001 else f"{p:.3f}",
+            ]
+        table.append(cells)
     first, last = ladder["rows"][0], ladder["rows"][-1]
-    lines.append(
+    lines = [
+        f"Loss ladder, {ladder['n_samples']} {what}, each stage on the same ones",
+        *aligned(table),
         f"from {first['stage']} to {last['stage']}: "
-        f"{100 * (first['accuracy'] - last['accuracy']) + 0.0:.1f} points lost"
-    )
+        + points_text(100 * (first["accuracy"] - last["accuracy"])),
+    ]
     if any(row["stage"] == "fast" for row in ladder["rows"]):
         lines.append("fast: NengoLoihi's emulator, bit for bit")
     if ladder["left_out"]:
@@ -242,3 +253,8 @@ def ladder_text(ladder: dict, limit: float = 1.0) -> str:
     if losing and ladder["layers"]:
         lines += ["", layers_text(ladder["layers"])]
     return "\n".join(lines)
+
+
+def points_text(points: float) -> str:
+    """So many points lost, or gained where there are fewer than none."""
+    return f"{abs(points):.1f} points {'lost' if points > -0.05 else 'gained'}"

@@ -1,3 +1,4 @@
+import json
 import tomllib
 from dataclasses import fields
 
@@ -9,7 +10,14 @@ from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.network.spec import Presentation
 from pipeline.run.folder import RunFolder, is_current, stamp_of
-from pipeline.settings import Settings, parse_assignments, read_settings, write_settings
+from pipeline.settings import (
+    Settings,
+    describe,
+    parse_assignments,
+    read_settings,
+    write_settings,
+)
+from tests.command import call
 
 
 def test_the_papers_numbers_are_the_defaults():
@@ -154,6 +162,32 @@ def test_a_stage_is_current_only_with_its_files_and_its_stamp(tmp_path):
     weights.write_bytes(b"")
     assert is_current(metrics, stamp, weights)
     assert not is_current(metrics, "other", weights)
+
+
+def test_every_setting_is_listed_with_its_meaning():
+    described = describe(Settings())
+    assert [row["name"] for row in described] == list(Settings().flat())
+    assert {row["name"].split(".")[0] for row in described} == {e.name for e in fields(Settings)}
+    for row in described:
+        assert row["value"] == row["default"]
+        assert row["meaning"].endswith("."), row["name"]
+        assert "\n" not in row["meaning"]
+
+
+def test_the_listing_marks_what_a_run_has_otherwise(tmp_path, capsys):
+    write_settings(tmp_path / "experiment.toml", Settings().with_values({"seed": 3}, ""))
+    assert call("settings", tmp_path) == 0
+    heads, first, meaning, *rest = capsys.readouterr().out.splitlines()
+    assert heads.split() == ["setting", "value", "default"]
+    assert first.split() == ["*", "seed", "3", "0"]
+    assert meaning.startswith("      Of the split")
+    assert not [line for line in rest if line.startswith("*")]
+    assert call("settings", tmp_path, "--json") == 0
+    seed, source, *_ = json.loads(capsys.readouterr().out)
+    assert (seed["name"], seed["value"], seed["default"]) == ("seed", 3, 0)
+    assert source["value"] == "simulated"
+    assert call("settings", tmp_path / "none") == 2
+    assert "experiment.toml: cannot read" in capsys.readouterr().err
 
 
 def test_two_processes_cannot_work_in_one_run(tmp_path):

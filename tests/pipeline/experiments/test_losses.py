@@ -45,4 +45,4 @@ def test_text_says_what_is_simulated_and_leaves_out_an_interval_of_one_seed():
     )
     assert "20 simulated samples" in one
     assert "nan" not in one
-    assert "  cnn                     80.00\n" in one
+    assert "  cnn           80.00\n" in one

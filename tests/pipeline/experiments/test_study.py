@@ -76,7 +76,13 @@ def test_a_worker_of_another_version_is_found_out(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "command", [("sweep", "runs/x"), ("benchmark", "losses"), ("benchmark", "conversion")]
+    "command",
+    [
+        ("sweep", "runs/x"),
+        ("benchmark", "losses"),
+        ("benchmark", "conversion"),
+        ("benchmark", "table2", "--set", "check.samples=5"),
+    ],
 )
 def test_every_experiment_takes_a_scheduler(command, tmp_path, monkeypatch, capsys):
     pytest.importorskip("distributed")
@@ -87,50 +93,74 @@ def test_every_experiment_takes_a_scheduler(command, tmp_path, monkeypatch, caps
 
 
 TINY = [
-    "--jobs",
-    "1",
-    "--set",
-    "seed=7",
-    "--set",
-    "data.samples_per_digit=6",
-    "--set",
-    "cnn.epochs=1",
+    *("--jobs", "1", "--set", "seed=7", "--set", "data.samples_per_digit=6"),
+    *("--set", "cnn.epochs=1", "--set", "snn.epochs=1", "--json"),
 ]
-TINY += ["--set", "snn.epochs=1", "--json"]
 BENCHMARKS = {"conversion": (conversion_choices, "--splits"), "losses": (losses, "--seeds")}
+
+
+@pytest.fixture
+def one_choice(monkeypatch):
+    """Of all that the conversion is measured under."""
+    chosen = [choice for choice in conversion_choices.CHOICES if choice.title == "50 steps"]
+    monkeypatch.setattr(conversion_choices, "CHOICES", tuple(chosen))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BENCHMARKS)
-def test_command_measures_once_and_goes_on(name, tmp_path, monkeypatch, capsys):
-    module, number = BENCHMARKS[name]
-    two = [c for c in conversion_choices.CHOICES if c.title == "50 steps"]
-    monkeypatch.setattr(conversion_choices, "CHOICES", tuple(two))
+def test_a_split_is_measured(name, one_choice, tmp_path, capsys):
+    _, number = BENCHMARKS[name]
     out = tmp_path / name
-    command = ["benchmark", name, "--out", out, number, "2", *TINY]
-    assert call(*command) == 0
-    first = json.loads(capsys.readouterr().out)
-    assert first["simulated"]
-    assert first["seeds"] == [7, 8]
-    assert first["n_test"] == 12
-    assert json.loads((out / f"{name}.json").read_text()) == first
+    assert call("benchmark", name, "--out", out, number, "1", *TINY) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["simulated"]
+    assert summary["seeds"] == [7]
+    assert summary["n_test"] == 12
+    assert json.loads((out / f"{name}.json").read_text()) == summary
+
+
+FIGURES = {"cnn": 0.5, "cnn-annealed": 0.6, "chip-100": 0.4}
+MADE_UP = {
+    "conversion": {"rate": {"150.0": 0.5}, "choices": [0.4, 0.3]},
+    "losses": {
+        "accuracy": FIGURES,
+        **{name: {"chip-100": 1.0} for name in ("disagreements", "operations")},
+        "decided_at_median": {"chip-100": 30.0},
+    },
+}
+
+
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_splits_are_measured_once_and_failed_ones_tried_again(
+    name, one_choice, tmp_path, monkeypatch, capsys
+):
+    module, number = BENCHMARKS[name]
+    out, asked, lost = tmp_path / name, [], set()
 
     def measure(job):
         asked.append(job.seed)
-        raise OSError("lost")
+        if job.seed in lost:
+            raise OSError("lost")
+        return {"seed": job.seed, "n_train": 48, "n_test": 12, **MADE_UP[name]}
 
-    asked = []
     monkeypatch.setattr(module, "measure", measure)
+    command = ["benchmark", name, "--out", out, number, "2", *TINY]
+    assert call(*command) == 0
+    first = json.loads(capsys.readouterr().out)
+    assert first["seeds"] == asked == [7, 8]
     assert call(*command) == 0
     assert json.loads(capsys.readouterr().out) == first
-    assert asked == []
+    assert asked == [7, 8]
     (out / "split-08.json").unlink()
+    lost.add(8)
     assert call(*command) == 1
-    assert asked == [8]
+    assert asked == [7, 8, 8]
     captured = capsys.readouterr()
     assert json.loads(captured.out)["seeds"] == [7]
     assert "lost" in captured.err
     assert "splits [8] failed" in captured.err
+    assert call(*command, "--set", "cnn.epochs=2") == 1  # what depends on other settings is redone
+    assert asked == [7, 8, 8, 7, 8]
 
 
 def test_an_output_read_too_late_is_said_before_anything_is_trained(tmp_path, capsys):

@@ -199,9 +199,14 @@ GRID = ("--grid", "presentation.steps=24,40", "--grid", "snn.spike_penalty=0,3")
 
 @pytest.fixture(scope="module")
 def tiny_sweep(tmp_path_factory):
-    """Four points from three trainings."""
+    """Four points from three trainings, on a cluster."""
+    distributed = pytest.importorskip("distributed")
     folder = tmp_path_factory.mktemp("sweep") / "out"
-    assert call("sweep", folder, *TINY, *GRID) == 0
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        workers = ("--scheduler", cluster.scheduler_address)
+        assert call("sweep", folder, *TINY, *GRID, *workers) == 0
     return folder
 
 
@@ -247,6 +252,7 @@ def test_a_sweep_is_resumed(tiny_sweep, tmp_path, capsys):
     assert call("sweep", folder, "--jobs", 1, *GRID, "--json") == 0
     assert {path: path.stat().st_mtime_ns for path in before} == before
     again = read_json(lost, "")
+    # Made by this process, the others by a cluster's worker.
     assert {**again, "seconds": 0} == {**expected, "seconds": 0}
     summary = json.loads(capsys.readouterr().out)
     assert summary == read_json(folder / "sweep.json", "")

@@ -61,7 +61,8 @@ def test_the_other_order_of_bytes():
 
 def test_other_kinds_of_variables_are_passed_over_or_none():
     content = saved(
-        text="abc", long="x" * 201, lines=np.array(["ab", "cd"]), other="ü", cell=np.array([1, "x"], dtype=object), struct={"a": 1.0},
+        text="abc", long="x" * 201, lines=np.array(["ab", "cd"]), other="ü",
+        cell=np.array([1, "x"], dtype=object), struct={"a": 1.0},
         sparse=scipy.sparse.eye(3).tocsc(), complex=np.array([1j]), number=5.0,
     )  # fmt: skip
     assert {name: array.tolist() for name, array in mat5.read(content).items()} == {

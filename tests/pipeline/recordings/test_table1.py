@@ -1,10 +1,12 @@
 """The paper's Table 1."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from pipeline.paper import TABLE1
+from pipeline.paper import SAMPLES_PER_DIGIT, TABLE1
 from pipeline.recordings import table1 as statistics
 from pipeline.recordings.events import Events, Source, TaxelMap, collect
 from pipeline.recordings.matfile import read_recording
@@ -61,6 +63,20 @@ def test_the_one_real_recording(real_recording):
     assert measures["y_mean"] == pytest.approx((rows // 10 + 1).mean())
     assert measures["x_range"] == np.ptp(rows % 10)
     assert measures["y_range"] == np.ptp(rows // 10)
+
+
+def test_st_mnist_is_recorded_and_has_as_many_of_each_digit_as_published():
+    labels = np.repeat(np.arange(10), SAMPLES_PER_DIGIT)
+    simulated = Source("simulated", "", True)
+    assert statistics.is_st_mnist(SimpleNamespace(labels=labels, source=SOURCE))
+    assert not statistics.is_st_mnist(SimpleNamespace(labels=labels[1:], source=SOURCE))
+    assert not statistics.is_st_mnist(SimpleNamespace(labels=labels, source=simulated))
+
+
+def test_the_paper_beside_others_is_said_to_be_of_st_mnist():
+    text = statistics.table1_text(by_hand(), against_paper=True)
+    assert text.splitlines()[-1].endswith("those of ST-MNIST; these recordings are others.")
+    assert "1399" not in statistics.table1_text(by_hand())
 
 
 def test_the_papers_table():

@@ -1,7 +1,7 @@
 import pytest
 
 from deploy.errors import UserError
-from pipeline.run.ladder import climb, ladder_json, ladder_text, losing_stages
+from pipeline.run.ladder import climb, ladder_json, ladder_text, losing_stages, points_text
 
 LABELS = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]
 
@@ -46,12 +46,19 @@ def test_the_table():
     text = ladder_text(ladder_json([CNN, RATE, EMULATOR]))
     assert text.splitlines() == [
         "Loss ladder, 10 simulated samples, each stage on the same ones",
-        "stage        accuracy  95 % interval     drop  disagree  McNemar p",
-        "cnn             0.900  0.100 to 0.900",
-        "rate-lif        0.600  0.100 to 0.900  +0.300         4      0.250",
-        "emulator        0.700  0.100 to 0.900  -0.100         1      1.000",
+        "stage     accuracy   95 % interval    drop  disagree  McNemar p",
+        "cnn          0.900  0.100 to 0.900",
+        "rate-lif     0.600  0.100 to 0.900  +0.300         4      0.250",
+        "emulator     0.700  0.100 to 0.900  -0.100         1      1.000",
         "from cnn to emulator: 20.0 points lost",
     ]
+
+
+def test_points_won_are_called_gained():
+    text = ladder_text(ladder_json([RATE, EMULATOR]))
+    assert text.endswith("from rate-lif to emulator: 10.0 points gained")
+    assert points_text(-0.04) == "0.0 points lost"
+    assert points_text(0.5) == "0.5 points lost"
 
 
 def test_only_simulated_samples_are_called_so():

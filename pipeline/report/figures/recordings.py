@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from pipeline.inputs.images import aggregate, normalise
+from pipeline.inputs.images import aggregate, growing, normalise
 from pipeline.recordings.events import (
     DURATION_S,
     GRID,
     N_TAXELS,
-    Events,
     Recordings,
     TaxelMap,
-    collect,
 )
 
 ON, OFF = "red", "black"
@@ -37,7 +35,7 @@ def recording(recordings: Recordings, index: int) -> Figure:
     figure.suptitle(_title(recordings, index))
     frames, raster = figure.subfigures(2, 1, height_ratios=[1, 3])
     ends = np.arange(1, FRAMES + 1) * DURATION_S / FRAMES
-    grown = np.stack([_image(events, end, recordings.taxels) for end in ends])
+    grown = growing(events, recordings.taxels, ends * 1e9)
     grown = grown / max(grown[-1].max(), 1)
     for axes, end, image in zip(frames.subplots(1, FRAMES), ends, grown, strict=True):
         _show(axes, image)
@@ -136,12 +134,6 @@ def _cells(axes):
 def _show(axes, image):
     axes.imshow(image, cmap="gray_r", vmin=0, vmax=1)
     axes.set(xticks=[], yticks=[])
-
-
-def _image(events, until_s, taxels):
-    early = events.time_ns < until_s * 1e9
-    part = Events(*(getattr(events, name)[early] for name in vars(events)))
-    return aggregate(collect([part], [0], ["part"], [-1], None, taxels))[0]
 
 
 def _source(recordings):

@@ -7,6 +7,8 @@ import math
 import numpy as np
 from matplotlib.figure import Figure
 
+from pipeline.run.ladder import confusion_shares
+
 
 def confusion(ladder: dict) -> Figure:
     """Counts of each stage by label and prediction, shaded by the share of the label's samples.
@@ -36,7 +38,7 @@ def confusion(ladder: dict) -> Figure:
 
 
 def _matrix(axes, counts):
-    shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    shares = confusion_shares(counts)
     # The square root lets the few errors be seen beside the many right answers.
     axes.imshow(np.sqrt(shares), cmap="Blues", vmin=0, vmax=1)
     for (label, prediction), count in np.ndenumerate(counts):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.recordings.events import Events, Source, TaxelMap, collect
-from pipeline.report import recordings as data_figures
+from pipeline.report.figures import recordings as data_figures
 
 
 @pytest.fixture

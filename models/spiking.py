@@ -1,0 +1,555 @@
+"""A spiking network trained on events with the integers of Loihi 1 in its forward pass.
+
+A step of a neuron, in the chip's integers (Davies et al. 2018, Section "Neuron model"; rounding as
+NengoLoihi's emulator has it, ``emulator/interface.py`` and ``builder/discretize.py``):
+
+=======================  ========================================================================
+synaptic input           q(t) = 128 sum over i of w_i s_i(t),  w_i whole, -127 to 127
+current                  u(t) = trunc(keep_u u(t-1) / 4096) + q(t)
+voltage                  v(t) = max(trunc(keep_v v(t-1) / 4096) + u(t) + bias, floor)
+spike                    s(t) = 1 where v(t) > theta, and v(t) = 0 there
+=======================  ========================================================================
+
+keep_u and keep_v are whole, from 2 to 4095; theta is a multiple of 64, the floor -(2^k) + 1, the
+bias 12 bits times a power of two.  With a refractory time of no step (NengoLoihi's ``tau_ref`` of
+0) the neuron goes on in the step after its spike.  On the chip a spike arrives a step after it was
+made; here in the same step, which moves each layer's spikes by its place and changes nothing else.
+
+What is trained are real numbers: weights W and biases in units of the threshold, and for each layer
+one time constant of the current and one of the voltage.  The integers follow from them:
+
+    w = round(127 W / max abs W),   theta = 64 round(2 * 127 / max abs W),   bias = round(theta b)
+
+so that w = 127 occurs, as NengoLoihi wants it, and W is w 128 / theta.  Rounding passes gradients
+unchanged (straight-through).  A neuron's bias is kept below what would make it fire by itself.
+
+Gradients through time, theta' = 1 / (theta (1 + beta abs(v / theta - 1))^2) in place of a spike's
+derivative (the fast sigmoid of Zenke and Ganguli 2018), a = keep_u / 4096, b = keep_v / 4096, E the
+loss; the reset is not differentiated (Zenke and Vogels 2021):
+
+    dE/dv(t) = dE/ds(t) theta' + b (1 - s(t)) dE/dv(t+1),      0 where v(t) lies at the floor
+    dE/du(t) = dE/dv(t) + a dE/du(t+1),                        dE/dq(t) = dE/du(t)
+    dE/da = sum over t of dE/du(t) u(t-1),                     dE/db likewise with v
+
+The output adds up its weights over the last layer's spikes, from a sample's start on:
+
+    y(t) = sum over t' <= t of K s(t').
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.architecture import Architecture
+from models.keras2 import tf
+
+WEIGHT_LEVELS = 127
+"""Largest magnitude of an 8-bit weight that may have either sign."""
+
+WEIGHT_UNIT = 128
+"""What a weight of 1 adds to q: NengoLoihi's weights at exponent 0 are even and shifted by 6."""
+
+THRESHOLD_UNIT = 64
+MAX_THRESHOLD = (2**17 - 1) * THRESHOLD_UNIT
+DECAY_UNIT = 4096
+BIAS_MANTISSA = 2**12 - 1
+BIAS_EXPONENTS = 7
+Q_BITS, U_BITS = 21, 23
+"""Bits of the synaptic accumulator and of the current, without their signs."""
+
+BIAS_CAP = 0.9
+"""Share of the threshold that a bias alone may bring a neuron's voltage to."""
+
+
+OUTPUT_SCALE = 0.2
+"""The output's kernel is this times the variable that is trained, which makes its own steps of
+learning smaller than those of the other layers."""
+
+
+@dataclass(frozen=True)
+class Neuron:
+    """What is the same for all neurons and not trained, and where training begins.
+
+    Attributes
+    ----------
+    tau_u, tau_v : tuple of float
+        Time constants of current and voltage in steps, at the start, one a layer; the last entry
+        holds for all layers after it.
+    floor : float
+        Lowest voltage, in units of the threshold; rounded to a power of two in the chip's integers.
+    beta : float
+        Steepness of the surrogate gradient; larger is narrower.
+    """
+
+    tau_u: tuple = (1.5,)
+    tau_v: tuple = (4.0,)
+    floor: float = -2.0
+    beta: float = 4.0
+
+    def __post_init__(self):
+        if min(*self.tau_u, *self.tau_v, self.beta) <= 0 or self.floor > 0:
+            raise ValueError("Neuron: time constants and beta must be above 0, the floor at most 0")
+
+
+@dataclass(frozen=True)
+class Integers:
+    """A layer as the chip has it.
+
+    Attributes
+    ----------
+    weights : ndarray of int32
+        Shape as of the kernel: (rows, columns, channels in, filters) or (inputs, units).
+    bias : ndarray of int32, shape (filters,) or (units,)
+    threshold, floor : int
+    keep_u, keep_v : int
+        What a step leaves of current and voltage, in 4096ths.
+    """
+
+    weights: np.ndarray
+    bias: np.ndarray
+    threshold: int
+    floor: int
+    keep_u: int
+    keep_v: int
+
+
+class SpikingNetwork(tf.Module):
+    """Convolutions and dense layers of current-based neurons, and a linear output.
+
+    Parameters
+    ----------
+    architecture : Architecture
+        Without pooling, with at least one layer before the output.
+    neuron : Neuron
+    seed : int
+        Of the initial weights: normal, with a variance of one over the fan-in.
+
+    Raises
+    ------
+    ValueError
+        The architecture has a pooling, or nothing that spikes.
+    """
+
+    def __init__(self, architecture: Architecture, neuron: Neuron | None = None, seed: int = 0):
+        super().__init__()
+        self.architecture, self.neuron = architecture, neuron or Neuron()
+        kinds = [layer.kind for layer in architecture.layers]
+        if "pool" in kinds:
+            raise ValueError(f"{architecture}: spikes are not pooled; use a stride")
+        if len(kinds) < 2:
+            raise ValueError(f"{architecture}: there is no layer of neurons before the output")
+        self.names = architecture.names[:-1]
+        rng = np.random.default_rng(seed)
+        self.variables_by_name = {}
+        for index, name in enumerate(architecture.names):
+            shape = architecture.weight_shapes[f"{name}.kernel"]
+            kernel = rng.normal(0, 1 / np.sqrt(np.prod(shape[:-1])), shape)
+            if name == "output":
+                self._add("output.kernel", kernel)
+                continue
+            self._add(f"{name}.kernel", kernel)
+            self._add(f"{name}.bias", np.zeros(shape[-1]))
+            for tau in ("tau_u", "tau_v"):
+                values = getattr(self.neuron, tau)
+                self._add(f"{name}.{tau}", _logit(values[min(index, len(values) - 1)]))
+
+    def _add(self, name, value):
+        variable = tf.Variable(np.asarray(value, np.float32), name=name.replace(".", "_"))
+        self.variables_by_name[name] = variable
+
+    @property
+    def variables_in_order(self) -> list:
+        """The trained variables, always in the same order."""
+        return list(self.variables_by_name.values())
+
+    def get_weights(self) -> dict:
+        """Trained arrays by name: ``"conv1.kernel"``, ``.bias``, ``.tau_u`` and ``.tau_v`` (steps).
+
+        The output's kernel is what a spike adds to each output; kernels and biases of neurons are
+        in units of their threshold.
+        """
+        return self.named(variable.numpy() for variable in self.variables_in_order)
+
+    def named(self, arrays) -> dict:
+        """As :func:`get_weights`, of other values of the variables, in their order."""
+        weights = {}
+        for name, value in zip(self.variables_by_name, arrays, strict=True):
+            tau = name.endswith((".tau_u", ".tau_v"))
+            weights[name] = _steps(value) if tau else np.array(value)
+            if name == "output.kernel":
+                weights[name] = weights[name] * OUTPUT_SCALE
+        return weights
+
+    def set_weights(self, weights: dict):
+        """The inverse of :func:`get_weights`.
+
+        Raises
+        ------
+        ValueError
+            An array is missing or has another shape.
+        """
+        for name, variable in self.variables_by_name.items():
+            if name not in weights or np.shape(weights[name]) != tuple(variable.shape):
+                raise ValueError(f"no array {name!r} of shape {tuple(variable.shape)}")
+            value = np.asarray(weights[name], np.float32)
+            if name.endswith((".tau_u", ".tau_v")):
+                value = _logit(value)
+            variable.assign(value / OUTPUT_SCALE if name == "output.kernel" else value)
+
+    def __call__(self, frames, keep=None, dtype=tf.float32, values=None):
+        """Run the network on frames of events, from rest: no current, the bias's voltage.
+
+        Parameters
+        ----------
+        frames : tensor, shape (steps, samples, rows, columns, channels)
+            1 where there is a spike, 0 elsewhere; any type.
+        keep : list of tensor, optional
+            For each layer what its spikes are multiplied with on their way on, of a shape that
+            goes with (samples, neurons): dropout.
+        dtype : tf.DType
+            float64 computes the chip's integers exactly; float32 may be a unit off where the
+            product of a current or voltage and its decay exceeds 24 bits.
+        values : dict of str to tensor, optional
+            Stand in for the variables.
+
+        Returns
+        -------
+        outputs : tensor, shape (steps, samples, outputs)
+            y(t) at every step.
+        spikes : list of tensor, shape (steps, samples, neurons)
+            Of each layer, 0 or 1.
+        """
+        values = self.variables_by_name if values is None else values
+        steps, samples = frames.shape[0], frames.shape[1]
+        signal, spikes = tf.cast(frames, dtype), []
+        layers = zip(self.names, self.architecture.layers, self.architecture.shapes, strict=False)
+        for index, (name, layer, before) in enumerate(layers):
+            parameters = self._on_chip(name, values, dtype)
+            current = _weigh(layer, before, parameters["kernel"], signal)
+            current = tf.reshape(current, (steps, samples, -1))
+            spread = _spread(parameters, current.shape[2])
+            spikes.append(fire(current, *(spread[part] for part in _PARTS), beta=self.neuron.beta))
+            signal = spikes[-1] if keep is None else spikes[-1] * keep[index]
+            signal = tf.reshape(signal, (steps, samples, *layer.shape(before)))
+        kernel = tf.cast(values["output.kernel"], dtype) * OUTPUT_SCALE
+        added = tf.matmul(tf.reshape(signal, (steps * samples, -1)), kernel)
+        return tf.cumsum(tf.reshape(added, (steps, samples, -1))), spikes
+
+    def _on_chip(self, name, values, dtype):
+        """The chip's integers as tensors, with gradients to what is trained."""
+        kernel, bias, tau_u, tau_v = (
+            tf.cast(values[f"{name}.{part}"], dtype)
+            for part in ("kernel", "bias", "tau_u", "tau_v")
+        )
+        scale = tf.stop_gradient(tf.maximum(tf.reduce_max(tf.abs(kernel)), 1e-9) / WEIGHT_LEVELS)
+        threshold = THRESHOLD_UNIT * tf.round(WEIGHT_UNIT / THRESHOLD_UNIT / scale)
+        threshold = tf.clip_by_value(threshold, THRESHOLD_UNIT, MAX_THRESHOLD)
+        keep_u, keep_v = (
+            tf.clip_by_value(_through(tf.round, DECAY_UNIT * tf.sigmoid(tau)), 2, DECAY_UNIT - 1)
+            for tau in (tau_u, tau_v)
+        )
+        cap = tf.stop_gradient(BIAS_CAP * (1 - keep_v / DECAY_UNIT))
+        capped = bias + tf.stop_gradient(tf.minimum(bias, cap) - bias)
+        return {
+            "kernel": WEIGHT_UNIT * _through(tf.round, kernel / scale),
+            "bias": _through(_twelve_bits, capped * threshold),
+            "threshold": threshold,
+            "floor": -_power_of_two(1 - self.neuron.floor * threshold) + 1,
+            "keep_u": keep_u,
+            "keep_v": keep_v,
+        }
+
+    def integers(self, values=None) -> dict:
+        """The layers as the chip has them, by name.
+
+        Parameters
+        ----------
+        values : dict of str to tensor, optional
+            Stand in for the variables.
+
+        Returns
+        -------
+        dict of str to Integers
+        """
+        layers = {}
+        for name in self.names:
+            chip = self._on_chip(
+                name, self.variables_by_name if values is None else values, tf.float64
+            )
+            weights = np.rint(chip["kernel"].numpy() / WEIGHT_UNIT).astype(np.int32)
+            scalars = {
+                part: int(chip[part].numpy()) for part in ("threshold", "floor", "keep_u", "keep_v")
+            }
+            layers[name] = Integers(weights, chip["bias"].numpy().astype(np.int32), **scalars)
+        return layers
+
+    def peaks(self, frames, values=None) -> dict:
+        """Largest magnitudes that occur, to be held against ``Q_BITS`` and ``U_BITS``.
+
+        Parameters
+        ----------
+        frames : tensor
+            As in a call.
+        values : dict of str to tensor, optional
+
+        Returns
+        -------
+        dict of str to (float, float)
+            By layer: of q, and of u with the bias.
+        """
+        values = self.variables_by_name if values is None else values
+        _, spikes = self(frames, dtype=tf.float64, values=values)
+        senders = [tf.reshape(tf.cast(frames, tf.float64), (*frames.shape[:2], -1)), *spikes]
+        peaks = {}
+        layers = zip(self.names, self.architecture.layers, self.architecture.shapes, strict=False)
+        for (name, layer, before), signal in zip(layers, senders, strict=False):
+            chip = self._on_chip(name, values, tf.float64)
+            signal = tf.reshape(signal, (*signal.shape[:2], *before))
+            q = tf.reshape(_weigh(layer, before, chip["kernel"], signal), (*signal.shape[:2], -1))
+            spread = _spread(chip, q.shape[2])
+            _, u, _ = _run(q, *(spread[part] for part in _PARTS))
+            both = tf.abs(u + spread["bias"])
+            peaks[name] = (float(tf.reduce_max(tf.abs(q))), float(tf.reduce_max(both)))
+        return peaks
+
+
+def operations(architecture: Architecture, frames, spikes):
+    """Synaptic operations of each sample by the layer that receives them; differentiable.
+
+    A spike counts once for each synapse that it arrives at, as in :mod:`deploy.operations`.
+
+    Parameters
+    ----------
+    architecture : Architecture
+    frames : tensor, shape (steps, samples, rows, columns, channels)
+    spikes : list of tensor, shape (steps, samples, neurons)
+
+    Returns
+    -------
+    tensor of float32, shape (samples, layers)
+        The last one is the output's.
+    """
+    totals = [tf.reduce_sum(tf.cast(sender, tf.float32), 0) for sender in (frames, *spikes)]
+    return tf.stack(
+        [
+            tf.linalg.matvec(tf.reshape(total, (total.shape[0], -1)), fan_out.ravel().astype("f4"))
+            for total, fan_out in zip(totals, architecture.fan_out.values(), strict=True)
+        ],
+        axis=1,
+    )
+
+
+_PARTS = ("keep_u", "keep_v", "bias", "threshold", "floor")
+
+
+def fire(current, keep_u, keep_v, bias, threshold, floor, beta):
+    """Spikes of a layer of neurons.
+
+    Parameters
+    ----------
+    current : tensor, shape (steps, samples, neurons)
+        q of the module's docstring.
+    keep_u, keep_v : scalar tensor
+    bias : tensor, shape (neurons,)
+    threshold, floor : scalar tensor
+        All in the chip's integers; no gradient flows to threshold and floor.
+    beta : float
+        See :class:`Neuron`.
+
+    Returns
+    -------
+    tensor, shape (steps, samples, neurons)
+        0 or 1.
+    """
+
+    @tf.custom_gradient
+    def with_gradient(current, keep_u, keep_v, bias, threshold, floor):
+        constants = [tf.stop_gradient(x) for x in (keep_u, keep_v, bias, threshold, floor)]
+        spikes, u, v = _run(tf.stop_gradient(current), *constants)
+
+        def gradient(error):
+            to_u, to_v = _run_back(error, spikes, v, beta, *constants)
+            kept = v * (1 - spikes)
+            over_u = tf.reduce_sum(to_u[1:] * u[:-1]) / DECAY_UNIT
+            over_v = tf.reduce_sum(to_v[1:] * kept[:-1]) / DECAY_UNIT
+            return to_u, over_u, over_v, tf.reduce_sum(to_v, (0, 1)), None, None
+
+        return spikes, gradient
+
+    return with_gradient(current, keep_u, keep_v, bias, threshold, floor)
+
+
+_compiled = functools.partial(tf.function, jit_compile=True, autograph=False)
+
+
+@_compiled
+def _run(current, keep_u, keep_v, bias, threshold, floor):
+    """Spikes, currents, and voltages before the reset, at every step; see :func:`fire`."""
+    rest = tf.maximum(_rest(keep_v, bias), floor)
+
+    def step(t, state):
+        u, v = state
+        u = _decay(u, keep_u) + current[t]
+        v = tf.maximum(_decay(v, keep_v) + u + bias, floor)
+        return (u, tf.where(v > threshold, tf.zeros_like(v), v)), (u, v)
+
+    v = tf.zeros_like(current[0]) + rest
+    u, v = _scan(step, current, (tf.zeros_like(v), v), outputs=2)
+    return tf.cast(v > threshold, current.dtype), u, v
+
+
+@_compiled
+def _run_back(error, spikes, v, beta, keep_u, keep_v, bias, threshold, floor):
+    """dE/du and dE/dv at every step."""
+    slope = error / (threshold * tf.square(1 + beta * tf.abs(v / threshold - 1)))
+    free = tf.cast(v > floor, error.dtype)
+    a, b = keep_u / DECAY_UNIT, keep_v / DECAY_UNIT
+
+    def step(t, state):
+        to_u, to_v = state
+        # What of v(t) is left at t + 1: nothing after a spike, nothing of what the floor replaced.
+        to_v = (slope[t] + b * (1 - spikes[t]) * to_v) * free[t]
+        to_u = to_v + a * to_u
+        return (to_u, to_v), (to_u, to_v)
+
+    nothing = tf.zeros_like(error[0])
+    return _scan(step, error, (nothing, nothing), outputs=2, backwards=True)
+
+
+def _rest(keep_v, bias):
+    """The voltage that a bias leads to if nothing else comes, from 0: the first that stays.
+
+    v = trunc(keep_v v / 4096) + bias holds where ceil(v (4096 - keep_v) / 4096) = bias, v > 0.
+    """
+    lower = tf.floor((tf.abs(bias) - 1) * DECAY_UNIT / (DECAY_UNIT - keep_v))
+    return tf.sign(bias) * (lower + 1)
+
+
+def _scan(step, like, state, outputs, backwards=False):
+    """Run ``step(t, state) -> state, outputs`` over time."""
+    steps = like.shape[0]
+    arrays = tuple(tf.TensorArray(like.dtype, steps) for _ in range(outputs))
+
+    def body(i, state, arrays):
+        t = steps - 1 - i if backwards else i
+        state, values = step(t, state)
+        return i + 1, state, tuple(a.write(t, x) for a, x in zip(arrays, values, strict=True))
+
+    loop = (tf.constant(0), state, arrays)
+    *_, arrays = tf.while_loop(lambda i, *_: i < steps, body, loop, maximum_iterations=steps)
+    return tuple(a.stack() for a in arrays)
+
+
+def _decay(x, keep):
+    """trunc(x keep / 4096)."""
+    return tf.cast(tf.cast(x * (keep / DECAY_UNIT), tf.int32), x.dtype)
+
+
+def _weigh(layer, before, kernel, signal):
+    """W s for all steps and samples at once, shape (steps * samples, ...)."""
+    if layer.kind == "dense":
+        return tf.matmul(tf.reshape(signal, (-1, kernel.shape[0])), kernel)
+    frames = tf.reshape(signal, (-1, *before))
+    return tf.nn.conv2d(frames, kernel, layer.stride, layer.padding.upper())
+
+
+def _spread(parameters, neurons):
+    """The parameters with the bias of every neuron instead of every channel."""
+    bias = parameters["bias"]
+    return {**parameters, "bias": tf.tile(bias, [neurons // bias.shape[0]])}
+
+
+def _through(rounding, x):
+    """The value rounded, the gradient as if it were not."""
+    return x + tf.stop_gradient(rounding(x) - x)
+
+
+def _twelve_bits(bias):
+    """Round to 12 bits times a power of two, the smallest that will do, at most 2^7."""
+    size = tf.abs(bias) / BIAS_MANTISSA
+    exponent = sum(tf.cast(size > 2.0**k, bias.dtype) for k in range(BIAS_EXPONENTS))
+    unit = tf.pow(tf.constant(2, bias.dtype), exponent)
+    return tf.round(tf.clip_by_value(bias / unit, -BIAS_MANTISSA, BIAS_MANTISSA)) * unit
+
+
+def _power_of_two(x):
+    """The power of two next to x, by ratio; exact, which a logarithm in float32 would not be."""
+    return sum(tf.cast(x > 2.0 ** (k - 0.5), x.dtype) * 2.0 ** max(k - 1, 0) for k in range(25))
+
+
+def _logit(tau):
+    """What a time constant in steps is trained as: decay = sigmoid(logit) = exp(-1 / tau)."""
+    return -np.log(np.expm1(1 / np.asarray(tau, np.float64)))
+
+
+def _steps(logit):
+    """Time constant in steps, the inverse of `_logit`."""
+    return 1 / np.log1p(np.exp(-np.asarray(logit, np.float64)))
+
+
+@dataclass(frozen=True)
+class OnLoihi:
+    """A layer in the terms of Nengo, from which NengoLoihi makes just the integers it came from.
+
+    Attributes
+    ----------
+    weights : ndarray of float
+        In the kernel's shape; for neurons whose spikes have the area of one step (``amplitude`` of
+        ``dt``) and a gain of 1.
+    bias : ndarray of float, shape (filters,) or (units,)
+    tau_s : float
+        Time constant in seconds of the low-pass on the layer's input; 0 for none.
+    tau_rc : float
+        Membrane time constant in seconds; ``tau_ref`` is 0.
+    min_voltage : float
+        In units of the threshold, which is 1.
+    """
+
+    weights: np.ndarray
+    bias: np.ndarray
+    tau_s: float
+    tau_rc: float
+    min_voltage: float
+
+
+def on_loihi(layer: Integers, dt: float) -> OnLoihi:
+    """What NengoLoihi must be given to come to these integers.
+
+    It makes decays of 12 bits from the time constants; scales a block's weights so that the largest
+    becomes 127.5, rounded to 127; and multiplies threshold and bias so that they keep their ratio
+    to weights that pass normalised filters, whose sum it estimates from the decays
+    (``builder/discretize.py``: ``discretize_compartment``, ``decay_magnitude``).  Here that is
+    undone.
+
+    Parameters
+    ----------
+    layer : Integers
+        Its largest weight is 127 or -127, unless all are 0.
+    dt : float
+        Time step in seconds of the Nengo model.
+    """
+    decay_u, decay_v = DECAY_UNIT - 1 - layer.keep_u, DECAY_UNIT - layer.keep_v
+    sum_u, sum_v = _sum_of_decays(layer.keep_u), _sum_of_decays(layer.keep_v)
+    share_u, share_v = (decay_u + 1) / (DECAY_UNIT - 1), decay_v / (DECAY_UNIT - 1)
+    per_unit = 255 / WEIGHT_LEVELS * THRESHOLD_UNIT * sum_u * sum_v / layer.threshold
+    return OnLoihi(
+        weights=layer.weights * per_unit,
+        bias=layer.bias * (sum_v / layer.threshold),
+        tau_s=0.0 if share_u == 1 else float(-dt / np.log1p(-share_u)),
+        tau_rc=float(-dt / np.log1p(-share_v)),
+        min_voltage=layer.floor / layer.threshold,
+    )
+
+
+def _sum_of_decays(keep):
+    """NengoLoihi's estimate of what 2^21 adds up to, relative to it, while it decays to nothing.
+
+    x(k+1) = floor(r x(k)), where rounding down takes 0.494 a step on average.
+    """
+    start, lost, r = 2.0**21, 0.494, keep / DECAY_UNIT
+    steps = -np.log1p(start * (1 - r) / lost) / np.log(r)
+    geometric = (1 - r ** (steps + 1)) / (1 - r)
+    return geometric - lost / ((1 - r) * start) * (steps + 1 - geometric)

@@ -1,0 +1,111 @@
+"""Events in the steps of a chip: which taxel spikes with which polarity in which step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.recordings.events import GRID, Recordings
+
+
+@dataclass(frozen=True)
+class EventTable:
+    """Physical events of recordings, each recording's time counted from its first event.
+
+    Attributes
+    ----------
+    time_ms : ndarray of float32, shape (n_events,)
+    row, column : ndarray of uint8, shape (n_events,)
+        Position in the tactile image.
+    polarity : ndarray of uint8, shape (n_events,)
+        0 for ON, 1 for OFF.
+    offsets : ndarray of int64, shape (n_samples + 1,)
+        Events of recording i are those from ``offsets[i]`` to ``offsets[i + 1]``.
+    """
+
+    time_ms: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+    polarity: np.ndarray
+    offsets: np.ndarray
+
+    @classmethod
+    def of(cls, recordings: Recordings) -> EventTable:
+        """The events of recordings; one physical event is one, whatever its number of columns."""
+        events, offsets = recordings.events, recordings.offsets
+        # A recording without events has no first one, and nothing to subtract it from either.
+        nearest = np.minimum(offsets[:-1], max(len(events.time_ns) - 1, 0))
+        first = events.time_ns[nearest] if len(events.time_ns) else np.zeros(len(recordings))
+        return cls(
+            time_ms=((events.time_ns - first[recordings.sample_of_event]) / 1e6).astype("f4"),
+            row=recordings.taxels.x[events.taxel].astype(np.uint8),
+            column=recordings.taxels.y[events.taxel].astype(np.uint8),
+            polarity=(events.polarity < 0).astype(np.uint8),
+            offsets=offsets,
+        )
+
+    def __len__(self):
+        return len(self.offsets) - 1
+
+    @property
+    def duration_ms(self) -> np.ndarray:
+        """From a recording's first event to its last, float32, shape (n_samples,)."""
+        last = np.maximum(self.offsets[1:] - 1, 0)
+        some = np.diff(self.offsets) > 0
+        return np.where(some, self.time_ms[last] if len(self.time_ms) else 0, 0).astype("f4")
+
+    def pick(self, indices):
+        """Events of some recordings, one recording after the other.
+
+        Returns
+        -------
+        sample : ndarray of int64
+            Which of the ``indices`` each event is of, from 0.
+        time_ms, row, column, polarity : ndarray
+        """
+        first, counts = self.offsets[indices], np.diff(self.offsets)[indices]
+        sample = np.repeat(np.arange(len(indices)), counts)
+        event = np.arange(counts.sum()) + np.repeat(first - (np.cumsum(counts) - counts), counts)
+        columns = (self.time_ms, self.row, self.column, self.polarity)
+        return (sample, *(column[event] for column in columns))
+
+    def frames(self, indices, step_ms: float, steps: int) -> np.ndarray:
+        """Frames of some recordings; see :func:`spike_frames`."""
+        sample, time_ms, *place = self.pick(np.asarray(indices))
+        return spike_frames(sample, time_ms / step_ms, *place, len(indices), steps)
+
+    def lost(self, step_ms: float) -> float:
+        """Share of the events that fall into the step of another one of their taxel and polarity.
+
+        A taxel spikes at most once a step with each polarity.
+        """
+        sample = np.repeat(np.arange(len(self)), np.diff(self.offsets))
+        step = (self.time_ms / step_ms).astype(np.int64)
+        place = (self.row.astype(np.int64) * GRID + self.column) * 2 + self.polarity
+        kept = np.unique(np.stack([sample, step, place]), axis=1).shape[1]
+        return 1 - kept / len(sample) if len(sample) else 0.0
+
+
+def spike_frames(sample, step, row, column, polarity, samples: int, steps: int) -> np.ndarray:
+    """Where there is an event in which step.
+
+    Several events of one taxel and polarity in a step are one spike.  Events past the last step are
+    left out.
+
+    Parameters
+    ----------
+    sample, step, row, column, polarity : ndarray, shape (n_events,)
+        Steps may be fractions, which are rounded down.
+    samples, steps : int
+        How many there are.
+
+    Returns
+    -------
+    ndarray of uint8, shape (steps, samples, rows, columns, 2)
+    """
+    frames = np.zeros((steps, samples, GRID, GRID, 2), np.uint8)
+    step = np.floor(step).astype(np.int64)
+    inside = (step >= 0) & (step < steps)
+    frames[step[inside], sample[inside], row[inside], column[inside], polarity[inside]] = 1
+    return frames

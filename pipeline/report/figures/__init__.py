@@ -1,0 +1,46 @@
+"""Pictures to be kept as files, drawn with Matplotlib; the report's own charts are SVG text."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+from deploy.errors import UserError
+from deploy.files import replacing
+
+FORMATS = ("png", "svg", "pdf")
+
+
+def format_of(path: Path) -> str:
+    """The format that a picture's name asks for.
+
+    Raises
+    ------
+    UserError
+        It cannot be drawn.
+    """
+    kind = Path(path).suffix.lstrip(".").lower()
+    if kind not in FORMATS:
+        raise UserError(f"{path}: not a picture that can be drawn; use .png, .svg or .pdf")
+    return kind
+
+
+def save(figure, path: Path, dpi: int = 120):
+    """Write a figure in the format of its file's name.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+    path : Path
+    dpi : int
+        Dots an inch of a .png.
+
+    Raises
+    ------
+    UserError
+        It cannot be drawn in that format, or written there.
+    """
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=format_of(path), dpi=dpi)
+    with replacing(path) as file:
+        file.write(buffer.getvalue())

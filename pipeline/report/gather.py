@@ -1,0 +1,130 @@
+"""What a report is made from: whatever a run's folder and a benchmark's have so far."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from deploy.check.bundle import read_bundle
+from deploy.check.results import read_result
+from deploy.errors import UserError
+from deploy.files import read_json
+from deploy.preflight.plan import make_plan
+from pipeline.experiments.table2_splits import split_path
+from pipeline.inputs.library import recordings_of
+from pipeline.progress import progress
+from pipeline.report.page import Inputs, choose_samples
+from pipeline.report.replay import replay
+from pipeline.run.folder import RunFolder
+from pipeline.run.history import read_history
+from pipeline.run.ladder import STAGES
+from pipeline.settings import read_settings
+
+REMEDY = "delete it and make it again"
+
+
+def gather(folder: RunFolder, benchmark: Path, jobs: int, say) -> Inputs:
+    """Read a run and the benchmark of Table 2, and replay the samples that are shown.
+
+    Parameters
+    ----------
+    folder : RunFolder
+    benchmark : Path
+        Folder of the benchmark; it need not be there.
+    jobs : int
+        Processes for recordings that are not in the cache.
+    say : callable
+        Called with a line about what is left out.
+
+    Raises
+    ------
+    UserError
+        There is no run or no check result, a file is damaged, or the recordings are others now.
+    """
+    settings = read_settings(folder.experiment)
+    bundle = read_bundle(folder.bundle)
+    results = _results(folder, bundle)
+    recordings = recordings_of(settings.data, jobs)
+    made_from = bundle.spec.provenance.get("source_sha256")
+    if made_from != recordings.source.sha256:
+        raise UserError(
+            f"{folder.bundle}: made from other recordings than {settings.data.source} gives now; "
+            f"run 'stmnist ladder {folder.path}' again"
+        )
+    table, table_settings, answers, curves = _read_benchmark(benchmark, recordings, say)
+    histories = {
+        title: read_history(path)
+        for title, path in (
+            ("CNN", folder.cnn / "history.csv"),
+            ("Rate LIF", folder.snn / "history.csv"),
+        )
+        if path.exists()
+    }
+    chosen = []
+    if results[-1]["spikes"]:
+        chosen = choose_samples(results[-1], bundle.spec.presentation.stream_length)
+    replays = {}
+    with progress("replay samples", len(chosen)) as advance:
+        for index in chosen:
+            replays[index] = replay(bundle, index, settings.seed)
+            advance()
+    return Inputs(
+        settings=settings,
+        recordings=recordings,
+        bundle=bundle,
+        results=results,
+        metrics={
+            name: read_json(path / "metrics.json", REMEDY)
+            for name, path in (("cnn", folder.cnn), ("snn", folder.snn))
+            if (path / "metrics.json").exists()
+        },
+        histories={**histories, **curves},
+        table2=table,
+        table2_settings=table_settings,
+        answers=answers,
+        plan=make_plan(bundle.spec).to_json(),
+        replays=replays,
+    )
+
+
+def _results(folder, bundle):
+    """The check results of this bundle, in the order of the ladder."""
+    results = [
+        result
+        for stage in STAGES
+        if folder.check(stage).exists()
+        and (result := read_result(folder.check(stage)))["bundle"] == bundle.id
+    ]
+    if not results:
+        raise UserError(
+            f"{folder.path / 'checks'}: no check result of the bundle that is there; "
+            f"run 'stmnist ladder {folder.path}' first"
+        )
+    return results
+
+
+def _read_benchmark(folder, recordings, say):
+    """Table, its settings, answers of the random splits, SLAYER's learning curve: what is there."""
+    path = folder / "table2.json"
+    if not path.exists():
+        return None, None, {}, {}
+    table = read_json(path, REMEDY)
+    if table.get("source_sha256") != recordings.source.sha256:
+        say(f"report: {path} is of other recordings and left out")
+        return None, None, {}, {}
+    answers, curves = {}, {}
+    for row in table["rows"]:
+        results = [
+            read_json(split_path(folder, "random", index, row["model"]), REMEDY)
+            for index in row["indices"]
+        ]
+        if results:
+            answers[row["model"]] = tuple(
+                np.concatenate([result[key] for result in results])
+                for key in ("labels", "predictions")
+            )
+        if row["model"] == "slayer" and results:
+            curves[f"SNN-SLAYER, split {row['indices'][0]}"] = results[0]["history"]
+    experiment = folder / "experiment.toml"
+    return table, read_settings(experiment) if experiment.exists() else None, answers, curves

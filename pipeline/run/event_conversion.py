@@ -1,0 +1,74 @@
+"""From a network trained on events to the network that is deployed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deploy.network.chip import LOIHI
+from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.stimulus import EventFrames
+from models.architecture import parse
+from models.spiking import SpikingNetwork, on_loihi
+from pipeline.run.conversion import geometry
+from pipeline.training.events import EventRecipe
+
+
+def spec_of_events(
+    recipe: EventRecipe, weights: dict, presentation: Presentation, provenance: dict, pop_type=32
+) -> NetworkSpec:
+    """Describe the spiking network with the given weights.
+
+    NengoLoihi comes to just the integers that were trained with; a step of the chip is a step of
+    the recipe, whatever time on the skin it stands for.
+
+    Parameters
+    ----------
+    recipe : EventRecipe
+    weights : dict
+        Of a :class:`pipeline.training.events.TrainedOnEvents`.
+    presentation : Presentation
+    provenance : dict
+        Kept in the bundle.
+    pop_type : int
+        NengoLoihi's population axon type.
+
+    Returns
+    -------
+    NetworkSpec
+    """
+    architecture = parse(recipe.architecture)
+    network = SpikingNetwork(architecture)
+    network.set_weights(weights)
+    integers, layers = network.integers(), []
+    for folded in architecture.folded[:-1]:
+        chip = on_loihi(integers[folded.name], LOIHI.dt)
+        convolution = folded.layer.kind == "conv"
+        layers.append(
+            Layer(
+                placement="chip",
+                neurons=Neurons("lif", LOIHI.dt, chip.tau_rc, 0.0, chip.min_voltage),
+                synapse=chip.tau_s or None,
+                weights=chip.weights if convolution else chip.weights.T,
+                bias=chip.bias,
+                **geometry(folded, pop_type),
+            )
+        )
+    readout = architecture.folded[-1]
+    layers.append(
+        Layer(
+            placement="host",
+            neurons=None,
+            synapse=None,
+            weights=weights["output.kernel"].T,
+            bias=np.zeros(readout.shape),
+            **geometry(readout, pop_type),
+        )
+    )
+    return NetworkSpec(
+        architecture=str(architecture),
+        input_shape=architecture.input_shape,
+        stimulus=EventFrames(recipe.step_ms / 1000),
+        layers=tuple(layers),
+        presentation=presentation,
+        provenance=provenance,
+    )

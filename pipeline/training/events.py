@@ -1,0 +1,469 @@
+"""Training a spiking network on events, for the chip; the network is in :mod:`models.spiking`.
+
+The loss of a sample with label c, with p(t) the softmax of the outputs at step t, T the step of the
+last event, and o the synaptic operations of an inference in multiples of the CNN's (``CNN_MACS``):
+
+    - log p_c(end) - early mean over t <= T of log p_c(t) + price max(o - budget, 0)
+
+The first part makes the answer right in the end, the second makes it right early and the outputs'
+softmax a confidence; the third, on the mean of a batch, keeps the network within its budget.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+import zlib
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from deploy.errors import UserError
+from deploy.files import read_arrays, write_arrays
+from models.architecture import parse
+from models.keras2 import tf
+from models.spiking import Neuron, SpikingNetwork, operations
+from pipeline.recordings.events import GRID
+from pipeline.recordings.steps import EventTable, spike_frames
+from pipeline.training.networks import make_deterministic
+
+CNN_MACS = 43104
+"""Multiply-accumulates of the paper's CNN, 10x10-6c4-24c3-10o: the unit of the budget."""
+
+TAIL = 3
+"""Steps after a sample's last event in which spikes that it caused still count."""
+
+LENGTHS = 16
+"""Batches have a multiple of so many steps, because each length is compiled by itself."""
+
+FIRST_RATE = 5.0
+"""Spikes a second of skin time of a neuron when training begins, on average; silent neurons get no
+gradient."""
+
+
+@dataclass(frozen=True)
+class EventRecipe:
+    """How a network on events is made and trained.
+
+    Attributes
+    ----------
+    architecture : str
+        See :mod:`models.architecture`.
+    step_ms : float
+        Time on the skin that is one step of the chip.
+    tau_u_ms, tau_v_ms : tuple of float
+        Where the time constants of current and voltage begin, in milliseconds of skin time.
+    floor, beta : float
+        See :class:`models.spiking.Neuron`.
+    epochs, batch_size : int
+    learning_rate : float
+        Of Adam; reached after a short rise, it falls to 0 along a half cosine.
+    average : float
+        What the running mean of the weights, which is the result, keeps of itself in a batch.
+    dropout : float
+        Share of the neurons that the next layer does not hear in a sample.
+    early, price, budget : float
+        See the module's docstring.
+    stretch, drop, turn, shift, scale, shear : float
+        How training samples are altered, each time anew; see :func:`alter`.
+    """
+
+    architecture: str = "10x10x2-12c4s2-64-10o"
+    step_ms: float = 20.0
+    tau_u_ms: tuple = (30.0,)
+    tau_v_ms: tuple = (80.0,)
+    floor: float = -2.0
+    beta: float = 4.0
+    epochs: int = 80
+    batch_size: int = 32
+    learning_rate: float = 0.003
+    average: float = 0.998
+    dropout: float = 0.1
+    early: float = 0.3
+    price: float = 1.0
+    budget: float = 0.9
+    stretch: float = 0.1
+    drop: float = 0.2
+    turn: float = 0.08
+    shift: float = 0.4
+    scale: float = 0.08
+    shear: float = 0.08
+
+
+@dataclass(frozen=True)
+class TrainedOnEvents:
+    """A trained network.
+
+    Attributes
+    ----------
+    weights : dict of str to ndarray
+        See :meth:`models.spiking.SpikingNetwork.get_weights`.
+    history : list of dict
+        One row an epoch: ``epoch``, ``loss`` (without the price), ``accuracy`` and ``operations``
+        (in multiples of the CNN's) of the training samples as they were altered, ``seconds``, and
+        ``val_accuracy`` and ``val_operations`` where there are validation samples.
+    """
+
+    weights: dict
+    history: list
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What a trained network answers.
+
+    Attributes
+    ----------
+    outputs : ndarray of float32, shape (n_samples, steps, outputs)
+        After every step of a sample; the largest wins.
+    operations : ndarray of float32, shape (n_samples, layers)
+        Synaptic operations by the layer that receives them, the readout last.
+    spikes : dict of str to ndarray of int32, shape (n_samples, neurons)
+        Of each neuron of each layer, in all steps.
+    last_step : ndarray of int64, shape (n_samples,)
+        Step of each sample's last event.
+    """
+
+    outputs: np.ndarray
+    operations: np.ndarray
+    spikes: dict
+    last_step: np.ndarray
+
+
+def train_events(
+    recipe: EventRecipe,
+    table: EventTable,
+    labels,
+    train,
+    seed: int,
+    validation=(),
+    checkpoint=None,
+    advance=None,
+) -> TrainedOnEvents:
+    """Train a network on events.
+
+    Parameters
+    ----------
+    recipe : EventRecipe
+    table : EventTable
+    labels : ndarray of int, shape (n_samples,)
+    train : ndarray of int
+        Indices of the training samples; one without events is of no use and is left out.
+    seed : int
+        Of the first weights, the order of the samples, how they are altered, and dropout.  Same
+        seed, same machine: same weights.
+    validation : ndarray of int, optional
+        Indices of samples that are only watched.
+    checkpoint : path-like, optional
+        The state after each epoch is kept there; a run that was interrupted goes on from it and
+        ends as it would have without the interruption.
+    advance : callable, optional
+        ``advance(1, note)`` after each epoch, those of an earlier session included.
+
+    Returns
+    -------
+    TrainedOnEvents
+
+    Raises
+    ------
+    UserError
+        The checkpoint is damaged, or there is no training sample with an event.
+    """
+    train = np.asarray(train)[np.diff(table.offsets)[train] > 0]
+    if not len(train):
+        raise UserError("no training sample has an event; give other recordings")
+    trainer = _Trainer(recipe, table, np.asarray(labels), train, seed)
+    run = _identity(recipe, table, labels, train, validation, seed)
+    history = trainer.resume(checkpoint, run)
+    if advance is not None and history:
+        advance(len(history), _note(history[-1]))
+    for epoch in range(len(history), recipe.epochs):
+        begun = time.perf_counter()
+        row = {"epoch": epoch + 1, **trainer.epoch(epoch), "seconds": time.perf_counter() - begun}
+        if len(validation):
+            row |= trainer.watch(validation)
+        history.append(row)
+        trainer.save(checkpoint, run, history)
+        if advance is not None:
+            advance(1, _note(row))
+    return TrainedOnEvents(trainer.weights(), history)
+
+
+def answer_events(recipe: EventRecipe, weights: dict, table: EventTable, indices, steps: int):
+    """Run a trained network on samples, in the chip's integers, each sample from rest.
+
+    Parameters
+    ----------
+    recipe : EventRecipe
+    weights : dict
+        Of a :class:`TrainedOnEvents`.
+    table : EventTable
+    indices : ndarray of int
+    steps : int
+        For how long each sample is shown; events after that are lost.
+
+    Returns
+    -------
+    Answers
+    """
+    network = SpikingNetwork(parse(recipe.architecture), _neuron(recipe))
+    network.set_weights(weights)
+    runner, indices = _runner(network, None, tf.float64), np.asarray(indices)
+    parts = []
+    for start in range(0, len(indices), 100):
+        frames = table.frames(indices[start : start + 100], recipe.step_ms, steps)
+        outputs, costs, spikes = runner(frames)
+        parts.append(
+            (np.moveaxis(outputs.numpy(), 0, 1), costs.numpy(), *(s.numpy() for s in spikes))
+        )
+    outputs, costs, *spikes = (np.concatenate(column) for column in zip(*parts, strict=True))
+    last = np.floor(table.duration_ms[indices] / recipe.step_ms).astype(np.int64)
+    named = {n: s.astype(np.int32) for n, s in zip(network.names, spikes, strict=True)}
+    return Answers(outputs.astype(np.float32), costs, named, np.minimum(last, steps - 1))
+
+
+def alter(recipe: EventRecipe, rng, samples: int, sample, time_ms, row, column, polarity):
+    """Samples as they might have been written at another time, or by somebody else.
+
+    Each is written faster or slower by a factor exp(``stretch`` z), begins anywhere within its
+    first step, and loses each event with a chance drawn from 0 to ``drop``.  Its places, seen from
+    the middle of the skin, are slanted by ``shear`` z, turned by ``turn`` z radians, stretched by
+    exp(``scale`` z) along rows and along columns, and moved by ``shift`` z taxels both ways; each z
+    is normal and a sample's own.  An event goes to the nearest taxel, or is lost past the edge.
+
+    Parameters
+    ----------
+    recipe : EventRecipe
+    rng : numpy.random.Generator
+    samples : int
+    sample, time_ms, row, column, polarity : ndarray
+        See :meth:`pipeline.recordings.steps.EventTable.pick`.
+
+    Returns
+    -------
+    sample, step, row, column, polarity : ndarray
+        Of the events that are left; steps are fractions.
+    """
+    pace = np.exp(rng.normal(0, recipe.stretch, samples))
+    step = time_ms * pace[sample] / recipe.step_ms + rng.uniform(0, 1, samples)[sample]
+    kept = rng.random(len(sample)) >= rng.uniform(0, recipe.drop, samples)[sample]
+    place = _moved(recipe, rng, samples, sample, np.stack([row, column], -1))
+    kept &= ((place >= 0) & (place < GRID)).all(1)
+    return sample[kept], step[kept], place[kept, 0], place[kept, 1], polarity[kept]
+
+
+def _moved(recipe, rng, samples, sample, place):
+    """Each event's (row, column) after the change of its sample, in whole taxels."""
+    angle = rng.normal(0, recipe.turn, samples)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    turned = np.moveaxis(np.array([[cosine, -sine], [sine, cosine]]), 2, 0)
+    slanted = np.tile(np.eye(2), (samples, 1, 1))
+    slanted[:, 1, 0] = rng.normal(0, recipe.shear, samples)  # columns move with the row
+    stretched = np.exp(rng.normal(0, recipe.scale, (samples, 2)))[:, :, None]
+    matrix = stretched * (turned @ slanted)
+    centre = (GRID - 1) / 2
+    place = np.einsum("nij,nj->ni", matrix[sample], place - centre)
+    place += centre + rng.normal(0, recipe.shift, (samples, 2))[sample]
+    return np.floor(place + 0.5).astype(np.int64)
+
+
+def _neuron(recipe):
+    taus = (tuple(t / recipe.step_ms for t in ms) for ms in (recipe.tau_u_ms, recipe.tau_v_ms))
+    return Neuron(*taus, recipe.floor, recipe.beta)
+
+
+def _runner(network, values, dtype):
+    """The network compiled: outputs, operations of each sample, spikes of each neuron."""
+
+    @tf.function(autograph=False, reduce_retracing=False)
+    def run(frames):
+        outputs, spikes = network(frames, dtype=dtype, values=values)
+        costs = operations(network.architecture, frames, spikes)
+        return outputs, costs, [tf.reduce_sum(layer, 0) for layer in spikes]
+
+    return run
+
+
+class _Trainer:
+    """The network, the optimiser, the running mean of the weights, and their compiled steps."""
+
+    def __init__(self, recipe, table, labels, train, seed):
+        make_deterministic(seed)
+        self.recipe, self.table, self.labels, self.seed = recipe, table, labels, seed
+        self.train = train
+        self.network = SpikingNetwork(parse(recipe.architecture), _neuron(recipe), seed)
+        self.variables = self.network.variables_in_order
+        self.batches = -(-len(train) // recipe.batch_size)
+        self.optimizer = tf.keras.optimizers.Adam(
+            tf.keras.optimizers.schedules.CosineDecay(
+                0.0,
+                recipe.epochs * self.batches,
+                warmup_target=recipe.learning_rate,
+                warmup_steps=50,
+            ),
+            global_clipnorm=5.0,
+        )
+        self.optimizer.build(self.variables)
+        self._calibrate()
+        self.mean = [tf.Variable(variable) for variable in self.variables]
+        means = dict(zip(self.network.variables_by_name, self.mean, strict=True))
+        self._answer = _runner(self.network, means, tf.float32)
+        self._step = tf.function(self._train_on, autograph=False)
+
+    def _calibrate(self):
+        """Scale each layer's first weights so that its neurons spike at ``FIRST_RATE``."""
+        some = self.train[np.linspace(0, len(self.train) - 1, min(len(self.train), 64)).astype(int)]
+        seconds = max(float(self.table.duration_ms[some].mean()), self.recipe.step_ms) / 1000
+        frames = self._frames(some)
+        run = _runner(self.network, None, tf.float32)
+        for index, name in enumerate(self.network.names):
+            kernel = self.network.variables_by_name[f"{name}.kernel"]
+            first, low, high = kernel.numpy(), -4.0, 6.0
+            for _ in range(12):
+                middle = (low + high) / 2
+                kernel.assign(first * np.exp(middle))
+                rate = float(tf.reduce_mean(run(frames)[2][index])) / seconds
+                low, high = (low, middle) if rate > FIRST_RATE else (middle, high)
+
+    def _train_on(self, frames, labels, writing, number):
+        """One step of training; loss, share that was right, operations."""
+        recipe, architecture = self.recipe, self.network.architecture
+        with tf.GradientTape() as tape:
+            outputs, spikes = self.network(frames, self._dropout(frames.shape[1], number))
+            loss_at = tf.nn.sparse_softmax_cross_entropy_with_logits(
+                tf.tile(labels[None], (frames.shape[0], 1)), outputs
+            )
+            throughout = tf.reduce_sum(loss_at * writing, 0) / tf.reduce_sum(writing, 0)
+            loss = tf.reduce_mean(loss_at[-1] + recipe.early * throughout)
+            costs = tf.reduce_sum(operations(architecture, frames, spikes), 1)
+            cost = tf.reduce_mean(costs) / CNN_MACS
+            total = loss + recipe.price * tf.nn.relu(cost - recipe.budget)
+        gradients = tape.gradient(total, self.variables)
+        self.optimizer.apply_gradients(zip(gradients, self.variables, strict=True))
+        done = tf.cast(number, tf.float32)
+        share = tf.minimum(recipe.average, (1 + done) / (10 + done))  # short while there is little
+        for mean, variable in zip(self.mean, self.variables, strict=True):
+            mean.assign(share * mean + (1 - share) * variable)
+        right = tf.argmax(outputs[-1], -1, labels.dtype) == labels
+        return loss, tf.reduce_mean(tf.cast(right, tf.float32)), cost
+
+    def _dropout(self, samples, number):
+        if not self.recipe.dropout:
+            return None
+        heard = []
+        for index, name in enumerate(self.network.names):
+            shape = (samples, self.network.architecture.neurons[name])
+            draw = tf.random.stateless_uniform(shape, (self.seed + index * 2**20, number))
+            heard.append(
+                tf.cast(draw >= self.recipe.dropout, tf.float32) / (1 - self.recipe.dropout)
+            )
+        return heard
+
+    def epoch(self, epoch):
+        """One pass over the training samples; the epoch's row of the history."""
+        rng = np.random.default_rng([self.seed, epoch, 0xE7E])
+        sums = np.zeros(3)
+        for index, batch in enumerate(self._batches(rng)):
+            number = tf.constant(epoch * self.batches + index)
+            results = self._step(*self._altered(batch, rng), number)
+            sums += [float(value) for value in results]
+        loss, accuracy, cost = sums / self.batches
+        return {"loss": loss, "accuracy": accuracy, "operations": cost}
+
+    def _batches(self, rng):
+        """Training samples in random order; those of a batch are of about the same length."""
+        recipe = self.recipe
+        order = rng.permutation(self.train)
+        short = (
+            -len(order) % recipe.batch_size
+        )  # every batch is full, so that it fits what is compiled
+        order = np.concatenate([order, np.resize(order, short)])
+        batches = []
+        for start in range(0, len(order), 16 * recipe.batch_size):
+            part = order[start : start + 16 * recipe.batch_size]
+            part = part[np.argsort(self.table.duration_ms[part], kind="stable")]
+            batches += np.split(part, len(part) // recipe.batch_size)
+        rng.shuffle(batches)
+        return batches
+
+    def _altered(self, batch, rng):
+        """Frames, labels, and the steps up to each sample's last event, of altered samples."""
+        n = len(batch)
+        sample, step, *place = alter(self.recipe, rng, n, *self.table.pick(batch))
+        last = np.zeros(n, np.int64)
+        np.maximum.at(last, sample, step.astype(np.int64))
+        frames = spike_frames(sample, step, *place, n, _padded(last.max()))
+        writing = (np.arange(len(frames))[:, None] <= last).astype(np.float32)
+        return frames, self.labels[batch], writing
+
+    def _frames(self, indices):
+        """Frames of samples as they are."""
+        last = self.table.duration_ms[indices].max() / self.recipe.step_ms
+        return self.table.frames(indices, self.recipe.step_ms, _padded(int(last)))
+
+    def watch(self, indices, size=100):
+        """Accuracy and operations of samples as they are, for the history."""
+        indices = np.asarray(indices)
+        order = indices[np.argsort(self.table.duration_ms[indices], kind="stable")]
+        right, costs = [], []
+        for start in range(0, len(order), size):
+            part = order[start : start + size]
+            full = np.resize(part, size)
+            outputs, cost, _ = self._answer(self._frames(full))
+            answers = outputs.numpy()[-1, : len(part)].argmax(-1)
+            right.append(answers == self.labels[part])
+            costs.append(cost.numpy()[: len(part)].sum(1))
+        cost = float(np.concatenate(costs).mean()) / CNN_MACS
+        return {"val_accuracy": float(np.concatenate(right).mean()), "val_operations": cost}
+
+    def weights(self):
+        """The result: the running mean of the weights."""
+        return self.network.named(variable.numpy() for variable in self.mean)
+
+    @property
+    def _state(self):
+        """All that the next epoch depends on, by name."""
+        kinds = {"weight": self.variables, "mean": self.mean, "adam": self.optimizer.variables}
+        return {
+            f"{kind}{i}": v for kind, variables in kinds.items() for i, v in enumerate(variables)
+        }
+
+    def save(self, checkpoint, run, history):
+        """Keep the state after an epoch."""
+        if checkpoint is not None:
+            state = {name: variable.numpy() for name, variable in self._state.items()}
+            history = np.array(json.dumps(history))
+            write_arrays(checkpoint, run=np.array(run), history=history, **state)
+
+    def resume(self, checkpoint, run):
+        """Take up the state of an earlier session of the same run; return its history."""
+        if checkpoint is None or not Path(checkpoint).exists():
+            return []
+        remedy = "delete it to train from the start"
+        state = read_arrays(checkpoint, remedy)
+        try:
+            if str(state["run"]) != run:
+                return []
+            for name, variable in self._state.items():
+                variable.assign(state[name])
+            return json.loads(str(state["history"]))
+        except (KeyError, ValueError) as error:
+            raise UserError(f"{checkpoint}: damaged checkpoint ({error}); {remedy}") from error
+
+
+def _padded(last_step):
+    """Steps of a batch whose last event is in ``last_step``."""
+    return int(-(-(last_step + 1 + TAIL) // LENGTHS) * LENGTHS)
+
+
+def _identity(recipe, table, labels, train, validation, seed):
+    """What must be the same for a checkpoint to be of this run."""
+    columns = (table.time_ms, table.row, table.column, table.polarity, table.offsets)
+    parts = (*columns, *(np.asarray(part, np.int64) for part in (labels, train, validation)))
+    sums = [zlib.crc32(np.ascontiguousarray(part).view(np.uint8)) for part in parts]
+    return json.dumps([asdict(recipe), seed, sums])
+
+
+def _note(row):
+    return f"accuracy {row['accuracy']:.3f}"

@@ -1,0 +1,250 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from models import spiking
+from models.architecture import parse
+from models.keras2 import tf
+from models.spiking import Integers, Neuron, SpikingNetwork
+from tests.models import reference
+from tests.models.on_emulator import emulate
+
+ARCHITECTURES = [
+    "10x10x2-12c4s2-64-10o",
+    "10x10x2-6c3p-8c3s2p-20-10o",
+    "9x7x2-5c4s3-6c2-4o",
+    "6x6x1-20-12-3o",
+]
+
+
+def network_of(text, seed=0, biases=0.1, scale=2.5, neuron=None):
+    """A network of random weights that spikes."""
+    rng = np.random.default_rng(seed)
+    neuron = neuron or Neuron(tau_u=(2.0, 5.0), tau_v=(4.0, 20.0))
+    network = SpikingNetwork(parse(text), neuron, seed)
+    weights = network.get_weights()
+    for name in network.names:
+        weights[f"{name}.kernel"] *= scale
+        weights[f"{name}.bias"] = rng.normal(0, biases, weights[f"{name}.bias"].shape)
+    network.set_weights(weights)
+    return network
+
+
+def frames_for(network, samples=2, steps=50, share=0.06, seed=0):
+    shape = (steps, samples, *network.architecture.input_shape)
+    return (np.random.default_rng(seed).random(shape) < share).astype(np.uint8)
+
+
+@pytest.mark.parametrize("text", ARCHITECTURES)
+def test_the_forward_pass_is_the_integers_of_plain_numpy(text):
+    network = network_of(text)
+    frames = frames_for(network)
+    outputs, spikes = network(tf.constant(frames), dtype=tf.float64)
+    in_float32 = network(tf.constant(frames))[1]
+    integers = network.integers()
+    for sample in range(frames.shape[1]):
+        expected = reference.network(network.architecture, integers, frames[:, sample])
+        for layer, whole, single in zip(expected, spikes, in_float32, strict=True):
+            assert layer.sum() > 20
+            np.testing.assert_array_equal(whole[:, sample], layer)
+            assert np.mean(single[:, sample] != layer) < 1e-3
+        decoded = np.cumsum(expected[-1] @ network.get_weights()["output.kernel"], 0)
+        np.testing.assert_allclose(outputs[:, sample], decoded, atol=1e-5)
+
+
+@pytest.mark.parametrize("text", ARCHITECTURES)
+def test_nengoloihis_emulator_makes_the_same_spikes(text):
+    network = network_of(text, biases=0.0)
+    frames, integers = frames_for(network), network.integers()
+    for sample in range(frames.shape[1]):
+        expected = reference.network(network.architecture, integers, frames[:, sample])
+        spikes, _ = emulate(network.architecture, integers, frames[:, sample])
+        for mine, its in zip(expected, spikes, strict=True):
+            np.testing.assert_array_equal(mine, its)
+
+
+def test_the_emulator_at_rest_under_biases_makes_the_same_spikes():
+    network = network_of("10x10x2-12c4s2-64-10o", biases=0.05)
+    frames, integers = frames_for(network), network.integers()
+    assert any(layer.bias.max() > 0 for layer in integers.values())
+    expected = reference.network(network.architecture, integers, frames[:, 0])
+    spikes, _ = emulate(network.architecture, integers, frames[:, 0], gap=400)
+    for mine, its in zip(expected, spikes, strict=True):
+        assert its[:400].sum() == 0
+        np.testing.assert_array_equal(mine, its[400:])
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 2**20),
+    keep_u=st.integers(2, 4095),
+    keep_v=st.integers(2, 4095),
+    threshold=st.integers(20, spiking.MAX_THRESHOLD // 64),
+    floor=st.integers(0, 23),
+    largest_bias=st.sampled_from([0, 100, 4095, 4095 << 7]),
+)
+def test_nengoloihi_comes_to_any_integers(seed, keep_u, keep_v, threshold, floor, largest_bias):
+    rng = np.random.default_rng(seed)
+    weights = rng.integers(-127, 128, (3, 3, 2, 4))
+    weights.flat[0] = -127
+    bias = largest_bias * np.array([1, -1, 0, 1])
+    layer = Integers(weights, bias, threshold * 64, 1 - 2**floor, keep_u, keep_v)
+    # One output neuron a position, so that it is one block.
+    architecture = parse("5x5x2-4c3-10o")
+    _, (block,) = emulate(architecture, {"conv1": layer}, np.zeros((1, 5, 5, 2), np.uint8))
+    compartment = block.compartment
+    assert set(compartment.vth) == {layer.threshold}
+    assert compartment.vmin == layer.floor
+    assert set(4095 - compartment.decay_u) == {keep_u}
+    assert set(4096 - compartment.decay_v) == {keep_v}
+    np.testing.assert_array_equal(compartment.bias.reshape(9, 4), np.tile(bias, (9, 1)))
+    assert set(compartment.refract_delay) == {1}
+    (synapse,) = block.synapses
+    on_chip = np.concatenate([np.ravel(w) for w in synapse.weights])
+    assert sorted(set(on_chip)) == sorted(set(np.ravel(weights) * 128))
+
+
+@pytest.mark.parametrize("text", ["10x10x2-8c4s2-16-10o"])
+def test_silence_stays_silent_whatever_the_biases(text):
+    network = network_of(text, biases=5.0)
+    integers = network.integers()
+    assert all(layer.bias.max() > 0 for layer in integers.values())
+    second = np.zeros((1000, 10, 10, 2), np.uint8)
+    spikes, _ = emulate(network.architecture, integers, second)
+    assert sum(layer.sum() for layer in spikes) == 0
+    for layer in network(tf.constant(second[:, None]), dtype=tf.float64)[1]:
+        assert not layer.numpy().any()
+
+
+@pytest.mark.parametrize("floor", [-1e4, -0.1])
+def test_gradients_through_time_are_those_of_plain_numpy(floor):
+    rng = np.random.default_rng(3)
+    steps, n, beta = 40, 6, 4.0
+    layer = Integers(
+        rng.integers(-127, 128, (8, n)), rng.integers(-200, 400, n), 128 * 100,
+        1 - 2 ** round(np.log2(1 - floor * 12800)), 2800, 3700,
+    )  # fmt: skip
+    frames = (rng.random((steps, 1, 1, 8)) < 0.3).astype(np.uint8)
+    architecture = parse(f"1x1x8-{n}-2o")
+    spikes, u, v = reference.run(architecture.layers[0], layer, frames)
+    assert 5 < spikes.sum() < 0.7 * spikes.size
+    assert np.any(v <= layer.floor) == (floor == -0.1)
+    error = rng.normal(size=(steps, n))
+    expected = reference.gradients(error, u, spikes, v, layer, beta)
+
+    def tensor(value):
+        return tf.Variable(np.asarray(value, float))
+
+    q = 128 * (frames.reshape(steps, 8).astype(float) @ layer.weights)
+    inputs = [tensor(q[:, None]), tensor(layer.keep_u), tensor(layer.keep_v), tensor(layer.bias)]
+    constants = [tf.constant(float(x), tf.float64) for x in (layer.threshold, layer.floor)]
+    with tf.GradientTape() as tape:
+        result = spiking.fire(*inputs, *constants, beta=beta)
+        total = tf.reduce_sum(result[:, 0] * error)
+    np.testing.assert_array_equal(result[:, 0], spikes)
+    for mine, its in zip(tape.gradient(total, inputs), expected, strict=True):
+        np.testing.assert_allclose(np.squeeze(mine), its, rtol=1e-9, atol=1e-12)
+
+
+def test_gradients_reach_everything_that_is_trained():
+    network = network_of("10x10x2-8c4s2-16-4o", biases=0.01)
+    frames = tf.constant(frames_for(network))
+    with tf.GradientTape() as tape:
+        outputs, spikes = network(frames)
+        costs = spiking.operations(network.architecture, frames, spikes)
+        loss = tf.reduce_sum(outputs[-1, :, 0]) + 1e-3 * tf.reduce_sum(costs)
+    for variable, gradient in zip(
+        network.variables_in_order,
+        tape.gradient(loss, network.variables_in_order),
+        strict=True,
+    ):
+        assert gradient.shape == variable.shape
+        assert np.abs(gradient).max() > 0
+
+
+def test_the_gradient_of_a_weight_is_that_of_the_current_it_scales():
+    # A weight W in units of the threshold is w 128 / theta: dE/dW = theta sum of dE/dq s.
+    network = network_of("1x1x3-1-2o", biases=0.0, neuron=Neuron((2.0,), (4.0,)))
+    frames = (np.random.default_rng(1).random((30, 1, 1, 1, 3)) < 0.5).astype(np.uint8)
+    with tf.GradientTape() as tape:
+        _, spikes = network(tf.constant(frames), dtype=tf.float64)
+        loss = tf.reduce_sum(spikes[0])
+    kernel = network.variables_by_name["dense1.kernel"]
+    layer = network.integers()["dense1"]
+    s, u, v = reference.run(network.architecture.layers[0], layer, frames[:, 0])
+    by_q = reference.gradients(np.ones(s.shape), u, s, v, layer, 4.0)[0]
+    largest = np.abs(kernel.numpy()).max()
+    expected = 128 * 127 / largest * (frames.reshape(30, 3).T @ by_q)
+    np.testing.assert_allclose(tape.gradient(loss, kernel), expected, rtol=1e-4)
+
+
+def test_operations_are_counted_as_the_deployed_networks():
+    network = network_of("10x10x2-6c3-8c3-10o")
+    frames = frames_for(network)
+    _, spikes = network(tf.constant(frames))
+    counted = spiking.operations(network.architecture, tf.constant(frames), spikes)
+    for layer, (sender, fan_out) in enumerate(
+        zip((frames, *spikes), network.architecture.fan_out.values(), strict=True)
+    ):
+        per_sample = np.asarray(sender, float).sum(0).reshape(2, -1) @ fan_out.ravel()
+        np.testing.assert_allclose(counted[:, layer], per_sample, rtol=1e-6)
+
+
+def test_peaks_by_hand():
+    # Two spikes at once onto weights 127 and 127, no decay of the current to speak of.
+    network = SpikingNetwork(parse("1x1x2-1-2o"), Neuron(tau_u=(1e6,), tau_v=(1.0,)))
+    weights = network.get_weights()
+    weights["dense1.kernel"] = np.ones((2, 1))
+    network.set_weights(weights)
+    frames = np.ones((3, 1, 1, 1, 2), np.uint8)
+    q = 2 * 127 * 128
+    u = q * 4095 // 4096 + q
+    assert network.peaks(tf.constant(frames)) == {"dense1": (q, u * 4095 // 4096 + q)}
+
+
+def test_rounding_of_biases_and_floors_is_nengoloihis():
+    from nengo_loihi.builder.discretize import bias_to_manexp
+
+    values = np.concatenate(
+        [np.arange(-9000, 9000, 7), np.geomspace(4000, 4095 * 128, 200).round()]
+    )
+    mantissa, exponent = bias_to_manexp(values)
+    np.testing.assert_array_equal(
+        spiking._twelve_bits(tf.constant(values)), mantissa * 2.0**exponent
+    )
+    x = np.geomspace(1, 2**23, 1000)
+    np.testing.assert_array_equal(spiking._power_of_two(tf.constant(x)), 2 ** np.round(np.log2(x)))
+
+
+def test_weights_there_and_back():
+    network = network_of("10x10x2-8c4s2-16-10o")
+    weights = network.get_weights()
+    assert weights["conv1.tau_u"] == pytest.approx(2.0)
+    assert weights["dense1.tau_v"] == pytest.approx(20.0)
+    other = SpikingNetwork(network.architecture, seed=9)
+    other.set_weights(weights)
+    for name, value in other.get_weights().items():
+        np.testing.assert_allclose(value, weights[name], rtol=1e-5)
+    for name, layer in other.integers().items():
+        mine = network.integers()[name]
+        np.testing.assert_array_equal(layer.weights, mine.weights)
+        assert (layer.threshold, layer.keep_u) == (mine.threshold, mine.keep_u)
+    with pytest.raises(ValueError, match=r"conv1\.kernel"):
+        other.set_weights({**weights, "conv1.kernel": np.zeros((1, 1, 2, 8))})
+    with pytest.raises(ValueError, match=r"dense1\.tau_u"):
+        other.set_weights({name: v for name, v in weights.items() if name != "dense1.tau_u"})
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"), [("10x10x2-8c4-2a-10o", "stride"), ("10x10x2-10o", "no layer of neurons")]
+)
+def test_a_network_that_cannot_be_is_refused(text, problem):
+    with pytest.raises(ValueError, match=problem):
+        SpikingNetwork(parse(text))
+
+
+@pytest.mark.parametrize("values", [{"tau_u": (0.0,)}, {"tau_v": (1.0, -1.0)}, {"floor": 0.5}])
+def test_an_impossible_neuron_is_refused(values):
+    with pytest.raises(ValueError, match="above 0"):
+        Neuron(**values)

@@ -1,0 +1,175 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.errors import UserError
+from models.architecture import parse
+from models.spiking import SpikingNetwork
+from pipeline.recordings.steps import EventTable
+from pipeline.training.events import (
+    CNN_MACS,
+    EventRecipe,
+    alter,
+    answer_events,
+    train_events,
+)
+from tests.models import reference
+
+RECIPE = EventRecipe(
+    architecture="10x10x2-6c4s3-16-3o", epochs=6, batch_size=8, learning_rate=0.02, average=0.9,
+    dropout=0.0, budget=0.5, turn=0.02, shift=0.1, scale=0.02, shear=0.02,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def data():
+    """Bars at the left, in the middle and at the right, in noise: 72 samples of 3 classes."""
+    rng = np.random.default_rng(0)
+    labels, n = np.arange(72) % 3, 90
+    offsets = np.arange(73) * n
+    time = np.sort(rng.uniform(0, 600, (72, n)), 1)
+    time -= time[:, :1]
+    column = rng.integers(0, 10, (72, n))
+    bar = rng.random((72, n)) < 0.7
+    column[bar] = (labels[:, None] * 3 + rng.integers(1, 3, (72, n)))[bar]
+    row, polarity = rng.integers(0, 10, (72, n)), rng.integers(0, 2, (72, n))
+    columns = (values.ravel().astype(np.uint8) for values in (row, column, polarity))
+    table = EventTable(time.ravel().astype(np.float32), *columns, offsets)
+    return table, labels, np.arange(54)
+
+
+VALIDATION = np.arange(54, 72)
+
+
+@pytest.fixture(scope="module")
+def trained(data):
+    return train_events(RECIPE, *data, seed=3, validation=VALIDATION)
+
+
+def test_it_learns(trained):
+    assert [row["epoch"] for row in trained.history] == [1, 2, 3, 4, 5, 6]
+    assert trained.history[-1]["loss"] < trained.history[0]["loss"] / 2
+    assert trained.history[-1]["val_accuracy"] >= 15 / 18
+
+
+def test_weights_have_the_names_and_shapes_of_the_architecture(trained):
+    architecture = parse(RECIPE.architecture)
+    arrays = {k: np.shape(v) for k, v in trained.weights.items() if np.ndim(v)}
+    expected = dict(architecture.weight_shapes)
+    del expected["output.bias"]  # the readout is a sum of spikes' weights and nothing else
+    assert arrays == expected
+    assert trained.weights["conv1.tau_u"] > 0
+
+
+def test_answers_are_the_chips_integers(trained, data):
+    table, labels, _ = data
+    answers = answer_events(RECIPE, trained.weights, table, VALIDATION, steps=40)
+    network = SpikingNetwork(parse(RECIPE.architecture))
+    network.set_weights(trained.weights)
+    frames = table.frames(VALIDATION, RECIPE.step_ms, 40)
+    for index in (0, 7):
+        conv, dense = reference.network(network.architecture, network.integers(), frames[:, index])
+        np.testing.assert_array_equal(answers.spikes["conv1"][index], conv.sum(0))
+        np.testing.assert_array_equal(answers.spikes["dense1"][index], dense.sum(0))
+        expected = np.cumsum(dense @ trained.weights["output.kernel"], 0)
+        np.testing.assert_allclose(answers.outputs[index], expected, atol=1e-4)
+        assert answers.operations[index, -1] == 3 * dense.sum()
+    right = answers.outputs[:, -1].argmax(-1) == labels[VALIDATION]
+    assert right.mean() == trained.history[-1]["val_accuracy"]
+    cost = answers.operations.sum(1).mean() / CNN_MACS
+    assert cost == pytest.approx(trained.history[-1]["val_operations"], rel=1e-3)
+    last = np.floor(table.duration_ms[VALIDATION] / RECIPE.step_ms)
+    np.testing.assert_array_equal(answers.last_step, last)
+
+
+def test_a_budget_is_kept(data):
+    free, tight = (
+        train_events(replace(RECIPE, budget=budget, price=50.0), *data, seed=3)
+        for budget in (10.0, 0.0)
+    )
+    assert tight.history[-1]["operations"] < 0.8 * free.history[-1]["operations"]
+
+
+def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):
+    def interrupt(n, note):
+        seen.append(n)
+        if len(seen) == 3:
+            raise KeyboardInterrupt
+
+    seen, path = [], tmp_path / "state.npz"
+    with pytest.raises(KeyboardInterrupt):
+        train_events(RECIPE, *data, 3, VALIDATION, path, interrupt)
+    seen = [0, 0, 0]
+    resumed = train_events(RECIPE, *data, 3, VALIDATION, path, interrupt)
+    assert seen[3:] == [3, 1, 1, 1]
+    for name, value in resumed.weights.items():
+        np.testing.assert_allclose(value, trained.weights[name], rtol=1e-4, atol=1e-6)
+    for got, expected in zip(resumed.history, trained.history, strict=True):
+        assert got["loss"] == pytest.approx(expected["loss"], rel=1e-5)
+
+
+@pytest.mark.parametrize("change", ["seed", "recipe", "labels"])
+def test_a_checkpoint_of_another_run_is_not_taken_up(data, tmp_path, change):
+    table, labels, train = data
+    short, path, told = replace(RECIPE, epochs=1), tmp_path / "state.npz", []
+    train_events(short, table, labels, train, 3, checkpoint=path)
+    seed = 4 if change == "seed" else 3
+    recipe = replace(short, drop=0.1) if change == "recipe" else short
+    labels = labels[::-1] if change == "labels" else labels
+    train_events(recipe, table, labels, train, seed, checkpoint=path,
+                 advance=lambda n, note: told.append(n))  # fmt: skip
+    assert told == [
+        1
+    ]  # its own epoch; a checkpoint that is taken up is told of, and trains no more
+    train_events(recipe, table, labels, train, seed, checkpoint=path,
+                 advance=lambda n, note: told.append(n))  # fmt: skip
+    assert told == [1, 1]
+
+
+def test_a_damaged_checkpoint_is_named(data, tmp_path):
+    (tmp_path / "state.npz").write_bytes(b"no archive")
+    with pytest.raises(UserError, match=r"state\.npz"):
+        train_events(RECIPE, *data, 3, checkpoint=tmp_path / "state.npz")
+
+
+def test_samples_without_events_are_left_out(data):
+    table, labels, _ = data
+    empty = replace(table, offsets=np.zeros_like(table.offsets))
+    with pytest.raises(UserError, match="no training sample has an event"):
+        train_events(RECIPE, empty, labels, np.arange(10), 0)
+
+
+STILL = replace(RECIPE, stretch=0.0, drop=0.0, turn=0.0, shift=0.0, scale=0.0, shear=0.0)
+
+
+def altered(recipe, n=400, seed=0):
+    """One event in the middle of the left edge at 100 ms, in each of n samples."""
+    ones = np.ones(n, int)
+    rng = np.random.default_rng(seed)
+    return alter(recipe, rng, n, np.arange(n), 100.0 * ones, 4 * ones, 0 * ones, ones)
+
+
+def test_nothing_altered_but_where_in_its_step_a_sample_begins():
+    sample, step, row, column, polarity = altered(STILL)
+    assert sample.tolist() == list(range(400))
+    assert (set(row), set(column), set(polarity)) == ({4}, {0}, {1})
+    assert 5 <= step.min() < 5.1
+    assert 5.9 < step.max() <= 6
+
+
+def test_each_change_does_what_it_says():
+    sample, step, *_ = altered(replace(STILL, stretch=0.2))
+    assert np.std(np.log((step - 0.5) / 5)) == pytest.approx(0.2, abs=0.05)
+    assert len(altered(replace(STILL, drop=0.5), n=4000)[0]) == pytest.approx(3000, abs=150)
+    # A quarter turn takes the middle of the left edge to an end of the middle column.
+    _, _, row, column, _ = altered(replace(STILL, turn=np.pi / 2))
+    assert {(0, 4), (9, 5)} & set(zip(row.tolist(), column.tolist(), strict=True))
+    # Half of those moved to the left fall off the edge.
+    sample, _, row, column, _ = altered(replace(STILL, shift=1.0))
+    assert 200 < len(sample) < 330
+    assert np.std(row - 4.0) == pytest.approx(1.04, abs=0.2)
+    # Near the middle row a slant moves by half a taxel at most, stretching columns moves the edge.
+    assert set(altered(replace(STILL, shear=0.5))[3]) <= {0, 1}
+    assert set(altered(replace(STILL, scale=0.3))[2]) <= {3, 4}
+    assert len(set(altered(replace(STILL, scale=0.3))[3])) > 1
