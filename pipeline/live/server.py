@@ -33,6 +33,9 @@ HOST = "127.0.0.1"
 LARGEST = 64 * 1024
 """Bytes of a message."""
 
+APART_S = 0.012
+"""From one answer to the next, at least: more than a screen shows would only take time away."""
+
 PAGES = 8
 """Pages that may be open at a time."""
 
@@ -234,6 +237,7 @@ class Live:
                 if ask is not None:
                     answer = await loop.run_in_executor(self._thread, ask)
                     await _say(socket, [answer] if answer is not None else [])
+                    await asyncio.sleep(APART_S)
 
 
 _LIMITS = {"longest_s": LONGEST_S, "pause_s": PAUSE_S, "most_each": EACH}

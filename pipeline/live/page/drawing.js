@@ -81,12 +81,39 @@ export function drawSkin(canvas, strokes, flashes, now) {
   return moves;
 }
 
-export function drawRaster(canvas, events, time) {
-  const { context, width, height } = fitted(canvas);
+// Only what is new, as long as everything else stands where it stood.
+const raster = { key: null, drawn: 0 };
+export function drawRaster(canvas, events, time, afresh) {
   const last = time > 2 ? 4 : 2;
+  const key = `${last} ${canvas.clientWidth} ${canvas.clientHeight} ${devicePixelRatio}`;
+  if (afresh || key !== raster.key || events.taxel.length < raster.drawn) {
+    Object.assign(raster, { key, drawn: 0 });
+    drawAxes(canvas, last);
+  }
+  const context = canvas.getContext("2d");
+  const { x, tall } = scales(canvas, last);
+  for (const [polarity, name] of [[-1, "--off"], [1, "--on"]]) {
+    context.fillStyle = colour(name);
+    for (let i = raster.drawn; i < events.taxel.length; i++) {
+      if (events.polarity[i] !== polarity) continue;
+      // ON stands, OFF lies: told apart without colour.
+      const [wide, high] = polarity > 0 ? [2, Math.max(1.4 * tall, 4)] : [4, Math.max(0.7 * tall, 2)];
+      context.fillRect(x(events.ns[i] * 1e-9), (events.taxel[i] + 0.5) * tall - high / 2, wide, high);
+    }
+  }
+  raster.drawn = events.taxel.length;
+}
+
+function scales(canvas, last) {
   const [left, below] = [4, 20];
+  const { clientWidth: width, clientHeight: height } = canvas;
   const x = (seconds) => left + (seconds / last) * (width - 2 * left);
-  const tall = (height - below) / 100;
+  return { left, below, x, tall: (height - below) / 100 };
+}
+
+function drawAxes(canvas, last) {
+  const { context, width, height } = fitted(canvas);
+  const { left, below, x } = scales(canvas, last);
   context.fillStyle = colour("--paper");
   context.fillRect(left, 0, width - 2 * left, height - below);
   context.font = "12px system-ui, sans-serif";
@@ -97,15 +124,6 @@ export function drawRaster(canvas, events, time) {
     context.fillStyle = colour("--soft");
     context.textAlign = tick === 0 ? "left" : tick === last ? "right" : "center";
     context.fillText(`${tick} s`, x(tick), height - 5);
-  }
-  for (const [polarity, name] of [[-1, "--off"], [1, "--on"]]) {
-    context.fillStyle = colour(name);
-    for (let i = 0; i < events.taxel.length; i++) {
-      if (events.polarity[i] !== polarity) continue;
-      // ON stands, OFF lies: told apart without colour.
-      const [wide, high] = polarity > 0 ? [2, Math.max(1.4 * tall, 4)] : [4, Math.max(0.7 * tall, 2)];
-      context.fillRect(x(events.ns[i] * 1e-9), (events.taxel[i] + 0.5) * tall - high / 2, wide, high);
-    }
   }
 }
 

@@ -7,6 +7,7 @@ import { Pen } from "./pen.js";
 const $ = (id) => document.getElementById(id);
 const DIGITS = [...Array(10).keys()];
 const BY_ITSELF_MS = 1000;
+const LAYERS_MS = 60;
 const REMEMBERED = "stmnist-writer";
 
 const link = new Link();
@@ -20,7 +21,7 @@ let answer = null; // the latest, until it is shown
 let byItself = null;
 const latencies = [];
 let lastCounted = -Infinity;
-const stale = { skin: true, rest: true };
+const stale = { skin: true, rest: true, all: true };
 
 function forget() {
   strokes = [];
@@ -33,7 +34,7 @@ function forget() {
   clearTimeout(byItself);
   showDecision(null);
   showLayers(null);
-  stale.skin = stale.rest = true;
+  stale.skin = stale.rest = stale.all = true;
   draw();
 }
 
@@ -294,6 +295,15 @@ function showLayers(message) {
   });
 }
 
+// The picture of the spikes is the dearest, and nobody sees more of them a second.
+let soon = null;
+function showLayersSoon() {
+  soon ??= setTimeout(() => {
+    soon = null;
+    if (shown !== null) showLayers(shown);
+  }, LAYERS_MS);
+}
+
 let drawing = false;
 let shown = null;
 function draw() {
@@ -307,10 +317,11 @@ function draw() {
       if (answer !== null && answer !== shown) {
         shown = answer;
         showDecision(answer);
-        showLayers(answer);
+        showLayersSoon();
         afterPaint(answer.last_ms);
       }
-      drawRaster($("raster"), events, time);
+      drawRaster($("raster"), events, time, stale.all);
+      stale.all = false;
       drawImage($("image"), counts);
       $("count").textContent = events.taxel.length ? `${events.taxel.length} events` : "";
     }
@@ -337,14 +348,11 @@ function afterPaint(last) {
   painted.port2.postMessage(last);
 }
 
-addEventListener("resize", () => {
-  stale.skin = stale.rest = true;
+function redraw() {
+  stale.skin = stale.rest = stale.all = true;
   showLayers(shown);
   draw();
-});
-onColours(() => {
-  stale.skin = stale.rest = true;
-  showLayers(shown);
-  draw();
-});
+}
+addEventListener("resize", redraw);
+onColours(redraw);
 forget();

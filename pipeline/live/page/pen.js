@@ -2,7 +2,7 @@
 
 const BEYOND = 1.5; // taxels beyond the outer sensors at which a pen that slips off is held
 const BEAT_MS = 12;
-const APART_MS = 4; // of two messages while the pen moves
+const APART_MS = 8; // of two messages while the pen moves
 // Moves as they come, where the browser has them, rather than with its next frame.
 const MOVE = "onpointerrawupdate" in globalThis ? "pointerrawupdate" : "pointermove";
 

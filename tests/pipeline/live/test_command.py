@@ -12,7 +12,7 @@ import sys
 import pytest
 
 from pipeline.recordings.archive import read_source
-from tests.command import call, environment, start
+from tests.command import call, environment
 from tests.pipeline.live.conftest import stroke
 
 pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
@@ -41,13 +41,23 @@ def write_and_label(page, digit):
 
 @pytest.fixture
 def live(tiny_run, tmp_path):
+    """Starts the command in a group of its own, which Ctrl-C reaches from a background too."""
     processes = []
 
-    def begin(*options, run=tiny_run, **more):
+    def begin(run=tiny_run):
         kept = tmp_path / "kept"
-        arguments = ("live", run, "--port", 0, "--no-browser", "--record", kept, *options)
-        processes.append(start(*arguments, **more))
-        return processes[-1], kept
+        arguments = ("live", run, "--port", 0, "--no-browser", "--record", kept)
+        process = subprocess.Popen(
+            [sys.executable, "-m", "pipeline", *map(str, arguments)],
+            env=environment(),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        )
+        processes.append(process)
+        return process, kept
 
     yield begin
     for process in processes:

@@ -1,9 +1,10 @@
 """One page's side of the conversation, without sockets."""
 
 import base64
+import gc
 import json
+import tracemalloc
 
-import numpy as np
 import pytest
 
 from pipeline.live.keeping import Keeper
@@ -227,8 +228,7 @@ def test_an_allowance_fills_up_again_but_not_beyond_a_second():
 
 
 def test_an_hour_of_writing_keeps_nothing_in_memory(session):
-    """What a session holds does not grow: a stroke a second for an hour, compressed in time."""
-    import tracemalloc
+    """What a session holds does not grow from stroke to stroke; time is compressed."""
 
     def write(seconds):
         for n in seconds:
@@ -238,9 +238,10 @@ def test_an_hour_of_writing_keeps_nothing_in_memory(session):
     write(range(1, 30))
     tracemalloc.start()
     write(range(30, 60))
+    gc.collect()
     before = tracemalloc.get_traced_memory()[0]
     write(range(60, 120))
+    gc.collect()
     grown = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
-    assert grown < 50_000
-    assert np.isfinite(grown)
+    assert grown < 50_000  # a recording alone takes more than that
