@@ -32,6 +32,7 @@ function forget() {
   answer = shown = null;
   kept = false;
   clearTimeout(byItself);
+  $("announce").textContent = "";
   showDecision(null);
   showLayers(null);
   stale.skin = stale.rest = stale.all = true;
@@ -243,11 +244,16 @@ function complain(text) {
 }
 
 function settle() {
-  if (answer !== null || $("decision").textContent !== "")
-    $("announce").textContent = `Decision: ${$("decision").textContent}, ${$("confidence").textContent}`;
+  announce();
   clearTimeout(byItself);
   if (writer?.asked !== null && !kept && events.taxel.length && $("by-itself").checked)
     byItself = setTimeout(() => label(writer.asked), BY_ITSELF_MS);
+}
+
+// For who does not see the page: one sentence when the pen is lifted, not one an event.
+function announce() {
+  if (pen.settled && !pen.writes && $("decision").textContent !== "")
+    $("announce").textContent = `Decision: ${$("decision").textContent}, ${$("confidence").textContent}`;
 }
 
 function showSession() {
@@ -274,6 +280,7 @@ function percent(share) {
 
 function showDecision(message) {
   $("decision").textContent = message === null ? "" : message.decision;
+  $("decision").dataset.events = message === null ? 0 : message.events; // that it is the answer to
   $("confidence").textContent = message === null ? "" : `${percent(message.confidence[message.decision])} sure`;
   $("since").textContent = message === null ? "" : `since ${message.since_s.toFixed(2)} s after the first touch`;
   [...$("scores").children].forEach((item, digit) => {
@@ -317,6 +324,7 @@ function draw() {
       if (answer !== null && answer !== shown) {
         shown = answer;
         showDecision(answer);
+        announce();
         showLayersSoon();
         afterPaint(answer.last_ms);
       }

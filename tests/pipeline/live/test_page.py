@@ -81,9 +81,10 @@ def settled(page):
         page,
         "document.querySelector('#count').textContent !== '' &&"
         " document.querySelector('#announce').textContent.includes("
-        "document.querySelector('#decision').textContent)",
+        "document.querySelector('#decision').textContent) &&"
+        " parseInt(document.querySelector('#count').textContent) =="
+        " document.querySelector('#decision').dataset.events",
     )
-    page.wait_for_timeout(250)
 
 
 def label(page, number):
