@@ -1,7 +1,8 @@
 # Thin: every target calls the command `stmnist`, which offers the same and more (stmnist --help).
 #
-# Variables: DATA (ST-MNIST zip or folder; default: simulated), RUN (default runs/default),
-# SEED (default 0), SAMPLES (default 200), STEPS (of 1 ms; default 100), JOBS (default 2),
+# Variables: DATA (ST-MNIST zip or folder; default: simulated), INPUT (image, the default, or
+# events), RUN (default runs/default), SEED (default 0), SAMPLES (default 200), STEPS (default 100,
+# of 1 ms, or with events of 20 ms of skin time), JOBS (default 2),
 # TARGET (of make check; default emulator), BOARD and PARTITION (of make loihi-hardware),
 # PYTHON (of 3.11 to 3.13; default: the first on the path that fits).
 # Unset ones leave a run's own settings as they are.
@@ -14,11 +15,11 @@ PYTHON310 ?= $(shell sh setup.sh --find 3.10)
 
 BIN := .venv/bin
 STMNIST := $(BIN)/stmnist
-SOURCE_OPTIONS := $(if $(DATA),--data "$(DATA)") $(if $(SEED),--seed $(SEED)) --jobs $(JOBS)
+SOURCE_OPTIONS := $(if $(DATA),--data "$(DATA)") $(if $(INPUT),--input $(INPUT)) $(if $(SEED),--seed $(SEED)) --jobs $(JOBS)
 BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $(PARTITION))
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
 
-.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report live test test-pythons torture lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava clean help
+.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report live test test-pythons torture lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava audit clean help
 .DEFAULT_GOAL := help
 
 setup:  ## Make .venv with everything pinned in constraints.txt (2.6 GB)
@@ -48,12 +49,12 @@ check: convert  ## The bundle's check on TARGET, next to the reference simulator
 	@$(STMNIST) check compare $(RUN)/checks/nengo.json $(RUN)/checks/$(TARGET).json
 
 benchmark: setup  ## The paper's Table 2 on ten splits, beside the paper's figures (not SLAYER's)
-	@$(STMNIST) benchmark table2 --out $(dir $(RUN))table2 $(SOURCE_OPTIONS) $(if $(SAMPLES),--set check.samples=$(SAMPLES)) $(if $(STEPS),--set presentation.steps=$(STEPS))
+	@$(STMNIST) benchmark table2 --out $(dir $(RUN))table2 $(filter-out --input $(INPUT),$(SOURCE_OPTIONS)) $(if $(SAMPLES),--set check.samples=$(SAMPLES)) $(if $(STEPS),--set presentation.steps=$(STEPS))
 
 report: loihi-emulate  ## RUN as one HTML file, RUN/report.html, with Table 2 where it was measured
 	@$(STMNIST) report $(RUN) --jobs $(JOBS)
 
-live: setup  ## Write digits in the browser: trains RUN first if need be (PORT; RECORD: where to keep)
+live: setup  ## Write digits in the browser; trains RUN first if need be (PORT; RECORD: where to keep)
 	@$(STMNIST) live $(RUN) $(SOURCE_OPTIONS) $(if $(PORT),--port $(PORT)) $(if $(RECORD),--record "$(RECORD)")
 
 test: setup  ## Run the tests
@@ -120,6 +121,14 @@ check-lava: convert setup-lava  ## The check's samples in Lava, every spike comp
 	@.venv-lava/bin/python tests/lava_reader/run_lava.py $(RUN)/lava/network.npz $(RUN)/lava/output.npz
 	@.venv-lava/bin/python tests/lava_reader/run_lava.py $(RUN)/lava/network.npz $(RUN)/lava/stock.npz --stock
 	@$(BIN)/python -m tests.lava_reader.result $(RUN)/bundle $(RUN)/lava/output.npz $(RUN)/checks/lava.json $(RUN)/lava/stock.npz
+
+audit: .venv-audit/installed  ## Ask for known vulnerabilities of what is pinned (needs the internet)
+	@.venv-audit/bin/pip-audit --strict --disable-pip --no-deps --progress-spinner off -r constraints.txt
+
+.venv-audit/installed: | setup
+	@$(BIN)/python -m venv --clear .venv-audit
+	@.venv-audit/bin/pip install -qq pip-audit==2.10.1
+	@touch $@
 
 clean:  ## Remove the run RUN; the cache and .venv stay
 	@rm -rf $(RUN)

@@ -69,6 +69,10 @@ def _parser():
         "(default: %(default)s)",
     )  # fmt: skip
     board.add_argument(
+        "--timeout", type=float, default=defaults.timeout, metavar="S",
+        help="seconds after which a stream that hangs is given up (default: %(default)s)",
+    )  # fmt: skip
+    board.add_argument(
         "--energy", action="store_true", help="measure power, where there is a probe"
     )
     check.set_defaults(run=_check)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from . import limits
 from .errors import UserError
 
 
@@ -108,8 +109,11 @@ def read_json(path, remedy):
         The file is missing, unreadable, or not a JSON object.
     """
     try:
-        with open(str(path), encoding="utf-8") as file:
-            value = json.load(file)
+        with open(str(path), "rb") as file:
+            content = file.read(limits.TEXT_BYTES + 1)
+        if len(content) > limits.TEXT_BYTES:
+            raise UserError(f"{path}: larger than any file of this kind; {remedy}")
+        value = json.loads(content.decode("utf-8"))
     except OSError as error:
         raise UserError(f"{path}: cannot read ({error.strerror or error}); {remedy}") from error
     except (ValueError, RecursionError) as error:
@@ -132,17 +136,29 @@ def write_arrays(path, compress=True, **arrays):
                 np.lib.format.write_array(stream, np.asarray(arrays[name]), allow_pickle=False)
 
 
-def read_arrays(path, remedy):
+def read_arrays(path, remedy, most=limits.ARRAY_BYTES):
     """Read every array of an ``.npz`` file into a dict, refusing pickled objects.
+
+    Parameters
+    ----------
+    path : path-like
+    remedy : str
+        What the user can do if the file is missing or damaged; ends the error's line.
+    most : int
+        Bytes that the arrays may take.
 
     Raises
     ------
     UserError
-        The file is missing, damaged, or holds anything but plain arrays.
+        The file is missing, damaged, too large, or holds anything but plain arrays.
     """
     try:
         with np.load(str(path), allow_pickle=False) as archive:
+            if sum(member.file_size for member in archive.zip.infolist()) > most:
+                raise UserError(f"{path}: arrays of more than {most >> 20} MB; {remedy}")
             arrays = {name: archive[name] for name in archive.files}
+    except UserError:
+        raise
     except OSError as error:
         raise UserError(f"{path}: cannot read ({error.strerror or error}); {remedy}") from error
     except (ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:

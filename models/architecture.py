@@ -315,6 +315,17 @@ class Architecture:
         }
 
     @property
+    def event_weight_shapes(self) -> dict:
+        """The same of a spiking network on events (:mod:`models.spiking`).
+
+        Each layer of neurons has two time constants more; the output has no bias.
+        """
+        shapes = {n: s for n, s in self.weight_shapes.items() if n != "output.bias"}
+        for name in self.names[:-1]:
+            shapes |= {f"{name}.tau_u": (), f"{name}.tau_v": ()}
+        return shapes
+
+    @property
     def parameters(self) -> int:
         """Number of trained values."""
         return sum(_size(shape) for shape in self.weight_shapes.values())

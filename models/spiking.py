@@ -44,7 +44,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.architecture import Architecture
-from models.keras2 import tf
+from models.keras2 import quiet_compiler, tf
 
 WEIGHT_LEVELS = 127
 """Largest magnitude of an 8-bit weight that may have either sign."""
@@ -135,6 +135,7 @@ class SpikingNetwork(tf.Module):
 
     def __init__(self, architecture: Architecture, neuron: Neuron | None = None, seed: int = 0):
         super().__init__()
+        quiet_compiler()
         self.architecture, self.neuron = architecture, neuron or Neuron()
         kinds = [layer.kind for layer in architecture.layers]
         if "pool" in kinds:

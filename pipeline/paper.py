@@ -5,6 +5,12 @@
 
 from __future__ import annotations
 
+ROWS = COLUMNS = 10
+"""Of taxels (Section 2.1)."""
+
+CLASSES = 10
+"""Digits."""
+
 TEST_FRACTION = 0.2
 """Share of the samples that test: random 80-20 splits (Section 3.2)."""
 

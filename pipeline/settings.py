@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, NamedTuple, get_type_hints
 
+from deploy import limits
 from deploy.errors import UserError
 from deploy.files import replacing
 from deploy.network.spec import Presentation
@@ -26,6 +27,9 @@ from models.architecture import NotationError, parse
 from pipeline import paper
 
 AGGREGATIONS = ("count", "columns", "signed", "on", "off")
+RECIPES = ("loihi", "paper", "as-is")
+SIMULATED = "simulated"
+"""The name of the built-in recordings."""
 NORMALISATIONS = ("max", "sum", "sqrt-max", "none")
 
 
@@ -41,13 +45,31 @@ def one_of(*values) -> Limit:
     return Limit(lambda value: value in values, "one of " + ", ".join(values))
 
 
-SEED = Limit(lambda value: 0 <= value < 2**31, f"from 0 to {2**31 - 1}")
-AT_LEAST_0 = Limit(lambda value: value >= 0, "0 or more")
-AT_LEAST_1 = Limit(lambda value: value >= 1, "1 or more")
-ABOVE_0 = Limit(lambda value: value > 0, "above 0")
+def between(low, high, unit="") -> Limit:
+    """The limit of a setting from ``low`` to ``high``, both included."""
+    return Limit(lambda value: low <= value <= high, f"from {low:.10g} to {high:.10g}{unit}")
+
+
+LARGEST = 2**53
+"""Of any number: all whole ones up to it are the same in every format."""
+
+LONGEST_TEXT = 4096
+
+SEED = between(0, 2**31 - 1)
+EPOCHS, BATCH = between(1, limits.EPOCHS), between(1, limits.BATCH)
+OWN_EPOCHS, OWN_BATCH = between(0, limits.EPOCHS), between(0, limits.BATCH)
+STEPS, STEPS_OR_NONE = between(1, limits.STEPS), between(0, limits.STEPS)
+SAMPLES, SAMPLES_OR_ALL = between(1, limits.SAMPLES), between(0, limits.SAMPLES)
+TAU = between(1e-6, limits.SECONDS, " seconds")
+TAU_OR_NONE = between(0, limits.SECONDS, " seconds")
+REFRACTORY = between(1e-9, limits.REFRACTORY_S, " seconds")
+AT_LEAST_0 = between(0, 1000)
+ABOVE_0 = Limit(lambda value: 0 < value <= 1000, "above 0, at most 1000")
 INSIDE_0_1 = Limit(lambda value: 0 < value < 1, "between 0 and 1")
 FROM_0_BELOW_1 = Limit(lambda value: 0 <= value < 1, "from 0 to below 1")
 RATE = Limit(lambda value: 0 < value <= 1000, "above 0, at most 1000")
+STEP = between(0.1, 1000, " milliseconds")
+SIDE = between(0, 256)
 POP_TYPE = Limit(lambda value: value in (16, 32), "16 or 32")
 
 
@@ -56,13 +78,35 @@ class Data:
     """Which recordings."""
 
     source: str = "simulated"
-    """``simulated``, or the path of an ST-MNIST zip or folder."""
+    """``simulated``, or the path of a zip or folder of recordings, such as ST-MNIST's."""
     simulation_seed: Annotated[int, SEED] = 0
     """Seed of simulated recordings; the experiment's own seed does not change them."""
-    samples_per_digit: Annotated[int, AT_LEAST_0] = 0
+    samples_per_digit: Annotated[int, SAMPLES_OR_ALL] = 0
     """Simulated recordings of each digit; 0 for the published numbers, 6,953 in all."""
     skip_bad: bool = False
     """Leave out files that cannot be read instead of stopping."""
+
+
+@dataclass(frozen=True)
+class Input:
+    """What the network that goes to the chip is shown."""
+
+    kind: Annotated[str, one_of("image", "events")] = "image"
+    """``image``: a recording's tactile image as evenly spaced spikes, as in the paper; ``events``:
+    the skin's own events, one spike each."""
+    step: Annotated[float, STEP] = 20.0
+    """Milliseconds on the skin for which one step of the chip stands; of ``events`` only."""
+
+
+@dataclass(frozen=True)
+class Skin:
+    """The array of taxels."""
+
+    rows: Annotated[int, SIDE] = 0
+    """Rows of taxels; 0: ten of the simulated skin, of recordings as their look-up table or their
+    largest coordinate says."""
+    columns: Annotated[int, SIDE] = 0
+    """Columns of taxels; 0 as for the rows."""
 
 
 @dataclass(frozen=True)
@@ -94,25 +138,30 @@ class CNN:
 
     architecture: str = "10x10-6c4-24c3-10o"
     """Input, convolutions (``6c4``: six filters of 4x4) and outputs."""
-    epochs: Annotated[int, AT_LEAST_1] = 20
+    epochs: Annotated[int, EPOCHS] = 20
     """Passes over the training samples."""
-    batch_size: Annotated[int, AT_LEAST_1] = 32
+    batch_size: Annotated[int, BATCH] = 32
     """Not given in the paper; Keras's default."""
     learning_rate: Annotated[float, ABOVE_0] = 0.001
     """Not given in the paper; Keras's default for RMSProp."""
+    model: str = ""
+    """A Keras model file whose weights stand in for trained ones; ``convert --model`` sets it."""
+    model_sha256: str = ""
+    """Of that file's content."""
 
 
 @dataclass(frozen=True)
 class SNN:
     """Training with rate-based LIF neurons (paper, Section 3.2.2)."""
 
-    recipe: Annotated[str, one_of("loihi", "paper")] = "loihi"
+    recipe: Annotated[str, one_of(*RECIPES)] = "loihi"
     """``loihi``: the chip's rates and 8-bit weights in the forward pass, noise that stands for
     the ripple of spikes, starting from the CNN's weights; ``paper``: plain rate-based LIF, from
-    new weights, trained as the CNN is."""
-    epochs: Annotated[int, AT_LEAST_0] = 0
+    new weights, trained as the CNN is; ``as-is``: the CNN's weights, scaled to the neurons' range
+    and not trained on."""
+    epochs: Annotated[int, OWN_EPOCHS] = 0
     """Passes over the training samples; 0 for the recipe's own."""
-    batch_size: Annotated[int, AT_LEAST_0] = 0
+    batch_size: Annotated[int, OWN_BATCH] = 0
     """Samples a step; 0 for the recipe's own."""
     learning_rate: Annotated[float, AT_LEAST_0] = 0.0
     """At the start; 0 for the recipe's own."""
@@ -125,14 +174,38 @@ class SNN:
     max_rates: tuple = (150.0, 150.0)
     """Spikes a second of the neurons of each convolution and hidden dense layer at activation 1;
     the last entry holds for all layers after it."""
-    tau_rc: Annotated[float, ABOVE_0] = 0.02
+    tau_rc: Annotated[float, TAU] = 0.02
     """Membrane time constant in seconds."""
-    tau_ref: Annotated[float, ABOVE_0] = 0.001
+    tau_ref: Annotated[float, REFRACTORY] = 0.001
     """Refractory period in seconds."""
+
+    @property
+    def is_on_chip(self) -> bool:
+        """Whether the rate-based network has the chip's rates and 8-bit weights."""
+        return self.recipe != "paper"
 
     def max_rate(self, index: int) -> float:
         """Of layer of neurons ``index``, from 0."""
         return self.max_rates[min(index, len(self.max_rates) - 1)]
+
+
+@dataclass(frozen=True)
+class Events:
+    """The spiking network that is trained on events; see :mod:`pipeline.training.events`."""
+
+    architecture: str = "10x10x2-12c4s2-64-10o"
+    """As the CNN's, with a channel for each polarity and at least one hidden layer; no pooling."""
+    epochs: Annotated[int, EPOCHS] = 80
+    """Passes over the training samples."""
+    batch_size: Annotated[int, BATCH] = 32
+    """Samples a step."""
+    learning_rate: Annotated[float, ABOVE_0] = 0.003
+    """Of Adam; it falls to 0 along a half cosine."""
+    early: Annotated[float, AT_LEAST_0] = 0.3
+    """Weight in the loss of being right while the digit is still being written."""
+    budget: Annotated[float, ABOVE_0] = 0.9
+    """Synaptic operations of an inference, in multiples of the paper's CNN's multiply-accumulates,
+    past which the loss has a price."""
 
 
 @dataclass(frozen=True)
@@ -141,11 +214,11 @@ class Slayer:
 
     architecture: str = "10x10x2-6c2-24c3-10o"
     """As the CNN's, with a channel for each polarity."""
-    bins: Annotated[int, AT_LEAST_1] = 200
+    bins: Annotated[int, STEPS] = 200
     """Time steps; of two seconds, so 10 ms each (paper)."""
-    epochs: Annotated[int, AT_LEAST_1] = 100
+    epochs: Annotated[int, EPOCHS] = 100
     """Passes over the training samples."""
-    batch_size: Annotated[int, AT_LEAST_1] = 32
+    batch_size: Annotated[int, BATCH] = 32
     """Not given in the paper."""
     learning_rate: Annotated[float, ABOVE_0] = 0.01
     """Not given in the paper; that of the SLAYER authors' own examples, as is the optimiser."""
@@ -153,10 +226,10 @@ class Slayer:
     """Desired spikes of the right digit's output neuron (paper)."""
     false_count: float = 10.0
     """Desired spikes of each other output neuron (paper)."""
-    tau_s: Annotated[float, ABOVE_0] = 0.1
+    tau_s: Annotated[float, TAU] = 0.1
     """Time constant in seconds of a neuron's response to a spike.  Not given in the paper; the
     SLAYER authors' own examples have 10 time steps, which are 0.1 s here."""
-    tau_r: Annotated[float, ABOVE_0] = 0.01
+    tau_r: Annotated[float, TAU] = 0.01
     """Time constant in seconds of its refractory response; 1 time step in those examples."""
     conv_scale: Annotated[float, ABOVE_0] = 100.0
     """How far the first weights of a convolution reach, in units of 1/sqrt(inputs): that of the
@@ -179,7 +252,7 @@ class Deployment:
     """Spikes a second of a pixel of value 1."""
     input_phase: Annotated[float, FROM_0_BELOW_1] = 0.5
     """Voltage of the input neurons at the start of a stream."""
-    synapse: Annotated[float, AT_LEAST_0] = 0.008
+    synapse: Annotated[float, TAU_OR_NONE] = 0.008
     """Time constant in seconds of the low-pass on every spiking connection; 0 for none."""
     pop_type: Annotated[int, POP_TYPE] = 32
     """How convolutions' axons are laid out on the chip; 16 halves them, and wants filters in
@@ -190,13 +263,13 @@ class Deployment:
 class Showing:
     """How samples are shown; see :class:`deploy.network.spec.Presentation`."""
 
-    steps: Annotated[int, AT_LEAST_1] = Presentation.steps
-    """Steps of 1 ms that a sample is shown."""
-    gap: Annotated[int, AT_LEAST_0] = Presentation.gap
+    steps: Annotated[int, STEPS] = Presentation.steps
+    """Steps that a sample is shown: of 1 ms, or with events each of ``input.step``."""
+    gap: Annotated[int, STEPS_OR_NONE] = Presentation.gap
     """Blank steps before each sample."""
     readout_start: int = Presentation.readout_start
-    """Step from which on the mean of the outputs decides."""
-    stream_length: Annotated[int, AT_LEAST_1] = Presentation.stream_length
+    """Step from which on the mean of the outputs decides; with events it is the first."""
+    stream_length: Annotated[int, SAMPLES] = Presentation.stream_length
     """Samples that are shown one after the other before the network starts afresh."""
 
 
@@ -204,7 +277,7 @@ class Showing:
 class Check:
     """The check that every target answers."""
 
-    samples: Annotated[int, AT_LEAST_1] = paper.CHECK_SAMPLES
+    samples: Annotated[int, SAMPLES] = paper.CHECK_SAMPLES
     """Drawn at random from the test split, as in the paper."""
 
 
@@ -215,10 +288,13 @@ class Settings:
     seed: Annotated[int, SEED] = 0
     """Of the split, the training and the choice of the check's samples."""
     data: Data = field(default_factory=Data)
+    input: Input = field(default_factory=Input)
+    skin: Skin = field(default_factory=Skin)
     image: Image = field(default_factory=Image)
     split: Split = field(default_factory=Split)
     cnn: CNN = field(default_factory=CNN)
     snn: SNN = field(default_factory=SNN)
+    events: Events = field(default_factory=Events)
     slayer: Slayer = field(default_factory=Slayer)
     deployment: Deployment = field(default_factory=Deployment)
     presentation: Showing = field(default_factory=Showing)
@@ -243,6 +319,22 @@ class Settings:
         _validate(settings, origin)
         return settings
 
+    def presented(self, confidence: float | None = None) -> Presentation:
+        """How samples are shown; events are read from the first step on.
+
+        Parameters
+        ----------
+        confidence : float, optional
+            See :class:`deploy.network.spec.Presentation`.
+        """
+        shown = {**vars(self.presentation), "confidence": confidence}
+        return Presentation(**(shown | {"readout_start": 0} if self.on_events else shown))
+
+    @property
+    def on_events(self) -> bool:
+        """Whether the chip is shown events, not images."""
+        return self.input.kind == "events"
+
     def to_json(self) -> dict:
         """As plain values."""
         return asdict(self)
@@ -261,10 +353,14 @@ def read_settings(path) -> Settings:
         It cannot be read, is not TOML, or has an unknown or wrong setting.
     """
     try:
-        values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        with Path(path).open("rb") as file:
+            content = file.read(limits.SETTINGS_BYTES + 1)
+        if len(content) > limits.SETTINGS_BYTES:
+            raise UserError(f"{path}: larger than any file of settings; mend or delete it")
+        values = tomllib.loads(content.decode("utf-8"))
     except OSError as error:
         raise UserError(f"{path}: cannot read ({error.strerror}); check the path") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: not valid TOML ({error}); mend or delete it") from error
     return Settings().with_values(values, str(path))
 
@@ -331,7 +427,7 @@ def parse_assignments(assignments) -> dict:
             raise UserError(f"--set {assignment!r}: expected section.name=value")
         try:
             value = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
+        except (ValueError, RecursionError):
             value = text.strip()
         *sections, last = name.strip().split(".")
         place = values
@@ -357,7 +453,7 @@ def _changed(settings, changes, origin, prefix):
         full = prefix + name
         if name not in known:
             raise UserError(
-                f"{origin}: unknown setting {full!r}; known here: {', '.join(sorted(known))}"
+                f"{origin}: unknown setting {_short(full)}; known here: {', '.join(sorted(known))}"
             )
         default = known[name]
         if hasattr(default, "__dataclass_fields__"):
@@ -374,24 +470,39 @@ def _changed(settings, changes, origin, prefix):
 
 def _coerced(value, default, origin, name):
     def fail(kind):
-        raise UserError(f"{origin}: {name!r} must be {kind}, not {value!r}")
+        raise UserError(f"{origin}: {name!r} must be {kind}, not {_short(value)}")
 
     if isinstance(default, bool):
         return value if isinstance(value, bool) else fail("true or false")
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if isinstance(default, int):
-        return value if number and isinstance(value, int) else fail("a whole number")
+        if not number or not isinstance(value, int) or abs(value) > LARGEST:
+            fail("a whole number")
+        return value
     if isinstance(default, float):
-        return float(value) if number and math.isfinite(value) else fail("a number")
+        if not number or not -LARGEST <= value <= LARGEST:  # NaN is neither
+            fail("a number")
+        return float(value)
     if isinstance(default, tuple):
         if not isinstance(value, (list, tuple)):
             fail("a list")
+        if len(value) > limits.LAYERS:
+            fail(f"a list of at most {limits.LAYERS} values")
         return tuple(_coerced(entry, default[0], origin, name) for entry in value)
     try:
-        value.encode()
+        if len(value.encode()) > LONGEST_TEXT:
+            fail(f"text of at most {LONGEST_TEXT} bytes")
     except (AttributeError, UnicodeEncodeError):
         fail("text (in UTF-8)")
     return value
+
+
+def _short(value):
+    try:
+        text = repr(value)
+    except ValueError:
+        return "a number of thousands of digits"
+    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def _entries(settings, prefix=""):
@@ -431,27 +542,71 @@ def _validate(s: Settings, origin):
         limit = _limits(type(section)).get(entry)
         if limit is not None:
             need(limit.holds(getattr(section, entry)), name, limit.expected)
-    need(0 <= s.presentation.readout_start < s.presentation.steps, "presentation.readout_start",
-         f"from 0 to below presentation.steps ({s.presentation.steps})")  # fmt: skip
-    need(_parsed(s.slayer.architecture, "slayer.architecture", origin).input_shape == (10, 10, 2),
-         "slayer.architecture", "for 10x10x2, a channel for each polarity")  # fmt: skip
+    inside = 0 <= s.presentation.readout_start < s.presentation.steps
+    need(s.on_events or inside, "presentation.readout_start",
+         f"from 0 to below presentation.steps ({s.presentation.steps}), not "
+         f"{s.presentation.readout_start}; with so few steps give another one too, such as "
+         f"--set presentation.readout_start={s.presentation.steps // 5}")  # fmt: skip
+    on_events = _parsed(s.events.architecture, "events.architecture", origin)
+    need(len(on_events.layers) > 1 and all(layer.kind != "pool" for layer in on_events.layers),
+         "events.architecture", "a network with a hidden layer and without pooling")  # fmt: skip
+    of_events = _parsed(s.slayer.architecture, "slayer.architecture", origin)
     architecture = _parsed(s.cnn.architecture, "cnn.architecture", origin)
-    need(architecture.input_shape == (10, 10, 1), "cnn.architecture",
-         "for a tactile image of 10x10")  # fmt: skip
+    if s.data.source == SIMULATED:  # the sensor of recordings is known once they are read
+        rows, columns = s.skin.rows or paper.ROWS, s.skin.columns or paper.COLUMNS
+        check_fits(s, rows, columns, paper.CLASSES, origin)
+        if (rows, columns) == (paper.ROWS, paper.COLUMNS):  # else it need not be in use
+            need(of_events.input_shape == (rows, columns, 2), "slayer.architecture",
+                 f"for {rows}x{columns}x2, a channel for each polarity")  # fmt: skip
     n_spiking = len(architecture.spiking)
     need(n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output")
-    need(architecture.outputs == 10, "cnn.architecture", "a network with an output for each digit")
     on_chip = architecture.convs[1:] if s.deployment.first_layer == "host" else architecture.convs
     need(s.deployment.pop_type == 32 or not any(conv.filters % 4 for conv in on_chip),
          "deployment.pop_type", "32 unless filters on the chip come in multiples of 4")  # fmt: skip
-    need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) > 0, "snn.max_rates",
+    need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3, "snn.max_rates",
          f"1 to {n_spiking} rates above 0, one a layer of neurons")  # fmt: skip
     need(max(s.snn.max_rates) * s.snn.tau_ref < 1, "snn.max_rates",
          f"below 1 / snn.tau_ref = {1 / s.snn.tau_ref:g} spikes a second")  # fmt: skip
 
 
+def check_fits(s: Settings, rows: int, columns: int, classes: int, origin: str):
+    """Refuse an architecture that is not for what is shown, of this size and so many classes.
+
+    Raises
+    ------
+    UserError
+        With the architecture that would be, but for the layers between.
+    """
+    if s.on_events:
+        name, text, size = "events.architecture", s.events.architecture, f"{rows}x{columns}x2"
+        what, shape = f"events of {rows}x{columns} taxels", (rows, columns, 2)
+    else:
+        name, text, size = "cnn.architecture", s.cnn.architecture, f"{rows}x{columns}"
+        what, shape = f"a tactile image of {size}", (rows, columns, 1)
+    architecture = parse(text)
+    if architecture.input_shape != shape or architecture.outputs != classes:
+        if s.cnn.model and not s.on_events:
+            found = "x".join(map(str, architecture.input_shape))
+            raise UserError(
+                f"{s.cnn.model}: for an input of {found} and {architecture.outputs} classes; the "
+                f"tactile images have {rows}x{columns}x1 and {classes} classes: train one for those"
+            )
+        like = "-".join([size, *map(str, architecture.layers[:-1]), f"{classes}o"])
+        raise UserError(
+            f"{origin}: {name!r} must be for {what} and {classes} classes, such as {like}, "
+            f"not {text}"
+        )
+
+
 def _parsed(architecture, name, origin):
     try:
-        return parse(architecture)
+        parsed = parse(architecture)
     except NotationError as error:
         raise UserError(f"{origin}: {name!r}: {error}") from error
+    weights = sum(map(math.prod, parsed.weight_shapes.values()))
+    if weights > limits.WEIGHTS or max(map(math.prod, parsed.shapes)) > limits.NEURONS:
+        raise UserError(
+            f"{origin}: {name!r} must be a network of at most {limits.WEIGHTS} weights, "
+            f"and {limits.NEURONS} neurons in a layer"
+        )
+    return parsed

@@ -57,7 +57,7 @@ def imported(path):
 
 FLOORS = {
     "pipeline": [
-        {"paper", "progress", "temporary"},
+        {"jobs", "paper", "progress", "temporary"},
         {"settings"},
         {"recordings"},
         {"skin"},
@@ -70,7 +70,7 @@ FLOORS = {
         {"__main__"},
     ],
     "deploy": [
-        {"errors", "interrupts", "tables", "requirements"},
+        {"errors", "interrupts", "limits", "tables", "requirements"},
         {"files"},
         {"network"},
         {"preflight"},

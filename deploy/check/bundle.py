@@ -24,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .. import limits
 from ..errors import UserError
 from ..files import read_arrays, read_json, replacing, sha256_of, write_arrays, write_json
 from ..network.spec import NetworkSpec
@@ -179,24 +180,46 @@ def read_bundle(path) -> Bundle:
 
 def _read_checks(path, spec):
     arrays = read_arrays(path, _REMEDY)
+    wrong = _wrong_with(arrays, spec)
+    if wrong is not None:
+        raise UserError(f"{path}: does not fit the network: {wrong}; {_REMEDY}")
+    inputs = _inputs_of(arrays)
+    return CheckSet(
+        inputs=inputs.astype(float) if spec.stimulus.held else inputs,
+        labels=arrays["labels"],
+        ids=tuple(arrays["ids"].tolist()),
+        seed=int(arrays["seed"]),
+    )
+
+
+def _inputs_of(arrays):
+    return arrays["inputs" if "inputs" in arrays else "images"]  # of the first schema
+
+
+def _wrong_with(arrays, spec):
+    """What keeps arrays from being the samples of a network's check, or None."""
+    if sorted(arrays) not in (["ids", name, "labels", "seed"] for name in ("images", "inputs")):
+        held = ", ".join(sorted(arrays)[:10])
+        return f"not the samples of a check, ids, inputs, labels and seed, but {held}"
+    inputs, labels, ids, seed = (
+        _inputs_of(arrays), *(arrays[name] for name in ("labels", "ids", "seed"))
+    )  # fmt: skip
+    kinds = (array.dtype.kind for array in (labels, ids, seed))
+    if not all(kind in known for kind, known in zip(kinds, ("iu", "U", "iu"))):
+        return "labels and seed are not whole numbers, or ids not text"
+    if (labels.ndim, ids.ndim, seed.ndim) != (1, 1, 0) or inputs.ndim < 1:
+        return "inputs, labels and ids have other shapes"
+    if not limits.SAMPLES >= len(inputs) == len(labels) == len(ids) >= 1:
+        return "inputs, labels and ids differ in number, or there are none or too many"
+    classes = spec.layers[-1].size
+    if labels.min() < 0 or labels.max() >= classes:
+        return f"labels are not from 0 to {classes - 1}"
     try:
-        inputs = arrays["inputs" if "inputs" in arrays else "images"]
-        checks = CheckSet(
-            inputs=inputs.astype(float) if spec.stimulus.held else inputs,
-            labels=arrays["labels"],
-            ids=tuple(str(name) for name in arrays["ids"]),
-            seed=int(arrays["seed"]),
-        )
-        count = len(checks.labels)
-        steps = spec.presentation.steps
-        complaint = spec.stimulus.complaint(checks.inputs, spec.input_shape, steps)
-        if complaint is None and not len(checks.inputs) == len(checks.ids) == count >= 1:
-            complaint = "inputs, labels and ids differ in number, or there are none"
-    except (KeyError, ValueError, TypeError) as error:
-        raise UserError(f"{path}: not the samples of a check ({error}); {_REMEDY}") from error
-    if complaint is not None:
-        raise UserError(f"{path}: does not fit the network: {complaint}; {_REMEDY}")
-    return checks
+        if len({name.encode("utf-8") for name in ids.tolist()}) != len(ids):
+            return "two samples have one id"
+    except UnicodeEncodeError:
+        return "an id is not text in UTF-8"
+    return spec.stimulus.complaint(inputs, spec.input_shape, spec.presentation.steps)
 
 
 def _check_schema(path, found, known):

@@ -76,6 +76,13 @@ def _batches(samples, stream_length):
         yield samples[part][None]
 
 
+def chip_rates(spec: NetworkSpec, samples) -> Dict[str, dict]:
+    """The summary of the layers on the chip; see :func:`firing_rates` and :func:`rate_summary`."""
+    on_chip = [layer.name for layer in spec.layers if layer.placement == "chip"]
+    rates = firing_rates(spec, samples)
+    return rate_summary({name: rates[name] for name in on_chip}, spec.stimulus.step_seconds)
+
+
 def silent_share(rates) -> float:
     """Share of the neurons that fire on none of the samples.
 
@@ -109,6 +116,7 @@ def rate_summary(rates: Dict[str, np.ndarray], dt: float = DT) -> Dict[str, dict
             "p99_hz": p99,
             "max_hz": float(values.max()),
             "step_at_p99": p99 * dt / (1 + p99 * dt),
+            "coarse_above_hz": COARSE / dt,
             "coarse": float(np.mean(firing > COARSE / dt)) if firing.size else 0.0,
         }
     return summary
@@ -136,7 +144,7 @@ def rate_warnings(summary: Dict[str, dict]) -> List[str]:
             lines.append(f"layer {name}: no neuron fires; its bias or its weights are too small")
         elif layer["coarse"] > 0.05:
             lines.append(
-                f"layer {name}: {layer['coarse']:.0%} of the rates are above {COARSE / DT:g} Hz, "
-                "where they are a quarter and more apart; train for lower rates"
+                f"layer {name}: {layer['coarse']:.0%} of the rates are above "
+                f"{layer['coarse_above_hz']:g} Hz, a quarter and more apart; train for lower"
             )
     return lines

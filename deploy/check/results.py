@@ -11,14 +11,19 @@ import numpy as np
 
 from ..errors import UserError
 from ..files import read_json
+from ..network.decision import share_of_time
 from ..network.loihi_import import nengo_loihi
 from ..network.operations import multiply_accumulates
 from .intervals import mcnemar, wilson_interval
 
 SCHEMA = "stmnist-check/1"
 
-PUBLISHED = ("id", "label", "prediction", "scores", "decided_at", "spike_hash")
-"""What a result says of each sample; the last from targets that keep single spikes."""
+PUBLISHED = ("id", "label", "prediction", "scores", "decided_at", "stopped_at", "spike_hash")
+"""What a result says of each sample; the last two where there is a confidence to be reached, and
+from targets that keep single spikes."""
+
+SHARES = tuple(tenths / 10 for tenths in range(1, 11))
+"""Of the time that a sample was written in, at which the accuracy is told."""
 
 
 def versions() -> dict:
@@ -75,6 +80,7 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
         "accuracy_ci95": list(wilson_interval(correct, len(samples))),
         "decided_at_median": float(np.median([sample["decided_at"] for sample in samples])),
         "anytime_accuracy": [float(share) for share in right.mean(0)],
+        **_while_written(bundle, decisions, labels, samples),
         "samples": [{key: sample[key] for key in PUBLISHED if key in sample} for sample in samples],
         "spikes": total("spikes"),
         "synaptic_operations": total("operations"),
@@ -83,6 +89,40 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
         "versions": {**versions(), **extra.pop("versions", {})},
         **extra,
     }
+
+
+def _while_written(bundle, decisions, labels, samples) -> dict:
+    """How right the network is while a sample is still being written; of frames of events only.
+
+    A sample is written until its last event; a step later than the last is one after the end.
+    """
+    spec = bundle.spec
+    if spec.stimulus.held:
+        return {}
+    busy = np.asarray(bundle.checks.inputs).reshape(len(labels), spec.presentation.steps, -1).any(2)
+    written = np.where(busy.any(1), busy.shape[1] - np.argmax(busy[:, ::-1], 1), 1)
+    everyone = np.arange(len(labels))
+
+    def right_at(steps):
+        return decisions[everyone, np.minimum(steps, decisions.shape[1]) - 1] == labels
+
+    value = {
+        "step_ms": 1000 * spec.stimulus.step_seconds,
+        "written_steps_mean": float(written.mean()),
+        "shares": list(SHARES),
+        "accuracy": [float(right_at(np.ceil(s * written).astype(int)).mean()) for s in SHARES],
+    }
+    if all("stopped_at" in sample for sample in samples):
+        stopped = np.array([sample["stopped_at"] for sample in samples])
+        right = right_at(stopped)
+        value["by_itself"] = {
+            "confidence": spec.presentation.confidence,
+            "accuracy": float(right.mean()),
+            "accuracy_ci95": list(wilson_interval(int(right.sum()), len(right))),
+            "share_of_writing_mean": float(share_of_time(stopped - 1, written - 1).mean()),
+            "before_the_end": float((stopped < written).mean()),
+        }
+    return {"while_written": value}
 
 
 def read_result(path, remedy="run 'stmnist check run' again") -> dict:
@@ -104,23 +144,83 @@ def read_result(path, remedy="run 'stmnist check run' again") -> dict:
         raise UserError(
             f"{path}: schema {result.get('schema')!r}, but this version reads {SCHEMA!r}; {remedy}"
         )
-    try:
-        samples = result["samples"]
-        right = sum(int(sample["label"]) == int(sample["prediction"]) for sample in samples)
-        sound = (
-            len(samples) == result["n_samples"]
-            and len({sample["id"] for sample in samples}) == len(samples)
-            and abs(right / len(samples) - result["accuracy"]) < 1e-9
-            and isinstance(result["bundle"], str)
-            and isinstance(result["target"], str)
-            and len([float(bound) for bound in result["accuracy_ci95"]]) == 2
-            and {"simulated", "spikes", "wall_seconds", "steps_per_sample"} <= result.keys()
-        )
-    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
-        raise UserError(f"{path}: not a whole check result ({error!r}); {remedy}") from error
+    for name, fits in _FIELDS.items():
+        if not fits(result[name]) if name in result else name not in _OPTIONAL:
+            raise UserError(
+                f"{path}: not a whole check result ({name!r} is missing or wrong); {remedy}"
+            )
+    samples = result["samples"]
+    for index, sample in enumerate(samples):
+        if not _is_sample(sample):
+            raise UserError(f"{path}: not a whole check result (sample {index + 1}); {remedy}")
+    right = sum(sample["label"] == sample["prediction"] for sample in samples)
+    sound = (
+        len(samples) == result["n_samples"]
+        and len({sample["id"] for sample in samples}) == len(samples)
+        and abs(right / len(samples) - result["accuracy"]) < 1e-9
+    )
     if not sound:
         raise UserError(f"{path}: its samples and its accuracy contradict each other; {remedy}")
     return result
+
+
+def _is_count(value, below=2**53):
+    return type(value) is int and 0 <= value < below
+
+
+def _is_number(value):
+    return type(value) in (int, float) and -1e300 <= value <= 1e300  # which NaN is not
+
+
+def _are_numbers(values):
+    return isinstance(values, list) and all(map(_is_number, values))
+
+
+def _is_text(value):
+    try:
+        return isinstance(value, str) and len(value.encode("utf-8")) <= 10_000
+    except UnicodeEncodeError:
+        return False
+
+
+def _are_counts(values):
+    """True of what is counted by layer."""
+    return isinstance(values, dict) and all(_is_number(v) and v >= 0 for v in values.values())
+
+
+_FIELDS = {
+    "bundle": _is_text,
+    "target": _is_text,
+    "n_samples": _is_count,
+    "samples": lambda v: isinstance(v, list) and len(v) >= 1,
+    "accuracy": _is_number,
+    "accuracy_ci95": lambda v: _are_numbers(v) and len(v) == 2,
+    "decided_at_median": _is_number,
+    "anytime_accuracy": _are_numbers,
+    "steps_per_sample": _is_count,
+    "simulated": lambda v: v is None or isinstance(v, bool),
+    "spikes": _are_counts,
+    "synaptic_operations": _are_counts,
+    "wall_seconds": lambda v: _is_number(v) and v >= 0,
+    "versions": lambda v: isinstance(v, dict) and all(map(_is_text, v.values())),
+}
+"""What is read from a result, and of what kind it must be."""
+
+_OPTIONAL = {"decided_at_median", "anytime_accuracy", "synaptic_operations", "versions"}
+"""What a comparison can do without."""
+
+
+def _is_sample(value):
+    if not isinstance(value, dict) or not _are_numbers(value.get("scores")):
+        return False
+    classes = len(value["scores"])
+    return (
+        _is_text(value.get("id"))
+        and _is_count(value.get("label"), classes)
+        and _is_count(value.get("prediction"), classes)
+        and _is_count(value.get("decided_at"))
+        and ("spike_hash" not in value or _is_text(value["spike_hash"]))
+    )
 
 
 @dataclass(frozen=True)

@@ -96,7 +96,7 @@ def _advance(advance, record):
 
 def records_of(bundle: Bundle, part: slice, responses: Responses) -> list:
     """What is kept of each sample of a part of the check."""
-    checks, hashes = bundle.checks, responses.spike_hashes
+    checks, hashes, stops = bundle.checks, responses.spike_hashes, responses.stopped_at
     return [
         {
             "id": checks.ids[index],
@@ -107,6 +107,7 @@ def records_of(bundle: Bundle, part: slice, responses: Responses) -> list:
             "decisions": [int(decision) for decision in responses.decisions[i]],
             "spikes": {name: int(counts[i]) for name, counts in responses.spikes.items()},
             "operations": {name: int(counts[i]) for name, counts in responses.operations.items()},
+            **({} if stops is None else {"stopped_at": int(stops[i])}),
             **({} if hashes is None else {"spike_hash": str(hashes[i])}),
         }
         for i, index in enumerate(range(part.start, part.stop))

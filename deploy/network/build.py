@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import nengo
 import numpy as np
 
-from .chip import LOIHI
+from .blocks import block_shapes
+from .geometry import unpooled, windows
 from .loihi_import import nengo_loihi
 from .spec import Layer, NetworkSpec
 from .stimulus import EventFrames, Feed
@@ -104,7 +105,7 @@ def build(spec: NetworkSpec, seed: int = 0) -> Built:
     Built
     """
     feed = Feed(spec.presentation, int(np.prod(spec.input_shape)))
-    spikes = {}
+    spikes, blocks = {}, block_shapes(spec.layers)
     with nengo.Network(label=spec.architecture, seed=seed) as network:
         nengo_loihi.add_params(network)
         source = nengo.Node(feed, size_out=feed.blank.size, label="pixels")
@@ -121,13 +122,16 @@ def build(spec: NetworkSpec, seed: int = 0) -> Built:
                 ensemble = _ensemble(layer)
                 network.config[ensemble].on_chip = layer.placement == "chip"
                 if layer.placement == "chip":
-                    block = layer.block_shape or default_block(layer.shape)
                     network.config[ensemble].block_shape = nengo_loihi.BlockShape(
-                        block, layer.shape
+                        blocks[layer.name], layer.shape
                     )
                 target = ensemble.neurons
+            transform, inputs = _transform(layer)
             connection = nengo.Connection(
-                source, target, transform=_transform(layer), synapse=layer.synapse
+                source if inputs is None else source[inputs],
+                target,
+                transform=transform,
+                synapse=layer.synapse,
             )
             network.config[connection].pop_type = layer.pop_type
             output = nengo.Probe(target)
@@ -135,21 +139,6 @@ def build(spec: NetworkSpec, seed: int = 0) -> Built:
                 spikes[layer.name] = output
             source = target
     return Built(network, feed, output, spikes)
-
-
-def default_block(shape):
-    """Largest part of a layer, halved along rows and columns, that one core's compartments hold.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        (rows, columns, channels) of a convolution or (units,) of a dense layer.
-    """
-    block = list(shape)
-    while np.prod(block) > LOIHI.limits["compartments"]:
-        axis = int(np.argmax(block[:2])) if max(block[:2]) > 1 else len(block) - 1
-        block[axis] = -(-block[axis] // 2)
-    return tuple(block)
 
 
 def _input_neurons(spec):
@@ -192,13 +181,59 @@ def _ensemble(layer: Layer):
 
 
 def _transform(layer: Layer):
+    """The layer's weights, an averaging before them folded in, and which inputs they are for.
+
+    An averaging over P x P values of which no two squares overlap, followed by a convolution with a
+    kernel of K and a stride of S, is one convolution with a kernel of K P and a stride of S P.
+
+    Returns
+    -------
+    nengo.transforms.Transform
+    inputs : list of int or None
+        None for all of them.
+    """
     if layer.kind == "dense":
-        return nengo.Dense((layer.size, int(np.prod(layer.input_shape))), init=layer.weights)
-    return nengo.Convolution(
+        weights, before = layer.weights, int(np.prod(layer.input_shape))
+        if layer.pool > 1:
+            by_place = np.moveaxis(weights.reshape(layer.size, *layer.read_shape), 0, -1)
+            by_place = unpooled(by_place, layer.input_shape, layer.pool) / layer.pool**2
+            weights = np.moveaxis(by_place, -1, 0).reshape(layer.size, before)
+        return nengo.Dense((layer.size, before), init=weights), None
+    kernel, input_shape, inputs = layer.weights, layer.input_shape, None
+    if layer.pool > 1:
+        kernel, input_shape = _pooled_kernel(layer)
+        if input_shape != layer.input_shape:  # what the averaging leaves over is not to be read
+            places = np.arange(np.prod(layer.input_shape)).reshape(layer.input_shape)
+            inputs = places[: input_shape[0], : input_shape[1]].ravel().tolist()
+    transform = nengo.Convolution(
         n_filters=layer.shape[-1],
-        input_shape=layer.input_shape,
-        kernel_size=(layer.kernel, layer.kernel),
-        strides=(layer.stride, layer.stride),
+        input_shape=input_shape,
+        kernel_size=kernel.shape[:2],
+        strides=(layer.stride * layer.pool,) * 2,
         padding=layer.padding,
-        init=layer.weights,
+        init=kernel,
     )
+    return transform, inputs
+
+
+def _pooled_kernel(layer):
+    """A kernel that averages as it reads, and the shape of the input that it is for.
+
+    Padded, it may need zeros in it: Nengo puts half of a padding before the values, rounded down,
+    where half of the padding of averaged values is a whole number of squares.
+    """
+    pool, stride = layer.pool, layer.stride * layer.pool
+    kernel = layer.weights.repeat(pool, axis=0).repeat(pool, axis=1) / pool**2
+    if layer.padding == "valid":
+        return kernel, layer.input_shape
+    cut = tuple(n * pool for n in layer.read_shape[:2])
+    wanted = [
+        pool * windows(n, layer.kernel, layer.stride, "same")[1] for n in layer.read_shape[:2]
+    ]
+    for zeros in (0, pool):
+        size = len(kernel) + zeros
+        front = [windows(n, size, stride, "same")[1] - pad for n, pad in zip(cut, wanted)]
+        if all(0 <= n <= zeros for n in front):
+            break
+    pads = [(n, zeros - n) for n in front]
+    return np.pad(kernel, (*pads, (0, 0), (0, 0))), (*cut, layer.input_shape[2])

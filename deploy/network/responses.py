@@ -13,6 +13,7 @@ from typing import Dict, Optional
 
 import numpy as np
 
+from .decision import decide
 from .operations import synaptic_operations
 from .spec import NetworkSpec
 from .stream import show
@@ -32,6 +33,9 @@ class Responses:
         Spikes of each layer while the sample was shown and in the gap before it.
     operations : dict of str to ndarray of int, shape (n_samples,)
         Synaptic operations by the layer that receives them, in the same time.
+    stopped_at : ndarray of int, shape (n_samples,), or None
+        Step (from 1) at which the confidence was first reached, the last one where it never was;
+        None where the presentation asks for none.
     spike_hashes : ndarray of str, shape (n_samples,), or None
         Hash of every spike of every layer and step of each sample, its gap included; None from a
         target that does not keep single spikes.
@@ -43,6 +47,7 @@ class Responses:
     decisions: np.ndarray
     spikes: Dict[str, np.ndarray]
     operations: Dict[str, np.ndarray]
+    stopped_at: Optional[np.ndarray] = None
     spike_hashes: Optional[np.ndarray] = None
     notes: dict = field(default_factory=dict)
 
@@ -125,11 +130,16 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
     scores = np.cumsum(window, axis=1) / counts + bias
     decisions = np.full(output.shape[:2], -1)
     decisions[:, start:] = np.argmax(_settled(scores), axis=2)
+    limit = spec.presentation.confidence
+    stopped = None
+    if limit is not None:
+        stopped = start + 1 + decide(_settled(scores * counts), limit)[0]
     return Responses(
         scores=scores[:, -1],
         decisions=decisions,
         spikes={name: counts.sum(axis=-1) for name, counts in spikes.items()},
         operations=synaptic_operations(spec, spikes),
+        stopped_at=stopped,
     )
 
 
@@ -152,8 +162,9 @@ def join(parts) -> Responses:
         return np.concatenate(values)
 
     names = [entry.name for entry in fields(Responses) if entry.name != "notes"]
-    if any(part.spike_hashes is None for part in parts):
-        names.remove("spike_hashes")
+    for name in ("stopped_at", "spike_hashes"):
+        if any(getattr(part, name) is None for part in parts):
+            names.remove(name)
     return Responses(**{name: joined(name) for name in names})
 
 

@@ -15,6 +15,7 @@ from typing import Optional, Tuple
 
 import numpy as np
 
+from .. import limits
 from ..errors import UserError
 from .chip import LOIHI
 from .geometry import convolution_shape, pooled_shape
@@ -48,9 +49,15 @@ class Neurons:
 
     def __post_init__(self):
         _require(self.kind in ("lif", "relu"), "neurons", "kind is neither 'lif' nor 'relu'")
-        _require(self.amplitude > 0, "neurons", "amplitude must be positive")
-        _require(self.tau_rc > 0 and self.tau_ref >= 0, "neurons", "time constants are negative")
-        _require(self.min_voltage <= 0, "neurons", "min_voltage must not be positive")
+        # A comparison with NaN is false: what is asked for is what may be.
+        _require(1e-9 <= self.amplitude <= limits.MAGNITUDE, "neurons",
+                 "amplitude must be positive")  # fmt: skip
+        _require(1e-6 <= self.tau_rc <= limits.SECONDS, "neurons",
+                 f"tau_rc must be from 1e-6 to {limits.SECONDS:g} seconds")  # fmt: skip
+        _require(0 <= self.tau_ref <= limits.REFRACTORY_S, "neurons",
+                 f"tau_ref must be from 0 to {limits.REFRACTORY_S:g} seconds")  # fmt: skip
+        _require(-limits.MAGNITUDE <= self.min_voltage <= 0, "neurons",
+                 "min_voltage must not be positive")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -113,15 +120,26 @@ class Layer:
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, tuple(int(n) for n in getattr(self, name)))
         for name in ("weights", "bias"):
-            array = np.asarray(getattr(self, name), float)
+            array = np.asarray(getattr(self, name))
+            _require(array.dtype.kind in "fiu", where, f"{name} are not real numbers")
+            array = np.asarray(array, float)
             object.__setattr__(self, name, array)
             _require(np.isfinite(array).all(), where, f"{name} has NaN or infinite values")
+            _require(np.abs(array).max(initial=0) <= limits.MAGNITUDE, where,
+                     f"{name} has a value past {limits.MAGNITUDE:g}")  # fmt: skip
         _require(self.kind in ("conv", "dense"), where, "kind is neither 'conv' nor 'dense'")
         _require(self.placement in ("chip", "host"), where, "placement is not 'chip' or 'host'")
         _require(self.neurons is not None or self.placement == "host", where,
                  "a layer on the chip needs neurons")  # fmt: skip
         _require(self.pop_type in (16, 32), where, "pop_type is neither 16 nor 32")
-        _require(self.synapse is None or self.synapse > 0, where, "synapse must be above 0")
+        _require(self.synapse is None or 1e-6 <= self.synapse <= limits.SECONDS, where,
+                 f"synapse must be from 1e-6 to {limits.SECONDS:g} seconds")  # fmt: skip
+        for name in ("input_shape", "shape"):
+            _check_shape(getattr(self, name), where, name)
+        if self.block_shape is not None:
+            _check_shape(self.block_shape, where, "block_shape")
+            _require(len(self.block_shape) == len(self.shape), where,
+                     f"block_shape {self.block_shape} has other sides than shape")  # fmt: skip
         for name in ("stride", "pool"):
             value = getattr(self, name)
             _require(type(value) is int and value >= 1, where, f"{name} must be at least 1")
@@ -181,6 +199,9 @@ class Presentation:
     """Steps at the start of each sample that the readout leaves out."""
     stream_length: int = 10
     """Samples a stream; 1 means that every sample starts from a fresh network."""
+    confidence: Optional[float] = None
+    """Share of the softmax of the summed outputs at which a sample is decided before its end; None
+    if only the end decides."""
 
     @property
     def period(self) -> int:
@@ -192,13 +213,16 @@ class Presentation:
             if not condition:
                 raise ValueError(f"'presentation.{name}' must be {expected}")
 
-        for entry in fields(self):
-            need(type(getattr(self, entry.name)) is int, entry.name, "a whole number")
-        need(self.steps >= 1, "steps", "1 or more")
-        need(self.gap >= 0, "gap", "0 or more")
+        for name in ("steps", "gap", "readout_start", "stream_length"):
+            need(type(getattr(self, name)) is int, name, "a whole number")
+        if self.confidence is not None:
+            need(0 < self.confidence <= 1, "confidence", "above 0, at most 1")
+        need(1 <= self.steps <= limits.STEPS, "steps", f"from 1 to {limits.STEPS}")
+        need(0 <= self.gap <= limits.STEPS, "gap", f"from 0 to {limits.STEPS}")
         need(0 <= self.readout_start < self.steps, "readout_start",
              f"from 0 to below presentation.steps ({self.steps})")  # fmt: skip
-        need(self.stream_length >= 1, "stream_length", "1 or more")
+        need(1 <= self.stream_length <= limits.SAMPLES, "stream_length",
+             f"from 1 to {limits.SAMPLES}")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -230,8 +254,10 @@ class NetworkSpec:
     def __post_init__(self):
         object.__setattr__(self, "input_shape", tuple(int(n) for n in self.input_shape))
         object.__setattr__(self, "layers", tuple(self.layers))
-        _require(len(self.layers) >= 1, "network", "has no layers")
+        _check_shape(self.input_shape, "network", "input_shape")
+        _require(1 <= len(self.layers) <= limits.LAYERS, "network", "has no layers, or too many")
         names = [layer.name for layer in self.layers]
+        _require(all(map(_is_name, names)), "network", "a layer's name is no short text")
         _require(len(set(names)) == len(names), "network", "has two layers of one name")
         _require(
             "input" not in names, "network", "'input' is the input neurons' name, not a layer's"
@@ -308,7 +334,7 @@ class NetworkSpec:
                     bias=arrays[f"{name}.bias"],
                 )
                 layers.append(_build(Layer, own))
-            return cls(
+            spec = cls(
                 architecture=str(value["architecture"]),
                 input_shape=value["input_shape"],
                 stimulus=_stimulus(value),
@@ -316,6 +342,10 @@ class NetworkSpec:
                 presentation=_build(Presentation, value["presentation"]),
                 provenance=dict(value.get("provenance", {})),
             )
+            fed_in = "stimulus" if "stimulus" in value else "encoder"  # of the first schema
+            _only(value, {"schema", fed_in, *spec.to_json()}, "network")
+            _only(arrays, spec.arrays(), "weights")
+            return spec
         except KeyError as error:
             raise UserError(f"network description: {error} is missing") from error
         except (TypeError, AttributeError, ValueError, IndexError, OverflowError) as error:
@@ -334,10 +364,26 @@ def _stimulus(value):
 
 
 def _build(kind, values, where=None):
-    known = {f.name for f in fields(kind)}
-    unknown = sorted(set(values) - known)
-    _require(not unknown, where or kind.__name__.lower(), f"unknown entries {', '.join(unknown)}")
+    _only(values, [f.name for f in fields(kind)], where or kind.__name__.lower())
     return kind(**values)
+
+
+def _only(values, known, where):
+    unknown = sorted(set(values) - set(known))
+    listed = ", ".join(name[:40] for name in unknown[:10])
+    _require(not unknown, where, f"unknown entries {listed}")
+
+
+def _is_name(name):
+    return isinstance(name, str) and 1 <= len(name) <= 100 and name.isprintable()
+
+
+def _check_shape(shape, where, name):
+    size = 1
+    for side in shape:
+        size *= side  # of Python's integers, which do not overflow
+    _require(all(side >= 1 for side in shape) and size <= limits.NEURONS, where,
+             f"{name} {shape} has a side below 1 or too many values")  # fmt: skip
 
 
 def _require(condition, where, problem):

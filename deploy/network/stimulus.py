@@ -12,6 +12,7 @@ from typing import ClassVar, Optional
 
 import numpy as np
 
+from .. import limits
 from ..errors import UserError
 from .chip import LOIHI
 
@@ -64,6 +65,10 @@ class Stimulus:
         wanted = self.sample_shape(input_shape, steps)
         if samples.shape[1:] != wanted:
             return f"samples have shape {samples.shape[1:]}, not {wanted}"
+        if samples.dtype.kind not in "fiub":
+            return "samples are not real numbers"
+        if not np.all(np.abs(samples.astype(float)) <= limits.MAGNITUDE):  # NaN is not either
+            return "samples have a value that is NaN or too large"
         return None
 
 
@@ -89,7 +94,7 @@ class ImageSpikes(Stimulus):
     initial_phase: float = 0.5
 
     def __post_init__(self):
-        _require(0 < self.max_rate <= 1 / LOIHI.dt, "max_rate must be above 0, at most 1000")
+        _require(1e-3 <= self.max_rate <= 1 / LOIHI.dt, "max_rate must be above 0, at most 1000")
         _require(0 <= self.initial_phase < 1, "initial_phase must be in [0, 1)")
 
     @property
@@ -129,7 +134,7 @@ class EventFrames(Stimulus):
     seconds: float = 0.02
 
     def __post_init__(self):
-        _require(self.seconds > 0, "seconds must be above 0")
+        _require(1e-6 <= self.seconds <= limits.SECONDS, "seconds must be above 0")
 
     @property
     def area(self) -> float:

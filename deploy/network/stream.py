@@ -6,9 +6,13 @@ from typing import Dict, Iterator, NamedTuple
 
 import numpy as np
 
+from .chip import LOIHI
+
+DT = LOIHI.dt
+
 
 class ShortOfSteps(Exception):
-    """A simulator or board handed back fewer steps than it was asked for."""
+    """A simulator or board handed back other steps or spikes than it can have."""
 
 
 class Shown(NamedTuple):
@@ -41,7 +45,7 @@ def show(built, sim, samples) -> Iterator[Shown]:
     Raises
     ------
     ShortOfSteps
-        The simulator handed back fewer steps than it was asked for.
+        The simulator handed back other steps or spikes than it can have.
     """
     built.feed.samples = samples
     period = built.feed.period
@@ -53,6 +57,9 @@ def show(built, sim, samples) -> Iterator[Shown]:
             if len(rows) != period:
                 raise ShortOfSteps(f"{len(rows)} of {period} steps of layer {name} came back")
             spikes[name] = np.asarray(rows) != 0
+            one = probe.target.ensemble.neuron_type.amplitude / DT
+            if not np.allclose(np.asarray(rows)[spikes[name]], one, rtol=1e-6):
+                raise ShortOfSteps(f"layer {name} gave more than one spike a step and neuron")
         output = np.array(sim.data[built.output])
         sim.clear_probes()
         yield Shown(output, spikes)

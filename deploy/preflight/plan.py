@@ -36,7 +36,8 @@ COLUMNS = ("compartments", "axons in", "axons out", "AxonCfg", "synapse words")
 
 REMEDIES = {
     "compartments": "give the layer a block_shape of at most {limit} neurons",
-    "input axons": "give the layer a smaller block_shape, so that a core sees fewer pixels",
+    "input axons": "give a convolution a smaller block_shape, so that a core sees fewer pixels, or "
+    "a dense layer fewer inputs, by a stride or an averaging before it",
     "output axons": "use pop_type 16, or a smaller block_shape",
     "AxonCfg registers": "use pop_type 16, a smaller block_shape, or larger blocks in the layer "
     "after it, so that a neuron has fewer cores to reach",

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import time
 from dataclasses import dataclass, replace
 from typing import Iterator, Optional
@@ -47,6 +48,8 @@ class BoardOptions:
         Seconds before the second attempt; twice as long before each further one.
     energy : bool
         Whether to measure power.
+    timeout : float
+        Seconds after which a stream's connection and run are given up, each: a job that hangs.
     """
 
     board: Optional[str] = None
@@ -55,11 +58,20 @@ class BoardOptions:
     attempts: int = 3
     wait: float = 10.0
     energy: bool = False
+    timeout: float = 1800.0
 
     def __post_init__(self):
-        for name, least in (("chips", 1), ("attempts", 1), ("wait", 0)):
-            if getattr(self, name) < least:
-                raise UserError(f"--{name} must be at least {least}")
+        for name, least, most in (
+            ("chips", 1, 10_000),
+            ("attempts", 1, 1000),
+            ("wait", 0, 86_400),
+            ("timeout", 1e-3, 864_000),
+        ):
+            value = getattr(self, name)
+            if value < least:
+                raise UserError(f"--{name} must be at least {least:g}")
+            if not value <= most:  # which NaN is not either
+                raise UserError(f"--{name} must be at most {most:g}")
 
 
 class BoardLost(Exception):
@@ -144,10 +156,10 @@ def _run_stream(spec, samples, seed, options):
             board = sim.sims["loihi"].nxsdk_board
             if options.energy:
                 _probe_energy(board, steps)
-            with _board_errors():
+            with _board_errors(), _time_limit(options.timeout):
                 sim.__enter__()
             connected_at = time.perf_counter()
-            with _board_errors():
+            with _board_errors(), _time_limit(options.timeout):
                 responses = respond(spec, built, sim, samples)
             ended_at = time.perf_counter()
         finally:
@@ -195,6 +207,26 @@ def _board_errors():
                 "(see 'stmnist deploy plan')"
             ) from error
         raise BoardLost(text) from error
+
+
+@contextlib.contextmanager
+def _time_limit(seconds):
+    """Raise TimeoutError in what takes longer; where no timer can be set there is no limit."""
+
+    def over(signum, frame):
+        raise TimeoutError(f"no answer for {seconds:g} s")
+
+    try:
+        before = signal.signal(signal.SIGALRM, over)
+    except ValueError:  # not the main thread
+        yield
+        return
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
 
 
 @contextlib.contextmanager

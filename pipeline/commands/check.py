@@ -45,6 +45,10 @@ def run(
         float,
         typer.Option(help="Seconds before the second attempt, then twice as long.", **BOARD),
     ] = BoardOptions.wait,
+    timeout: Annotated[
+        float,
+        typer.Option(help="Seconds after which a stream that hangs is given up.", **BOARD),
+    ] = BoardOptions.timeout,
     energy: Annotated[
         bool, typer.Option("--energy", help="Measure power if the board can.", **BOARD)
     ] = False,
@@ -58,6 +62,7 @@ def run(
         chips=chips,
         attempts=attempts,
         wait=wait,
+        timeout=timeout,
         energy=energy,
     )
     opened = read_bundle(bundle)

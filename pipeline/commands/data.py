@@ -8,14 +8,17 @@ from typing import Annotated, Optional
 import numpy as np
 import typer
 
+from deploy import limits
 from deploy.errors import UserError
 from pipeline.commands import options
 from pipeline.inputs.library import SIMULATED, load_recordings
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import progress
-from pipeline.recordings.archive import export_zip, write_zip
-from pipeline.recordings.events import Events, expand_bursts
-from pipeline.recordings.matfile import BadRecording, read_limited, read_recording
+from pipeline.recordings.archive import export_zip, read_file, write_zip
+from pipeline.recordings.eventfile import EventRecording
+from pipeline.recordings.events import GRID, Events, Sensor, expand_bursts
+from pipeline.recordings.matfile import BadRecording, read_limited
+from pipeline.recordings.sensors import about_sensor
 from pipeline.recordings.table1 import table1_json, table1_text
 from pipeline.skin import unipen
 from pipeline.skin.simulate import simulate
@@ -23,12 +26,15 @@ from pipeline.skin.simulate import simulate
 Source = Annotated[str, typer.Option("--data", help="ST-MNIST zip or folder, or 'simulated'.")]
 SimulationSeed = Annotated[int, typer.Option("--seed", help="Seed of simulated recordings.", min=0)]
 PerDigit = Annotated[
-    int, typer.Option(help="Recordings of each digit; 0 for the published numbers.", min=0)
+    int,
+    typer.Option(
+        help="Recordings of each digit; 0 for the published numbers.", min=0, max=limits.SAMPLES
+    ),
 ]
 
 
 def import_(
-    source: Annotated[str, typer.Argument(help="ST-MNIST zip or folder.")],
+    source: Annotated[str, typer.Argument(help="Zip or folder of recordings, such as ST-MNIST's.")],
     skip_bad: Annotated[
         bool, typer.Option("--skip-bad", help="Leave out files that cannot be read.")
     ] = False,
@@ -37,24 +43,29 @@ def import_(
 ):
     """Read recordings once and keep them in the cache, so that the next start is quick."""
     recordings = load_recordings(source, skip_bad=skip_bad, jobs=jobs, warn=options.say)
-    counts = np.bincount(recordings.labels, minlength=10).tolist()
     facts = {
         "source": recordings.source.name,
         "sha256": recordings.source.sha256,
         "simulated": recordings.source.simulated,
         "written": recordings.source.written,
         "samples": len(recordings),
-        "samples_per_digit": counts,
+        **about_sensor(recordings),
         "events": len(recordings.events),
         "columns": int(recordings.events.columns.sum(dtype=np.int64)),
     }
     kind = "simulated recordings" if recordings.source.simulated else "recordings"
     if recordings.source.written:
         kind = "recordings, written by hand on the simulated skin,"
+    of_each = facts.get("samples_per_digit") or ", ".join(
+        f"{name} {count}" for name, count in facts["samples_per_class"].items()
+    )
+    of_what = "digit" if "samples_per_digit" in facts else "class"
     text = (
-        f"{len(recordings)} {kind} in {facts['source']}; of each digit: {counts}\n"
+        f"{len(recordings)} {kind} in {facts['source']}; of each {of_what}: {of_each}\n"
         f"{facts['events']} physical events in {facts['columns']} columns"
     )
+    if recordings.sensor != Sensor():
+        text += f"\n{recordings.sensor}, up to {recordings.sensor.duration_s:g} s"
     options.tell(facts, lambda _: text, as_json)
 
 
@@ -70,20 +81,25 @@ def export(
 
 
 def inspect(
-    file: Annotated[Path, typer.Argument(help="One recording, a MAT file.")],
+    file: Annotated[Path, typer.Argument(help="One recording, a .mat or .npz file.")],
     as_json: options.Json = False,
 ):
     """Print one recording's facts."""
     try:
         with file.open("rb") as opened:
-            recording = read_recording(read_limited(opened))
+            recording = read_file(file.name, read_limited(opened))
     except OSError as error:
         raise UserError(f"{file}: cannot read ({error.strerror}); check the path") from error
     except BadRecording as error:
-        raise UserError(f"{file}: {error}; expected a recording as ST-MNIST has them") from error
-    facts = {"simulated": recording.simulated, **recording_facts(recording.events)}
+        raise UserError(
+            f"{file}: {error}; expected a recording as ST-MNIST has them, or a .npz of x, y, t, p"
+        ) from error
+    events = recording.events
+    if isinstance(recording, EventRecording):
+        events = events(int(recording.x.max()) + 1)
+    facts = {"simulated": recording.simulated, **recording_facts(events)}
     kind = " (simulated)" if recording.simulated else ""
-    if recording.written is not None:
+    if getattr(recording, "written", None) is not None:
         facts |= {
             "source": "written",
             "time": recording.written.time,
@@ -122,6 +138,8 @@ def simulate_(
     ] = None,
     seed: SimulationSeed = 0,
     samples_per_digit: PerDigit = 0,
+    rows: Annotated[int, typer.Option(help="Of taxels.", min=2, max=256)] = GRID,
+    columns: Annotated[int, typer.Option(help="Of taxels.", min=2, max=256)] = GRID,
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
@@ -129,12 +147,15 @@ def simulate_(
     if out.suffix != ".zip":
         raise UserError(f"{out}: the name must end in .zip")
     if handwriting is None:
-        recordings = load_recordings(SIMULATED, seed, samples_per_digit, jobs=jobs)
+        recordings = load_recordings(
+            SIMULATED, seed, samples_per_digit, jobs=jobs, rows=rows, columns=columns
+        )
     else:
         counts = [samples_per_digit] * 10 if samples_per_digit else list(SAMPLES_PER_DIGIT)
         traces = unipen.read(handwriting)
         with progress("simulate", sum(counts)) as advance:
-            recordings = simulate(seed, counts, jobs, advance, traces=traces)
+            size = (rows, columns)
+            recordings = simulate(seed, counts, jobs, advance, traces=traces, size=size)
     write_zip(out, recordings, progress)
     facts = {
         "file": str(out),

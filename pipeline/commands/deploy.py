@@ -11,7 +11,7 @@ import typer
 
 from deploy.check.bundle import read_bundle
 from deploy.check.energy import estimate_energy, estimate_text
-from deploy.check.rates import firing_rates, rate_summary, rate_warnings, rates_text
+from deploy.check.rates import chip_rates, rate_warnings, rates_text
 from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import write_arrays
@@ -41,7 +41,7 @@ def plan(
     opened = read_bundle(bundle)
     made = make_plan(opened.spec, chips)
     images = opened.checks.inputs[: opened.spec.presentation.stream_length]
-    rates = rate_summary(firing_rates(opened.spec, images)) if not made.problems else {}
+    rates = chip_rates(opened.spec, images) if not made.problems else {}
     if as_json:
         value = made.to_json()
         value["firing_rates"] = rates

@@ -136,5 +136,8 @@ def main(arguments=None):
 
 
 def _say(message, status):
-    print("stmnist: " + " ".join(message.split()), file=sys.stderr)
+    line = " ".join(message.split())
+    # A file's name may hold what a terminal would obey.
+    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+    print("stmnist: " + line, file=sys.stderr)
     return status

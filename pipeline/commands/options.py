@@ -22,8 +22,12 @@ Data = Annotated[
     typer.Option(help="ST-MNIST zip or folder, or 'simulated' (default: the run's own)."),
 ]
 Seed = Annotated[Optional[int], typer.Option(help="Seed of split, training and samples.")]  # noqa: UP045
+Input = Annotated[
+    Optional[str],  # noqa: UP045
+    typer.Option("--input", help="What the chip is shown: 'image' or 'events'."),
+]
 Samples = Annotated[Optional[int], typer.Option(help="Samples of the check.")]  # noqa: UP045
-Steps = Annotated[Optional[int], typer.Option(help="Steps of 1 ms that a sample is shown.")]  # noqa: UP045
+Steps = Annotated[Optional[int], typer.Option(help="Steps that a sample is shown.")]  # noqa: UP045
 SettingsFile = Annotated[
     Optional[Path],  # noqa: UP045
     typer.Option("--settings", help="A TOML file to start from instead of the run's own."),
@@ -45,15 +49,25 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 @contextlib.contextmanager
 def opened(
-    path: Path, data=None, seed=None, samples=None, steps=None, settings=None, assignments=None
+    path: Path,
+    data=None,
+    seed=None,
+    samples=None,
+    steps=None,
+    settings=None,
+    assignments=None,
+    kind=None,
+    changes=None,
 ):
     """A folder for this process alone, with its settings and the options that were given.
 
     Parameters
     ----------
     path : Path
-    data, seed, samples, steps, settings, assignments
-        What the options of the same names gave, or None.
+    data, seed, samples, steps, settings, assignments, kind
+        What the options of the same names gave (``kind``: ``--input``), or None.
+    changes : dict, optional
+        Of settings, which the options go before.
 
     Yields
     ------
@@ -66,11 +80,12 @@ def opened(
     """
     folder = RunFolder(path)
     with folder.locked():
-        changes = parse_assignments(assignments or [])
+        changes = merged(changes or {}, parse_assignments(assignments or []))
         if data is not None and data != SIMULATED:
             data = str(Path(data).absolute())  # the run can be repeated from any folder
         for section, name, value in (
             ("data", "source", data),
+            ("input", "kind", kind),
             (None, "seed", seed),
             ("check", "samples", samples),
             ("presentation", "steps", steps),
@@ -78,6 +93,15 @@ def opened(
             if value is not None:
                 (changes.setdefault(section, {}) if section else changes)[name] = value
         yield folder, folder.resolve_settings(settings, changes)
+
+
+def merged(first: dict, second: dict) -> dict:
+    """Nested settings with those of ``second`` in the place of ``first``'s."""
+    both = {**first, **second}
+    for name in first.keys() & second.keys():
+        if isinstance(first[name], dict) and isinstance(second[name], dict):
+            both[name] = {**first[name], **second[name]}
+    return both
 
 
 def say(line: str):

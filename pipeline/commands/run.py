@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Optional
 
 import typer
 
+from deploy.errors import UserError
 from pipeline.commands import options
 from pipeline.run import stages
 from pipeline.run.answers import STAGES as REFERENCES
@@ -15,37 +17,61 @@ from pipeline.run.ladder import ladder_text, measure_ladder
 def train(
     run: options.Run,
     data: options.Data = None,
+    kind: options.Input = None,
     seed: options.Seed = None,
     settings: options.SettingsFile = None,
     set_: options.Assignments = None,
     jobs: options.Jobs = 2,
 ):
-    """Train the paper's CNN on tactile images."""
-    with options.opened(run, data, seed, None, None, settings, set_) as (folder, resolved):
-        dataset = stages.open_dataset(folder, resolved, jobs, options.say)
-        stages.train(folder, resolved, dataset, options.say)
+    """Train the paper's CNN on tactile images, or with --input events the network on events."""
+    given = (data, seed, None, None, settings, set_, kind)
+    with options.opened(run, *given) as (folder, resolved):
+        dataset = stages.open_dataset(folder, resolved, jobs, options.say, check=False)
+        if resolved.on_events:
+            stages.train_on_events(folder, resolved, dataset, options.say)
+        else:
+            stages.train(folder, resolved, dataset, options.say)
 
 
 def convert(
     run: options.Run,
     data: options.Data = None,
+    kind: options.Input = None,
     seed: options.Seed = None,
     samples: options.Samples = None,
     steps: options.Steps = None,
     settings: options.SettingsFile = None,
     set_: options.Assignments = None,
+    model: Annotated[
+        Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
+        typer.Option(
+            help="A Keras model of your own (.keras or .h5) in the place of the CNN; read, not run."
+        ),
+    ] = None,
+    retrain: Annotated[
+        bool,
+        typer.Option("--retrain", help="With --model: train it on with rate-based LIF neurons."),
+    ] = False,
     jobs: options.Jobs = 2,
 ):
-    """Train with rate-based LIF neurons, make them spike, write the bundle."""
-    with options.opened(run, data, seed, samples, steps, settings, set_) as (folder, resolved):
+    """Train the network that spikes, on images or with --input events, and write the bundle.
+
+    With --model: scale that model to the neurons' range, make it spike, write the bundle.
+    """
+    if retrain and model is None:
+        raise UserError("--retrain: of a model of your own only; name it with --model FILE")
+    changes = stages.settings_of_model(model, retrain) if model else {}
+    given = (data, seed, samples, steps, settings, set_, kind, changes)
+    with options.opened(run, *given) as (folder, resolved):
         _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
-        for stage in REFERENCES:
+        for stage in REFERENCES[resolved.input.kind]:
             stages.answer(folder, resolved, bundle, stage, options.say)
 
 
 def ladder(
     run: options.Run,
     data: options.Data = None,
+    kind: options.Input = None,
     seed: options.Seed = None,
     samples: options.Samples = None,
     steps: options.Steps = None,
@@ -69,7 +95,8 @@ def ladder(
     as_json: options.Json = False,
 ):
     """Do what is missing up to the emulator, and print what each stage loses."""
-    with options.opened(run, data, seed, samples, steps, settings, set_) as (folder, resolved):
+    given = (data, seed, samples, steps, settings, set_, kind)
+    with options.opened(run, *given) as (folder, resolved):
         table = measure_ladder(folder, resolved, jobs, whole, slow, options.say)
         if whole:
             from pipeline.report import figures  # imports Matplotlib

@@ -158,7 +158,7 @@ def _predictions(choice, settings, weights, dataset, seed):
     chosen = replace(choice.apply(settings), seed=seed)
     shown, _ = dataset.part("test")
     if choice.row == "loihi":
-        spec = deployed(chosen, weights, {}, dataset.part("train")[0])
+        spec = deployed(chosen, weights, {}, dataset.part("train"))
         return answer(spec, shown, "fast", seed).predictions
     steps = chosen.presentation.steps
     if choice.smoothed:

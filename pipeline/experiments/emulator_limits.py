@@ -22,7 +22,7 @@ def growth(spec: NetworkSpec, images) -> dict:
         ``samples``, ``steps`` and ``brightness``: lists of dicts with the seconds of each; the
         last with the mean rate on the chip in Hz.
     """
-    images = np.asarray(images, float).reshape(len(images), -1)
+    images = spec.stimulus.flat(images)
     emulation = Emulation(compile_spec(spec))
     length = min(spec.presentation.stream_length, len(images))
     steps, gap = spec.presentation.steps, spec.presentation.gap
@@ -82,7 +82,7 @@ def limits(spec: NetworkSpec, images) -> dict:
     """
     from deploy.targets.fast import kernel_numba  # Numba need not be installed
 
-    images = np.asarray(images, float).reshape(len(images), -1)
+    images = spec.stimulus.flat(images)
     program = compile_spec(spec)
     network = program.network
     emulation = Emulation(program, "numba")

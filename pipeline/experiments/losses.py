@@ -79,7 +79,7 @@ def measure(job: SplitJob) -> dict:
             replace(settings, seed=seed), rate.weights, shown, max(STEPS)
         ),
     }
-    spec = deployed(settings, rate.weights, {}, train[0])
+    spec = deployed(settings, rate.weights, {}, train)
     operations, decided = {}, {}
     for steps in STEPS:
         responses = answer(spec.with_presentation(steps=steps), shown, "fast", seed)

@@ -14,9 +14,9 @@ from pathlib import Path
 from deploy import __version__
 from deploy.errors import CheckFailed, UserError
 from deploy.files import write_json
-from pipeline.experiments.jobs import Failure, run_jobs
 from pipeline.inputs.dataset import Dataset
 from pipeline.inputs.library import recordings_of
+from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import progress
 from pipeline.run.folder import RunFolder, read_stamped, stamp_of
 from pipeline.settings import Settings
@@ -87,7 +87,7 @@ def study(
     Returns
     -------
     list
-        The result of each job, or a :class:`pipeline.experiments.jobs.Failure`.
+        The result of each job, or a :class:`pipeline.jobs.Failure`.
 
     Raises
     ------
@@ -207,7 +207,7 @@ def over_splits(
     CheckFailed
         Every split failed.
     """
-    source = recordings_of(settings.data, workers.processes).source
+    source = recordings_of(settings, workers.processes).source
     folder.save_settings(settings)
     stamp = stamp_of(__version__, source.sha256, asdict(settings), *depends_on)
     jobs = [

@@ -22,10 +22,10 @@ from deploy.errors import UserError
 from deploy.files import read_json, replacing, write_json
 from deploy.network.operations import multiply_accumulates
 from deploy.targets.registry import answer
-from pipeline.experiments.jobs import Failure
 from pipeline.experiments.study import Findings, Workers, read_kept, study, write_kept
 from pipeline.experiments.sweep_text import sweep_csv
 from pipeline.inputs.dataset import Dataset
+from pipeline.jobs import Failure
 from pipeline.progress import hidden
 from pipeline.run import stages
 from pipeline.run.folder import RunFolder, stamp_of
@@ -257,7 +257,7 @@ def judge(point: Point) -> dict:
     dataset = _samples(point)
     images, labels = dataset.part("validation")
     weights = stages.read_weights(networks.snn, settings)
-    spec = deployed(settings, weights, {}, dataset.part("train")[0])
+    spec = deployed(settings, weights, {}, dataset.part("train"))
     responses = answer(spec, images, "fast", settings.seed)
     right = responses.predictions == labels
     operations = float(sum(counts.mean() for counts in responses.operations.values()))

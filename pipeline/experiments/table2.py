@@ -8,7 +8,6 @@ from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.tables import aligned
 from pipeline.experiments import table2_splits
-from pipeline.experiments.jobs import Failure
 from pipeline.experiments.resampling import estimate
 from pipeline.experiments.study import Findings, Workers, study
 from pipeline.experiments.table2_splits import (
@@ -23,6 +22,7 @@ from pipeline.experiments.table2_splits import (
 from pipeline.inputs.dataset import KINDS, split_of
 from pipeline.inputs.library import recordings_of
 from pipeline.inputs.splits import draw_check_samples
+from pipeline.jobs import Failure
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings
 
@@ -69,7 +69,7 @@ def measure_table(
     UserError
         There is no such kind, or too few recordings.
     """
-    recordings = recordings_of(settings.data, workers.processes)
+    recordings = recordings_of(settings, workers.processes)
     kinds = _kinds(kind, recordings)
     try:
         for each in kinds:

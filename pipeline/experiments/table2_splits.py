@@ -15,8 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from deploy import __version__
+from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.targets.registry import answer
+from models.architecture import parse
 from pipeline.experiments.study import dataset_for
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.paper import TABLE2
@@ -254,7 +256,7 @@ def _loihi_answers(settings, weights, dataset, seed):
     from pipeline.run.conversion import deployed
 
     shown = draw_check_samples(dataset.split.test, settings.check.samples, seed)
-    spec = deployed(settings, weights, {}, dataset.part("train")[0])
+    spec = deployed(settings, weights, {}, dataset.part("train"))
     return shown, answer(spec, dataset.inputs[shown], LOIHI_TARGET, seed).predictions
 
 
@@ -264,6 +266,13 @@ def _measure_slayer(batch, divided):
 
     slayer, recordings = batch.benchmark.settings.slayer, divided[0].recordings
     frames = bin_events(recordings, slayer.bins)
+    architecture, classes = parse(slayer.architecture), len(recordings.sensor.classes)
+    if (architecture.input_shape, architecture.outputs) != (frames.shape[2:], classes):
+        size = "x".join(map(str, frames.shape[2:]))
+        raise UserError(
+            f"{recordings.source.name}: 'slayer.architecture' must be for {size}, a channel for "
+            f"each polarity, and {classes} classes, not {slayer.architecture}"
+        )
     for position, (dataset, index) in enumerate(zip(divided, batch.indices, strict=True)):
         path = split_path(batch.benchmark.folder, batch.kind, index, "slayer")
         trained = train_slayer(

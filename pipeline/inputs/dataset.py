@@ -11,10 +11,15 @@ from pipeline.inputs.images import tactile_images
 from pipeline.inputs.library import recordings_of
 from pipeline.inputs.splits import Split, random_split, writer_split
 from pipeline.recordings.events import Recordings
-from pipeline.settings import Settings
+from pipeline.recordings.sensors import too_small
+from pipeline.recordings.steps import EventTable
+from pipeline.settings import Settings, check_fits
 
 KINDS = ("random", "writers")
 """Of splits: over samples, as in the paper; or nobody writes both training and test samples."""
+
+MOST_LOST = 0.1
+"""Share of the events that may be lost before a warning says so."""
 
 TOO_SMALL = "ask for fewer (SAMPLES, or check.samples) or give more data"
 """What to do where there are too few samples."""
@@ -51,16 +56,21 @@ class Dataset:
         Raises
         ------
         UserError
-            The source cannot be read, or is too small for the split.
+            The source cannot be read, is too small for the split, has a class with a single
+            recording, or the architecture is for another sensor.
         """
         parts = settings.split
-        recordings = recordings_of(settings.data, jobs, warn)
+        recordings = recordings_of(settings, jobs, warn)
+        sensor, source = recordings.sensor, settings.data.source
         try:
             split = split_of(
                 recordings, settings.seed, parts.test_fraction, parts.validation_fraction
             )
         except ValueError as error:
-            raise UserError(f"{settings.data.source}: {error}; {TOO_SMALL}") from error
+            raise UserError(f"{source}: {error}; {TOO_SMALL}") from error
+        if problem := too_small(recordings):
+            raise UserError(f"{source}: {problem}")
+        check_fits(settings, sensor.rows, sensor.columns, len(sensor.classes), source)
         return cls(recordings, inputs_of(recordings, settings), split)
 
     def __len__(self):
@@ -68,7 +78,7 @@ class Dataset:
 
     @property
     def labels(self) -> np.ndarray:
-        """The digit of each sample, shape (n_samples,)."""
+        """The class of each sample, shape (n_samples,)."""
         return self.recordings.labels
 
     def part(self, name: str):
@@ -86,11 +96,49 @@ def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:
 
     Returns
     -------
-    ndarray of float32, shape (n_samples, 10, 10, 1)
-        Tactile images.
+    ndarray
+        With ``input.kind = "image"`` tactile images, float32, shape (n_samples, rows, columns, 1);
+        with ``"events"`` the events of each step of the presentation, uint8, shape (n_samples,
+        steps, rows, columns, 2), first ON, then OFF.
     """
     image = settings.image
+    if settings.on_events:
+        table = EventTable.of(recordings)
+        frames = table.frames(
+            np.arange(len(recordings)), settings.input.step, settings.presentation.steps
+        )
+        return np.ascontiguousarray(np.moveaxis(frames, 0, 1))
     return tactile_images(recordings, image.aggregation, image.normalisation)
+
+
+def event_warnings(settings: Settings, recordings: Recordings) -> list:
+    """What of the events will not be shown, a line each; see ``input.step`` in the settings.
+
+    Raises
+    ------
+    UserError
+        There is no event at all.
+    """
+    table, step, steps = EventTable.of(recordings), settings.input.step, settings.presentation.steps
+    empty = int(np.sum(np.diff(table.offsets) == 0))
+    if empty == len(recordings):
+        raise UserError(f"{recordings.source.name}: no recording has an event; give others")
+    long = int(np.sum(table.duration_ms >= step * steps))
+    lost = table.lost(step)
+    lines = [
+        f"events: {lost:.1%} fall into the {step:g} ms of another one of their taxel and polarity, "
+        "and are one spike with it"
+    ]
+    if lost > MOST_LOST:
+        lines[0] += "; fewer would with a shorter input.step"
+    if empty:
+        lines.append(f"events: {empty} of {len(recordings)} recordings have none")
+    if long:
+        lines.append(
+            f"events: {long} of {len(recordings)} recordings are longer than {steps} steps of "
+            f"{step:g} ms, and their ends are not shown; choose more presentation.steps"
+        )
+    return lines
 
 
 def split_of(

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.recordings.events import DURATION_S, GRID, Recordings
+from pipeline.recordings.events import Recordings
 
 
 def bin_events(recordings: Recordings, bins: int = 200) -> np.ndarray:
     """Where there is an event of which polarity in which bin (paper, Section 3.2.3).
 
-    The bins divide the two seconds of a recording evenly: 200 bins are 10 ms each.  Several events
-    of one taxel and polarity in one bin count as one, a spike being there or not; so it makes no
-    difference whether the decoder's repeated columns were merged before.  Events after the two
-    seconds are left out.
+    The bins divide a recording's duration evenly: of two seconds, 200 bins are 10 ms each.
+    Several events of one taxel and polarity in one bin count as one, a spike being there or not;
+    so it makes no difference whether the decoder's repeated columns were merged before.  Events
+    after the duration are left out.
 
     Parameters
     ----------
@@ -22,13 +22,14 @@ def bin_events(recordings: Recordings, bins: int = 200) -> np.ndarray:
 
     Returns
     -------
-    ndarray of uint8, shape (n_samples, bins, 10, 10, 2)
+    ndarray of uint8, shape (n_samples, bins, rows, columns, polarities)
         1 or 0 for each sample, bin, row and column of the tactile image, and polarity: first ON,
         then OFF.
     """
-    frames = np.zeros((len(recordings), bins, GRID, GRID, 2), np.uint8)
-    events, taxels = recordings.events, recordings.taxels
-    time = (events.time_ns * bins / (DURATION_S * 1e9)).astype(np.int64)
+    events, taxels, sensor = recordings.events, recordings.taxels, recordings.sensor
+    shape = (len(recordings), bins, sensor.rows, sensor.columns, sensor.polarities)
+    frames = np.zeros(shape, np.uint8)
+    time = (events.time_ns * bins / (sensor.duration_s * 1e9)).astype(np.int64)
     inside = (time >= 0) & (time < bins)
     taxel = events.taxel[inside]
     frames[

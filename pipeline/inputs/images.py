@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.recordings.events import GRID, N_TAXELS, Events, Recordings, TaxelMap, collect
+from pipeline.recordings.events import Events, Recordings, Sensor, TaxelMap, collect
 from pipeline.settings import AGGREGATIONS, NORMALISATIONS
 
 
@@ -33,8 +33,9 @@ def aggregate(recordings: Recordings, aggregation: str = "count") -> np.ndarray:
 
     Returns
     -------
-    ndarray of float, shape (n_samples, 10, 10)
-        Indexed [sample, x, y]: x is the row from the top, y the column from the left.
+    ndarray of float, shape (n_samples, rows, columns)
+        Indexed [sample, x, y]: x is the row from the top, y the column from the left.  Where there
+        is no taxel it is 0.
 
     Raises
     ------
@@ -52,10 +53,11 @@ def aggregate(recordings: Recordings, aggregation: str = "count") -> np.ndarray:
         weights = (events.polarity == (1 if aggregation == "on" else -1)).astype(float)
     else:
         raise ValueError(f"aggregation {aggregation!r} is none of {', '.join(AGGREGATIONS)}")
-    cell = recordings.sample_of_event * N_TAXELS + events.taxel
-    total = np.bincount(cell, weights, minlength=len(recordings) * N_TAXELS)
-    images = np.zeros((len(recordings), GRID, GRID))
-    images[:, recordings.taxels.x, recordings.taxels.y] = total.reshape(-1, N_TAXELS)
+    taxels, sensor = recordings.taxels, recordings.sensor
+    cell = recordings.sample_of_event * len(taxels) + events.taxel
+    total = np.bincount(cell, weights, minlength=len(recordings) * len(taxels))
+    images = np.zeros((len(recordings), sensor.rows, sensor.columns))
+    images[:, taxels.x, taxels.y] = total.reshape(-1, len(taxels))
     return images
 
 
@@ -90,12 +92,18 @@ def normalise(images: np.ndarray, normalisation: str = "max") -> np.ndarray:
 
 
 def tactile_images(recordings, aggregation="count", normalisation="max") -> np.ndarray:
-    """Normalised tactile images with a channel dimension, shape (n_samples, 10, 10, 1), float32."""
+    """Normalised tactile images, shape (n_samples, rows, columns, 1), float32."""
     images = normalise(aggregate(recordings, aggregation), normalisation)
     return images[..., None].astype(np.float32)
 
 
-def growing(events: Events, taxels: TaxelMap, ends, aggregation: str = "count") -> np.ndarray:
+def growing(
+    events: Events,
+    taxels: TaxelMap,
+    ends,
+    aggregation: str = "count",
+    sensor: Sensor | None = None,
+) -> np.ndarray:
     """A recording's tactile image as it grows, not normalised.
 
     Parameters
@@ -107,14 +115,16 @@ def growing(events: Events, taxels: TaxelMap, ends, aggregation: str = "count") 
         Nanoseconds; an image has the events before its end.
     aggregation : str
         See the module's description.
+    sensor : Sensor, optional
 
     Returns
     -------
-    ndarray of float, shape (n_ends, 10, 10)
+    ndarray of float, shape (n_ends, rows, columns)
     """
     parts = [
         Events(*(getattr(events, name)[events.time_ns < end] for name in vars(events)))
         for end in ends
     ]
     n = len(parts)
-    return aggregate(collect(parts, [0] * n, ["part"] * n, [-1] * n, None, taxels), aggregation)
+    grown = collect(parts, [0] * n, ["part"] * n, [-1] * n, None, taxels, sensor)
+    return aggregate(grown, aggregation)

@@ -7,12 +7,9 @@ from pathlib import Path
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import progress
 from pipeline.recordings import archive, cache
-from pipeline.recordings.events import Recordings
-from pipeline.settings import Data
+from pipeline.recordings.events import GRID, Recordings
+from pipeline.settings import SIMULATED, Settings
 from pipeline.skin.simulate import simulate, source_of
-
-SIMULATED = "simulated"
-"""The name of the built-in source."""
 
 
 def load_recordings(
@@ -22,13 +19,15 @@ def load_recordings(
     skip_bad: bool = False,
     jobs: int = 2,
     warn=None,
+    rows: int = 0,
+    columns: int = 0,
 ) -> Recordings:
     """Recordings of a source, made or imported on first use and cached.
 
     Parameters
     ----------
     source : str
-        ``"simulated"``, or the path of an ST-MNIST zip or folder.
+        ``"simulated"``, or the path of a zip or folder of recordings.
     simulation_seed : int
         Of simulated recordings.
     samples_per_digit : int
@@ -39,6 +38,8 @@ def load_recordings(
         Processes.
     warn : callable, optional
         Called with one line for each file that was left out.
+    rows, columns : int
+        Of the skin; 0 for ten where it is simulated, else for as found.
 
     Returns
     -------
@@ -50,29 +51,31 @@ def load_recordings(
         The source cannot be read, or the cache is damaged.
     """
     if source == SIMULATED:
-        return _simulated(simulation_seed, samples_per_digit, jobs)
-    return _imported(Path(source), skip_bad, jobs, warn)
+        return _simulated(simulation_seed, samples_per_digit, jobs, (rows or GRID, columns or GRID))
+    return _imported(Path(source), skip_bad, jobs, warn, rows, columns)
 
 
-def recordings_of(data: Data, jobs: int = 1, warn=None) -> Recordings:
+def recordings_of(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
     """Recordings that settings ask for; see :func:`load_recordings`."""
+    data, skin = settings.data, settings.skin
     return load_recordings(
-        data.source, data.simulation_seed, data.samples_per_digit, data.skip_bad, jobs, warn
+        *(data.source, data.simulation_seed, data.samples_per_digit, data.skip_bad),
+        *(jobs, warn, skin.rows, skin.columns),
     )
 
 
-def _simulated(seed, samples_per_digit, jobs):
+def _simulated(seed, samples_per_digit, jobs, size):
     counts = [samples_per_digit] * 10 if samples_per_digit else list(SAMPLES_PER_DIGIT)
-    key = cache.key_of("simulated", source_of(seed, counts).sha256)
+    key = cache.key_of("simulated", source_of(seed, counts, size=size).sha256)
     recordings = cache.load(key)
     if recordings is None:
         with progress("simulate", sum(counts)) as advance:
-            recordings = simulate(seed, counts, jobs, advance)
+            recordings = simulate(seed, counts, jobs, advance, size=size)
         cache.store(key, recordings)
     return recordings
 
 
-def _imported(path, skip_bad, jobs, warn):
+def _imported(path, skip_bad, jobs, warn, rows, columns):
     archive.list_source(path)  # a wrong path or a damaged zip is said before anything is hashed
     fingerprint = archive.fingerprint(path)
     sha256 = cache.recall(fingerprint)
@@ -80,9 +83,9 @@ def _imported(path, skip_bad, jobs, warn):
         sha256 = archive.content_hash(path)
         cache.remember(fingerprint, sha256)
     # What was imported with bad files left out must not pass for a clean import later.
-    key = cache.key_of("imported", path.name, sha256, skip_bad)
+    key = cache.key_of("imported", path.name, sha256, skip_bad, rows, columns)
     recordings = cache.load(key)
     if recordings is None:
-        recordings = archive.read_source(path, jobs, skip_bad, progress, warn)
+        recordings = archive.read_source(path, jobs, skip_bad, progress, warn, rows, columns)
         cache.store(key, recordings)
     return recordings

@@ -28,12 +28,13 @@ from deploy.errors import UserError
 from pipeline.live.deciding import Answer, Decider
 from pipeline.live.keeping import WRITERS, Keeper, asked_next
 from pipeline.recordings.events import Events
-from pipeline.recordings.matfile import LATEST_S, MatRecording, Written
+from pipeline.recordings.matfile import MatRecording, Written
 from pipeline.skin.parameters import Parameters
 from pipeline.skin.writing import MARGIN, START_S, Point, Writing
 
-LONGEST_S = LATEST_S
-"""A recording takes no longer; the readers of recordings know none that does."""
+LONGEST_S = 10.0
+"""A recording takes no longer.  The published ones last 2 s; not everybody writes as fast, and a
+network on events hears the first 2 s only."""
 
 PAUSE_S = 1.5
 """A pen that comes down after so long begins another recording."""

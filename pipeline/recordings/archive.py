@@ -1,7 +1,8 @@
-"""Recordings as published: a zip or a folder with a sub-folder for each digit.
+"""Recordings as published: a zip or a folder with a sub-folder for each class.
 
-The layout is ``data_submission/<digit>/*.mat``; the digit folders may stand at any depth, and
-``LUT.mat`` anywhere or nowhere.  The zip is read without being unpacked to disk.
+The published layout is ``data_submission/<digit>/*.mat``; the folders may have any names and stand
+at any depth, and ``LUT.mat`` anywhere or nowhere.  Recordings of other sensors may be ``.npz``
+files of events instead.  The zip is read without being unpacked to disk.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import json
 import lzma
 import zipfile
 import zlib
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -21,7 +23,9 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from deploy.errors import UserError
 from deploy.files import replacing, sha256_of
-from pipeline.recordings.events import Recordings, Source, TaxelMap, collect
+from pipeline.recordings import sensors
+from pipeline.recordings.eventfile import read_events
+from pipeline.recordings.events import DIGITS, Recordings, Source, TaxelMap, collect
 from pipeline.recordings.mat5 import LARGEST
 from pipeline.recordings.matfile import (
     BadRecording,
@@ -34,7 +38,7 @@ from pipeline.recordings.matfile import (
 )
 
 LOOKUP_TABLE = "lut.mat"
-DIGITS = tuple("0123456789")
+SUFFIXES = (".mat", ".npz")
 CHUNK = 32
 """Files that a worker reads at a time: enough to hide the hand-over, few enough for the bar."""
 
@@ -58,8 +62,8 @@ class Listing:
     Attributes
     ----------
     path : Path
-    recordings : tuple of (str, int)
-        Member path and digit of each recording, in order of digit and path.
+    recordings : tuple of (str, str)
+        Member path and class of each recording, in order of class and path.
     lookup_table : str or None
         Member path of ``LUT.mat``.
     refused : tuple of (str, str)
@@ -78,11 +82,13 @@ def list_source(path) -> Listing:
     Raises
     ------
     UserError
-        No such file or folder, not a zip, a damaged zip, or nothing in it looks like ST-MNIST.
+        No such file or folder, not a zip, a damaged zip, nothing in it looks like recordings, or
+        recordings of both kinds.
     """
     path = Path(path)
     refused, recordings, tables, seen = [], [], [], set()
-    for name, problem in _members(path):
+    files, folders = _everything(path)
+    for name, problem in files:
         member = PurePosixPath(name)
         if problem is None and (member.is_absolute() or ".." in member.parts):
             problem = "its path leaves the archive"
@@ -90,7 +96,7 @@ def list_source(path) -> Listing:
             problem = "is in the archive twice"
         seen.add(name)
         hidden = member.name.startswith(".") or "__MACOSX" in member.parts
-        if hidden or member.suffix.lower() != ".mat":
+        if hidden or member.suffix.lower() not in SUFFIXES:
             if problem:
                 refused.append((name, problem))
             continue
@@ -98,19 +104,56 @@ def list_source(path) -> Listing:
             refused.append((name, problem))
         elif member.name.lower() == LOOKUP_TABLE:
             tables.append(name)
-        elif len(member.parts) >= 2 and member.parts[-2] in DIGITS:
-            recordings.append((name, int(member.parts[-2])))
         else:
-            refused.append((name, "is not in a folder named for a digit, 0 to 9"))
+            recordings.append((name, member.parts[-2] if len(member.parts) >= 2 else ""))
+    recordings, strays = _of_classes(recordings)
+    refused += strays + _empty_classes(recordings, files, folders)
     if not recordings and not refused:
         raise UserError(
-            f"{path}: holds no recordings; expected <digit>/*.mat, as in the ST-MNIST archive"
+            f"{path}: holds no recordings; expected a folder for each class with .mat or .npz "
+            "files, <digit>/*.mat in the ST-MNIST archive"
         )
-    recordings.sort(key=lambda entry: (entry[1], entry[0]))
+    kinds = {PurePosixPath(name).suffix.lower() for name, _ in recordings}
+    if len(kinds) > 1:
+        raise UserError(f"{path}: holds both .mat and .npz recordings; keep one kind")
+    recordings.sort(key=lambda entry: (sensors.class_order(entry[1]), entry[0]))
     return Listing(path, tuple(recordings), min(tables, default=None), tuple(refused))
 
 
-def read_source(path, jobs: int = 2, skip_bad: bool = False, progress=None, warn=None):
+def _of_classes(recordings):
+    """What lies in folders of classes, and what lies elsewhere with the reason to refuse it."""
+    folders = Counter(PurePosixPath(name).parent for name, _ in recordings)
+    above = {folder for leaf in folders for folder in leaf.parents}
+    names = Counter(name for _, name in recordings)
+    of_digits = set(DIGITS) <= set(names)
+    kept, strays = [], []
+    for file, name in recordings:
+        # One file in a folder of its own beside the ten digits makes no eleventh class.
+        if of_digits and name not in DIGITS and (names[name] < 2 or not name):
+            strays.append((file, "is not in a folder named for a digit, 0 to 9, as the others are"))
+        elif not name or PurePosixPath(file).parent in above:
+            strays.append((file, "is not in a folder of a class"))
+        else:
+            kept.append((file, name))
+    return kept, strays
+
+
+def _empty_classes(recordings, files, folders):
+    """Folders without a file in them beside those of the classes."""
+    around = {PurePosixPath(name).parent.parent for name, _ in recordings}
+    filled = {parent for name, _ in files for parent in PurePosixPath(name).parents}
+    return [
+        (str(folder), "is a class without a recording")
+        for folder in map(PurePosixPath, folders)
+        if folder.parent in around
+        and folder not in filled
+        and not folder.name.startswith((".", "__MACOSX"))
+    ]
+
+
+def read_source(
+    path, jobs: int = 2, skip_bad: bool = False, progress=None, warn=None, rows=0, columns=0
+):
     """Read every recording of a zip or folder, in parallel.
 
     Parameters
@@ -124,6 +167,8 @@ def read_source(path, jobs: int = 2, skip_bad: bool = False, progress=None, warn
         ``progress(label, total)``, a context manager that yields ``advance(n)``.
     warn : callable, optional
         Called with one line for each file that was left out.
+    rows, columns : int
+        Of the sensor; 0 for as found: see :mod:`pipeline.recordings.sensors`.
 
     Returns
     -------
@@ -132,7 +177,8 @@ def read_source(path, jobs: int = 2, skip_bad: bool = False, progress=None, warn
     Raises
     ------
     UserError
-        Listing every refused file with its reason, unless ``skip_bad``.
+        Rows and columns cannot be known; or, listing every refused file with its reason, unless
+        ``skip_bad``.
     """
     listing = list_source(path)
     refused, read = list(listing.refused), []
@@ -143,11 +189,11 @@ def read_source(path, jobs: int = 2, skip_bad: bool = False, progress=None, warn
     work = _read_chunks(listing.path, [[name for name, _ in chunk] for chunk in chunks], jobs)
     with _shown(progress, "import", len(listing.recordings)) as advance:
         for chunk, results in zip(chunks, work, strict=True):
-            for (name, digit), result in zip(chunk, results, strict=True):
-                if isinstance(result, MatRecording):
-                    read.append((name, digit, result))
-                else:
+            for (name, of_class), result in zip(chunk, results, strict=True):
+                if isinstance(result, str):
                     refused.append((name, result))
+                else:
+                    read.append((name, of_class, result))
             advance(len(chunk))
     taxels = None
     if listing.lookup_table is not None:
@@ -155,6 +201,10 @@ def read_source(path, jobs: int = 2, skip_bad: bool = False, progress=None, warn
             taxels = read_lookup_table(_reader(listing.path).read(listing.lookup_table))
         except BadRecording as error:
             refused.append((listing.lookup_table, str(error)))
+    settled = sensors.settle(path, read, taxels, rows, columns)
+    refused += settled.refused
+    dropped = {name for name, _ in settled.refused}
+    read = [recording for name, _, recording in read if name not in dropped]
     if refused and not skip_bad:
         lines = "; ".join(f"{_short(name)} {reason}" for name, reason in _first(refused))
         raise UserError(
@@ -169,17 +219,18 @@ def read_source(path, jobs: int = 2, skip_bad: bool = False, progress=None, warn
     if not read:
         raise UserError(f"{path}: no recording in it can be read")
     return collect(
-        parts=[recording.events for _, _, recording in read],
-        labels=[digit for _, digit, _ in read],
-        ids=_ids([name for name, _, _ in read]),
-        writers=[recording.writer for _, _, recording in read],
+        parts=[events for _, events in settled.kept],
+        labels=settled.labels,
+        ids=_ids([name for name, _ in settled.kept]),
+        writers=[recording.writer for recording in read],
         source=Source(
             name=listing.path.name,
             sha256=content_hash(listing.path),
-            simulated=any(recording.simulated for _, _, recording in read),
-            written=all(recording.written is not None for _, _, recording in read),
+            simulated=any(recording.simulated for recording in read),
+            written=all(getattr(recording, "written", None) for recording in read),
         ),
-        taxels=taxels,
+        taxels=settled.taxels,
+        sensor=settled.sensor,
     )
 
 
@@ -203,7 +254,10 @@ def write_zip(path, recordings: Recordings, progress=None):
         _add(archive, root / "LUT.mat", lookup_table_bytes(recordings.taxels))
         for index, name in enumerate(recordings.ids):
             recording = MatRecording(
-                recordings[index], recordings.source.simulated, int(recordings.writers[index])
+                recordings[index],
+                recordings.source.simulated,
+                int(recordings.writers[index]),
+                n_taxels=len(recordings.taxels),
             )
             _add(archive, root / f"{name}.mat", recording_bytes(recording))
             advance(1)
@@ -260,24 +314,26 @@ def export_zip(path, folder, progress=None) -> int:
 
 
 def content_hash(path) -> str:
-    """SHA-256 over a source's content: of the zip, or of every MAT file of a folder."""
+    """SHA-256 over a source's content: of the zip, or of every recording of a folder."""
     path = Path(path)
     if not path.is_dir():
         return sha256_of(path)
-    files = {name: sha256_of(path / name) for name, _ in _members(path) if _is_mat(name)}
+    files = {name: sha256_of(path / name) for name, _ in _members(path) if _is_recording(name)}
     return hashlib.sha256(json.dumps(files, sort_keys=True).encode()).hexdigest()
 
 
 def fingerprint(path) -> str:
     """A cheap stand-in for the content hash: names, sizes and times of change."""
     path = Path(path)
-    files = [path] if not path.is_dir() else [path / n for n, _ in _members(path) if _is_mat(n)]
+    files = [path]
+    if path.is_dir():
+        files = [path / name for name, _ in _members(path) if _is_recording(name)]
     stats = [(str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns) for f in files]
     return hashlib.sha256(json.dumps(stats).encode()).hexdigest()
 
 
-def _is_mat(name):
-    return name.lower().endswith(".mat")
+def _is_recording(name):
+    return name.lower().endswith(SUFFIXES)
 
 
 def _add(archive, name, content):
@@ -296,25 +352,35 @@ def _ids(names):
 
 def _members(path: Path):
     """Paths of all files of a source, each with what is wrong with it as a member, or None."""
+    return _everything(path)[0]
+
+
+def _everything(path: Path):
+    """The files, as of :func:`_members`, and the paths of the folders."""
     if path.is_dir():
-        return [
-            (file.relative_to(path).as_posix(), None)
-            for file in sorted(path.rglob("*"))
-            if file.is_file()
-        ]
+        files, folders = [], []
+        for entry in sorted(path.rglob("*")):
+            name = entry.relative_to(path).as_posix()
+            if entry.is_file():
+                files.append((name, None))
+            elif entry.is_dir():
+                folders.append(name)
+        return files, folders
     if not path.exists():
         raise UserError(f"{path}: no such file or folder; give the ST-MNIST zip or its folder")
     try:
         with zipfile.ZipFile(path) as archive:
-            return [
-                (info.filename, "is encrypted" if info.flag_bits & 1 else None)
-                for info in archive.infolist()
-                if not info.is_dir()
-            ]
+            members = archive.infolist()
     except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, ValueError) as error:
         raise UserError(
             f"{path}: not a zip archive, or cut short ({error}); download it again"
         ) from error
+    files = [
+        (info.filename, "is encrypted" if info.flag_bits & 1 else None)
+        for info in members
+        if not info.is_dir()
+    ]
+    return files, [info.filename for info in members if info.is_dir()]
 
 
 class _Reader:
@@ -380,12 +446,24 @@ def _read_carefully(path, names):
         return _read_carefully(path, names[:half]) + _read_carefully(path, names[half:])
 
 
+def read_file(name: str, content: bytes):
+    """A recording of any sensor: MatRecording, or EventRecording where the name ends in .npz.
+
+    Raises
+    ------
+    BadRecording
+    """
+    if name.lower().endswith(".npz"):
+        return read_events(content)
+    return read_recording(content, n_taxels=None)
+
+
 def _read_members(path, names):
     """Read some members; a reason takes the place of a recording that is refused."""
     reader, results = _reader(path), []
     for name in names:
         try:
-            results.append(read_recording(reader.read(name)))
+            results.append(read_file(name, reader.read(name)))
         except BadRecording as error:
             results.append(str(error))
         except MemoryError:

@@ -11,15 +11,25 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import read_arrays, read_json, write_arrays, write_json
-from pipeline.recordings.events import EVENT_DTYPES, Events, Recordings, Source, TaxelMap
+from pipeline.recordings.events import (
+    EVENT_DTYPES,
+    Events,
+    Recordings,
+    Sensor,
+    Source,
+    TaxelMap,
+)
 
-FORMAT = 1
+FORMAT = 2
 """Raise it with any change of what is stored or of how recordings are read."""
+
+LARGEST = 1 << 34
+"""Bytes of a set of recordings: the published one takes a hundredth of it."""
 
 
 def folder() -> Path:
     """Where the cache is: ``$STMNIST_CACHE``, or ``stmnist`` in the user's cache folder."""
-    if "STMNIST_CACHE" in os.environ:
+    if os.environ.get("STMNIST_CACHE"):  # empty is not the current folder
         return Path(os.environ["STMNIST_CACHE"])
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stmnist"
 
@@ -31,7 +41,7 @@ def key_of(*parts) -> str:
 
 def store(key: str, recordings: Recordings):
     """Save recordings under a key."""
-    source = recordings.source
+    source, sensor = recordings.source, recordings.sensor
     write_arrays(
         _path(key),
         compress=False,  # loads at the disk's speed
@@ -45,6 +55,9 @@ def store(key: str, recordings: Recordings):
         source=np.array([source.name, source.sha256]),
         simulated=np.array(source.simulated),
         written=np.array(source.written),
+        size=np.array([sensor.rows, sensor.columns, sensor.polarities]),
+        duration_s=np.array(sensor.duration_s),
+        classes=np.array(sensor.classes, dtype=str),
     )
 
 
@@ -60,7 +73,7 @@ def load(key: str) -> Recordings | None:
     if not path.exists():
         return None
     remedy = "delete it and run the command again to make it anew"
-    arrays = read_arrays(path, remedy)
+    arrays = read_arrays(path, remedy, LARGEST)
     try:
         name, sha256 = (str(text) for text in arrays["source"])
         recordings = Recordings(
@@ -73,6 +86,11 @@ def load(key: str) -> Recordings | None:
                 name, sha256, bool(arrays["simulated"]), bool(arrays.get("written", False))
             ),
             taxels=TaxelMap(arrays["x"], arrays["y"]),
+            sensor=Sensor(
+                *(int(n) for n in arrays["size"]),
+                float(arrays["duration_s"]),
+                tuple(arrays["classes"].tolist()),
+            ),
         )
         n = len(recordings)
         whole = recordings.offsets[-1] == len(recordings.events)

@@ -23,6 +23,35 @@ DURATION_S = 2.0
 GRID = 10
 """Taxels along each side of the array."""
 
+DIGITS = tuple("0123456789")
+"""Classes of the published recordings."""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What recordings were made with, and of what; by default the published ones.
+
+    Attributes
+    ----------
+    rows, columns : int
+        Of the tactile image.  There may be places without a taxel.
+    polarities : int
+        2 for ON and OFF events, 1 if there are only ON events.
+    duration_s : float
+        Longest time from the start of a recording to its end, in seconds.
+    classes : tuple of str
+        Names of what the labels 0, 1, ... stand for.
+    """
+
+    rows: int = GRID
+    columns: int = GRID
+    polarities: int = 2
+    duration_s: float = DURATION_S
+    classes: tuple = DIGITS
+
+    def __str__(self):
+        return f"{self.rows}x{self.columns} taxels, {len(self.classes)} classes"
+
 
 @dataclass(frozen=True)
 class Events:
@@ -32,7 +61,7 @@ class Events:
     ----------
     time_ns : ndarray of int64, shape (n,)
         Time of the first tick of each event, in nanoseconds from the start of the recording.
-    taxel : ndarray of uint8, shape (n,)
+    taxel : ndarray of uint16, shape (n,)
         Row index in ``spiketrain``, that is the taxel address less one, 0 to 99.
     polarity : ndarray of int8, shape (n,)
         1 for ON (pressure rises), -1 for OFF (pressure falls).
@@ -57,7 +86,7 @@ class Events:
 
 EVENT_DTYPES = {
     "time_ns": np.int64,
-    "taxel": np.uint8,
+    "taxel": np.uint16,
     "polarity": np.int8,
     "columns": np.uint16,
 }
@@ -91,14 +120,23 @@ class TaxelMap:
 
     Attributes
     ----------
-    x : ndarray of int, shape (100,)
+    x : ndarray of int, shape (n_taxels,)
         Row of the tactile image, from the top.  The paper's X is this plus one.
-    y : ndarray of int, shape (100,)
+    y : ndarray of int, shape (n_taxels,)
         Column of the tactile image, from the left.  The paper's Y is this plus one.
     """
 
     x: np.ndarray = field(default_factory=lambda: np.arange(N_TAXELS) % GRID)
     y: np.ndarray = field(default_factory=lambda: np.arange(N_TAXELS) // GRID)
+
+    @classmethod
+    def grid(cls, rows: int, columns: int) -> TaxelMap:
+        """A taxel at every place, counted column by column as in the published array."""
+        taxels = np.arange(rows * columns)
+        return cls(taxels % rows, taxels // rows)
+
+    def __len__(self):
+        return len(self.x)
 
 
 @dataclass(frozen=True)
@@ -112,7 +150,7 @@ class Recordings:
     offsets : ndarray of int64, shape (n_samples + 1,)
         ``events`` of recording i are those from ``offsets[i]`` to ``offsets[i + 1]``.
     labels : ndarray of int64, shape (n_samples,)
-        The digit, 0 to 9.
+        The class, from 0: the digit itself in the published recordings; see ``sensor.classes``.
     ids : tuple of str
         A name for each recording that does not change from import to import, such as
         ``"3/0042"``.
@@ -120,6 +158,7 @@ class Recordings:
         The writer, from 0; -1 where it is not known.
     source : Source
     taxels : TaxelMap
+    sensor : Sensor
     """
 
     events: Events
@@ -129,6 +168,7 @@ class Recordings:
     writers: np.ndarray
     source: Source
     taxels: TaxelMap = field(default_factory=TaxelMap)
+    sensor: Sensor = field(default_factory=Sensor)
 
     def __len__(self):
         return len(self.labels)
@@ -147,7 +187,7 @@ class Recordings:
         return replace(self, taxels=taxels)
 
 
-def collect(parts, labels, ids, writers, source, taxels=None) -> Recordings:
+def collect(parts, labels, ids, writers, source, taxels=None, sensor=None) -> Recordings:
     """Join the events of single recordings.
 
     Parameters
@@ -157,6 +197,7 @@ def collect(parts, labels, ids, writers, source, taxels=None) -> Recordings:
         One entry a recording.
     source : Source
     taxels : TaxelMap, optional
+    sensor : Sensor, optional
     """
     columns = (
         np.concatenate([getattr(part, name) for part in parts]) if parts else np.empty(0, dtype)
@@ -170,6 +211,7 @@ def collect(parts, labels, ids, writers, source, taxels=None) -> Recordings:
         writers=np.asarray(writers, np.int64),
         source=source,
         taxels=taxels or TaxelMap(),
+        sensor=sensor or Sensor(),
     )
 
 

@@ -1,6 +1,7 @@
 """One recording, one MATLAB file: ``spiketrain``, 101 x n (paper, Section 2.3).
 
-Rows 0 to 99 hold 1 (ON), -1 (OFF) or 0 for the taxels, row 100 the time of each column in seconds.
+Rows 0 to 99 hold 1 (ON), -1 (OFF) or 0 for the taxels, row 100 the time of each column in seconds;
+of another array as many rows as it has taxels, and the time in the one after.
 MATLAB 5 files are read by :mod:`pipeline.recordings.mat5`, 7.3 files (HDF5) with h5py; nothing in
 them is executed, and nothing is read that is larger than a recording can be.
 """
@@ -19,7 +20,6 @@ import scipy.io
 from pipeline.recordings import mat5
 from pipeline.recordings.events import (
     DURATION_S,
-    GRID,
     N_TAXELS,
     Events,
     TaxelMap,
@@ -29,8 +29,15 @@ from pipeline.recordings.events import (
 
 VARIABLE = "spiketrain"
 _WRITTEN = ("source", "time", "handedness", "seed", "pen")
-LATEST_S = 2 * DURATION_S
-"""A recording lasts 2 s; a time past this is taken for milliseconds."""
+LATEST_S = 60.0
+"""A recording lasts 2 s, of other sensors perhaps longer; a time past this is taken for
+milliseconds."""
+
+MAX_TAXELS = 65536
+"""Of any array: as many as an event can tell apart."""
+
+MAX_SIDE = 256
+"""Rows and columns of any array."""
 
 
 class BadRecording(ValueError):
@@ -74,21 +81,26 @@ class MatRecording:
     written : Written or None
         Not None if the file says of itself that a real hand wrote it on the simulated skin
         (likewise, ``source`` being ``"written"``).
+    n_taxels : int
+        As many as the file has rows for.
     """
 
     events: Events
     simulated: bool = False
     writer: int = -1
     written: Written | None = None
+    n_taxels: int = N_TAXELS
 
 
-def read_recording(content: bytes) -> MatRecording:
+def read_recording(content: bytes, n_taxels: int | None = N_TAXELS) -> MatRecording:
     """Read a recording.
 
     Parameters
     ----------
     content : bytes
         Of a MATLAB 5 or 7.3 file.
+    n_taxels : int or None
+        Of the array; None for any.
 
     Returns
     -------
@@ -103,11 +115,22 @@ def read_recording(content: bytes) -> MatRecording:
     if VARIABLE not in variables:
         raise BadRecording(f"has no variable {VARIABLE!r}")
     simulated, writer = (_number(variables.get(name)) for name in ("simulated", "writer"))
+    spiketrain = np.asarray(variables[VARIABLE])
+    try:
+        events = events_of(spiketrain, n_taxels)
+    except BadRecording as error:
+        rows = spiketrain.shape[0] if spiketrain.ndim == 2 else N_TAXELS + 1
+        if n_taxels is None and rows != N_TAXELS + 1:  # which may be all that is wrong with it
+            raise BadRecording(
+                f"{VARIABLE!r} has {rows} rows; as of {rows - 1} taxels it {error}"
+            ) from error
+        raise
     return MatRecording(
-        events=events_of(variables[VARIABLE]),
+        events=events,
         simulated=bool(simulated),
         writer=-1 if writer is None else int(writer),
         written=_written(variables),
+        n_taxels=len(spiketrain) - 1,
     )
 
 
@@ -135,24 +158,29 @@ def _number(variable):
     return values[0] if is_number else None
 
 
-def events_of(spiketrain) -> Events:
+def events_of(spiketrain, n_taxels: int | None = N_TAXELS) -> Events:
     """Check a ``spiketrain`` and turn it into physical events.
 
     Parameters
     ----------
-    spiketrain : array_like, shape (101, n)
+    spiketrain : array_like, shape (n_taxels + 1, n)
+    n_taxels : int or None
+        Of the array; None for any.
 
     Raises
     ------
     BadRecording
-        Not 101 rows of numbers; empty; a value other than -1, 0 and 1; a column with several events
-        or none; times that are NaN, negative, not increasing or in milliseconds.
+        Not as many rows of numbers; empty; a value other than -1, 0 and 1; a column with several
+        events or none; times that are NaN, negative, not increasing or in milliseconds.
     """
     spiketrain = np.asarray(spiketrain)
     if spiketrain.dtype.kind not in "fiub" or spiketrain.ndim != 2:
         raise BadRecording(f"{VARIABLE!r} is not a matrix of numbers")
-    if spiketrain.shape[0] != N_TAXELS + 1:
-        raise BadRecording(f"{VARIABLE!r} has {spiketrain.shape[0]} rows, not {N_TAXELS + 1}")
+    rows = spiketrain.shape[0]
+    if n_taxels is not None and rows != n_taxels + 1:
+        raise BadRecording(f"{VARIABLE!r} has {rows} rows, not {n_taxels + 1}")
+    if not 2 <= rows <= MAX_TAXELS + 1:
+        raise BadRecording(f"{VARIABLE!r} has {rows} rows, not 2 to {MAX_TAXELS + 1}")
     if spiketrain.shape[1] == 0:
         raise BadRecording("is empty: no events")
     values, times = spiketrain[:-1], spiketrain[-1].astype(float)
@@ -252,10 +280,13 @@ def read_limited(file) -> bytes:
     return file.read(mat5.LARGEST + 1)
 
 
-def spiketrain_of(events: Events) -> np.ndarray:
-    """The published form of a recording, shape (101, n_columns); inverse of :func:`events_of`."""
+def spiketrain_of(events: Events, n_taxels: int = N_TAXELS) -> np.ndarray:
+    """The published form of a recording, shape (n_taxels + 1, n_columns).
+
+    Inverse of :func:`events_of`.
+    """
     time_ns, taxel, polarity = expand_bursts(events)
-    spiketrain = np.zeros((N_TAXELS + 1, len(time_ns)))
+    spiketrain = np.zeros((n_taxels + 1, len(time_ns)))
     spiketrain[taxel, np.arange(len(time_ns))] = polarity
     spiketrain[-1] = time_ns * 1e-9
     return spiketrain
@@ -274,38 +305,47 @@ def recording_bytes(recording: MatRecording) -> bytes:
         variables["seed"] = np.array(written.seed, float)
         if written.handedness:
             variables["handedness"] = written.handedness
-    variables[VARIABLE] = spiketrain_of(recording.events)
+    variables[VARIABLE] = spiketrain_of(recording.events, recording.n_taxels)
     return _mat_bytes(variables)
 
 
 def read_lookup_table(content: bytes) -> TaxelMap:
-    """Read ``LUT.mat``: 100 rows of X and Y, or of address, X and Y, in any one variable.
+    """Read ``LUT.mat``: a row of X and Y, or of address, X and Y, for each taxel, in one variable.
 
     Raises
     ------
     BadRecording
-        No variable of that form, or its entries are no positions of 100 different taxels.
+        No variable of that form, or its entries are no positions of different taxels.
     """
     for table in read_variables(content).values():
         table = np.asarray(table)
-        if table.dtype.kind in "fiu" and table.shape in ((N_TAXELS, 2), (N_TAXELS, 3)):
+        if (
+            table.dtype.kind in "fiu"
+            and table.ndim == 2
+            and table.shape[1] in (2, 3)
+            and len(table)
+        ):
             break
     else:
-        raise BadRecording("has no table of 100 rows with X and Y, or address, X and Y")
+        raise BadRecording("has no table of rows with X and Y, or address, X and Y, one a taxel")
+    n = len(table)
+    if n > MAX_TAXELS:
+        raise BadRecording(f"has {n} rows, more than the {MAX_TAXELS} taxels of any array")
     if table.shape[1] == 3:
-        if sorted(table[:, 0]) != list(range(1, N_TAXELS + 1)):
-            raise BadRecording("its first column is not the addresses 1 to 100")
+        if sorted(table[:, 0]) != list(range(1, n + 1)):
+            raise BadRecording(f"its first column is not the addresses 1 to {n}")
         table = table[np.argsort(table[:, 0]), 1:]
-    positions = {tuple(row) for row in table.tolist()}
-    if len(positions) != N_TAXELS or not np.isin(table, np.arange(1, GRID + 1)).all():
-        raise BadRecording(f"X and Y are not {N_TAXELS} different positions from 1 to {GRID}")
+    places = {tuple(row) for row in table.tolist()}
+    whole = np.isfinite(table).all() and (table == np.rint(table)).all()
+    if len(places) != n or not whole or table.min() < 1 or table.max() > MAX_SIDE:
+        raise BadRecording(f"X and Y are not {n} different positions from 1 to {MAX_SIDE}")
     x, y = (table[:, i].astype(int) - 1 for i in (0, 1))
     return TaxelMap(x, y)
 
 
 def lookup_table_bytes(taxels: TaxelMap) -> bytes:
     """A lookup table as a MATLAB 5 file; inverse of :func:`read_lookup_table`."""
-    address = np.arange(1, N_TAXELS + 1)
+    address = np.arange(1, len(taxels) + 1)
     return _mat_bytes({"LUT": np.stack([address, taxels.x + 1, taxels.y + 1], 1).astype(float)})
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.recordings.events import GRID, Recordings
+from pipeline.recordings.events import Recordings
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,8 @@ class EventTable:
         0 for ON, 1 for OFF.
     offsets : ndarray of int64, shape (n_samples + 1,)
         Events of recording i are those from ``offsets[i]`` to ``offsets[i + 1]``.
+    size : (int, int)
+        Rows and columns of the tactile image.
     """
 
     time_ms: np.ndarray
@@ -29,6 +31,7 @@ class EventTable:
     column: np.ndarray
     polarity: np.ndarray
     offsets: np.ndarray
+    size: tuple = (10, 10)
 
     @classmethod
     def of(cls, recordings: Recordings) -> EventTable:
@@ -43,6 +46,7 @@ class EventTable:
             column=recordings.taxels.y[events.taxel].astype(np.uint8),
             polarity=(events.polarity < 0).astype(np.uint8),
             offsets=offsets,
+            size=(recordings.sensor.rows, recordings.sensor.columns),
         )
 
     def __len__(self):
@@ -73,7 +77,7 @@ class EventTable:
     def frames(self, indices, step_ms: float, steps: int) -> np.ndarray:
         """Frames of some recordings; see :func:`spike_frames`."""
         sample, time_ms, *place = self.pick(np.asarray(indices))
-        return spike_frames(sample, time_ms / step_ms, *place, len(indices), steps)
+        return spike_frames(sample, time_ms / step_ms, *place, len(indices), steps, self.size)
 
     def lost(self, step_ms: float) -> float:
         """Share of the events that fall into the step of another one of their taxel and polarity.
@@ -82,12 +86,12 @@ class EventTable:
         """
         sample = np.repeat(np.arange(len(self)), np.diff(self.offsets))
         step = (self.time_ms / step_ms).astype(np.int64)
-        place = (self.row.astype(np.int64) * GRID + self.column) * 2 + self.polarity
+        place = (self.row.astype(np.int64) * self.size[1] + self.column) * 2 + self.polarity
         kept = np.unique(np.stack([sample, step, place]), axis=1).shape[1]
         return 1 - kept / len(sample) if len(sample) else 0.0
 
 
-def spike_frames(sample, step, row, column, polarity, samples: int, steps: int) -> np.ndarray:
+def spike_frames(sample, step, row, column, polarity, samples: int, steps: int, size=(10, 10)):
     """Where there is an event in which step.
 
     Several events of one taxel and polarity in a step are one spike.  Events past the last step are
@@ -99,12 +103,14 @@ def spike_frames(sample, step, row, column, polarity, samples: int, steps: int) 
         Steps may be fractions, which are rounded down.
     samples, steps : int
         How many there are.
+    size : (int, int)
+        Rows and columns.
 
     Returns
     -------
     ndarray of uint8, shape (steps, samples, rows, columns, 2)
     """
-    frames = np.zeros((steps, samples, GRID, GRID, 2), np.uint8)
+    frames = np.zeros((steps, samples, *size, 2), np.uint8)
     step = np.floor(step).astype(np.int64)
     inside = (step >= 0) & (step < steps)
     frames[step[inside], sample[inside], row[inside], column[inside], polarity[inside]] = 1

@@ -6,8 +6,10 @@ import math
 
 import numpy as np
 
+from deploy.errors import UserError
 from deploy.tables import aligned
 from pipeline.paper import SAMPLES_PER_DIGIT, TABLE1
+from pipeline.recordings.events import DIGITS
 
 MEASURES = ("on", "off", "x_mean", "y_mean", "x_range", "y_range")
 """Rows of the table, in the paper's order."""
@@ -85,6 +87,11 @@ LABELS = {
 }
 
 
+def _check(recordings, against_paper):
+    if against_paper and recordings.sensor.classes != DIGITS:
+        raise UserError("--against-paper: the paper's figures are of the digits; leave it out")
+
+
 def is_st_mnist(recordings) -> bool:
     """True if they are, by all one can see, those of the paper: recorded, and as many a digit."""
     counts = np.bincount(recordings.labels, minlength=10).tolist()
@@ -100,13 +107,15 @@ def table1_json(recordings, against_paper: bool = False) -> dict:
     against_paper : bool
         With the paper's figures and how far these are from them, relative to the paper's.
     """
+    _check(recordings, against_paper)
     digits = {}
     for digit, row in table(recordings).items():
-        digits[str(digit)] = _plain(row)
+        name = recordings.sensor.classes[digit]
+        digits[name] = _plain(row)
         if against_paper:
             paper = TABLE1[digit]
-            digits[str(digit)]["paper"] = _plain(paper)
-            digits[str(digit)]["error"] = _plain(
+            digits[name]["paper"] = _plain(paper)
+            digits[name]["error"] = _plain(
                 {name: _relative(row[name], paper[name]) for name in MEASURES}
             )
     return {
@@ -118,11 +127,12 @@ def table1_json(recordings, against_paper: bool = False) -> dict:
 
 def table1_text(recordings, against_paper: bool = False) -> str:
     """The table as text; parameters as in :func:`table1_json`."""
+    _check(recordings, against_paper)
     ours = table(recordings)
     name = recordings.source.name
     if recordings.source.simulated and "simulated" not in name:
         name += " (simulated)"
-    rows = [["", *map(str, ours)]]
+    rows = [["", *(recordings.sensor.classes[digit] for digit in ours)]]
     for measure, label in LABELS.items():
         decimals = 2 if measure[0] in "xy" else 0
         rows.append([label, *(_cell(row[measure], decimals) for row in ours.values())])

@@ -18,7 +18,7 @@ from pipeline.report.page import Inputs, choose_samples
 from pipeline.report.replay import replay
 from pipeline.run.folder import RunFolder
 from pipeline.run.history import read_history
-from pipeline.run.ladder import STAGES
+from pipeline.run.ladder import ladder_stages
 from pipeline.settings import read_settings
 
 REMEDY = "delete it and make it again"
@@ -44,10 +44,11 @@ def gather(folder: RunFolder, benchmark: Path, jobs: int, say) -> Inputs:
     """
     settings = read_settings(folder.experiment)
     bundle = read_bundle(folder.bundle)
-    results = _results(folder, bundle)
-    recordings = recordings_of(settings.data, jobs)
+    results = _results(folder, bundle, settings.input.kind)
+    recordings = recordings_of(settings, jobs)
+    unknown = set(bundle.checks.ids) - set(recordings.ids)
     made_from = bundle.spec.provenance.get("source_sha256")
-    if made_from != recordings.source.sha256:
+    if made_from != recordings.source.sha256 or unknown:
         raise UserError(
             f"{folder.bundle}: made from other recordings than {settings.data.source} gives now; "
             f"run 'stmnist ladder {folder.path}' again"
@@ -75,7 +76,7 @@ def gather(folder: RunFolder, benchmark: Path, jobs: int, say) -> Inputs:
         bundle=bundle,
         results=results,
         metrics={
-            name: read_json(path / "metrics.json", REMEDY)
+            name: _metrics(path / "metrics.json")
             for name, path in (("cnn", folder.cnn), ("snn", folder.snn))
             if (path / "metrics.json").exists()
         },
@@ -88,14 +89,37 @@ def gather(folder: RunFolder, benchmark: Path, jobs: int, say) -> Inputs:
     )
 
 
-def _results(folder, bundle):
+def _metrics(path):
+    """What a training measured, or an error that names the file."""
+    metrics = read_json(path, REMEDY)
+    accuracy, count = metrics.get("accuracy"), metrics.get("n_test")
+    told = isinstance(accuracy, dict) and "test" in accuracy and type(count) is int and count > 0
+    if not told or not all(map(_is_share, accuracy.values())):
+        raise UserError(f"{path}: says no accuracy on the test split; {REMEDY}")
+    return metrics
+
+
+def _is_share(value):
+    return type(value) in (int, float) and 0 <= value <= 1
+
+
+def _results(folder, bundle, kind):
     """The check results of this bundle, in the order of the ladder."""
     results = [
         result
-        for stage in STAGES
+        for stage in ladder_stages(kind)
         if folder.check(stage).exists()
         and (result := read_result(folder.check(stage)))["bundle"] == bundle.id
     ]
+    for result in results:
+        whole = all(name in result for name in ("anytime_accuracy", "decided_at_median"))
+        whole = whole and [sample["id"] for sample in result["samples"]] == list(bundle.checks.ids)
+        whole = whole and result["spikes"].keys() <= set(bundle.spec.spiking_layers)
+        if not whole:
+            raise UserError(
+                f"{folder.check(result['target'])}: not of the bundle's samples and layers; "
+                f"delete it and run 'stmnist ladder {folder.path}' again"
+            )
     if not results:
         raise UserError(
             f"{folder.path / 'checks'}: no check result of the bundle that is there; "
@@ -113,8 +137,18 @@ def _read_benchmark(folder, recordings, say):
     if table.get("source_sha256") != recordings.source.sha256:
         say(f"report: {path} is of other recordings and left out")
         return None, None, {}, {}
+    try:
+        answers, curves = _of_rows(folder, table["rows"])
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        raise UserError(f"{path}: not a whole table ({error!r}); {REMEDY}") from error
+    experiment = folder / "experiment.toml"
+    return table, read_settings(experiment) if experiment.exists() else None, answers, curves
+
+
+def _of_rows(folder, rows):
+    """Answers of the random splits by model, and SLAYER's learning curve."""
     answers, curves = {}, {}
-    for row in table["rows"]:
+    for row in rows:
         results = [
             read_json(split_path(folder, "random", index, row["model"]), REMEDY)
             for index in row["indices"]
@@ -126,5 +160,4 @@ def _read_benchmark(folder, recordings, say):
             )
         if row["model"] == "slayer" and results:
             curves[f"SNN-SLAYER, split {row['indices'][0]}"] = results[0]["history"]
-    experiment = folder / "experiment.toml"
-    return table, read_settings(experiment) if experiment.exists() else None, answers, curves
+    return answers, curves

@@ -13,35 +13,17 @@ from deploy import __version__
 from deploy.check.bundle import Bundle
 from deploy.check.energy import estimate_energy
 from deploy.network.responses import seconds_per_sample
+from deploy.targets.registry import TARGETS
 from pipeline.experiments.table2_splits import MODELS
 from pipeline.inputs.images import growing, normalise
 from pipeline.paper import TABLE1
 from pipeline.recordings import table1
 from pipeline.recordings.events import Recordings
 from pipeline.report import charts
-from pipeline.run.ladder import confusion_matrix, ladder_json
+from pipeline.run.answers import NETWORKS
+from pipeline.run.ladder import confusion_matrix, ladder_json, points_text
 from pipeline.settings import Settings
 
-STAGE_TITLES = {
-    "cnn": "CNN",
-    "rate-lif": "Rate LIF",
-    "spiking-lif": "Spiking LIF, NengoDL",
-    "nengo": "Spiking, Nengo",
-    "simreal": "Loihi, not discretised",
-    "emulator": "Loihi emulator",
-    "fast": "Loihi, fast emulator",
-    "loihi": "Loihi board",
-}
-STAGE_NOTES = {
-    "cnn": "the paper's convolutional network, no spikes",
-    "rate-lif": "trained with the firing rates of LIF neurons in the place of spikes",
-    "spiking-lif": "the same weights, neurons that spike",
-    "nengo": "the network as deployed, input as spikes too, on Nengo's reference simulator",
-    "simreal": "NengoLoihi's model of the chip in floating point",
-    "emulator": "NengoLoihi's model of the chip in its integers: 8-bit weights, rounded voltages",
-    "fast": "the same, bit for bit, by this project's own emulator",
-    "loihi": "the chip itself",
-}
 ZERO_MEANS = {
     "data.samples_per_digit": "0: the published numbers",
     **{f"snn.{name}": "0: the recipe's own" for name in ("epochs", "batch_size", "learning_rate")},
@@ -157,6 +139,17 @@ def choose_samples(result: dict, stream_length: int) -> list:
     return chosen
 
 
+def _named(stage):
+    """Title and note of a network or target."""
+    if stage in NETWORKS:
+        return NETWORKS[stage]
+    return TARGETS[stage].title, TARGETS[stage].note
+
+
+def _title(stage):
+    return _named(stage)[0]
+
+
 def _other_settings(inputs):
     """Settings that the benchmark has otherwise than the run."""
     if inputs.table2_settings is None:
@@ -168,14 +161,15 @@ def _other_settings(inputs):
 def _ladder(inputs):
     rows = ladder_json(inputs.results)["rows"]
     for row in rows:
-        row["title"] = STAGE_TITLES.get(row["stage"], row["stage"])
-        row["note"] = STAGE_NOTES.get(row["stage"], "")
+        row["title"] = _title(row["stage"])
+        row["note"] = _named(row["stage"])[1]
     chart = charts.interval_chart(
         [(row["title"], row["accuracy"], row["accuracy_ci95"], None) for row in rows],
         "accuracy, with 95 % interval",
         "Accuracy of each stage from CNN to chip",
     )
-    return {"rows": rows, "chart": chart, "n": inputs.results[0]["n_samples"]}
+    lost = points_text(100 * (rows[0]["accuracy"] - rows[-1]["accuracy"]))
+    return {"rows": rows, "chart": chart, "n": inputs.results[0]["n_samples"], "lost": lost}
 
 
 def _benchmark(table):
@@ -241,7 +235,7 @@ def _anytime(inputs):
     start = inputs.bundle.spec.presentation.readout_start
     series = [
         charts.Series(
-            STAGE_TITLES.get(r["target"], r["target"]),
+            _title(r["target"]),
             tuple(range(start + 1, len(r["anytime_accuracy"]) + 1)),
             tuple(r["anytime_accuracy"][start:]),
         )
@@ -256,7 +250,7 @@ def _anytime(inputs):
         ),
         "legend": charts.legend([s.name for s in series]),
         "median": shown[-1]["decided_at_median"],
-        "target": STAGE_TITLES.get(shown[-1]["target"], shown[-1]["target"]),
+        "target": _title(shown[-1]["target"]),
     }
 
 
@@ -295,7 +289,7 @@ def _confusions(inputs):
     }
     for result in (inputs.results[0], inputs.results[-1]):
         answers = [[s[key] for s in result["samples"]] for key in ("label", "prediction")]
-        title = STAGE_TITLES.get(result["target"], result["target"])
+        title = _title(result["target"])
         if not (result["target"] == "cnn" and "cnn" in inputs.answers):
             wanted[f"{title}, the check's {len(answers[0])} samples"] = answers
     matrices = []
@@ -338,7 +332,7 @@ def _stories(inputs):
                 "n_events": len(events),
                 "layers": rasters,
                 "scores": _scores(sample),
-                "target": STAGE_TITLES.get(result["target"], result["target"]),
+                "target": _title(result["target"]),
             }
         )
     return stories
@@ -361,10 +355,11 @@ def _layer_raster(layer, steps, neurons, replay):
 
 def _frames(inputs, recording):
     """The tactile image as it grows, up to the last event."""
-    whole, image = inputs.recordings[recording], inputs.settings.image
+    made, image = inputs.recordings, inputs.settings.image
+    whole = made[recording]
     end = int(whole.time_ns[-1]) + 1 if len(whole) else 1
     ends = [end * number // FRAMES for number in range(1, FRAMES + 1)]
-    grown = growing(whole, inputs.recordings.taxels, ends, image.aggregation)
+    grown = growing(whole, made.taxels, ends, image.aggregation, made.sensor)
     frames = []
     for until, pixels in zip(ends, normalise(grown, image.normalisation), strict=True):
         caption = f"{until / 1e9:.2f} s"

@@ -1,4 +1,5 @@
-"""What the networks before the bundle answer: CNN, rate-based LIF and NengoDL's spiking LIF."""
+"""What the networks before the bundle answer: CNN, rate-based LIF and NengoDL's spiking LIF, or the
+network trained on events."""
 
 from __future__ import annotations
 
@@ -10,10 +11,25 @@ import numpy as np
 from deploy.check.bundle import Bundle
 from deploy.check.results import result_of
 from deploy.check.run import records_of
-from deploy.network.responses import Responses
+from deploy.network.responses import Responses, read_output
 from pipeline.settings import Settings
 
-STAGES = ("cnn", "rate-lif", "spiking-lif")
+NETWORKS = {
+    "cnn": ("CNN", "the paper's convolutional network, no spikes"),
+    "rate-lif": (
+        "Rate LIF",
+        "trained with the firing rates of LIF neurons in the place of spikes",
+    ),
+    "spiking-lif": ("Spiking LIF, NengoDL", "the same weights, neurons that spike"),
+    "trained": (
+        "Trained on events",
+        "the spiking network as it was trained, each sample from rest",
+    ),
+}
+"""Title and note of each network before the bundle; those after it are targets."""
+
+STAGES = {"image": ("cnn", "rate-lif", "spiking-lif"), "events": ("trained",)}
+"""Which of them there are, by the kind of input."""
 
 
 def reference_result(
@@ -27,7 +43,7 @@ def reference_result(
         One of `STAGES`.
     settings : Settings
     weights : dict
-        The CNN's for ``"cnn"``, the rate-based network's for the others.
+        The CNN's for ``"cnn"``; otherwise those that the bundle was made from.
     bundle : Bundle
     advance : callable, optional
         Called with the number of samples done since the last call.
@@ -38,10 +54,13 @@ def reference_result(
         See :func:`deploy.check.results.result_of`.
     """
     begun = time.perf_counter()
-    logits = _logits(stage, settings, weights, bundle.checks.inputs, advance)
+    if stage == "trained":
+        responses = _on_events(settings, weights, bundle, advance)
+    else:
+        logits = _logits(stage, settings, weights, bundle.checks.inputs, advance)
+        responses = responses_of(logits, settings.presentation)
     seconds = time.perf_counter() - begun
-    everything = slice(0, len(bundle.checks))
-    samples = records_of(bundle, everything, responses_of(logits, settings.presentation))
+    samples = records_of(bundle, slice(0, len(bundle.checks)), responses)
     extra = {"versions": training_versions()}
     return result_of(bundle, stage, settings.seed, samples, seconds, extra)
 
@@ -68,6 +87,17 @@ def training_versions() -> dict:
     """Versions of what only these networks need."""
     names = ("tensorflow", "nengo-dl")
     return {name.replace("-", "_"): importlib.metadata.version(name) for name in names}
+
+
+def _on_events(settings, weights, bundle, advance):
+    """Of the trained network, each sample from rest and no spike a step late."""
+    from pipeline.training.events import EventRecipe, TrainedOnEvents
+
+    frames = bundle.checks.inputs.astype(np.uint8)
+    found = TrainedOnEvents(EventRecipe.of(settings), weights).answers(frames, advance)
+    spikes = {"input": frames.reshape(*frames.shape[:2], -1).sum(1, dtype=np.int64), **found.spikes}
+    output = np.diff(found.outputs.astype(float), axis=1, prepend=0)
+    return read_output(bundle.spec, output, spikes)
 
 
 def _logits(stage, settings, weights, images, advance):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.spec import Layer, NetworkSpec, Neurons
 from deploy.network.stimulus import ImageCurrent, ImageSpikes
 from models.architecture import parse
 from models.lif import gain_for
@@ -13,22 +13,23 @@ from pipeline.settings import Settings
 from pipeline.training.networks import TrainedRates
 
 
-def deployed(settings: Settings, weights: dict, provenance: dict, images) -> NetworkSpec:
+def deployed(settings: Settings, weights: dict, provenance: dict, data) -> NetworkSpec:
     """Describe the spiking network with the given weights; see :func:`to_spec`.
 
     Parameters
     ----------
     settings, weights, provenance
         As in :func:`to_spec`.
-    images : ndarray
-        Training images, by which the range of a readout on the chip is set.
+    data : (images, labels)
+        Of training samples, by which the range of a readout on the chip is set.
     """
     on_chip = settings.deployment.readout == "chip"
-    logits = TrainedRates(settings, weights).logits(images) if on_chip else None
-    return to_spec(settings, weights, provenance, logits)
+    images, labels = data
+    range_of = (TrainedRates(settings, weights).logits(images), labels) if on_chip else None
+    return to_spec(settings, weights, provenance, range_of)
 
 
-def to_spec(settings: Settings, weights: dict, provenance: dict, logits=None) -> NetworkSpec:
+def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) -> NetworkSpec:
     """Describe the spiking network with the given weights.
 
     With activation ``z`` at which the trained network's neurons get ``J = 1 + gain * z``, the
@@ -42,8 +43,9 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, logits=None) ->
         Of the rate-based network.
     provenance : dict
         Kept in the bundle.
-    logits : ndarray, shape (n_samples, outputs), optional
-        Of training samples; only for a readout on the chip, whose range is set by them.
+    range_of : (logits, labels), optional
+        Arrays of shapes (n_samples, outputs) and (n_samples,), of training samples; only for a
+        readout on the chip, whose range is set by them.
 
     Returns
     -------
@@ -59,7 +61,7 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, logits=None) ->
         gain = gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
         kernel = gain * weights[f"{name}.kernel"].astype(float)
         bias = 1 + gain * weights[f"{name}.bias"].astype(float)
-        if snn.recipe == "loihi":  # on the host too: that is what was trained
+        if snn.is_on_chip:  # on the host too: that is what was trained
             kernel, bias = eight_bits(kernel).numpy(), twelve_bits(bias).numpy()
         layers.append(
             Layer(
@@ -71,7 +73,7 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, logits=None) ->
                 **geometry(folded, deployment.pop_type),
             )
         )
-    layers.append(_readout(settings, output, weights, logits))
+    layers.append(_readout(settings, output, weights, range_of))
     return NetworkSpec(
         architecture=str(architecture),
         input_shape=architecture.input_shape,
@@ -79,7 +81,7 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, logits=None) ->
         if on_host
         else ImageSpikes(deployment.input_rate, deployment.input_phase),
         layers=tuple(layers),
-        presentation=Presentation(**vars(settings.presentation)),
+        presentation=settings.presented(),
         provenance=provenance,
     )
 
@@ -102,7 +104,7 @@ def geometry(folded, pop_type):
     return geometry
 
 
-def _readout(settings, folded, weights, logits):
+def _readout(settings, folded, weights, range_of):
     common = geometry(folded, settings.deployment.pop_type)
     kernel = weights["output.kernel"].T.astype(float)
     bias = weights["output.bias"].astype(float)
@@ -110,11 +112,13 @@ def _readout(settings, folded, weights, logits):
         return Layer(
             placement="host", neurons=None, synapse=None, weights=kernel, bias=bias, **common
         )
-    # Ten LIF neurons: the median of a sample's best wrong logit gives threshold, the largest right
-    # ones the full rate, so that what decides lies in the neurons' range.
+    # A LIF neuron a class: the median of a sample's best wrong logit gives threshold, the largest
+    # right ones the full rate, so that what decides lies in the neurons' range.
     snn = settings.snn
-    top = np.sort(np.asarray(logits, float), axis=1)
-    threshold, full = np.median(top[:, -2]), np.percentile(top[:, -1], 99)
+    logits, labels = np.array(range_of[0], float), np.asarray(range_of[1])
+    right = logits[np.arange(len(labels)), labels]
+    logits[np.arange(len(labels)), labels] = -np.inf
+    threshold, full = np.median(logits.max(axis=1)), np.percentile(right, 99)
     rate = snn.max_rates[-1]
     gain = gain_for(rate, snn.tau_rc, snn.tau_ref) / max(full - threshold, 1e-6)
     return Layer(

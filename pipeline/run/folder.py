@@ -12,6 +12,12 @@ from deploy.errors import UserError
 from deploy.files import lock, read_json
 from pipeline.settings import Settings, read_settings, write_settings
 
+FILES = {
+    *(".keras", ".h5", ".hdf5", ".zip", ".mat", ".json", ".npz", ".toml", ".html", ".csv"),
+    *(".py", ".pyz", ".pb", ".png", ".nir"),
+}
+"""Ends of names that nobody gives to a folder: a file that is not there must not become one."""
+
 
 @dataclass(frozen=True)
 class RunFolder:
@@ -108,13 +114,18 @@ class RunFolder:
 
     @contextlib.contextmanager
     def locked(self):
-        """Keep a second process from working in this run.
+        """Make the folder, and keep a second process from working in it.
 
         Raises
         ------
         UserError
-            One is.
+            One is; or the name is a file's and no folder of that name is there.
         """
+        if self.path.suffix.lower() in FILES and not self.path.is_dir():
+            raise UserError(
+                f"{self.path}: named like a file, and no folder of that name is there; "
+                "RUN is a folder, such as runs/default"
+            )
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             file = (self.path / ".lock").open("w")

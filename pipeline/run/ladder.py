@@ -11,20 +11,32 @@ from deploy.check.bundle import Bundle
 from deploy.check.results import compare_results, read_result
 from deploy.files import read_json, write_json
 from deploy.tables import aligned
+from deploy.targets.registry import TARGETS
 from pipeline.progress import progress
 from pipeline.run import stages
+from pipeline.run.answers import STAGES as NETWORKS
 from pipeline.run.diagnosis import layers_json, layers_text, least_faithful
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings
 
-STAGES = ("cnn", "rate-lif", "spiking-lif", "nengo", "simreal", "emulator", "loihi")
-"""Of the ladder on the check's samples."""
+BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
+"""Targets whose results are taken where they are there, and not asked for."""
 
-WHOLE_STAGES = ("cnn", "rate-lif", "spiking-lif", "nengo", "simreal", "fast")
-"""Of the ladder on the whole test split; ``fast`` answers as ``emulator`` does, bit for bit."""
+SLOW = tuple(name for name, target in TARGETS.items() if target.slow and name != "emulator")
+"""Of the ladder on the whole test split, those that take minutes."""
 
-SLOW = ("nengo", "simreal")
-"""Of `WHOLE_STAGES`, those that take minutes."""
+TRAINED = ("rate-lif", "trained")
+"""What the bundle is made from; what is lost after it, the way to the chip has lost."""
+
+
+def ladder_stages(kind: str, whole: bool = False) -> list:
+    """Stages of the ladder of a kind of input, in order.
+
+    ``fast`` answers as ``emulator`` does, bit for bit: the check's samples have the one, the whole
+    test split the other, and no answer of a board.
+    """
+    left_out = ("emulator", *BOARDS) if whole else ("fast",)
+    return [*NETWORKS[kind], *(name for name in TARGETS if name not in left_out)]
 
 
 def measure_ladder(
@@ -38,7 +50,7 @@ def measure_ladder(
         Locked.
     settings : Settings
     jobs : int
-        Processes for recordings that are not in the cache.
+        Processes, of recordings that are not in the cache and of targets.
     whole : bool
         On the whole test split, not on the check's samples.
     slow : bool
@@ -52,16 +64,17 @@ def measure_ladder(
         See :func:`ladder_json`.
     """
     dataset, bundle = stages.make_bundle(run, settings, jobs, say)
-    left_out, asked = (), [stage for stage in STAGES if stage != "loihi"]
+    asked = ladder_stages(settings.input.kind, whole)
+    left_out = ()
     if whole:
         bundle = stages.on_test_split(settings, dataset, bundle)
         left_out = () if slow else SLOW
-        asked = [stage for stage in WHOLE_STAGES if stage not in left_out]
-    results = [stages.answer(run, settings, bundle, stage, say, whole) for stage in asked]
-    board = run.check("loihi")
+    asked = [stage for stage in asked if stage not in (*left_out, *BOARDS)]
+    results = stages.answer_all(run, settings, bundle, asked, jobs, say, whole)
     # A board's result is a row of its own if it is there and of this bundle.
-    if not whole and board.exists() and read_result(board)["bundle"] == bundle.id:
-        results.append(read_result(board))
+    for board in () if whole else map(run.check, BOARDS):
+        if board.exists() and read_result(board)["bundle"] == bundle.id:
+            results.append(read_result(board))
     path = run.whole_ladder if whole else run.ladder
     table = ladder_json(results, _layers(run, path, settings, bundle), left_out)
     write_json(path, table)
@@ -70,6 +83,8 @@ def measure_ladder(
 
 def _layers(run: RunFolder, path, settings: Settings, bundle: Bundle) -> list:
     """How faithful each layer is on the bundle's samples; from an earlier ladder if it has that."""
+    if settings.on_events:
+        return None  # no network of rates that the chip's rates could be held against
     if path.exists():
         earlier = read_json(path, "delete it and run the command again")
         if earlier.get("bundle") == bundle.id and earlier.get("layers"):
@@ -192,20 +207,41 @@ def ladder_json(results, layers=None, left_out=()) -> dict:
         "n_samples": first["n_samples"],
         "rows": [asdict(rung) for rung in climb(results)],
         "left_out": list(left_out),
+        "while_written": results[-1].get("while_written"),
         "layers": layers,
         "least_faithful_layer": layers and least_faithful(layers),
     }
 
 
-def losing_stages(ladder: dict, limit: float) -> list:
-    """What loses more than ``limit`` points after the rate-based network, as (from, to, points).
+def early_text(value: dict, row: dict) -> str:
+    """What deciding by itself costs and saves, in a line.
 
-    Each stage against the one above it, and the last one against the rate-based network.
+    Parameters
+    ----------
+    value : dict
+        ``while_written`` of a result.
+    row : dict
+        The ladder's row of that result.
+    """
+    early = value["by_itself"]
+    return (
+        f"{row['stage']} decides by itself, at a confidence of {early['confidence']:.4f}: after "
+        f"{early['share_of_writing_mean']:.0%} of the writing on average, accuracy "
+        f"{early['accuracy']:.3f}, " + points_text(100 * (row["accuracy"] - early["accuracy"]))
+    )
+
+
+def losing_stages(ladder: dict, limit: float) -> list:
+    """What loses more than ``limit`` points after the trained network, as (from, to, points).
+
+    That is the rate-based network, or the one trained on events.  Each stage against the one above
+    it, and the last one against the trained network.
     """
     stages = [row["stage"] for row in ladder["rows"]]
-    if "rate-lif" not in stages:
+    trained = next((index for index, name in enumerate(stages) if name in TRAINED), None)
+    if trained is None:
         return []
-    rows = ladder["rows"][stages.index("rate-lif") :]
+    rows = ladder["rows"][trained:]
     pairs = list(itertools.pairwise(rows))
     if len(rows) > 2:
         pairs.append((rows[0], rows[-1]))
@@ -243,10 +279,13 @@ def ladder_text(ladder: dict, limit: float = 1.0) -> str:
         f"from {first['stage']} to {last['stage']}: "
         + points_text(100 * (first["accuracy"] - last["accuracy"])),
     ]
-    if any(row["stage"] == "fast" for row in ladder["rows"]):
-        lines.append("fast: NengoLoihi's emulator, bit for bit")
+    for stage in (row["stage"] for row in ladder["rows"]):
+        if stage in TARGETS and TARGETS[stage].note:
+            lines.append(f"{stage}: {TARGETS[stage].note}")
     if ladder["left_out"]:
         lines.append(f"left out: {', '.join(ladder['left_out'])} (minutes each; add --slow)")
+    if ladder.get("while_written"):
+        lines.append(early_text(ladder["while_written"], last))
     losing = losing_stages(ladder, limit)
     for a, b, points in losing:
         lines.append(f"{b} loses {points:.1f} points on {a}, more than {limit:g}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +14,17 @@ from deploy.check.intervals import wilson_interval
 from deploy.check.results import read_result
 from deploy.check.run import run_check
 from deploy.errors import UserError
-from deploy.files import read_arrays, read_json, write_arrays, write_json
+from deploy.files import read_arrays, read_json, sha256_of, write_arrays, write_json
+from deploy.network.decision import choose_threshold
 from models.architecture import parse
-from pipeline.inputs.dataset import TOO_SMALL, Dataset
+from models.own import ModelFileError, read_own_model
+from pipeline.inputs.dataset import TOO_SMALL, Dataset, event_warnings
+from pipeline.inputs.library import SIMULATED
 from pipeline.inputs.splits import draw_check_samples
+from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import progress
+from pipeline.recordings.sensors import about_sensor
+from pipeline.recordings.steps import EventTable
 from pipeline.run.answers import STAGES as REFERENCES
 from pipeline.run.answers import reference_result, training_versions
 from pipeline.run.diagnosis import activity, fastest_rate, training_lines
@@ -27,14 +33,33 @@ from pipeline.run.history import write_history
 from pipeline.settings import Settings
 
 REMEDY = "delete its folder and run the command again"
+HELD_OUT = 0.1
+"""Share of the training samples by which the confidence is chosen where nothing else is for it."""
+
+LEAST_KNOWN = 0.15
+"""Share of the way from chance to always right that an own model must have gone.  Of 30 networks of
+three layers with Keras's first weights the best had gone 0.06 of it by luck, on ten classes."""
+
 REMEDY_CHECK = "delete it and run the command again"
 
 
-def open_dataset(run: RunFolder, settings: Settings, jobs: int = 2, warn=None) -> Dataset:
+def open_dataset(
+    run: RunFolder, settings: Settings, jobs: int = 2, warn=None, check: bool = True
+) -> Dataset:
     """Load, split and draw the recordings of a run; keep its settings; write ``dataset.json``.
 
     The settings are kept only now that the recordings are there and enough: a mistaken path or
     number of samples must not stick to the run.
+
+    Parameters
+    ----------
+    run, settings
+    jobs : int
+        Processes.
+    warn : callable, optional
+        Called with a line for each thing that the user should know.
+    check : bool
+        Whether samples of a check will be drawn; training alone needs none.
 
     Raises
     ------
@@ -43,10 +68,17 @@ def open_dataset(run: RunFolder, settings: Settings, jobs: int = 2, warn=None) -
     """
     dataset = Dataset.of(settings, jobs, warn)
     recordings, split = dataset.recordings, dataset.split
-    try:
-        draw_check_samples(split.test, settings.check.samples, settings.seed)
-    except ValueError as error:
-        raise UserError(f"{settings.data.source}: {error}; {TOO_SMALL}") from error
+    if check:
+        try:
+            draw_check_samples(split.test, settings.check.samples, settings.seed)
+        except ValueError as error:
+            remedy = TOO_SMALL
+            if settings.data != run.resolve_settings(None, {}).data:
+                remedy += "; nothing was kept: name the data (--data) in the next command too"
+            raise UserError(f"{settings.data.source}: {error}; {remedy}") from error
+    if warn is not None:
+        for line in _notes(run, settings, recordings):
+            warn(line)
     run.save_settings(settings)
     write_json(
         run.dataset,
@@ -56,7 +88,7 @@ def open_dataset(run: RunFolder, settings: Settings, jobs: int = 2, warn=None) -
             "simulated": recordings.source.simulated,
             "written": recordings.source.written,
             "samples": len(recordings),
-            "samples_per_digit": np.bincount(recordings.labels, minlength=10).tolist(),
+            **about_sensor(recordings),
             "train": len(split.train),
             "validation": len(split.validation),
             "test": len(split.test),
@@ -65,11 +97,26 @@ def open_dataset(run: RunFolder, settings: Settings, jobs: int = 2, warn=None) -
     return dataset
 
 
+def _notes(run, settings, recordings):
+    """What should not pass without a word, such as simulated data that nobody asked for."""
+    if settings.on_events:
+        yield from event_warnings(settings, recordings)
+    if settings.data.source == SIMULATED and not run.experiment.exists():
+        yield f"{run.path}: a new run, on simulated recordings (others: --data)"
+    classes = recordings.sensor.classes
+    missing = sorted(set(range(len(classes))) - set(recordings.labels.tolist()))
+    if missing:
+        names = ", ".join(classes[label] for label in missing)
+        yield f"{settings.data.source}: no recordings of {names}; their outputs learn nothing"
+
+
 def train(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> dict:
-    """Train the CNN, unless it is there already; return its metrics."""
+    """Train the CNN, or read the user's own, unless it is there already; return its metrics."""
     stamp = cnn_stamp(settings, dataset)
     if done := _done("cnn", run.cnn, stamp, say):
         return done
+    if settings.cnn.model:
+        return _take_over(run, settings, dataset, stamp, say)
     from pipeline.training.networks import train_cnn  # TensorFlow: seconds that _done can spare
 
     def train_it(advance):
@@ -77,6 +124,74 @@ def train(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> di
         return train_cnn(settings, data, settings.seed, watched, advance)
 
     return _train("cnn", run.cnn, stamp, settings.cnn.epochs, train_it, dataset, say)
+
+
+def read_model(path: Path) -> tuple:
+    """A user's Keras model, and the SHA-256 of its file.
+
+    Returns
+    -------
+    OwnModel, str
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, is no Keras model, or one that no chip can hold.
+    """
+    try:
+        return read_own_model(path), sha256_of(path)
+    except ModelFileError as error:
+        raise UserError(str(error)) from error
+
+
+def settings_of_model(path: Path, retrain: bool) -> dict:
+    """Changes of the settings that put a user's Keras model in the place of the CNN.
+
+    Parameters
+    ----------
+    path : Path
+    retrain : bool
+        Train it on with rate-based LIF neurons.
+
+    Raises
+    ------
+    UserError
+        As :func:`read_model`.
+    """
+    model, sha256 = read_model(path)
+    rates = Settings().snn.max_rates[: max(len(model.architecture.spiking), 1)]
+    return {
+        "cnn": {
+            "model": str(path.absolute()),
+            "model_sha256": sha256,
+            "architecture": str(model.architecture),
+        },
+        "snn": {"recipe": "loihi" if retrain else "as-is", "max_rates": rates},
+    }
+
+
+def _take_over(run, settings, dataset, stamp, say):
+    """Put the user's model in the place of the CNN; it must know more than chance."""
+    path = Path(settings.cnn.model)
+    model, sha256 = read_model(path)
+    if sha256 != settings.cnn.model_sha256 or str(model.architecture) != settings.cnn.architecture:
+        raise UserError(f"{path}: has changed; give it again with 'stmnist convert RUN --model'")
+    from pipeline.training.networks import TrainedCNN
+
+    taken = TrainedCNN(settings, model.weights)
+    images, labels = dataset.part("train")
+    right = int((taken.logits(images).argmax(1) == labels).sum())
+    likeliest = np.bincount(labels).max() / len(labels)
+    if wilson_interval(right, len(labels))[0] <= likeliest + LEAST_KNOWN * (1 - likeliest):
+        raise UserError(
+            f"{path}: hardly better than chance on this run's training samples (accuracy "
+            f"{right / len(labels):.3f}, {likeliest:.3f} by always answering the same): never "
+            "trained, trained on other inputs than tactile images as [image] in the settings makes "
+            "them, or with the classes in another order"
+        )
+    for note in model.notes:
+        say(f"cnn: {note}")
+    return _train("cnn", run.cnn, stamp, 0, lambda advance: taken, dataset, say)
 
 
 def train_rates(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> dict:
@@ -102,12 +217,66 @@ def train_rates(run: RunFolder, settings: Settings, dataset: Dataset, say=print)
     return metrics
 
 
+def train_on_events(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> dict:
+    """Train the spiking network on events, unless it is there already; return its metrics.
+
+    The confidence at which it decides by itself is chosen on the validation samples, or, where the
+    settings set none apart, on a share :data:`HELD_OUT` of the training samples.  An interrupted
+    training goes on after its last whole epoch.
+    """
+    stamp = events_stamp(settings, dataset)
+    if done := _done("events", run.snn, stamp, say):
+        return done
+    from pipeline.training.events import EventRecipe, train_events
+
+    split, recipe = dataset.split, EventRecipe.of(settings)
+    learn, held = split.train, split.validation
+    if not len(held):
+        order = np.random.default_rng([settings.seed, 0x4E1D]).permutation(learn)
+        count = max(1, round(HELD_OUT * len(order)))
+        held, learn = np.sort(order[:count]), np.sort(order[count:])
+    checkpoint = run.snn / "checkpoint.npz"
+
+    def train_it(advance):
+        return train_events(
+            recipe,
+            EventTable.of(dataset.recordings),
+            dataset.labels,
+            learn,
+            settings.seed,
+            checkpoint=checkpoint,
+            advance=advance,
+        )
+
+    def decision_of(trained):
+        shown = trained.answers(dataset.inputs[held])
+        chosen = choose_threshold(shown.outputs, dataset.labels[held], shown.last_step)
+        return {"decides_by_itself": {**chosen._asdict(), "samples": len(held)}}
+
+    metrics = _train("events", run.snn, stamp, recipe.epochs, train_it, dataset, say, decision_of)
+    checkpoint.unlink(missing_ok=True)
+    chosen = metrics["decides_by_itself"]
+    say(
+        f"events: decides by itself at a confidence of {chosen['confidence']:.4f}, after "
+        f"{chosen['share']:.0%} of the writing on {chosen['samples']} held-out samples"
+    )
+    return metrics
+
+
 def make_bundle(run: RunFolder, settings: Settings, jobs: int = 1, say=print) -> tuple:
     """Do what is missing of a run up to its bundle; return the dataset and the bundle."""
     dataset = open_dataset(run, settings, jobs, say)
-    train(run, settings, dataset, say)
-    train_rates(run, settings, dataset, say)
+    train_all(run, settings, dataset, say)
     return dataset, convert(run, settings, dataset, say)
+
+
+def train_all(run: RunFolder, settings: Settings, dataset: Dataset, say=print):
+    """Train what the bundle is made from, unless it is there already."""
+    if settings.on_events:
+        train_on_events(run, settings, dataset, say)
+    else:
+        train(run, settings, dataset, say)
+        train_rates(run, settings, dataset, say)
 
 
 def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> Bundle:
@@ -118,8 +287,9 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
     Bundle
         The one that is there, if it is up to date.
     """
+    on_events = settings.on_events
     stamp = stamp_of(
-        snn_stamp(settings, dataset),
+        events_stamp(settings, dataset) if on_events else snn_stamp(settings, dataset),
         asdict(settings.deployment),
         asdict(settings.presentation),
         asdict(settings.check),
@@ -129,10 +299,9 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         if bundle.spec.provenance.get("made_from") == stamp:
             say(f"bundle: up to date ({run.bundle})")
             return bundle
-    from pipeline.run.conversion import deployed
-
     weights = read_weights(run.snn, settings)
-    read_weights(run.cnn, settings)  # damaged ones are found now, not once the bundle is there
+    if not on_events:
+        read_weights(run.cnn, settings)  # damaged ones are found now, not once the bundle is there
     chosen = draw_check_samples(dataset.split.test, settings.check.samples, settings.seed)
     recordings = dataset.recordings
     provenance = {
@@ -141,11 +310,26 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         "source_sha256": recordings.source.sha256,
         "simulated": recordings.source.simulated,
         "seed": settings.seed,
-        "recipe": settings.snn.recipe,
+        "recipe": "events" if on_events else settings.snn.recipe,
         "image": asdict(settings.image),
         "package": __version__,
     }
-    spec = deployed(settings, weights, provenance, dataset.part("train")[0])
+    if on_events:
+        from pipeline.run.event_conversion import spec_of_events
+        from pipeline.training.events import EventRecipe
+
+        early = read_json(run.snn / "metrics.json", REMEDY)["decides_by_itself"]
+        spec = spec_of_events(
+            EventRecipe.of(settings),
+            weights,
+            settings.presented(early["confidence"]),
+            provenance,
+            settings.deployment.pop_type,
+        )
+    else:
+        from pipeline.run.conversion import deployed
+
+        spec = deployed(settings, weights, provenance, dataset.part("train"))
     bundle = write_bundle(run.bundle, spec, _check_set(settings, dataset, chosen))
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
     return bundle
@@ -178,12 +362,72 @@ def answer(
         say(f"{stage}: up to date ({path})")
         return read_result(path, REMEDY_CHECK)
     with progress(f"check {stage}", len(bundle.checks)) as advance:
-        if stage not in REFERENCES:
+        if stage not in REFERENCES[settings.input.kind]:
             return run_check(bundle, stage, path, settings.seed, advance)
         weights = read_weights(run.cnn if stage == "cnn" else run.snn, settings)
         result = reference_result(stage, settings, weights, bundle, advance)
         write_json(path, result)
         return result
+
+
+def answer_all(
+    run: RunFolder,
+    settings: Settings,
+    bundle: Bundle,
+    asked,
+    jobs: int = 1,
+    say=print,
+    whole: bool = False,
+) -> list:
+    """:func:`answer` of several stages, those that are targets side by side in processes.
+
+    Parameters
+    ----------
+    run, settings, bundle, say, whole
+        As in :func:`answer`.
+    asked : sequence of str
+    jobs : int
+        Processes.
+
+    Returns
+    -------
+    list of dict
+        In the order that was asked for.
+
+    Raises
+    ------
+    UserError
+        A target failed; those that did not are kept.
+    """
+    networks = REFERENCES[settings.input.kind]
+    paths = {stage: run.whole_check(stage) if whole else run.check(stage) for stage in asked}
+    targets = [s for s in asked if s not in networks and not _answers(paths[s], bundle)]
+    if jobs > 1 and len(targets) > 1:
+        for stage in asked:
+            if stage in networks:
+                answer(run, settings, bundle, stage, say, whole)
+        work = [_Check(bundle, stage, paths[stage], settings.seed) for stage in targets]
+        # The slowest begin first; all are about as long as their place in the ladder is late.
+        with progress(f"check {', '.join(targets)}", len(work)) as advance:
+            for job, outcome in run_jobs(_check, work[::-1], jobs):
+                if isinstance(outcome, Failure):
+                    raise UserError(f"target {job.target}: {outcome.error}")
+                advance(1, job.target)
+    return [answer(run, settings, bundle, stage, say, whole) for stage in asked]
+
+
+@dataclass(frozen=True)
+class _Check:
+    """A target's check, for a process of its own."""
+
+    bundle: Bundle
+    target: str
+    path: Path
+    seed: int
+
+
+def _check(job):
+    run_check(job.bundle, job.target, job.path, job.seed)
 
 
 def read_weights(folder: Path, settings: Settings) -> dict:
@@ -196,9 +440,14 @@ def read_weights(folder: Path, settings: Settings) -> dict:
     """
     path = folder / "weights.npz"
     weights = read_arrays(path, REMEDY)
-    shapes = parse(settings.cnn.architecture).weight_shapes
+    if settings.on_events:
+        architecture = settings.events.architecture
+        shapes = parse(architecture).event_weight_shapes
+    else:
+        architecture = settings.cnn.architecture
+        shapes = parse(architecture).weight_shapes
     if {name: array.shape for name, array in weights.items()} != shapes:
-        raise UserError(f"{path}: not the weights of {settings.cnn.architecture}; {REMEDY}")
+        raise UserError(f"{path}: not the weights of {architecture}; {REMEDY}")
     return weights
 
 
@@ -215,14 +464,24 @@ def _answers(path, bundle):
 
 def cnn_stamp(settings: Settings, dataset: Dataset) -> str:
     """Hash of all that the CNN's training depends on."""
-    parts = (settings.data, settings.image, settings.split, settings.cnn)
+    cnn = asdict(settings.cnn)
+    if cnn.pop("model"):  # whose content counts, wherever it lies; nothing is trained
+        cnn = {name: cnn[name] for name in ("architecture", "model_sha256")}
+    parts = map(asdict, (settings.data, settings.skin, settings.image, settings.split))
     source = dataset.recordings.source.sha256
-    return stamp_of(__version__, source, settings.seed, *map(asdict, parts))
+    return stamp_of(__version__, source, settings.seed, *parts, cnn)
 
 
 def snn_stamp(settings: Settings, dataset: Dataset) -> str:
     """Hash of all that the rate-based network's training depends on."""
     return stamp_of(cnn_stamp(settings, dataset), asdict(settings.snn))
+
+
+def events_stamp(settings: Settings, dataset: Dataset) -> str:
+    """Hash of all that the training on events depends on."""
+    parts = (settings.data, settings.input, settings.split, settings.events)
+    source = dataset.recordings.source.sha256
+    return stamp_of(__version__, source, settings.seed, *map(asdict, parts))
 
 
 def _neurons(settings, trained, inputs):

@@ -14,11 +14,8 @@ from pipeline.recordings.events import GRID, TaxelMap
 LANDED = 0.1
 """Share of the greatest force at which the pen counts as on the skin."""
 
-_PLACE = np.arange(GRID)
-_TAXELS = TaxelMap()
 
-
-def press(motion, gain, least, rng, p):
+def press(motion, gain, least, rng, p, size=(GRID, GRID)):
     """The signal of the taxels that a pen reaches.
 
     The force of the tip (0.5 mm, half a taxel) spreads in the film and its cover; over the taxels
@@ -31,12 +28,14 @@ def press(motion, gain, least, rng, p):
     Parameters
     ----------
     motion : pipeline.skin.handwriting.Motion
-    gain : ndarray of float, shape (100,)
+    gain : ndarray of float, shape (n_taxels,)
         Of each taxel.
     least : float
         Taxels whose signal stays below are left out.
     rng : numpy.random.Generator
     p : pipeline.skin.parameters.Skin
+    size : (int, int)
+        Rows and columns of taxels.
 
     Returns
     -------
@@ -44,15 +43,15 @@ def press(motion, gain, least, rng, p):
     signal : ndarray of float32, shape (n_times, n)
     """
     step = motion.time_s[1] - motion.time_s[0]
-    rows, columns = _spread(motion.down, motion.right, motion.force, p)
+    places = TaxelMap.grid(*size)
+    rows, columns = _spread(motion.down, motion.right, motion.force, p, size)
     lands = landings(motion.force, LANDED * motion.force.max())
-    jolts = strength(rng, p) * jolt(rng, len(lands))
+    jolts = strength(rng, p) * jolt(rng, len(lands), len(places))
     reach = (
-        rows.max(axis=0)[_TAXELS.x] * columns.max(axis=0)[_TAXELS.y]
-        + jolts.max(axis=0, initial=0.0)
+        rows.max(axis=0)[places.x] * columns.max(axis=0)[places.y] + jolts.max(axis=0, initial=0.0)
     ) * gain
     taxels = np.flatnonzero(reach > least)
-    signal = rows[:, _TAXELS.x[taxels]] * columns[:, _TAXELS.y[taxels]]
+    signal = rows[:, places.x[taxels]] * columns[:, places.y[taxels]]
     speed = np.hypot(np.gradient(motion.down, step), np.gradient(motion.right, step))
     film = Film(gain[taxels], step, p)
     film.advance(signal, zip(lands, jolts[:, taxels], strict=True), speed, rng)
@@ -108,7 +107,7 @@ class Film:
         signal += restless * rng.standard_normal(signal.shape, np.float32)
 
 
-def pressure(down, right, force, p) -> np.ndarray:
+def pressure(down, right, force, p, size=(GRID, GRID)) -> np.ndarray:
     """Force of the tip as it spreads over all taxels.
 
     Parameters
@@ -116,19 +115,23 @@ def pressure(down, right, force, p) -> np.ndarray:
     down, right, force : ndarrays of float, shape (n_times,)
         As in :class:`pipeline.skin.handwriting.Motion`.
     p : pipeline.skin.parameters.Skin
+    size : (int, int)
+        Rows and columns of taxels.
 
     Returns
     -------
-    ndarray of float32, shape (n_times, 100)
+    ndarray of float32, shape (n_times, n_taxels)
     """
-    rows, columns = _spread(down, right, force, p)
-    return rows[:, _TAXELS.x] * columns[:, _TAXELS.y]
+    rows, columns = _spread(down, right, force, p, size)
+    places = TaxelMap.grid(*size)
+    return rows[:, places.x] * columns[:, places.y]
 
 
-def _spread(down, right, force, p):
+def _spread(down, right, force, p, size):
     """The two factors of the pressure: over the rows, with the force, and over the columns."""
-    rows = np.exp(-0.5 * ((down[:, None] - _PLACE) / p.spread) ** 2).astype(np.float32)
-    columns = np.exp(-0.5 * ((right[:, None] - _PLACE) / p.spread) ** 2).astype(np.float32)
+    high, wide = map(np.arange, size)
+    rows = np.exp(-0.5 * ((down[:, None] - high) / p.spread) ** 2).astype(np.float32)
+    columns = np.exp(-0.5 * ((right[:, None] - wide) / p.spread) ** 2).astype(np.float32)
     rows *= force[:, None].astype(np.float32)
     return rows, columns
 
@@ -143,6 +146,6 @@ def strength(rng, p) -> float:
     return p.jolt * np.exp(p.jolt_spread * rng.standard_normal())
 
 
-def jolt(rng, n) -> np.ndarray:
-    """What each taxel feels of ``n`` landings of unit strength, shape (n, 100)."""
-    return rng.standard_exponential((n, len(_TAXELS.x)))
+def jolt(rng, n, n_taxels) -> np.ndarray:
+    """What each taxel feels of ``n`` landings of unit strength, shape (n, n_taxels)."""
+    return rng.standard_exponential((n, n_taxels))

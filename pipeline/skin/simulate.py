@@ -13,7 +13,7 @@ from joblib import Parallel, delayed
 
 from deploy.errors import UserError
 from pipeline.paper import SAMPLES_PER_DIGIT
-from pipeline.recordings.events import GRID, N_TAXELS, Recordings, Source, TaxelMap, collect
+from pipeline.recordings.events import GRID, Recordings, Sensor, Source, TaxelMap, collect
 from pipeline.skin import aces, handwriting, unipen
 from pipeline.skin import parameters as settings
 from pipeline.skin.contact import press
@@ -21,6 +21,9 @@ from pipeline.skin.receptors import fire
 
 VERSION = 5
 """Goes into the hash of the recordings; raise it with any change of what is simulated."""
+
+SIZE = (GRID, GRID)
+"""Rows and columns of the paper's array."""
 
 STEP_S = 3.27e-3 / 3
 """Time step of motion and contact; events stand on a finer grid within it."""
@@ -62,9 +65,18 @@ class Touch:
 
 
 def simulate(
-    seed=0, samples_per_digit=None, jobs=2, advance=None, parameters=None, traces=None
+    seed=0,
+    samples_per_digit=None,
+    jobs=2,
+    advance=None,
+    parameters=None,
+    traces=None,
+    size=SIZE,
 ) -> Recordings:
     """Recordings as the paper's rig would have made them.  They are simulated, and say so.
+
+    On a skin of another size digits are written larger or smaller, so that they fill it as they
+    fill the paper's; the taxels, and how far a force spreads over them, are the same.
 
     Parameters
     ----------
@@ -80,6 +92,8 @@ def simulate(
         Default: the built-in ones.
     traces : sequence of pipeline.skin.unipen.Trace, optional
         Recorded handwriting to press on the skin instead of simulated hands.
+    size : (int, int)
+        Rows and columns of the skin.
 
     Returns
     -------
@@ -97,7 +111,7 @@ def simulate(
     samples = _samples(seed, counts, parameters.writers.count, traces)
     batches = [samples[first : first + BATCH] for first in range(0, len(samples), BATCH)]
     parts = []
-    work = (delayed(_batch)(seed, batch, parameters) for batch in batches)
+    work = (delayed(_batch)(seed, batch, parameters, size) for batch in batches)
     for done in Parallel(n_jobs=jobs, return_as="generator")(work):
         parts += done
         if advance:
@@ -107,21 +121,26 @@ def simulate(
         labels=[sample.digit for sample in samples],
         ids=[sample.name for sample in samples],
         writers=[sample.writer for sample in samples],
-        source=source_of(seed, counts, parameters, traces),
+        source=source_of(seed, counts, parameters, traces, size),
+        taxels=TaxelMap.grid(*size),
+        sensor=Sensor(*size),
     )
 
 
-def source_of(seed=0, samples_per_digit=None, parameters=None, traces=None) -> Source:
+def source_of(seed=0, samples_per_digit=None, parameters=None, traces=None, size=SIZE) -> Source:
     """What :func:`simulate` of the same arguments will give, by name and hash, without the work."""
     parameters = parameters or settings.load()
     content = [VERSION, int(seed), _counts(samples_per_digit), parameters.fingerprint()]
     content.append(handwriting.read_allographs())
+    if tuple(size) != SIZE:
+        content.append(list(size))
     digest = hashlib.sha256(json.dumps(content).encode())
     for trace in traces or ():
         digest.update(np.array([trace.digit, trace.writer]).tobytes())
         for stroke in trace.strokes:
             digest.update(np.ascontiguousarray(stroke).tobytes())
     name = f"simulated, seed {seed}" + (", recorded handwriting" if traces else "")
+    name += "" if tuple(size) == SIZE else f", {size[0]}x{size[1]} taxels"
     return Source(name, digest.hexdigest(), True)
 
 
@@ -155,23 +174,42 @@ def _samples(seed, counts, n_writers, traces):
     return samples
 
 
-def _batch(seed, samples, p):
+def _batch(seed, samples, p, size):
     """Events of some recordings; runs in a process of its own."""
     people = handwriting.writers(np.random.default_rng([seed, 1]), p.writers)
-    gain = array_gain(np.random.default_rng(ARRAY_SEED), p.skin)
+    gain = array_gain(np.random.default_rng(ARRAY_SEED), p.skin, size)
     touches = []
     for sample in samples:
         rng = np.random.default_rng([seed, 2, sample.digit, sample.index])
         who = people[sample.writer] if sample.trace is None else handwriting.NOBODY
-        touches.append(_touch(sample, who, gain, rng, p))
+        touches.append(_touch(sample, who, gain, rng, p, size))
     return _receive(touches, p)
 
 
-def array_gain(rng, p):
-    """Gain of each taxel of one array, shape (100,): from taxel to taxel, and leaning."""
-    taxels, centre = TaxelMap(), (GRID - 1) / 2
-    lean = p.lean[0] * (taxels.x - centre) + p.lean[1] * (taxels.y - centre)
-    return np.exp(lean + p.gain * rng.standard_normal(N_TAXELS))
+def array_gain(rng, p, size=SIZE):
+    """Gain of each taxel of one array, shape (n_taxels,): from taxel to taxel, and leaning."""
+    taxels = TaxelMap.grid(*size)
+    # As much from edge to edge as on the paper's array.
+    down, right = (
+        GRID / n * (at - (n - 1) / 2) for at, n in zip((taxels.x, taxels.y), size, strict=True)
+    )
+    lean = p.lean[0] * down + p.lean[1] * right
+    return np.exp(lean + p.gain * rng.standard_normal(len(taxels)))
+
+
+def stretched(moved, size):
+    """A motion over the paper's skin as one over a skin of another size, around its middle.
+
+    The smaller of its sides decides, so that no digit is out of proportion.
+    """
+    if tuple(size) == SIZE:
+        return moved
+    scale = min(size) / GRID
+    down, right = (
+        (n - 1) / 2 + scale * (at - (GRID - 1) / 2)
+        for n, at in zip(size, (moved.down, moved.right), strict=True)
+    )
+    return replace(moved, down=down, right=right)
 
 
 def motion(sample, who, rng, p):
@@ -218,13 +256,13 @@ def _waver(motion, rng, p):
     return np.exp(p.waver * np.interp(along, np.arange(len(knots)), knots))
 
 
-def _touch(sample, who, gain, rng, p):
+def _touch(sample, who, gain, rng, p, size):
     form = p.forms[sample.digit]
-    moved = motion(sample, who, rng, p)
+    moved = stretched(motion(sample, who, rng, p), size)
     rough = np.exp(who.scrape + p.trials.scrape * rng.standard_normal())
     skin = replace(p.skin, scrape=p.skin.scrape * rough)
-    gain = gain * np.exp(p.skin.gain_drift * rng.standard_normal(N_TAXELS))
-    taxels, signal = press(moved, gain, p.receptor.threshold / 2, rng, skin)
+    gain = gain * np.exp(p.skin.gain_drift * rng.standard_normal(len(gain)))
+    taxels, signal = press(moved, gain, p.receptor.threshold / 2, rng, skin, size)
     return Touch(
         start_s=moved.time_s[0],
         taxels=taxels,

@@ -163,7 +163,7 @@ class Writing:
         )
         felt = np.concatenate([[self._last[2]], force])
         lands = contact.landings(felt, contact.LANDED * self._usual) - 1
-        jolts = self._strength * contact.jolt(self._rng, len(lands))
+        jolts = self._strength * contact.jolt(self._rng, len(lands), N_TAXELS)
         signal = contact.pressure(down, right, force, skin)
         sliding = self._rough * speed / STEP_S
         self._film.advance(signal, zip(lands, jolts, strict=True), sliding, self._rng)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import time
 import zlib
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +24,8 @@ from deploy.files import read_arrays, write_arrays
 from models.architecture import parse
 from models.keras2 import tf
 from models.spiking import Neuron, SpikingNetwork, operations
-from pipeline.recordings.events import GRID
 from pipeline.recordings.steps import EventTable, spike_frames
+from pipeline.settings import Events, Input, Settings
 from pipeline.training.networks import make_deterministic
 
 CNN_MACS = 43104
@@ -69,20 +69,20 @@ class EventRecipe:
         How training samples are altered, each time anew; see :func:`alter`.
     """
 
-    architecture: str = "10x10x2-12c4s2-64-10o"
-    step_ms: float = 20.0
+    architecture: str = Events.architecture
+    step_ms: float = Input.step
     tau_u_ms: tuple = (30.0,)
     tau_v_ms: tuple = (80.0,)
     floor: float = -2.0
     beta: float = 4.0
-    epochs: int = 80
-    batch_size: int = 32
-    learning_rate: float = 0.003
+    epochs: int = Events.epochs
+    batch_size: int = Events.batch_size
+    learning_rate: float = Events.learning_rate
     average: float = 0.998
     dropout: float = 0.1
-    early: float = 0.3
+    early: float = Events.early
     price: float = 1.0
-    budget: float = 0.9
+    budget: float = Events.budget
     stretch: float = 0.1
     drop: float = 0.2
     turn: float = 0.08
@@ -90,13 +90,19 @@ class EventRecipe:
     scale: float = 0.08
     shear: float = 0.08
 
+    @classmethod
+    def of(cls, settings: Settings) -> EventRecipe:
+        """The recipe with what the settings say of it."""
+        return cls(step_ms=settings.input.step, **asdict(settings.events))
+
 
 @dataclass(frozen=True)
 class TrainedOnEvents:
-    """A trained network.
+    """A trained network and what it answers.
 
     Attributes
     ----------
+    recipe : EventRecipe
     weights : dict of str to ndarray
         See :meth:`models.spiking.SpikingNetwork.get_weights`.
     history : list of dict
@@ -105,8 +111,17 @@ class TrainedOnEvents:
         ``val_accuracy`` and ``val_operations`` where there are validation samples.
     """
 
+    recipe: EventRecipe
     weights: dict
-    history: list
+    history: list = field(default_factory=list)
+
+    def answers(self, frames, advance=None) -> Answers:
+        """What it answers to frames of events; see :func:`answer_frames`."""
+        return answer_frames(self.recipe, self.weights, frames, advance)
+
+    def logits(self, frames) -> np.ndarray:
+        """Outputs at the last step, shape (n_samples, classes)."""
+        return self.answers(frames).outputs[:, -1]
 
 
 @dataclass(frozen=True)
@@ -187,7 +202,7 @@ def train_events(
         trainer.save(checkpoint, run, history)
         if advance is not None:
             advance(1, _note(row))
-    return TrainedOnEvents(trainer.weights(), history)
+    return TrainedOnEvents(recipe, trainer.weights(), history)
 
 
 def answer_events(recipe: EventRecipe, weights: dict, table: EventTable, indices, steps: int):
@@ -207,23 +222,50 @@ def answer_events(recipe: EventRecipe, weights: dict, table: EventTable, indices
     -------
     Answers
     """
+    frames = table.frames(indices, recipe.step_ms, steps)
+    return answer_frames(recipe, weights, np.moveaxis(frames, 0, 1))
+
+
+def answer_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> Answers:
+    """Run a trained network on frames of events, in the chip's integers, each sample from rest.
+
+    Parameters
+    ----------
+    recipe : EventRecipe
+    weights : dict
+        Of a :class:`TrainedOnEvents`.
+    frames : ndarray of uint8, shape (n_samples, steps, rows, columns, channels)
+    advance : callable, optional
+        Called with the number of samples done since the last call.
+
+    Returns
+    -------
+    Answers
+    """
     network = SpikingNetwork(parse(recipe.architecture), _neuron(recipe))
     network.set_weights(weights)
-    runner, indices = _runner(network, None, tf.float64), np.asarray(indices)
-    parts = []
-    for start in range(0, len(indices), 100):
-        frames = table.frames(indices[start : start + 100], recipe.step_ms, steps)
-        outputs, costs, spikes = runner(frames)
+    runner, parts = _runner(network, None, tf.float64), []
+    for start in range(0, len(frames), 100):
+        part = frames[start : start + 100]
+        outputs, costs, spikes = runner(np.moveaxis(part, 0, 1))
         parts.append(
             (np.moveaxis(outputs.numpy(), 0, 1), costs.numpy(), *(s.numpy() for s in spikes))
         )
+        if advance is not None:
+            advance(len(part))
     outputs, costs, *spikes = (np.concatenate(column) for column in zip(*parts, strict=True))
-    last = np.floor(table.duration_ms[indices] / recipe.step_ms).astype(np.int64)
     named = {n: s.astype(np.int32) for n, s in zip(network.names, spikes, strict=True)}
-    return Answers(outputs.astype(np.float32), costs, named, np.minimum(last, steps - 1))
+    return Answers(outputs.astype(np.float32), costs, named, last_steps(frames))
 
 
-def alter(recipe: EventRecipe, rng, samples: int, sample, time_ms, row, column, polarity):
+def last_steps(frames) -> np.ndarray:
+    """Step of each sample's last event, 0 where there is none; frames as in `answer_frames`."""
+    frames = np.asarray(frames)
+    busy = frames.reshape(*frames.shape[:2], -1).any(2)
+    return np.where(busy.any(1), frames.shape[1] - 1 - np.argmax(busy[:, ::-1], 1), 0)
+
+
+def alter(recipe, rng, samples: int, sample, time_ms, row, column, polarity, size=(10, 10)):
     """Samples as they might have been written at another time, or by somebody else.
 
     Each is written faster or slower by a factor exp(``stretch`` z), begins anywhere within its
@@ -239,6 +281,8 @@ def alter(recipe: EventRecipe, rng, samples: int, sample, time_ms, row, column, 
     samples : int
     sample, time_ms, row, column, polarity : ndarray
         See :meth:`pipeline.recordings.steps.EventTable.pick`.
+    size : (int, int)
+        Rows and columns of taxels.
 
     Returns
     -------
@@ -248,12 +292,12 @@ def alter(recipe: EventRecipe, rng, samples: int, sample, time_ms, row, column, 
     pace = np.exp(rng.normal(0, recipe.stretch, samples))
     step = time_ms * pace[sample] / recipe.step_ms + rng.uniform(0, 1, samples)[sample]
     kept = rng.random(len(sample)) >= rng.uniform(0, recipe.drop, samples)[sample]
-    place = _moved(recipe, rng, samples, sample, np.stack([row, column], -1))
-    kept &= ((place >= 0) & (place < GRID)).all(1)
+    place = _moved(recipe, rng, samples, sample, np.stack([row, column], -1), size)
+    kept &= ((place >= 0) & (place < size)).all(1)
     return sample[kept], step[kept], place[kept, 0], place[kept, 1], polarity[kept]
 
 
-def _moved(recipe, rng, samples, sample, place):
+def _moved(recipe, rng, samples, sample, place, size):
     """Each event's (row, column) after the change of its sample, in whole taxels."""
     angle = rng.normal(0, recipe.turn, samples)
     cosine, sine = np.cos(angle), np.sin(angle)
@@ -262,7 +306,7 @@ def _moved(recipe, rng, samples, sample, place):
     slanted[:, 1, 0] = rng.normal(0, recipe.shear, samples)  # columns move with the row
     stretched = np.exp(rng.normal(0, recipe.scale, (samples, 2)))[:, :, None]
     matrix = stretched * (turned @ slanted)
-    centre = (GRID - 1) / 2
+    centre = (np.array(size) - 1) / 2
     place = np.einsum("nij,nj->ni", matrix[sample], place - centre)
     place += centre + rng.normal(0, recipe.shift, (samples, 2))[sample]
     return np.floor(place + 0.5).astype(np.int64)
@@ -390,10 +434,12 @@ class _Trainer:
     def _altered(self, batch, rng):
         """Frames, labels, and the steps up to each sample's last event, of altered samples."""
         n = len(batch)
-        sample, step, *place = alter(self.recipe, rng, n, *self.table.pick(batch))
+        sample, step, *place = alter(
+            self.recipe, rng, n, *self.table.pick(batch), size=self.table.size
+        )
         last = np.zeros(n, np.int64)
         np.maximum.at(last, sample, step.astype(np.int64))
-        frames = spike_frames(sample, step, *place, n, _padded(last.max()))
+        frames = spike_frames(sample, step, *place, n, _padded(last.max()), self.table.size)
         writing = (np.arange(len(frames))[:, None] <= last).astype(np.float32)
         return frames, self.labels[batch], writing
 

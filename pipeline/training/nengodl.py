@@ -185,7 +185,7 @@ def _convert(settings, weights, kind, synapse, inference_only=True):
         for index, name in enumerate(architecture.spiking)
     }
     model = build_cnn(architecture, activation=lambda index: tf.keras.layers.Activation(tf.nn.relu))
-    if snn.recipe == "loihi":  # what was trained has the chip's weights and biases
+    if snn.is_on_chip:  # what was trained has the chip's weights and biases
         weights = dict(weights)
         for name, gain in gains.items():
             names = f"{name}.kernel", f"{name}.bias"

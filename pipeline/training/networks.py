@@ -46,6 +46,7 @@ class Recipe:
 RECIPES = {
     "paper": Recipe(epochs=20, batch_size=32, learning_rate=0.001),
     "loihi": Recipe(epochs=60, batch_size=64, learning_rate=0.002, annealed=True),
+    "as-is": Recipe(epochs=0, batch_size=0, learning_rate=0.0),
 }
 """Of the rate-based networks, where the settings say 0."""
 
@@ -143,6 +144,8 @@ def cnn_recipe(cnn) -> Recipe:
 def snn_recipe(snn) -> Recipe:
     """The recipe of the rate-based network, with what the settings change of it."""
     own = RECIPES[snn.recipe]
+    if snn.recipe == "as-is":
+        return own
     names = ("epochs", "batch_size", "learning_rate")
     return replace(own, **{name: getattr(snn, name) or getattr(own, name) for name in names})
 
@@ -150,7 +153,7 @@ def snn_recipe(snn) -> Recipe:
 def build_rate_network(settings: Settings) -> tf.keras.Model:
     """The network with rate-based LIF neurons, as the recipe wants it."""
     snn, architecture = settings.snn, parse(settings.cnn.architecture)
-    on_chip = snn.recipe == "loihi"
+    on_chip = snn.is_on_chip
     costs = _spike_costs(settings, architecture) if on_chip and snn.spike_penalty else None
 
     def neurons(index):
@@ -202,7 +205,8 @@ def train_rate_network(
 ) -> TrainedRates:
     """Train with rate-based LIF neurons (paper, Section 3.2.2).
 
-    With ``recipe = "paper"`` from new weights; with ``"loihi"`` from the CNN's, scaled so that the
+    With ``recipe = "as-is"`` not at all: the CNN's weights are scaled.  With ``"paper"`` from new
+    weights; with ``"loihi"`` from the CNN's, scaled so that the
     activations fit the neurons' range, with the chip's rates and weights in the forward pass, noise
     on the neurons' input, and a price on spikes if the settings have one.
 
@@ -211,12 +215,14 @@ def train_rate_network(
     settings, data, seed, validation, advance
         As in :func:`train_cnn`.
     cnn_weights : dict, optional
-        Needed for ``"loihi"``.
+        Needed for ``"loihi"`` and ``"as-is"``.
 
     Returns
     -------
     TrainedRates
     """
+    if settings.snn.recipe == "as-is":
+        return TrainedRates(settings, scale_to_unit(settings, cnn_weights, data[0]))
     model = new_rate_network(settings, seed, data[0], cnn_weights)
     history = fit(model, snn_recipe(settings.snn), data, seed, validation, advance)
     return TrainedRates(settings, get_weights(model), history)

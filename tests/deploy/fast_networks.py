@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deploy.network.build import build
+from deploy.network.geometry import convolution_shape, pooled_shape
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
-from deploy.network.stimulus import ImageCurrent, ImageSpikes
+from deploy.network.stimulus import EventFrames, ImageCurrent, ImageSpikes
 from deploy.network.stream import show
 
 LOUD = 300.0
@@ -32,23 +33,31 @@ def random_neurons(rng):
 def random_spec(seed):
     """Any network that a bundle can describe, but small."""
     rng = np.random.default_rng(seed)
-    input_shape = shape = (*(int(n) for n in rng.integers(3, 6, 2)), int(rng.integers(1, 3)))
+    input_shape = shape = (*(int(n) for n in rng.integers(3, 9, 2)), int(rng.integers(1, 3)))
     layers = []
     host_input = rng.random() < 0.35
     # Weights of every size: silent networks, usual ones, and loud ones, whose integers overflow.
     size = rng.choice([0.0, 0.5, 1.0, 2.0, 3.0, 30.0, LOUD, LOUD])
-    for index in range(rng.integers(2 if host_input else 1, 3)):
+    n_convs = rng.integers(2 if host_input else 0, 3)
+    for index in range(n_convs):
         on_host = host_input and index == 0
         layers.append(_convolution(rng, f"conv{index + 1}", shape, size, on_host))
         shape = layers[-1].shape
+    for index in range(rng.integers(0 if n_convs else 1, 3)):
+        layers.append(_dense(rng, f"dense{index + 1}", shape, size))
+        shape = layers[-1].shape
     layers.append(_output(rng, shape, size))
     steps = 40 if size == LOUD else int(rng.integers(6, 30))
+    if host_input:
+        stimulus = ImageCurrent()
+    elif rng.random() < 0.3:
+        stimulus = EventFrames()
+    else:
+        stimulus = ImageSpikes(rng.choice([200.0, 500.0, 1000.0]), rng.choice([0, 0.5]))
     return NetworkSpec(
         architecture="random",
         input_shape=input_shape,
-        stimulus=ImageCurrent()
-        if host_input
-        else ImageSpikes(rng.choice([200.0, 500.0, 1000.0]), rng.choice([0, 0.5])),
+        stimulus=stimulus,
         layers=tuple(layers),
         presentation=Presentation(
             steps=steps,
@@ -60,10 +69,14 @@ def random_spec(seed):
 
 
 def _convolution(rng, name, before, size, on_host):
-    kernel = int(rng.integers(1, min(3, *before[:2]) + 1))
+    pool = int(rng.choice([1, 1, 2, 3])) if min(before[:2]) >= 3 else 1
+    read = pooled_shape(before, pool)
+    padding = str(rng.choice(["valid", "valid", "same"]))
+    kernel = int(rng.integers(1, (3 if padding == "same" else min(3, *read[:2])) + 1))
+    stride = int(rng.choice([1, 1, 2, 3]))
     pop_type = int(rng.choice([16, 32]))
     filters = int(rng.choice([4, 8] if pop_type == 16 else [1, 3, 4]))
-    after = (before[0] - kernel + 1, before[1] - kernel + 1, filters)
+    after = convolution_shape(read, kernel, filters, stride, padding)
     block = [int(rng.integers(1, n + 1)) for n in after]
     if pop_type == 16:  # NengoLoihi's bases are multiples of 4 then
         block[2] = 4 * int(rng.integers(1, filters // 4 + 1))
@@ -81,6 +94,30 @@ def _convolution(rng, name, before, size, on_host):
         pop_type=pop_type,
         weights=weights,
         bias=rng.normal(1.2, 1, filters),
+        stride=stride,
+        padding=padding,
+        pool=pool,
+    )
+
+
+def _dense(rng, name, before, size):
+    pool = int(rng.choice([1, 2])) if len(before) == 3 and min(before[:2]) >= 2 else 1
+    read = pooled_shape(before, pool) if pool > 1 else before
+    units = int(rng.integers(2, 9))
+    return Layer(
+        name=name,
+        kind="dense",
+        input_shape=before,
+        shape=(units,),
+        placement="chip",
+        neurons=random_neurons(rng),
+        synapse=rng.choice([0.02, 0.1]) if size == LOUD else rng.choice([None, 0.002, 0.005]),
+        kernel=0,
+        block_shape=(int(rng.integers(1, units + 1)),),
+        pop_type=32,
+        weights=_weights(rng, size, (units, int(np.prod(read)))),
+        bias=rng.normal(1.2, 1, units),
+        pool=pool,
     )
 
 
@@ -110,8 +147,11 @@ def _output(rng, before, size):
 
 
 def images_for(spec, n, seed=0):
-    """Images between 0 and 1, some pixels of them black, shape (n, n_pixels)."""
+    """Images between 0 and 1, some pixels of them black, shape (n, n_pixels), or event frames."""
     rng = np.random.default_rng(seed)
+    if not spec.stimulus.held:
+        shape = (n, *spec.stimulus.sample_shape(spec.input_shape, spec.presentation.steps))
+        return spec.stimulus.flat((rng.random(shape) < 0.2).astype(np.uint8))
     shape = (n, int(np.prod(spec.input_shape)))
     return rng.random(shape) * (rng.random(shape) < 0.7)
 

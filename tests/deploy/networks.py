@@ -5,21 +5,28 @@ from dataclasses import replace
 import numpy as np
 
 from deploy.check.bundle import CheckSet, write_bundle
+from deploy.network.geometry import convolution_shape, pooled_shape
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import EventFrames, ImageCurrent, ImageSpikes
 
 LIF = Neurons("lif", amplitude=0.01)
 
 
-def conv(name, input_shape, filters, kernel, rng, pop_type=32, block_shape=None, scale=1.0):
-    """A convolution of LIF neurons on the chip, silent up to an input of about 0."""
-    rows, columns, channels = input_shape
-    weights = rng.normal(size=(kernel, kernel, channels, filters))
+def conv(
+    name, input_shape, filters, kernel, rng, pop_type=32, block_shape=None, scale=1.0, **geometry
+):
+    """A convolution of LIF neurons on the chip, silent up to an input of about 0.
+
+    ``stride``, ``padding`` and ``pool`` as a layer has them.
+    """
+    read = pooled_shape(input_shape, geometry.get("pool", 1))
+    stride, padding = geometry.get("stride", 1), geometry.get("padding", "valid")
+    weights = rng.normal(size=(kernel, kernel, read[2], filters))
     return Layer(
         name=name,
         kind="conv",
         input_shape=input_shape,
-        shape=(rows - kernel + 1, columns - kernel + 1, filters),
+        shape=convolution_shape(read, kernel, filters, stride, padding),
         placement="chip",
         neurons=LIF,
         synapse=0.005,
@@ -28,7 +35,19 @@ def conv(name, input_shape, filters, kernel, rng, pop_type=32, block_shape=None,
         pop_type=pop_type,
         weights=scale * 3 * weights / np.sqrt(weights[..., 0].size),
         bias=rng.uniform(0.9, 1.1, filters),
+        **geometry,
     )
+
+
+def dense(name, input_shape, units, rng, block_shape=None, scale=1.0, pool=1):
+    """A hidden dense layer of LIF neurons on the chip."""
+    size = int(np.prod(pooled_shape(input_shape, pool) if pool > 1 else input_shape))
+    return Layer(
+        name=name, kind="dense", input_shape=input_shape, shape=(units,), placement="chip",
+        neurons=LIF, synapse=0.005, kernel=0, block_shape=block_shape, pop_type=32,
+        weights=scale * 3 * rng.normal(size=(units, size)) / np.sqrt(size),
+        bias=rng.uniform(0.9, 1.1, units), pool=pool,
+    )  # fmt: skip
 
 
 def readout(input_shape, rng, classes=10, on_chip=False):

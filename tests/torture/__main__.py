@@ -146,7 +146,7 @@ def _warm(base, folder):
     import pipeline.commands.main  # noqa: F401
     from deploy.check.bundle import read_bundle
     from deploy.targets.registry import answer
-    from pipeline.commands.report import report_  # noqa: F401
+    from pipeline.report.gather import gather  # noqa: F401
 
     opened = read_bundle(base / "run" / "bundle")
     answer(opened.spec, opened.checks.inputs[:1], "fast")

@@ -84,7 +84,7 @@ export function drawSkin(canvas, strokes, flashes, now) {
 // Only what is new, as long as everything else stands where it stood.
 const raster = { key: null, drawn: 0 };
 export function drawRaster(canvas, events, time, afresh) {
-  const last = time > 2 ? 4 : 2;
+  const last = time > 4 ? 10 : time > 2 ? 4 : 2;
   const key = `${last} ${canvas.clientWidth} ${canvas.clientHeight} ${devicePixelRatio}`;
   if (afresh || key !== raster.key || events.taxel.length < raster.drawn) {
     Object.assign(raster, { key, drawn: 0 });

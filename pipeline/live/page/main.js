@@ -166,7 +166,7 @@ link.on("events", (message) => {
   });
   pen.settled = message.settled;
   if (message.over && pen.writes) {
-    complain("A recording lasts four seconds at most: say what it was, or lift the pen and write again.");
+    complain("The time for one recording is over: say what it was, or lift the pen and write again.");
     pen.settled = true;
   }
   stale.skin = stale.rest = true;

@@ -7,9 +7,7 @@ from matplotlib.figure import Figure
 
 from pipeline.inputs.images import aggregate, growing, normalise
 from pipeline.recordings.events import (
-    DURATION_S,
-    GRID,
-    N_TAXELS,
+    DIGITS,
     Recordings,
     TaxelMap,
 )
@@ -30,12 +28,12 @@ def recording(recordings: Recordings, index: int) -> Figure:
     index : int
         Which of them.
     """
-    events = recordings[index]
+    events, sensor = recordings[index], recordings.sensor
     figure = Figure(figsize=(10, 7), layout="constrained")
     figure.suptitle(_title(recordings, index))
     frames, raster = figure.subfigures(2, 1, height_ratios=[1, 3])
-    ends = np.arange(1, FRAMES + 1) * DURATION_S / FRAMES
-    grown = growing(events, recordings.taxels, ends * 1e9)
+    ends = np.arange(1, FRAMES + 1) * sensor.duration_s / FRAMES
+    grown = growing(events, recordings.taxels, ends * 1e9, sensor=sensor)
     grown = grown / max(grown[-1].max(), 1)
     for axes, end, image in zip(frames.subplots(1, FRAMES), ends, grown, strict=True):
         _show(axes, image)
@@ -47,7 +45,8 @@ def recording(recordings: Recordings, index: int) -> Figure:
         axes.scatter(
             seconds[mine], events.taxel[mine] + 1, 4, colour, marker="|", linewidths=1, label=label
         )
-    axes.set(xlim=(0, DURATION_S), ylim=(0.5, N_TAXELS + 0.5), xlabel="time (s)")
+    axes.set(xlim=(0, sensor.duration_s), ylim=(0.5, len(recordings.taxels) + 0.5))
+    axes.set_xlabel("time (s)")
     axes.set_ylabel("taxel address")
     axes.legend(loc="upper right", markerscale=3, frameon=True)
     return figure
@@ -66,7 +65,7 @@ def events_by_taxel(recordings: Recordings, index: int) -> Figure:
     figure = Figure(figsize=(11, 9), layout="constrained")
     axes = figure.subplots()
     # One cell a taxel: time runs from its left to its right, zero is its middle.
-    x = taxels.y[events.taxel] - 0.5 + events.time_ns * 1e-9 / DURATION_S
+    x = taxels.y[events.taxel] - 0.5 + events.time_ns * 1e-9 / recordings.sensor.duration_s
     zero = taxels.x[events.taxel]
     for polarity, colour, label in ((1, ON, "ON, up"), (-1, OFF, "OFF, down")):
         mine = events.polarity == polarity
@@ -74,8 +73,9 @@ def events_by_taxel(recordings: Recordings, index: int) -> Figure:
         axes.vlines(x[mine], zero[mine], tip, colour, linewidth=0.6, label=label)
     for taxel, (row, column) in enumerate(zip(taxels.x, taxels.y, strict=True)):
         axes.text(column - 0.47, row - 0.3, taxel + 1, fontsize=7, color="0.5")
-    _cells(axes)
-    axes.set(title=f"{_title(recordings, index)}: each taxel's events, 0 to {DURATION_S:g} s")
+    _cells(axes, recordings.sensor.rows, recordings.sensor.columns)
+    until = f"{recordings.sensor.duration_s:g} s"
+    axes.set(title=f"{_title(recordings, index)}: each taxel's events, 0 to {until}")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.03), ncols=2, frameon=False)
     return figure
 
@@ -87,7 +87,7 @@ def layout(taxels: TaxelMap) -> Figure:
     for taxel, (x, y) in enumerate(zip(taxels.x, taxels.y, strict=True)):
         axes.text(y, x - 0.12, taxel + 1, ha="center", va="center", weight="bold", fontsize=11)
         axes.text(y, x + 0.22, f"({x + 1},{y + 1})", ha="center", va="center", fontsize=8)
-    _cells(axes)
+    _cells(axes, int(taxels.x.max()) + 1, int(taxels.y.max()) + 1)
     axes.set(aspect="equal", title="Taxel addresses and (X, Y)")
     return figure
 
@@ -112,7 +112,7 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
     for row, digit in zip(panels, digits, strict=True):
         pool = np.flatnonzero(recordings.labels == digit)
         chosen = np.sort(rng.choice(pool, min(per_digit, len(pool)), replace=False))
-        row[0].set_ylabel(digit, rotation=0, labelpad=8, va="center")
+        row[0].set_ylabel(recordings.sensor.classes[digit], rotation=0, labelpad=8, va="center")
         for axes in row[len(chosen) :]:
             axes.set_visible(False)
         for axes, index in zip(row, chosen, strict=False):
@@ -120,15 +120,14 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
     return figure
 
 
-def _cells(axes):
+def _cells(axes, rows, columns):
     """A grid of taxels, numbered as the paper does."""
-    edges = np.arange(GRID + 1) - 0.5
-    axes.hlines(edges, -0.5, GRID - 0.5, "0.8", linewidth=0.8)
-    axes.vlines(edges, -0.5, GRID - 0.5, "0.8", linewidth=0.8)
-    axes.set_xticks(range(GRID), range(1, GRID + 1))
-    axes.set_yticks(range(GRID), range(1, GRID + 1))
+    axes.hlines(np.arange(rows + 1) - 0.5, -0.5, columns - 0.5, "0.8", linewidth=0.8)
+    axes.vlines(np.arange(columns + 1) - 0.5, -0.5, rows - 0.5, "0.8", linewidth=0.8)
+    axes.set_xticks(range(columns), range(1, columns + 1))
+    axes.set_yticks(range(rows), range(1, rows + 1))
     axes.tick_params(length=0)
-    axes.set(xlim=(-0.5, GRID - 0.5), ylim=(GRID - 0.5, -0.5), xlabel="Y", ylabel="X")
+    axes.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), xlabel="Y", ylabel="X")
 
 
 def _show(axes, image):
@@ -145,4 +144,6 @@ def _source(recordings):
 
 def _title(recordings, index):
     name = recordings.ids[index]
-    return f"digit {recordings.labels[index]}, sample {name} ({_source(recordings)})"
+    classes = recordings.sensor.classes
+    of = f"{'digit' if classes == DIGITS else 'class'} {classes[recordings.labels[index]]}"
+    return f"{of}, sample {name} ({_source(recordings)})"

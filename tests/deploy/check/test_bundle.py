@@ -8,7 +8,7 @@ import pytest
 from deploy.check import bundle as bundles
 from deploy.check.bundle import FILES, read_bundle, write_bundle
 from deploy.errors import UserError
-from deploy.files import read_json, sha256_of, write_json
+from deploy.files import read_arrays, read_json, sha256_of, write_json
 from tests.deploy.networks import bundle_at, random_checks, small_spec
 
 
@@ -175,3 +175,96 @@ def test_the_zipapp_holds_the_package(bundle):
         "deploy/targets/registry.py",
     } <= set(names)
     assert not [name for name in names if name.startswith(("pipeline", "models", "tests"))]
+
+
+def with_arrays(bundle, file, **changes):
+    """The bundle with other arrays in a file, and right hashes."""
+    path = bundle.path / file
+    arrays = {**read_arrays(path, ""), **changes}
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, array in arrays.items():
+            with archive.open(name + ".npy", "w") as stream:
+                np.lib.format.write_array(stream, np.asarray(array), allow_pickle=True)
+    manifest = read_json(bundle.path / "MANIFEST.json", "")
+    manifest["files"][file] = sha256_of(path)
+    write_json(bundle.path / "MANIFEST.json", manifest)
+    return bundle.path
+
+
+NAN = np.full((7, 6, 6, 1), np.nan, np.float32)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"labels": [0, 1, 2, 3, 4, 5, 99]}, "labels are not from 0 to 9"),
+        ({"labels": [0, 1, 2, 3, 4, 5, -1]}, "labels are not from 0 to 9"),
+        ({"labels": [0, 1, 2, 3, 4, 5, 6.5]}, "labels and seed are not whole numbers"),
+        ({"labels": np.full(7, np.nan)}, "labels and seed are not whole numbers"),
+        ({"labels": ["1"] * 7}, "labels and seed are not whole numbers"),
+        ({"labels": np.zeros((7, 1), int)}, "other shapes"),
+        ({"labels": np.zeros(6, int)}, "differ in number"),
+        ({"ids": ["a"] * 7}, "two samples have one id"),
+        ({"ids": [*"abcdef", "\ud800"]}, "an id is not text in UTF-8"),
+        ({"ids": np.arange(7)}, "ids not text"),
+        ({"ids": np.array([["a"]] * 7)}, "other shapes"),
+        ({"inputs": NAN}, "NaN or too large"),
+        ({"inputs": np.full((7, 6, 6, 1), 1e30, np.float32)}, "NaN or too large"),
+        ({"inputs": np.zeros((7, 6, 6, 1), complex)}, "not real numbers"),
+        ({"inputs": np.zeros((7, 6, 6, 2))}, "samples have shape"),
+        ({"seed": [0, 1]}, "other shapes"),
+        ({"more": [0]}, "not the samples of a check"),
+    ],
+)
+def test_checks_that_are_none(bundle, changes, message):
+    with pytest.raises(UserError, match=message) as error:
+        read_bundle(with_arrays(bundle, "checks.npz", **changes))
+    assert "checks.npz" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"conv1.weights": np.zeros((3, 3, 1, 4), complex)}, "weights are not real numbers"),
+        ({"conv1.weights": np.full((3, 3, 1, 4), "x")}, "weights are not real numbers"),
+        ({"conv1.weights": np.full((3, 3, 1, 4), 1e300)}, "has a value past 1e"),
+        ({"conv9.weights": np.zeros(3)}, "unknown entries conv9.weights"),
+    ],
+)
+def test_weights_that_are_none(bundle, changes, message):
+    with pytest.raises(UserError, match=message):
+        read_bundle(with_arrays(bundle, "weights.npz", **changes))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d["presentation"].update(steps=10**5), "must be from 1 to 10000"),
+        (lambda d: d["presentation"].update(gap=10**22), "must be from 0 to 10000"),
+        (lambda d: d["layers"][0].update(block_shape=[0, 0, 0]), "a side below 1"),
+        (lambda d: d["layers"][0].update(block_shape=[1, 2]), "other sides than shape"),
+        (lambda d: d["layers"][0]["neurons"].update(tau_rc=float("nan")), "tau_rc must be"),
+        (lambda d: d["layers"][0]["neurons"].update(tau_ref=2**70), "tau_ref must be"),
+        (lambda d: d["layers"][0]["neurons"].update(amplitude=float("inf")), "amplitude"),
+        (lambda d: d["layers"][0].update(synapse=float("nan")), "synapse must be"),
+        (lambda d: d["layers"][0].update(name="x" * 200), "wrong value|missing|short text"),
+        (lambda d: d["stimulus"].update(max_rate=float("nan")), "max_rate must be"),
+        (lambda d: d.update(note="mine"), "unknown entries note"),
+        (lambda d: d.update(input_shape=[10**6, 10**6, 1]), "too many values|input_shape"),
+    ],
+)
+def test_descriptions_that_would_take_for_ever_or_mean_nothing(bundle, change, message):
+    description = read_json(bundle.path / "network.json", "")
+    change(description)
+    (bundle.path / "network.json").write_text(json.dumps(description))
+    manifest = read_json(bundle.path / "MANIFEST.json", "")
+    manifest["files"]["network.json"] = sha256_of(bundle.path / "network.json")
+    write_json(bundle.path / "MANIFEST.json", manifest)
+    with pytest.raises(UserError, match=message):
+        read_bundle(bundle.path)
+
+
+def test_arrays_that_would_fill_the_memory(bundle, monkeypatch):
+    monkeypatch.setattr("deploy.files.read_arrays.__defaults__", (10_000,))
+    with pytest.raises(UserError, match="arrays of more than"):
+        read_bundle(with_arrays(bundle, "checks.npz", more=np.zeros(10_000)))

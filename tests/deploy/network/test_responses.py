@@ -3,11 +3,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.network.build import default_block
 from deploy.network.responses import read_output, seconds_per_sample
 from deploy.network.stimulus import Feed
 from deploy.network.stream import streams_of
-from tests.deploy.networks import paper_spec, small_spec
+from tests.deploy.networks import small_spec
 
 
 @given(st.integers(0, 300), st.integers(1, 50))
@@ -76,11 +75,3 @@ def test_what_is_shown_at_each_step():
     shown = [float(feed(step * 0.001)[0]) for step in range(1, 11)]
     assert shown == [0, 0, 0.1, 0.1, 0.1, 0, 0, 0.2, 0.2, 0.2]
     assert seconds_per_sample(spec) == pytest.approx(0.005)
-
-
-def test_blocks_hold_what_a_core_can():
-    assert default_block((7, 7, 6)) == (7, 7, 6)
-    assert default_block((28, 28, 4)) == (14, 14, 4)
-    assert default_block((1, 1, 5000)) == (1, 1, 625)
-    assert default_block((3000,)) == (750,)
-    assert paper_spec().layers[1].size == 600

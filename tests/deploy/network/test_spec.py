@@ -106,11 +106,11 @@ def changed(path, value):
         (("layers", 0, "neurons"), None, "layer 'conv1': a layer on the chip needs neurons"),
         (("layers", 0, "neurons", "kind"), "izhikevich", "kind is neither 'lif' nor 'relu'"),
         (("layers", 0, "neurons", "amplitude"), 0, "amplitude must be positive"),
-        (("layers", 0, "neurons", "tau_rc"), 0, "time constants"),
+        (("layers", 0, "neurons", "tau_rc"), 0, "tau_rc must be from"),
         (("layers", 0, "neurons", "min_voltage"), 1, "min_voltage"),
         (("layers", 0, "neurons", "extra"), 1, "unknown entries extra"),
         (("layers", 0, "pop_type"), 8, "pop_type is neither 16 nor 32"),
-        (("layers", 0, "synapse"), 0, "synapse must be above 0"),
+        (("layers", 0, "synapse"), 0, "synapse must be from"),
         (("layers", 0, "shape"), [7, 7, 5], "weights have shape"),
         (("layers", 0, "shape"), [8, 7, 6], "shape should be"),
         (("layers", 0, "shape"), "abc", "wrong"),
@@ -122,11 +122,11 @@ def changed(path, value):
         (("stimulus", "max_rate"), 2000, "max_rate must be above 0, at most 1000"),
         (("stimulus", "initial_phase"), 1, "initial_phase"),
         (("stimulus", "kind"), "film", "kind 'film' is not one of image-spikes"),
-        (("presentation", "steps"), 0, "'presentation.steps' must be 1 or more"),
+        (("presentation", "steps"), 0, "'presentation.steps' must be from 1 to 10000"),
         (("presentation", "steps"), 40.5, "a whole number"),
-        (("presentation", "gap"), -1, "'presentation.gap' must be 0 or more"),
+        (("presentation", "gap"), -1, "'presentation.gap' must be from 0 to 10000"),
         (("presentation", "readout_start"), 100, r"from 0 to below presentation.steps \(100\)"),
-        (("presentation", "stream_length"), 0, "'presentation.stream_length' must be 1 or more"),
+        (("presentation", "stream_length"), 0, "'presentation.stream_length' must be from 1 to"),
         (("presentation", "stream_length"), True, "a whole number"),
     ],
 )
@@ -153,7 +153,7 @@ def test_weights_must_be_finite_and_fit():
     with pytest.raises(UserError, match="'conv2': weights has NaN"):
         NetworkSpec.from_json(spec.to_json(), broken)
     broken["conv2.weights"] = np.array([["a"]])
-    with pytest.raises(UserError, match="wrong"):
+    with pytest.raises(UserError, match="not real numbers"):
         NetworkSpec.from_json(spec.to_json(), broken)
 
 

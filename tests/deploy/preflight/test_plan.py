@@ -113,7 +113,7 @@ def test_too_many_compartments_names_layer_limit_excess_and_remedy():
 
 
 def test_too_many_input_axons():
-    plan = make_plan(spec_of((1, 60), shape=(70, 70, 1)))
+    plan = make_plan(spec_of((1, 60), shape=(70, 70, 1), block_shape=(11, 11, 1)))
     assert any("4900 input axons, 804 more than the 4096" in line for line in plan.problems)
 
 
@@ -139,7 +139,7 @@ def test_pop16_limits(layers, message):
 
 
 def test_pop16_can_address_fewer_axons():
-    plan = make_plan(spec_of((4, 30), shape=(36, 36, 1), pop_type=16))
+    plan = make_plan(spec_of((4, 30), shape=(36, 36, 1), pop_type=16, block_shape=(7, 7, 4)))
     assert any("1296 input axons, 272 more than the 1024" in line for line in plan.problems)
 
 

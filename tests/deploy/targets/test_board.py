@@ -137,6 +137,55 @@ def test_missing_steps_are_noticed(nxsdk, bundle, tmp_path):
         run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
 
 
+PERIOD = 35
+FAULTS = {
+    "connection refused, then not": ({"refuse": 4}, True),
+    "connection refused for good": ({"refuse": 10**6}, False),
+    "connection lost in the middle": ({"lose_at_step": 17}, True),
+    "lost, and the board is taken away while we wait": (
+        {"lose_at_step": 17, "refuse": 10**6}, False),
+    "a short read": ({"short_probes": 1, "times": 1}, True),
+    "nothing read": ({"short_probes": PERIOD, "times": 1}, True),
+    "too much read": ({"short_probes": -1, "times": 1}, True),
+    "always a short read": ({"short_probes": 1}, False),
+    "two spikes for one": ({"spikes_twice": True, "times": 1}, True),
+    "always two spikes for one": ({"spikes_twice": True}, False),
+    "a job that hangs": ({"hang_at_step": 17}, True),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("stream", [0, 1, 2])
+@pytest.mark.parametrize(("faults", "survived"), FAULTS.values(), ids=FAULTS)
+def test_a_fault_at_any_stream(nxsdk, bundle, emulated, tmp_path, stream, faults, survived):
+    """Either the result is that of a run without faults, or it is one line; then it goes on."""
+    injected = nxsdk.faults.FAULTS
+    refused = faults.get("refuse") if "lose_at_step" in faults else None
+    for name, value in {**faults, "from_connection": stream}.items():
+        setattr(injected, name, value)
+    if refused:  # first it is lost, then taken away
+        injected.refuse, lost = 0, injected.step
+
+        def step():
+            try:
+                lost()
+            except Exception:
+                injected.refuse = refused
+                raise
+
+        injected.step = step
+    options = BoardOptions(wait=0, timeout=1.0)
+    out = tmp_path / "r.json"
+    if not survived:
+        with pytest.raises(UserError, match=f"board lost in stream {stream + 1} ") as error:
+            run_check(bundle, "loihi", out, options=options)
+        assert "\n" not in str(error.value)
+        assert not out.exists()
+        for name in ("refuse", "short_probes", "spikes_twice"):
+            setattr(injected, name, 0)
+    result = run_check(bundle, "loihi", out, options=options)
+    assert same_answers(result, emulated)
+
+
 def test_lost_input_spikes_show_in_the_comparison(nxsdk, bundle, emulated, tmp_path):
     nxsdk.faults.FAULTS.drop_spikes = 10
     result = run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)

@@ -59,6 +59,31 @@ def test_identical_to_the_emulator_in_every_compartment_at_every_step(seed):
     event(f"first layer: {spec.layers[0].placement}")
 
 
+@settings(
+    max_examples=100,
+    deadline=None,
+    phases=[Phase.explicit, Phase.reuse, Phase.generate],
+    suppress_health_check=[HealthCheck.too_slow],
+)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_every_spike_is_the_emulators_whatever_the_architecture(seed):
+    """Strides, padding, averaging, dense layers, blocks, images and events."""
+    spec = random_spec(seed)
+    samples = images_for(spec, spec.presentation.stream_length, seed)
+    try:
+        (expected,) = quietly(lambda: list(run_emulator(spec, [samples])))
+    except (UserError, AssertionError):  # NengoLoihi cannot build it
+        reject()
+    kernel = ("numba", "numpy")[seed % 2]
+    (answer,) = quietly(lambda: list(run_fast(spec, [samples], kernel=kernel)))
+    assert answer.spike_hashes.tolist() == expected.spike_hashes.tolist()
+    np.testing.assert_allclose(answer.scores, expected.scores, rtol=1e-12, atol=1e-9)
+    assert np.array_equal(answer.decisions, expected.decisions)
+    for name, operations in expected.operations.items():
+        assert np.array_equal(answer.operations[name], operations)
+    event(f"layers: {[layer.kind for layer in spec.layers]}, {spec.stimulus.kind}")
+
+
 def assert_identical(spec, images, expected, kernel):
     presentation = spec.presentation
     program = quietly(compile_spec, spec)

@@ -21,7 +21,15 @@ from deploy.targets.lava import (
 from deploy.targets.registry import answer
 
 from ...lava_reader.result import differing_bits, main, responses_of
-from ..networks import bundle_at, host_first_spec, paper_spec, random_checks, small_spec
+from ..networks import (
+    bundle_at,
+    events_spec,
+    host_first_spec,
+    paper_spec,
+    random_checks,
+    random_frames,
+    small_spec,
+)
 
 ROOT = Path(__file__).parent.parent.parent.parent
 READER = ROOT / ".venv-lava" / "bin" / "python"
@@ -71,18 +79,26 @@ def advanced(arrays):
     return {name: np.packbits(values, axis=2) for name, values in found.items()}
 
 
-@pytest.mark.parametrize("make", [small_spec, host_first_spec, paper_spec])
+def samples_for(spec, count):
+    """Random images, or frames of events, as the network is shown them."""
+    if spec.stimulus.held:
+        return random_checks(spec, count).inputs
+    return random_frames(spec, count)
+
+
+@pytest.mark.parametrize(
+    "make", [small_spec, host_first_spec, lambda: paper_spec(steps=40, gap=5), events_spec]
+)
 def test_plain_integers_of_the_file_give_every_spike_of_fast(make):
-    spec = make() if make is not paper_spec else paper_spec(steps=40, gap=5)
-    images = random_checks(spec, 4).images
+    spec = make()
+    samples = samples_for(spec, 4)
     program = compile_spec(spec)
-    found = advanced(lava_arrays(spec, images))
-    ours = spikes_of(program, spec, images)
+    found = advanced(lava_arrays(spec, samples))
+    ours = spikes_of(program, spec, samples)
     bits = differing_bits(program, ours, found)
-    assert {name: wrong for name, (wrong, _) in bits.items()} == {"conv2": 0} | (
-        {} if make is host_first_spec else {"conv1": 0}
-    )
-    assert ours["conv2"].any()
+    on_chip = [layer.name for layer in spec.layers if layer.placement == "chip"]
+    assert {name: wrong for name, (wrong, _) in bits.items()} == dict.fromkeys(on_chip, 0)
+    assert all(ours[name].any() for name in on_chip)
 
 
 def blocks_apart():
@@ -96,7 +112,7 @@ def blocks_apart():
 
 def test_blocks_of_different_thresholds_become_populations_of_their_own():
     spec = blocks_apart()
-    images = random_checks(spec, 3).images
+    images = random_checks(spec, 3).inputs
     arrays = lava_arrays(spec, images)
     populations = json.loads(str(arrays["description"]))["populations"]
     assert [p["name"] for p in populations] == ["conv1", "conv2#1", "conv2#2"]
@@ -114,11 +130,15 @@ def host_output():
 
 
 @pytest.mark.parametrize(
-    "make", [small_spec, lambda: small_spec(on_chip_output=True), host_output, host_first_spec]
+    "make",
+    [
+        *(small_spec, lambda: small_spec(on_chip_output=True), host_output, host_first_spec),
+        events_spec,
+    ],
 )
 def test_spikes_give_the_answers_of_fast(make):
     spec = make()
-    images = random_checks(spec, 7).images
+    images = samples_for(spec, 7)
     program = compile_spec(spec)
     ours = responses_of(spec, program, spikes_of(program, spec, images))
     theirs = answer(spec, images, "fast")
@@ -140,7 +160,7 @@ def test_one_bit_is_found(tmp_path, capsys):
 
 def test_without_refractory_time_and_floor_there_are_more_spikes():
     spec = paper_spec(steps=40, gap=5)
-    images = random_checks(spec, 3).images
+    images = random_checks(spec, 3).inputs
     program = compile_spec(spec)
     free = without_refractory_and_floor(program)
     few, many = (spikes_of(p, spec, images)["conv2"] for p in (program, free))
@@ -160,7 +180,7 @@ def test_weights_that_do_not_fit_are_refused(monkeypatch):
     network = export._replaced(program.network, weights=odd, segments=segments)
     monkeypatch.setattr(export, "compile_spec", lambda spec: program._replace(network=network))
     with pytest.raises(UserError, match="a weight does not fit"):
-        lava_arrays(small_spec(), random_checks(small_spec(), 1).images)
+        lava_arrays(small_spec(), random_checks(small_spec(), 1).inputs)
 
 
 def run_lava(network, wanted, *options):
@@ -191,6 +211,7 @@ def test_ten_samples_in_lava(tmp_path):
         (blocks_apart, {"conv1": 64, "conv2": 72}),
         (lambda: small_spec(on_chip_output=True), {"conv1": 64, "conv2": 72, "output": 10}),
         (host_first_spec, {"conv2": 72}),
+        (events_spec, {x.name: x.size for x in events_spec().layers if x.placement == "chip"}),
     ],
 )
 def test_other_networks_in_lava(tmp_path, make, sizes):
@@ -198,7 +219,7 @@ def test_other_networks_in_lava(tmp_path, make, sizes):
 
 
 def compare_with_lava(tmp_path, spec, count, sizes):
-    images = random_checks(spec, count).images
+    images = samples_for(spec, count)
     program = compile_spec(spec)
     write_lava(tmp_path / "network.npz", spec, images)
     for options, ours in (((), program), (("--stock",), without_refractory_and_floor(program))):

@@ -73,7 +73,7 @@ def test_disagreement_is_a_failed_check(bundle, capsys, monkeypatch):
 def test_without_numba_the_numpy_kernel_is_measured(monkeypatch):
     monkeypatch.setattr(measure, "kernels_here", lambda: ("numpy",))
     spec = small_spec()
-    result = measure.compare(spec, images_for(spec, 3))
+    result = measure.compare_speed(spec, images_for(spec, 3))
     assert result["identical"]
     assert result["ratio_whole"] == result["ratio_whole_numpy"]
     assert "numba" not in measure.speed_text({**result, "simulated": True})
@@ -82,7 +82,7 @@ def test_without_numba_the_numpy_kernel_is_measured(monkeypatch):
 def test_many_times_faster():
     """A floor far below what the benchmark finds, for machines with other work."""
     spec = paper_spec(steps=50, gap=10, stream_length=10)
-    result = measure.compare(spec, np.concatenate([images_for(spec, 40)] * 2))
+    result = measure.compare_speed(spec, np.concatenate([images_for(spec, 40)] * 2))
     assert result["identical"]
     assert result["processor_time"]["ratio_whole"] > 20
     assert result["processor_time"]["ratio_whole_numpy"] > 5

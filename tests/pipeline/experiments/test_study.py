@@ -8,8 +8,9 @@ import pytest
 
 from deploy.errors import UserError
 from deploy.files import read_json
+from pipeline import jobs
 from pipeline.experiments import choices as conversion_choices
-from pipeline.experiments import jobs, losses
+from pipeline.experiments import losses
 from pipeline.experiments.study import Workers, _work, read_kept, study, write_kept
 from tests.command import call
 

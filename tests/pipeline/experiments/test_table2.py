@@ -8,8 +8,8 @@ from deploy.errors import UserError
 from deploy.files import write_json
 from pipeline.commands import main as cli
 from pipeline.experiments import table2_splits as table2
-from pipeline.experiments.jobs import Failure
 from pipeline.experiments.table2 import summarise, table_text
+from pipeline.jobs import Failure
 from pipeline.settings import Settings
 
 

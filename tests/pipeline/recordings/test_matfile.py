@@ -245,11 +245,11 @@ def test_the_transposed_table_gives_the_transposed_positions():
     ("table", "reason"),
     [
         (np.ones((100, 2)), "different positions"),
-        (np.stack([X, Y], 1) - 1, "different positions from 1 to 10"),
+        (np.stack([X, Y], 1) - 1, "different positions from 1 to"),
         (np.stack([X + 0.5, Y], 1), "different positions"),
         (np.stack([ADDRESS - 1, X, Y], 1), "addresses 1 to 100"),
         (np.stack([np.ones(100), X, Y], 1), "addresses 1 to 100"),
-        (np.ones((50, 2)), "no table of 100 rows"),
+        (np.ones((50, 4)), "no table of rows with X and Y"),
     ],
 )
 def test_a_bad_lookup_table(table, reason):

@@ -32,7 +32,7 @@ def test_the_film_piece_by_piece_is_the_film_at_once():
     _, whole = press(motion, gain, -1.0, np.random.default_rng(7), P.skin)  # every taxel
     rng = np.random.default_rng(7)
     lands = landings(motion.force, 0.1 * motion.force.max())
-    jolts = strength(rng, P.skin) * jolt(rng, len(lands))
+    jolts = strength(rng, P.skin) * jolt(rng, len(lands), 100)
     speed = np.hypot(np.gradient(motion.down, STEP), np.gradient(motion.right, STEP))
     film, parts = Film(gain, STEP, P.skin), []
     for rows in cuts(len(speed)):

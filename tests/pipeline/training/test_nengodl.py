@@ -8,7 +8,9 @@ import pytest
 from deploy.network.responses import join
 from deploy.network.stimulus import ImageCurrent
 from deploy.targets.registry import answer
+from models.architecture import parse
 from models.keras2 import tf
+from models.lif import gain_for
 from pipeline.run.conversion import to_spec
 from pipeline.settings import Settings
 from pipeline.training import nengodl
@@ -132,4 +134,24 @@ def test_where_the_layers_are_is_a_setting(weights):
     assert to_spec(moved, weights, {}).stimulus == ImageCurrent()
     chip = replace(settings, deployment=replace(settings.deployment, readout="chip"))
     logits = np.random.default_rng(0).normal(size=(20, 10))
-    assert to_spec(chip, weights, {}, logits).layers[-1].placement == "chip"
+    range_of = logits, np.arange(20) % 10
+    assert to_spec(chip, weights, {}, range_of).layers[-1].placement == "chip"
+
+
+def test_the_range_of_output_neurons_is_set_by_right_and_wrong_logits():
+    """Two classes; the label's logit is 4 (and once 0, a wrong answer), the other's 1, 2, 3."""
+    settings = Settings().with_values(
+        {"deployment": {"readout": "chip"}, "snn": {"recipe": "paper"}}, "test"
+    )
+    weights = {
+        name: np.zeros(shape, np.float32)
+        for name, shape in parse(settings.cnn.architecture).weight_shapes.items()
+    }
+    weights["output.kernel"][0, 0] = 1
+    logits = np.full((3, 10), -9.0)
+    logits[0, [3, 5]], logits[1, [3, 5]], logits[2, [3, 5]] = (4, 1), (4, 2), (0, 3)
+    output = to_spec(settings, weights, {}, (logits, np.array([3, 3, 3]))).layers[-1]
+    full = np.percentile([4, 4, 0], 99)
+    gain = gain_for(150.0, 0.02, 0.001) / (full - 2)  # best wrong ones: 1, 2 and 3
+    assert output.weights[0, 0] == pytest.approx(gain)
+    assert output.bias[0] == pytest.approx(1 - gain * 2)

@@ -47,9 +47,12 @@ class Recorder:
     def record(self):
         self.rows.append(getattr(self.core, self.attribute)[self.compartments])
 
-    def hand_over(self, missing):
+    def hand_over(self, missing, spike=1):
         """Give the rows since the last time to the probes, without the last ``missing``."""
-        rows = np.array(self.rows[: len(self.rows) - missing], dtype=np.int64)
+        kept = self.rows[: len(self.rows) - missing] + self.rows[-1:] * -missing
+        rows = np.array(kept, dtype=np.int64)
+        if self.attribute == "spike":
+            rows *= spike
         for probe, column in zip(self.probes, rows.T):
             probe.timeSeries.data += column.tolist()
         self.rows.clear()
@@ -139,8 +142,9 @@ class N2Board:
                 self.executor.started = False
                 raise
             self._advance()
+        missing, spike = FAULTS.probed()
         for recorder in self.monitor.recorders:
-            recorder.hand_over(FAULTS.short_probes)
+            recorder.hand_over(missing, spike)
 
     def _advance(self):
         self.step += 1

@@ -5,8 +5,8 @@ from threading import Thread
 import pytest
 
 from deploy.errors import UserError
-from pipeline.experiments import jobs
-from pipeline.experiments.jobs import Failure, run_jobs
+from pipeline import jobs
+from pipeline.jobs import Failure, run_jobs
 
 
 def reciprocal(number):

@@ -1,0 +1,39 @@
+"""How large anything may be that comes in from outside: in one place, for reading and settings.
+
+They are far above what is of use and far below what a machine suffers from; a value past them is a
+mistake, and is said as one.
+"""
+
+STEPS = 10_000
+"""Steps of a sample, and of the gap before it."""
+
+SAMPLES = 1_000_000
+"""Samples of a check, and recordings of a digit."""
+
+EPOCHS = 10_000_000
+BATCH = 1_000_000
+
+NEURONS = 131_072
+"""Neurons of a layer and values of an input: a whole chip, 128 cores of 1,024."""
+
+WEIGHTS = 20_000_000
+"""Weights of a network."""
+
+SECONDS = 1_000.0
+"""Of a time constant."""
+
+REFRACTORY_S = 1.0
+
+MAGNITUDE = 1e9
+"""Of a voltage or an amplitude, in units of the threshold, of a weight and of a pixel."""
+
+LAYERS = 100
+
+ARRAY_BYTES = 1 << 30
+"""Of all arrays in a file."""
+
+TEXT_BYTES = 1 << 28
+"""Of a JSON file."""
+
+SETTINGS_BYTES = 1 << 20
+"""Of a file of settings."""

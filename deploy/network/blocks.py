@@ -1,0 +1,216 @@
+"""How a layer is cut into blocks, one block a core.
+
+A layer that a core can hold stays whole.  One that is too large is cut along rows, columns and
+channels into equal blocks (`nengo_loihi.BlockShape`); of all ways in which every block fits a core,
+the one with the fewest input axons is taken, summed over the blocks, and of those the one with the
+fewest blocks.  Axons are what a cut costs: an input that two blocks see needs an axon into each.
+
+The counts are worked out here as NengoLoihi makes them, before it makes any; pre-flight counts what
+was made (:mod:`deploy.preflight.resources`) and refuses what does not fit after all.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from typing import Dict, List, NamedTuple, Optional, Tuple
+
+import numpy as np
+
+from .chip import LOIHI
+from .geometry import windows
+
+WORD_BITS, HEADER_BITS, LIST = 64, 10, 64
+"""Of synapse memory: bits of a word, of the header of a list of synapses, and synapses of one."""
+
+INDEX_BITS = (6, 7, 8, 9, 10, 11, 12)
+"""Widths that the index of a synapse's target can have."""
+
+OFFSET = 256
+"""Targets of a shared list are moved by at most this; further ones need a list of their own."""
+
+
+def block_shapes(layers) -> Dict[str, Tuple[int, ...]]:
+    """Block of each layer on the chip, by its name: its own ``block_shape`` where it has one.
+
+    Parameters
+    ----------
+    layers : sequence of deploy.network.spec.Layer
+        Of a network, in order.
+    """
+    shapes, after = {}, ()
+    for layer in reversed(layers):
+        if layer.placement == "chip":
+            shapes[layer.name] = layer.block_shape or default_block(layer, *after)
+            after = layer, shapes[layer.name]
+        else:
+            after = ()  # what is on the host is read without axons
+    return shapes
+
+
+@functools.lru_cache(maxsize=256)
+def default_block(layer, after=None, after_block=None) -> Tuple[int, ...]:
+    """The block of a layer; see the module.
+
+    Parameters
+    ----------
+    layer : deploy.network.spec.Layer
+    after : deploy.network.spec.Layer, optional
+        The layer on the chip that gets its spikes.
+    after_block : tuple of int, optional
+        Its block.
+
+    Returns
+    -------
+    tuple of int
+        Where nothing fits, the best that at least has no more compartments than a core.
+    """
+    limit, cutting = LOIHI.limits["compartments"], _Cutting(layer)
+    receiver = after and _Receiver(after, after_block)
+    if layer.size <= limit and cutting.fits(layer.shape, receiver):
+        return layer.shape
+    ways = [list(_lengths(n)) for n in layer.shape]
+    blocks = [block for block in itertools.product(*ways) if np.prod(block) <= limit]
+    by_cost = sorted(blocks, key=lambda block: (cutting.axons(block), cutting.count(block), block))
+    for block in by_cost:
+        if cutting.fits(block, receiver):
+            return block
+    return by_cost[0]
+
+
+def _lengths(n):
+    """Lengths of equal parts along one dimension, from the whole down; the last may be shorter."""
+    lengths = {-(-n // parts) for parts in range(1, n + 1)}
+    return sorted(lengths, reverse=True)
+
+
+class _Line(NamedTuple):
+    """A layer's windows along one dimension of its input, an averaging before it included."""
+
+    n: int
+    count: int
+    kernel: int
+    stride: int
+    before: int
+
+    def reach(self, first, last):
+        """For each input position the windows of ``first`` to ``last - 1`` that hold it.
+
+        Returns
+        -------
+        lowest, number, offset : ndarray of int, shape (n,)
+            The first of those windows, how many there are, and where in the first one it lies.
+        """
+        at = np.arange(self.n) + self.before
+        lowest = np.maximum(-(-(at - self.kernel + 1) // self.stride), first)
+        highest = np.minimum(at // self.stride, last - 1)
+        number = np.maximum(highest - lowest + 1, 0)
+        return lowest, number, at - lowest * self.stride
+
+
+def _lines(layer) -> List[_Line]:
+    lines, pool = [], layer.pool
+    for n, read in zip(layer.input_shape[:2], layer.read_shape[:2]):
+        count, before, _ = windows(read, layer.kernel, layer.stride, layer.padding)
+        size = layer.kernel * pool, layer.stride * pool, before * pool
+        # With padding, what an averaging leaves over is cut off: a window would reach it.
+        lines.append(_Line(read * pool if layer.padding == "same" else n, count, *size))
+    return lines
+
+
+class _Cutting:
+    """What a layer takes of the cores when it is cut into blocks."""
+
+    def __init__(self, layer):
+        self.layer = layer
+        self.is_conv = layer.kind == "conv"
+        self.lines = _lines(layer) if self.is_conv else []
+        self.n_inputs = int(np.prod(layer.input_shape))
+
+    def count(self, block) -> int:
+        """Blocks."""
+        return int(np.prod([-(-n // b) for n, b in zip(self.layer.shape, block)]))
+
+    def axons(self, block) -> int:
+        """Input axons of all blocks."""
+        if not self.is_conv:
+            return self.n_inputs * self.count(block)
+        along = [
+            sum(np.count_nonzero(line.reach(*part)[1]) for part in parts_of(n, b))
+            for line, n, b in zip(self.lines, self.layer.shape, block)
+        ]
+        return int(np.prod(along)) * -(-self.layer.shape[2] // block[2])
+
+    def fits(self, block, receiver) -> bool:
+        """Whether each block keeps to the limits of a core, but for its compartments."""
+        limits = LOIHI.limits
+        short = self.is_conv and self.layer.pop_type == 16
+        most = LOIHI.population_axons if short else limits["input axons"]
+        for parts in itertools.product(*(parts_of(n, b) for n, b in zip(self.layer.shape, block))):
+            axons, words = self.needs(parts)
+            if axons > most or words > limits["synapse words"]:
+                return False
+            if receiver is not None and receiver.axons_from(parts) > limits["output axons"]:
+                return False
+        return True
+
+    def needs(self, parts):
+        """Input axons and words of synapse memory of one block."""
+        lengths = [last - first for first, last in parts]
+        if not self.is_conv:
+            return self.n_inputs, self.n_inputs * _words(lengths[0], LOIHI.weight_bits)
+        columns, filters = lengths[1], lengths[2]
+        reach = [line.reach(*part) for line, part in zip(self.lines, parts)]
+        seen = [np.flatnonzero(number) for _, number, _ in reach]
+        (low_r, n_r, at_r), (low_c, n_c, at_c) = (
+            tuple(values[used] for values in one) for one, used in zip(reach, seen)
+        )
+        offset = ((low_r[:, None] - parts[0][0]) * columns + low_c - parts[1][0]) * filters
+        # Inputs that lie alike in their windows share a list.
+        keys = np.stack(
+            np.broadcast_arrays(n_r[:, None], at_r[:, None], n_c, at_c, offset // OFFSET), axis=-1
+        ).reshape(-1, 5)
+        lists = np.unique(keys, axis=0)
+        highest = OFFSET + ((lists[:, 0] - 1) * columns + lists[:, 2]) * filters
+        highest = int(min(highest.max(initial=1), np.prod(lengths)))
+        bits = LOIHI.weight_bits + next((b for b in INDEX_BITS if 2**b >= highest), INDEX_BITS[-1])
+        words = sum(_words(int(n), bits) for n in lists[:, 0] * lists[:, 2] * filters)
+        return len(seen[0]) * len(seen[1]), words * self.layer.input_shape[2]
+
+
+def _words(synapses, bits):
+    """Words that the lists of one input's synapses take."""
+    full, rest = divmod(synapses, LIST)
+    words = full * -(-(LIST * bits + HEADER_BITS) // WORD_BITS)
+    return words + (-(-(rest * bits + HEADER_BITS) // WORD_BITS) if rest else 0)
+
+
+def parts_of(n: int, length: int) -> list:
+    """(first, one past the last) of each part along one dimension."""
+    return [(first, min(first + length, n)) for first in range(0, n, length)]
+
+
+class _Receiver:
+    """A layer on the chip with its blocks, as the layer before it sees it."""
+
+    def __init__(self, layer, block):
+        self.layer = layer
+        self.blocks = int(np.prod([-(-n // b) for n, b in zip(layer.shape, block)]))
+        self.seen: Optional[list] = None
+        if layer.kind == "conv":
+            self.seen = [
+                [line.reach(*part)[1] > 0 for part in parts_of(n, b)]
+                for line, n, b in zip(_lines(layer), layer.shape, block)
+            ]
+            self.copies = -(-layer.shape[2] // block[2])
+            self.slots = 2 if layer.pop_type == 32 else 1
+
+    def axons_from(self, parts) -> int:
+        """Output axons of a block of the layer before."""
+        if self.seen is None:
+            return int(np.prod([last - first for first, last in parts])) * self.blocks
+        along = [
+            sum(int(seen[first:last].sum()) for seen in line)
+            for line, (first, last) in zip(self.seen, parts)
+        ]
+        return along[0] * along[1] * self.copies * self.slots

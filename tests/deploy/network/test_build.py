@@ -1,0 +1,192 @@
+"""The network in Nengo computes what its description says: strides, padding, averaging, blocks."""
+
+from dataclasses import replace
+
+import nengo
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deploy.network.blocks import block_shapes, default_block, parts_of
+from deploy.network.build import _transform
+from deploy.network.chip import LOIHI
+from deploy.network.geometry import windows
+from deploy.network.operations import fan_out, multiply_accumulates
+from deploy.network.spec import NetworkSpec, Presentation
+from deploy.network.stimulus import ImageSpikes
+from deploy.preflight.plan import make_plan
+from tests.deploy.networks import conv, dense, readout
+
+
+def matrix_of(layer):
+    """What the layer is in Nengo, as a matrix (n_outputs, n_inputs)."""
+    transform, inputs = _transform(layer)
+    with nengo.Network(seed=0) as network:
+        source = nengo.Node(size_in=int(np.prod(layer.input_shape)))
+        target = nengo.Node(size_in=layer.size)
+        nengo.Connection(
+            source if inputs is None else source[inputs], target, transform=transform, synapse=None
+        )
+        feed = nengo.Node(lambda t: np.eye(source.size_in)[round(t / 0.001) - 1])
+        nengo.Connection(feed, source, synapse=None)
+        probe = nengo.Probe(target)
+    with nengo.Simulator(network, progress_bar=False) as sim:
+        sim.run_steps(source.size_in)
+    return sim.data[probe].T
+
+
+def matrix_by_hand(layer):
+    """The same from the description alone, window by window."""
+    rows, columns, channels = layer.input_shape
+    matrix = np.zeros((*layer.shape, rows, columns, channels))
+    p = layer.pool
+    read = layer.read_shape
+    if layer.kind == "dense":
+        weights = layer.weights.reshape(layer.size, *read)
+        for r in range(read[0] * p):
+            for c in range(read[1] * p):
+                matrix[:, r, c] = weights[:, r // p, c // p] / p**2
+    else:
+        before = [windows(n, layer.kernel, layer.stride, layer.padding)[1] for n in read[:2]]
+        for i in range(layer.shape[0]):
+            for j in range(layer.shape[1]):
+                for k in range(layer.kernel):
+                    for m in range(layer.kernel):
+                        r = i * layer.stride + k - before[0]
+                        c = j * layer.stride + m - before[1]
+                        if 0 <= r < read[0] and 0 <= c < read[1]:
+                            part = slice(r * p, r * p + p), slice(c * p, c * p + p)
+                            tap = layer.weights[k, m].T[:, None, None] / p**2
+                            matrix[(i, j, slice(None), *part)] += tap
+    return matrix.reshape(layer.size, -1)
+
+
+@st.composite
+def layers(draw):
+    rng = np.random.default_rng(draw(st.integers(0, 99)))
+    pool = draw(st.integers(1, 3))
+    shape = (*(draw(st.integers(pool, 9)) for _ in range(2)), draw(st.integers(1, 2)))
+    if draw(st.integers(0, 4)) == 0:
+        return dense("dense1", shape, draw(st.integers(1, 5)), rng, pool=pool)
+    padding, stride = draw(st.sampled_from(["valid", "same"])), draw(st.integers(1, 3))
+    most = min(shape[:2]) // pool if padding == "valid" else 4
+    kernel = draw(st.integers(1, max(1, min(4, most))))
+    geometry = dict(stride=stride, padding=padding, pool=pool)
+    return conv("conv1", shape, draw(st.integers(1, 3)), kernel, rng, **geometry)
+
+
+@settings(max_examples=60, deadline=None)
+@given(layers())
+def test_a_layer_in_nengo_is_the_one_described(layer):
+    expected = matrix_by_hand(layer)
+    np.testing.assert_allclose(matrix_of(layer), expected, atol=1e-12)
+    # Random weights are never zero: what is not zero is a synapse.
+    np.testing.assert_array_equal(fan_out(layer), np.count_nonzero(expected, axis=0))
+
+
+def spec_of(shape, *layers, classes=3):
+    rng = np.random.default_rng(1)
+    return NetworkSpec(
+        "test", shape, ImageSpikes(), (*layers, readout(layers[-1].shape, rng, classes)),
+        Presentation(steps=20, gap=3, readout_start=5, stream_length=2),
+    )  # fmt: skip
+
+
+def test_multiply_accumulates_of_an_averaging_by_hand():
+    rng = np.random.default_rng(0)
+    layer = conv("conv1", (7, 6, 2), 3, 2, rng, pool=2)  # 3x3x2 averaged, 2x2x3 out
+    spec = spec_of((7, 6, 2), layer)
+    macs = multiply_accumulates(spec)
+    assert macs["conv1"] == 2 * 2 * 3 * (2 * 2 * 2) + 6 * 6 * 2
+    assert fan_out(layer).reshape(7, 6, 2)[6].tolist() == [[0, 0]] * 6
+
+
+def test_a_layer_that_fits_is_whole():
+    rng = np.random.default_rng(0)
+    assert default_block(conv("conv1", (10, 10, 1), 6, 4, rng)) == (7, 7, 6)
+    assert default_block(dense("dense1", (5, 5, 8), 64, rng)) == (64,)
+
+
+def test_the_cut_with_the_fewest_axons():
+    rng = np.random.default_rng(0)
+    # 26 x 26 x 4 = 2704 neurons, three cores at the least; squares overlap least: four of 15 x 15
+    # inputs are 900, three strips of 9 rows (11, 11 and 10 inputs of 28) 896
+    layer = conv("conv1", (28, 28, 1), 4, 3, rng)
+    assert default_block(layer) == (9, 26, 4)
+    # channels are the last to be cut: each part would see every input
+    wide = conv("conv1", (6, 6, 1), 100, 3, rng)  # 1600 neurons: two parts of 4 x 6 inputs
+    assert default_block(wide) == (2, 4, 100)
+    # with nothing else to cut, channels it is
+    assert default_block(conv("conv1", (3, 3, 1), 1600, 3, rng)) == (1, 1, 800)
+
+
+def test_synapse_memory_and_output_axons_cut_too():
+    rng = np.random.default_rng(0)
+    # 600 inputs of 256 synapses of 8 bits: 36 words each, 21,600 of 16,384
+    layer = dense("dense1", (5, 5, 24), 256, rng)
+    assert default_block(layer) == (128,)
+    # 1,000 neurons and six blocks after them are 6,000 axons of 4,096: two blocks of 500
+    before, after = conv("conv1", (10, 10, 1), 10, 1, rng), dense("dense1", (10, 10, 10), 600, rng)
+    shapes = block_shapes((before, after))
+    assert -(-600 // shapes["dense1"][0]) * np.prod(shapes["conv1"]) <= 4096
+    assert make_plan(spec_of((10, 10, 1), before, after)).problems == []
+
+
+def test_an_own_block_is_kept():
+    rng = np.random.default_rng(0)
+    layer = conv("conv1", (10, 10, 1), 6, 4, rng, block_shape=(3, 4, 2))
+    assert block_shapes((layer,)) == {"conv1": (3, 4, 2)}
+
+
+def test_a_layer_of_several_cores():
+    rng = np.random.default_rng(0)
+    conv1 = conv("conv1", (24, 24, 1), 8, 3, rng)  # 3,872 neurons
+    plan = make_plan(spec_of((24, 24, 1), conv1))
+    assert plan.problems == []
+    assert len(plan.cores) == 4
+    assert all(core.used["compartments"] <= 1024 for core in plan.cores)
+
+
+@settings(max_examples=25, deadline=None)
+@given(layers(), st.integers(1, 40), st.data())
+def test_the_counts_are_those_that_nengo_loihi_makes(layer, more, data):
+    """With a smaller core than there is: layers of a size that a test can build."""
+    rng = np.random.default_rng(0)
+    after = dense("after", layer.shape, more, rng)
+    block = tuple(data.draw(st.integers(1, n)) for n in layer.shape)
+    layer = replace(layer, block_shape=block)
+    plan = make_plan(spec_of(layer.input_shape, layer, after))
+    from deploy.network.blocks import _Cutting, _Receiver
+
+    cutting = _Cutting(layer)
+    receiver = _Receiver(after, block_shapes((after,))["after"])
+    cores = [core.used for core in plan.cores if core.layer == layer.name]
+    assert cutting.count(block) == len(cores)
+    import itertools
+
+    places = itertools.product(*(parts_of(n, b) for n, b in zip(layer.shape, block, strict=True)))
+    total = 0
+    for parts, used in zip(places, cores, strict=True):
+        axons, words = cutting.needs(parts)
+        total += axons
+        padded = layer.kind == "conv" and layer.padding == "same" and layer.pool > 1
+        if layer.kind == "conv" and not padded:
+            if len(cores) > 1:  # whole, NengoLoihi counts axons that reach nothing too
+                assert axons == used["input axons"]
+            assert words >= used["synapse words"]
+            assert words <= 1.6 * used["synapse words"] + 40
+        assert receiver.axons_from(parts) == used["output axons"]
+    assert total == cutting.axons(block)
+
+
+def test_limits_are_the_chips():
+    assert LOIHI.limits["compartments"] == 1024
+    assert LOIHI.weight_levels == 127
+
+
+@pytest.mark.parametrize("padding", ["valid", "same"])
+def test_a_window_along_one_dimension_by_hand(padding):
+    assert windows(10, 3, 2, "valid") == (4, 0, 0)
+    assert windows(10, 3, 2, "same") == (5, 0, 1)
+    assert windows(2, 3, 1, "valid")[0] < 1

@@ -1,0 +1,251 @@
+"""Models in files, made by either Keras in a process of its own: with its predictions beside them.
+
+    python keras_models.py keras2|keras3 FOLDER
+
+A process can have Keras 2 or Keras 3 in TensorFlow, not both.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+
+
+def keras_of(which):
+    """The module keras: tf-keras, or Keras 3."""
+    os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
+    if which == "keras2":
+        os.environ["TF_USE_LEGACY_KERAS"] = "1"
+        import tf_keras as keras
+    else:
+        os.environ.pop("TF_USE_LEGACY_KERAS", None)
+        os.environ["KERAS_BACKEND"] = "tensorflow"
+        import keras
+    return keras
+
+
+def good(keras):
+    """Models that can be used, by name."""
+    layers, models = keras.layers, {}
+    make = keras.Sequential
+
+    models["paper"] = make([
+        keras.Input((10, 10, 1)),
+        layers.Conv2D(6, 4, activation="relu"),
+        layers.Conv2D(24, 3, activation="relu"),
+        layers.Flatten(),
+        layers.Dense(10, activation="softmax"),
+    ])  # fmt: skip
+    models["strides_and_pooling"] = make([
+        keras.Input((11, 9, 2)),
+        layers.Conv2D(5, 4, strides=2, padding="same", use_bias=False, name="first"),
+        layers.BatchNormalization(),
+        layers.Activation("relu"),
+        layers.AveragePooling2D(2),
+        layers.Dropout(0.2),
+        layers.Flatten(),
+        layers.Dense(7),
+        layers.ReLU(),
+        layers.Dense(3),
+        layers.Softmax(),
+    ])  # fmt: skip
+    # Normalisation after the ReLU, through a pooling and a Flatten, and in front of everything.
+    models["folded_forward"] = make([
+        keras.Input((12, 12, 2)),
+        layers.Rescaling(1 / 3, offset=-0.4),
+        layers.Conv2D(4, 3, strides=2),
+        layers.ReLU(),
+        layers.BatchNormalization(scale=False),
+        layers.AveragePooling2D((2, 2), padding="valid"),
+        layers.Conv2D(6, 2, padding="valid", activation="relu"),
+        layers.BatchNormalization(center=False),
+        layers.Flatten(),
+        layers.BatchNormalization(),
+        layers.Rescaling(2.0),
+        layers.Dense(8, use_bias=False),
+        layers.BatchNormalization(epsilon=0.1),
+        layers.ReLU(),
+        layers.Dense(5),
+        layers.BatchNormalization(),
+    ])  # fmt: skip
+    models["rescaled_and_padded"] = make([
+        keras.Input((6, 6, 1)),
+        layers.Rescaling(0.25),
+        layers.Conv2D(3, 3, padding="same", activation="relu"),
+        layers.BatchNormalization(trainable=False),
+        layers.Conv2D(3, 2, strides=2, padding="same", activation="relu"),  # which pads nothing
+        layers.AveragePooling2D(3, padding="same"),  # nor does this
+        layers.Flatten(),
+        layers.Dense(4, activation="linear"),
+        layers.Activation("softmax"),
+    ])  # fmt: skip
+    models["dense_only"] = make([
+        keras.Input((5, 4)),
+        layers.Flatten(),
+        layers.Dense(9, activation="relu"),
+        layers.Dense(2, activation="softmax"),
+    ])  # fmt: skip
+
+    inputs = keras.Input((8, 9, 2), name="taxels")
+    signal = layers.Conv2D(4, (3, 3), activation="relu")(inputs)
+    signal = layers.Conv2D(8, 3)(signal)
+    signal = layers.BatchNormalization()(signal)
+    signal = layers.ReLU()(signal)
+    signal = layers.Dropout(0.5)(signal)
+    signal = layers.Conv2D(8, 2, name="conv2d_77")(signal)
+    signal = layers.BatchNormalization()(signal)
+    signal = layers.Flatten()(signal)
+    signal = layers.ReLU()(signal)
+    outputs = layers.Softmax()(layers.Dense(6)(signal))
+    models["functional"] = keras.Model(inputs, outputs)
+
+    # Built by its first input, and compiled and trained: with the optimiser's arrays in the file.
+    model = make([
+        layers.Conv2D(3, 5, strides=3, padding="same", activation="relu"),
+        layers.Flatten(),
+        layers.Dense(10, activation="softmax"),
+    ])  # fmt: skip
+    model.compile("adam", "sparse_categorical_crossentropy")
+    images = np.random.default_rng(1).uniform(size=(64, 10, 10, 1))
+    model.fit(images, np.arange(64) % 10, verbose=0)
+    models["trained"] = model
+    return models
+
+
+def bad(keras):
+    """Models that cannot, by name."""
+    layers, models = keras.layers, {}
+
+    def chain(*middle, shape=(8, 8, 1), end=None):
+        end = [layers.Flatten(), layers.Dense(3, name="out")] if end is None else end
+        return keras.Sequential([keras.Input(shape), *middle, *end])
+
+    def conv(**options):
+        return layers.Conv2D(4, **{"kernel_size": 3, "activation": "relu", "name": "c", **options})
+
+    models["max_pooling"] = chain(conv(), layers.MaxPooling2D(name="pool"))
+    models["global_pooling"] = chain(
+        conv(), layers.GlobalAveragePooling2D(name="pool"), end=[layers.Dense(3)]
+    )
+    models["overlapping"] = chain(conv(), layers.AveragePooling2D(3, strides=2, name="pool"))
+    models["padded_pooling"] = chain(
+        conv(padding="same"), layers.AveragePooling2D(3, padding="same", name="pool")
+    )
+    models["sigmoid"] = chain(conv(activation="sigmoid"))
+    models["leaky"] = chain(conv(activation="linear"), layers.LeakyReLU(name="leak"))
+    models["relu6"] = chain(conv(activation="linear"), layers.ReLU(max_value=6, name="six"))
+    models["function"] = chain(conv(activation=lambda x: x * x))
+    models["lambda"] = chain(conv(), layers.Lambda(lambda x: 2 * x, name="double"))
+    models["dilated"] = chain(conv(dilation_rate=2))
+    models["groups"] = chain(conv(groups=2), shape=(8, 8, 2))
+    models["not_square"] = chain(conv(kernel_size=(3, 2)))
+    models["uneven_strides"] = chain(conv(strides=(1, 2)))
+    models["channels_first"] = chain(layers.Flatten(data_format="channels_first", name="flat"),
+                                     shape=(8, 8, 2), end=[layers.Dense(3)])  # fmt: skip
+    models["no_relu"] = chain(conv(activation=None), conv(name="d"))
+    models["relu_after_pooling"] = chain(conv(activation=None), layers.AveragePooling2D(2),
+                                         layers.ReLU())  # fmt: skip
+    models["relu_first"] = chain(layers.ReLU(name="early"))
+    models["relu_at_the_end"] = chain(end=[layers.Flatten(), layers.Dense(3, "relu", name="out")])
+    models["one_output"] = chain(end=[layers.Flatten(), layers.Dense(1, name="out")])
+    models["sigmoid_output"] = chain(
+        end=[layers.Flatten(), layers.Dense(3, activation="sigmoid", name="out")]
+    )
+    models["softmax_within"] = chain(
+        end=[layers.Flatten(), layers.Dense(3, "softmax", name="early"), layers.Dense(3)]
+    )
+    models["no_dense_output"] = chain(conv(), end=[layers.Flatten()])
+    models["dense_on_images"] = chain(layers.Dense(3, "relu", name="each"))
+    models["offset_and_padding"] = chain(layers.Rescaling(1.0, offset=0.5), conv(padding="same"))
+    models["normalised_rows"] = chain(conv(), layers.BatchNormalization(axis=1, name="rows"))
+    models["normalised_flat"] = chain(
+        conv(activation=None),
+        end=[layers.Flatten(), layers.BatchNormalization(name="flat"), layers.ReLU(),
+             layers.Dense(3)],
+    )  # fmt: skip
+    models["one_dimension"] = chain(shape=(100,), end=[layers.Dense(3)])
+    models["any_size"] = chain(
+        conv(), layers.GlobalAveragePooling2D(), shape=(None, None, 1), end=[layers.Dense(3)]
+    )
+    models["recurrent"] = chain(
+        layers.SimpleRNN(4, name="loop"), shape=(10, 10), end=[layers.Dense(3)]
+    )
+    models["within"] = keras.Sequential([keras.Input((8, 8, 1)), chain(conv()), layers.Dense(3)])
+
+    class Mine(layers.Dense):
+        pass
+
+    models["own_layer"] = chain(end=[layers.Flatten(), Mine(3, name="mine")])
+
+    class Net(keras.Model):
+        pass
+
+    inputs = keras.Input((4, 4, 1))
+    models["own_model"] = Net(inputs, layers.Dense(3)(layers.Flatten()(inputs)))
+    inputs = keras.Input((4, 4, 1))
+    flat = layers.Flatten()(inputs)
+    one, two = (layers.Dense(3, "relu", name=name)(flat) for name in ("one", "two"))
+    models["branches"] = keras.Model(inputs, layers.Add(name="sum")([one, two]))
+    models["two_outputs"] = keras.Model(inputs, [one, two])
+    inputs = keras.Input((4, 4, 1))
+    shared = layers.Dense(16, "relu", name="twice")
+    signal = shared(shared(layers.Flatten()(inputs)))
+    models["shared"] = keras.Model(inputs, layers.Dense(3)(signal))
+    inputs = keras.Input((4, 4, 1))
+    signal = layers.Dropout(0.5, name="always")(layers.Flatten()(inputs), training=True)
+    models["dropout_always"] = keras.Model(inputs, layers.Dense(3)(signal))
+
+    models["never_trained"] = chain(conv(), layers.BatchNormalization())
+    models["not_a_number"] = chain(conv())
+    models["infinite_variance"] = chain(conv(), layers.BatchNormalization(name="norm"))
+    return models
+
+
+def randomise(model, seed):
+    """Weights as if trained."""
+    rng = np.random.default_rng(seed)
+    for layer in model.layers:
+        arrays = [rng.normal(0, 0.5, array.shape) for array in layer.get_weights()]
+        if type(layer).__name__ == "BatchNormalization":
+            arrays[-1] = rng.uniform(0.5, 2, arrays[-1].shape)
+        layer.set_weights(arrays)
+
+
+def main(which, folder):
+    """Write NAME.keras, NAME.h5 and, of the good ones, NAME.npz with inputs and predictions."""
+    keras, folder = keras_of(which), Path(folder)
+    keras.utils.set_random_seed(0)
+    for seed, (name, model) in enumerate(good(keras).items()):
+        if name != "trained":
+            randomise(model, seed)
+        inputs = np.random.default_rng(seed).uniform(0, 1, (20, *model.input_shape[1:]))
+        outputs = np.asarray(model(inputs.astype(np.float32), training=False))
+        np.savez(folder / f"{name}.npz", inputs=inputs, outputs=outputs)
+        save(model, folder / name)
+    for name, model in bad(keras).items():
+        if name in ("not_a_number", "infinite_variance", "normalised_flat"):
+            randomise(model, 0)
+        if name == "not_a_number":
+            kernel, bias = model.layers[0].get_weights()
+            kernel[0, 0, 0, 0] = np.nan
+            model.layers[0].set_weights([kernel, bias])
+        if name == "infinite_variance":
+            *others, variance = model.layers[1].get_weights()
+            model.layers[1].set_weights([*others, np.full_like(variance, np.inf)])
+        save(model, folder / name)
+    model.save_weights(folder / "only.weights.h5")
+
+
+def save(model, path):
+    """In both formats."""
+    import warnings
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        model.save(f"{path}.keras")
+        model.save(f"{path}.h5")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

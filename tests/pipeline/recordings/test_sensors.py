@@ -1,0 +1,374 @@
+"""Recordings of other sensors: any classes, any number of taxels, .mat or .npz."""
+
+import io
+import zipfile
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deploy.errors import UserError
+from pipeline.inputs.dataset import Dataset
+from pipeline.inputs.images import aggregate
+from pipeline.inputs.library import load_recordings
+from pipeline.recordings.archive import read_source
+from pipeline.recordings.eventfile import read_events
+from pipeline.recordings.events import Sensor, TaxelMap
+from pipeline.recordings.matfile import BadRecording, lookup_table_bytes, read_lookup_table
+from pipeline.recordings.sensors import class_order
+from pipeline.settings import Settings
+from tests.command import call
+from tests.pipeline.handmade import archive, assert_same, good_members, mat5, spiketrain
+
+NAMES = ("circle", "line 2", "line 10", "wave", "zig-zag")
+
+
+def npz(x, y, t, p, **options) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, x=x, y=y, t=t, p=p, **options)
+    return buffer.getvalue()
+
+
+def gesture(rng, rows=16, columns=12, n=30) -> bytes:
+    return npz(
+        rng.integers(0, rows, n),
+        rng.integers(0, columns, n),
+        np.sort(rng.uniform(0.1, 1.34, n)),
+        rng.choice([-1, 1], n),
+    )
+
+
+def gestures(per_class=4, names=NAMES, seed=0, **options):
+    rng = np.random.default_rng(seed)
+    return {f"{name}/{i}.npz": gesture(rng, **options) for name in names for i in range(per_class)}
+
+
+def array_of(n_taxels, n=6):
+    """A ``spiketrain`` of another array: taxels 0, 1, ..., an event each, 10 ms apart."""
+    array = np.zeros((n_taxels + 1, n))
+    array[np.arange(n) % n_taxels, np.arange(n)] = np.where(np.arange(n) % 2, -1, 1)
+    array[-1] = 0.25 + 0.01 * np.arange(n)
+    return array
+
+
+def test_event_files_in_folders_of_any_names(tmp_path):
+    archive(tmp_path / "g.zip", {"top/" + name: c for name, c in gestures().items()})
+    read = read_source(tmp_path / "g.zip", jobs=1)
+    assert read.sensor.classes == NAMES  # 2 before 10
+    assert (read.sensor.rows, read.sensor.columns) == (16, 12)  # the largest coordinates are there
+    assert read.sensor.polarities == 2
+    assert read.sensor.duration_s == pytest.approx(1.4)
+    np.testing.assert_array_equal(read.labels, np.repeat(np.arange(5), 4))
+    assert read.ids[:2] == ("circle/0", "circle/1")
+    assert len(read.taxels) == 16 * 12
+
+
+def test_coordinates_come_out_where_they_went_in(tmp_path):
+    content = npz([3, 0, 3], [1, 4, 1], [0.5, 0.1, 0.2], [1, -1, 1])
+    archive(tmp_path / "g.zip", {"a/0.npz": content, "b/0.npz": content})
+    read = read_source(tmp_path / "g.zip", jobs=1)
+    np.testing.assert_array_equal(read[0].time_ns, [100_000_000, 200_000_000, 500_000_000])
+    np.testing.assert_array_equal(read[0].polarity, [-1, 1, 1])
+    image = aggregate(read)[0]
+    assert image.shape == (4, 5)
+    expected = np.zeros((4, 5))
+    expected[3, 1], expected[0, 4] = 2, 1
+    np.testing.assert_array_equal(image, expected)
+
+
+@settings(max_examples=30)
+@given(st.integers(1, 9), st.integers(1, 9), st.integers(0, 2**32 - 1))
+def test_an_event_file_is_read_as_it_was_written(rows, columns, seed):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 50))
+    x, y = rng.integers(0, rows, n), rng.integers(0, columns, n)
+    t, p = rng.permutation(n) * 1e-6, rng.choice([-1, 1], n)
+    read = read_events(npz(x.astype(np.uint8), y.astype(float), t, p.astype(np.int8)))
+    order = np.argsort(t)
+    np.testing.assert_array_equal(read.x, x[order])
+    np.testing.assert_array_equal(read.y, y[order])
+    np.testing.assert_array_equal(read.time_ns, np.arange(n) * 1000)
+    np.testing.assert_array_equal(read.polarity, p[order])
+    taxels = TaxelMap.grid(rows, columns)
+    taxel = read.events(rows).taxel
+    np.testing.assert_array_equal(taxels.x[taxel], x[order])
+    np.testing.assert_array_equal(taxels.y[taxel], y[order])
+
+
+GOOD = {"x": [0, 1], "y": [0, 2], "t": [0.1, 0.2], "p": [1, -1]}
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"x": [0, -1]}, "x has -1, not whole numbers from 0"),
+        ({"y": [0.5, 1]}, "y has 0.5, not whole numbers"),
+        ({"y": [np.nan, 1]}, "y has nan, not whole numbers"),
+        ({"x": [0, 256]}, "x has 256, not whole numbers from 0 to 255"),
+        ({"t": [0.1, np.nan]}, "NaN"),
+        ({"t": [-0.1, 0.2]}, "negative time"),
+        ({"t": [100, 838]}, "milliseconds"),
+        ({"p": [1, 0]}, r"p has 0, not 1 \(ON\) or -1 \(OFF\)"),
+        ({"p": [1]}, "different lengths: x 2, y 2, t 2, p 1"),
+        ({"x": [], "y": [], "t": [], "p": []}, "no events"),
+        ({"x": ["a", "b"]}, "'x' is not a row of numbers"),
+        ({"x": [[0, 1]]}, "'x' is not a row of numbers"),
+        ({"x": np.array([0, None])}, "'x' is not a row of numbers"),
+        ({"t": np.array([0.1, 0.2], np.complex128)}, "'t' is not a row of numbers"),
+    ],
+)
+def test_a_bad_event_file(change, reason):
+    with pytest.raises(BadRecording, match=reason):
+        read_events(npz(**{**GOOD, **change}))
+
+
+def test_other_contents():
+    buffer = io.BytesIO()
+    np.savez(buffer, x=[1], y=[1], t=[1])
+    with pytest.raises(BadRecording, match="has no array 'p'; expected x, y, t and p"):
+        read_events(buffer.getvalue())
+    for content in (b"", b"no zip", npz(**GOOD)[:100]):
+        with pytest.raises(BadRecording, match=r"not a \.npz file"):
+            read_events(content)
+
+
+def test_an_event_file_that_says_it_is_larger_than_it_is():
+    """The header of an array declares a terabyte, which nobody sets aside."""
+    buffer = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        buffer, {"descr": "<f8", "fortran_order": False, "shape": (10**11,)}
+    )
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as file:
+        for name in "xytp":
+            file.writestr(f"{name}.npy", buffer.getvalue())
+    with pytest.raises(BadRecording, match="'x' is damaged"):
+        read_events(out.getvalue())
+
+
+@settings(max_examples=200)
+@given(st.data())
+def test_damaged_event_files_are_refused_or_read(data):
+    content = bytearray(npz(**GOOD))
+    for _ in range(data.draw(st.integers(1, 5))):
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        read = read_events(bytes(content))
+    except BadRecording:
+        return
+    assert len(read.x) == len(read.y) == len(read.time_ns) == len(read.polarity) > 0
+
+
+def test_the_published_layout_with_another_number_of_taxels(tmp_path):
+    members = {f"{name}/{i}.mat": mat5(spiketrain=array_of(36, 5 + i))
+               for name in ("soft", "hard") for i in range(3)}  # fmt: skip
+    archive(tmp_path / "s.zip", members)
+    read = read_source(tmp_path / "s.zip", jobs=1)
+    assert read.sensor == Sensor(6, 6, 2, pytest.approx(0.4), ("hard", "soft"))
+    assert (read.taxels.x[7], read.taxels.y[7]) == (1, 1)
+    given = read_source(tmp_path / "s.zip", jobs=1, rows=4, columns=9)
+    assert (given.sensor.rows, given.sensor.columns) == (4, 9)
+    assert (given.taxels.x[7], given.taxels.y[7]) == (3, 1)
+    assert read_source(tmp_path / "s.zip", jobs=1, columns=9).sensor.rows == 4
+
+
+def test_a_lookup_table_with_gaps(tmp_path):
+    """Five taxels as the five of a die, on three by three places."""
+    places = TaxelMap(np.array([0, 0, 1, 2, 2]), np.array([0, 2, 1, 0, 2]))
+    members = {f"{name}/{i}.mat": mat5(spiketrain=array_of(5)) for name in "ab" for i in (0, 1)}
+    archive(tmp_path / "s.zip", {**members, "LUT.mat": lookup_table_bytes(places)})
+    read = read_source(tmp_path / "s.zip", jobs=1)
+    assert (read.sensor.rows, read.sensor.columns) == (3, 3)
+    image = aggregate(read)[0]
+    np.testing.assert_array_equal(image, [[2, 0, 1], [0, 1, 0], [1, 0, 1]])
+    wider = read_source(tmp_path / "s.zip", jobs=1, rows=5, columns=5)
+    assert aggregate(wider).shape == (4, 5, 5)
+    with pytest.raises(UserError, match=r"coordinates outside the 2 rows of skin\.rows"):
+        read_source(tmp_path / "s.zip", jobs=1, rows=2)
+
+
+def test_two_taxels_at_one_place():
+    table = np.array([[1, 1], [1, 2], [1, 1]], float)
+    with pytest.raises(BadRecording, match="X and Y are not 3 different positions"):
+        read_lookup_table(mat5(LUT=table))
+
+
+def test_taxels_in_no_square_need_a_table_or_numbers(tmp_path):
+    members = {f"{name}/{i}.mat": mat5(spiketrain=array_of(39)) for name in "ab" for i in (0, 1)}
+    archive(tmp_path / "s.zip", members)
+    with pytest.raises(UserError, match=r"39 taxels are not 6 rows of 6.*LUT\.mat.*skin\.rows"):
+        read_source(tmp_path / "s.zip", jobs=1)
+
+
+def test_another_number_of_taxels_than_the_others(tmp_path):
+    members = {f"{name}/{i}.mat": mat5(spiketrain=array_of(16)) for name in "ab" for i in range(3)}
+    archive(tmp_path / "s.zip", {**members, "a/odd.mat": mat5(spiketrain=array_of(25))})
+    with pytest.raises(UserError, match=r"1 of 7 files.*a/odd\.mat has 26 rows, not 17 as most"):
+        read_source(tmp_path / "s.zip", jobs=1)
+    lines = []
+    read = read_source(tmp_path / "s.zip", jobs=1, skip_bad=True, warn=lines.append)
+    assert len(read) == 6
+    assert len(lines) == 1
+
+
+def test_coordinates_outside_are_refused_by_name(tmp_path):
+    archive(tmp_path / "g.zip", gestures())
+    with pytest.raises(UserError, match=r"circle/0\.npz has x = 15, outside 8 rows"):
+        read_source(tmp_path / "g.zip", jobs=1, rows=8)
+
+
+def test_only_on_events(tmp_path):
+    content = npz([0, 1], [0, 1], [0.1, 0.2], [1, 1])
+    archive(tmp_path / "g.zip", {"a/0.npz": content, "b/0.npz": content})
+    assert read_source(tmp_path / "g.zip", jobs=1).sensor.polarities == 1
+
+
+def test_both_kinds_of_files(tmp_path):
+    archive(tmp_path / "g.zip", {**gestures(), "wave/x.mat": mat5(spiketrain=spiketrain())})
+    with pytest.raises(UserError, match=r"holds both \.mat and \.npz recordings; keep one kind"):
+        read_source(tmp_path / "g.zip", jobs=1)
+
+
+def test_an_empty_class(tmp_path):
+    for name, content in gestures().items():
+        (tmp_path / "g" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "g" / name).write_bytes(content)
+    (tmp_path / "g" / "spiral").mkdir()
+    (tmp_path / "g" / ".git").mkdir()
+    with pytest.raises(UserError, match=r"1 of 21 files refused: spiral is a class without a rec"):
+        read_source(tmp_path / "g", jobs=1)
+    with zipfile.ZipFile(tmp_path / "g.zip", "w") as file:
+        for name, content in gestures().items():
+            file.writestr(name, content)
+        file.writestr("spiral/", b"")
+    with pytest.raises(UserError, match="spiral is a class without a recording"):
+        read_source(tmp_path / "g.zip", jobs=1)
+    assert read_source(tmp_path / "g", jobs=1, skip_bad=True).sensor.classes == NAMES
+
+
+def test_files_beside_the_folders_of_classes(tmp_path):
+    extra = gestures(names=("x",), per_class=1)["x/0.npz"]
+    archive(tmp_path / "g.zip", {**gestures(), "loose.npz": extra})
+    with pytest.raises(UserError, match=r"loose\.npz is not in a folder of a class"):
+        read_source(tmp_path / "g.zip", jobs=1)
+
+
+def test_digits_with_a_hundred_taxels_are_st_mnists(tmp_path):
+    """Whatever is missing of them: ten classes and two seconds, as ever."""
+    some = {name: c for name, c in good_members(2).items() if "/3/" in name or "/7/" in name}
+    archive(tmp_path / "st.zip", some)
+    read = read_source(tmp_path / "st.zip", jobs=1)
+    assert read.sensor == Sensor()
+    assert read.labels.tolist() == [3, 3, 7, 7]
+
+
+@given(st.lists(st.text(max_size=8)))
+def test_names_have_one_order(names):
+    assert sorted(sorted(names, key=class_order, reverse=True), key=class_order) == sorted(
+        names, key=class_order
+    )
+    assert sorted(["b10", "b9", "a", "10", "9"], key=class_order) == ["9", "10", "a", "b9", "b10"]
+
+
+def test_the_cache_keeps_the_sensor(tmp_path):
+    archive(tmp_path / "g.zip", gestures(seed=5))
+    first = load_recordings(str(tmp_path / "g.zip"), jobs=1)
+    again = load_recordings(str(tmp_path / "g.zip"), jobs=1)
+    assert again.sensor == first.sensor
+    assert_same(again, first)
+    wider = load_recordings(str(tmp_path / "g.zip"), jobs=1, rows=20)
+    assert wider.sensor.rows == 20
+
+
+# --- data sets of networks ------------------------------------------------------------------------
+
+
+def settings_for(path, architecture="16x12-4c3s2-5o", **more):
+    values = {"data": {"source": str(path)}, "cnn": {"architecture": architecture}, **more}
+    return Settings().with_values({**values, "snn": {"max_rates": [150.0]}}, "test")
+
+
+def test_a_data_set_of_another_sensor(tmp_path):
+    archive(tmp_path / "g.zip", gestures(per_class=10))
+    dataset = Dataset.of(settings_for(tmp_path / "g.zip"))
+    assert dataset.inputs.shape == (50, 16, 12, 1)
+    assert len(dataset.split.test) == 10
+
+
+def test_an_architecture_for_another_sensor(tmp_path):
+    archive(tmp_path / "g.zip", gestures(per_class=10))
+    expected = r"tactile image of 16x12 and 5 classes, such as 16x12-6c4-5o, not 10x10-6c4-10o"
+    with pytest.raises(UserError, match=expected):
+        Dataset.of(settings_for(tmp_path / "g.zip", "10x10-6c4-10o"))
+
+
+def test_a_class_with_one_recording(tmp_path):
+    members = gestures(per_class=10)
+    lone = {name: c for name, c in members.items() if "wave" not in name or name == "wave/0.npz"}
+    archive(tmp_path / "g.zip", lone)
+    with pytest.raises(UserError, match="only one recording of 'wave'; record more"):
+        Dataset.of(settings_for(tmp_path / "g.zip"))
+
+
+def test_one_class(tmp_path):
+    archive(tmp_path / "g.zip", gestures(per_class=10, names=("wave",)))
+    with pytest.raises(UserError, match="recordings of one class only"):
+        Dataset.of(settings_for(tmp_path / "g.zip"))
+
+
+# --- the simulated skin ---------------------------------------------------------------------------
+
+
+def test_a_simulated_skin_of_another_size():
+    small, large = (
+        load_recordings(samples_per_digit=2, jobs=1, rows=rows, columns=columns)
+        for rows, columns in ((10, 10), (16, 14))
+    )
+    assert (large.sensor.rows, large.sensor.columns) == (16, 14)
+    assert len(large.taxels) == 16 * 14
+    assert "16x14 taxels" in large.source.name
+    assert large.source.sha256 != small.source.sha256
+    assert large.events.taxel.max() < 16 * 14
+    # A digit covers as much of the larger skin, in both directions.
+    for skin, size in ((small, 10), (large, 14)):
+        images = aggregate(skin) > 0
+        high, wide = (np.ptp(np.nonzero(images.any(axis=(0, axis)))[0]) for axis in (2, 1))
+        assert high >= 0.7 * size
+        assert wide >= 0.6 * size
+
+
+def test_simulated_recordings_of_another_size_travel(tmp_path, capsys):
+    path = tmp_path / "skin.zip"
+    assert call("data", "simulate", "--out", path, "--samples-per-digit", 2, "--rows", 12,
+                "--columns", 15, "--jobs", 1) == 0  # fmt: skip
+    read = read_source(path, jobs=1)
+    assert (read.sensor.rows, read.sensor.columns) == (12, 15)
+    assert read.source.simulated
+    made = load_recordings(samples_per_digit=2, jobs=1, rows=12, columns=15)
+    assert_same(read, made, source=False)
+
+
+def test_import_says_what_it_found(tmp_path, capsys):
+    archive(tmp_path / "g.zip", gestures())
+    assert call("data", "import", tmp_path / "g.zip", "--jobs", 1) == 0
+    said = capsys.readouterr().out
+    assert "of each class: circle 4, line 2 4, line 10 4" in said
+    assert "16x12 taxels, 5 classes, up to 1.4 s" in said
+    assert call("data", "stats", "--data", tmp_path / "g.zip", "--json") == 0
+    assert '"zig-zag"' in capsys.readouterr().out
+    assert call("data", "stats", "--data", tmp_path / "g.zip", "--against-paper") == 2
+    assert "the paper's figures are of the digits" in capsys.readouterr().err
+    for what in ("recording", "events", "layout", "sheet"):
+        out = tmp_path / f"{what}.png"
+        assert call("data", "plot", what, "--data", tmp_path / "g.zip", "--out", out,
+                    "--sample", "wave/0") == 0  # fmt: skip
+        assert out.stat().st_size > 1000
+
+
+def test_inspect_an_event_file(tmp_path, capsys):
+    path = tmp_path / "wave.npz"
+    path.write_bytes(npz(**GOOD))
+    assert call("data", "inspect", path) == 0
+    said = capsys.readouterr().out
+    assert "2 physical events (1 ON, 1 OFF) of 2 taxels, 0.1000 s to 0.2000 s" in said

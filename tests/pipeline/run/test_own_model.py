@@ -1,0 +1,179 @@
+"""A user's Keras model in the place of the CNN: taken over, scaled, converted, or refused."""
+
+import numpy as np
+import pytest
+
+from deploy.check.bundle import read_bundle
+from deploy.check.results import read_result
+from deploy.files import read_json
+from pipeline.inputs.dataset import Dataset
+from pipeline.run import stages
+from pipeline.run.folder import RunFolder
+from pipeline.settings import Settings, read_settings
+from tests.command import call
+
+DATA = ("--set", "data.samples_per_digit=60")
+SMALL = (*DATA, "--samples", "20", "--steps", "40")
+ARCHITECTURE = "10x10-6c4-24c3-10o"
+
+
+@pytest.fixture(scope="module")
+def dataset():
+    return Dataset.of(Settings().with_values({"data": {"samples_per_digit": 60}}, "test"))
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory, dataset):
+    """A trained model with a normalisation, and one that saw the classes in another order."""
+    from models.keras2 import tf
+
+    folder = tmp_path_factory.mktemp("models")
+    images, labels = dataset.part("train")
+    layers = tf.keras.layers
+
+    def network():
+        return tf.keras.Sequential([
+            tf.keras.Input((10, 10, 1)),
+            layers.Conv2D(6, 4, use_bias=False),
+            layers.BatchNormalization(),
+            layers.ReLU(),
+            layers.Conv2D(24, 3, activation="relu"),
+            layers.Flatten(),
+            layers.Dropout(0.1),
+            layers.Dense(10, activation="softmax"),
+        ])  # fmt: skip
+
+    for name, order in (("good", np.arange(10)), ("other", np.roll(np.arange(10), 1))):
+        tf.keras.utils.set_random_seed(0)
+        model = network()
+        model.compile(tf.keras.optimizers.Adam(0.01), "sparse_categorical_crossentropy")
+        model.fit(images, order[labels], epochs=12, batch_size=32, verbose=0)
+        model.save(folder / f"{name}.keras")
+        if name == "good":
+            np.save(folder / "probabilities.npy", model.predict(dataset.inputs, verbose=0))
+    small = tf.keras.Sequential([
+        tf.keras.Input((8, 8, 1)),
+        layers.Flatten(),
+        layers.Dense(9, activation="relu", bias_initializer="ones"),
+        layers.Dense(4),
+    ])  # fmt: skip
+    small.save(folder / "small.keras")
+    network().save(folder / "new.keras")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory, files):
+    folder = tmp_path_factory.mktemp("runs") / "own"
+    assert call("convert", folder, "--model", files / "good.keras", *SMALL) == 0
+    return folder
+
+
+def test_the_cnn_of_the_run_answers_as_the_model_does(run, files, dataset):
+    from pipeline.training.networks import TrainedCNN
+
+    settings = read_settings(run / "experiment.toml")
+    assert settings.cnn.architecture == ARCHITECTURE
+    assert settings.snn.recipe == "as-is"
+    weights = stages.read_weights(run / "cnn", settings)
+    logits = TrainedCNN(settings, weights).logits(dataset.inputs)
+    expected = np.load(files / "probabilities.npy")
+    scores = np.exp(logits - logits.max(1, keepdims=True))
+    np.testing.assert_allclose(scores / scores.sum(1, keepdims=True), expected, atol=1e-5)
+    right = (expected.argmax(1) == dataset.labels)[dataset.split.test].mean()
+    assert read_json(run / "cnn" / "metrics.json", "")["accuracy"]["test"] == pytest.approx(right)
+
+
+def test_without_retraining_the_weights_are_only_scaled(run, dataset):
+    """The same function with rectified linear units; activations that reach 1."""
+    from pipeline.training.networks import TrainedCNN
+
+    settings = read_settings(run / "experiment.toml")
+    cnn, snn = (
+        TrainedCNN(settings, stages.read_weights(run / name, settings)) for name in ("cnn", "snn")
+    )
+    images = dataset.part("train")[0]
+    np.testing.assert_allclose(cnn.logits(images), snn.logits(images), rtol=1e-3, atol=1e-3)
+    for output in snn.activations(images).values():
+        assert np.percentile(output, 99.9) == pytest.approx(1, abs=1e-3)
+    assert read_json(run / "snn" / "metrics.json", "")["epochs"] == 0
+
+
+def test_it_goes_into_the_bundle_and_through_the_ladder(run):
+    assert read_bundle(run / "bundle").spec.architecture == ARCHITECTURE
+    for stage in ("cnn", "rate-lif", "spiking-lif"):
+        assert len(read_result(run / "checks" / f"{stage}.json", "")["samples"]) == 20
+    assert call("ladder", run) == 0
+    table = read_json(run / "ladder.json", "")
+    rows = {row["stage"]: row["accuracy"] for row in table["rows"]}
+    assert rows["cnn"] > 0.5
+    assert rows["emulator"] > 0.3
+
+
+def test_again_is_up_to_date_even_without_the_file(run, files, tmp_path, capsys):
+    away = tmp_path / "away.keras"
+    path = files / "good.keras"
+    content = path.read_bytes()
+    path.rename(away)
+    try:
+        assert call("convert", run) == 0
+    finally:
+        path.write_bytes(content)
+    said = capsys.readouterr().err
+    assert said.count("up to date") == 6
+
+
+def test_retraining_starts_from_the_model(files, tmp_path):
+    folder = tmp_path / "run"
+    options = ("--set", "snn.epochs=1", "--retrain")
+    assert call("convert", folder, "--model", files / "good.keras", *SMALL, *options) == 0
+    assert read_settings(folder / "experiment.toml").snn.recipe == "loihi"
+    metrics = read_json(folder / "snn" / "metrics.json", "")
+    assert metrics["epochs"] == 1
+    assert metrics["accuracy"]["test"] > 0.5  # from new weights one epoch gives a tenth
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        (
+            "small",
+            "an input of 8x8x1 and 4 classes; the tactile images have 10x10x1 and 10 classes",
+        ),
+        ("new", "never trained"),
+        ("other", "hardly better than chance on this run's training samples"),
+    ],
+)
+def test_what_cannot_stand_in_is_one_line(files, tmp_path, capsys, name, words):
+    folder = tmp_path / "run"
+    assert call("convert", folder, "--model", files / f"{name}.keras", *SMALL) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+    assert str(files / f"{name}.keras") in said
+    assert not (folder / "cnn").exists()
+    assert not (folder / "bundle").exists()
+
+
+def test_a_file_that_is_no_model(tmp_path, capsys):
+    folder, path = tmp_path / "run", tmp_path / "model.keras"
+    path.write_bytes(b"no model")
+    assert call("convert", folder, "--model", path, *SMALL) == 2
+    assert "not a Keras model file" in capsys.readouterr().err
+    assert call("convert", folder, "--model", tmp_path / "none.keras", *SMALL) == 2
+    assert "No such file" in capsys.readouterr().err
+    assert call("convert", folder, "--retrain") == 2
+    assert "name it with --model FILE" in capsys.readouterr().err
+    assert not folder.exists()
+
+
+def test_a_file_that_has_changed_since(files, tmp_path, capsys):
+    path, folder = tmp_path / "model.keras", tmp_path / "run"
+    path.write_bytes((files / "good.keras").read_bytes())
+    changes = stages.settings_of_model(path, retrain=False)
+    settings = Settings().with_values({**changes, "data": {"samples_per_digit": 60}}, "test")
+    path.write_bytes((files / "other.keras").read_bytes())
+    from deploy.errors import UserError
+
+    with pytest.raises(UserError, match=r"model\.keras: has changed; give it again"):
+        stages.train(RunFolder(folder), settings, Dataset.of(settings), lambda line: None)

@@ -1,0 +1,186 @@
+"""What campaigns of damaged and hostile input found, one small case each; see tests/torture."""
+
+import json
+import os
+import shutil
+import zipfile
+
+import pytest
+
+from deploy.files import read_json, write_json
+from pipeline.recordings import cache
+from pipeline.run.folder import RunFolder
+from pipeline.settings import read_settings
+
+from .command import call
+from .pipeline.handmade import archive, good_members, mat5, spiketrain
+
+
+@pytest.fixture
+def run(tiny_run, tmp_path):
+    """A copy of the small run, to be broken."""
+    return shutil.copytree(tiny_run, tmp_path / "run")
+
+
+@pytest.fixture
+def refused(capsys):
+    """Call a command that must be refused; its one line is returned."""
+
+    def refuse(*arguments):
+        capsys.readouterr()
+        assert call(*arguments) == 2
+        err = capsys.readouterr().err
+        assert len(err.splitlines()) == 1, err
+        assert err.startswith("stmnist: ")
+        assert len(err) < 3000
+        return err
+
+    return refuse
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--steps", "1000000000"], "'presentation.steps' must be from 1 to 10000"),
+        (["--set", f"presentation.gap={10**22}"], "'presentation.gap' must be a whole number"),
+        (["--set", f"seed={'9' * 5000}"], "'seed' must be"),
+        (["--set", f"cnn.epochs={'[' * 5000}"], "'cnn.epochs' must be a whole number"),
+        (["--set", "cnn.architecture=10x10-3000c4-3000c3-10o"], "at most 20000000 weights"),
+        (["--set", "snn.tau_rc=1e300"], "'snn.tau_rc' must be"),
+        (["--samples", "1000000000000"], "'check.samples' must be from 1 to 1000000"),
+        (["--steps", "10"], "such as --set presentation.readout_start=2"),
+    ],
+)
+def test_settings_past_all_use(refused, tmp_path, arguments, said):
+    assert said in refused("ladder", tmp_path / "run", *arguments)
+    assert not (tmp_path / "run" / "experiment.toml").exists()
+
+
+@pytest.mark.parametrize("text", ["a = " + "[" * 5000, "x = 1\n" * 500_000])
+def test_settings_that_are_nested_or_long_past_all_use(refused, tmp_path, text):
+    (tmp_path / "mine.toml").write_text(text)
+    line = refused("train", tmp_path / "run", "--settings", tmp_path / "mine.toml")
+    assert "mend or delete it" in line
+
+
+def change_result(name, value):
+    def change(path):
+        result = read_json(path, "")
+        place = result
+        for key in name[:-1]:
+            place = place[key]
+        if value is None:
+            del place[name[-1]]
+        else:
+            place[name[-1]] = value
+        path.write_text(json.dumps(result))
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("file", "change"),
+    [
+        ("snn/history.csv", lambda path: path.write_bytes(b"epoch,loss\n1,\xf9\n")),
+        ("snn/history.csv", lambda path: path.write_text("epoch,loss\n1,\n")),
+        ("snn/history.csv", lambda path: path.write_text("epoch,loss\n1,nan\n")),
+        ("snn/history.csv", lambda path: path.write_text("")),
+        ("cnn/metrics.json", lambda path: write_json(path, {"n_test": 3})),
+        ("cnn/metrics.json", lambda path: write_json(path, {"n_test": 3, "accuracy": 0.5})),
+        ("checks/emulator.json", change_result(["samples", 0, "scores"], None)),
+        ("checks/emulator.json", change_result(["samples", 0, "scores"], ["1"] * 10)),
+        ("checks/emulator.json", change_result(["samples", 0, "label"], 1.5)),
+        ("checks/emulator.json", change_result(["samples", 0, "id"], "\ud800")),
+        ("checks/emulator.json", change_result(["synaptic_operations", "conv2"], "many")),
+        ("checks/emulator.json", change_result(["spikes"], {"conv7": 3})),
+        ("checks/emulator.json", change_result(["anytime_accuracy"], None)),
+        ("checks/emulator.json", change_result(["wall_seconds"], float("inf"))),
+    ],
+)
+def test_a_report_of_a_run_with_a_broken_file(refused, run, file, change):
+    change(run / file)
+    assert str(run / file) in refused("report", run)
+
+
+def test_text_where_operations_belong(refused, run):
+    change_result(["synaptic_operations", "conv2"], "many")(run / "checks" / "emulator.json")
+    line = refused("deploy", "energy", run / "bundle", run / "checks" / "emulator.json")
+    assert "synaptic_operations" in line
+
+
+def test_a_name_that_a_terminal_would_obey(refused, tmp_path):
+    archive(tmp_path / "st.zip", {**good_members(), "3/\x1b[2J.mat": b"x"})
+    line = refused("data", "import", tmp_path / "st.zip", "--jobs", 1)
+    assert "\x1b" not in line
+    assert r"\x1b[2J.mat" in line
+
+
+def test_members_packed_with_lzma_and_damaged(refused, tmp_path):
+    path = tmp_path / "st.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as file:
+        for name, content in good_members().items():
+            file.writestr(name, content)
+    content = bytearray(path.read_bytes())
+    content[90] ^= 0xFF
+    path.write_bytes(content)
+    assert "cannot be read from the source" in refused("data", "import", path, "--jobs", 1)
+
+
+def test_training_needs_no_samples_for_a_check_and_keeps_its_data(tmp_path, capsys):
+    """It failed on the check's samples, forgot --data, and the ladder then took simulated ones."""
+    archive(tmp_path / "small.zip", good_members(3))
+    run = RunFolder(tmp_path / "run")
+    options = ["--set", "cnn.epochs=1", "--jobs", 1]
+    assert call("train", run.path, "--data", tmp_path / "small.zip", *options) == 0
+    assert read_settings(run.experiment).data.source == str(tmp_path / "small.zip")
+    capsys.readouterr()
+    assert call("ladder", run.path, "--jobs", 1) == 2
+    assert "200 samples asked for, the test split has 6" in capsys.readouterr().err
+
+
+def test_a_refused_ladder_says_that_its_data_was_not_kept(refused, tmp_path):
+    archive(tmp_path / "small.zip", good_members(3))
+    line = refused("ladder", tmp_path / "run", "--data", tmp_path / "small.zip", "--jobs", 1)
+    assert "name the data (--data) in the next command too" in line
+
+
+def test_simulated_recordings_are_not_taken_without_a_word(tmp_path, capsys):
+    options = ["--set", "data.samples_per_digit=60", "--set", "cnn.epochs=1"]
+    assert call("train", tmp_path / "run", *options) == 0
+    assert "a new run, on simulated recordings" in capsys.readouterr().err
+    assert call("train", tmp_path / "run") == 0
+    assert "a new run" not in capsys.readouterr().err
+
+
+def test_digits_that_are_missing_are_said(tmp_path, capsys):
+    members = {
+        f"{digit}/{index}.mat": mat5(spiketrain=spiketrain(1 + digit + index))
+        for digit in range(5)
+        for index in range(4)
+    }
+    archive(tmp_path / "five.zip", members)
+    options = ["--set", "cnn.epochs=1", "--jobs", 1]
+    assert call("train", tmp_path / "run", "--data", tmp_path / "five.zip", *options) == 0
+    assert "no recordings of 5, 6, 7, 8, 9" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", ["train", "convert", "ladder", "sweep"])
+def test_a_file_that_is_not_there_does_not_become_a_run(refused, tmp_path, verb):
+    line = refused(verb, tmp_path / "my_model.keras")
+    assert "named like a file" in line
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_empty_name_of_the_cache_is_none(monkeypatch, tmp_path):
+    monkeypatch.setenv("STMNIST_CACHE", "")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache.folder() == tmp_path / "stmnist"
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/zero"), reason="no /dev/zero")
+def test_a_file_without_end(refused, tmp_path, monkeypatch):
+    monkeypatch.setattr("pipeline.recordings.mat5.LARGEST", 10_000)
+    monkeypatch.setattr("deploy.limits.TEXT_BYTES", 10_000)
+    assert "larger than a recording" in refused("data", "inspect", "/dev/zero")
+    assert "larger than any file" in refused("check", "compare", "/dev/zero", "/dev/zero")
+    assert "larger than any file" in refused("train", tmp_path / "run", "--settings", "/dev/zero")
