@@ -13,6 +13,7 @@ import typer
 from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
 from pipeline.commands import options
+from pipeline.recordings.events import GRID
 from pipeline.run import stages
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Image, read_settings
@@ -36,6 +37,7 @@ def live(
         bool, typer.Option("--no-browser", help="Only print the address.")
     ] = False,
     data: options.Data = None,
+    kind: options.Input = None,
     seed: options.Seed = None,
     settings: options.SettingsFile = None,
     set_: options.Assignments = None,
@@ -54,7 +56,13 @@ def live(
         ) from error
     # Said now, not when the network is trained: a folder or a port that is in use.
     with closing(Keeper(record)) as keeper, closing(listen(port)) as listening:
-        bundle, image = _network(run, data, seed, settings, set_, jobs)
+        bundle, image = _network(run, data, kind, seed, settings, set_, jobs)
+        shape, classes = bundle.spec.input_shape[:2], bundle.spec.layers[-1].size
+        if (*shape, classes) != (GRID, GRID, 10):
+            raise UserError(
+                f"{bundle.path}: made for {shape[0]}x{shape[1]} taxels and {classes} classes; the "
+                f"page's skin has {GRID}x{GRID} taxels, for the ten digits"
+            )
         about = {
             "folder": str(record),
             "architecture": bundle.spec.architecture,
@@ -79,19 +87,19 @@ def live(
             options.say(f"live: ended; {len(keeper)} recordings are kept in {record}")
 
 
-def _network(run, data, seed, settings, set_, jobs):
+def _network(run, data, kind, seed, settings, set_, jobs):
     """The bundle, made if it is not there, and how events become its images."""
     if (run / "MANIFEST.json").exists():
         bundle = read_bundle(run)
         return bundle, _image(bundle, Image())
     folder = RunFolder(run)
-    if folder.bundle.exists() and not any((data, seed is not None, settings, set_)):
+    if folder.bundle.exists() and not any((data, kind, seed is not None, settings, set_)):
         bundle = read_bundle(folder.bundle)
         known = folder.experiment.exists()
         return bundle, _image(bundle, read_settings(folder.experiment).image if known else Image())
     if not folder.bundle.exists():
         options.say(f"live: {run} has no network yet; training it first, about a minute")
-    with options.opened(run, data, seed, None, None, settings, set_) as (folder, resolved):
+    with options.opened(run, data, seed, None, None, settings, set_, kind) as (folder, resolved):
         _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
     return bundle, resolved.image
 

@@ -16,7 +16,8 @@ from deploy.network.responses import read_output
 from deploy.network.stimulus import EventFrames
 from deploy.targets.fast.emulation import Emulation, compile_spec
 from pipeline.inputs.images import tactile_images
-from pipeline.recordings.events import GRID, Events, Source, TaxelMap, collect
+from pipeline.recordings.events import Events, Source, collect
+from pipeline.recordings.steps import EventTable
 from pipeline.settings import Image
 
 
@@ -32,11 +33,14 @@ class Answer:
     spikes : dict of str to ndarray of uint8, shape (steps, n_bytes)
         Spikes of each layer at each step of the network's time, eight neurons a byte
         (`numpy.packbits`).
+    sure : bool
+        Whether the confidence is one at which the network decides by itself, before the end.
     """
 
     scores: np.ndarray
     confidence: np.ndarray
     spikes: dict
+    sure: bool = False
 
     @property
     def decision(self) -> int:
@@ -56,7 +60,7 @@ class Deciding(Protocol):
     """One recording's side of a decider."""
 
     def answer(self, events: Events, time_s: float) -> Answer | None:
-        """Answer to all events of a recording up to a time, which never goes back; may be slow."""
+        """Answer to all events of a recording up to a time, infinity at its end; may be slow."""
 
 
 class Decider(Protocol):
@@ -118,9 +122,15 @@ class _Fast:
 
         done = self._emulation.run(spec.stimulus.flat(samples)[None], shown.steps, gap, watch)
         counts = {name: done.counts[name][0] for name in spec.spiking_layers}
-        scores = read_output(spec, done.output[0, :, gap : gap + steps], counts).scores[0]
-        odds = np.exp(scores - scores.max())
-        return Answer(scores, odds / odds.sum(), spikes)
+        said = read_output(spec, done.output[0, :, gap : gap + steps], counts)
+        scores = said.scores[0]
+        odds = np.exp(self._logits(scores, steps) - self._logits(scores, steps).max())
+        reached = said.stopped_at is not None and odds.max() / odds.sum() >= shown.confidence
+        return Answer(scores, odds / odds.sum(), spikes, reached)
+
+    def _logits(self, scores, steps):
+        """What the softmax was taken of when the network was trained."""
+        return scores
 
 
 class ImageDecider(_Fast):
@@ -178,26 +188,19 @@ class EventDecider(_Fast):
 
     def answer(self, events: Events, time_s: float) -> Answer | None:
         """See :class:`Deciding`."""
-        shown, seconds = self._spec.presentation, self._spec.stimulus.step_seconds
-        steps = min(int(time_s / seconds), shown.steps)
-        if len(events) == 0 or steps <= shown.readout_start:
+        if len(events) == 0:
             return None
-        return self._show(frames_of(events, shown.steps, seconds), steps)
+        shown, seconds = self._spec.presentation, self._spec.stimulus.step_seconds
+        since = (time_s - events.time_ns[0] * 1e-9) / seconds  # steps of the first event on
+        steps = int(min(max(since, 0), shown.steps))
+        if steps <= shown.readout_start:
+            return None
+        frames = EventTable.of(_alone(events)).frames([0], 1e3 * seconds, shown.steps)
+        return self._show(np.moveaxis(frames, 0, 1), steps)
 
-
-def frames_of(events: Events, steps: int, seconds: float) -> np.ndarray:
-    """Events in frames, as :func:`pipeline.inputs.frames.bin_events` makes them of whole seconds.
-
-    Returns
-    -------
-    ndarray of uint8, shape (1, steps, 10, 10, 2)
-    """
-    step = (events.time_ns / (seconds * 1e9)).astype(np.int64)
-    inside, taxels = step < steps, TaxelMap()
-    frames = np.zeros((1, steps, GRID, GRID, 2), np.uint8)
-    taxel, off = events.taxel[inside], (events.polarity[inside] < 0).astype(np.int64)
-    frames[0, step[inside], taxels.x[taxel], taxels.y[taxel], off] = 1
-    return frames
+    def _logits(self, scores, steps):
+        """Sums from the first event on, as they were trained."""
+        return scores * (steps - self._spec.presentation.readout_start)
 
 
 def _alone(events):

@@ -94,7 +94,7 @@ class Recording:
         self.down = False
         self.spoiled = False  # points of it were lost
         self.kept = False
-        self.decision, self.since_s = None, None
+        self.decision, self.since_s, self.sure_s = None, None, None
         self._begun_ms = begun_ms
 
     def time_s(self, page_ms):
@@ -241,9 +241,10 @@ class Session:
         if self._decider is None or recording is None:
             return None
         events, time_s = recording.writing.events, recording.writing.time_s
+        known_s = math.inf if recording.settled else time_s  # silence from here on is certain
 
         def answer():
-            said = recording.deciding.answer(events, time_s)
+            said = recording.deciding.answer(events, known_s)
             return None if said is None else _answer(recording, events, time_s, said)
 
         return answer
@@ -383,6 +384,8 @@ def problem(text: str) -> dict:
 def _answer(recording, events, time_s, said: Answer):
     if said.decision != recording.decision:
         recording.decision, recording.since_s = said.decision, time_s
+    if said.sure and recording.sure_s is None:
+        recording.sure_s = time_s
     return {
         "type": "answer",
         "recording": recording.number,
@@ -390,6 +393,7 @@ def _answer(recording, events, time_s, said: Answer):
         "events": len(events),
         "decision": said.decision,
         "since_s": recording.since_s - START_S,
+        "sure_s": None if recording.sure_s is None else recording.sure_s - START_S,
         "scores": [float(score) for score in said.scores],
         "confidence": [float(share) for share in said.confidence],
         "spikes": {

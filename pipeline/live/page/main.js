@@ -282,7 +282,8 @@ function showDecision(message) {
   $("decision").textContent = message === null ? "" : message.decision;
   $("decision").dataset.events = message === null ? 0 : message.events; // that it is the answer to
   $("confidence").textContent = message === null ? "" : `${percent(message.confidence[message.decision])} sure`;
-  $("since").textContent = message === null ? "" : `since ${message.since_s.toFixed(2)} s after the first touch`;
+  const early = message?.sure_s == null ? "" : `; sure enough after ${message.sure_s.toFixed(2)} s`;
+  $("since").textContent = message === null ? "" : `since ${message.since_s.toFixed(2)} s after the first touch${early}`;
   [...$("scores").children].forEach((item, digit) => {
     const share = message === null ? 0 : message.confidence[digit];
     item.classList.toggle("best", message !== null && digit === message.decision);

@@ -1,18 +1,20 @@
 """The network's answers while writing are those of its check."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from deploy.check.bundle import Bundle, read_bundle
+from deploy.network.decision import confidence
 from deploy.network.stimulus import EventFrames
 from deploy.targets.registry import answer as answers_of
-from pipeline.inputs.frames import bin_events
+from pipeline.inputs.dataset import inputs_of
 from pipeline.inputs.images import tactile_images
-from pipeline.live.deciding import EventDecider, decider_of, frames_of
+from pipeline.live.deciding import EventDecider, decider_of
 from pipeline.recordings.events import Events
-from pipeline.settings import Image
+from pipeline.settings import Image, Settings
 from pipeline.skin.simulate import simulate
 from tests.deploy import networks
 
@@ -72,15 +74,9 @@ def clocked():
         input_shape=(10, 10, 2),
         stimulus=EventFrames(0.02),
         layers=(conv1, networks.readout(conv1.shape, rng, classes=10)),
-        presentation=replace(small.presentation, steps=100),
+        presentation=replace(small.presentation, steps=100, confidence=0.7),
     )
     return Bundle(None, "random", spec, None)
-
-
-def test_frames_are_those_that_networks_are_trained_on(recordings):
-    bins = bin_events(recordings, 100)
-    for index in range(len(recordings)):
-        np.testing.assert_array_equal(frames_of(recordings[index], 100, 0.02)[0], bins[index])
 
 
 def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
@@ -90,17 +86,32 @@ def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
     assert isinstance(decider, EventDecider)
     assert decider.clocked
     spec = clocked.spec.with_presentation(stream_length=1)
-    expected = answers_of(spec, bin_events(recordings, 100), "fast")
+    settings = Settings().with_values({"input": {"kind": "events"}}, "test")
+    frames = inputs_of(recordings, settings)
+    assert frames.shape[1] == 100
+    expected = answers_of(spec, frames, "fast")
     assert len(set(expected.predictions)) > 1
     for index in range(0, len(recordings), 3):
         events = recordings[index]
+        first_s = events.time_ns[0] * 1e-9
         deciding = decider.begin()
-        for time_s in (0.5, 0.9, 1.21, 2.0, 3.5):
+        for step in (3, 20, 41, 100):
+            time_s = first_s + 0.02 * step + 1e-6
             so_far = events.time_ns < time_s * 1e9
             names = ("time_ns", "taxel", "polarity", "columns")
             known = Events(*(getattr(events, name)[so_far] for name in names))
-            said, step = deciding.answer(known, time_s), min(int(time_s / 0.02), 100)
+            said = deciding.answer(known, time_s)
             assert said.decision == expected.decisions[index, step - 1]
             after = spec.presentation.gap + step
             assert all(not rows[after:].any() for rows in said.spikes.values())
-        np.testing.assert_array_equal(said.scores, expected.scores[index])
+        at_the_end = deciding.answer(events, math.inf)
+        np.testing.assert_array_equal(at_the_end.scores, expected.scores[index])
+        summed = expected.scores[index] * 100
+        assert at_the_end.confidence.max() == pytest.approx(confidence(summed))
+        assert at_the_end.sure == (confidence(summed) >= spec.presentation.confidence)
+
+
+def test_before_the_first_step_is_over_an_events_bundle_says_nothing(clocked, recordings):
+    events = recordings[0]
+    first_s = events.time_ns[0] * 1e-9
+    assert decider_of(clocked, Image()).answer(events, first_s + 0.01) is None

@@ -8,7 +8,7 @@ import tracemalloc
 import pytest
 
 from pipeline.live.keeping import Keeper
-from pipeline.live.session import Allowance, BadMessage, Session
+from pipeline.live.session import LONGEST_S, Allowance, BadMessage, Session
 from pipeline.recordings.matfile import read_recording
 from pipeline.skin import parameters
 from tests.pipeline.live.conftest import Parrot, stroke
@@ -101,13 +101,13 @@ def test_a_kept_recording_is_not_written_on(session, keeper):
     assert of(written(session, start_ms=1400.0), "cleared")
 
 
-def test_a_recording_ends_after_four_seconds_and_the_next_stroke_begins_another(session, keeper):
-    replies = written(session, seconds=6.0, per_message=10)
+def test_a_recording_ends_and_the_next_stroke_begins_another(session, keeper):
+    replies = written(session, seconds=LONGEST_S + 2, per_message=10)
     assert of(replies, "events")[-1]["over"]
     say(session, {"type": "label", "digit": 1})
     read = read_recording(next(keeper.folder.rglob("w*.mat")).read_bytes())
-    assert read.events.time_ns[-1] < 4e9
-    replies = written(session, start_ms=7100.0)
+    assert read.events.time_ns[-1] < LONGEST_S * 1e9
+    replies = written(session, start_ms=1000.0 * (LONGEST_S + 4))
     assert of(replies, "cleared")
     assert say(session, {"type": "label", "digit": 2})[1]["type"] == "saved"
 
