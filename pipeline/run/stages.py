@@ -86,6 +86,7 @@ def open_dataset(
             "source": recordings.source.name,
             "sha256": recordings.source.sha256,
             "simulated": recordings.source.simulated,
+            "written": recordings.source.written,
             "samples": len(recordings),
             **about_sensor(recordings),
             "train": len(split.train),
@@ -311,6 +312,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         "simulated": recordings.source.simulated,
         "seed": settings.seed,
         "recipe": "events" if on_events else settings.snn.recipe,
+        "image": asdict(settings.image),
         "package": __version__,
     }
     if on_events:
