@@ -577,7 +577,7 @@ def check_fits(s: Settings, rows: int, columns: int, classes: int, origin: str):
     UserError
         With the architecture that would be, but for the layers between.
     """
-    if s.input.kind == "events":
+    if s.on_events:
         name, text, size = "events.architecture", s.events.architecture, f"{rows}x{columns}x2"
         what, shape = f"events of {rows}x{columns} taxels", (rows, columns, 2)
     else:
@@ -585,10 +585,10 @@ def check_fits(s: Settings, rows: int, columns: int, classes: int, origin: str):
         what, shape = f"a tactile image of {size}", (rows, columns, 1)
     architecture = parse(text)
     if architecture.input_shape != shape or architecture.outputs != classes:
-        if s.cnn.model and s.input.kind == "image":
-            given = "x".join(map(str, architecture.input_shape))
+        if s.cnn.model and not s.on_events:
+            found = "x".join(map(str, architecture.input_shape))
             raise UserError(
-                f"{s.cnn.model}: for an input of {given} and {architecture.outputs} classes; the "
+                f"{s.cnn.model}: for an input of {found} and {architecture.outputs} classes; the "
                 f"tactile images have {rows}x{columns}x1 and {classes} classes: train one for those"
             )
         like = "-".join([size, *map(str, architecture.layers[:-1]), f"{classes}o"])

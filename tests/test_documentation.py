@@ -1,20 +1,33 @@
-"""Every command and option has help and is in the README; the Makefile lists its targets."""
+"""README and docs/ say what is so: commands, options, settings, targets, paths, links, imports."""
 
+import ast
+import itertools
 import re
+import shlex
 import subprocess
 
 import pytest
 import typer.main
 
 from pipeline.commands.main import app
-from pipeline.commands.reference import with_reference
+from pipeline.commands.reference import FILES, with_parts
+from pipeline.settings import Settings
 from tests.command import ROOT
 
 README = ROOT / "README.md"
+DOCS = sorted((ROOT / "docs").glob("*.md"))
+PAGES = [
+    *(README, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *DOCS),
+    *(ROOT / "results" / "README.md", ROOT / "deploy" / "inrc" / "README.md"),
+]
+LONGEST_README = 260
 TARGETS = [
     *("setup", "data", "train", "convert", "loihi-emulate", "loihi-hardware"),
     *("check", "benchmark", "report", "test", "lint", "clean", "help"),
 ]
+SUFFIXES = {"csv", "json", "md", "npz", "png", "py", "sbatch", "svg", "toml", "yaml"}
+
+pages = pytest.mark.parametrize("page", PAGES, ids=lambda p: p.relative_to(ROOT).as_posix())
 
 
 def commands():
@@ -30,12 +43,41 @@ def commands():
     return dict(walk(typer.main.get_command(app), []))
 
 
-def readme():
-    return README.read_text(encoding="utf-8")
-
-
 def options(command):
-    return [o for p in command.params for o in p.opts if o.startswith("--") and o != "--help"]
+    return {o for p in command.params for o in p.opts if o.startswith("--")} | {"--help"}
+
+
+def read(page):
+    """A page without its comments."""
+    return re.sub(r"<!--.*?-->", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+
+
+def blocks(text):
+    """The contents of the fenced blocks of a page, each with its language."""
+    return re.findall(r"^ *```(\w*)\n(.*?)^ *```$", text, re.MULTILINE | re.DOTALL)
+
+
+def inline(text):
+    """The code between single backticks, each on one line."""
+    prose = re.sub(r"^ *```.*?^ *```$", "", text, flags=re.MULTILINE | re.DOTALL)
+    return [" ".join(code.split()) for code in re.findall(r"(?<!`)`([^`]+)`(?!`)", prose)]
+
+
+def shown(text, program):
+    """The command lines of a program that a page shows, as lists of words without the program."""
+    lines = [line for _, block in blocks(text) for line in block.replace("\\\n", " ").splitlines()]
+    for line in itertools.chain(lines, inline(text)):
+        if found := re.match(rf"\s*(?:\$ )?(?:\.venv/bin/)?{program}( .*)?$", line):
+            yield shlex.split(found[1] or "", comments=True)
+
+
+def test_there_is_a_readme_and_it_is_short():
+    assert len(README.read_text(encoding="utf-8").splitlines()) <= LONGEST_README
+
+
+def test_every_page_of_the_docs_is_linked_from_the_readme():
+    linked = set(re.findall(r"\]\((docs/\w+\.md)", read(README)))
+    assert linked == {page.relative_to(ROOT).as_posix() for page in DOCS}
 
 
 @pytest.mark.parametrize("words", sorted(commands()))
@@ -47,28 +89,139 @@ def test_a_command_and_its_options_have_help(words):
         assert getattr(parameter, "help", None), f"{words}: {parameter.name} has no help"
 
 
-@pytest.mark.parametrize("words", sorted(commands()))
-def test_a_command_is_in_the_readme(words):
-    assert f"stmnist {words}" in readme()
+@pytest.mark.parametrize("name", FILES)
+def test_what_is_generated_is_the_current_one(name):
+    text = (ROOT / name).read_text(encoding="utf-8")
+    assert text == with_parts(text), "run: python -m pipeline.commands.reference"
 
 
-def test_the_readmes_reference_is_the_current_one():
-    text = readme()
-    assert text == with_reference(text), "run: python -m pipeline.commands.reference README.md"
+def test_every_command_and_option_is_in_the_reference():
+    text = read(ROOT / "docs" / "commands.md")
+    for words, command in commands().items():
+        (section,) = re.findall(rf"^#+ stmnist {words}\n(.*?)(?=^#|\Z)", text, re.M | re.S)
+        assert options(command) - {"--help"} <= set(re.findall(r"--[\w-]+", section)), words
 
 
-def test_every_option_is_in_the_readme():
-    text = readme()
-    every = {option for command in commands().values() for option in options(command)}
-    missing = sorted(o for o in every if not re.search(re.escape(o) + r"(?![\w-])", text))
-    assert not missing
+def test_every_setting_is_in_the_docs():
+    named = set(inline(read(ROOT / "docs" / "settings.md")))
+    assert set(Settings().flat()) <= named
 
 
-def test_the_makefile_lists_its_targets():
+def test_a_part_without_an_end_is_refused():
+    with pytest.raises(ValueError, match="end of settings"):
+        with_parts("<!-- settings: written by python -m pipeline.commands.reference -->\n")
+
+
+@pages
+def test_commands_that_a_page_shows_exist(page):
+    known = commands()
+    groups = {" ".join(words.split()[:n]) for words in known for n in range(len(words.split()))}
+    for words in shown(read(page), "stmnist"):
+        plain = list(itertools.takewhile(lambda word: re.fullmatch(r"[a-z][a-z0-9]*", word), words))
+        found = [n for n in (2, 1) if " ".join(plain[:n]) in known and len(plain) >= n]
+        if found:
+            command = known[" ".join(plain[: found[0]])]
+            given = {word.partition("=")[0] for word in words if re.match("--[a-z]", word)}
+            assert given <= options(command), words
+        else:
+            assert " ".join(plain) in groups, words
+
+
+@pages
+def test_targets_of_make_that_a_page_shows_exist(page):
+    names = set(targets())
+    for words in shown(read(page), "make"):
+        asked = [word for word in words if "=" not in word]
+        assert set(asked) <= names, words
+
+
+@pages
+def test_settings_that_a_page_names_exist(page):
+    settings = Settings()
+    text = read(page)
+    names = set(re.findall(r"--(?:set|grid) ([\w.]+)=", text))
+    sections = "|".join({name.partition(".")[0] for name in settings.flat() if "." in name})
+    for code in inline(text):
+        found = re.match(rf"((?:{sections})\.(\w+))(?: = .*)?$", code)
+        if found and found[2] not in SUFFIXES:
+            names.add(found[1])
+    assert names - {"section.name"} <= set(settings.flat())
+
+
+@pages
+def test_paths_and_modules_that_a_page_names_exist(page):
+    text = read(page)
+    for code in inline(text):
+        if re.fullmatch(r"(pipeline|models|deploy|tests|docs|results)/[\w./-]*", code):
+            assert (ROOT / code).exists(), code
+    for module in re.findall(r"python -m ((?:pipeline|deploy|tests)[\w.]*)", text):
+        path = ROOT / module.replace(".", "/")
+        assert path.is_dir() or path.with_suffix(".py").is_file(), module
+
+
+def anchors(page):
+    """The anchors of a page's headings, as GitHub makes them."""
+    prose = re.sub(r"^ *```.*?^ *```$", "", read(page), flags=re.MULTILINE | re.DOTALL)
+    seen = {}
+    for title in re.findall(r"^#+ (.+)$", prose, re.MULTILINE):
+        slug = re.sub(r"[^\w\- ]", "", title.strip().lower()).replace(" ", "-")
+        yield slug + (f"-{seen[slug]}" if slug in seen else "")
+        seen[slug] = seen.get(slug, 0) + 1
+
+
+@pages
+def test_links_within_the_repository_lead_somewhere(page):
+    for link in re.findall(r"\]\(([^)\s]+)\)", read(page)):
+        if re.match(r"\w+:", link):
+            continue
+        name, _, anchor = link.partition("#")
+        target = (page.parent / name).resolve() if name else page
+        assert target.exists(), link
+        assert target.is_relative_to(ROOT), link
+        if anchor:
+            assert anchor in set(anchors(target)), link
+
+
+def defined(module):
+    """The names that a module of ours defines or imports at its top, without importing it."""
+    path = ROOT / module.replace(".", "/")
+    path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.ImportFrom):
+            yield from (alias.asname or alias.name for alias in node.names)
+        elif isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            yield node.name
+        elif isinstance(node, (ast.Assign, ast.AnnAssign)):
+            ends = node.targets if isinstance(node, ast.Assign) else [node.target]
+            yield from (end.id for end in ends if isinstance(end, ast.Name))
+    if path.name == "__init__.py":
+        yield from (below.stem for below in path.parent.iterdir())
+
+
+@pages
+def test_what_a_page_imports_in_python_exists(page):
+    for language, block in blocks(read(page)):
+        if language != "python":
+            continue
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.ImportFrom) and re.match("pipeline|models|deploy", node.module):
+                names = {alias.name for alias in node.names}
+                assert names <= set(defined(node.module)), node.module
+
+
+def targets():
+    """The targets of the Makefile that are no files."""
+    return re.findall(r"^([a-z][\w-]*):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+
+
+def test_the_makefile_lists_all_its_targets():
     done = subprocess.run(["make", "help"], cwd=ROOT, capture_output=True, text=True, check=True)
     listed = {line.split()[1]: line.split(None, 2)[2] for line in done.stdout.splitlines()}
-    assert set(TARGETS) <= set(listed)
+    assert set(listed) == set(targets())
     assert all(listed.values())
+    (phony,) = re.findall(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert set(phony.split()) == set(targets())
+    assert set(TARGETS) <= set(listed)
 
 
 def test_make_without_a_target_is_help():

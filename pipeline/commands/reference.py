@@ -1,63 +1,97 @@
-"""The command reference of README.md, written from the commands themselves.
+"""The generated parts of the documentation: every command, and every setting.
 
-``python -m pipeline.commands.reference README.md`` puts it between the two marks; a test holds it
-current.
+``python -m pipeline.commands.reference`` writes them anew between their marks in the files of
+`FILES`; a test holds them current.
 """
 
 from __future__ import annotations
 
+import inspect
+import json
+import re
 import sys
+from itertools import groupby
 from pathlib import Path
 
 import typer.main
 
 from deploy.files import replacing
+from pipeline.settings import Settings, describe
 
-BEGIN = "<!-- reference: written by python -m pipeline.commands.reference README.md -->"
-END = "<!-- end of reference -->"
+ROOT = Path(__file__).resolve().parent.parent.parent
+FILES = ("docs/commands.md", "docs/settings.md")
+"""Where the parts stand, from the root of the repository."""
 
 
-def reference() -> str:
+def commands() -> str:
     """Every command with its arguments and options, as Markdown."""
     from pipeline.commands.main import app
 
-    return "\n".join(_sections(typer.main.get_command(app), "stmnist"))
+    return "\n".join(_sections(typer.main.get_command(app), "stmnist", 2))
 
 
-def with_reference(text: str) -> str:
-    """A README's text with the part between the marks written anew.
+def settings() -> str:
+    """Every setting with its default and meaning, as Markdown, a heading for each section."""
+    lines = []
+    for section, rows in groupby(describe(Settings()), lambda row: row["name"].rpartition(".")[0]):
+        about = getattr(Settings(), section) if section else Settings()
+        lines += [f"\n## {section or 'The experiment'}\n", f"{_plain(inspect.getdoc(about))}\n"]
+        for row in rows:
+            default = json.dumps(row["default"], ensure_ascii=False)
+            lines.append(f"- `{row['name']}`, by default `{default}`: {row['meaning']}")
+    return "\n".join(lines)
+
+
+PARTS = {"commands": commands, "settings": settings}
+
+
+def with_parts(text: str) -> str:
+    """A document with the parts between its marks written anew.
 
     Raises
     ------
     ValueError
-        It has no such marks.
+        A part has a mark where it begins and none where it ends.
     """
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise ValueError("no marks of the reference in the text")
-    return f"{before}{BEGIN}\n{reference()}\n{END}{after}"
+    for name, part in PARTS.items():
+        begin = f"<!-- {name}: written by python -m pipeline.commands.reference -->"
+        end = f"<!-- end of {name} -->"
+        before, found, rest = text.partition(begin)
+        if not found:
+            continue
+        _, closed, after = rest.partition(end)
+        if not closed:
+            raise ValueError(f"no mark {end!r} in the text")
+        text = f"{before}{begin}\n{part()}\n{end}{after}"
+    return text
 
 
-def _sections(command, words):
+def _sections(command, words, depth):
+    summary = _plain(command.help)
     if hasattr(command, "commands"):
+        if depth > 2:  # the command itself has a title of its own
+            yield f"\n{'#' * (depth - 1)} {words}\n\n{summary}"
         for name, below in command.commands.items():
-            yield from _sections(below, f"{words} {name}")
+            yield from _sections(below, f"{words} {name}", depth + 1)
         return
     arguments = [p for p in command.params if p.param_type_name == "argument"]
     usage = " ".join([words, *(p.name.upper() for p in arguments)])
-    yield f"\n**`{usage}`**  "
-    yield " ".join(command.help.split()) + "\n"
+    yield f"\n{'#' * (depth - 1)} {words}\n\n`{usage}`\n\n{summary}\n"
     for parameter in command.params:
         if parameter.param_type_name == "argument":
             name = parameter.name.upper()
         else:
             name = ", ".join([*parameter.opts, *parameter.secondary_opts])
-        yield f"- `{name}` {' '.join((parameter.help or '').split())}"
+        yield f"- `{name}`: {' '.join((parameter.help or '').split())}"
+
+
+def _plain(text):
+    """A docstring's text in one line, without the roles of its markup."""
+    return re.sub(r":\w+:`~?([^`]*)`", r"`\1`", " ".join(text.split())).replace("``", "`")
 
 
 if __name__ == "__main__":
-    path = Path(sys.argv[1])
-    current = path.read_text(encoding="utf-8")
-    with replacing(path, "w") as file:
-        file.write(with_reference(current))
+    for path in map(Path, sys.argv[1:] or [ROOT / name for name in FILES]):
+        current = path.read_text(encoding="utf-8")
+        with replacing(path, "w") as file:
+            file.write(with_parts(current))

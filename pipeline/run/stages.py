@@ -33,11 +33,12 @@ from pipeline.run.history import write_history
 from pipeline.settings import Settings
 
 REMEDY = "delete its folder and run the command again"
+HELD_OUT = 0.1
+"""Share of the training samples by which the confidence is chosen where nothing else is for it."""
+
 LEAST_KNOWN = 0.15
 """Share of the way from chance to always right that an own model must have gone.  Of 30 networks of
 three layers with Keras's first weights the best had gone 0.06 of it by luck, on ten classes."""
-HELD_OUT = 0.1
-"""Share of the training samples by which the confidence is chosen where nothing else is for it."""
 
 REMEDY_CHECK = "delete it and run the command again"
 
@@ -85,6 +86,7 @@ def open_dataset(
             "source": recordings.source.name,
             "sha256": recordings.source.sha256,
             "simulated": recordings.source.simulated,
+            "written": recordings.source.written,
             "samples": len(recordings),
             **about_sensor(recordings),
             "train": len(split.train),
@@ -310,6 +312,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         "simulated": recordings.source.simulated,
         "seed": settings.seed,
         "recipe": "events" if on_events else settings.snn.recipe,
+        "image": asdict(settings.image),
         "package": __version__,
     }
     if on_events:

@@ -21,7 +21,15 @@ from deploy.targets.lava import (
 from deploy.targets.registry import answer
 
 from ...lava_reader.result import differing_bits, main, responses_of
-from ..networks import bundle_at, host_first_spec, paper_spec, random_checks, small_spec
+from ..networks import (
+    bundle_at,
+    events_spec,
+    host_first_spec,
+    paper_spec,
+    random_checks,
+    random_frames,
+    small_spec,
+)
 
 ROOT = Path(__file__).parent.parent.parent.parent
 READER = ROOT / ".venv-lava" / "bin" / "python"
@@ -71,18 +79,26 @@ def advanced(arrays):
     return {name: np.packbits(values, axis=2) for name, values in found.items()}
 
 
-@pytest.mark.parametrize("make", [small_spec, host_first_spec, paper_spec])
+def samples_for(spec, count):
+    """Random images, or frames of events, as the network is shown them."""
+    if spec.stimulus.held:
+        return random_checks(spec, count).inputs
+    return random_frames(spec, count)
+
+
+@pytest.mark.parametrize(
+    "make", [small_spec, host_first_spec, lambda: paper_spec(steps=40, gap=5), events_spec]
+)
 def test_plain_integers_of_the_file_give_every_spike_of_fast(make):
-    spec = make() if make is not paper_spec else paper_spec(steps=40, gap=5)
-    images = random_checks(spec, 4).inputs
+    spec = make()
+    samples = samples_for(spec, 4)
     program = compile_spec(spec)
-    found = advanced(lava_arrays(spec, images))
-    ours = spikes_of(program, spec, images)
+    found = advanced(lava_arrays(spec, samples))
+    ours = spikes_of(program, spec, samples)
     bits = differing_bits(program, ours, found)
-    assert {name: wrong for name, (wrong, _) in bits.items()} == {"conv2": 0} | (
-        {} if make is host_first_spec else {"conv1": 0}
-    )
-    assert ours["conv2"].any()
+    on_chip = [layer.name for layer in spec.layers if layer.placement == "chip"]
+    assert {name: wrong for name, (wrong, _) in bits.items()} == dict.fromkeys(on_chip, 0)
+    assert all(ours[name].any() for name in on_chip)
 
 
 def blocks_apart():
@@ -114,11 +130,15 @@ def host_output():
 
 
 @pytest.mark.parametrize(
-    "make", [small_spec, lambda: small_spec(on_chip_output=True), host_output, host_first_spec]
+    "make",
+    [
+        *(small_spec, lambda: small_spec(on_chip_output=True), host_output, host_first_spec),
+        events_spec,
+    ],
 )
 def test_spikes_give_the_answers_of_fast(make):
     spec = make()
-    images = random_checks(spec, 7).inputs
+    images = samples_for(spec, 7)
     program = compile_spec(spec)
     ours = responses_of(spec, program, spikes_of(program, spec, images))
     theirs = answer(spec, images, "fast")
@@ -191,6 +211,7 @@ def test_ten_samples_in_lava(tmp_path):
         (blocks_apart, {"conv1": 64, "conv2": 72}),
         (lambda: small_spec(on_chip_output=True), {"conv1": 64, "conv2": 72, "output": 10}),
         (host_first_spec, {"conv2": 72}),
+        (events_spec, {x.name: x.size for x in events_spec().layers if x.placement == "chip"}),
     ],
 )
 def test_other_networks_in_lava(tmp_path, make, sizes):
@@ -198,7 +219,7 @@ def test_other_networks_in_lava(tmp_path, make, sizes):
 
 
 def compare_with_lava(tmp_path, spec, count, sizes):
-    images = random_checks(spec, count).inputs
+    images = samples_for(spec, count)
     program = compile_spec(spec)
     write_lava(tmp_path / "network.npz", spec, images)
     for options, ours in (((), program), (("--stock",), without_refractory_and_floor(program))):

@@ -136,7 +136,7 @@ def test_what_nengo_loihi_cannot_build_is_one_error():
     wider = conv("conv2", wide.shape, 256, 2, rng, block_shape=(3, 3, 256))
     layers = (wide, wider, readout(wider.shape, rng))
     spec = NetworkSpec("6x6-64c3-256c2-10o", (6, 6, 1), ImageSpikes(), layers, Presentation())
-    with pytest.raises(UserError, match=r"NengoLoihi cannot build this network: .* bits"):
+    with pytest.raises(UserError, match=r"NengoLoihi cannot build this network: .* exceeded max"):
         answer(spec, np.zeros((1, 36)), "emulator")
 
 
