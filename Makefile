@@ -19,7 +19,7 @@ SOURCE_OPTIONS := $(if $(DATA),--data "$(DATA)") $(if $(INPUT),--input $(INPUT))
 BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $(PARTITION))
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
 
-.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report test test-pythons torture lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava audit clean help
+.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report live test test-pythons torture lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava audit clean help
 .DEFAULT_GOAL := help
 
 setup:  ## Make .venv with everything pinned in constraints.txt (2.6 GB)
@@ -53,6 +53,9 @@ benchmark: setup  ## The paper's Table 2 on ten splits, beside the paper's figur
 
 report: loihi-emulate  ## RUN as one HTML file, RUN/report.html, with Table 2 where it was measured
 	@$(STMNIST) report $(RUN) --jobs $(JOBS)
+
+live: setup  ## Write digits in the browser; trains RUN first if need be (PORT; RECORD: where to keep)
+	@$(STMNIST) live $(RUN) $(SOURCE_OPTIONS) $(if $(PORT),--port $(PORT)) $(if $(RECORD),--record "$(RECORD)")
 
 test: setup  ## Run the tests
 	@$(BIN)/python -m pytest

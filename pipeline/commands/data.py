@@ -14,7 +14,7 @@ from pipeline.commands import options
 from pipeline.inputs.library import SIMULATED, load_recordings
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import progress
-from pipeline.recordings.archive import read_file, write_zip
+from pipeline.recordings.archive import export_zip, read_file, write_zip
 from pipeline.recordings.eventfile import EventRecording
 from pipeline.recordings.events import GRID, Events, Sensor, expand_bursts
 from pipeline.recordings.matfile import BadRecording, read_limited
@@ -47,12 +47,15 @@ def import_(
         "source": recordings.source.name,
         "sha256": recordings.source.sha256,
         "simulated": recordings.source.simulated,
+        "written": recordings.source.written,
         "samples": len(recordings),
         **about_sensor(recordings),
         "events": len(recordings.events),
         "columns": int(recordings.events.columns.sum(dtype=np.int64)),
     }
     kind = "simulated recordings" if recordings.source.simulated else "recordings"
+    if recordings.source.written:
+        kind = "recordings, written by hand on the simulated skin,"
     of_each = facts.get("samples_per_digit") or ", ".join(
         f"{name} {count}" for name, count in facts["samples_per_class"].items()
     )
@@ -64,6 +67,17 @@ def import_(
     if recordings.sensor != Sensor():
         text += f"\n{recordings.sensor}, up to {recordings.sensor.duration_s:g} s"
     options.tell(facts, lambda _: text, as_json)
+
+
+def export(
+    folder: Annotated[Path, typer.Argument(help="Recordings, such as those kept by stmnist live.")],
+    out: Annotated[Path, typer.Argument(help="The zip to write, laid out as published.")],
+):
+    """Pack a folder of recordings as a zip that works as DATA, each file as it is."""
+    if out.suffix != ".zip":
+        raise UserError(f"{out}: the name must end in .zip")
+    n = export_zip(out, folder, progress)
+    print(f"{n} recordings written to {out}")
 
 
 def inspect(
@@ -84,8 +98,17 @@ def inspect(
     if isinstance(recording, EventRecording):
         events = events(int(recording.x.max()) + 1)
     facts = {"simulated": recording.simulated, **recording_facts(events)}
+    kind = " (simulated)" if recording.simulated else ""
+    if getattr(recording, "written", None) is not None:
+        facts |= {
+            "source": "written",
+            "time": recording.written.time,
+            "writer": recording.writer,
+            "handedness": recording.written.handedness or None,
+        }
+        kind = f" (written by hand on the simulated skin, {recording.written.time})"
     text = (
-        f"{file.name}{' (simulated)' if recording.simulated else ''}: "
+        f"{file.name}{kind}: "
         f"{facts['columns']} columns, {facts['events']} physical events "
         f"({facts['on']} ON, {facts['off']} OFF) of {facts['taxels']} taxels, "
         f"{facts['t_first_s']:.4f} s to {facts['t_last_s']:.4f} s"

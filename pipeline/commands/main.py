@@ -8,9 +8,21 @@ import sys
 import typer
 
 from deploy import __version__, interrupts
-from deploy.errors import CheckFailed, UserError
+from deploy.errors import CheckFailed, UserError, one_line
 from models.architecture import NotationError
-from pipeline.commands import benchmark, check, data, deploy, report, run, settings, skin, sweep
+from pipeline.commands import (
+    benchmark,
+    benchmark_live,
+    check,
+    data,
+    deploy,
+    live,
+    report,
+    run,
+    settings,
+    skin,
+    sweep,
+)
 
 # Typer brings its own copy of Click from some version on: these are the classes that it raises.
 UsageError = typer.BadParameter.__base__
@@ -22,6 +34,7 @@ VERBS = {
         {
             "import": data.import_,
             "inspect": data.inspect,
+            "export": data.export,
             "simulate": data.simulate_,
             "stats": data.stats,
             "plot": data.plot,
@@ -49,10 +62,12 @@ VERBS = {
             "conversion": benchmark.conversion,
             "emulator": benchmark.emulator,
             "losses": benchmark.losses,
+            "live": benchmark_live.live,
         },
     ),
     "sweep": sweep.sweep,
     "report": report.report,
+    "live": live.live,
     "settings": settings.settings,
 }
 """Every verb: a function, or a help text and verbs of its own."""
@@ -121,8 +136,5 @@ def main(arguments=None):
 
 
 def _say(message, status):
-    line = " ".join(message.split())
-    # A file's name may hold what a terminal would obey.
-    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
-    print("stmnist: " + line, file=sys.stderr)
+    print("stmnist: " + one_line(message), file=sys.stderr)
     return status

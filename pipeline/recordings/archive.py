@@ -25,7 +25,7 @@ from deploy.errors import UserError
 from deploy.files import replacing, sha256_of
 from pipeline.recordings import sensors
 from pipeline.recordings.eventfile import read_events
-from pipeline.recordings.events import DIGITS, Recordings, Source, collect
+from pipeline.recordings.events import DIGITS, Recordings, Source, TaxelMap, collect
 from pipeline.recordings.mat5 import LARGEST
 from pipeline.recordings.matfile import (
     BadRecording,
@@ -227,6 +227,7 @@ def read_source(
             name=listing.path.name,
             sha256=content_hash(listing.path),
             simulated=any(recording.simulated for recording in read),
+            written=all(getattr(recording, "written", None) for recording in read),
         ),
         taxels=settled.taxels,
         sensor=settled.sensor,
@@ -260,6 +261,56 @@ def write_zip(path, recordings: Recordings, progress=None):
             )
             _add(archive, root / f"{name}.mat", recording_bytes(recording))
             advance(1)
+
+
+def export_zip(path, folder, progress=None) -> int:
+    """Write the recordings of a folder as a zip in the published layout, each as it is.
+
+    Unlike :func:`write_zip` this keeps what the files say besides their events.
+
+    Parameters
+    ----------
+    path : path-like
+        The zip; the same bytes for the same files.
+    folder : path-like
+        Or another zip.
+    progress : callable, optional
+        As in :func:`read_source`.
+
+    Returns
+    -------
+    int
+        Number of recordings.
+
+    Raises
+    ------
+    UserError
+        A file is no recording, or the zip cannot be written.
+    """
+    listing = list_source(folder)
+    if listing.refused:
+        name, reason = listing.refused[0]
+        raise UserError(f"{folder}: {name} {reason}; move it away")
+    root, reader = PurePosixPath("data_submission"), _Reader(listing.path)
+    names = [name for name, _ in listing.recordings]
+    with (
+        replacing(path) as file,
+        zipfile.ZipFile(file, "w") as archive,
+        _shown(progress, "export", len(names)) as advance,
+    ):
+        name, table = listing.lookup_table, TaxelMap()
+        try:
+            if name is not None:
+                table = read_lookup_table(reader.read(name))
+            _add(archive, root / "LUT.mat", lookup_table_bytes(table))
+            for name, short in zip(names, _ids(names), strict=True):
+                content = reader.read(name)
+                read_recording(content)
+                _add(archive, root / f"{short.removesuffix('.mat')}.mat", content)
+                advance(1)
+        except BadRecording as error:
+            raise UserError(f"{folder}: {name} {error}; move it away") from error
+    return len(names)
 
 
 def content_hash(path) -> str:

@@ -54,6 +54,7 @@ def store(key: str, recordings: Recordings):
         y=recordings.taxels.y,
         source=np.array([source.name, source.sha256]),
         simulated=np.array(source.simulated),
+        written=np.array(source.written),
         size=np.array([sensor.rows, sensor.columns, sensor.polarities]),
         duration_s=np.array(sensor.duration_s),
         classes=np.array(sensor.classes, dtype=str),
@@ -81,7 +82,9 @@ def load(key: str) -> Recordings | None:
             labels=arrays["labels"],
             ids=tuple(arrays["ids"].tolist()),
             writers=arrays["writers"],
-            source=Source(name, sha256, bool(arrays["simulated"])),
+            source=Source(
+                name, sha256, bool(arrays["simulated"]), bool(arrays.get("written", False))
+            ),
             taxels=TaxelMap(arrays["x"], arrays["y"]),
             sensor=Sensor(
                 *(int(n) for n in arrays["size"]),

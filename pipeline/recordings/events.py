@@ -104,11 +104,14 @@ class Source:
         Hash over the content (of the files, or of the simulation's settings and version).
     simulated : bool
         True if the recordings were not made on a real skin.
+    written : bool
+        True if, all the same, real hands wrote every one of them.
     """
 
     name: str
     sha256: str
     simulated: bool
+    written: bool = False
 
 
 @dataclass(frozen=True)

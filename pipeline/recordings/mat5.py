@@ -1,4 +1,4 @@
-"""Numeric matrices of MATLAB 5 files, read with every type and size checked before it is used.
+"""Numbers and short texts in MATLAB 5 files, every type and size checked before it is used.
 
 The format is MathWorks' "MAT-File Format" (level 5).  A file is a header and elements; an element
 is a tag (type and size) and data; a variable is an element of elements: flags, dimensions, name,
@@ -36,6 +36,8 @@ _VALUES = {
     13: "u8",
 }
 _NUMERIC_CLASSES = range(6, 16)
+_TEXT_CLASS = 4
+_LONGEST_TEXT = 200
 _COMPLEX = 0x800
 _HEAD = 4096
 """Bytes unpacked to see a variable's name and size: far more than those take."""
@@ -60,9 +62,9 @@ def read(content: bytes, names=None) -> dict:
 
     Returns
     -------
-    dict of str to ndarray or None
-        In the type that the file stores them in; None for a named variable that is no real array of
-        numbers.
+    dict of str to ndarray, str or None
+        Numbers in the type that the file stores them in; text if it is one short line in ASCII;
+        None for a named variable that is neither.
 
     Raises
     ------
@@ -81,14 +83,15 @@ def read(content: bytes, names=None) -> dict:
         if start + size > len(content) or kind not in (_MATRIX, _COMPRESSED):
             raise Damaged("an element that is no variable, or cut short")
         name, array = _variable(content[place : start + size], kind, order, names)
-        if name is not None and name not in found and (names is not None or array is not None):
+        asked = names is not None or isinstance(array, np.ndarray)
+        if name is not None and name not in found and asked:
             found[name] = array
         place = start + size
     raise Damaged(f"more than {MOST_VARIABLES} variables")
 
 
 def _variable(element, kind, order, names):
-    """(name, array or None) of a variable; (None, None) if nobody asked for it."""
+    """(name, array, str or None) of a variable; (None, None) if nobody asked for it."""
     unpacker = None
     if kind == _COMPRESSED:
         unpacker = zlib.decompressobj()
@@ -100,7 +103,7 @@ def _variable(element, kind, order, names):
     head = _head(element, start, order)
     if head is None:
         return None, None
-    name, shape, place = head
+    name, shape, place, is_text = head
     if not name or (names is not None and name not in names):
         return None, None
     if shape is None:
@@ -109,6 +112,8 @@ def _variable(element, kind, order, names):
         raise TooLarge(f"says that {name!r} has {_times(shape)} values")
     if unpacker is not None:
         element = _unpacked(unpacker, element, whole)
+    if is_text:
+        return name, _text(element, place, order, shape)
     return name, _values(element, place, order, shape)
 
 
@@ -121,7 +126,9 @@ def _unpacked(unpacker, begun, whole):
 
 
 def _head(element, place, order):
-    """(name, shape, place of the values); the shape is None for what is no real array of numbers.
+    """(name, shape, place of the values, whether they are letters).
+
+    The shape is None for what is neither a real array of numbers nor a short line of text.
 
     None for what MATLAB keeps in another form: functions and objects.
     """
@@ -138,7 +145,9 @@ def _head(element, place, order):
     numeric = kind in _NUMERIC_CLASSES and not int(flags[0]) & _COMPLEX
     text = bytes(name).decode("utf-8", errors="replace")
     # as Python's integers, whose product cannot overflow
-    return text, tuple(shape.tolist()) if numeric else None, place
+    is_text = kind == _TEXT_CLASS and len(shape) == 2 and shape[0] == 1
+    is_text = is_text and shape[1] <= _LONGEST_TEXT
+    return text, tuple(shape.tolist()) if numeric or is_text else None, place, is_text
 
 
 def _values(element, place, order, shape):
@@ -146,6 +155,13 @@ def _values(element, place, order, shape):
     if len(values) != math.prod(shape):
         raise Damaged("another number of values than its dimensions say")
     return values.reshape(shape, order="F")
+
+
+def _text(element, place, order, shape):
+    """Letters of the files that SciPy and MATLAB write; None if there are others than ASCII's."""
+    codes, _ = _data(element, place, order, {*_VALUES, _UTF8})
+    known = len(codes) == math.prod(shape) and bool(((codes >= 32) & (codes < 127)).all())
+    return "".join(map(chr, codes.astype(int))) if known else None
 
 
 def _data(element, place, order, kinds):

@@ -11,7 +11,7 @@ from __future__ import annotations
 import io
 import math
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import h5py
 import numpy as np
@@ -28,6 +28,7 @@ from pipeline.recordings.events import (
 )
 
 VARIABLE = "spiketrain"
+_WRITTEN = ("source", "time", "handedness", "seed", "pen")
 LATEST_S = 60.0
 """A recording lasts 2 s, of other sensors perhaps longer; a time past this is taken for
 milliseconds."""
@@ -44,6 +45,29 @@ class BadRecording(ValueError):
 
 
 @dataclass(frozen=True)
+class Written:
+    """Of a recording that a real hand wrote on the simulated skin: who, when and how.
+
+    Attributes
+    ----------
+    time : str
+        When, ISO 8601 with its zone.
+    handedness : str
+        ``"left"``, ``"right"``, or empty where it was not told.
+    seed : tuple of int
+        Of what the skin's noise was drawn with.
+    pen : ndarray of float, shape (n, 5)
+        Time in seconds, place in taxels (down, right), pressure and touch (1 or 0) of each point
+        of the pen as it came (:class:`pipeline.skin.writing.Point`).
+    """
+
+    time: str
+    handedness: str = ""
+    seed: tuple = ()
+    pen: np.ndarray = field(default_factory=lambda: np.empty((0, 5)))
+
+
+@dataclass(frozen=True)
 class MatRecording:
     """What one file holds.
 
@@ -54,6 +78,9 @@ class MatRecording:
         True if the file says of itself that it is simulated (a variable that this project adds).
     writer : int
         The writer if the file tells (likewise), else -1.
+    written : Written or None
+        Not None if the file says of itself that a real hand wrote it on the simulated skin
+        (likewise, ``source`` being ``"written"``).
     n_taxels : int
         As many as the file has rows for.
     """
@@ -61,6 +88,7 @@ class MatRecording:
     events: Events
     simulated: bool = False
     writer: int = -1
+    written: Written | None = None
     n_taxels: int = N_TAXELS
 
 
@@ -83,7 +111,7 @@ def read_recording(content: bytes, n_taxels: int | None = N_TAXELS) -> MatRecord
     BadRecording
         Not a MAT file, or not a recording; see :func:`events_of`.
     """
-    variables = read_variables(content, (VARIABLE, "simulated", "writer"))
+    variables = read_variables(content, (VARIABLE, "simulated", "writer", *_WRITTEN))
     if VARIABLE not in variables:
         raise BadRecording(f"has no variable {VARIABLE!r}")
     simulated, writer = (_number(variables.get(name)) for name in ("simulated", "writer"))
@@ -101,8 +129,26 @@ def read_recording(content: bytes, n_taxels: int | None = N_TAXELS) -> MatRecord
         events=events,
         simulated=bool(simulated),
         writer=-1 if writer is None else int(writer),
+        written=_written(variables),
         n_taxels=len(spiketrain) - 1,
     )
+
+
+def _written(variables):
+    source, time, handedness = (_text(variables.get(n)) for n in ("source", "time", "handedness"))
+    if source != "written":
+        return None
+    numbers = {k: v for k, v in variables.items() if isinstance(v, np.ndarray)}
+    seed, pen = (numbers.get(name) for name in ("seed", "pen"))
+    if seed is None or seed.dtype.kind not in "fiu" or not np.isfinite(seed).all():
+        seed = np.empty(0)
+    if pen is None or pen.dtype.kind != "f" or pen.ndim != 2 or pen.shape[1] != 5:
+        pen = np.empty((0, 5))
+    return Written(time, handedness, tuple(seed.ravel().astype(int).tolist()), pen)
+
+
+def _text(variable):
+    return variable if isinstance(variable, str) else ""
 
 
 def _number(variable):
@@ -172,8 +218,8 @@ def read_variables(content: bytes, names=None) -> dict:
 
     Returns
     -------
-    dict of str to ndarray or None
-        None for a named variable that is something else than real numbers.
+    dict of str to ndarray, str or None
+        None for a named variable that is neither real numbers nor a short text.
 
     Raises
     ------
@@ -253,6 +299,12 @@ def recording_bytes(recording: MatRecording) -> bytes:
         variables["simulated"] = 1.0
     if recording.writer >= 0:
         variables["writer"] = float(recording.writer)
+    if recording.written is not None:
+        written = recording.written
+        variables |= {"source": "written", "time": written.time, "pen": np.asarray(written.pen)}
+        variables["seed"] = np.array(written.seed, float)
+        if written.handedness:
+            variables["handedness"] = written.handedness
     variables[VARIABLE] = spiketrain_of(recording.events, recording.n_taxels)
     return _mat_bytes(variables)
 

@@ -86,6 +86,7 @@ def open_dataset(
             "source": recordings.source.name,
             "sha256": recordings.source.sha256,
             "simulated": recordings.source.simulated,
+            "written": recordings.source.written,
             "samples": len(recordings),
             **about_sensor(recordings),
             "train": len(split.train),
@@ -160,6 +161,7 @@ def settings_of_model(path: Path, retrain: bool) -> dict:
     model, sha256 = read_model(path)
     rates = Settings().snn.max_rates[: max(len(model.architecture.spiking), 1)]
     return {
+        "input": {"kind": "image"},
         "cnn": {
             "model": str(path.absolute()),
             "model_sha256": sha256,
@@ -310,6 +312,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         "simulated": recordings.source.simulated,
         "seed": settings.seed,
         "recipe": "events" if on_events else settings.snn.recipe,
+        "image": asdict(settings.image),
         "package": __version__,
     }
     if on_events:

@@ -94,6 +94,40 @@ def bursts(time_ns, taxel, polarity, p) -> Events:
     return in_turn(first, taxel, polarity, columns)
 
 
+class Decoder:
+    """:func:`bursts` of events that come piece by piece.
+
+    Parameters
+    ----------
+    p : pipeline.skin.parameters.Aces
+    """
+
+    def __init__(self, p):
+        self._p, self._free = p, 0
+        self._waiting = np.empty(0), np.empty(0, int), np.empty(0, int)
+
+    def advance(self, time_ns, taxel, polarity, until_ns) -> Events:
+        """What is reported of the events up to a time; later ones wait for the next call.
+
+        Parameters
+        ----------
+        time_ns, taxel, polarity
+            As in :func:`bursts`; none before the ``until_ns`` of the call before.
+        until_ns : float
+        """
+        every = [
+            np.concatenate([old, new])
+            for old, new in zip(self._waiting, (time_ns, taxel, polarity), strict=True)
+        ]
+        first, columns = _ticks(every[0], every[2], self._p)
+        due = first < np.ceil(until_ns / TICK_NS)
+        self._waiting = tuple(values[~due] for values in every)
+        events = in_turn(first[due], every[1][due], every[2][due], columns[due], self._free)
+        if len(events):
+            self._free = int(events.time_ns[-1]) // TICK_NS + int(events.columns[-1])
+        return events
+
+
 def _ticks(time_ns, polarity, p):
     """First tick and number of ticks at which a pulse sent at ``time_ns`` is high."""
     width = np.where(np.asarray(polarity) > 0, p.on_ns, p.off_ns)
@@ -101,15 +135,16 @@ def _ticks(time_ns, polarity, p):
     return first, np.ceil((time_ns + width) / TICK_NS).astype(np.int64) - first
 
 
-def in_turn(tick, taxel, polarity, columns) -> Events:
+def in_turn(tick, taxel, polarity, columns, free=0) -> Events:
     """Events in order of time; one that would start within another's burst waits for its end.
 
-    In the published arrays no two taxels report in the same tick.
+    In the published arrays no two taxels report in the same tick.  ``free`` is the first tick that
+    no earlier burst takes up.
     """
     order = np.lexsort((taxel, tick))
     tick, columns = np.asarray(tick)[order], np.asarray(columns)[order]
     before = np.cumsum(columns) - columns
-    tick = before + np.maximum.accumulate(tick - before)
+    tick = before + np.maximum(np.maximum.accumulate(tick - before), free)
     return Events(tick * TICK_NS, np.asarray(taxel)[order], np.asarray(polarity)[order], columns)
 
 

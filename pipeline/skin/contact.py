@@ -1,4 +1,8 @@
-"""From a moving pen to the signal of every taxel: contact, film, gain, vibration, noise."""
+"""From a moving pen to the signal of every taxel: contact, film, gain, vibration, noise.
+
+A whole recording goes through :func:`press` at once; where a pen is written with right now, the
+same equations take it piece by piece (:class:`Film`, :func:`pressure`, :func:`landings`).
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,9 @@ import numpy as np
 from scipy.signal import lfilter
 
 from pipeline.recordings.events import GRID, TaxelMap
+
+LANDED = 0.1
+"""Share of the greatest force at which the pen counts as on the skin."""
 
 
 def press(motion, gain, least, rng, p, size=(GRID, GRID)):
@@ -36,39 +43,109 @@ def press(motion, gain, least, rng, p, size=(GRID, GRID)):
     signal : ndarray of float32, shape (n_times, n)
     """
     step = motion.time_s[1] - motion.time_s[0]
-    places, (down, right) = TaxelMap.grid(*size), map(np.arange, size)
-    rows = np.exp(-0.5 * ((motion.down[:, None] - down) / p.spread) ** 2).astype(np.float32)
-    columns = np.exp(-0.5 * ((motion.right[:, None] - right) / p.spread) ** 2).astype(np.float32)
-    rows *= motion.force[:, None].astype(np.float32)
-    jolts, landings = _jolts(motion, rng, p, len(places))
+    places = TaxelMap.grid(*size)
+    rows, columns = _spread(motion.down, motion.right, motion.force, p, size)
+    lands = landings(motion.force, LANDED * motion.force.max())
+    jolts = strength(rng, p) * jolt(rng, len(lands), len(places))
     reach = (
         rows.max(axis=0)[places.x] * columns.max(axis=0)[places.y] + jolts.max(axis=0, initial=0.0)
     ) * gain
     taxels = np.flatnonzero(reach > least)
     signal = rows[:, places.x[taxels]] * columns[:, places.y[taxels]]
-    for row, jolt in zip(landings, jolts, strict=True):
-        decay = np.exp(-np.arange(len(signal) - row) * step / p.jolt_s)
-        signal[row:] += np.outer(decay, jolt[taxels])
-    signal *= gain[taxels].astype(np.float32)
     speed = np.hypot(np.gradient(motion.down, step), np.gradient(motion.right, step))
-    scrape = p.scrape * np.minimum(speed / p.scrape_speed, 1)
-    lag = np.float32(np.exp(-step / p.creep_s))
-    late = lfilter(np.array([1 - lag]), np.array([1, -lag], np.float32), signal, axis=0)
-    signal += np.float32(p.creep) * (late - signal)
-    # Two independent noises are one with the root of the sum of their squares.
-    restless = np.hypot(scrape[:, None].astype(np.float32) * signal, np.float32(p.noise))
-    signal += restless * rng.standard_normal(signal.shape, np.float32)
+    film = Film(gain[taxels], step, p)
+    film.advance(signal, zip(lands, jolts[:, taxels], strict=True), speed, rng)
     return taxels, signal
 
 
-def _jolts(motion, rng, p, n_taxels):
-    """What each taxel feels of the shaking whenever the pen comes down or lifts.
+class Film:
+    """What the film and the taxels under it carry from one moment to the next.
+
+    Parameters
+    ----------
+    gain : ndarray of float, shape (n_taxels,)
+    step_s : float
+    p : pipeline.skin.parameters.Skin
+    """
+
+    def __init__(self, gain, step_s, p):
+        self._gain, self._step_s, self._p = gain.astype(np.float32), step_s, p
+        self._late = np.zeros((1, len(gain)), np.float32)
+        self._jolts = []  # (rows since the landing, what each taxel feels of it)
+
+    def advance(self, signal, jolts, speed, rng):
+        """Turn the pressure of some steps into the taxels' signal, in place.
+
+        Parameters
+        ----------
+        signal : ndarray of float32, shape (n_times, n_taxels)
+            Pressure, see :func:`pressure`; becomes the signal.
+        jolts : iterable of (int, ndarray of float, shape (n_taxels,))
+            Row at which the pen comes down or lifts, and what each taxel feels of it.
+        speed : ndarray of float, shape (n_times,)
+            Of the tip, in taxels per second.
+        rng : numpy.random.Generator
+        """
+        p = self._p
+        shaking = [(0, age, felt) for age, felt in self._jolts]
+        shaking += [(row, 0, felt) for row, felt in jolts]
+        for row, age, felt in shaking:
+            decay = np.exp(-np.arange(age, age + len(signal) - row) * self._step_s / p.jolt_s)
+            signal[row:] += np.outer(decay, felt)
+        # After some twenty times its time a jolt is below the last bit of what it shook.
+        ages = [(age + len(signal) - row, felt) for row, age, felt in shaking]
+        self._jolts = [jolt for jolt in ages if jolt[0] * self._step_s < 20 * p.jolt_s]
+        signal *= self._gain
+        scrape = p.scrape * np.minimum(speed / p.scrape_speed, 1)
+        lag = np.float32(np.exp(-self._step_s / p.creep_s))
+        late, self._late = lfilter(
+            np.array([1 - lag]), np.array([1, -lag], np.float32), signal, axis=0, zi=self._late
+        )
+        signal += np.float32(p.creep) * (late - signal)
+        # Two independent noises are one with the root of the sum of their squares.
+        restless = np.hypot(scrape[:, None].astype(np.float32) * signal, np.float32(p.noise))
+        signal += restless * rng.standard_normal(signal.shape, np.float32)
+
+
+def pressure(down, right, force, p, size=(GRID, GRID)) -> np.ndarray:
+    """Force of the tip as it spreads over all taxels.
+
+    Parameters
+    ----------
+    down, right, force : ndarrays of float, shape (n_times,)
+        As in :class:`pipeline.skin.handwriting.Motion`.
+    p : pipeline.skin.parameters.Skin
+    size : (int, int)
+        Rows and columns of taxels.
 
     Returns
     -------
-    jolts : ndarray of float, shape (n_landings, n_taxels)
-    rows : ndarray of int, shape (n_landings,)
+    ndarray of float32, shape (n_times, n_taxels)
     """
-    rows = np.flatnonzero(np.diff((motion.force > 0.1 * motion.force.max()).astype(int))) + 1
-    strength = p.jolt * np.exp(p.jolt_spread * rng.standard_normal())
-    return strength * rng.standard_exponential((len(rows), n_taxels)), rows
+    rows, columns = _spread(down, right, force, p, size)
+    places = TaxelMap.grid(*size)
+    return rows[:, places.x] * columns[:, places.y]
+
+
+def _spread(down, right, force, p, size):
+    """The two factors of the pressure: over the rows, with the force, and over the columns."""
+    high, wide = map(np.arange, size)
+    rows = np.exp(-0.5 * ((down[:, None] - high) / p.spread) ** 2).astype(np.float32)
+    columns = np.exp(-0.5 * ((right[:, None] - wide) / p.spread) ** 2).astype(np.float32)
+    rows *= force[:, None].astype(np.float32)
+    return rows, columns
+
+
+def landings(force, least) -> np.ndarray:
+    """Rows, from 1, at which a force passes ``least`` on its way up or down."""
+    return np.flatnonzero(np.diff((force > least).astype(int))) + 1
+
+
+def strength(rng, p) -> float:
+    """How strongly the pen's coming down or lifting shakes the skin, in one recording."""
+    return p.jolt * np.exp(p.jolt_spread * rng.standard_normal())
+
+
+def jolt(rng, n, n_taxels) -> np.ndarray:
+    """What each taxel feels of ``n`` landings of unit strength, shape (n, n_taxels)."""
+    return rng.standard_exponential((n, n_taxels))

@@ -36,37 +36,72 @@ def fire(signal, on, off, step_s, refractory_s, poll_s):
         1 for ON, -1 for OFF.  In no particular order.
     """
     signal = np.asarray(signal)
-    n_times, n_channels = signal.shape
-    refractory_s = np.broadcast_to(refractory_s, n_channels)
-    poll_s = np.broadcast_to(poll_s, n_channels)
-    reference = signal[0].copy()
-    upper, lower = reference + on, reference - off
-    ready = np.zeros(n_channels)
-    times, channels, polarities = [], [], []
-    for row in range(1, n_times):
-        now = signal[row]
-        crossed = np.flatnonzero((now > upper) | (now < lower))
-        if len(crossed) == 0:
-            continue
-        end = row * step_s
-        crossed = crossed[ready[crossed] < end]
-        if len(crossed) == 0:
-            continue
-        value, before = now[crossed], signal[row - 1, crossed]
-        rises = value > upper[crossed]
-        limit = np.where(rises, upper[crossed], lower[crossed])
-        move = value - before
-        share = np.where(move != 0, (limit - before) / np.where(move != 0, move, 1), 0)
-        at = end - step_s + step_s * np.clip(share, 0, 1)
-        looks = np.ceil(np.maximum(at - ready[crossed], 0) / poll_s[crossed])
-        at = ready[crossed] + looks * poll_s[crossed]
-        times.append(at)
-        channels.append(crossed)
-        polarities.append(np.where(rises, 1, -1).astype(np.int8))
-        ready[crossed] = at + refractory_s[crossed]
-        reference[crossed] = value
-        upper[crossed] = value + on[crossed]
-        lower[crossed] = value - off[crossed]
-    if not times:
-        return np.empty(0), np.empty(0, int), np.empty(0, np.int8)
-    return np.concatenate(times), np.concatenate(channels), np.concatenate(polarities)
+    return Receptors(signal[0], on, off, step_s, refractory_s, poll_s).advance(signal[1:])
+
+
+class Receptors:
+    """What taxels remember from one moment to the next.
+
+    Parameters
+    ----------
+    adapted : ndarray of float, shape (n_channels,)
+        The signal that they are adapted to at the start.
+    on, off, step_s, refractory_s, poll_s
+        As in :func:`fire`.
+    """
+
+    def __init__(self, adapted, on, off, step_s, refractory_s, poll_s):
+        n_channels = len(adapted)
+        self._on, self._off, self._step_s = on, off, step_s
+        self._refractory_s = np.broadcast_to(refractory_s, n_channels)
+        self._poll_s = np.broadcast_to(poll_s, n_channels)
+        self._before = adapted
+        self._upper, self._lower = adapted + on, adapted - off
+        self._ready = np.zeros(n_channels)
+        self._row = 0
+
+    def advance(self, signal):
+        """Events of some more steps.
+
+        An event may stand up to ``poll_s`` after the last step: the taxel has yet to look.
+
+        Parameters
+        ----------
+        signal : ndarray of float, shape (n_times, n_channels)
+
+        Returns
+        -------
+        time_s, channel, polarity
+            As :func:`fire` returns them, the time counted from the start.
+        """
+        step_s, upper, lower, ready = self._step_s, self._upper, self._lower, self._ready
+        times, channels, polarities = [], [], []
+        last = self._before
+        for now in signal:
+            self._row += 1
+            earlier, last = last, now
+            crossed = np.flatnonzero((now > upper) | (now < lower))
+            if len(crossed) == 0:
+                continue
+            end = self._row * step_s
+            crossed = crossed[ready[crossed] < end]
+            if len(crossed) == 0:
+                continue
+            value, before = now[crossed], earlier[crossed]
+            rises = value > upper[crossed]
+            limit = np.where(rises, upper[crossed], lower[crossed])
+            move = value - before
+            share = np.where(move != 0, (limit - before) / np.where(move != 0, move, 1), 0)
+            at = end - step_s + step_s * np.clip(share, 0, 1)
+            looks = np.ceil(np.maximum(at - ready[crossed], 0) / self._poll_s[crossed])
+            at = ready[crossed] + looks * self._poll_s[crossed]
+            times.append(at)
+            channels.append(crossed)
+            polarities.append(np.where(rises, 1, -1).astype(np.int8))
+            ready[crossed] = at + self._refractory_s[crossed]
+            upper[crossed] = value + self._on[crossed]
+            lower[crossed] = value - self._off[crossed]
+        self._before = last.copy()
+        if not times:
+            return np.empty(0), np.empty(0, int), np.empty(0, np.int8)
+        return np.concatenate(times), np.concatenate(channels), np.concatenate(polarities)

@@ -61,17 +61,15 @@ def test_the_other_order_of_bytes():
 
 def test_other_kinds_of_variables_are_passed_over_or_none():
     content = saved(
-        text="abc", cell=np.array([1, "x"], dtype=object), struct={"a": 1.0},
+        text="abc", long="x" * 201, lines=np.array(["ab", "cd"]), other="ü",
+        cell=np.array([1, "x"], dtype=object), struct={"a": 1.0},
         sparse=scipy.sparse.eye(3).tocsc(), complex=np.array([1j]), number=5.0,
     )  # fmt: skip
     assert {name: array.tolist() for name, array in mat5.read(content).items()} == {
         "number": [[5.0]]
     }
-    assert mat5.read(content, ("text", "struct", "complex")) == {
-        "text": None,
-        "struct": None,
-        "complex": None,
-    }
+    names = ("long", "lines", "other", "struct", "complex")
+    assert mat5.read(content, (*names, "text")) == {**dict.fromkeys(names), "text": "abc"}
 
 
 @pytest.mark.parametrize("kind", [*range(20), 100, 2**16, 2**31])

@@ -3,11 +3,13 @@ import io
 import h5py
 import numpy as np
 import pytest
+import scipy.io
 
-from pipeline.recordings.events import TaxelMap, expand_bursts
+from pipeline.recordings.events import Events, TaxelMap, expand_bursts
 from pipeline.recordings.matfile import (
     BadRecording,
     MatRecording,
+    Written,
     events_of,
     lookup_table_bytes,
     read_lookup_table,
@@ -265,3 +267,38 @@ def test_round_trip_of_a_lookup_table():
     read = read_lookup_table(lookup_table_bytes(table))
     np.testing.assert_array_equal(read.x, table.x)
     np.testing.assert_array_equal(read.y, table.y)
+
+
+def written(**values):
+    few = Events([160, 3200], [3, 4], [1, -1], [4, 2])
+    pen = np.array([[0.2, 1.0, 2.0, 0.5, 1.0], [0.3, 2.0, 2.0, 0.5, 0.0]])
+    values = {"time": "2026-01-02T03:04:05+01:00", "handedness": "left", "seed": (0, 5), **values}
+    return MatRecording(few, True, 3, Written(pen=pen, **values))
+
+
+def test_round_trip_of_what_a_hand_has_written():
+    content = recording_bytes(written())
+    read = read_recording(content)
+    assert recording_bytes(read) == content
+    assert (read.written.time, read.written.handedness) == ("2026-01-02T03:04:05+01:00", "left")
+    assert read.written.seed == (0, 5)
+    np.testing.assert_array_equal(read.written.pen, written().written.pen)
+    assert read_recording(recording_bytes(written(handedness=""))).written.handedness == ""
+    theirs = scipy.io.loadmat(io.BytesIO(content))  # others read it too
+    assert theirs["source"].tolist() == ["written"]
+
+
+@pytest.mark.parametrize("source", ["simulated", "", 7.0, np.nan, "wrïtten", "x" * 5000])
+def test_another_source_is_not_written(source):
+    assert read_recording(mat5(spiketrain=spiketrain(), source=source)).written is None
+
+
+@pytest.mark.parametrize(
+    "values",
+    [{"time": 5.0}, {"seed": "five"}, {"seed": np.nan}, {"pen": np.zeros((3, 4))}, {"pen": "pen"}],
+)
+def test_what_else_a_written_recording_says_may_be_anything(values):
+    found = read_recording(mat5(spiketrain=spiketrain(), source="written", **values)).written
+    assert found.time == ""
+    assert found.seed == ()
+    assert found.pen.shape == (0, 5)

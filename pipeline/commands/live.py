@@ -1,0 +1,115 @@
+"""``stmnist live``: the skin in the browser."""
+
+from __future__ import annotations
+
+import threading
+import webbrowser
+from contextlib import closing
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deploy.check.bundle import read_bundle
+from deploy.errors import UserError
+from pipeline.commands import options
+from pipeline.recordings.events import GRID
+from pipeline.run import stages
+from pipeline.run.folder import RunFolder
+from pipeline.settings import Image, read_settings
+from pipeline.skin import parameters
+
+PORT = 8765
+RECORD = Path("written")
+
+
+def live(
+    run: Annotated[
+        Path, typer.Argument(help="The run's folder, or a bundle's copied from anywhere.")
+    ] = Path("runs/default"),
+    port: Annotated[
+        int, typer.Option(help="Of this machine; 0 for any that is free.", min=0, max=65535)
+    ] = PORT,
+    record: Annotated[
+        Path, typer.Option(help="Folder in which recordings are kept; works as DATA.")
+    ] = RECORD,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Only print the address.")
+    ] = False,
+    data: options.Data = None,
+    kind: options.Input = None,
+    seed: options.Seed = None,
+    settings: options.SettingsFile = None,
+    set_: options.Assignments = None,
+    jobs: options.Jobs = 2,
+):
+    """Write digits in the browser, watch the network decide, keep what was written.
+
+    Trains first if the run is not there.  Serves on 127.0.0.1 only, until Ctrl-C.
+    """
+    try:
+        from pipeline.live.keeping import Keeper
+        from pipeline.live.server import Live, Server, listen
+    except ImportError as error:
+        raise UserError(
+            f"the page needs {error.name}: pip install 'stmnist-loihi[live]', or make setup"
+        ) from error
+    # Said now, not when the network is trained: a folder or a port that is in use.
+    with closing(Keeper(record)) as keeper, closing(listen(port)) as listening:
+        bundle, image = _network(run, data, kind, seed, settings, set_, jobs)
+        shape, classes = bundle.spec.input_shape[:2], bundle.spec.layers[-1].size
+        if (*shape, classes) != (GRID, GRID, 10):
+            raise UserError(
+                f"{bundle.path}: made for {shape[0]}x{shape[1]} taxels and {classes} classes; the "
+                f"page's skin has {GRID}x{GRID} taxels, for the ten digits"
+            )
+        about = {
+            "folder": str(record),
+            "architecture": bundle.spec.architecture,
+            "bundle": bundle.id[:12],
+            "trained_on": bundle.spec.provenance.get("source", "recordings of unknown origin"),
+            "simulated": bool(bundle.spec.provenance.get("simulated", False)),
+        }
+
+        def make_decider():
+            from pipeline.live.deciding import decider_of  # Nengo: a second that the page can spare
+
+            return decider_of(bundle, image)
+
+        def opened(url):
+            print(f"live: {url}", flush=True)
+            if not no_browser:  # in a thread: some browsers return when they are closed
+                threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+
+        try:
+            Server(Live(make_decider, keeper, parameters.load(), about), listening, opened).run()
+        finally:
+            options.say(f"live: ended; {len(keeper)} recordings are kept in {record}")
+
+
+def _network(run, data, kind, seed, settings, set_, jobs):
+    """The bundle, made if it is not there, and how events become its images."""
+    if (run / "MANIFEST.json").exists():
+        bundle = read_bundle(run)
+        return bundle, _image(bundle, Image())
+    folder = RunFolder(run)
+    if folder.bundle.exists() and not any((data, kind, seed is not None, settings, set_)):
+        bundle = read_bundle(folder.bundle)
+        known = folder.experiment.exists()
+        return bundle, _image(bundle, read_settings(folder.experiment).image if known else Image())
+    if not folder.bundle.exists():
+        options.say(f"live: {run} has no network yet; training it first, about a minute")
+    with options.opened(run, data, seed, None, None, settings, set_, kind) as (folder, resolved):
+        _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
+    return bundle, resolved.image
+
+
+def _image(bundle, otherwise):
+    """What the bundle says of its images; bundles of before say nothing."""
+    said = bundle.spec.provenance.get("image")
+    try:
+        return otherwise if said is None else Image(**said)
+    except TypeError as error:
+        raise UserError(
+            f"{bundle.path}: its images are made in an unknown way ({error})"
+        ) from error

@@ -1,0 +1,97 @@
+// From pointers to points on the skin, in taxels: 0 is the centre of the first row or column.
+
+const BEYOND = 1.5; // taxels beyond the outer sensors at which a pen that slips off is held
+const BEAT_MS = 12;
+const APART_MS = 8; // of two messages while the pen moves
+// Moves as they come, where the browser has them, rather than with its next frame.
+const MOVE = "onpointerrawupdate" in globalThis ? "pointerrawupdate" : "pointermove";
+
+export class Pen {
+  // tell(points, now): [[ms, right, down, pressure, touches], ...]
+  constructor(canvas, tell) {
+    this.canvas = canvas;
+    this.tell = tell;
+    this.pointer = null;
+    this.settled = true;
+    this.told = -Infinity;
+    this.waiting = [];
+    canvas.addEventListener("pointerdown", (event) => this.down(event));
+    canvas.addEventListener(MOVE, (event) => this.move(event));
+    for (const end of ["pointerup", "pointercancel", "lostpointercapture"])
+      canvas.addEventListener(end, (event) => this.up(event));
+    // A finger that writes neither scrolls nor selects.
+    canvas.addEventListener("touchstart", (event) => event.preventDefault(), { passive: false });
+    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+  }
+
+  get writes() {
+    return this.pointer !== null;
+  }
+
+  down(event) {
+    if (this.pointer !== null || (event.pointerType === "mouse" && event.button !== 0)) return;
+    this.pointer = event.pointerId;
+    try {
+      this.canvas.setPointerCapture(event.pointerId);
+    } catch {
+      // the pointer has gone already
+    }
+    this.last = this.point(event, 1);
+    this.send([this.last]);
+    this.beat();
+  }
+
+  move(event) {
+    if (event.pointerId !== this.pointer) return;
+    const every = event.getCoalescedEvents?.() ?? [];
+    this.waiting.push(...(every.length ? every : [event]).map((one) => this.point(one, 1)));
+    this.last = this.waiting.at(-1);
+    if (performance.now() - this.told >= APART_MS) this.send([]);
+  }
+
+  up(event) {
+    if (event.pointerId !== this.pointer) return;
+    this.pointer = null;
+    const [, right, down, pressure] = this.last;
+    this.send([[this.time(event), right, down, pressure, 0]]);
+  }
+
+  time(event) {
+    const now = performance.now();
+    return event.timeStamp > now - 1000 && event.timeStamp <= now ? event.timeStamp : now;
+  }
+
+  point(event, touches) {
+    const box = this.canvas.getBoundingClientRect();
+    const place = (share) => Math.min(Math.max(10 * share - 0.5, -BEYOND), 9 + BEYOND);
+    // A finger's pressure is rarely measured: 0 or 1 says nothing.
+    const told = event.pressure > 0 && (event.pointerType === "pen" || event.pressure < 1);
+    return [
+      this.time(event),
+      place((event.clientX - box.left) / box.width),
+      place((event.clientY - box.top) / box.height),
+      told ? event.pressure : 0.5,
+      touches,
+    ];
+  }
+
+  send(points) {
+    points = [...this.waiting.splice(0), ...points];
+    this.settled = false;
+    this.told = performance.now();
+    this.tell(points, this.told);
+  }
+
+  // Time passes on the skin too while the pen rests, and for a moment after it is lifted.
+  beat() {
+    if (this.beating) return;
+    const next = () => {
+      this.beating = !this.settled || this.writes;
+      if (!this.beating) return;
+      if (this.waiting.length || performance.now() - this.told >= BEAT_MS) this.send([]);
+      requestAnimationFrame(next);
+    };
+    this.beating = true;
+    requestAnimationFrame(next);
+  }
+}

@@ -1,0 +1,92 @@
+"""A hand for the page: writes motions in a real Chromium at their own pace (Playwright)."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import time
+
+import numpy as np
+
+from deploy.errors import UserError
+from pipeline.skin.handwriting import Motion
+
+ARGUMENTS = (
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+RATE_HZ = 100
+TOUCH = 0.3
+"""Force from which the pen counts as on the skin, as a share of a motion's greatest."""
+
+
+@contextlib.contextmanager
+def chromium(executable=None):
+    """A Chromium without a window, as Playwright's ``Browser``.
+
+    Raises
+    ------
+    UserError
+        Chromium or Playwright is not here.
+    """
+    executable = executable or next(filter(None, map(shutil.which, BROWSERS)), None)
+    if executable is None:
+        raise UserError(
+            "no Chromium here; install one (on Debian and Ubuntu: apt install chromium)"
+        )
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError as error:
+        raise UserError(f"{error.name} is not here: pip install playwright") from error
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=executable, args=list(ARGUMENTS))
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+def opened(page, url, timeout_s=120):
+    """Open the page and wait until it says that it is ready."""
+    page.goto(url)
+    page.wait_for_selector("body[data-ready]", timeout=1000 * timeout_s)
+
+
+def write(page, motion: Motion):
+    """Write a motion on the page's skin, in as much time as it takes.
+
+    Parameters
+    ----------
+    page : playwright.sync_api.Page
+    motion : Motion
+        Parts where the force is small are in the air.
+    """
+    skin = page.locator("#skin")
+    skin.scroll_into_view_if_needed()
+    box = skin.bounding_box()
+    touches = motion.force > TOUCH * motion.force.max()
+    first, last = np.flatnonzero(touches)[[0, -1]]
+    begun, down = time.perf_counter(), False
+    for when in np.arange(motion.time_s[first], motion.time_s[last], 1 / RATE_HZ):
+        at = np.searchsorted(motion.time_s, when)
+        lag = time.perf_counter() - begun - (when - motion.time_s[first])
+        if lag > 1 / RATE_HZ and down == touches[at]:
+            continue  # a busy machine gets fewer points, not a slower hand
+        share = (np.array([motion.right[at], motion.down[at]]) + 0.5) / 10
+        x, y = np.clip(share, 0.002, 0.998) * (box["width"], box["height"])
+        if lag < 0:
+            time.sleep(-lag)
+        if down and not touches[at]:
+            page.mouse.up()
+        page.mouse.move(box["x"] + x, box["y"] + y)
+        if touches[at] and not down:
+            page.mouse.down()
+        down = bool(touches[at])
+    if down:
+        page.mouse.up()

@@ -1,0 +1,315 @@
+"""The page and its messages, on this machine only.
+
+Every address starts with a token that is drawn anew each time, so that neither another user of the
+machine nor a page from elsewhere can write here; names that point to this machine but are not its
+own (DNS rebinding) and pages of another origin are turned away before anything else is looked at.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import concurrent.futures
+import contextlib
+import itertools
+import json
+import secrets
+import socket
+import threading
+import time
+from pathlib import Path
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from deploy.errors import UserError
+from pipeline.live.keeping import Keeper
+from pipeline.live.session import EACH, LONGEST_S, PAUSE_S, BadMessage, Session, problem
+
+HOST = "127.0.0.1"
+LARGEST = 64 * 1024
+"""Bytes of a message."""
+
+APART_S = 0.012
+"""From one answer to the next, at least: more than a screen shows would only take time away."""
+
+PAGES = 8
+"""Pages that may be open at a time."""
+
+PAGE = Path(__file__).with_name("page")
+_KINDS = {
+    ".html": "text/html; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".svg": "image/svg+xml",
+}
+_POLICY = "; ".join(
+    [
+        "default-src 'none'",
+        "script-src 'self'",
+        "style-src 'self'",
+        "img-src 'self'",
+        "connect-src 'self' {sockets}",
+        "base-uri 'none'",
+        "form-action 'none'",
+        "frame-ancestors 'none'",
+    ]
+)
+
+
+class Guard:
+    """Turns away whoever does not come from a page of this server; then adds what browsers heed.
+
+    Parameters
+    ----------
+    app : ASGI application
+    port : int
+    """
+
+    def __init__(self, app, port):
+        self._app = app
+        hosts = [f"{name}:{port}" for name in (HOST, "localhost")]
+        if port == 80:
+            hosts += [HOST, "localhost"]
+        self._hosts = {host.encode() for host in hosts}
+        self._origins = {b"http://" + host for host in self._hosts}
+        policy = _POLICY.format(sockets=" ".join(f"ws://{host}" for host in hosts))
+        self._headers = [
+            (b"content-security-policy", policy.encode()),
+            (b"x-content-type-options", b"nosniff"),
+            (b"referrer-policy", b"no-referrer"),
+            (b"cross-origin-opener-policy", b"same-origin"),
+            (b"cross-origin-resource-policy", b"same-origin"),
+            (b"cache-control", b"no-store"),
+        ]
+
+    async def __call__(self, scope, receive, send):
+        """See the ASGI specification."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        hosts = [value for name, value in scope["headers"] if name == b"host"]
+        origins = [value for name, value in scope["headers"] if name == b"origin"]
+        if len(hosts) != 1 or hosts[0].lower() not in self._hosts:
+            await _turn_away(scope, receive, send, "this server answers to its own address only")
+        elif not all(origin.lower() in self._origins for origin in origins):
+            await _turn_away(scope, receive, send, "this server answers to its own pages only")
+        else:
+            await self._app(scope, receive, self._with_headers(send))
+
+    def _with_headers(self, send):
+        async def forward(message):
+            if message["type"] == "http.response.start":
+                message["headers"] = [*message.get("headers", []), *self._headers]
+            await send(message)
+
+        return forward
+
+
+async def _turn_away(scope, receive, send, why):
+    if scope["type"] == "http":
+        await PlainTextResponse(f"refused: {why}\n", 403)(scope, receive, send)
+    else:
+        await send({"type": "websocket.close", "code": 1008, "reason": why})
+
+
+class Live:
+    """What all pages share: the network, the folder, one thread for the network's answers.
+
+    Parameters
+    ----------
+    make_decider : callable
+        Gives the :class:`~pipeline.live.deciding.Decider`; may take long.
+    keeper : Keeper
+    p : pipeline.skin.parameters.Parameters
+    about : dict
+        Plain values for the page: ``bundle``, ``accuracy`` and the like.
+    seed : int
+    """
+
+    def __init__(self, make_decider, keeper: Keeper, p, about: dict, seed: int = 0):
+        self._make_decider = make_decider
+        self._keeper, self._p, self._about, self._seed = keeper, p, about, seed
+        self._pages, self._numbers = 0, itertools.count(1)
+        self._thread = concurrent.futures.ThreadPoolExecutor(1, "network")
+        self._decider = None
+        self.token = secrets.token_urlsafe(18)
+
+    @contextlib.asynccontextmanager
+    async def lifespan(self, app):
+        """Make the network ready while the page is already there."""
+        work = asyncio.get_running_loop().run_in_executor(self._thread, self._make_decider)
+        self._decider = asyncio.ensure_future(work)
+        try:
+            yield
+        finally:
+            self._thread.shutdown(wait=False, cancel_futures=True)
+
+    def app(self, port: int):
+        """The ASGI application, for a port that is known by now."""
+        routes = [
+            Route("/{token}/", self._page),
+            Route("/{token}/{name}", self._page),
+            WebSocketRoute("/{token}/pen", self._socket),
+        ]
+        handlers = {404: lambda request, error: _missing()}
+        app = Starlette(routes=routes, lifespan=self.lifespan, exception_handlers=handlers)
+        app.router.redirect_slashes = False
+        return Guard(app, port)
+
+    def _knows(self, connection):
+        token = connection.path_params["token"]
+        return secrets.compare_digest(token.encode(), self.token.encode())
+
+    async def _page(self, request: Request):
+        if not self._knows(request):
+            return _missing()
+        name = request.path_params.get("name", "index.html")
+        file = PAGE / name
+        if file.suffix not in _KINDS or file.name != name or not file.is_file():
+            return _missing()
+        return Response(file.read_bytes(), media_type=_KINDS[file.suffix])
+
+    async def _socket(self, socket: WebSocket):
+        if not self._knows(socket):
+            await socket.close(1008, "the token in the address is missing or wrong")
+            return
+        await socket.accept()
+        if self._pages >= PAGES:
+            await _say(socket, [problem(f"{PAGES} pages are open already; close one of them")])
+            await socket.close(1013, "too many pages")
+            return
+        self._pages += 1
+        try:
+            await self._talk(socket)
+        except (WebSocketDisconnect, RuntimeError):  # Starlette's word for a socket that is closed
+            pass
+        finally:
+            self._pages -= 1
+
+    async def _talk(self, socket):
+        session = Session(next(self._numbers), self._keeper, self._p, self._seed)
+        await _say(socket, [{"type": "hello", **self._about, **_LIMITS}, session.state()])
+        answering = asyncio.create_task(self._answer(socket, session, wake := asyncio.Event()))
+        try:
+            while True:
+                message = await socket.receive()
+                if message["type"] == "websocket.disconnect":
+                    return
+                if message.get("text") is None:
+                    raise BadMessage("not text")
+                replies = session.handle(message["text"], time.monotonic())
+                await _say(socket, replies)
+                if any(r["type"] == "events" and (r["ns"] or session.clocked) for r in replies):
+                    wake.set()
+        except BadMessage as error:
+            await _say(socket, [problem(f"a message was refused: {error}")])
+            await socket.close(1008, "a message was refused")
+        finally:
+            answering.cancel()
+
+    async def _answer(self, socket, session, wake):
+        """One answer at a time, always to the latest events."""
+        loop = asyncio.get_running_loop()
+        try:
+            decider = await asyncio.shield(self._decider)
+        except Exception as error:  # said on the page, whatever it was
+            await _say(socket, [problem(f"the network cannot be made ready: {error}")])
+            return
+        session.begin(decider)
+        layers = [{"name": layer.name, "neurons": layer.neurons} for layer in decider.layers]
+        ready = {
+            "type": "ready",
+            "about": decider.about,
+            "layers": layers,
+            "steps": decider.steps,
+            "first_step": decider.first_step,
+        }
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+            await _say(socket, [ready])
+            while True:
+                await wake.wait()
+                wake.clear()
+                ask = session.ask()
+                if ask is not None:
+                    answer = await loop.run_in_executor(self._thread, ask)
+                    await _say(socket, [answer] if answer is not None else [])
+                    await asyncio.sleep(APART_S)
+
+
+_LIMITS = {"longest_s": LONGEST_S, "pause_s": PAUSE_S, "most_each": EACH}
+
+
+async def _say(socket, messages):
+    for message in messages:
+        await socket.send_text(json.dumps(message))
+
+
+def _missing():
+    text = "not here: open the address that 'stmnist live' printed, with its token\n"
+    return PlainTextResponse(text, 404)
+
+
+def listen(port: int) -> socket.socket:
+    """A socket on this machine's own address.
+
+    Parameters
+    ----------
+    port : int
+        0 for one that is free.
+
+    Raises
+    ------
+    UserError
+        The port is in use, or may not be used.
+    """
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((HOST, port))
+        listening.listen(128)
+    except OSError as error:
+        listening.close()
+        raise UserError(
+            f"port {port}: {error.strerror}; another 'stmnist live' may be running: "
+            "choose another port with --port, or --port 0 for any that is free"
+        ) from error
+    return listening
+
+
+class Server(uvicorn.Server):
+    """Uvicorn's, that says when it listens and that another thread can end."""
+
+    def __init__(self, live: Live, listening: socket.socket, when_listening=None):
+        self._listening, self._when_listening = listening, when_listening
+        port = listening.getsockname()[1]
+        self.url = f"http://{HOST}:{port}/{live.token}/"
+        self.listens = threading.Event()
+        super().__init__(
+            uvicorn.Config(
+                live.app(port),
+                log_level="error",
+                access_log=False,
+                ws="websockets-sansio",
+                ws_max_size=LARGEST,
+                ws_per_message_deflate=False,  # to oneself, and every millisecond counts
+                server_header=False,
+                timeout_graceful_shutdown=1,
+                limit_concurrency=64,
+            )
+        )
+
+    async def startup(self, sockets=None):
+        """See uvicorn."""
+        await super().startup(sockets)
+        if self.started:
+            self.listens.set()
+            if self._when_listening is not None:
+                self._when_listening(self.url)
+
+    def run(self):
+        """Serve until Ctrl-C, which raises `KeyboardInterrupt`, or until ``should_exit``."""
+        super().run(sockets=[self._listening])

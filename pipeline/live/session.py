@@ -1,0 +1,434 @@
+"""One page's side of the conversation: strokes in, events and decisions out, recordings kept.
+
+Nothing here knows of sockets or clocks: a message is a dict, the time is told.  What a page sends:
+
+``pen``      ``now`` and ``points`` [[t, right, down, pressure, touches], ...], times in
+             milliseconds of the page's own clock, places in taxels
+``clear``    forget what is being written
+``label``    ``digit``: what was written; keeps the recording
+``undo``     remove the writer's last recording
+``writer``   ``number`` (or null for a new one), ``handedness``, ``each`` (0: no session): who
+             writes, and how many of each digit are wanted
+
+and what it gets back: ``events``, ``cleared``, ``saved``, ``undone``, ``writer`` and ``problem``.
+Whatever else comes raises :class:`BadMessage`.
+"""
+
+from __future__ import annotations
+
+import base64
+import datetime
+import json
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from deploy.errors import UserError
+from pipeline.live.deciding import Answer, Decider
+from pipeline.live.keeping import WRITERS, Keeper, asked_next
+from pipeline.recordings.events import Events
+from pipeline.recordings.matfile import MatRecording, Written
+from pipeline.skin.parameters import Parameters
+from pipeline.skin.writing import MARGIN, START_S, Point, Writing
+
+LONGEST_S = 10.0
+"""A recording takes no longer.  The published ones last 2 s; not everybody writes as fast, and a
+network on events hears the first 2 s only."""
+
+PAUSE_S = 1.5
+"""A pen that comes down after so long begins another recording."""
+
+REST_S = 0.05
+"""A pen of which nothing has come for so long rests where it was."""
+
+POINTS = 512
+"""Points that a message may hold."""
+
+EACH = 1000
+"""Recordings of each digit that a session may ask for."""
+
+
+class BadMessage(ValueError):
+    """Nothing that a page of ours would send; the message says why."""
+
+
+@dataclass
+class Allowance:
+    """So many a second, and at once no more than a second's worth.
+
+    Attributes
+    ----------
+    per_second : float
+    left : float
+    at_s : float
+        When ``left`` was right.
+    """
+
+    per_second: float
+    left: float = field(init=False)
+    at_s: float = -math.inf
+
+    def __post_init__(self):
+        self.left = self.per_second
+
+    def take(self, n: int, now_s: float) -> bool:
+        """Whether ``n`` more are allowed; if so they count."""
+        if now_s > self.at_s:
+            since = min(now_s - self.at_s, 1.0)
+            self.left = min(self.left + since * self.per_second, self.per_second)
+            self.at_s = now_s
+        if n > self.left:
+            return False
+        self.left -= n
+        return True
+
+
+class Recording:
+    """What is being written."""
+
+    def __init__(self, number, seed, begun_ms, deciding, p: Parameters):
+        self.number, self.seed, self.deciding = number, seed, deciding
+        self.writing = Writing(seed, p)
+        self.pen = []
+        self.down = False
+        self.spoiled = False  # points of it were lost
+        self.kept = False
+        self.decision, self.since_s, self.sure_s = None, None, None
+        self._begun_ms = begun_ms
+
+    def time_s(self, page_ms):
+        """From the page's clock to the recording's."""
+        return START_S + (page_ms - self._begun_ms) / 1e3
+
+    def page_ms(self, time_s):
+        """From the recording's clock to the page's."""
+        return self._begun_ms + (time_s - START_S) * 1e3
+
+    @property
+    def over(self):
+        """Whether its time is up."""
+        return self.writing.time_s >= LONGEST_S - 2e-3
+
+    @property
+    def settled(self):
+        """Whether nothing can happen before the pen comes back."""
+        return self.over or self.writing.time_s >= self.writing.settled_s - 2e-3
+
+    def point(self, page_ms, right, down, pressure, touches):
+        """The pen was somewhere."""
+        if not self.over and (touches or self.down):
+            point = Point(self.time_s(page_ms), down, right, pressure, touches)
+            self.writing.point(point)
+            self.pen.append((*point[:4], float(touches)))
+        self.down = touches
+
+    def lift(self):
+        """The pen is off the skin from now on, whatever the page has said of it."""
+        if self.down:
+            _, down, right, pressure, _ = self.pen[-1]
+            self.point(self.page_ms(self.writing.time_s), right, down, pressure, False)
+
+    def advance(self, page_ms) -> Events:
+        """Let time pass: to now, or as far as the pen is known while it may still be moving."""
+        until = min(self.time_s(page_ms), LONGEST_S)
+        if self.down:
+            until = min(until, max(self.pen[-1][0], until - REST_S))
+        else:
+            until = min(until, self.writing.settled_s)
+        return self.writing.advance(until)
+
+    def finish(self) -> Events:
+        """Let the skin come to rest."""
+        return self.writing.advance(min(self.writing.settled_s, LONGEST_S))
+
+
+class Session:
+    """A page, from its opening to its closing.
+
+    Parameters
+    ----------
+    number : int
+        No two sessions of a server have the same one.
+    keeper : Keeper
+    p : pipeline.skin.parameters.Parameters
+    seed : int
+        With the number, of the skin's noise and of the order of the digits.
+    now : callable, optional
+        The time of day as a `datetime.datetime` with its zone.
+    """
+
+    def __init__(self, number, keeper: Keeper, p, seed=0, now=None):
+        self._number, self._keeper, self._p, self._seed = number, keeper, p, seed
+        self._now = now or (lambda: datetime.datetime.now().astimezone())
+        self._decider = None
+        self._recordings = 0
+        self._each, self._handedness = 0, ""
+        self.writer = 1
+        self.recording = None
+        self._messages, self._points, self._strokes = (Allowance(n) for n in (400, 6000, 25))
+        self._complained_s = -math.inf
+
+    def begin(self, decider: Decider):
+        """The network is ready."""
+        self._decider = decider
+
+    @property
+    def clocked(self) -> bool:
+        """Whether the network may answer otherwise though nothing has happened."""
+        return self._decider is not None and self._decider.clocked
+
+    def state(self) -> dict:
+        """Who writes, what is kept, what is asked for: the message ``writer``."""
+        counts = self._keeper.counts(self.writer)
+        done = sum(min(n, self._each) for n in counts)
+        asked = asked_next(counts, self._each, [self._seed, 1, self.writer])
+        return {
+            "type": "writer",
+            "number": self.writer,
+            "known": self._keeper.writers,
+            "handedness": self._handedness,
+            "each": self._each,
+            "done": done,
+            "asked": asked if self._each else None,
+            "saved": len(self._keeper),
+        }
+
+    def handle(self, text: str, now_s: float) -> list:
+        """Answer to a message.
+
+        Parameters
+        ----------
+        text : str
+            As it came.
+        now_s : float
+            On a clock that never goes back.
+
+        Returns
+        -------
+        list of dict
+            Messages for the page.
+
+        Raises
+        ------
+        BadMessage
+        """
+        if not self._messages.take(1, now_s):
+            return self._too_fast(now_s)
+        try:
+            message = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise BadMessage(f"not JSON: {error}") from error
+        if not isinstance(message, dict):
+            raise BadMessage("not a JSON object")
+        kind = message.get("type")
+        handler = _HANDLERS.get(kind) if isinstance(kind, str) else None
+        if handler is None:
+            raise BadMessage("of no known type")
+        try:
+            return handler(self, message, now_s)
+        except OverflowError as error:
+            raise BadMessage("a number is out of range") from error
+        except UserError as error:
+            return [problem(str(error))]
+
+    def ask(self):
+        """What the network is to answer next: a function for another thread, or None.
+
+        The function gives the message ``answer``, or None if there is nothing to say.
+        """
+        recording = self.recording
+        if self._decider is None or recording is None:
+            return None
+        events, time_s = recording.writing.events, recording.writing.time_s
+        known_s = math.inf if recording.settled else time_s  # silence from here on is certain
+
+        def answer():
+            said = recording.deciding.answer(events, known_s)
+            return None if said is None else _answer(recording, events, time_s, said)
+
+        return answer
+
+    def _pen(self, message, now_s):
+        now_ms, points = _number(message, "now"), message.get("points")
+        if not isinstance(points, list) or len(points) > POINTS:
+            raise BadMessage(f"points: not a list of at most {POINTS}")
+        points = [_point(point) for point in points]
+        if any(point[0] > now_ms + 1000 for point in points):
+            raise BadMessage("points: later than now")
+        if self._decider is None:
+            return []  # the page says that it is not ready yet
+        down = self.recording is not None and self.recording.down
+        lands = 0
+        for *_, touches in points:
+            lands += touches and not down
+            down = touches
+        if not (self._points.take(len(points), now_s) and self._strokes.take(lands, now_s)):
+            return self._too_fast(now_s)
+        replies = []
+        for point in points:
+            if point[4] and self._is_new(point[0]):
+                self._begin(point[0])
+                replies.append({"type": "cleared", "recording": self.recording.number})
+            if self.recording is not None and not self.recording.kept:
+                self.recording.point(*point)
+        if self.recording is not None and not self.recording.kept:
+            replies.append(self._events(self.recording.advance(now_ms)))
+        return replies
+
+    def _is_new(self, page_ms):
+        recording = self.recording
+        if recording is None or recording.kept:
+            return True
+        if recording.down:
+            return False
+        return recording.over or recording.time_s(page_ms) > recording.pen[-1][0] + PAUSE_S
+
+    def _begin(self, page_ms):
+        self._recordings += 1
+        seed = (self._seed, 2, self._number, self._recordings)
+        deciding = self._decider.begin()
+        self.recording = Recording(self._recordings, seed, page_ms, deciding, self._p)
+
+    def _events(self, events):
+        recording = self.recording
+        return {
+            "type": "events",
+            "recording": recording.number,
+            "time_s": recording.writing.time_s,
+            "ns": events.time_ns.tolist(),
+            "taxel": events.taxel.tolist(),
+            "polarity": events.polarity.tolist(),
+            "settled": recording.settled,
+            "over": recording.over,
+        }
+
+    def _clear(self, message, now_s):
+        self.recording = None
+        return [{"type": "cleared", "recording": None}]
+
+    def _label(self, message, now_s):
+        digit = _whole(message, "digit", 0, 9)
+        recording = self.recording
+        if recording is None or recording.kept:
+            return [problem("nothing is written; write a digit first, then say what it was")]
+        recording.lift()
+        replies = [self._events(recording.finish())]
+        events = recording.writing.events
+        if len(events) == 0:
+            return [*replies, problem("no taxel has felt anything; write with more pressure")]
+        if recording.spoiled:
+            return [*replies, problem(
+                "not kept: strokes came faster than a hand can write and were left out; write again"
+            )]  # fmt: skip
+        written = Written(
+            time=self._now().isoformat(timespec="seconds"),
+            handedness=self._handedness,
+            seed=recording.seed,
+            pen=np.array(recording.pen),
+        )
+        kept = self._keeper.save(digit, MatRecording(events, True, self.writer, written))
+        recording.kept = True
+        saved = {
+            "type": "saved",
+            "digit": digit,
+            "recording": recording.number,
+            "name": kept.name,
+            "events": len(events),
+        }
+        return [*replies, saved, self.state()]
+
+    def _undo(self, message, now_s):
+        removed = self._keeper.undo(self.writer)
+        if removed is None:
+            return [problem(f"writer {self.writer} has no recording to remove")]
+        return [{"type": "undone", "digit": removed.digit, "name": removed.name}, self.state()]
+
+    def _who(self, message, now_s):
+        number = message.get("number")
+        if number is None:
+            number = max([self.writer, *self._keeper.writers]) + 1
+        elif type(number) is not int or not 1 <= number < WRITERS:
+            raise BadMessage(f"number: not from 1 to {WRITERS - 1}")
+        handedness = message.get("handedness", "")
+        if handedness not in ("", "left", "right"):
+            raise BadMessage("handedness: neither left nor right nor empty")
+        each = _whole(message, "each", 0, EACH)
+        self.writer, self._handedness, self._each = min(number, WRITERS - 1), handedness, each
+        return [self.state()]
+
+    def _too_fast(self, now_s):
+        if self.recording is not None and not self.recording.kept:
+            self.recording.spoiled = True
+            self.recording.lift()
+        if now_s < self._complained_s + 1:
+            return []
+        self._complained_s = now_s
+        return [problem("strokes come faster than a hand can write; some were left out")]
+
+
+_HANDLERS = {
+    "pen": Session._pen,
+    "clear": Session._clear,
+    "label": Session._label,
+    "undo": Session._undo,
+    "writer": Session._who,
+}
+
+
+def problem(text: str) -> dict:
+    """The message that says what is wrong."""
+    return {"type": "problem", "text": text}
+
+
+def _answer(recording, events, time_s, said: Answer):
+    if said.decision != recording.decision:
+        recording.decision, recording.since_s = said.decision, time_s
+    if said.sure and recording.sure_s is None:
+        recording.sure_s = time_s
+    return {
+        "type": "answer",
+        "recording": recording.number,
+        "last_ms": recording.page_ms(events.time_ns[-1] * 1e-9) if len(events) else None,
+        "events": len(events),
+        "decision": said.decision,
+        "since_s": recording.since_s - START_S,
+        "sure_s": None if recording.sure_s is None else recording.sure_s - START_S,
+        "scores": [float(score) for score in said.scores],
+        "confidence": [float(share) for share in said.confidence],
+        "spikes": {
+            name: base64.b64encode(rows.tobytes()).decode() for name, rows in said.spikes.items()
+        },
+    }
+
+
+def _number(message, name):
+    value = message.get(name)
+    if type(value) not in (int, float) or not math.isfinite(value) or abs(value) > 1e12:
+        raise BadMessage(f"{name}: not a number")
+    return value
+
+
+def _whole(message, name, least, most):
+    value = message.get(name)
+    if type(value) is not int or not least <= value <= most:
+        raise BadMessage(f"{name}: not a whole number from {least} to {most}")
+    return value
+
+
+def _point(values):
+    if not isinstance(values, list) or len(values) != 5:
+        raise BadMessage("points: not five values each")
+    *numbers, touches = values
+    if not all(type(v) in (int, float) and math.isfinite(v) for v in numbers):
+        raise BadMessage("points: a value is not a number")
+    time_ms, right, down, pressure = numbers
+    if abs(time_ms) > 1e12:
+        raise BadMessage("points: a time is out of range")
+    if not all(-MARGIN <= place <= 9 + MARGIN for place in (right, down)):
+        raise BadMessage("points: a place is outside the skin")
+    if not 0 <= pressure <= 1:
+        raise BadMessage("points: a pressure is not from 0 to 1")
+    if touches not in (0, 1):
+        raise BadMessage("points: touches is neither 0 nor 1")
+    return time_ms, right, down, pressure, bool(touches)

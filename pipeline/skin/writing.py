@@ -1,0 +1,196 @@
+"""One recording while it is being written by a real hand: the same skin, piece by piece.
+
+A simulated hand's whole motion is known before the skin feels any of it.  Here points of the pen
+come when they come: between two of them the tip goes straight, after the last one it rests, and it
+lands and lifts as softly as a simulated hand's does (:func:`pipeline.skin.handwriting.on_skin`).
+Contact, film, receptors and read-out are those of the simulation (:mod:`pipeline.skin.contact`,
+:mod:`~pipeline.skin.receptors`, :mod:`~pipeline.skin.aces`); nothing here knows them better.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pipeline.recordings.events import GRID, N_TAXELS, Events
+from pipeline.skin import aces, contact
+from pipeline.skin.handwriting import on_skin
+from pipeline.skin.receptors import Receptors
+from pipeline.skin.simulate import ARRAY_SEED, STEP_S, array_gain
+
+START_S = 0.2
+"""Time at which the pen first touches the skin; 0.197 s in the one real recording at hand."""
+
+USUAL_PRESSURE = 0.5
+"""What a pointer without a sensor of pressure reports (W3C, Pointer Events, ``pressure``)."""
+
+WEAKEST, STRONGEST = 0.3, 2.0
+"""Bounds of a pen's force, as multiples of the usual one."""
+
+MARGIN = 2.0
+"""Taxels beyond the first and the last ones' centres within which a pen may be."""
+
+
+class Point(NamedTuple):
+    """Where the pen was.
+
+    Attributes
+    ----------
+    time_s : float
+        From the start of the recording.
+    down, right : float
+        Of the tip in taxels; 0 is the centre of the first row or column.
+    pressure : float
+        From 0 to 1, :data:`USUAL_PRESSURE` where nothing measures it.
+    touches : bool
+        Whether the pen is on the skin from this point on.
+    """
+
+    time_s: float
+    down: float
+    right: float
+    pressure: float
+    touches: bool
+
+
+class Writing:
+    """A recording that grows.
+
+    Parameters
+    ----------
+    seed : sequence of int
+        Of what differs from one recording to the next: gains, thresholds, clocks, noise.
+    p : pipeline.skin.parameters.Parameters
+    """
+
+    def __init__(self, seed, p):
+        rng = np.random.default_rng(seed)
+        gain = array_gain(np.random.default_rng(ARRAY_SEED), p.skin)
+        gain = gain * np.exp(p.skin.gain_drift * rng.standard_normal(N_TAXELS))
+        off = np.mean([form.off for form in p.forms])
+        off = p.receptor.threshold * np.exp(off + p.receptor.off_spread * rng.standard_normal())
+        clock = np.exp(p.receptor.clock * np.abs(rng.standard_normal(N_TAXELS)))
+        self._p, self._rng = p, rng
+        self._usual = np.exp(np.mean([form.force for form in p.forms]))
+        self._rough = np.exp(p.trials.scrape * rng.standard_normal())
+        self._strength = contact.strength(rng, p.skin)
+        self._film = contact.Film(gain, STEP_S, p.skin)
+        self._receptors = Receptors(
+            np.zeros(N_TAXELS, np.float32),
+            on=np.full(N_TAXELS, p.receptor.threshold, np.float32),
+            off=np.full(N_TAXELS, off, np.float32),
+            step_s=STEP_S,
+            refractory_s=p.receptor.refractory_s * clock,
+            poll_s=p.receptor.poll_s * clock,
+        )
+        self._decoder = aces.Decoder(p.aces)
+        self._row = 0  # rows that the receptors have seen, the untouched one at the start left out
+        self._points = []
+        self._contacts = []  # [landed, lifted or infinity]
+        self._last = None  # (down, right, force) of the last row
+        self._parts = []
+
+    @property
+    def time_s(self) -> float:
+        """How far the recording has come."""
+        return START_S + self._row * STEP_S
+
+    @property
+    def settled_s(self) -> float:
+        """Time at which the skin has come to rest, if the pen does not come back; else infinity."""
+        if not self._contacts:
+            return START_S
+        return self._contacts[-1][1] + self._p.kinematics.settle_s
+
+    @property
+    def events(self) -> Events:
+        """Everything so far."""
+        names = ("time_ns", "taxel", "polarity", "columns")
+        if len(self._parts) > 1:
+            joined = (np.concatenate([getattr(p, name) for p in self._parts]) for name in names)
+            self._parts = [Events(*joined)]
+        return self._parts[0] if self._parts else Events(*(np.empty(0),) * 4)
+
+    def point(self, point: Point):
+        """The pen was somewhere.
+
+        What has been simulated stays: a point from before :attr:`time_s` counts as from then.
+
+        Raises
+        ------
+        ValueError
+            A value is not a finite number, or the point is nowhere near the skin.
+        """
+        if not np.isfinite(point[:4]).all():
+            raise ValueError("a point of the pen is not four finite numbers")
+        inside = [-MARGIN <= place <= GRID - 1 + MARGIN for place in (point.down, point.right)]
+        if not all(inside):
+            raise ValueError("a point of the pen is outside the skin")
+        before = self._points[-1] if self._points else None
+        earliest = self.time_s if before is None else max(self.time_s, before.time_s)
+        point = point._replace(
+            time_s=max(point.time_s, earliest), pressure=min(max(point.pressure, 0.0), 1.0)
+        )
+        touched = before is not None and before.touches
+        if point.touches and not touched:
+            if before is not None:  # the pen was carried here through the air
+                self._points.append(point._replace(touches=False))
+            self._contacts.append([point.time_s, np.inf])
+        elif touched and not point.touches:
+            self._contacts[-1][1] = point.time_s
+        self._points.append(point)
+
+    def advance(self, until_s: float) -> Events:
+        """Let time pass and return the events of it.
+
+        Parameters
+        ----------
+        until_s : float
+            From the start of the recording; before :attr:`time_s` nothing happens.
+        """
+        n = int((until_s - self.time_s) / STEP_S)
+        if n <= 0 or not self._points:
+            return Events(*(np.empty(0),) * 4)
+        skin = self._p.skin
+        time = START_S + STEP_S * np.arange(self._row + 1, self._row + n + 1)
+        down, right, force = self._tip(time)
+        if self._last is None:
+            self._last = down[0], right[0], 0.0
+        # Each row's speed is that since the row before; the next one has not come yet.
+        speed = np.hypot(
+            np.diff(down, prepend=self._last[0]), np.diff(right, prepend=self._last[1])
+        )
+        felt = np.concatenate([[self._last[2]], force])
+        lands = contact.landings(felt, contact.LANDED * self._usual) - 1
+        jolts = self._strength * contact.jolt(self._rng, len(lands), N_TAXELS)
+        signal = contact.pressure(down, right, force, skin)
+        sliding = self._rough * speed / STEP_S
+        self._film.advance(signal, zip(lands, jolts, strict=True), sliding, self._rng)
+        seconds, taxel, polarity = self._receptors.advance(signal)
+        self._row += n
+        self._last = down[-1], right[-1], force[-1]
+        self._forget()
+        events = self._decoder.advance(
+            1e9 * (START_S + seconds), taxel, polarity, 1e9 * self.time_s
+        )
+        if len(events):
+            self._parts.append(events)
+        return events
+
+    def _tip(self, time):
+        """Position and force of the tip at some times, each shape (n,)."""
+        knots = np.array([(p.time_s, p.down, p.right, p.pressure) for p in self._points])
+        down, right, pressure = (np.interp(time, knots[:, 0], knots[:, i]) for i in (1, 2, 3))
+        kinematics = self._p.kinematics
+        lands, lifts = np.array(self._contacts).T + kinematics.landing_s
+        force = self._usual * np.clip(pressure / USUAL_PRESSURE, WEAKEST, STRONGEST)
+        return down, right, force * on_skin(time, lands, lifts, kinematics)
+
+    def _forget(self):
+        """Leave behind what no later row depends on."""
+        now = self.time_s
+        later = next((i for i, p in enumerate(self._points) if p.time_s > now), len(self._points))
+        self._points = self._points[max(later - 1, 0) :]
+        settled = now - self._p.kinematics.settle_s
+        self._contacts = [c for c in self._contacts if c[1] > settled] or self._contacts[-1:]

@@ -1,0 +1,167 @@
+"""``stmnist live`` as a process: its start, its end, and what survives."""
+
+import json
+import os
+import resource
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+
+import pytest
+
+from pipeline.recordings.archive import read_source
+from tests.command import call, environment
+from tests.pipeline.live.conftest import stroke
+
+pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
+sync_client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
+
+
+def address(process):
+    line = process.stdout.readline()
+    assert line.startswith("live: http://127.0.0.1:"), line + process.stderr.read()
+    return line.split()[1]
+
+
+def socket_of(url):
+    return sync_client.connect(url.replace("http", "ws") + "pen", proxy=None)
+
+
+def write_and_label(page, digit):
+    """Write a line, say what it was, and return the answer to that."""
+    messages = iter(lambda: json.loads(page.recv(timeout=60)), None)
+    next(message for message in messages if message["type"] == "ready")
+    for message in stroke():
+        page.send(json.dumps(message))
+    page.send(json.dumps({"type": "label", "digit": digit}))
+    return next(message for message in messages if message["type"] in ("saved", "problem"))
+
+
+@pytest.fixture
+def live(tiny_run, tmp_path):
+    """Starts the command in a group of its own, which Ctrl-C reaches from a background too."""
+    processes = []
+
+    def begin(run=tiny_run):
+        kept = tmp_path / "kept"
+        arguments = ("live", run, "--port", 0, "--no-browser", "--record", kept)
+        process = subprocess.Popen(
+            [sys.executable, "-m", "pipeline", *map(str, arguments)],
+            env=environment(),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        )
+        processes.append(process)
+        return process, kept
+
+    yield begin
+    for process in processes:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+
+
+def test_ctrl_c_ends_it_cleanly_and_what_was_kept_works_as_data(live, tmp_path, capsys):
+    process, kept = live()
+    with socket_of(address(process)) as page:
+        assert write_and_label(page, 4)["type"] == "saved"
+        os.kill(process.pid, signal.SIGINT)
+        _, error = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "Traceback" not in error
+    assert "1 recordings are kept" in error
+    assert call("data", "export", kept, tmp_path / "out.zip") == 0
+    for source in (kept, tmp_path / "out.zip"):
+        recordings = read_source(source, jobs=1)
+        assert recordings.labels.tolist() == [4]
+        assert recordings.source.written
+    capsys.readouterr()
+    assert call("data", "import", kept, "--json", "--jobs", 1) == 0
+    assert json.loads(capsys.readouterr().out)["written"] is True
+    assert call("data", "inspect", next(kept.glob("4/*.mat")), "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["source"], facts["simulated"], facts["writer"]) == ("written", True, 1)
+
+
+def test_a_killed_server_has_lost_nothing(live):
+    process, kept = live()
+    with socket_of(address(process)) as page:
+        name = write_and_label(page, 4)["name"]
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait(30)
+    assert read_source(kept, jobs=1).ids == (name.removesuffix(".mat"),)
+    again, _ = live()
+    with socket_of(address(again)) as page:
+        assert write_and_label(page, 5)["name"] == "5/w001-0002.mat"
+
+
+def test_a_full_disk_is_said_and_nothing_half_is_kept(live):
+    process, kept = live()
+    with socket_of(address(process)) as page:
+        # Every file ends at 300 bytes, as on a disk that is full then.
+        room = resource.prlimit(process.pid, resource.RLIMIT_FSIZE)
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (300, room[1]))
+        said = write_and_label(page, 4)
+        assert said["type"] == "problem"
+        assert "cannot write" in said["text"]
+        assert not list(kept.rglob("*.mat"))
+        assert len(list(kept.rglob("*"))) <= 2  # the lock, and a folder at most
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, room)
+        page.send(json.dumps({"type": "label", "digit": 4}))  # what was written is still there
+        while (message := json.loads(page.recv(timeout=60)))["type"] not in ("saved", "problem"):
+            pass
+    assert message["type"] == "saved"
+    assert read_source(kept, jobs=1).labels.tolist() == [4]
+
+
+def test_a_bundle_copied_from_elsewhere_will_do(live, tiny_run, tmp_path):
+    shutil.copytree(tiny_run / "bundle", tmp_path / "elsewhere")
+    process, _ = live(run=tmp_path / "elsewhere")
+    with socket_of(address(process)) as page:
+        assert write_and_label(page, 4)["type"] == "saved"
+
+
+def test_a_port_in_use_is_one_line(tiny_run, tmp_path, capsys):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        status = call("live", tiny_run, "--port", port, "--record", tmp_path / "k", "--no-browser")
+    assert status == 2
+    error = capsys.readouterr().err
+    assert f"port {port}" in error
+    assert "--port" in error
+
+
+def test_a_folder_in_use_is_one_line(live, tiny_run, capsys):
+    process, kept = live()
+    address(process)
+    assert call("live", tiny_run, "--port", 0, "--record", kept, "--no-browser") == 2
+    assert "--record" in capsys.readouterr().err
+
+
+def test_without_the_extra_it_says_what_to_install(tmp_path):
+    code = (
+        "import sys\n"
+        "class Barred:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name.split('.')[0] in ('uvicorn', 'starlette'):\n"
+        "            raise ImportError('barred', name=name)\n"
+        "sys.meta_path.insert(0, Barred())\n"
+        "from pipeline.commands.main import main\n"
+        "main(['live', 'nowhere'])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env=environment(),
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2
+    assert "live" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "written").exists()

@@ -1,0 +1,117 @@
+"""The network's answers while writing are those of its check."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.check.bundle import Bundle, read_bundle
+from deploy.network.decision import confidence
+from deploy.network.stimulus import EventFrames
+from deploy.targets.registry import answer as answers_of
+from pipeline.inputs.dataset import inputs_of
+from pipeline.inputs.images import tactile_images
+from pipeline.live.deciding import EventDecider, decider_of
+from pipeline.recordings.events import Events
+from pipeline.settings import Image, Settings
+from pipeline.skin.simulate import simulate
+from tests.deploy import networks
+
+
+@pytest.fixture(scope="module")
+def bundle(tiny_run):
+    return read_bundle(tiny_run / "bundle")
+
+
+@pytest.fixture(scope="module")
+def decider(bundle):
+    return decider_of(bundle, Image())
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    return simulate(3, [2] * 10, jobs=1)
+
+
+def test_a_whole_recordings_answer_is_that_of_the_target_fast(bundle, decider, recordings):
+    spec = bundle.spec.with_presentation(stream_length=1)
+    images = tactile_images(recordings)
+    expected = answers_of(spec, images, "fast")
+    for index in range(len(recordings)):
+        said = decider.begin().answer(recordings[index], 2.0)
+        np.testing.assert_array_equal(said.scores, expected.scores[index])
+        assert said.decision == expected.predictions[index]
+        counts = {name: int(np.unpackbits(rows).sum()) for name, rows in said.spikes.items()}
+        assert counts == {name: n[index] for name, n in expected.spikes.items()}
+
+
+def test_it_decides_on_part_of_a_recording_and_not_on_nothing(decider, recordings):
+    events = recordings[0]
+    part = Events(*(getattr(events, n)[:40] for n in ("time_ns", "taxel", "polarity", "columns")))
+    said = decider.begin().answer(part, 0.5)
+    assert said.confidence.sum() == pytest.approx(1)
+    assert 0 <= said.decision <= 9
+    assert decider.begin().answer(Events(*(np.empty(0),) * 4), 0.2) is None
+
+
+def test_layers_are_as_many_bytes_as_the_page_reads(bundle, decider, recordings):
+    said = decider.begin().answer(recordings[0], 2.0)
+    assert [layer.name for layer in decider.layers] == list(bundle.spec.spiking_layers)
+    assert decider.steps + decider.first_step == bundle.spec.presentation.steps
+    for layer in decider.layers:
+        assert said.spikes[layer.name].shape == (decider.steps, -(-layer.neurons // 8))
+
+
+@pytest.fixture(scope="module")
+def clocked():
+    """An events bundle of random weights, for whole recordings in steps of 20 ms."""
+    rng = np.random.default_rng(0)
+    small = networks.events_spec()
+    conv1 = networks.conv("conv1", (10, 10, 2), 4, 4, rng, scale=8.0)
+    spec = replace(
+        small,
+        input_shape=(10, 10, 2),
+        stimulus=EventFrames(0.02),
+        layers=(conv1, networks.readout(conv1.shape, rng, classes=10)),
+        presentation=replace(small.presentation, steps=100, confidence=0.7),
+    )
+    return Bundle(None, "random", spec, None)
+
+
+def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
+    clocked, recordings
+):
+    decider = decider_of(clocked, Image())
+    assert isinstance(decider, EventDecider)
+    assert decider.clocked
+    spec = clocked.spec.with_presentation(stream_length=1)
+    settings = Settings().with_values({"input": {"kind": "events"}}, "test")
+    frames = inputs_of(recordings, settings)
+    assert frames.shape[1] == 100
+    expected = answers_of(spec, frames, "fast")
+    assert len(set(expected.predictions)) > 1
+    for index in range(0, len(recordings), 3):
+        events = recordings[index]
+        first_s = events.time_ns[0] * 1e-9
+        deciding = decider.begin()
+        for step in (3, 20, 41, 100):
+            time_s = first_s + 0.02 * step + 1e-6
+            so_far = events.time_ns < time_s * 1e9
+            names = ("time_ns", "taxel", "polarity", "columns")
+            known = Events(*(getattr(events, name)[so_far] for name in names))
+            said = deciding.answer(known, time_s)
+            assert said.decision == expected.decisions[index, step - 1]
+            after = spec.presentation.gap + step
+            assert all(not rows[after:].any() for rows in said.spikes.values())
+        at_the_end = deciding.answer(events, math.inf)
+        np.testing.assert_array_equal(at_the_end.scores, expected.scores[index])
+        summed = expected.scores[index] * 100
+        assert at_the_end.confidence.max() == pytest.approx(confidence(summed))
+        assert at_the_end.sure == (confidence(summed) >= spec.presentation.confidence)
+
+
+def test_before_the_first_step_is_over_an_events_bundle_says_nothing(clocked, recordings):
+    events = recordings[0]
+    first_s = events.time_ns[0] * 1e-9
+    assert decider_of(clocked, Image()).answer(events, first_s + 0.01) is None

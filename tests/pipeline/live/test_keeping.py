@@ -1,0 +1,120 @@
+"""Recordings in a folder: kept whole, counted, asked for."""
+
+import errno
+import os
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from deploy.errors import UserError
+from pipeline.live.keeping import Keeper, asked_next
+from pipeline.recordings.archive import read_source
+from pipeline.recordings.events import Events
+from pipeline.recordings.matfile import MatRecording, Written, read_recording
+
+
+def recording(writer=1, taxel=5, handedness="left"):
+    events = Events([160_000_000, 170_000_000], [taxel, taxel], [1, -1], [4, 2])
+    pen = np.array([[0.2, 4.0, 5.0, 0.5, 1.0], [0.3, 5.0, 5.0, 0.5, 0.0]])
+    return MatRecording(
+        events, True, writer, Written("2026-01-02T03:04:05+00:00", handedness, (0, 2), pen)
+    )
+
+
+@pytest.fixture
+def keeper(tmp_path):
+    keeper = Keeper(tmp_path / "kept")
+    yield keeper
+    keeper.close()
+
+
+def test_a_recording_is_read_back_with_all_that_is_known_of_it(keeper):
+    kept = keeper.save(7, recording())
+    read = read_recording((keeper.folder / kept.name).read_bytes())
+    assert kept.name == "7/w001-0001.mat"
+    assert (read.writer, read.simulated) == (1, True)
+    assert (read.written.time, read.written.handedness) == ("2026-01-02T03:04:05+00:00", "left")
+    assert read.written.seed == (0, 2)
+    np.testing.assert_array_equal(read.written.pen, recording().written.pen)
+    np.testing.assert_array_equal(read.events.time_ns, recording().events.time_ns)
+
+
+def test_the_folder_is_a_source_of_recordings_with_writers(keeper):
+    for writer, digit in ((1, 0), (1, 9), (4, 9)):
+        keeper.save(digit, recording(writer))
+    read = read_source(keeper.folder, jobs=1)
+    assert read.labels.tolist() == [0, 9, 9]
+    assert read.writers.tolist() == [1, 1, 4]
+    assert read.source.simulated
+    assert read.source.written
+    assert keeper.writers == [1, 4]
+    assert keeper.counts(1) == [1, 0, 0, 0, 0, 0, 0, 0, 0, 1]
+
+
+def test_another_keeper_goes_on_where_one_was_killed(keeper):
+    keeper.save(3, recording())
+    (keeper.folder / "3" / ".w001-0002.mat.abc").write_bytes(b"half a file")
+    keeper.close()
+    later = Keeper(keeper.folder)
+    assert len(later) == 1
+    assert later.save(3, recording()).name == "3/w001-0002.mat"
+    assert len(read_source(keeper.folder, jobs=1)) == 2
+    later.close()
+
+
+def test_undo_takes_the_writers_own_last_one(keeper):
+    keeper.save(3, recording(1))
+    keeper.save(8, recording(1))
+    keeper.save(5, recording(2))
+    assert keeper.undo(1).digit == 8
+    assert keeper.undo(1).digit == 3
+    assert keeper.undo(1) is None
+    assert len(keeper) == 1
+    assert [path.name for path in keeper.folder.rglob("w*.mat")] == ["w002-0001.mat"]
+
+
+def test_two_at_a_time_are_refused(keeper):
+    with pytest.raises(UserError, match="another 'stmnist live'"):
+        Keeper(keeper.folder)
+
+
+def test_a_folder_that_cannot_be_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="--record"):
+        Keeper(tmp_path / "file" / "below")
+
+
+def test_a_full_disk_leaves_nothing_half(keeper, monkeypatch):
+    keeper.save(1, recording())
+
+    def full(descriptor):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", full)
+        with pytest.raises(UserError, match="No space left"):
+            keeper.save(2, recording())
+    assert len(keeper) == 1
+    assert sorted(p.name for p in (keeper.folder / "2").iterdir()) == []
+    assert keeper.save(2, recording()).number == 2
+
+
+def test_all_digits_are_asked_for_as_often_as_wanted_in_a_random_order():
+    counts, asked = [0] * 10, []
+    while (digit := asked_next(counts, 3, 5)) is not None:
+        asked.append(digit)
+        counts[digit] += 1
+    assert Counter(asked) == {digit: 3 for digit in range(10)}
+    assert asked != sorted(asked)
+    assert asked == [*asked]
+    again = asked_next([0] * 10, 3, 5)
+    assert again == asked[0]
+
+
+def test_what_is_there_already_is_not_asked_for():
+    counts = [3] * 10
+    counts[6] = 2
+    assert asked_next(counts, 3, 0) == 6
+    counts[6] = 9
+    assert asked_next(counts, 3, 0) is None

@@ -1,0 +1,326 @@
+"""The page in a real Chromium, written on as a hand would."""
+
+import json
+import re
+import threading
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from deploy.check.bundle import read_bundle
+from deploy.errors import UserError
+from deploy.targets.registry import answer as answers_of
+from pipeline.inputs.images import tactile_images
+from pipeline.recordings.archive import read_source, write_zip
+from pipeline.settings import Image
+from pipeline.skin import handwriting, parameters, simulate, unipen
+from tests.command import call
+from tests.pipeline.live.conftest import served
+
+pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
+
+from pipeline.live import robot
+from pipeline.live.server import PAGE
+
+P = parameters.load()
+STEP_S = 1 / 500
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Playwright keeps an event loop in its thread, so that it has to be this one alone."""
+    try:
+        with robot.chromium() as browser:
+            yield browser
+    except UserError as error:
+        pytest.skip(str(error))
+
+
+@contextmanager
+def page_of(browser, server, **options):
+    """A page that is ready; what it complains of fails the test."""
+    options = {"viewport": {"width": 1280, "height": 1000}, **options}
+    context = browser.new_context(**options)
+    page = context.new_page()
+    page.complaints = []
+    page.on("console", lambda message: page.complaints.append(message.text))
+    page.on("pageerror", lambda error: page.complaints.append(str(error)))
+    page.told = []
+    page.on("websocket", lambda s: s.on("framereceived", lambda frame: page.told.append(frame)))
+    robot.opened(page, server.url)
+    yield page
+    assert page.complaints == []
+    context.close()
+
+
+def messages(page, kind):
+    every = [json.loads(frame) for frame in page.told]
+    return [message for message in every if message["type"] == kind]
+
+
+def digit(number, index=0):
+    """A simulated hand's motion."""
+    who = handwriting.writers(np.random.default_rng([0, 1]), P.writers)[index]
+    sample = simulate.Sample(number, index, index)
+    return simulate.motion(sample, who, np.random.default_rng([0, 2, number, index]), P)
+
+
+def until(page, condition, seconds=30):
+    """Wait for a condition in the page's language; Playwright's own way is against its policy."""
+    end = time.monotonic() + seconds
+    while not page.evaluate(condition):
+        assert time.monotonic() < end, f"never: {condition}"
+        page.wait_for_timeout(20)
+
+
+def settled(page):
+    """Wait until the skin has come to rest and the network has answered to it all."""
+    until(
+        page,
+        "document.querySelector('#count').textContent !== '' &&"
+        " document.querySelector('#announce').textContent.includes("
+        "document.querySelector('#decision').textContent) &&"
+        " parseInt(document.querySelector('#count').textContent) =="
+        " document.querySelector('#decision').dataset.events",
+    )
+
+
+def label(page, number):
+    before = page.inner_text("#saved")
+    page.click(f"#label-{number}")
+    until(page, f"document.querySelector('#saved').textContent !== '{before}'")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_twenty_digits_of_real_hands(browser, shared_data, tmp_path):
+    """Real trajectories, at their own pace, to a network that was trained on other ones' traces."""
+    traces = unipen.read(shared_data / "pendigits-train.unipen")
+    others = [trace for trace in traces if trace.writer < 24]
+    assert {trace.writer for trace in traces} > set(range(24))
+    learnt = simulate.simulate(1, [400] * 10, jobs=2, traces=others)
+    write_zip(tmp_path / "hands.zip", learnt)
+    options = ("--data", tmp_path / "hands.zip", "--samples", "200")
+    assert call("convert", tmp_path / "run", *options) == 0
+    bundle = read_bundle(tmp_path / "run" / "bundle")
+    fast = answers_of(bundle.spec, bundle.checks.images, "fast")
+    check = np.mean(fast.predictions == bundle.checks.labels)
+
+    def make_decider():
+        from pipeline.live.deciding import decider_of
+
+        return decider_of(bundle, Image())
+
+    rng = np.random.default_rng(0)
+    strangers = [trace for trace in traces if trace.writer >= 24]
+    chosen = [
+        strangers[index]
+        for number in range(10)
+        for index in rng.choice([i for i, t in enumerate(strangers) if t.digit == number], 3, False)
+    ]
+    right, decisions = 0, []
+    with served(tmp_path / "kept", make_decider) as server:
+        with page_of(browser, server) as page:
+            for trace in chosen:
+                page.click("#clear")
+                page.told.clear()
+                place = np.array([4.7, 4.8])
+                motion = unipen.move(
+                    trace, lambda points, p=place: 8.4 * points + p, 1.0, STEP_S, 0.0, P.kinematics
+                )
+                robot.write(page, motion)
+                settled(page)
+                said = page.inner_text("#decision")
+                assert re.fullmatch("[0-9]", said)
+                assert re.fullmatch(r"\d+ % sure", page.inner_text("#confidence"))
+                right += int(said) == trace.digit
+                label(page, trace.digit)
+                decisions.append(int(said))
+                saved = messages(page, "saved")[0]
+                told = messages(page, "events")
+                kept = read_source(tmp_path / "kept", jobs=1)
+                events = kept[kept.ids.index(saved["name"].removesuffix(".mat"))]
+                for name, column in (
+                    ("ns", "time_ns"),
+                    ("taxel", "taxel"),
+                    ("polarity", "polarity"),
+                ):
+                    values = [value for message in told for value in message[name]]
+                    assert values == getattr(events, column).tolist()
+            latency = page.locator("#latency")
+            assert int(latency.get_attribute("data-count")) > 200
+            print(f"latency {latency.get_attribute('data-median')} ms")
+        kept = read_source(tmp_path / "kept", jobs=1)
+    print(f"right {right} of {len(chosen)}, check {check:.3f}")
+    assert len(kept) == len(chosen) == 30
+    assert kept.source.written
+    # What the page said last of each is what the target says of what was kept.
+    spec = bundle.spec.with_presentation(stream_length=1)
+    again = answers_of(spec, tactile_images(kept), "fast").predictions
+    by_id = dict(zip(kept.ids, again, strict=True))
+    numbers = sorted(kept.ids, key=lambda name: name.split("-")[-1])
+    assert [by_id[name] for name in numbers] == decisions
+    # Strangers' hands, and thirty samples have a standard error of seven points.
+    assert right / len(chosen) > check - 0.25
+
+
+@pytest.fixture
+def page(browser, server):
+    with page_of(browser, server) as page:
+        page.server = server
+        yield page
+
+
+def test_events_and_decisions_come_while_the_pen_is_still_down(page):
+    skin = page.locator("#skin").bounding_box()
+    x, y = skin["x"] + skin["width"] / 2, skin["y"] + 20
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for step in range(30):
+        page.mouse.move(x, y + 10 * step)
+        page.wait_for_timeout(10)
+    until(page, "document.querySelector('#decision').textContent !== ''")
+    assert re.match(r"\d+ events", page.inner_text("#count"))
+    assert re.fullmatch(r"\d+ % sure", page.inner_text("#confidence"))
+    page.mouse.up()
+
+
+def test_clear_empties_the_decision(page):
+    robot.write(page, digit(1))
+    settled(page)
+    page.click("#clear")
+    until(page, "document.querySelector('#decision').textContent === ''")
+    assert page.inner_text("#confidence") == ""
+    page.click("#label-3")
+    page.wait_for_selector("#problem:not([hidden])")
+    assert "nothing is written" in page.inner_text("#problem")
+    assert page.inner_text("#saved") == "0"
+
+
+def test_everything_but_writing_goes_by_keyboard(page):
+    robot.write(page, digit(7))
+    settled(page)
+    page.locator("body").press("7")
+    until(page, "document.querySelector('#saved').textContent === '1'")
+    assert "Kept as a 7" in page.inner_text("#told")
+    page.locator("body").press("u")
+    until(page, "document.querySelector('#saved').textContent === '0'")
+    robot.write(page, digit(1))
+    settled(page)
+    page.locator("body").press("c")
+    until(page, "document.querySelector('#decision').textContent === ''")
+    reached = set()
+    for _ in range(30):
+        page.keyboard.press("Tab")
+        reached.add(page.evaluate("document.activeElement.id"))
+    wanted = {"clear", "undo", "writer", "handedness", "each", "by-itself", "start"}
+    assert wanted | {f"label-{number}" for number in range(10)} <= reached
+    page.fill("#each", "3")  # digits typed there label nothing
+    assert page.inner_text("#saved") == "0"
+
+
+def test_a_session_asks_keeps_by_itself_and_goes_on_after_a_reload(page):
+    page.select_option("#writer", "new")
+    until(page, "document.querySelector('#writer').value === '2'")
+    page.select_option("#handedness", "left")
+    page.fill("#each", "1")
+    page.click("#start")
+    page.wait_for_selector("#asking:not([hidden])")
+    asked = int(page.inner_text("#asked b"))
+    robot.write(page, digit(asked))
+    until(page, "document.querySelector('#saved').textContent === '1'")
+    until(page, "document.querySelector('#progress').value === 1")
+    assert int(page.inner_text("#asked b")) != asked
+    page.reload()
+    page.wait_for_selector("body[data-ready]")
+    page.wait_for_selector("#asking:not([hidden])")
+    until(page, "document.querySelector('#progress').value === 1")
+    assert "Writer 2: 1 of 10" in page.inner_text("#done")
+    kept = read_source(page.server.keeper.folder, jobs=1)
+    assert (kept.labels.tolist(), kept.writers.tolist()) == ([asked], [2])
+    page.click("#stop")
+    page.wait_for_selector("#asking", state="hidden")
+
+
+def test_a_finger_writes_on_a_phone_and_the_page_does_not_scroll(browser, server):
+    phone = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
+    with page_of(browser, server, **phone) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") == 390
+        skin = page.locator("#skin").bounding_box()
+        assert skin["y"] + skin["height"] < 844
+        hand = page.context.new_cdp_session(page)
+
+        def touch(kind, *points):
+            hand.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": list(points)})
+
+        x = skin["x"] + skin["width"] / 2
+        touch("touchStart", {"x": x, "y": skin["y"] + 30})
+        for step in range(25):
+            touch("touchMove", {"x": x, "y": skin["y"] + 30 + 11 * step})
+            page.wait_for_timeout(12)
+        touch("touchEnd")
+        settled(page)
+        assert page.evaluate("scrollY") == 0
+        assert messages(page, "events")[-1]["settled"]
+        label(page, 1)
+    assert len(server.keeper) == 1
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_no_part_is_too_wide_and_every_part_says_what_it_is(browser, server, scheme):
+    for width in (390, 768, 1280):
+        options = {"viewport": {"width": width, "height": 800}, "color_scheme": scheme}
+        with page_of(browser, server, reduced_motion="reduce", **options) as page:
+            robot.write(page, digit(2))
+            settled(page)
+            assert page.evaluate("document.documentElement.scrollWidth") == width
+            sections = page.locator("main section")
+            for index in range(sections.count()):
+                assert sections.nth(index).locator(".say").inner_text().strip()
+            small = page.evaluate(
+                "[...document.querySelectorAll('button')].filter(b => b.offsetParent &&"
+                " (b.offsetHeight < 40 || b.offsetWidth < 40)).map(b => b.id)"
+            )
+            assert small == []
+
+
+def test_the_page_says_when_the_server_has_gone(browser, tmp_path):
+    with served(tmp_path / "kept") as server:
+        context = browser.new_context()
+        page = context.new_page()
+        robot.opened(page, server.url)
+        threading.Timer(0.1, lambda: setattr(server, "should_exit", True)).start()
+        until(page, "document.querySelector('#status').textContent === 'Not connected.'")
+        assert "What was kept is safe" in page.inner_text("#problem")
+        context.close()
+
+
+def luminance(colour):
+    """WCAG 2.2, relative luminance."""
+    parts = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return linear @ [0.2126, 0.7152, 0.0722]
+
+
+def test_text_and_marks_stand_out_from_what_is_behind_them():
+    style = (PAGE / "page.css").read_text("utf-8")
+    schemes = [dict(re.findall(r"--([\w-]+): (#\w{6});", block)) for block in style.split("}")[:2]]
+    light, dark = schemes[0], {**schemes[0], **schemes[1]}
+    assert dark["paper"] != light["paper"]
+    for colours in (light, dark):
+        for front, behind, least in [
+            ("ink", "paper", 7), ("ink", "panel", 7), ("soft", "paper", 4.5),
+            ("soft", "panel", 4.5), ("key-ink", "key", 4.5), ("note-ink", "note", 4.5),
+            ("on", "paper", 3), ("off", "paper", 3), ("on", "panel", 3), ("off", "panel", 3),
+        ]:  # fmt: skip
+            bright, dim = sorted(map(luminance, (colours[front], colours[behind])), reverse=True)
+            assert (bright + 0.05) / (dim + 0.05) >= least, (front, behind)
+
+
+def test_two_minutes_are_not_all_waiting(browser, server):
+    """From opening the page to writing on it: no more than a few seconds."""
+    begun = time.monotonic()
+    with page_of(browser, server):
+        assert time.monotonic() - begun < 30

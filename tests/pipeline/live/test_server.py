@@ -1,0 +1,268 @@
+"""Who may talk to the server, and what it says to whom; without a browser."""
+
+import http.client
+import json
+import socket
+import time
+from contextlib import ExitStack
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+from deploy.errors import UserError
+from tests.pipeline.live.conftest import stroke
+
+pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
+sync_client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
+from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
+
+from pipeline.live.server import LARGEST, PAGES, listen  # noqa: E402
+
+
+def parts(server):
+    url = urlsplit(server.url)
+    return url.port, url.path
+
+
+def get(server, path=None, **headers):
+    """Status, headers and body of a request."""
+    port, own = parts(server)
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.request("GET", own if path is None else path, headers=headers)
+    response = connection.getresponse()
+    body = response.read().decode()
+    connection.close()
+    return response.status, dict(response.getheaders()), body
+
+
+def connect(server, path=None, **options):
+    port, own = parts(server)
+    path = f"{own}pen" if path is None else path
+    return sync_client.connect(f"ws://127.0.0.1:{port}{path}", proxy=None, **options)
+
+
+def read_until(page, kind, seconds=20):
+    """Messages up to the first of a kind."""
+    messages, end = [], time.monotonic() + seconds
+    while time.monotonic() < end:
+        messages.append(json.loads(page.recv(timeout=seconds)))
+        if messages[-1]["type"] == kind:
+            return messages
+    raise AssertionError(f"no {kind} in {[message['type'] for message in messages]}")
+
+
+def write(page, **options):
+    for message in stroke(**options):
+        page.send(json.dumps(message))
+
+
+def test_the_page_and_its_parts_are_there_with_what_browsers_heed(server):
+    status, headers, body = get(server)
+    assert status == 200
+    for name in ("skin", "decision", "confidence", "clear", "saved"):
+        assert f'id="{name}"' in body
+    policy = headers["content-security-policy"]
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    assert headers["cache-control"] == "no-store"
+    assert headers["referrer-policy"] == "no-referrer"
+    _, own = parts(server)
+    for name, kind in (("main.js", "javascript"), ("page.css", "css"), ("icon.svg", "svg")):
+        status, headers, _ = get(server, own + name)
+        assert (status, kind in headers["content-type"]) == (200, True)
+
+
+def test_nothing_on_the_page_comes_from_elsewhere(server):
+    from pipeline.live.server import PAGE
+
+    for file in PAGE.iterdir():
+        text = file.read_text("utf-8").replace("http://www.w3.org/2000/svg", "")
+        assert "http:" not in text, file
+        assert "https:" not in text, file
+        assert "<script>" not in text, file
+        assert 'style="' not in text, file
+
+
+@pytest.mark.parametrize("path", ["/", "/main.js", "/wrong/", "/wrong/main.js", "/wrong/pen", "//"])
+def test_without_the_token_there_is_nothing(server, path):
+    status, _, body = get(server, path)
+    assert status == 404
+    assert "token" in body
+
+
+@pytest.mark.parametrize(
+    "name", ["..%2fserver.py", "../server.py", "%2e%2e/server.py", "nothing.js", "pen"]
+)
+def test_nothing_but_the_page_is_served(server, name):
+    _, own = parts(server)
+    status, _, body = get(server, own + name)
+    assert status == 404
+    assert "uvicorn" not in body
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", ""]
+)
+def test_other_hosts_are_turned_away(server, host):
+    port, _ = parts(server)
+    status, _, body = get(server, Host=host.format(port=port))
+    assert status in (400, 403)
+    assert 'id="skin"' not in body
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "https://127.0.0.1:{port}", "http://127.0.0.1:1"]
+)
+def test_other_origins_are_turned_away(server, origin):
+    port, _ = parts(server)
+    origin = origin.format(port=port)
+    assert get(server, Origin=origin)[0] == 403
+    with pytest.raises(InvalidStatus) as refused, connect(server, origin=origin):
+        pass
+    assert refused.value.response.status_code == 403
+
+
+def test_a_socket_of_another_host_is_turned_away(server):
+    port, _ = parts(server)
+    raw = socket.create_connection(("127.0.0.1", port))
+    url = f"ws://evil.example:{port}{parts(server)[1]}pen"
+    with pytest.raises(InvalidStatus) as refused, sync_client.connect(url, sock=raw, proxy=None):
+        pass
+    assert refused.value.response.status_code == 403
+
+
+@pytest.mark.parametrize("path", ["/pen", "/wrong/pen"])
+def test_a_socket_without_the_token_is_turned_away(server, path):
+    with pytest.raises(InvalidStatus) as refused, connect(server, path):
+        pass
+    assert refused.value.response.status_code in (403, 404)
+
+
+def test_the_own_page_is_welcome_and_a_digit_is_kept(server):
+    port, _ = parts(server)
+    with connect(server, origin=f"http://localhost:{port}") as page:
+        messages = read_until(page, "ready")
+        assert messages[0]["type"] == "hello"
+        write(page)
+        messages = read_until(page, "answer")
+        page.send(json.dumps({"type": "label", "digit": 1}))
+        saved = read_until(page, "saved")[-1]
+    assert (server.keeper.folder / saved["name"]).is_file()
+    assert len(server.keeper) == 1
+
+
+def refused(page):
+    """What the server says before it hangs up."""
+    said = []
+    try:
+        while True:
+            said.append(json.loads(page.recv(timeout=20)))
+    except ConnectionClosed as closed:
+        return [message["text"] for message in said if message["type"] == "problem"], closed
+
+
+def is_well(server):
+    with connect(server) as page:
+        read_until(page, "ready")
+        write(page)
+        return bool(read_until(page, "answer"))
+
+
+@pytest.mark.parametrize(
+    "message", ["{", '{"type": "rm"}', b"\x00\x01", '{"type": "label", "digit": 99}']
+)
+def test_a_malformed_message_is_refused_and_the_server_stays_up(server, message):
+    with connect(server) as page:
+        read_until(page, "ready")
+        page.send(message)
+        text, closed = refused(page)
+    assert "refused" in text[0]
+    assert closed.rcvd.code == 1008
+    assert is_well(server)
+    assert len(server.keeper) == 0
+
+
+def test_a_message_that_is_too_large_ends_the_connection_only(server):
+    with connect(server) as page:
+        read_until(page, "ready")
+        page.send("x" * (LARGEST + 1))
+        _, closed = refused(page)
+    assert closed.rcvd.code == 1009
+    assert is_well(server)
+
+
+def test_a_stroke_outside_the_skin_is_refused(server):
+    with connect(server) as page:
+        read_until(page, "ready")
+        page.send(json.dumps({"type": "pen", "now": 0, "points": [[0, 40.0, 1.0, 0.5, 1]]}))
+        text, _ = refused(page)
+    assert "outside the skin" in text[0]
+    assert is_well(server)
+
+
+def test_a_thousand_strokes_a_second_are_left_out_and_others_go_on(server):
+    with connect(server) as flood, connect(server) as other:
+        read_until(flood, "ready")
+        read_until(other, "ready")
+        for n in range(1000):
+            points = [[n, 4.0, 4.0, 0.5, 1], [n + 0.5, 4.0, 5.0, 0.5, 0]]
+            flood.send(json.dumps({"type": "pen", "now": n + 0.5, "points": points}))
+        write(other)
+        assert read_until(other, "answer")
+        assert "faster than a hand" in read_until(flood, "problem")[-1]["text"]
+        flood.send(json.dumps({"type": "clear"}))
+    assert len(server.keeper) == 0
+
+
+def test_two_pages_write_two_recordings_that_do_not_mix(server):
+    with connect(server) as one, connect(server) as other:
+        for page in (one, other):
+            read_until(page, "ready")
+        for mine, theirs in zip(stroke(right=1.0), stroke(right=8.0), strict=True):
+            one.send(json.dumps(mine))
+            other.send(json.dumps(theirs))
+        columns = []
+        for page, digit in ((one, 1), (other, 7)):
+            page.send(json.dumps({"type": "label", "digit": digit}))
+            told = [m for m in read_until(page, "saved") if m["type"] == "events"]
+            columns.append([taxel // 10 for message in told for taxel in message["taxel"]])
+    assert np.median(columns[0]) <= 2  # landing shakes taxels everywhere a little
+    assert np.median(columns[1]) >= 7
+    assert len(server.keeper) == 2
+
+
+def test_too_many_pages_are_told_so(server):
+    with ExitStack() as pages:
+        for _ in range(PAGES):
+            read_until(pages.enter_context(connect(server)), "hello")
+        text, closed = refused(pages.enter_context(connect(server)))
+    assert "open already" in text[0]
+    assert closed.rcvd.code == 1013
+    assert is_well(server)
+
+
+def test_a_page_that_goes_in_the_middle_leaves_nothing_behind(server):
+    with connect(server) as page:
+        read_until(page, "ready")
+        for message in list(stroke())[:6]:
+            page.send(json.dumps(message))
+    assert is_well(server)
+    assert len(server.keeper) == 0
+    assert not list(server.keeper.folder.glob("[0-9]"))
+
+
+def test_a_port_in_use_is_said(server):
+    port, _ = parts(server)
+    with pytest.raises(UserError, match=f"port {port}.*--port"):
+        listen(port)
+
+
+def test_a_network_that_cannot_be_made_ready_is_said_on_the_page(tmp_path):
+    from tests.pipeline.live.conftest import served
+
+    def broken():
+        raise UserError("the bundle has no readout")
+
+    with served(tmp_path / "kept", broken) as server, connect(server) as page:
+        assert "no readout" in read_until(page, "problem")[-1]["text"]

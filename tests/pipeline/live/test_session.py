@@ -1,0 +1,247 @@
+"""One page's side of the conversation, without sockets."""
+
+import base64
+import gc
+import json
+import tracemalloc
+
+import pytest
+
+from pipeline.live.keeping import Keeper
+from pipeline.live.session import LONGEST_S, Allowance, BadMessage, Session
+from pipeline.recordings.matfile import read_recording
+from pipeline.skin import parameters
+from tests.pipeline.live.conftest import Parrot, stroke
+
+P = parameters.load()
+
+
+@pytest.fixture
+def keeper(tmp_path):
+    keeper = Keeper(tmp_path / "kept")
+    yield keeper
+    keeper.close()
+
+
+@pytest.fixture
+def session(keeper):
+    session = Session(1, keeper, P)
+    session.begin(Parrot())
+    return session
+
+
+class Clock:
+    now_s = 0.0
+
+
+def say(session, message, clock=Clock()):  # noqa: B008 - one clock for all is meant
+    clock.now_s += 0.03
+    return session.handle(json.dumps(message), clock.now_s)
+
+
+def of(replies, kind):
+    return [reply for reply in replies if reply["type"] == kind]
+
+
+def written(session, **options):
+    return [reply for message in stroke(**options) for reply in say(session, message)]
+
+
+def test_events_come_while_writing_and_are_those_that_are_kept(session, keeper):
+    replies = written(session)
+    events = of(replies, "events")
+    assert sum(bool(reply["ns"]) for reply in events) > 5  # not all at the end
+    assert events[-1]["settled"]
+    replies += say(session, {"type": "label", "digit": 1})
+    saved = of(replies, "saved")[0]
+    read = read_recording((keeper.folder / saved["name"]).read_bytes())
+    for name, column in (("ns", "time_ns"), ("taxel", "taxel"), ("polarity", "polarity")):
+        told = [value for reply in of(replies, "events") for value in reply[name]]
+        assert told == getattr(read.events, column).tolist()
+    assert saved["events"] == len(read.events) > 20
+    assert read.written.pen[0, :3].tolist() == [0.2, 1.0, 4.5]
+    assert of(replies, "writer")[-1]["saved"] == 1
+
+
+def test_the_answer_is_to_all_events_so_far(session):
+    assert session.ask() is None
+    replies = written(session)
+    n = sum(len(reply["ns"]) for reply in of(replies, "events"))
+    answer = session.ask()()
+    assert (answer["events"], answer["decision"]) == (n, n % 10)
+    assert sum(answer["confidence"]) == pytest.approx(1)
+    assert len(base64.b64decode(answer["spikes"]["input"])) == 3 * 13
+    last = max(ns for reply in of(replies, "events") for ns in reply["ns"])
+    assert answer["last_ms"] == pytest.approx(1000 + (last * 1e-9 - 0.2) * 1e3)
+
+
+def test_a_decision_keeps_the_time_at_which_it_fell(session):
+    messages = list(stroke())
+    for message in messages[:5]:
+        say(session, message)
+    first = session.ask()()
+    again = session.ask()()
+    assert again["since_s"] == first["since_s"] > 0
+
+
+def test_a_pause_begins_another_recording_and_a_short_one_does_not(session):
+    first = of(written(session, start_ms=1000.0), "cleared")
+    second = of(written(session, start_ms=1000 + 300 + 400.0, right=6.0), "cleared")
+    third = of(written(session, start_ms=9000.0), "cleared")
+    assert [len(first), len(second), len(third)] == [1, 0, 1]
+    assert third[0]["recording"] == first[0]["recording"] + 1
+
+
+def test_a_kept_recording_is_not_written_on(session, keeper):
+    written(session)
+    say(session, {"type": "label", "digit": 1})
+    again = say(session, {"type": "label", "digit": 1})
+    assert "nothing is written" in of(again, "problem")[0]["text"]
+    assert len(keeper) == 1
+    assert of(written(session, start_ms=1400.0), "cleared")
+
+
+def test_a_recording_ends_and_the_next_stroke_begins_another(session, keeper):
+    replies = written(session, seconds=LONGEST_S + 2, per_message=10)
+    assert of(replies, "events")[-1]["over"]
+    say(session, {"type": "label", "digit": 1})
+    read = read_recording(next(keeper.folder.rglob("w*.mat")).read_bytes())
+    assert read.events.time_ns[-1] < LONGEST_S * 1e9
+    replies = written(session, start_ms=1000.0 * (LONGEST_S + 4))
+    assert of(replies, "cleared")
+    assert say(session, {"type": "label", "digit": 2})[1]["type"] == "saved"
+
+
+def test_clear_forgets(session, keeper):
+    written(session)
+    assert say(session, {"type": "clear"}) == [{"type": "cleared", "recording": None}]
+    assert of(say(session, {"type": "label", "digit": 1}), "problem")
+    assert len(keeper) == 0
+
+
+def test_what_is_said_while_the_pen_is_down_lifts_it(session, keeper):
+    for message in list(stroke())[:8]:
+        say(session, message)
+    assert of(say(session, {"type": "label", "digit": 4}), "saved")
+    assert len(keeper) == 1
+
+
+def test_a_session_asks_for_every_digit_and_goes_on_after_a_break(session, keeper):
+    state = say(session, {"type": "writer", "number": 3, "handedness": "right", "each": 1})[-1]
+    asked = []
+    while state["asked"] is not None:
+        asked.append(state["asked"])
+        start = 10_000.0 * len(asked)
+        written(session, start_ms=start)
+        state = of(say(session, {"type": "label", "digit": state["asked"]}), "writer")[0]
+        if len(asked) == 5:  # another page, later
+            session = Session(2, keeper, P)
+            session.begin(Parrot())
+            message = {"type": "writer", "number": 3, "handedness": "right", "each": 1}
+            assert say(session, message)[-1] == state
+    assert sorted(asked) == list(range(10))
+    assert state["done"] == 10
+    undone = say(session, {"type": "undo"})
+    assert undone[0]["digit"] == asked[-1]
+    assert undone[1]["asked"] == asked[-1]
+    read = read_recording(next(keeper.folder.rglob("w003-0001.mat")).read_bytes())
+    assert (read.writer, read.written.handedness) == (3, "right")
+
+
+def test_somebody_new_is_the_next_number(session):
+    new = {"type": "writer", "number": None, "handedness": "", "each": 0}
+    assert say(session, new)[0]["number"] == 2
+    assert say(session, new)[0]["number"] == 3
+
+
+def test_undo_without_anything_says_so(session):
+    assert "no recording" in say(session, {"type": "undo"})[0]["text"]
+
+
+def test_strokes_before_the_network_is_ready_are_left_out(keeper):
+    session = Session(1, keeper, P)
+    assert written(session) == []
+
+
+POINT = [1.0, 4.0, 4.0, 0.5, 1]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "{", "[]", "7", "null", '"pen"', "[" * 100_000, "NaN", "{}",
+        json.dumps({"type": "pen"}),
+        json.dumps({"type": ["pen"]}),
+        json.dumps({"type": "save"}),
+        json.dumps({"type": "label"}),
+        json.dumps({"type": "label", "digit": 10}),
+        json.dumps({"type": "label", "digit": True}),
+        json.dumps({"type": "label", "digit": "../../1"}),
+        json.dumps({"type": "writer", "number": 0, "each": 1}),
+        json.dumps({"type": "writer", "number": "../1", "each": 1}),
+        json.dumps({"type": "writer", "number": 1, "each": 10**9}),
+        json.dumps({"type": "writer", "number": 1, "each": 1, "handedness": "<b>"}),
+        json.dumps({"type": "pen", "now": "now", "points": []}),
+        json.dumps({"type": "pen", "now": float("nan"), "points": []}),
+        json.dumps({"type": "pen", "now": 1000, "points": {}}),
+        json.dumps({"type": "pen", "now": 1000, "points": [1]}),
+        json.dumps({"type": "pen", "now": 1000, "points": [POINT] * 513}),
+        '{"type": "pen", "now": 1000, "points": [[1000, 1' + "0" * 400 + ', 1, 0.5, 1]]}',
+        *(
+            json.dumps({"type": "pen", "now": 1, "points": [[*POINT[:i], value, *POINT[i + 1 :]]]})
+            for i, value in [(0, 1e300), (0, None), (0, 9e9), (1, -2.1), (1, "4"), (2, 11.5),
+                             (2, float("inf")), (3, 1.5), (3, -0.1), (4, 2), (4, "yes")]
+        ),
+    ],
+)  # fmt: skip
+def test_malformed_messages_are_refused(session, keeper, text):
+    with pytest.raises(BadMessage):
+        session.handle(text, 0.0)
+    assert len(keeper) == 0
+    assert session.recording is None
+
+
+def test_a_thousand_strokes_a_second_are_not_kept(session, keeper):
+    """A stroke a millisecond: most are left out, it is said once a second, and nothing is saved."""
+    replies = []
+    for n in range(1000):
+        t = 1000.0 + n
+        points = [[t, 4.0, 4.0, 0.5, 1], [t + 0.5, 5.0, 4.0, 0.5, 0]]
+        message = json.dumps({"type": "pen", "now": t + 0.5, "points": points})
+        replies += session.handle(message, n * 1e-3)
+    assert 1 <= len(of(replies, "problem")) <= 2
+    assert "faster than a hand" in of(replies, "problem")[0]["text"]
+    refused = session.handle(json.dumps({"type": "label", "digit": 1}), 5.0)
+    assert "not kept" in of(refused, "problem")[0]["text"]
+    assert len(keeper) == 0
+    written(session, start_ms=20_000.0)  # and an honest hand is welcome afterwards
+    assert of(say(session, {"type": "label", "digit": 1}), "saved")
+
+
+def test_an_allowance_fills_up_again_but_not_beyond_a_second():
+    allowance = Allowance(10)
+    assert allowance.take(10, 0.0)
+    assert not allowance.take(1, 0.05)
+    assert allowance.take(1, 0.15)
+    assert allowance.take(10, 100.0)
+    assert not allowance.take(1, 100.0)
+
+
+def test_an_hour_of_writing_keeps_nothing_in_memory(session):
+    """What a session holds does not grow from stroke to stroke; time is compressed."""
+
+    def write(seconds):
+        for n in seconds:
+            written(session, start_ms=10_000.0 * n, seconds=0.1)
+            session.ask()()
+
+    write(range(1, 30))
+    tracemalloc.start()
+    write(range(30, 60))
+    gc.collect()
+    before = tracemalloc.get_traced_memory()[0]
+    write(range(60, 120))
+    gc.collect()
+    grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert grown < 50_000  # a recording alone takes more than that

@@ -1,0 +1,180 @@
+"""A recording that grows piece by piece, on the simulation's own skin."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.recordings.events import EVENT_DTYPES, TICK_NS, expand_bursts, merge_bursts
+from pipeline.skin import aces, parameters
+from pipeline.skin.contact import Film, jolt, landings, press, pressure, strength
+from pipeline.skin.handwriting import Motion
+from pipeline.skin.receptors import Receptors, fire
+from pipeline.skin.writing import START_S, Point, Writing
+
+P = parameters.load()
+STEP = 1e-3
+
+
+def swipe(n=400):
+    """Down the skin, landing and lifting on the way."""
+    time = STEP * np.arange(n)
+    force = np.where((time > 0.05) & (time < 0.3), 0.5, 0.0)
+    return Motion(time, np.linspace(1, 8, n), np.linspace(3, 5, n), force)
+
+
+def cuts(n, seed=0):
+    return np.split(np.arange(n), np.sort(np.random.default_rng(seed).choice(n, 12)))
+
+
+def test_the_film_piece_by_piece_is_the_film_at_once():
+    motion, gain = swipe(), np.ones(100)
+    _, whole = press(motion, gain, -1.0, np.random.default_rng(7), P.skin)  # every taxel
+    rng = np.random.default_rng(7)
+    lands = landings(motion.force, 0.1 * motion.force.max())
+    jolts = strength(rng, P.skin) * jolt(rng, len(lands), 100)
+    speed = np.hypot(np.gradient(motion.down, STEP), np.gradient(motion.right, STEP))
+    film, parts = Film(gain, STEP, P.skin), []
+    for rows in cuts(len(speed)):
+        if len(rows) == 0:
+            continue
+        signal = pressure(motion.down[rows], motion.right[rows], motion.force[rows], P.skin)
+        mine = [
+            (row - rows[0], felt) for row, felt in zip(lands, jolts, strict=True) if row in rows
+        ]
+        film.advance(signal, mine, speed[rows], rng)
+        parts.append(signal)
+    np.testing.assert_allclose(np.concatenate(parts), whole, rtol=1e-5, atol=1e-7)
+
+
+def test_receptors_piece_by_piece_are_receptors_at_once():
+    signal = np.cumsum(np.random.default_rng(0).standard_normal((300, 5)), axis=0)
+    settings = (np.full(5, 1.5), np.full(5, 1.0), STEP, 3.27e-3, 88e-6)
+    whole = fire(signal, *settings)
+    receptors = Receptors(signal[0], *settings)
+    parts = [receptors.advance(signal[1:][rows]) for rows in cuts(299)]
+    for one, other in zip(zip(*parts, strict=True), whole, strict=True):
+        np.testing.assert_array_equal(np.concatenate(one), other)
+    assert len(whole[0]) > 50
+
+
+def test_the_decoder_piece_by_piece_is_the_decoder_at_once():
+    rng = np.random.default_rng(0)
+    time = np.sort(rng.uniform(0, 3e4, 400))  # so dense that most wait for another's end
+    taxel, polarity = rng.integers(0, 100, 400), rng.choice([-1, 1], 400)
+    whole = aces.bursts(time, taxel, polarity, P.aces)
+    decoder, parts, before = aces.Decoder(P.aces), [], 0.0
+    for until in (10.0, 5000.0, 5001.0, 2e4, 1e9):
+        now = (time > before) & (time <= until + 30)  # receptors look a little past the step
+        parts.append(decoder.advance(time[now], taxel[now], polarity[now], until))
+        before = until + 30
+    for name in EVENT_DTYPES:
+        found = np.concatenate([getattr(part, name) for part in parts])
+        np.testing.assert_array_equal(found, getattr(whole, name))
+
+
+def written(seed=0, rate_s=0.01, p=P, pieces=None, pressure=0.5):
+    """A line downwards in half a second, told at a rate; ``pieces`` divides the time otherwise."""
+    writing = Writing([seed], p)
+    for t in np.arange(0, 0.5, rate_s):
+        writing.point(Point(START_S + t, 1 + 14 * t, 4.5, pressure, True))
+        if pieces is None:
+            writing.advance(START_S + t)
+    writing.point(Point(START_S + 0.5, 8, 4.5, pressure, False))
+    for until in pieces or [writing.settled_s]:
+        writing.advance(until)
+    return writing
+
+
+def test_events_follow_the_pen():
+    events = written().events
+    assert len(events) > 50
+    assert events.time_ns[0] >= START_S * 1e9
+    near = np.isin(events.taxel // 10, (3, 4, 5, 6))  # columns of the line and beside it
+    assert near.mean() > 0.9
+    rows = events.taxel[near] % 10
+    early, late = np.array_split(rows, 2)
+    assert early.mean() + 2 < late.mean()
+
+
+def test_events_are_such_as_the_decoder_makes():
+    events = written().events
+    times, taxel, polarity = expand_bursts(events)
+    assert (times % TICK_NS == 0).all()
+    assert (np.diff(times) > 0).all()
+    again = merge_bursts(times, taxel, polarity)
+    np.testing.assert_array_equal(again.columns, events.columns)
+
+
+def test_how_time_is_divided_changes_nothing_but_rounding():
+    quiet = replace(P, skin=replace(P.skin, noise=0.0, scrape=0.0, jolt=0.0))
+    once = written(p=quiet, pieces=[1.0]).events
+    often = written(p=quiet, pieces=list(np.arange(0.2, 1.0, 0.0131)) + [1.0]).events
+    assert abs(len(once) - len(often)) <= 2
+    assert (
+        np.abs(
+            np.bincount(once.taxel, minlength=100) - np.bincount(often.taxel, minlength=100)
+        ).max()
+        <= 1
+    )
+
+
+def test_the_same_seed_and_points_give_the_same_events():
+    one, other = written(3).events, written(3).events
+    for name in EVENT_DTYPES:
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert len(written(4).events) != len(one)
+
+
+def test_more_pressure_gives_more_events():
+    assert len(written(pressure=0.9).events) > len(written(pressure=0.3).events)
+
+
+def test_a_pen_that_rests_is_silent_after_a_while():
+    writing = Writing([0], P)
+    writing.point(Point(START_S, 4, 4, 0.5, True))
+    writing.advance(START_S + 0.5)
+    assert len(writing.events) > 0
+    assert len(writing.advance(START_S + 1.5)) <= 2
+
+
+def test_nothing_happens_before_the_pen_comes_or_when_time_goes_back():
+    writing = Writing([0], P)
+    assert len(writing.advance(3.0)) == 0
+    assert writing.time_s == START_S
+    writing.point(Point(START_S, 4, 4, 0.5, True))
+    writing.advance(START_S + 0.2)
+    now = writing.time_s
+    assert len(writing.advance(START_S)) == 0
+    assert writing.time_s == now
+    writing.point(Point(START_S, 4, 5, 0.5, True))  # told late: counts as from now
+    writing.advance(START_S + 0.3)
+    assert writing.time_s > now
+
+
+def test_what_no_later_moment_depends_on_is_forgotten():
+    writing = written(rate_s=0.001)
+    assert len(writing._points) < 5
+    assert len(writing._contacts) == 1
+
+
+@pytest.mark.parametrize(
+    ("place", "why"),
+    [((np.nan, 1), "finite"), ((1, np.inf), "finite"), ((-3, 1), "outside"), ((1, 12), "outside")],
+)
+def test_points_that_no_pen_makes_are_refused(place, why):
+    with pytest.raises(ValueError, match=why):
+        Writing([0], P).point(Point(START_S, *place, 0.5, True))
+
+
+def test_two_strokes_leave_what_is_between_them_untouched():
+    writing = Writing([0], P)
+    for right, start in ((1.0, 0.0), (8.0, 0.4)):
+        for t in np.arange(0, 0.2, 0.01):
+            writing.point(Point(START_S + start + t, 2 + 20 * t, right, 0.5, True))
+        writing.point(Point(START_S + start + 0.2, 6, right, 0.5, False))
+    writing.advance(writing.settled_s)
+    column = writing.events.taxel // 10
+    assert (np.isin(column, (0, 1, 2))).sum() > 20
+    assert (np.isin(column, (7, 8, 9))).sum() > 20
+    assert (np.isin(column, (4, 5))).sum() < 6  # at most a jolt
