@@ -11,7 +11,7 @@ from . import __version__, interrupts
 from .check.bundle import RESULTS, read_bundle
 from .check.results import compare_results, read_result
 from .check.run import run_check
-from .errors import CheckFailed, UserError
+from .errors import CheckFailed, UserError, one_line
 from .preflight.plan import make_plan, plan_text
 from .targets.board import BoardOptions, nxsdk_version
 from .targets.registry import TARGETS, options_for
@@ -38,7 +38,7 @@ def main(arguments=None) -> int:
 
 
 def _say(message, status):
-    print("deploy: " + " ".join(str(message).split()), file=sys.stderr)
+    print("deploy: " + one_line(message), file=sys.stderr)
     return status
 
 

@@ -230,7 +230,7 @@ def spike_counts(potential, neuron: SpikeResponse):
     return tf.reduce_sum(tf.cast(potential >= neuron.theta, tf.float32), 0)
 
 
-class SpikingNetwork(tf.Module):
+class SlayerNetwork(tf.Module):
     """Convolutions and dense layers of spike response neurons.
 
     Parameters

@@ -179,9 +179,9 @@ def test_skipping_them_lists_them_and_goes_on(tmp_path, capsys):
 
 
 def test_too_little_data(refused, tmp_path):
-    archive(tmp_path / "st.zip", good_members())
-    line = refused("train", tmp_path / "run", "--data", tmp_path / "st.zip", "--jobs", 1)
-    assert "200 samples asked for, the test split has 2" in line
+    archive(tmp_path / "st.zip", good_members(2))
+    line = refused("convert", tmp_path / "run", "--data", tmp_path / "st.zip", "--jobs", 1)
+    assert "200 samples asked for, the test split has 4" in line
     assert not (tmp_path / "run" / "experiment.toml").exists()
 
 

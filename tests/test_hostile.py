@@ -115,6 +115,16 @@ def test_a_name_that_a_terminal_would_obey(refused, tmp_path):
     assert r"\x1b[2J.mat" in line
 
 
+def test_a_message_is_one_line_of_a_bearable_length():
+    from deploy.errors import LONGEST, one_line
+
+    assert one_line("a\n b\x1b[2J\ud800") == "a b\\x1b[2J\\ud800"
+    long = one_line("begins " + "x" * 10_000 + " ends")
+    assert len(long) <= LONGEST + 5
+    assert long.startswith("begins ")
+    assert long.endswith(" ends")
+
+
 def test_members_packed_with_lzma_and_damaged(refused, tmp_path):
     path = tmp_path / "st.zip"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as file:

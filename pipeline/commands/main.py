@@ -8,7 +8,7 @@ import sys
 import typer
 
 from deploy import __version__, interrupts
-from deploy.errors import CheckFailed, UserError
+from deploy.errors import CheckFailed, UserError, one_line
 from models.architecture import NotationError
 from pipeline.commands import (
     benchmark,
@@ -136,8 +136,5 @@ def main(arguments=None):
 
 
 def _say(message, status):
-    line = " ".join(message.split())
-    # A file's name may hold what a terminal would obey.
-    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
-    print("stmnist: " + line, file=sys.stderr)
+    print("stmnist: " + one_line(message), file=sys.stderr)
     return status

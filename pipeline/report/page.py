@@ -355,11 +355,11 @@ def _layer_raster(layer, steps, neurons, replay):
 
 def _frames(inputs, recording):
     """The tactile image as it grows, up to the last event."""
-    made, image = inputs.recordings, inputs.settings.image
-    whole = made[recording]
+    recordings, image = inputs.recordings, inputs.settings.image
+    whole = recordings[recording]
     end = int(whole.time_ns[-1]) + 1 if len(whole) else 1
     ends = [end * number // FRAMES for number in range(1, FRAMES + 1)]
-    grown = growing(whole, made.taxels, ends, image.aggregation, made.sensor)
+    grown = growing(whole, recordings.taxels, ends, image.aggregation, recordings.sensor)
     frames = []
     for until, pixels in zip(ends, normalise(grown, image.normalisation), strict=True):
         caption = f"{until / 1e9:.2f} s"

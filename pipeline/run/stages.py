@@ -161,6 +161,7 @@ def settings_of_model(path: Path, retrain: bool) -> dict:
     model, sha256 = read_model(path)
     rates = Settings().snn.max_rates[: max(len(model.architecture.spiking), 1)]
     return {
+        "input": {"kind": "image"},
         "cnn": {
             "model": str(path.absolute()),
             "model_sha256": sha256,

@@ -232,7 +232,7 @@ def new_rate_network(settings: Settings, seed: int, images, cnn_weights=None) ->
     """The rate-based network as its training on some images starts."""
     make_deterministic(seed)
     model = build_rate_network(settings)
-    if settings.snn.recipe == "loihi":
+    if settings.snn.is_on_chip:
         set_weights(model, scale_to_unit(settings, cnn_weights, images))
     return model
 

@@ -13,7 +13,7 @@ from deploy.errors import UserError
 from deploy.files import read_arrays, write_arrays
 from models.architecture import parse
 from models.keras2 import tf
-from models.slayer import SpikeResponse, SpikingNetwork, spike_count_loss, spike_counts
+from models.slayer import SlayerNetwork, SpikeResponse, spike_count_loss, spike_counts
 from pipeline.recordings.events import DURATION_S
 from pipeline.settings import Slayer
 
@@ -25,7 +25,7 @@ class TrainedSlayer:
     Attributes
     ----------
     kernels : list of ndarray
-        See :class:`models.slayer.SpikingNetwork`.
+        See :class:`models.slayer.SlayerNetwork`.
     history : list of dict
         One row an epoch: ``epoch``, ``loss``, ``accuracy`` (of the training samples, as they were
         trained on), ``test_accuracy`` (only watched), ``seconds``.
@@ -112,7 +112,7 @@ def layer_spikes(settings: Slayer, kernels, frames) -> list:
     -------
     list of ndarray of bool, shape (n_samples, bins, ...)
     """
-    network = SpikingNetwork(parse(settings.architecture), spike_response(settings))
+    network = SlayerNetwork(parse(settings.architecture), spike_response(settings))
     for variable, kernel in zip(network.kernels, kernels, strict=True):
         variable.assign(kernel)
     theta = network.neuron.theta
@@ -126,7 +126,7 @@ class _Trainer:
         self.settings, self.seed, self.labels = settings, seed, labels
         architecture, neuron = parse(settings.architecture), spike_response(settings)
         scales = settings.conv_scale, settings.dense_scale
-        self.network = network = SpikingNetwork(architecture, neuron, seed, *scales)
+        self.network = network = SlayerNetwork(architecture, neuron, seed, *scales)
         self.optimizer = tf.keras.optimizers.Adam(settings.learning_rate, amsgrad=True)
         self.optimizer.build(network.kernels)
         outputs = np.eye(network.architecture.outputs, dtype=np.float32)[labels]

@@ -179,7 +179,7 @@ ARCHITECTURE = architecture.parse("5x5x2-3c2-4c3-3o")
 
 @pytest.fixture(scope="module")
 def small():
-    network = slayer.SpikingNetwork(ARCHITECTURE, NEURON, 7, conv_scale=8, dense_scale=14)
+    network = slayer.SlayerNetwork(ARCHITECTURE, NEURON, 7, conv_scale=8, dense_scale=14)
     events = (np.random.default_rng(5).random((2, STEPS, 5, 5, 2)) < 0.1).astype(np.uint8)
     return network, events
 
@@ -256,7 +256,7 @@ def test_weight_gradients_agree_with_finite_differences(reference, small):
 
 def test_training_lowers_the_loss(small):
     _, events = small
-    network = slayer.SpikingNetwork(ARCHITECTURE, NEURON, 7, conv_scale=8, dense_scale=14)
+    network = slayer.SlayerNetwork(ARCHITECTURE, NEURON, 7, conv_scale=8, dense_scale=14)
     desired = np.array([[8.0, 1, 1], [1, 1, 8]], np.float32)
     optimizer = tf.keras.optimizers.Adam(0.02)
     losses = []
@@ -271,14 +271,14 @@ def test_training_lowers_the_loss(small):
 
 
 def test_the_same_seed_gives_the_same_weights():
-    one, two, other = (slayer.SpikingNetwork(ARCHITECTURE, seed=s) for s in (1, 1, 2))
+    one, two, other = (slayer.SlayerNetwork(ARCHITECTURE, seed=s) for s in (1, 1, 2))
     for a, b, c in zip(one.kernels, two.kernels, other.kernels, strict=True):
         np.testing.assert_array_equal(a, b)
         assert not np.array_equal(a, c)
 
 
 def test_kernels_have_the_shapes_of_the_notation():
-    network = slayer.SpikingNetwork(architecture.parse("10x10x2-6c2-24c3-10o"))
+    network = slayer.SlayerNetwork(architecture.parse("10x10x2-6c2-24c3-10o"))
     assert [tuple(k.shape) for k in network.kernels] == [
         (2, 2, 2, 6),
         (3, 3, 6, 24),

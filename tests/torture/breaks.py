@@ -24,10 +24,10 @@ TINY = (
     *("--set", "data.samples_per_digit=60", "--set", "cnn.epochs=3", "--set", "snn.epochs=2"),
     *("--samples", "20", "--steps", "40"),
 )
-GRACE = 20
+GRACE = 60
 """Seconds within which an interrupted command ends, and a second Ctrl-C at once."""
 
-LONGEST = 300
+LONGEST = 1800
 EARLY = 0.12
 """Seconds in which Python itself starts, before the first line of ours."""
 

@@ -13,7 +13,16 @@ from deploy.files import read_arrays
 from deploy.network.nir import input_spikes, nir_graph, write_nir
 from deploy.network.spec import DT
 from deploy.targets.registry import answer
-from tests.deploy.networks import host_first_spec, paper_spec, random_checks, small_spec
+from tests.deploy.network.test_build import matrix_by_hand
+from tests.deploy.networks import (
+    conv,
+    dense,
+    host_first_spec,
+    paper_spec,
+    random_checks,
+    readout,
+    small_spec,
+)
 from tests.nir_reader.result import responses_of
 
 nir = pytest.importorskip("nir")
@@ -148,3 +157,36 @@ def test_norse_gives_what_the_reference_gives_without_what_nir_leaves_out(tmp_pa
     np.testing.assert_array_equal(norse.spikes["input"], as_deployed.spikes["input"])
     assert likeness(as_nir_says) > 0.99
     assert likeness(as_nir_says) > likeness(as_deployed)
+
+
+def test_strides_padding_and_averaging_are_the_networks():
+    """The graph's nodes, worked out in NumPy, against the network's own fan-in of every neuron."""
+    rng = np.random.default_rng(0)
+    layer = conv("conv1", (9, 8, 2), 3, 3, rng, stride=2, padding="same", pool=2)
+    hidden = dense("dense1", layer.shape, 4, rng)
+    spec = replace(
+        small_spec(), input_shape=(9, 8, 2), layers=(layer, hidden, readout((4,), rng, 3))
+    )
+    nodes = nir_graph(spec).nodes
+    names = ["conv1_pool", "conv1_weights", "conv1_neurons", "dense1_flatten", "dense1_weights"]
+    assert list(nodes)[1:6] == names
+    pool, graph = nodes["conv1_pool"], nodes["conv1_weights"]
+    image = rng.normal(size=(9, 8, 2))
+    size = int(pool.kernel_size[0])
+    assert size == int(pool.stride[0]) == 2
+    mean = image[:8, :8].reshape(4, size, 4, size, 2).mean((1, 3)).transpose(2, 0, 1)
+    padded = np.pad(mean, ((0, 0), *((int(n), int(n)) for n in graph.padding)))
+    rows, columns = graph.weight.shape[2:]
+    step = graph.stride[0]
+    got = np.array(
+        [
+            [
+                np.tensordot(graph.weight, padded[:, i : i + rows, j : j + columns], 3)
+                for j in range(0, padded.shape[2] - columns + 1, step)
+            ]
+            for i in range(0, padded.shape[1] - rows + 1, step)
+        ]
+    )
+    expected = matrix_by_hand(layer) @ image.ravel() / 500 / 0.001
+    np.testing.assert_allclose(got.reshape(-1), expected)
+    assert graph.output_type["output"].tolist() == [3, 2, 2]

@@ -1,0 +1,112 @@
+"""Networks unlike the paper's all the way: NengoDL, conversion, targets, training."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.network.operations import multiply_accumulates
+from deploy.network.spec import NetworkSpec
+from deploy.preflight.plan import make_plan
+from deploy.targets.registry import answer
+from models.architecture import parse
+from pipeline.run.conversion import to_spec
+from pipeline.settings import Settings
+from pipeline.training import nengodl, stacked
+from pipeline.training import networks as training
+
+ARCHITECTURES = [
+    "10x10-4c3s2p-2a-12-10o",
+    "10x10-3a-6c3p-10o",
+    "10x10-5c4p-3a-6c2p-10o",
+    "10x10-16-8-10o",
+    "10x10-4c3s3-10o",
+]
+
+
+def settings_of(architecture, recipe="paper", **presentation):
+    changes = {
+        "cnn": {"architecture": architecture},
+        "snn": {"recipe": recipe, "max_rates": [200.0]},
+        "presentation": presentation,
+    }
+    return Settings().with_values(changes, "test")
+
+
+def random_weights(architecture, seed=1):
+    """With which activations are about 0 to 1 and every layer counts."""
+    rng = np.random.default_rng(seed)
+    weights = {}
+    for name, shape in parse(architecture).weight_shapes.items():
+        fan_in = np.prod(shape[:-1])
+        scale = 1.8 / np.sqrt(fan_in) if name.endswith("kernel") else 0.05
+        weights[name] = (scale * rng.normal(size=shape)).astype(np.float32)
+    return weights
+
+
+def images(n=4):
+    rng = np.random.default_rng(0)
+    shape = (n, 10, 10, 1)
+    return (rng.uniform(size=shape) * (rng.uniform(size=shape) < 0.5)).astype(np.float32)
+
+
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+def test_the_network_in_nengodl_is_the_keras_one(architecture):
+    settings, weights = settings_of(architecture), random_weights(architecture)
+    trained = training.TrainedRates(settings, weights).logits(images())
+    ours = nengodl.run(settings, weights, images(), 1, spiking=False, batch=4)
+    assert trained.std() > 0.1
+    np.testing.assert_allclose(ours[:, 0], trained, atol=5e-4)
+
+
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+def test_shown_long_the_deployed_network_answers_as_the_rate_network(architecture):
+    shown = dict(steps=700, gap=0, readout_start=150, stream_length=1)
+    settings = settings_of(architecture, "loihi", **shown)
+    weights = random_weights(architecture)
+    rates = training.TrainedRates(settings, weights).logits(images())
+    spec = to_spec(settings, weights, {})
+    assert NetworkSpec.from_json(spec.to_json(), spec.arrays()) == spec
+    scores = answer(spec, images(), "fast").scores
+    assert np.corrcoef(scores.ravel(), rates.ravel())[0, 1] > 0.97
+    assert make_plan(spec).problems == []
+
+
+def test_what_is_folded_counts_as_the_architecture_does():
+    architecture = "10x10-3a-6c3p-10o"
+    spec = to_spec(settings_of(architecture), random_weights(architecture), {})
+    assert [layer.name for layer in spec.layers] == ["conv1", "output"]
+    assert spec.layers[0].pool == 3
+    ours, whole = multiply_accumulates(spec), parse(architecture).multiply_accumulates
+    assert sum(ours.values()) == sum(whole.values())
+    assert ours["conv1"] == whole["pool1"] + whole["conv1"]
+
+
+def test_a_first_layer_on_the_host_may_be_any():
+    for architecture in ("10x10-2a-16-8-10o", "10x10-2a-4c3s2p-8-10o"):
+        settings = settings_of(architecture, steps=40, readout_start=10)
+        deployment = replace(settings.deployment, first_layer="host")
+        settings = replace(settings, deployment=deployment)
+        spec = to_spec(settings, random_weights(architecture), {})
+        fast, emulator = (answer(spec, images(), target) for target in ("fast", "emulator"))
+        assert fast.spike_hashes.tolist() == emulator.spike_hashes.tolist()
+
+
+def test_training_with_strides_pooling_and_dense_layers():
+    changes = {
+        "cnn": {"architecture": "10x10-4c3s2p-2a-12-10o", "epochs": 2},
+        "snn": {"epochs": 2, "spike_penalty": 0.1},
+    }
+    settings = Settings().with_values(changes, "test")
+    labels = np.arange(80) % 10
+    data = images(80), labels
+    cnn = training.train_cnn(settings, data, 0)
+    single = training.train_rate_network(settings, data, 0, cnn.weights)
+    shapes = parse(settings.cnn.architecture).weight_shapes
+    assert {name: array.shape for name, array in single.weights.items()} == shapes
+    parts = [np.arange(0, 80, 2), np.arange(1, 80, 2)]
+    nets = stacked.train_rate_networks(settings, data, parts, [0, 1], [cnn.weights] * 2)
+    for net in nets:
+        assert {name: array.shape for name, array in net.weights.items()} == shapes
+        assert np.isfinite(net.logits(images())).all()
+    assert set(single.activations(images())) == {"conv1", "dense1"}

@@ -1,0 +1,128 @@
+"""A run on events through every stage: trained, bundle, targets, ladder; and what is refused."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from deploy.check.bundle import read_bundle
+from deploy.check.results import read_result
+from deploy.files import read_json
+from deploy.network.decision import confidence
+from tests.command import call
+
+TINY = (
+    *("--input", "events", "--set", "data.samples_per_digit=40", "--set", "events.epochs=2"),
+    *("--set", "input.step=40", "--steps", "50", "--samples", "12"),
+)
+
+
+@pytest.fixture(scope="module")
+def run_on_events(tmp_path_factory):
+    """A finished run on events, trained badly, but through every stage."""
+    folder = tmp_path_factory.mktemp("runs") / "events"
+    assert call("ladder", folder, *TINY) == 0
+    return folder
+
+
+def test_the_ladder_begins_with_what_was_trained(run_on_events):
+    ladder = read_json(run_on_events / "ladder.json", "")
+    stages = [row["stage"] for row in ladder["rows"]]
+    assert stages == ["trained", "nengo", "simreal", "emulator"]
+    assert ladder["n_samples"] == 12
+
+
+def test_the_samples_are_frames_of_the_recordings_own_events(run_on_events):
+    bundle = read_bundle(run_on_events / "bundle")
+    assert bundle.checks.inputs.shape == (12, 50, 10, 10, 2)
+    assert set(np.unique(bundle.checks.inputs)) == {0, 1}
+    assert bundle.spec.stimulus.step_seconds == pytest.approx(0.04)
+    assert bundle.spec.presentation.readout_start == 0
+    input_spikes = read_result(run_on_events / "checks" / "emulator.json")["spikes"]["input"]
+    assert input_spikes == bundle.checks.inputs.sum()
+
+
+def test_fast_gives_every_spike_of_the_emulator(run_on_events, tmp_path):
+    out = tmp_path / "fast.json"
+    assert call("check", "run", run_on_events / "bundle", "--target", "fast", "--out", out) == 0
+    ours = read_result(out)["samples"]
+    theirs = read_result(run_on_events / "checks" / "emulator.json")["samples"]
+    for name in ("spike_hash", "prediction", "stopped_at"):
+        assert [s[name] for s in ours] == [s[name] for s in theirs]
+
+
+def test_the_result_says_when_each_sample_was_decided(run_on_events):
+    result = read_result(run_on_events / "checks" / "emulator.json")
+    bundle = read_bundle(run_on_events / "bundle")
+    written = result["while_written"]
+    early = written["by_itself"]
+    assert early["confidence"] == bundle.spec.presentation.confidence
+    assert 0 < early["share_of_writing_mean"] <= 1
+    assert len(written["accuracy"]) == len(written["shares"]) == 10
+    steps = bundle.spec.presentation.steps
+    for sample in result["samples"]:
+        assert 1 <= sample["stopped_at"] <= steps
+        if sample["stopped_at"] == steps:  # at the end the scores are there to see
+            continue
+        assert confidence(np.array(sample["scores"]) * steps) <= 1
+    busy = bundle.checks.inputs.any((2, 3, 4))
+    last = steps - np.argmax(busy[:, ::-1], 1)
+    assert written["written_steps_mean"] == pytest.approx(last.mean())
+
+
+def test_the_confidence_was_chosen_on_samples_that_were_not_trained_on(run_on_events):
+    metrics = read_json(run_on_events / "snn" / "metrics.json", "")
+    dataset = read_json(run_on_events / "dataset.json", "")
+    assert metrics["decides_by_itself"]["samples"] == round(0.1 * dataset["train"])
+
+
+def test_nothing_is_done_twice_and_no_checkpoint_is_left(run_on_events, capsys):
+    assert call("ladder", run_on_events) == 0
+    said = capsys.readouterr().err
+    assert "events: up to date" in said
+    assert "bundle: up to date" in said
+    assert not (run_on_events / "snn" / "checkpoint.npz").exists()
+
+
+def test_plan_energy_and_report(run_on_events, tmp_path, capsys):
+    assert call("deploy", "plan", run_on_events / "bundle", "--json") == 0
+    plan = json.loads(capsys.readouterr().out)
+    assert plan["problems"] == []
+    assert call("deploy", "energy", run_on_events / "bundle") == 0
+    assert "ESTIMATE" in capsys.readouterr().out
+    page = tmp_path / "report.html"
+    assert call("report", run_on_events, "--out", page) == 0
+    assert "Trained on events" in page.read_text(encoding="utf-8")
+
+
+def test_another_kind_of_input_makes_another_network(run_on_events, tmp_path, capsys):
+    folder = tmp_path / "run"
+    shutil.copytree(run_on_events, folder)
+    assert call("train", folder, "--input", "image", "--set", "cnn.epochs=1") == 0
+    assert "cnn: test accuracy" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("input.kind=frames", "one of image, events"),
+        ("input.step=0", "'input.step' must be from 0.1 to 1000 milliseconds"),
+        ("events.architecture=10x10x2-2a-10o", "with a hidden layer and without pooling"),
+        ("events.architecture=10x10-6c4-10o", "such as 10x10x2-6c4-10o"),
+    ],
+)
+def test_a_wrong_setting_is_one_line(setting, message, tmp_path, capsys):
+    status = call("train", tmp_path / "run", "--input", "events", "--set", setting)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert status == 2
+    assert message in line
+    assert not (tmp_path / "run" / "experiment.toml").exists()
+
+
+def test_what_is_not_shown_is_said(tmp_path, capsys):
+    options = ("--set", "data.samples_per_digit=10", "--set", "events.epochs=1", "--steps", "5")
+    assert call("train", tmp_path / "run", "--input", "events", *options) == 0
+    said = capsys.readouterr().err
+    assert "% fall into the 20 ms of another one" in said
+    assert "are longer than 5 steps of 20 ms" in said
