@@ -157,8 +157,8 @@ class SNN:
     recipe: Annotated[str, one_of(*RECIPES)] = "loihi"
     """``loihi``: the chip's rates and 8-bit weights in the forward pass, noise that stands for
     the ripple of spikes, starting from the CNN's weights; ``paper``: plain rate-based LIF, from
-    new weights, trained as the CNN is; ``as-is``: the CNN's weights, scaled to the neurons' range
-    and not trained on."""
+    new weights, trained as the CNN is; ``as-is``: the CNN's weights, fitted to the neurons' range
+    and curve and not trained on."""
     epochs: Annotated[int, OWN_EPOCHS] = 0
     """Passes over the training samples; 0 for the recipe's own."""
     batch_size: Annotated[int, OWN_BATCH] = 0

@@ -24,7 +24,7 @@ PAGES = [
 LONGEST_README = 260
 TARGETS = [
     *("setup", "data", "train", "convert", "loihi-emulate", "loihi-hardware"),
-    *("check", "benchmark", "report", "test", "lint", "clean", "help"),
+    *("check", "benchmark", "report", "live", "test", "lint", "clean", "help"),
 ]
 SUFFIXES = {"csv", "json", "md", "npz", "png", "py", "sbatch", "svg", "toml", "yaml"}
 

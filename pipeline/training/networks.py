@@ -18,6 +18,9 @@ PERCENTILE = 99.9
 """Of a layer's activations that becomes 1 when a CNN's weights are carried over."""
 
 
+SHIFTS = tuple(np.arange(0, 1.01, 0.02).tolist())
+"""How far a threshold may be moved where weights are carried over without training."""
+
 PRICED_STEPS = 100
 """Steps whose synaptic operations ``snn.spike_penalty`` weighs, whatever the presentation is, so
 that the same weights serve any number of steps."""
@@ -205,10 +208,10 @@ def train_rate_network(
 ) -> TrainedRates:
     """Train with rate-based LIF neurons (paper, Section 3.2.2).
 
-    With ``recipe = "as-is"`` not at all: the CNN's weights are scaled.  With ``"paper"`` from new
-    weights; with ``"loihi"`` from the CNN's, scaled so that the
-    activations fit the neurons' range, with the chip's rates and weights in the forward pass, noise
-    on the neurons' input, and a price on spikes if the settings have one.
+    With ``recipe = "as-is"`` not at all: the CNN's weights are fitted to the neurons.  With
+    ``"paper"`` from new weights; with ``"loihi"`` from the CNN's, scaled so that the activations
+    fit the neurons' range, with the chip's rates and weights in the forward pass, noise on the
+    neurons' input, and a price on spikes if the settings have one.
 
     Parameters
     ----------
@@ -222,7 +225,7 @@ def train_rate_network(
     TrainedRates
     """
     if settings.snn.recipe == "as-is":
-        return TrainedRates(settings, scale_to_unit(settings, cnn_weights, data[0]))
+        return TrainedRates(settings, fit_to_rates(settings, cnn_weights, data[0]))
     model = new_rate_network(settings, seed, data[0], cnn_weights)
     history = fit(model, snn_recipe(settings.snn), data, seed, validation, advance)
     return TrainedRates(settings, get_weights(model), history)
@@ -259,6 +262,54 @@ def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
         before = scale
     scaled["output.kernel"] = weights["output.kernel"] * before
     return scaled
+
+
+def fit_to_rates(settings: Settings, weights: dict, images) -> dict:
+    """Carry a ReLU network's weights over to LIF neurons that are not trained.
+
+    A LIF neuron's rate ``f`` rises steeply at its threshold and flattens out, a rectified linear
+    unit does neither.  With activations y that reach 1 (:func:`scale_to_unit`), ``c f(a z - b)``
+    comes near to ``y = max(z, 0)`` where the threshold is moved up by a little b; a = 1 + b keeps
+    ``max_rate`` at 1.  For each layer b is the one of `SHIFTS` with the least squared error over
+    the activations above 0 on the images, c its best factor; a and b go into the layer's weights
+    and bias, c into the next layer's weights.
+
+    Parameters
+    ----------
+    settings, weights, images
+        As in :func:`scale_to_unit`.
+
+    Returns
+    -------
+    dict
+        Weights of the rate-based network, which puts out nearly the CNN's logits.
+    """
+    snn, fitted, before = settings.snn, dict(weights), 1.0
+    outputs = TrainedCNN(settings, weights).activations(images)
+    for index, (name, output) in enumerate(outputs.items()):
+        scale = max(float(np.percentile(output, PERCENTILE)), 1e-6)
+        neurons = RateLIF(snn.max_rate(index), snn.tau_rc, snn.tau_ref, on_chip=snn.is_on_chip)
+        shift, factor = _best_shift(neurons, output[output > 0] / scale)
+        kernel, bias = weights[f"{name}.kernel"], weights[f"{name}.bias"]
+        fitted[f"{name}.kernel"] = kernel * before / scale * (1 + shift)
+        fitted[f"{name}.bias"] = bias / scale * (1 + shift) - shift
+        before = scale * factor
+    fitted["output.kernel"] = weights["output.kernel"] * before
+    return fitted
+
+
+def _best_shift(neurons, activations):
+    """(b, c) of :func:`fit_to_rates` for one layer."""
+    if len(activations) == 0:
+        return 0.0, 1.0
+    # Of the distribution a thousand values are enough.
+    wanted = np.quantile(activations, (np.arange(1000) + 0.5) / 1000)
+    found = []
+    for shift in SHIFTS:
+        rates = neurons.rates(((1 + shift) * wanted - shift).astype(np.float32)).numpy()
+        factor = float(rates @ wanted / max(rates @ rates, 1e-9))
+        found.append((float(np.square(factor * rates - wanted).sum()), shift, factor))
+    return min(found)[1:]
 
 
 def fit(model, recipe: Recipe, data, seed: int, validation=None, advance=None) -> list:

@@ -117,3 +117,22 @@ def test_validation_samples_are_watched_and_not_trained_on():
     assert watched.history[0]["val_loss"] == pytest.approx(loss, rel=1e-4)
     for name, array in watched.weights.items():
         np.testing.assert_array_equal(array, unwatched.weights[name])
+
+
+def test_the_best_shift_brings_a_lif_neuron_near_a_rectified_unit():
+    """By hand: at z = 1 the rate is max_rate whatever the shift, and it beats no shift."""
+    from models.lif import RateLIF
+    from pipeline.training.networks import _best_shift
+
+    neurons = RateLIF(150.0, on_chip=True)
+    wanted = np.linspace(0.001, 1, 500)
+    shift, factor = _best_shift(neurons, wanted)
+    assert 0 < shift < 0.5
+
+    def error(shift, factor):
+        rates = neurons.rates(((1 + shift) * wanted - shift).astype(np.float32)).numpy()
+        return np.sqrt(np.mean((factor * rates - wanted) ** 2))
+
+    plain = neurons.rates(wanted.astype(np.float32)).numpy()
+    assert error(shift, factor) < 0.5 * error(0.0, plain @ wanted / (plain @ plain))
+    assert _best_shift(neurons, np.empty(0)) == (0.0, 1.0)
