@@ -5,6 +5,7 @@ import itertools
 import re
 import shlex
 import subprocess
+import sys
 
 import pytest
 import typer.main
@@ -12,7 +13,7 @@ import typer.main
 from pipeline.commands.main import app
 from pipeline.commands.reference import FILES, with_parts
 from pipeline.settings import Settings
-from tests.command import ROOT
+from tests.command import ROOT, environment
 
 README = ROOT / "README.md"
 DOCS = sorted((ROOT / "docs").glob("*.md"))
@@ -23,7 +24,7 @@ PAGES = [
 LONGEST_README = 260
 TARGETS = [
     *("setup", "data", "train", "convert", "loihi-emulate", "loihi-hardware"),
-    *("check", "benchmark", "report", "test", "lint", "clean", "help"),
+    *("check", "benchmark", "report", "live", "test", "lint", "clean", "help"),
 ]
 SUFFIXES = {"csv", "json", "md", "npz", "png", "py", "sbatch", "svg", "toml", "yaml"}
 
@@ -207,6 +208,30 @@ def test_what_a_page_imports_in_python_exists(page):
             if isinstance(node, ast.ImportFrom) and re.match("pipeline|models|deploy", node.module):
                 names = {alias.name for alias in node.names}
                 assert names <= set(defined(node.module)), node.module
+
+
+@pytest.mark.slow
+def test_what_the_page_on_python_shows_runs(tmp_path):
+    """One block after the other, as a notebook would, with fewer samples."""
+    code = "\n".join(block for _, block in blocks(read(ROOT / "docs" / "python.md")))
+    for shown, fewer in (
+        ('"samples_per_digit": 100', '"samples_per_digit": 30'),
+        ('"samples": 100', '"samples": 20'),
+        ("split.test, 200", "split.test, 20"),
+    ):
+        assert shown in code
+        code = code.replace(shown, fewer)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env=environment(),
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    for said in ("rate-lif: ", "nengo: ", "fast: ", "ESTIMATE", "2 cores on 1 chip"):
+        assert said in done.stdout
+    assert (tmp_path / "mine" / "network.nir").is_file()
 
 
 def targets():

@@ -36,7 +36,7 @@ class Target:
     note : str
         What a reader of its figures must know; empty if the title says it.
     slow : bool
-        Whether the whole test split takes it minutes.
+        Whether the whole test split takes this machine minutes.
     hardware : bool
         Whether it is hardware, which few have; everything else runs anywhere.
     options : type or None
@@ -91,7 +91,6 @@ TARGETS: Dict[str, Target] = {
             "loihi",
             run_loihi,
             "Loihi 1 through NxSDK",
-            slow=True,
             hardware=True,
             options=BoardOptions,
             describe=describe,

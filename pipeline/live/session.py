@@ -39,7 +39,7 @@ network on events hears the first 2 s only."""
 PAUSE_S = 1.5
 """A pen that comes down after so long begins another recording."""
 
-REST_S = 0.05
+REST_S = 0.1
 """A pen of which nothing has come for so long rests where it was."""
 
 POINTS = 512

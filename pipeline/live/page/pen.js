@@ -3,8 +3,6 @@
 const BEYOND = 1.5; // taxels beyond the outer sensors at which a pen that slips off is held
 const BEAT_MS = 12;
 const APART_MS = 8; // of two messages while the pen moves
-// Moves as they come, where the browser has them, rather than with its next frame.
-const MOVE = "onpointerrawupdate" in globalThis ? "pointerrawupdate" : "pointermove";
 
 export class Pen {
   // tell(points, now): [[ms, right, down, pressure, touches], ...]
@@ -16,7 +14,9 @@ export class Pen {
     this.told = -Infinity;
     this.waiting = [];
     canvas.addEventListener("pointerdown", (event) => this.down(event));
-    canvas.addEventListener(MOVE, (event) => this.move(event));
+    // Moves as they come, where the browser has them, and once more with its next frame.
+    for (const move of ["pointerrawupdate", "pointermove"])
+      canvas.addEventListener(move, (event) => this.move(event));
     for (const end of ["pointerup", "pointercancel", "lostpointercapture"])
       canvas.addEventListener(end, (event) => this.up(event));
     // A finger that writes neither scrolls nor selects.
@@ -44,8 +44,13 @@ export class Pen {
   move(event) {
     if (event.pointerId !== this.pointer) return;
     const every = event.getCoalescedEvents?.() ?? [];
-    this.waiting.push(...(every.length ? every : [event]).map((one) => this.point(one, 1)));
-    this.last = this.waiting.at(-1);
+    for (const one of every.length ? every : [event]) {
+      const point = this.point(one, 1);
+      if (point[0] <= this.last[0]) continue; // known already
+      this.waiting.push(point);
+      this.last = point;
+    }
+    if (!this.waiting.length) return;
     if (performance.now() - this.told >= APART_MS) this.send([]);
   }
 

@@ -14,6 +14,7 @@ from deploy.errors import UserError
 from deploy.targets.registry import answer as answers_of
 from pipeline.inputs.images import tactile_images
 from pipeline.recordings.archive import read_source, write_zip
+from pipeline.recordings.matfile import read_recording
 from pipeline.settings import Image
 from pipeline.skin import handwriting, parameters, simulate, unipen
 from tests.command import call
@@ -185,6 +186,31 @@ def test_events_and_decisions_come_while_the_pen_is_still_down(page):
     assert re.match(r"\d+ events", page.inner_text("#count"))
     assert re.fullmatch(r"\d+ % sure", page.inner_text("#confidence"))
     page.mouse.up()
+
+
+def test_pointer_events_of_any_origin_write(page):
+    """Such as those of a stylus's driver or of an assistive technology: no raw ones, no capture."""
+    page.evaluate(
+        """async () => {
+          const skin = document.querySelector("#skin"), box = skin.getBoundingClientRect();
+          const tell = (kind, share) => skin.dispatchEvent(new PointerEvent(kind, {
+            pointerId: 7, pointerType: "pen", pressure: kind === "pointerup" ? 0 : 0.6,
+            clientX: box.left + box.width / 2, clientY: box.top + share * box.height,
+          }));
+          tell("pointerdown", 0.1);
+          for (let n = 0; n < 30; n++) {
+            await new Promise((done) => setTimeout(done, 10));
+            tell("pointermove", 0.1 + 0.8 * n / 30);
+          }
+          tell("pointerup", 0.9);
+        }"""
+    )
+    settled(page)
+    label(page, 1)
+    kept = read_recording(next(page.server.keeper.folder.rglob("w*.mat")).read_bytes())
+    assert len(kept.written.pen) > 20
+    assert kept.written.pen[1:-1, 3] == pytest.approx(0.6)
+    assert (np.diff(kept.written.pen[:, 0]) >= 0).all()
 
 
 def test_clear_empties_the_decision(page):

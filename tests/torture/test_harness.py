@@ -1,0 +1,102 @@
+"""The campaign itself: the same case from the same seed, and findings that are found."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.deploy.networks import bundle_at
+from tests.torture import bounded, breaks, damage, inputs
+
+
+@pytest.fixture
+def base(tmp_path):
+    """As much of a finished run as most kinds need."""
+    run = tmp_path / "base" / "run"
+    bundle_at(run / "bundle")
+    (run / "experiment.toml").write_text("seed = 0\n\n[cnn]\nepochs = 3\n")
+    (run / "checks").mkdir()
+    for name in ("emulator", "nengo"):
+        (run / "checks" / f"{name}.json").write_text(json.dumps({"samples": [{"id": "a"}]}))
+    return inputs.Base(run)
+
+
+def contents(folder):
+    return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+@pytest.mark.parametrize("kind", sorted(set(inputs.KINDS) - {"run", "mat73"}))
+def test_a_case_is_the_same_again(kind, base, tmp_path):
+    """HDF5 writes the time of day into its files; what is in them is the same."""
+    for case in range(4):
+        made = []
+        for name in ("a", "b"):
+            folder = tmp_path / f"{name}{case}"
+            folder.mkdir()
+            inputs.make(kind, np.random.default_rng([1, 0, case]), folder, base)
+            made.append(contents(folder))
+        if kind in ("mat5", "zip", "bundle"):  # SciPy and zip write the time of day too
+            assert made[0].keys() == made[1].keys()
+        else:
+            assert made[0] == made[1]
+
+
+def test_a_campaign_has_of_every_kind():
+    kinds = inputs.plan(200)
+    assert len(kinds) == 200
+    assert {kind: kinds.count(kind) > 5 for kind in inputs.SHARES} == dict.fromkeys(
+        inputs.SHARES, True
+    )
+
+
+def test_damaged_bytes_are_other_bytes():
+    rng = np.random.default_rng(0)
+    content = bytes(range(200))
+    assert sum(damage.some_bytes(rng, content) != content for _ in range(100)) > 95
+
+
+def outcome(status=0, err="", seconds=1.0, memory=10**8):
+    return bounded.Outcome(status, "", err, seconds, memory)
+
+
+@pytest.mark.parametrize(
+    ("ended", "found"),
+    [
+        (outcome(), None),
+        (outcome(2, "stmnist: a.mat: is damaged; try another\n"), None),
+        (outcome(2, "left out 3/a.mat\nstmnist: st.zip: no recording\n"), None),
+        (outcome(2, "usage: me\n"), "not one line"),
+        (outcome(2, "stmnist: a\nstmnist: b\n"), "not one line"),
+        (outcome(2, "stmnist: " + "x" * 9000), "a line of 9009 characters"),
+        (outcome(1, "Traceback (most recent call last):\nValueError: x\n"), "a traceback"),
+        (outcome(0, "Traceback (most recent call last):\nValueError: x\n"), "a traceback"),
+        (outcome(-11), "died of signal 11"),
+        (outcome(seconds=30), "took 30 s"),
+        (outcome(memory=3 << 30), "took 3072 MB"),
+    ],
+)
+def test_what_is_a_finding(ended, found):
+    assert (ended.finding is None) if found is None else (found in ended.finding)
+
+
+def test_a_command_is_called_within_limits(tmp_path):
+    (tmp_path / "a.mat").write_bytes(b"hello")
+    ended = bounded.run(["data", "inspect", tmp_path / "a.mat"], tmp_path)
+    assert (ended.status, ended.finding) == (2, None)
+    assert "is not a MAT file" in ended.err
+    assert ended.memory > 10**7
+
+
+def test_what_differs_from_an_uninterrupted_run_is_named(tmp_path):
+    (tmp_path / "a.json").write_text('{"accuracy": 0.5, "seconds": 3.1}')
+    (tmp_path / "b.bin").write_bytes(b"b")
+    whole = breaks.Whole(1.0, {**breaks.fingerprint(tmp_path), "c.bin": "0"})
+    (tmp_path / "a.json").write_text('{"accuracy": 0.5, "seconds": 9.9}')
+    (tmp_path / "b.bin").write_bytes(b"other")
+    (tmp_path / "tmp").mkdir()
+    (tmp_path / "tmp" / "left").write_text("")
+    assert list(breaks.compared(tmp_path, whole)) == [
+        "b.bin is not the same",
+        "c.bin is missing",
+        "tmp/left is left over",
+    ]
