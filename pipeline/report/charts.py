@@ -135,23 +135,45 @@ def raster(groups, extent: float, x_label: str, y_label: str, description="", ro
     return _svg(WIDTH, height, marks, description)
 
 
-def confusion(matrix, description="") -> Markup:
-    """A confusion matrix: row the digit that was written, column the answer, in counts."""
+LONGEST_NAME = 16
+"""Characters of a class's name that a chart shows."""
+
+
+def confusion(matrix, description="", names=None) -> Markup:
+    """A confusion matrix: row the class that was shown, column the answer, in counts.
+
+    Parameters
+    ----------
+    matrix : array_like of int, shape (classes, classes)
+    description : str
+    names : sequence of str, optional
+        Of the classes; default: numbers from 0.
+    """
     matrix = np.asarray(matrix)
     size, cell = len(matrix), 30
     share = confusion_shares(matrix)
-    side = 46 + size * cell
+    names = [str(name)[:LONGEST_NAME] for name in names or range(size)]
+    longest = max(map(len, names), default=1)
+    edge = 46 if longest <= 2 else 30 + 7 * longest  # some 7 units a letter
+    side = edge + size * cell
     marks = []
-    for digit in range(size):
-        at = 46 + (digit + 0.5) * cell
-        marks += [_text(at, 36, digit, "middle"), _text(34, at + 4, digit, "middle")]
-    marks.append(_text(46 + size * cell / 2, 14, "answer", "middle"))
+    for position, name in enumerate(names):
+        at = edge + (position + 0.5) * cell
+        if longest <= 2:
+            marks += [_text(at, 36, name, "middle"), _text(34, at + 4, name, "middle")]
+        else:
+            marks.append(
+                f'<text class="label" transform="translate({at + 4:.1f} {edge - 6}) rotate(-90)">'
+                f"{escape(name)}</text>"
+            )
+            marks.append(_text(edge - 6, at + 4, name, "end"))
+    marks.append(_text(edge + size * cell / 2, 14, "answer", "middle"))
     marks.append(
-        f'<text class="label" text-anchor="middle" transform="translate(14 {46 + size * cell / 2})'
-        f' rotate(-90)">written</text>'
+        '<text class="label" text-anchor="middle" '
+        f'transform="translate(14 {edge + size * cell / 2}) rotate(-90)">shown</text>'
     )
     for (row, column), count in np.ndenumerate(matrix):
-        x, y = 46 + column * cell, 46 + row * cell
+        x, y = edge + column * cell, edge + row * cell
         # Counts stay readable on either; errors are few: a root makes one in a hundred visible.
         kind, opacity = "on", 0.55 * share[row, column]
         if row != column:

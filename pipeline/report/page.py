@@ -216,7 +216,7 @@ def _table1(recordings):
         return {"title": title, "cells": cells, "places": places}
 
     return {
-        "digits": list(ours),
+        "classes": [recordings.sensor.classes[digit] for digit in ours],
         "against_paper": against_paper,
         "rows": [
             *(
@@ -292,15 +292,16 @@ def _confusions(inputs):
         title = _title(result["target"])
         if not (result["target"] == "cnn" and "cnn" in inputs.answers):
             wanted[f"{title}, the check's {len(answers[0])} samples"] = answers
-    matrices = []
+    classes, matrices = inputs.recordings.sensor.classes, []
     for title, (labels, predictions) in wanted.items():
-        matrix = confusion_matrix(labels, predictions)
-        matrices.append({"title": title, "chart": charts.confusion(matrix, f"Confusions: {title}")})
+        matrix = confusion_matrix(labels, predictions, len(classes))
+        chart = charts.confusion(matrix, f"Confusions: {title}", classes)
+        matrices.append({"title": title, "chart": chart})
     return matrices
 
 
 def _stories(inputs):
-    result, stories = inputs.results[-1], []
+    result, stories, classes = inputs.results[-1], [], inputs.recordings.sensor.classes
     position = {name: index for index, name in enumerate(inputs.recordings.ids)}
     for index, replay in inputs.replays.items():
         sample = result["samples"][index]
@@ -313,6 +314,8 @@ def _stories(inputs):
         stories.append(
             {
                 "sample": sample,
+                "shown": classes[sample["label"]],
+                "answered": classes[sample["prediction"]],
                 "right": sample["label"] == sample["prediction"],
                 "frames": _frames(inputs, recording),
                 "events": charts.raster(
@@ -326,12 +329,12 @@ def _stories(inputs):
                     max(float(events.time_ns.max(initial=0)) / 1e9, 0.1),
                     "seconds",
                     "taxel",
-                    "Events of the 100 taxels, ON and OFF",
-                    100,
+                    f"Events of the {len(inputs.recordings.taxels)} taxels, ON and OFF",
+                    len(inputs.recordings.taxels),
                 ),
                 "n_events": len(events),
                 "layers": rasters,
-                "scores": _scores(sample),
+                "scores": _scores(sample, classes),
                 "target": _title(result["target"]),
             }
         )
@@ -369,19 +372,19 @@ def _frames(inputs, recording):
     return frames
 
 
-def _scores(sample):
+def _scores(sample, classes):
     """Bars of the classes' scores, longest for the largest."""
     scores = np.asarray(sample["scores"])
     spread = scores.max() - scores.min()
     width = (scores - scores.min()) / (spread or 1.0)
     return [
         {
-            "digit": digit,
+            "name": classes[position],
             "score": float(score),
             "width": float(100 * w),
-            "written": digit == sample["label"],
+            "written": position == sample["label"],
         }
-        for digit, (score, w) in enumerate(zip(scores, width, strict=True))
+        for position, (score, w) in enumerate(zip(scores, width, strict=True))
     ]
 
 

@@ -76,7 +76,8 @@ def measure_ladder(
         if board.exists() and read_result(board)["bundle"] == bundle.id:
             results.append(read_result(board))
     path = run.whole_ladder if whole else run.ladder
-    table = ladder_json(results, _layers(run, path, settings, bundle), left_out)
+    layers = _layers(run, path, settings, bundle)
+    table = ladder_json(results, layers, left_out, dataset.recordings.sensor.classes)
     write_json(path, table)
     return table
 
@@ -156,7 +157,8 @@ def climb(results) -> list:
                 disagreements=against and len(against.disagreements),
                 mcnemar_p=against and against.p_value,
                 confusion=confusion_matrix(
-                    *([s[key] for s in result["samples"]] for key in ("label", "prediction"))
+                    *([s[key] for s in result["samples"]] for key in ("label", "prediction")),
+                    len(result["samples"][0]["scores"]),
                 ).tolist(),
             )
         )
@@ -187,7 +189,7 @@ def confusion_shares(matrix) -> np.ndarray:
     return matrix / np.maximum(matrix.sum(axis=1, keepdims=True), 1)
 
 
-def ladder_json(results, layers=None, left_out=()) -> dict:
+def ladder_json(results, layers=None, left_out=(), classes=None) -> dict:
     """The ladder as plain values.
 
     Parameters
@@ -198,13 +200,18 @@ def ladder_json(results, layers=None, left_out=()) -> dict:
         From :func:`pipeline.run.diagnosis.layers_json`.
     left_out : sequence of str
         Stages that were not asked for.
+    classes : sequence of str, optional
+        Their names, in the order of the confusion matrices; default: numbers from 0.
     """
     first = results[0]
+    if classes is None:
+        classes = map(str, range(len(first["samples"][0]["scores"])))
     return {
         "schema": "stmnist-ladder/1",
         "bundle": first["bundle"],
         "simulated": first["simulated"],
         "n_samples": first["n_samples"],
+        "classes": list(classes),
         "rows": [asdict(rung) for rung in climb(results)],
         "left_out": list(left_out),
         "while_written": results[-1].get("while_written"),

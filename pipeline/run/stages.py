@@ -310,6 +310,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         "source": recordings.source.name,
         "source_sha256": recordings.source.sha256,
         "simulated": recordings.source.simulated,
+        "classes": list(recordings.sensor.classes),
         "seed": settings.seed,
         "recipe": "events" if on_events else settings.snn.recipe,
         "image": asdict(settings.image),

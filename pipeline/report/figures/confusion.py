@@ -9,6 +9,9 @@ from matplotlib.figure import Figure
 
 from pipeline.run.ladder import confusion_shares
 
+LONGEST = 16
+"""Characters of a class's name that are shown."""
+
 
 def confusion(ladder: dict) -> Figure:
     """Counts of each stage by label and prediction, shaded by the share of the label's samples.
@@ -28,7 +31,7 @@ def confusion(ladder: dict) -> Figure:
     for axes in panels[len(rows) :]:
         axes.set_visible(False)
     for position, (axes, row) in enumerate(zip(panels, rows, strict=False)):
-        _matrix(axes, np.array(row["confusion"]))
+        _matrix(axes, np.array(row["confusion"]), ladder.get("classes"))
         axes.set_title(f"{row['stage']}: {row['accuracy']:.3f}", fontsize=11)
         if position % columns == 0:
             axes.set_ylabel("label")
@@ -37,7 +40,7 @@ def confusion(ladder: dict) -> Figure:
     return figure
 
 
-def _matrix(axes, counts):
+def _matrix(axes, counts, names=None):
     shares = confusion_shares(counts)
     # The square root lets the few errors be seen beside the many right answers.
     axes.imshow(np.sqrt(shares), cmap="Blues", vmin=0, vmax=1)
@@ -53,6 +56,8 @@ def _matrix(axes, counts):
                 weight="bold" if label == prediction else "normal",
             )
     classes = range(len(counts))
-    axes.set_xticks(classes, classes)
-    axes.set_yticks(classes, classes)
+    names = [name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
+             for name in names or map(str, classes)]  # fmt: skip
+    axes.set_xticks(classes, names, rotation=90 if max(map(len, names)) > 2 else 0)
+    axes.set_yticks(classes, names)
     axes.tick_params(length=0)

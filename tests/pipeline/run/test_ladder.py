@@ -16,7 +16,7 @@ def result(target, predictions, bundle="b" * 64):
         "accuracy": right / 10,
         "accuracy_ci95": [0.1, 0.9],
         "samples": [
-            {"id": str(i), "label": label, "prediction": p}
+            {"id": str(i), "label": label, "prediction": p, "scores": [0.0] * 10}
             for i, (label, p) in enumerate(zip(LABELS, predictions, strict=True))
         ],
     }

@@ -1,0 +1,80 @@
+"""Five gestures on a skin of 16 by 12, from event files to the report."""
+
+import io
+
+import numpy as np
+import pytest
+
+from deploy.check.bundle import read_bundle
+from deploy.files import read_json
+from tests.command import call
+from tests.pipeline.handmade import archive
+
+NAMES = ("circle", "line 2", "line 10", "wave", "zig-zag")
+ROWS, COLUMNS = 16, 12
+
+
+def gesture(kind, rng):
+    """A stroke over the skin as a `.npz` of x, y, t, p."""
+    along = np.sort(rng.uniform(0, 1, 60))
+    x, y = {
+        "circle": (8 + 5 * np.cos(2 * np.pi * along), 6 + 4 * np.sin(2 * np.pi * along)),
+        "line 2": (15 * along, 2 + 0 * along),
+        "line 10": (15 * along, 10 + 0 * along),
+        "wave": (8 + 6 * np.sin(4 * np.pi * along), 11 * along),
+        "zig-zag": (4 + 8 * (along * 4 % 1), 11 * along),
+    }[kind]
+    x, y = (np.clip(np.rint(a + rng.normal(0, 0.5, 60)), 0, n - 1).astype(int)
+            for a, n in ((x, ROWS), (y, COLUMNS)))  # fmt: skip
+    buffer = io.BytesIO()
+    np.savez(buffer, x=x, y=y, t=0.2 + along, p=rng.choice([-1, 1], 60))
+    return buffer.getvalue()
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("gestures")
+    rng = np.random.default_rng(0)
+    members = {f"{name}/{i:02d}.npz": gesture(name, rng) for name in NAMES for i in range(30)}
+    archive(folder / "gestures.zip", members)
+    architecture = "cnn.architecture=16x12-4c4s2-5o"
+    status = call(
+        *("ladder", folder / "run", "--data", folder / "gestures.zip", "--set", architecture),
+        *("--set", "snn.max_rates=[150]", "--set", "cnn.epochs=15", "--set", "snn.epochs=5"),
+        *("--samples", "20", "--steps", "40"),
+    )
+    assert status == 0
+    return folder / "run"
+
+
+def test_names_and_sizes_in_the_run(run):
+    facts = read_json(run / "dataset.json", "")
+    assert facts["samples_per_class"] == dict.fromkeys(NAMES, 30)
+    assert (facts["sensor"]["rows"], facts["sensor"]["columns"]) == (ROWS, COLUMNS)
+    spec = read_bundle(run / "bundle").spec
+    assert spec.input_shape == (ROWS, COLUMNS, 1)
+    assert tuple(spec.provenance["classes"]) == NAMES
+
+
+def test_names_in_the_ladder(run):
+    table = read_json(run / "ladder.json", "")
+    assert tuple(table["classes"]) == NAMES
+    for row in table["rows"]:
+        assert np.shape(row["confusion"]) == (5, 5)
+    rows = {row["stage"]: row["accuracy"] for row in table["rows"]}
+    assert rows["cnn"] >= 0.8
+    assert rows["emulator"] >= 0.6
+
+
+def test_names_in_the_report_and_the_figure(run):
+    from pipeline.report.figures.confusion import confusion
+
+    assert call("report", run) == 0
+    page = (run / "report.html").read_text(encoding="utf-8")
+    for name in NAMES:
+        assert f"<span>{name}</span>" in page  # bars of the scores
+        assert f'rotate(-90)">{name}</text>' in page  # above the confusion matrix
+        assert f"<th>{name}</th>" in page
+    assert "ten digits" not in page
+    ticks = confusion(read_json(run / "ladder.json", "")).axes[0].get_yticklabels()
+    assert tuple(tick.get_text() for tick in ticks) == NAMES
