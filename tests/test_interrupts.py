@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.__main__ import QUIET
 
-from .command import ROOT, environment, start
+from .command import ROOT, environment
 
 LINE = "stmnist: interrupted; the same command goes on where it stopped"
 
@@ -162,10 +162,18 @@ def test_in_the_background_it_stays_ignored():
 
 @pytest.mark.parametrize("moment", [0.2, 0.5, 0.9])
 def test_early_in_the_command(moment, tmp_path):
-    process = start("data", "simulate", "--out", tmp_path / "a.zip", "--seed", 12345)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pipeline", "data", "simulate", "--out", tmp_path / "a.zip",
+         "--seed", "12345"],
+        env=environment(STMNIST_CACHE=str(tmp_path / "cache")),
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
     time.sleep(moment)
     os.killpg(process.pid, signal.SIGINT)
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=60)
+    if process.returncode == -signal.SIGINT:  # before Python itself had started
+        return
     assert (process.returncode, out) == (130, "")
     assert err.splitlines()[-1] == LINE
     assert len(err.splitlines()) <= 2  # progress may be there, a traceback may not
