@@ -9,7 +9,9 @@ import time
 
 import pytest
 
-from .command import ROOT, environment, start
+from pipeline.__main__ import QUIET
+
+from .command import ROOT, environment
 
 LINE = "stmnist: interrupted; the same command goes on where it stopped"
 
@@ -160,13 +162,32 @@ def test_in_the_background_it_stays_ignored():
 
 @pytest.mark.parametrize("moment", [0.2, 0.5, 0.9])
 def test_early_in_the_command(moment, tmp_path):
-    process = start("data", "simulate", "--out", tmp_path / "a.zip", "--seed", 12345)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pipeline", "data", "simulate", "--out", tmp_path / "a.zip",
+         "--seed", "12345"],
+        env=environment(STMNIST_CACHE=str(tmp_path / "cache")),
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
     time.sleep(moment)
     os.killpg(process.pid, signal.SIGINT)
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=60)
+    if process.returncode == -signal.SIGINT:  # before Python itself had started
+        return
     assert (process.returncode, out) == (130, "")
     assert err.splitlines()[-1] == LINE
     assert len(err.splitlines()) <= 2  # progress may be there, a traceback may not
+
+
+def test_what_an_interruption_leaves_to_joblibs_process_is_not_told():
+    """It came after the command's last line: a warning of semaphores that are cleaned up."""
+    warn = "import warnings; warnings.warn('resource_tracker: There appear to be 6 leaked')"
+    for quiet, heard in ((QUIET, False), ("default", True)):
+        done = subprocess.run(
+            [sys.executable, "-c", warn], env=environment(PYTHONWARNINGS=quiet),
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        assert ("leaked" in done.stderr) == heard
 
 
 def test_the_script_begins_where_the_guard_is():
