@@ -82,6 +82,7 @@ def test_a_worker_of_another_version_is_found_out(tmp_path):
         ("sweep", "runs/x"),
         ("benchmark", "losses"),
         ("benchmark", "conversion"),
+        ("benchmark", "events"),
         ("benchmark", "table2", "--set", "check.samples=5"),
     ],
 )
