@@ -88,6 +88,7 @@ def losses(
         int, typer.Option(help="Seeds, from the settings' own on; one a split.", min=1)
     ] = 10,
     data: options.Data = None,
+    input_: options.Input = None,
     settings: options.SettingsFile = None,
     set_: options.Assignments = None,
     jobs: options.Jobs = 2,
@@ -96,11 +97,12 @@ def losses(
 ):
     """Measure what is lost from the CNN to the chip: whole test split, several seeds.
 
-    The chip is the target fast, at 100 and at 50 steps.  Goes on where it was interrupted.
+    The chip is the target fast, of images at 100 and at 50 steps, of events as the settings show
+    them.  Goes on where it was interrupted.
     """
     workers = Workers(jobs, scheduler)
-    with options.opened(out, data, None, None, None, settings, set_) as (folder, resolved):
-        found = measure_losses(folder, resolved, seeds, workers, options.say)
+    with options.opened(out, data, None, None, None, settings, set_, input_) as opened:
+        found = measure_losses(*opened, seeds, workers, options.say)
     options.conclude(found, losses_text, as_json)
 
 
