@@ -1,4 +1,4 @@
-"""``stmnist benchmark``: the paper's Table 2, what conversion costs, and speed."""
+"""``stmnist benchmark``: the paper's Table 2, what conversion costs, what time is worth, speed."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from deploy.errors import CheckFailed, UserError
 from pipeline.commands import options
 from pipeline.experiments import emulator_speed
 from pipeline.experiments.choices import choices_text, measure_choices
+from pipeline.experiments.events import events_text, measure_events
 from pipeline.experiments.losses import losses_text, measure_losses
 from pipeline.experiments.study import Workers
 from pipeline.experiments.table2 import measure_table, table_text
-from pipeline.experiments.table2_splits import MODELS
+from pipeline.experiments.table2_splits import MODELS, SLOW
 
-WITHOUT_SLAYER = tuple(name for name in MODELS if name != "slayer")
+BY_DEFAULT = tuple(name for name in MODELS if name not in SLOW)
 OUT = typer.Option(help="Folder of the results; splits that are there are not run again.")
 
 
@@ -28,9 +29,10 @@ def table2(
         str,
         typer.Option(
             help=f"Rows, separated by commas: {', '.join(MODELS)}. Left out by default "
-            "is slayer, which takes some forty minutes a split."
+            "are events and events-loihi, which take minutes a split, and slayer, which takes some "
+            "forty."
         ),
-    ] = ",".join(WITHOUT_SLAYER),
+    ] = ",".join(BY_DEFAULT),
     kind: Annotated[
         str,
         typer.Option(
@@ -86,6 +88,7 @@ def losses(
         int, typer.Option(help="Seeds, from the settings' own on; one a split.", min=1)
     ] = 10,
     data: options.Data = None,
+    input_: options.Input = None,
     settings: options.SettingsFile = None,
     set_: options.Assignments = None,
     jobs: options.Jobs = 2,
@@ -94,12 +97,38 @@ def losses(
 ):
     """Measure what is lost from the CNN to the chip: whole test split, several seeds.
 
-    The chip is the target fast, at 100 and at 50 steps.  Goes on where it was interrupted.
+    The chip is the target fast, of images at 100 and at 50 steps, of events as the settings show
+    them.  Goes on where it was interrupted.
     """
     workers = Workers(jobs, scheduler)
-    with options.opened(out, data, None, None, None, settings, set_) as (folder, resolved):
-        found = measure_losses(folder, resolved, seeds, workers, options.say)
+    with options.opened(out, data, None, None, None, settings, set_, input_) as opened:
+        found = measure_losses(*opened, seeds, workers, options.say)
     options.conclude(found, losses_text, as_json)
+
+
+def events(
+    out: Annotated[
+        Path, typer.Option(help="Folder of the results; trainings that are there are not repeated.")
+    ] = Path("runs/time"),
+    seeds: Annotated[
+        int, typer.Option(help="Seeds, from the settings' own on; one a split.", min=1)
+    ] = 1,
+    data: options.Data = None,
+    settings: options.SettingsFile = None,
+    set_: options.Assignments = None,
+    jobs: options.Jobs = 2,
+    scheduler: options.Scheduler = None,
+    as_json: options.Json = False,
+):
+    """Measure what time is worth: train on events without polarity, without their times, ...
+
+    Five variants a seed, minutes each, judged on the whole test split by the target fast.  Goes on
+    where it was interrupted, after the last epoch.
+    """
+    workers = Workers(jobs, scheduler)
+    with options.opened(out, data, None, None, None, settings, set_, "events") as opened:
+        found = measure_events(*opened, seeds, workers, options.say)
+    options.conclude(found, events_text, as_json)
 
 
 def training(

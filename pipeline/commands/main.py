@@ -55,13 +55,14 @@ VERBS = {
         {"plan": deploy.plan, "export": deploy.export, "energy": deploy.energy},
     ),
     "benchmark": (
-        "The paper's Table 2, and speed.",
+        "The paper's Table 2, what conversion costs and time is worth, and speed.",
         {
             "table2": benchmark.table2,
             "training": benchmark.training,
             "conversion": benchmark.conversion,
             "emulator": benchmark.emulator,
             "losses": benchmark.losses,
+            "events": benchmark.events,
             "live": benchmark_live.live,
         },
     ),

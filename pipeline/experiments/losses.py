@@ -1,7 +1,8 @@
 """What conversion and chip cost, on the whole test split and over seeds.
 
 The yardstick is the stronger of two CNNs of one architecture: the paper's recipe, and the annealed
-one that the spiking network is trained with (:data:`pipeline.training.networks.RECIPES`).
+one that the spiking network is trained with (:data:`pipeline.training.networks.RECIPES`).  With
+events as input the network that is trained on them takes the place of conversion.
 """
 
 from __future__ import annotations
@@ -14,14 +15,20 @@ import numpy as np
 from deploy.network.operations import multiply_accumulates
 from deploy.tables import aligned
 from deploy.targets.registry import answer
+from pipeline.experiments.events import train_for_chip
 from pipeline.experiments.resampling import estimate
 from pipeline.experiments.study import Findings, SplitJob, Workers, over_splits
+from pipeline.inputs.dataset import inputs_of
 from pipeline.paper import points_lost
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings
 
 SCHEMA = "stmnist-losses/2"
 STEPS = (100, 50)
+CNNS = ("cnn", "cnn-annealed")
+TRAINED = {"image": "rate-lif", "events": "trained"}
+"""What is trained for the chip, by the kind of input."""
+
 PAPERS = {"spiking-lif": "ann-snn", "chip-100": "loihi"}
 """Stages that are models of the paper's Table 2."""
 
@@ -36,7 +43,7 @@ def measure_losses(
     UserError
         The settings read the output later than the shortest presentation lasts, or as there.
     """
-    for steps in STEPS:
+    for steps in () if settings.on_events else STEPS:
         settings.with_values({"presentation": {"steps": steps}}, "benchmark losses")
     return over_splits(
         "losses", measure, summarise, folder, settings, seeds, workers, say, (SCHEMA,)
@@ -53,55 +60,85 @@ def measure(job: SplitJob) -> dict:
     Returns
     -------
     dict
-        ``accuracy`` of each stage on the whole test split, ``disagreements`` with the rate-based
-        network as shares, ``operations`` as multiples of the CNN's multiply-accumulates.
+        ``accuracy`` of each stage on the whole test split, ``disagreements`` with the network that
+        was trained for the chip (:data:`TRAINED`) as shares, ``operations`` as multiples of the
+        CNN's multiply-accumulates.
     """
+    begun = time.perf_counter()
+    dataset, kind = job.dataset(), job.settings.input.kind
+    labels = dataset.part("test")[1]
+    networks, chips, cnn_operations = (_on_events if kind == "events" else _on_images)(job, dataset)
+    found = {**networks, **{stage: responses.predictions for stage, responses in chips.items()}}
+    return {
+        "schema": SCHEMA,
+        "seed": job.seed,
+        "n_train": len(dataset.split.train),
+        "n_test": len(labels),
+        "accuracy": {stage: float(np.mean(p == labels)) for stage, p in found.items()},
+        "disagreements": {
+            stage: float(np.mean(predictions != found[TRAINED[kind]]))
+            for stage, predictions in found.items()
+            if stage not in (*CNNS, TRAINED[kind])
+        },
+        "operations": {
+            stage: float(sum(n.mean() for n in responses.operations.values()) / cnn_operations)
+            for stage, responses in chips.items()
+        },
+        "decided_at_median": {
+            stage: float(np.median(responses.decided_at)) for stage, responses in chips.items()
+        },
+        "seconds": time.perf_counter() - begun,
+    }
+
+
+def _on_images(job, dataset):
+    """Predictions of each network, responses of each chip, operations of the CNN."""
     from pipeline.run.conversion import deployed
     from pipeline.training import nengodl  # TensorFlow, in the process that needs it
     from pipeline.training import networks as training
 
-    begun = time.perf_counter()
     settings, seed = job.settings, job.seed
-    dataset = job.dataset()
-    train, (shown, labels) = dataset.part("train"), dataset.part("test")
+    train, shown = dataset.part("train"), dataset.part("test")[0]
+    found, cnn = _cnns(settings, train, shown, seed)
+    rate = training.train_rate_network(settings, train, seed, cnn.weights)
+    found["rate-lif"] = rate.logits(shown).argmax(1)
+    found["spiking-lif"] = nengodl.predict(
+        replace(settings, seed=seed), rate.weights, shown, max(STEPS)
+    )
+    spec = deployed(settings, rate.weights, {}, train)
+    chips = {
+        f"chip-{steps}": answer(spec.with_presentation(steps=steps), shown, "fast", seed)
+        for steps in STEPS
+    }
+    return found, chips, sum(multiply_accumulates(spec).values())
 
-    def predictions(logits):
-        return np.argmax(logits, axis=1)
+
+def _on_events(job, dataset):
+    """The same of the network on events, and of the CNNs on the images of the same samples."""
+    from pipeline.training.events import CNN_MACS
+
+    settings, split = job.settings, dataset.split
+    on_images = replace(settings, input=replace(settings.input, kind="image"))
+    images = inputs_of(dataset.recordings, on_images)
+    train = images[split.train], dataset.labels[split.train]
+    found, _ = _cnns(on_images, train, images[split.test], job.seed)
+    checkpoint = job.path.with_suffix(".npz")
+    trained, spec = train_for_chip(settings, dataset, job.seed, checkpoint)
+    shown = dataset.part("test")[0]
+    found["trained"] = trained.logits(shown).argmax(1)
+    chips = {"chip": answer(spec, shown, "fast", job.seed)}
+    checkpoint.unlink(missing_ok=True)
+    return found, chips, CNN_MACS
+
+
+def _cnns(settings, train, shown, seed):
+    """Predictions of both CNNs, and the one of the paper's recipe."""
+    from pipeline.training import networks as training
 
     paper = training.train_cnn(settings, train, seed)
     annealed = training.train_cnn(settings, train, seed, recipe=training.RECIPES["loihi"])
-    rate = training.train_rate_network(settings, train, seed, paper.weights)
-    found = {
-        "cnn": predictions(paper.logits(shown)),
-        "cnn-annealed": predictions(annealed.logits(shown)),
-        "rate-lif": predictions(rate.logits(shown)),
-        "spiking-lif": nengodl.predict(
-            replace(settings, seed=seed), rate.weights, shown, max(STEPS)
-        ),
-    }
-    spec = deployed(settings, rate.weights, {}, train)
-    operations, decided = {}, {}
-    for steps in STEPS:
-        responses = answer(spec.with_presentation(steps=steps), shown, "fast", seed)
-        stage = f"chip-{steps}"
-        found[stage] = responses.predictions
-        total = sum(counts.mean() for counts in responses.operations.values())
-        operations[stage] = float(total / sum(multiply_accumulates(spec).values()))
-        decided[stage] = float(np.median(responses.decided_at))
-    return {
-        "schema": SCHEMA,
-        "seed": seed,
-        "n_train": len(train[1]),
-        "n_test": len(labels),
-        "accuracy": {stage: float(np.mean(p == labels)) for stage, p in found.items()},
-        "disagreements": {
-            stage: float(np.mean(found[stage] != found["rate-lif"]))
-            for stage in ("spiking-lif", *operations)
-        },
-        "operations": operations,
-        "decided_at_median": decided,
-        "seconds": time.perf_counter() - begun,
-    }
+    nets = zip(CNNS, (paper, annealed), strict=True)
+    return {stage: net.logits(shown).argmax(1) for stage, net in nets}, paper
 
 
 def summarise(results, simulated: bool) -> dict:
@@ -119,7 +156,7 @@ def summarise(results, simulated: bool) -> dict:
     """
     stages = list(results[0]["accuracy"])
     accuracy = {stage: np.array([r["accuracy"][stage] for r in results]) for stage in stages}
-    stronger = max(("cnn", "cnn-annealed"), key=lambda stage: accuracy[stage].mean())
+    stronger = max(CNNS, key=lambda stage: accuracy[stage].mean())
 
     def interval(values):
         found = estimate(values, results[0]["n_train"], results[0]["n_test"])
@@ -143,7 +180,7 @@ def summarise(results, simulated: bool) -> dict:
         "loss": {
             stage: interval(accuracy[stronger] - accuracy[stage])
             for stage in stages
-            if not stage.startswith("cnn")
+            if stage not in CNNS
         },
         "disagreements": over_seeds("disagreements"),
         "operations": over_seeds("operations"),
@@ -163,16 +200,22 @@ def losses_text(summary: dict) -> str:
         return [f"  {line}" for line in aligned(rows)]
 
     what = "simulated samples" if summary["simulated"] else "samples"
-    lost = ", ".join(f"{points_lost(model):.0f} to {stage}" for stage, model in PAPERS.items())
+    lost = ", ".join(
+        f"{points_lost(model):.0f} to {stage}"
+        for stage, model in PAPERS.items()
+        if stage in summary["loss"]
+    )
+    lost = f"; in the paper {lost}" if lost else ""
+    trained = "trained" if TRAINED["events"] in summary["accuracy"] else "rate-based"
     lines = [
         f"Mean over {len(summary['seeds'])} seeds (95 % interval), each on the whole test split of "
         f"{summary['n_test']} {what}",
         "",
         "accuracy in %",
         *table(summary["accuracy"]),
-        f"points lost from the stronger CNN ({summary['stronger_cnn']}); in the paper {lost}",
+        f"points lost from the stronger CNN ({summary['stronger_cnn']}){lost}",
         *table(summary["loss"]),
-        "predictions that differ from the rate-based network's, in %",
+        f"predictions that differ from the {trained} network's, in %",
         *table(summary["disagreements"]),
         "synaptic operations an inference, in multiples of the CNN's multiply-accumulates",
         *table(summary["operations"], 1),

@@ -34,6 +34,10 @@ COMPARISONS = (
     ("cnn", "own-ann-snn"),
     ("own-ann-snn", "own-loihi"),
     ("own-loihi", "loihi"),
+    ("cnn", "events-loihi"),
+    ("own-loihi", "events-loihi"),
+    ("events", "events-loihi"),
+    ("events", "slayer"),
 )
 """Pairs of models whose difference is told."""
 

@@ -1,9 +1,9 @@
 """The models of the paper's Table 2 on one split: training, answers, and where they are kept.
 
 One job is several splits for the models on tactile images, whose networks are so small that they
-train faster together than one after another; and one split for SLAYER, which takes a hundred times
-as long.  Each answer of a model to a split is a file, so that a benchmark that was interrupted goes
-on with the splits that are missing.
+train faster together than one after another; one split for the network on events, which takes
+minutes; and one for SLAYER, which takes a hundred times as long.  Each answer of a model to a split
+is a file, so that a benchmark that was interrupted goes on with the splits that are missing.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.targets.registry import answer
 from models.architecture import parse
+from pipeline.experiments.events import train_for_chip
 from pipeline.experiments.study import dataset_for
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.paper import TABLE2
@@ -66,8 +67,16 @@ MODELS = {
         Model("slayer", "SNN-SLAYER"),
         Model("own-ann-snn", "ANN-SNN, own recipe", "loihi"),
         Model("own-loihi", "ANN-SNN on Loihi, own recipe", "loihi"),
+        Model("events", "SNN on events, own recipe"),
+        Model("events-loihi", "SNN on events on Loihi, own recipe"),
     )
 }
+
+ON_EVENTS = ("events", "events-loihi")
+"""Of one training on the skin's own events."""
+
+SLOW = (*ON_EVENTS, "slayer")
+"""Models that are not run unless asked for."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +131,7 @@ class Batch:
 
 
 def plan(benchmark: Benchmark, processes: int = 1) -> list:
-    """Jobs whose results are not there yet, SLAYER's last.
+    """Jobs whose results are not there yet: on images, on events, SLAYER's last.
 
     Parameters
     ----------
@@ -134,7 +143,7 @@ def plan(benchmark: Benchmark, processes: int = 1) -> list:
     -------
     list of Batch
     """
-    jobs, slayer = [], []
+    jobs, apart = [], {ON_EVENTS: [], ("slayer",): []}
     for kind in benchmark.kinds:
         groups = {}
         for index in range(benchmark.splits):
@@ -143,18 +152,18 @@ def plan(benchmark: Benchmark, processes: int = 1) -> list:
                 for name in benchmark.models
                 if read_split(benchmark, kind, index, name) is None
             ]
-            if "slayer" in missing:
-                slayer.append(Batch(benchmark, kind, (index,), ("slayer",)))
-                missing.remove("slayer")
-            if missing:
-                groups.setdefault(tuple(missing), []).append(index)
+            for together, batches in apart.items():
+                if alone := tuple(name for name in missing if name in together):
+                    batches.append(Batch(benchmark, kind, (index,), alone))
+            if rest := tuple(name for name in missing if name not in SLOW):
+                groups.setdefault(rest, []).append(index)
         for models, indices in groups.items():
             size = min(TOGETHER, -(-len(indices) // processes))
             jobs += [
                 Batch(benchmark, kind, tuple(indices[start : start + size]), models)
                 for start in range(0, len(indices), size)
             ]
-    return jobs + slayer
+    return jobs + [batch for batches in apart.values() for batch in batches]
 
 
 def split_path(folder: Path, kind: str, index: int, model: str) -> Path:
@@ -192,11 +201,17 @@ def measure(batch: Batch) -> list:
     list of dict
         One a model and split; for :func:`write_splits` where a worker has not the same disk.
     """
+    work, kind = _measure_on_images, "image"
+    if batch.models == ("slayer",):
+        work = _measure_slayer
+    elif set(batch.models) <= set(ON_EVENTS):
+        work, kind = _measure_on_events, "events"
     settings = batch.benchmark.settings
+    settings = replace(settings, input=replace(settings.input, kind=kind))
+    batch = replace(batch, benchmark=replace(batch.benchmark, settings=settings))
     dataset = dataset_for(settings, batch.benchmark.source_sha256)
     fraction = settings.split.test_fraction
     divided = [dataset.divided(seed, fraction, batch.kind) for seed in batch.seeds]
-    work = _measure_slayer if batch.models == ("slayer",) else _measure_on_images
     results = []
     for position, *rest in work(batch, divided):
         results.append(_result(batch, divided[position], position, *rest))
@@ -260,6 +275,27 @@ def _loihi_answers(settings, weights, dataset, seed):
     return shown, answer(spec, dataset.inputs[shown], LOIHI_TARGET, seed).predictions
 
 
+def _measure_on_events(batch, divided):
+    settings = batch.benchmark.settings
+    for position, (dataset, index) in enumerate(zip(divided, batch.indices, strict=True)):
+        seed, test = batch.seeds[position], dataset.split.test
+        path = split_path(batch.benchmark.folder, batch.kind, index, "events")
+        checkpoint = path.with_suffix(".npz")
+        begun = time.perf_counter()
+        net, spec = train_for_chip(settings, dataset, seed, checkpoint)
+        trained = time.perf_counter() - begun
+        for name in batch.models:
+            begun = time.perf_counter()
+            if name == "events":
+                shown, predictions = test, net.logits(dataset.inputs[test]).argmax(1)
+            else:
+                shown = draw_check_samples(test, settings.check.samples, seed)
+                predictions = answer(spec, dataset.inputs[shown], LOIHI_TARGET, seed).predictions
+            seconds = trained + time.perf_counter() - begun
+            yield position, name, shown, predictions, net.history, seconds
+        checkpoint.unlink(missing_ok=True)
+
+
 def _measure_slayer(batch, divided):
     from pipeline.inputs.frames import bin_events
     from pipeline.training.slayer import train_slayer
@@ -317,7 +353,12 @@ def stamp(benchmark: Benchmark, model: str) -> str:
     common = (__version__, benchmark.source_sha256, settings.seed, settings.split.test_fraction)
     if model == "slayer":
         return stamp_of(*common, asdict(settings.slayer))
-    parts = [asdict(settings.image), asdict(settings.cnn)]
+    if model in ON_EVENTS:
+        parts = [settings.input.step, asdict(settings.events), asdict(settings.presentation)]
+        if model == "events-loihi":
+            parts.append(settings.deployment.pop_type)
+    else:
+        parts = [asdict(settings.image), asdict(settings.cnn)]
     if MODELS[model].recipe:
         parts += [
             {**asdict(settings.snn), "recipe": MODELS[model].recipe},

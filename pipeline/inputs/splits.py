@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+HELD_OUT = 0.1
+"""Share of the training samples by which a choice is made where nothing else is for it."""
+
 
 @dataclass(frozen=True)
 class Split:
@@ -99,6 +102,25 @@ def writer_split(writers: np.ndarray, seed: int, test_fraction: float = 0.2) -> 
     in_test = np.isin(writers, chosen)
     test = rng.permutation(np.flatnonzero(in_test))
     return Split(np.flatnonzero(~in_test), np.empty(0, np.int64), test)
+
+
+def hold_out(train: np.ndarray, seed: int, share: float = HELD_OUT):
+    """Set some of the training samples apart, at least one, to choose something on.
+
+    Parameters
+    ----------
+    train : ndarray of int
+    seed : int
+    share : float
+
+    Returns
+    -------
+    learn, held : ndarray of int
+        In increasing order.
+    """
+    order = np.random.default_rng([seed, 0x4E1D]).permutation(train)
+    count = max(1, round(share * len(order)))
+    return np.sort(order[count:]), np.sort(order[:count])
 
 
 def draw_check_samples(test: np.ndarray, n_samples: int, seed: int) -> np.ndarray:

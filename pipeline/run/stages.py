@@ -20,7 +20,7 @@ from models.architecture import parse
 from models.own import ModelFileError, read_own_model
 from pipeline.inputs.dataset import TOO_SMALL, Dataset, event_warnings
 from pipeline.inputs.library import SIMULATED
-from pipeline.inputs.splits import draw_check_samples
+from pipeline.inputs.splits import draw_check_samples, hold_out
 from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import progress
 from pipeline.recordings.sensors import about_sensor
@@ -33,9 +33,6 @@ from pipeline.run.history import write_history
 from pipeline.settings import Settings
 
 REMEDY = "delete its folder and run the command again"
-HELD_OUT = 0.1
-"""Share of the training samples by which the confidence is chosen where nothing else is for it."""
-
 LEAST_KNOWN = 0.15
 """Share of the way from chance to always right that an own model must have gone.  Of 30 networks of
 three layers with Keras's first weights the best had gone 0.06 of it by luck, on ten classes."""
@@ -222,8 +219,9 @@ def train_on_events(run: RunFolder, settings: Settings, dataset: Dataset, say=pr
     """Train the spiking network on events, unless it is there already; return its metrics.
 
     The confidence at which it decides by itself is chosen on the validation samples, or, where the
-    settings set none apart, on a share :data:`HELD_OUT` of the training samples.  An interrupted
-    training goes on after its last whole epoch.
+    settings set none apart, on some of the training samples
+    (:func:`pipeline.inputs.splits.hold_out`).  An interrupted training goes on after its last whole
+    epoch.
     """
     stamp = events_stamp(settings, dataset)
     if done := _done("events", run.snn, stamp, say):
@@ -233,9 +231,7 @@ def train_on_events(run: RunFolder, settings: Settings, dataset: Dataset, say=pr
     split, recipe = dataset.split, EventRecipe.of(settings)
     learn, held = split.train, split.validation
     if not len(held):
-        order = np.random.default_rng([settings.seed, 0x4E1D]).permutation(learn)
-        count = max(1, round(HELD_OUT * len(order)))
-        held, learn = np.sort(order[:count]), np.sort(order[count:])
+        learn, held = hold_out(learn, settings.seed)
     checkpoint = run.snn / "checkpoint.npz"
 
     def train_it(advance):

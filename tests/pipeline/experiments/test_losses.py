@@ -39,6 +39,24 @@ def test_losses_are_from_the_stronger_cnn_and_paired_by_seed():
     assert summary["operations"]["chip-100"]["mean"] == pytest.approx(2.5)
 
 
+def test_of_events_the_trained_network_takes_the_place_of_conversion():
+    found = {
+        "seed": 0,
+        "n_train": 80,
+        "n_test": 20,
+        "accuracy": {"cnn": 0.9, "cnn-annealed": 0.8, "trained": 0.95, "chip": 0.94},
+        "disagreements": {"chip": 0.02},
+        "operations": {"chip": 0.9},
+        "decided_at_median": {"chip": 40.0},
+    }
+    summary = losses.summarise([found], simulated=True)
+    assert summary["stronger_cnn"] == "cnn"
+    assert summary["loss"]["chip"]["mean"] == pytest.approx(-0.04)
+    text = losses.losses_text(summary)
+    assert "points lost from the stronger CNN (cnn)\n" in text
+    assert "differ from the trained network's" in text
+
+
 def test_text_says_what_is_simulated_and_leaves_out_an_interval_of_one_seed():
     one = losses.losses_text(
         losses.summarise([result(0, 0.8, 0.9, 0.9, 0.85, 0.8, 0.7)], simulated=True)

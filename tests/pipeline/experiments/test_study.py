@@ -82,6 +82,7 @@ def test_a_worker_of_another_version_is_found_out(tmp_path):
         ("sweep", "runs/x"),
         ("benchmark", "losses"),
         ("benchmark", "conversion"),
+        ("benchmark", "events"),
         ("benchmark", "table2", "--set", "check.samples=5"),
     ],
 )
@@ -118,6 +119,17 @@ def test_a_split_is_measured(name, one_choice, tmp_path, capsys):
     assert summary["seeds"] == [7]
     assert summary["n_test"] == 12
     assert json.loads((out / f"{name}.json").read_text()) == summary
+
+
+@pytest.mark.slow
+def test_losses_of_a_network_on_events(tmp_path, capsys):
+    out, tiny = tmp_path / "losses", ("--set", "events.epochs=1", "--set", "input.step=80")
+    command = ("benchmark", "losses", "--input", "events", "--out", out, "--seeds", "1")
+    assert call(*command, *TINY, *tiny, "--set", "presentation.steps=26") == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert list(summary["accuracy"]) == ["cnn", "cnn-annealed", "trained", "chip"]
+    assert list(summary["disagreements"]) == list(summary["operations"]) == ["chip"]
+    assert not list(out.glob("*.npz"))
 
 
 FIGURES = {"cnn": 0.5, "cnn-annealed": 0.6, "chip-100": 0.4}

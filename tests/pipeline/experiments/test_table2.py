@@ -7,8 +7,10 @@ import pytest
 from deploy.errors import UserError
 from deploy.files import write_json
 from pipeline.commands import main as cli
+from pipeline.commands.benchmark import BY_DEFAULT
 from pipeline.experiments import table2_splits as table2
 from pipeline.experiments.table2 import summarise, table_text
+from pipeline.experiments.table2_splits import MODELS
 from pipeline.jobs import Failure
 from pipeline.settings import Settings
 
@@ -68,12 +70,30 @@ def test_slayer_comes_last_in_jobs_of_its_own(benchmark):
     ]
 
 
+def test_both_rows_on_events_are_of_one_training_a_split(benchmark):
+    models = ("cnn", "slayer", "events", "events-loihi")
+    asked = replace(benchmark, models=models, splits=2)
+    store(benchmark, "events", 1, [1, 0])
+    assert [(j.indices, j.models) for j in table2.plan(asked)] == [
+        ((0, 1), ("cnn",)),
+        ((0,), ("events", "events-loihi")),
+        ((1,), ("events-loihi",)),
+        ((0,), ("slayer",)),
+        ((1,), ("slayer",)),
+    ]
+
+
 @pytest.mark.parametrize(
     ("section", "change", "redone"),
     [
         ("cnn", {"epochs": 3}, {"cnn", "ann-snn", "loihi"}),
         ("snn", {"epochs": 3}, {"ann-snn", "loihi"}),
-        ("check", {"samples": 50}, {"loihi"}),
+        ("check", {"samples": 50}, {"loihi", "events-loihi"}),
+        ("deployment", {"input_rate": 400.0}, {"ann-snn", "loihi"}),
+        ("presentation", {"gap": 3}, {"ann-snn", "loihi", "events", "events-loihi"}),
+        ("input", {"step": 10}, {"events", "events-loihi"}),
+        ("input", {"kind": "events"}, set()),
+        ("events", {"epochs": 3}, {"events", "events-loihi"}),
         ("slayer", {"epochs": 3}, {"slayer"}),
         ("image", {"aggregation": "signed"}, {"cnn", "ann-snn", "loihi"}),
     ],
@@ -81,7 +101,7 @@ def test_slayer_comes_last_in_jobs_of_its_own(benchmark):
 def test_a_setting_redoes_what_depends_on_it(benchmark, section, change, redone):
     settings = Settings().with_values({section: change}, "test")
     other = replace(benchmark, settings=settings)
-    models = ("cnn", "ann-snn", "loihi", "slayer")
+    models = ("cnn", "ann-snn", "loihi", "slayer", "events", "events-loihi")
     assert {m for m in models if table2.stamp(other, m) != table2.stamp(benchmark, m)} == redone
 
 
@@ -229,6 +249,24 @@ def test_the_command_runs_resumes_and_prints(tmp_path, monkeypatch, capsys):
         row["per_split"] for row in table["rows"]
     ]
     assert (out / "splits/random-00/ann-snn.json").stat().st_mtime_ns == before
+
+
+@pytest.mark.slow
+def test_the_rows_on_events(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("STMNIST_CACHE", str(tmp_path / "cache"))
+    out = tmp_path / "out"
+    tiny = ("--set", "events.epochs=1", "--set", "input.step=80", "--json")
+    status, said = run(capsys, "--out", str(out), "--models", "events,events-loihi", *SMALL, *tiny)
+    assert status == 0, said.err
+    table = json.loads(said.out)
+    assert [row["model"] for row in table["rows"]] == ["events", "events-loihi"]
+    assert [row["n_test"] for row in table["rows"]] == [24, 5]
+    assert [(c["a"], c["b"]) for c in table["comparisons"]] == [("events", "events-loihi")]
+    assert not (out / "splits/random-00/events.npz").exists()
+
+
+def test_what_takes_long_is_only_run_if_asked_for():
+    assert set(MODELS) - set(BY_DEFAULT) == {"slayer", "events", "events-loihi"}
 
 
 def test_a_failing_split_ends_with_status_1(tmp_path, monkeypatch, capsys):

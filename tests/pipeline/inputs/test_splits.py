@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.inputs.splits import draw_check_samples, random_split, writer_split
+from pipeline.inputs.splits import draw_check_samples, hold_out, random_split, writer_split
 
 
 @given(
@@ -21,6 +21,16 @@ def test_the_parts_are_disjoint_and_together_everything(n, seed, test, validatio
     again = random_split(n, seed, test, validation)
     for part, same in zip(vars(split).values(), vars(again).values(), strict=True):
         np.testing.assert_array_equal(part, same)
+
+
+def test_a_tenth_of_the_training_samples_is_held_out():
+    train = np.arange(5, 505, 5)
+    learn, held = hold_out(train, seed=1)
+    assert len(held) == 10
+    np.testing.assert_array_equal(np.sort([*learn, *held]), train)
+    np.testing.assert_array_equal(held, hold_out(train, seed=1)[1])
+    assert held.tolist() != hold_out(train, seed=2)[1].tolist()
+    assert len(hold_out(train[:3], seed=1)[1]) == 1
 
 
 @pytest.mark.parametrize("kind", ["random", "writers"])

@@ -1,0 +1,335 @@
+"""What time is worth: networks trained and judged on events of which less and less is left.
+
+See :mod:`pipeline.recordings.variants`.  Each variant has networks of its own, of the settings' own
+recipe, and all are judged on the same test samples by the target fast.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+
+from deploy import __version__
+from deploy.check.intervals import mcnemar, wilson_interval
+from deploy.errors import CheckFailed
+from deploy.files import write_json
+from deploy.network.decision import choose_threshold, share_of_time
+from deploy.tables import aligned
+from deploy.targets.registry import answer
+from pipeline.experiments.resampling import estimate
+from pipeline.experiments.study import (
+    Findings,
+    SplitJob,
+    Workers,
+    read_kept,
+    study,
+    write_kept,
+)
+from pipeline.inputs.dataset import Dataset, inputs_of
+from pipeline.inputs.library import recordings_of
+from pipeline.inputs.splits import hold_out
+from pipeline.jobs import Failure
+from pipeline.recordings.steps import EventTable
+from pipeline.recordings.variants import VARIANTS, durations_ns, vary
+from pipeline.run.folder import RunFolder, stamp_of
+from pipeline.settings import Settings
+
+SCHEMA = "stmnist-time/1"
+AS_IS = "as-is"
+"""What the other variants are compared with."""
+
+MEANS = ("operations", "spikes_in", "merged", "share", "accuracy_by_itself", "agreement", "trained")
+"""What is told as a mean over seeds; see :func:`measure`."""
+
+
+@dataclass(frozen=True)
+class VariantJob(SplitJob):
+    """A variant of the events to train and judge on a random split.
+
+    Attributes
+    ----------
+    variant : str
+        Of :data:`pipeline.recordings.variants.VARIANTS`.
+    """
+
+    variant: str
+
+    def dataset(self) -> Dataset:
+        """The samples with this split, of the variant.
+
+        Recordings of counts last as long as the median training sample.
+        """
+        dataset = super().dataset()
+        lasts = float(np.median(durations_ns(dataset.recordings)[dataset.split.train]))
+        varied = vary(dataset.recordings, self.variant, self.seed, lasts)
+        return replace(dataset, recordings=varied, inputs=inputs_of(varied, self.settings))
+
+
+def measure_events(
+    folder: RunFolder, settings: Settings, seeds: int, workers: Workers, say
+) -> Findings:
+    """Measure what is not there yet of all variants and seeds, and write the summary.
+
+    Parameters
+    ----------
+    folder : RunFolder
+        Of the results, locked.
+    settings : Settings
+        With ``input.kind = "events"``.
+    seeds : int
+        How many, from the settings' own on; each is of a split and its trainings.
+    workers, say
+        As in :func:`pipeline.experiments.study.study`.
+
+    Raises
+    ------
+    UserError
+        The recordings cannot be read.
+    CheckFailed
+        Every training failed.
+    """
+    source = recordings_of(settings, workers.processes).source
+    folder.save_settings(settings)
+    root = folder.path.absolute()  # the worker keeps its checkpoint there
+    jobs = [
+        VariantJob(
+            settings,
+            seed,
+            source.sha256,
+            root / f"{variant}-{seed:02d}.json",
+            stamp_of(__version__, source.sha256, asdict(settings), SCHEMA, variant),
+            variant,
+        )
+        for seed in range(settings.seed, settings.seed + seeds)
+        for variant in VARIANTS
+    ]
+    results = study("events", measure, jobs, workers, say, read_kept, write_kept)
+    whole = [result for result in results if not isinstance(result, Failure)]
+    if not whole:
+        raise CheckFailed("every training failed; see above")
+    summary = summarise(whole, source.simulated)
+    summary["source_sha256"] = source.sha256
+    write_json(folder.path / "events.json", summary)
+    failed = [
+        f"{job.variant} of seed {job.seed}"
+        for job, result in zip(jobs, results, strict=True)
+        if isinstance(result, Failure)
+    ]
+    return Findings(
+        summary, f"{', '.join(failed)} failed; the same command tries again" if failed else ""
+    )
+
+
+def train_for_chip(settings: Settings, dataset: Dataset, seed: int, checkpoint=None):
+    """Train on events as a run does, and describe the network that is deployed.
+
+    The confidence at which it decides by itself is chosen on some of the training samples, which it
+    is not trained on.
+
+    Parameters
+    ----------
+    settings : Settings
+        With ``input.kind = "events"``.
+    dataset : Dataset
+        Of them.
+    seed : int
+        Of the training, and of which samples are held out.
+    checkpoint : path-like, optional
+        See :func:`pipeline.training.events.train_events`.
+
+    Returns
+    -------
+    trained : pipeline.training.events.TrainedOnEvents
+    spec : deploy.network.spec.NetworkSpec
+    """
+    from pipeline.run.event_conversion import spec_of_events
+    from pipeline.training.events import EventRecipe, train_events  # TensorFlow, where it is needed
+
+    learn, held = hold_out(dataset.split.train, seed)
+    recipe, table = EventRecipe.of(settings), EventTable.of(dataset.recordings)
+    trained = train_events(recipe, table, dataset.labels, learn, seed, checkpoint=checkpoint)
+    shown = trained.answers(dataset.inputs[held])
+    chosen = choose_threshold(shown.outputs, dataset.labels[held], shown.last_step)
+    spec = spec_of_events(
+        recipe,
+        trained.weights,
+        settings.presented(chosen.confidence),
+        {},
+        settings.deployment.pop_type,
+    )
+    return trained, spec
+
+
+def measure(job: VariantJob) -> dict:
+    """Train on a variant with one seed, and judge on its whole test split.
+
+    Parameters
+    ----------
+    job : VariantJob
+
+    Returns
+    -------
+    dict
+        Of the chip (the target fast): ``predictions`` beside the ``labels``, at the end; mean
+        synaptic ``operations`` as multiples of the paper's CNN's multiply-accumulates;
+        ``accuracy_by_itself`` and mean ``share`` of the writing where it decides by itself.
+        ``trained``: accuracy of the network as it was trained, ``agreement``: share of samples to
+        which both answer the same.  ``spikes_in``: mean spikes shown of a sample, ``merged``:
+        share of all events that are one spike with another.
+    """
+    from pipeline.training.events import CNN_MACS
+
+    begun = time.perf_counter()
+    settings, seed, dataset = job.settings, job.seed, job.dataset()
+    checkpoint = job.path.with_suffix(".npz")
+    trained, spec = train_for_chip(settings, dataset, seed, checkpoint)
+    shown, labels = dataset.part("test")
+    expected = trained.answers(shown)
+    found = answer(spec, shown, "fast", seed)
+    by_itself = found.decisions[np.arange(len(labels)), found.stopped_at - 1]
+    meant = expected.outputs[:, -1].argmax(-1)
+    result = {
+        "schema": SCHEMA,
+        "variant": job.variant,
+        "seed": seed,
+        "n_train": len(dataset.split.train),
+        "n_test": len(labels),
+        "labels": labels.tolist(),
+        "predictions": found.predictions.tolist(),
+        "operations": float(sum(n.mean() for n in found.operations.values()) / CNN_MACS),
+        "spikes_in": float(shown.reshape(len(shown), -1).sum(1, dtype=np.int64).mean()),
+        "merged": EventTable.of(dataset.recordings).lost(settings.input.step),
+        "confidence": spec.presentation.confidence,
+        "share": float(share_of_time(found.stopped_at - 1, expected.last_step).mean()),
+        "accuracy_by_itself": float(np.mean(by_itself == labels)),
+        "agreement": float(np.mean(found.predictions == meant)),
+        "trained": float(np.mean(meant == labels)),
+        "history": trained.history,
+        "seconds": time.perf_counter() - begun,
+    }
+    checkpoint.unlink(missing_ok=True)
+    return result
+
+
+def summarise(results, simulated: bool) -> dict:
+    """Means over seeds, what each variant loses, and intervals.
+
+    Of one seed the interval is Wilson's and the p of the loss McNemar's, which tell what other test
+    samples would change; of several both are for overlapping splits, and tell what other trainings
+    would change too.
+
+    Parameters
+    ----------
+    results : sequence of dict
+        From :func:`measure`, of any variants and seeds.
+    simulated : bool
+
+    Returns
+    -------
+    dict
+    """
+    found = {name: {r["seed"]: r for r in results if r["variant"] == name} for name in VARIANTS}
+    return {
+        "schema": SCHEMA,
+        "simulated": simulated,
+        "n_train": results[0]["n_train"],
+        "n_test": results[0]["n_test"],
+        "variants": {
+            name: {
+                "seeds": sorted(of_seed),
+                "accuracy": _accuracy(list(of_seed.values())),
+                "loss": None if name == AS_IS else _loss(found[AS_IS], of_seed),
+                **{key: float(np.mean([r[key] for r in of_seed.values()])) for key in MEANS},
+            }
+            for name, of_seed in found.items()
+            if of_seed
+        },
+    }
+
+
+def _accuracy(results):
+    right = [_right(result) for result in results]
+    got = estimate([r.mean() for r in right], results[0]["n_train"], results[0]["n_test"])
+    if len(right) == 1:
+        interval = wilson_interval(int(right[0].sum()), len(right[0]))
+    else:
+        interval = np.clip(got.interval, 0, 1)
+    return {
+        "mean": got.mean,
+        "ci95": list(map(float, interval)),
+        "values": [float(r.mean()) for r in right],
+    }
+
+
+def _loss(whole, varied):
+    """Accuracy as is less that of a variant, on the same splits; None if they share none."""
+    seeds = sorted(whole.keys() & varied.keys())
+    if not seeds:
+        return None
+    pairs = [(_right(whole[seed]), _right(varied[seed])) for seed in seeds]
+    first = whole[seeds[0]]
+    values = [float(a.mean() - b.mean()) for a, b in pairs]
+    got = estimate(values, first["n_train"], first["n_test"])
+    return {
+        "mean": got.mean,
+        "ci95": list(got.interval) if got.interval else None,
+        "p_value": mcnemar(*pairs[0]) if len(pairs) == 1 else got.p_value,
+        "values": values,
+    }
+
+
+def _right(result):
+    return np.array(result["predictions"]) == np.array(result["labels"])
+
+
+def events_text(summary: dict) -> str:
+    """The summary as tables."""
+    what = "simulated recordings" if summary["simulated"] else "recordings"
+    seeds = max(len(row["seeds"]) for row in summary["variants"].values())
+    heads = ["", "accuracy", "95 %", "points lost", "p"]
+    accuracy = [heads, *([name, *_judged(row)] for name, row in summary["variants"].items())]
+    heads = ["", "operations", "share", "then right", "agreement", "trained", "spikes in", "merged"]
+    more = [heads, *([name, *_more(row)] for name, row in summary["variants"].items())]
+    return "\n".join(
+        [
+            f"What time is worth: networks on events of {what}, {seeds} "
+            f"seed{'s' if seeds > 1 else ''}, each on the whole test split of {summary['n_test']}",
+            "",
+            *aligned(accuracy),
+            "",
+            *aligned(more),
+            "",
+            *(f"{name}: {VARIANTS[name]}" for name in summary["variants"]),
+            "accuracy at the end, on the target fast, in %; points lost: as-is less this one",
+            "operations: of an inference, in multiples of the paper's CNN's 43,104",
+            "share: of the writing, in %, until it decides by itself; then right: accuracy of that",
+            "agreement: same answer of fast and the trained network, in %; trained: its accuracy",
+            "spikes in: shown of a sample; merged: events that are one spike with another, in %",
+        ]
+    )
+
+
+def _judged(row):
+    low, high = row["accuracy"]["ci95"]
+    cells = [f"{100 * row['accuracy']['mean']:.2f}", f"{100 * low:.2f} to {100 * high:.2f}"]
+    loss = row["loss"]
+    if loss is None:
+        return [*cells, "", ""]
+    bounds = [f"{100 * bound:.2f}" for bound in loss["ci95"] or ()]
+    interval = f" ({' to '.join(bounds)})" if bounds else ""
+    p = "< 0.001" if loss["p_value"] < 0.001 else f"{loss['p_value']:.3f}"
+    return [*cells, f"{100 * loss['mean']:.2f}{interval}", p]
+
+
+def _more(row):
+    return [
+        f"{row['operations']:.2f}",
+        *(
+            f"{100 * row[key]:.1f}"
+            for key in ("share", "accuracy_by_itself", "agreement", "trained")
+        ),
+        f"{row['spikes_in']:.0f}",
+        f"{100 * row['merged']:.1f}",
+    ]

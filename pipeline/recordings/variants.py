@@ -1,0 +1,119 @@
+"""Recordings from which a part of what time tells is taken, so that what is lost shows its worth.
+
+Each function gives back recordings with the same samples, labels and numbers of events, and their
+events in order of time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.recordings.events import EVENT_DTYPES, Events, Recordings
+
+VARIANTS = {
+    "as-is": "the events as they were recorded",
+    "no-polarity": "all events ON",
+    "even": "the order of events kept, their speed made even",
+    "shuffled": "times shuffled among a recording's events",
+    "counts": "only how many events each taxel has of each polarity",
+}
+"""What is left of the events, by name."""
+
+
+def vary(recordings: Recordings, variant: str, seed: int, lasts_ns: float) -> Recordings:
+    """One of :data:`VARIANTS` of recordings.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    variant : str
+    seed : int
+        Of what is shuffled.
+    lasts_ns : float
+        How long a recording of counts lasts, see :func:`only_counts`.
+    """
+    if variant == "no-polarity":
+        return without_polarity(recordings)
+    if variant == "even":
+        return even(recordings)
+    if variant == "shuffled":
+        return shuffled(recordings, seed)
+    if variant == "counts":
+        return only_counts(recordings, lasts_ns)
+    if variant == "as-is":
+        return recordings
+    raise ValueError(f"no variant {variant!r}")
+
+
+def durations_ns(recordings: Recordings) -> np.ndarray:
+    """From each recording's first event to its last, 0 without events, shape (n_samples,)."""
+    first, last = _ends(recordings)
+    return last - first
+
+
+def without_polarity(recordings: Recordings) -> Recordings:
+    """All events ON: where and when a taxel changed, not in which direction."""
+    polarity = np.ones_like(recordings.events.polarity)
+    return replace(recordings, events=replace(recordings.events, polarity=polarity))
+
+
+def even(recordings: Recordings) -> Recordings:
+    """The order of events kept: the times from the first to the last are evenly spaced."""
+    sample = recordings.sample_of_event
+    first, last = _ends(recordings)
+    counts = np.diff(recordings.offsets)
+    rank = np.arange(len(sample)) - recordings.offsets[sample]
+    share = rank / np.maximum(counts - 1, 1)[sample]
+    time_ns = np.rint(first[sample] + share * (last - first)[sample])
+    return replace(recordings, events=replace(recordings.events, time_ns=time_ns))
+
+
+def shuffled(recordings: Recordings, seed: int) -> Recordings:
+    """A recording's times are kept, and which event has which is drawn at random.
+
+    How many events there are in which step stays what it was; where they are no longer depends on
+    when.
+    """
+    rng = np.random.default_rng([seed, 0x5B0F])
+    events, sample = recordings.events, recordings.sample_of_event
+    order = np.lexsort((rng.random(len(sample)), sample))
+    columns = {name: getattr(events, name)[order] for name in EVENT_DTYPES if name != "time_ns"}
+    return replace(recordings, events=Events(time_ns=events.time_ns, **columns))
+
+
+def only_counts(recordings: Recordings, lasts_ns: float) -> Recordings:
+    """The n events of a taxel and polarity are spread evenly over a time that all recordings last.
+
+    Event k stands at (k + 1/2)/n of it.  So neither an event's time nor a recording's length is
+    left, as in a tactile image, whose pixels become evenly spaced spikes.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    lasts_ns : float
+        That time in nanoseconds.
+    """
+    events, sample = recordings.events, recordings.sample_of_event
+    key = (sample * (int(events.taxel.max(initial=0)) + 1) + events.taxel) * 2
+    key += events.polarity < 0
+    order = np.argsort(key, kind="stable")
+    _, start, counts = np.unique(key[order], return_index=True, return_counts=True)
+    rank = np.arange(len(key)) - np.repeat(start, counts)
+    time_ns = np.empty(len(key), np.int64)
+    time_ns[order] = np.rint((rank + 0.5) / np.repeat(counts, counts) * lasts_ns)
+    order = np.lexsort(
+        (key, time_ns, sample)
+    )  # nothing of the order in time is left, ties included
+    columns = {name: getattr(events, name)[order] for name in EVENT_DTYPES if name != "time_ns"}
+    return replace(recordings, events=Events(time_ns=time_ns[order], **columns))
+
+
+def _ends(recordings):
+    """Time of each recording's first and last event, 0 without events."""
+    time_ns, offsets = recordings.events.time_ns, recordings.offsets
+    some = np.diff(offsets) > 0
+    first, last = np.zeros(len(recordings), np.int64), np.zeros(len(recordings), np.int64)
+    first[some], last[some] = time_ns[offsets[:-1][some]], time_ns[offsets[1:][some] - 1]
+    return first, last
