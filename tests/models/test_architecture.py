@@ -3,7 +3,6 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from deploy.network import operations
 from models.architecture import (
     MAX_LAYERS,
     Architecture,
@@ -84,12 +83,6 @@ def test_fan_out_by_hand():
     # Of 7 values pooled by 3 the last is not read.
     np.testing.assert_array_equal(Pooling(3).fan_out((7, 3, 1))[:, 0, 0], [1] * 6 + [0])
     np.testing.assert_array_equal(Dense(5).fan_out((2, 2)), np.full((2, 2), 5))
-
-
-def test_fan_out_is_that_of_the_deployed_network():
-    shape = (10, 9, 2)
-    mine = Convolution(6, 4).fan_out(shape)
-    np.testing.assert_array_equal(mine.ravel(), operations.convolution_fan_out(shape, 4, 6))
 
 
 @pytest.mark.parametrize("padding", ["valid", "same"])
