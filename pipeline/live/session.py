@@ -39,8 +39,9 @@ network on events hears the first 2 s only."""
 PAUSE_S = 1.5
 """A pen that comes down after so long begins another recording."""
 
-REST_S = 0.1
-"""A pen of which nothing has come for so long rests where it was."""
+REST_S = 0.25
+"""A pen of which nothing has come for so long rests where it was; before that it may be that the
+machine is busy and its way is still to come."""
 
 POINTS = 512
 """Points that a message may hold."""

@@ -106,7 +106,7 @@ def test_twenty_digits_of_real_hands(browser, shared_data, tmp_path):
     options = ("--data", tmp_path / "hands.zip", "--samples", "200")
     assert call("convert", tmp_path / "run", *options) == 0
     bundle = read_bundle(tmp_path / "run" / "bundle")
-    fast = answers_of(bundle.spec, bundle.checks.images, "fast")
+    fast = answers_of(bundle.spec, bundle.checks.inputs, "fast")
     check = np.mean(fast.predictions == bundle.checks.labels)
 
     def make_decider():
@@ -131,7 +131,7 @@ def test_twenty_digits_of_real_hands(browser, shared_data, tmp_path):
                 motion = unipen.move(
                     trace, lambda points, p=place: 8.4 * points + p, 1.0, STEP_S, 0.0, P.kinematics
                 )
-                robot.write(page, motion)
+                robot.replay(page, motion)
                 settled(page)
                 said = page.inner_text("#decision")
                 assert re.fullmatch("[0-9]", said)
