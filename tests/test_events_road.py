@@ -106,7 +106,6 @@ def test_another_kind_of_input_makes_another_network(run_on_events, tmp_path, ca
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ("input.kind=frames", "one of image, events"),
         ("input.step=0", "'input.step' must be from 0.1 to 1000 milliseconds"),
         ("events.architecture=10x10x2-2a-10o", "with a hidden layer and without pooling"),
         ("events.architecture=10x10-6c4-10o", "such as 10x10x2-6c4-10o"),
@@ -120,8 +119,14 @@ def test_a_wrong_setting_is_one_line(setting, message, tmp_path, capsys):
     assert not (tmp_path / "run" / "experiment.toml").exists()
 
 
+def test_another_word_for_the_input_is_one_line(tmp_path, capsys):
+    assert call("train", tmp_path / "run", "--input", "frames") == 2
+    assert "'input.kind' must be one of image, events" in capsys.readouterr().err
+
+
 def test_what_is_not_shown_is_said(tmp_path, capsys):
-    options = ("--set", "data.samples_per_digit=10", "--set", "events.epochs=1", "--steps", "5")
+    options = ("--set", "data.samples_per_digit=10", "--set", "events.epochs=1")
+    options += ("--set", "presentation.steps=5")
     assert call("train", tmp_path / "run", "--input", "events", *options) == 0
     said = capsys.readouterr().err
     assert "% fall into the 20 ms of another one" in said
