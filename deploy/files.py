@@ -5,7 +5,10 @@ import fcntl
 import hashlib
 import json
 import os
+import re
+import shutil
 import tempfile
+import time
 import zipfile
 from pathlib import Path
 
@@ -43,9 +46,12 @@ def replacing(path, mode="wb"):
     temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=str(path.parent), prefix="." + path.name + ".")
+        prefix = "." + path.name + "."
+        remove_abandoned(path.parent, prefix)
+        handle, temporary = tempfile.mkstemp(dir=str(path.parent), prefix=prefix)
         options = {} if "b" in mode else {"encoding": "utf-8", "newline": "\n"}
         with os.fdopen(handle, mode, **options) as file:
+            claim(handle)
             yield file
         os.chmod(temporary, 0o666 & ~_umask())  # mkstemp makes files that only their owner can read
         os.replace(temporary, str(path))
@@ -59,6 +65,42 @@ def replacing(path, mode="wb"):
         if temporary is not None:
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
+
+
+ABANDONED_S = 2.0
+"""Age of what may be abandoned: between its last byte and its new name a file is not locked."""
+
+
+def claim(handle):
+    """Lock an open temporary file or folder, so that it is not taken for an abandoned one."""
+    with contextlib.suppress(OSError):  # a file system without locks
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def remove_abandoned(folder, prefix):
+    """Remove temporary files and folders whose process was killed.
+
+    Parameters
+    ----------
+    folder : path-like
+    prefix : str
+        Of their names; what `tempfile` adds follows.
+    """
+    name = re.compile(re.escape(prefix) + "[a-z0-9_]{8}")
+    with contextlib.suppress(OSError), os.scandir(str(folder)) as entries:
+        for entry in [entry for entry in entries if name.fullmatch(entry.name)]:
+            with contextlib.suppress(OSError):
+                if time.time() - entry.stat(follow_symlinks=False).st_mtime < ABANDONED_S:
+                    continue
+                handle = os.open(entry.path, os.O_RDONLY | os.O_NOFOLLOW)
+                try:
+                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # whose owner lives holds it
+                    if entry.is_dir(follow_symlinks=False):
+                        shutil.rmtree(entry.path)
+                    else:
+                        os.unlink(entry.path)
+                finally:
+                    os.close(handle)
 
 
 def _umask():

@@ -26,7 +26,16 @@ import numpy as np
 
 from .. import limits
 from ..errors import UserError
-from ..files import read_arrays, read_json, replacing, sha256_of, write_arrays, write_json
+from ..files import (
+    claim,
+    read_arrays,
+    read_json,
+    remove_abandoned,
+    replacing,
+    sha256_of,
+    write_arrays,
+    write_json,
+)
 from ..network.spec import NetworkSpec
 
 NETWORK_SCHEMA = "stmnist-bundle/2"
@@ -93,12 +102,15 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
         raise UserError(f"{path}: is a file, not a bundle's folder; move it away")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        remove_abandoned(path.parent, ".bundle.")
         temporary = Path(tempfile.mkdtemp(dir=str(path.parent), prefix=".bundle."))
+        handle = os.open(str(temporary), os.O_RDONLY)
     except OSError as error:
         raise UserError(
             f"{path}: cannot write ({error.strerror}); choose another folder"
         ) from error
     try:
+        claim(handle)
         temporary.chmod(0o755)
         write_json(temporary / "network.json", {"schema": NETWORK_SCHEMA, **spec.to_json()})
         write_arrays(temporary / "weights.npz", **spec.arrays())
@@ -118,6 +130,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
     except OSError as error:
         raise UserError(f"{path}: cannot write ({error.strerror or error}); free space?") from error
     finally:
+        os.close(handle)
         shutil.rmtree(str(temporary), ignore_errors=True)
     return read_bundle(path)
 

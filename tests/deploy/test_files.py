@@ -1,11 +1,19 @@
 import os
+import time
 import zipfile
 
 import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from deploy.files import read_arrays, read_json, replacing, write_arrays, write_json
+from deploy.files import (
+    read_arrays,
+    read_json,
+    remove_abandoned,
+    replacing,
+    write_arrays,
+    write_json,
+)
 
 
 def test_round_trips(tmp_path):
@@ -116,3 +124,32 @@ def test_a_zip_of_something_else(tmp_path):
         file.writestr("readme.txt", "hello")
     with pytest.raises(UserError, match=r"not an \.npz of plain arrays"):
         read_arrays(tmp_path / "a.npz", "")
+
+
+def test_what_a_killed_process_left_goes_with_the_next_writing(tmp_path):
+    old = time.time() - 60
+    abandoned = [tmp_path / ".a.json.abcd_123", tmp_path / ".bundle.abcdefgh"]
+    abandoned[0].write_text("half")
+    abandoned[1].mkdir()
+    (abandoned[1] / "weights.npz").write_text("half")
+    others = [tmp_path / name for name in (".b.json.abcdefgh", ".a.json.partial", ".a.json.new")]
+    for other in others:
+        other.write_text("mine")
+    for path in [*abandoned, *others]:
+        os.utime(path, (old, old))
+    (tmp_path / ".a.json.87654321").write_text("of this moment")
+    write_json(tmp_path / "a.json", {})
+    assert not abandoned[0].exists()
+    assert all(other.exists() for other in others)
+    assert (tmp_path / ".a.json.87654321").exists()
+    remove_abandoned(tmp_path, ".bundle.")
+    assert not abandoned[1].exists()
+
+
+def test_what_is_being_written_is_nobody_elses(tmp_path):
+    with replacing(tmp_path / "a.json") as file:
+        os.utime(file.name, (0, 0))  # for long
+        write_json(tmp_path / "a.json", {"written": "meanwhile"})
+        file.write(b'{"written": "last"}')
+    assert read_json(tmp_path / "a.json", "") == {"written": "last"}
+    assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
