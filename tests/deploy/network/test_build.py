@@ -175,7 +175,8 @@ def test_the_counts_are_those_that_nengo_loihi_makes(layer, more, data):
             if len(cores) > 1:  # whole, NengoLoihi counts axons that reach nothing too
                 assert axons == used["input axons"]
             assert words >= used["synapse words"]
-            assert words <= 1.6 * used["synapse words"] + 40
+            # a word more at most for each input, of which some reach nothing
+            assert words <= 1.6 * used["synapse words"] + max(40, np.prod(layer.input_shape))
         assert receiver.axons_from(parts) == used["output axons"]
     assert total == cutting.axons(block)
 
