@@ -235,7 +235,10 @@ class Live:
                 wake.clear()
                 ask = session.ask()
                 if ask is not None:
-                    answer = await loop.run_in_executor(self._thread, ask)
+                    try:
+                        answer = await loop.run_in_executor(self._thread, ask)
+                    except Exception as error:  # said, and the next one may do
+                        answer = problem(f"the network could not answer: {error}")
                     await _say(socket, [answer] if answer is not None else [])
                     await asyncio.sleep(APART_S)
 

@@ -68,7 +68,7 @@ def digit(number, index=0):
     return simulate.motion(sample, who, np.random.default_rng([0, 2, number, index]), P)
 
 
-def until(page, condition, seconds=30):
+def until(page, condition, seconds=120):
     """Wait for a condition in the page's language; Playwright's own way is against its policy."""
     end = time.monotonic() + seconds
     while not page.evaluate(condition):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from tests.pipeline.live.conftest import stroke
+from tests.pipeline.live.conftest import Parrot, served, stroke
 
 pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
 sync_client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
@@ -258,9 +258,25 @@ def test_a_port_in_use_is_said(server):
         listen(port)
 
 
-def test_a_network_that_cannot_be_made_ready_is_said_on_the_page(tmp_path):
-    from tests.pipeline.live.conftest import served
+def test_an_answer_that_fails_is_said_and_the_next_one_comes(tmp_path):
+    class Hoarse(Parrot):
+        failures = 1
 
+        def answer(self, events, time_s):
+            if self.failures:
+                self.failures -= 1
+                raise RuntimeError("a frog in the throat")
+            return super().answer(events, time_s)
+
+    with served(tmp_path / "kept", Hoarse) as server, connect(server) as page:
+        read_until(page, "ready")
+        write(page)
+        assert "a frog" in read_until(page, "problem")[-1]["text"]
+        write(page, start_ms=9000.0)
+        assert read_until(page, "answer")
+
+
+def test_a_network_that_cannot_be_made_ready_is_said_on_the_page(tmp_path):
     def broken():
         raise UserError("the bundle has no readout")
 
