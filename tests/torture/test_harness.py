@@ -1,6 +1,7 @@
 """The campaign itself: the same case from the same seed, and findings that are found."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -82,7 +83,8 @@ def test_what_is_a_finding(ended, found):
 def test_a_command_is_called_within_limits(tmp_path):
     (tmp_path / "a.mat").write_bytes(b"hello")
     ended = bounded.run(["data", "inspect", tmp_path / "a.mat"], tmp_path)
-    assert (ended.status, ended.finding) == (2, None)
+    # A child's memory counts that of the process it was forked from, which is large among tests.
+    assert (ended.status, replace(ended, memory=0).finding) == (2, None)
     assert "is not a MAT file" in ended.err
     assert ended.memory > 10**7
 
