@@ -53,7 +53,9 @@ WEIGHT_UNIT = 128
 """What a weight of 1 adds to q: NengoLoihi's weights at exponent 0 are even and shifted by 6."""
 
 THRESHOLD_UNIT = 64
-MAX_THRESHOLD = (2**17 - 1) * THRESHOLD_UNIT
+MAX_THRESHOLD = (2**17 - 2) * THRESHOLD_UNIT
+"""A unit below the chip's largest, where NengoLoihi's scaling can round past it and halves all."""
+
 DECAY_UNIT = 4096
 BIAS_MANTISSA = 2**12 - 1
 BIAS_EXPONENTS = 7

@@ -239,8 +239,14 @@ def targets():
     return re.findall(r"^([a-z][\w-]*):", (ROOT / "Makefile").read_text(), re.MULTILINE)
 
 
+def make(*words):
+    """What make prints; below `make test` it would also say which directory it enters."""
+    command = ["make", "--no-print-directory", *words]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+
+
 def test_the_makefile_lists_all_its_targets():
-    done = subprocess.run(["make", "help"], cwd=ROOT, capture_output=True, text=True, check=True)
+    done = make("help")
     listed = {line.split()[1]: line.split(None, 2)[2] for line in done.stdout.splitlines()}
     assert set(listed) == set(targets())
     assert all(listed.values())
@@ -250,16 +256,13 @@ def test_the_makefile_lists_all_its_targets():
 
 
 def test_make_without_a_target_is_help():
-    done = subprocess.run(["make"], cwd=ROOT, capture_output=True, text=True, check=True)
+    done = make()
     assert "make loihi-emulate" in done.stdout
 
 
 @pytest.mark.parametrize("target", TARGETS)
 def test_a_target_of_the_makefile_calls_a_command_that_exists(target):
-    done = subprocess.run(
-        ["make", "-n", "-o", "setup", "-o", ".venv/installed", target, "DATA=x y.zip", "SEED=3"],
-        cwd=ROOT, capture_output=True, text=True, check=True,
-    )  # fmt: skip
+    done = make("-n", "-o", "setup", "-o", ".venv/installed", target, "DATA=x y.zip", "SEED=3")
     for called in re.findall(r"^\.venv/bin/stmnist (.*)$", done.stdout, re.M):
         assert any(called.startswith(words) for words in commands()), called
 

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from models import spiking
@@ -83,6 +83,10 @@ def test_the_emulator_at_rest_under_biases_makes_the_same_spikes():
     threshold=st.integers(20, spiking.MAX_THRESHOLD // 64),
     floor=st.integers(0, 23),
     largest_bias=st.sampled_from([0, 100, 4095, 4095 << 7]),
+)
+# NengoLoihi halves a network whose threshold is one unit above this one.
+@example(
+    seed=0, keep_u=273, keep_v=587, threshold=spiking.MAX_THRESHOLD // 64, floor=0, largest_bias=0
 )
 def test_nengoloihi_comes_to_any_integers(seed, keep_u, keep_v, threshold, floor, largest_bias):
     rng = np.random.default_rng(seed)
