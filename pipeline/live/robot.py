@@ -61,22 +61,29 @@ def opened(page, url, timeout_s=120):
 def replay(page, motion: Motion):
     """Like :func:`write`, but with events that the page makes itself.
 
-    Points go in without the round trips of a browser's driver, as densely and as evenly as a real
-    pointer's even on a busy machine; a browser's own input is left out.
+    Points go in without the round trips of a browser's driver, as densely and as evenly as the
+    machine lets them; a browser's own input is left out.
     """
+    page.evaluate(_REPLAY, points_of(motion))
+
+
+def points_of(motion: Motion) -> list:
+    """What a pointer tells of a motion: [ms, share of the width, of the height, kind of event]."""
     touches = motion.force > TOUCH * motion.force.max()
     first, last = np.flatnonzero(touches)[[0, -1]]
     step = max(1, round(1 / RATE_HZ / (motion.time_s[1] - motion.time_s[0])))
     points, down = [], False
     for at in [*range(first, last, step), last]:
-        lands, lifts = touches[at] and not down, down and (not touches[at] or at == last)
+        lands, lifts = touches[at] and not down, down and not touches[at]
         down = bool(touches[at])
         if down or lifts:
             x, y = np.clip((motion.right[at] + 0.5, motion.down[at] + 0.5), 0.02, 9.98) / 10
             kind = "pointerdown" if lands else "pointerup" if lifts else "pointermove"
             since_ms = 1e3 * (motion.time_s[at] - motion.time_s[first])
             points.append([float(since_ms), float(x), float(y), kind])
-    page.evaluate(_REPLAY, points)
+    if down:
+        points.append([*points[-1][:3], "pointerup"])
+    return points
 
 
 _REPLAY = """async (points) => {

@@ -29,6 +29,7 @@ export class Pen {
   }
 
   down(event) {
+    if (event.pointerId === this.pointer) this.up(event); // its end was never told
     if (this.pointer !== null || (event.pointerType === "mouse" && event.button !== 0)) return;
     this.pointer = event.pointerId;
     try {

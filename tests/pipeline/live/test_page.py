@@ -5,7 +5,7 @@ import os
 import re
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 import numpy as np
 import pytest
@@ -24,7 +24,9 @@ from tests.pipeline.live.conftest import served
 pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
 
 from pipeline.live import robot
+from pipeline.live.keeping import Keeper
 from pipeline.live.server import PAGE
+from pipeline.live.session import Session
 
 P = parameters.load()
 STEP_S = 1 / 500
@@ -95,6 +97,18 @@ def label(page, number):
     until(page, f"document.querySelector('#saved').textContent !== '{before}'")
 
 
+def exactly(decider, keeper, number, motion):
+    """What the network says in the end of a motion whose points come when they should."""
+    session = Session(number, keeper, P)
+    session.begin(decider)
+    for ms, x, y, kind in robot.points_of(motion):
+        point = [ms, 10 * x - 0.5, 10 * y - 0.5, 0.5, int(kind != "pointerup")]
+        message = json.dumps({"type": "pen", "now": ms, "points": [point]})
+        session.handle(message, 1e-3 * ms)
+    session.handle(json.dumps({"type": "pen", "now": ms + 500, "points": []}), 1e-3 * ms + 0.5)
+    return session.ask()()["decision"]
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.skipif(
@@ -118,6 +132,10 @@ def test_twenty_digits_of_real_hands(browser, shared_data, tmp_path):
 
         return decider_of(bundle, Image())
 
+    def motion_of(trace):
+        place = np.array([4.7, 4.8])
+        return unipen.move(trace, lambda q: 8.4 * q + place, 1.0, STEP_S, 0.0, P.kinematics)
+
     rng = np.random.default_rng(0)
     strangers = [trace for trace in traces if trace.writer >= 24]
     chosen = [
@@ -131,11 +149,7 @@ def test_twenty_digits_of_real_hands(browser, shared_data, tmp_path):
             for trace in chosen:
                 page.click("#clear")
                 page.told.clear()
-                place = np.array([4.7, 4.8])
-                motion = unipen.move(
-                    trace, lambda points, p=place: 8.4 * points + p, 1.0, STEP_S, 0.0, P.kinematics
-                )
-                robot.replay(page, motion)
+                robot.replay(page, motion_of(trace))
                 settled(page)
                 said = page.inner_text("#decision")
                 assert re.fullmatch("[0-9]", said)
@@ -167,8 +181,15 @@ def test_twenty_digits_of_real_hands(browser, shared_data, tmp_path):
     by_id = dict(zip(kept.ids, again, strict=True))
     numbers = sorted(kept.ids, key=lambda name: name.split("-")[-1])
     assert [by_id[name] for name in numbers] == decisions
-    # Strangers' hands, and thirty samples have a standard error of seven points.
-    assert right / len(chosen) > check - 0.25
+    # The same without a browser, whose pace is the machine's: 200 digits at exactly their own.
+    decider, known = make_decider(), 0
+    some = [strangers[index] for index in rng.permutation(len(strangers))[:200]]
+    with closing(Keeper(tmp_path / "exact")) as keeper:
+        for number, trace in enumerate(some):
+            known += exactly(decider, keeper, number, motion_of(trace)) == trace.digit
+    print(f"at exactly their own pace {known} of {len(some)}")
+    assert known / len(some) > check - 0.1  # new writers, and a standard error of three points
+    assert right / len(chosen) > 0.4  # on a machine so busy that strokes are torn, too
 
 
 @pytest.fixture
@@ -215,6 +236,20 @@ def test_pointer_events_of_any_origin_write(page):
     assert len(kept.written.pen) > 20
     assert kept.written.pen[1:-1, 3] == pytest.approx(0.6)
     assert (np.diff(kept.written.pen[:, 0]) >= 0).all()
+
+
+def test_a_pointer_whose_end_was_never_told_does_not_hold_the_pen(page):
+    tell = """([kind, share]) => {
+      const skin = document.querySelector("#skin"), box = skin.getBoundingClientRect();
+      skin.dispatchEvent(new PointerEvent(kind, { pointerId: 7, pointerType: "pen", pressure: 0.5,
+        clientX: box.left + share * box.width, clientY: box.top + share * box.height }));
+    }"""
+    page.evaluate(tell, ["pointerdown", 0.2])
+    robot.replay(page, digit(0))
+    page.evaluate(tell, ["pointerdown", 0.8])
+    page.evaluate(tell, ["pointerup", 0.8])
+    settled(page)
+    label(page, 0)
 
 
 def test_clear_empties_the_decision(page):
