@@ -298,6 +298,7 @@ class Server(uvicorn.Server):
                 access_log=False,
                 ws="websockets-sansio",
                 ws_max_size=LARGEST,
+                ws_ping_interval=None,  # a page that sleeps is no page that has gone
                 ws_per_message_deflate=False,  # to oneself, and every millisecond counts
                 server_header=False,
                 timeout_graceful_shutdown=1,

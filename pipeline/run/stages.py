@@ -401,19 +401,24 @@ def answer_all(
     """
     networks = REFERENCES[settings.input.kind]
     paths = {stage: run.whole_check(stage) if whole else run.check(stage) for stage in asked}
+    results = {}
     targets = [s for s in asked if s not in networks and not _answers(paths[s], bundle)]
     if jobs > 1 and len(targets) > 1:
         for stage in asked:
             if stage in networks:
-                answer(run, settings, bundle, stage, say, whole)
+                results[stage] = answer(run, settings, bundle, stage, say, whole)
         work = [_Check(bundle, stage, paths[stage], settings.seed) for stage in targets]
         # The slowest begin first; all are about as long as their place in the ladder is late.
         with progress(f"check {', '.join(targets)}", len(work)) as advance:
             for job, outcome in run_jobs(_check, work[::-1], jobs):
                 if isinstance(outcome, Failure):
                     raise UserError(f"target {job.target}: {outcome.error}")
+                results[job.target] = read_result(job.path, REMEDY_CHECK)
                 advance(1, job.target)
-    return [answer(run, settings, bundle, stage, say, whole) for stage in asked]
+    for stage in asked:
+        if stage not in results:
+            results[stage] = answer(run, settings, bundle, stage, say, whole)
+    return [results[stage] for stage in asked]
 
 
 @dataclass(frozen=True)

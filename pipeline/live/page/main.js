@@ -215,7 +215,17 @@ link.on("gone", (reason) => {
   $("status").textContent = "Not connected.";
   if ($("problem").hidden)
     complain(`The server has gone${reason ? ` (${reason})` : ""}. What was kept is safe; start it again and open the address that it prints.`);
+  if (!reason) setTimeout(comeBack, 2000);
 });
+
+// Back again, such as after the machine has slept: the page begins anew, with the same writer.
+async function comeBack() {
+  try {
+    if ((await fetch(location.href)).ok) location.reload();
+  } catch {
+    setTimeout(comeBack, 2000);
+  }
+}
 
 // The writer is remembered by this browser, so that a session goes on where it was left.
 function recall() {

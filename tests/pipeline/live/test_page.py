@@ -1,6 +1,7 @@
 """The page in a real Chromium, written on as a hand would."""
 
 import json
+import os
 import re
 import threading
 import time
@@ -96,6 +97,9 @@ def label(page, number):
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
+@pytest.mark.skipif(
+    "STMNIST_LONG" not in os.environ, reason="trains a network, minutes; STMNIST_LONG=1 runs it"
+)
 def test_twenty_digits_of_real_hands(browser, shared_data, tmp_path):
     """Real trajectories, at their own pace, to a network that was trained on other ones' traces."""
     traces = unipen.read(shared_data / "pendigits-train.unipen")
