@@ -1,15 +1,117 @@
 """When a network decides by itself: a confidence at every step, and a threshold for it.
 
-The output of a network on events is a sum over the steps from a sample's start; trained as logits,
-the largest share of their softmax is what the network gives for its answer being right.  It decides
-in the first step in which that reaches a threshold, and at the end if it never does.
+The output of a network on events is a sum over the steps from a sample's start, trained as logits.
+The confidence is how often its answer turns out right where the outputs look as they do now: the
+largest share of their softmax, or better what a judge says that was trained for just that.  The
+network decides in the first step in which the confidence reaches a threshold, and at the end if it
+never does.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple, Optional, Tuple
 
 import numpy as np
+
+HIDDEN = (32, 32)
+"""Units of a judge's layers before its last."""
+
+RANKS = 4
+"""How many of the largest shares a judge is told in the order of their size."""
+
+
+@dataclass(frozen=True)
+class Judge:
+    """A small network on the host that tells from the outputs how sure they are.
+
+    With p the softmax of the outputs at a step, x are the logarithms of p, of its largest values in
+    the order of their size, which class is the largest, and the number of the step:
+
+        h = relu(relu(x A + a) B + b),    confidence = 1 / (1 + exp(-h C - c)).
+
+    The softmax alone does not know that an answer of 1 is often still going to be a 7, and that
+    even a clear lead means little early on.
+
+    Attributes
+    ----------
+    kernels, biases : tuple of ndarray
+        A, B, C and a, b, c; see :meth:`shapes`.
+    """
+
+    kernels: Tuple[np.ndarray, ...]
+    biases: Tuple[np.ndarray, ...]
+
+    @staticmethod
+    def shapes(classes: int) -> dict:
+        """Shape of each array by name, for networks of so many classes."""
+        sizes = (2 * classes + min(RANKS, classes) + 1, *HIDDEN, 1)
+        shapes = {}
+        for index, (before, after) in enumerate(zip(sizes, sizes[1:]), 1):
+            shapes[f"judge.kernel{index}"] = (before, after)
+            shapes[f"judge.bias{index}"] = (after,)
+        return shapes
+
+    def arrays(self) -> dict:
+        """The arrays by name, for a file."""
+        names = Judge.shapes(2)  # the names are the same for any number of classes
+        arrays = [array for pair in zip(self.kernels, self.biases) for array in pair]
+        return dict(zip(names, arrays))
+
+    @classmethod
+    def from_arrays(cls, arrays: dict, classes: int):
+        """The inverse of :meth:`arrays`; other arrays are left alone.
+
+        Returns
+        -------
+        Judge or None
+            None if none of its arrays is there.
+
+        Raises
+        ------
+        ValueError
+            Some are missing, of another shape, or hold NaN or infinite values.
+        """
+        shapes = cls.shapes(classes)
+        if not any(name in arrays for name in shapes):
+            return None
+        found = []
+        for name, shape in shapes.items():
+            array = np.asarray(arrays[name], float) if name in arrays else None
+            if array is None or array.shape != shape or not np.isfinite(array).all():
+                raise ValueError(f"no array {name!r} of shape {shape} with finite values")
+            found.append(array)
+        return cls(tuple(found[::2]), tuple(found[1::2]))
+
+    def __call__(self, outputs, first: int = 0) -> np.ndarray:
+        """Confidence at each step; see :func:`confidence`."""
+        return confidence(outputs, self, first)
+
+
+def judged_by(outputs, first: int = 0) -> np.ndarray:
+    """What a judge goes by.
+
+    Parameters
+    ----------
+    outputs : ndarray, shape (..., steps, classes)
+        Sums of the readout from a sample's start on.
+    first : int
+        Step of the sample, from 0, that the first of them is of.
+
+    Returns
+    -------
+    ndarray, shape (..., steps, features)
+    """
+    outputs = np.asarray(outputs, float)
+    steps, classes = outputs.shape[-2:]
+    ahead = outputs - outputs.max(-1, keepdims=True)
+    log_p = ahead - np.log(np.exp(ahead).sum(-1, keepdims=True))
+    ranked = np.flip(np.sort(log_p, -1), -1)[..., :RANKS]
+    which = np.eye(classes)[outputs.argmax(-1)]
+    step = np.broadcast_to(
+        (first + np.arange(steps, dtype=float))[:, None], (*ranked.shape[:-1], 1)
+    )
+    return np.concatenate([ranked, which, log_p, step], -1)
 
 
 class Threshold(NamedTuple):
@@ -30,23 +132,33 @@ class Threshold(NamedTuple):
     share: float
 
 
-def confidence(outputs) -> np.ndarray:
-    """Largest share of the softmax.
+def confidence(outputs, judge: Optional[Judge] = None, first: int = 0) -> np.ndarray:
+    """How sure the outputs are at each step, from 0 to 1.
 
     Parameters
     ----------
-    outputs : ndarray, shape (..., classes)
+    outputs : ndarray, shape (..., steps, classes)
         Sums of the readout from a sample's start on.
+    judge : Judge, optional
+        Default: the largest share of the softmax.
+    first : int
+        Step of the sample, from 0, that the first of them is of; only a judge asks.
 
     Returns
     -------
-    ndarray, shape (...)
+    ndarray, shape (..., steps)
     """
     outputs = np.asarray(outputs, float)
-    return 1 / np.exp(outputs - outputs.max(-1, keepdims=True)).sum(-1)
+    if judge is None:
+        return 1 / np.exp(outputs - outputs.max(-1, keepdims=True)).sum(-1)
+    signal = judged_by(outputs, first)
+    for kernel, bias in zip(judge.kernels[:-1], judge.biases[:-1]):
+        signal = np.maximum(signal @ kernel + bias, 0)
+    odds = np.clip((signal @ judge.kernels[-1] + judge.biases[-1])[..., 0], -50, 50)
+    return 1 / (1 + np.exp(-odds))
 
 
-def decide(outputs, threshold: float):
+def decide(outputs, threshold: float, judge: Optional[Judge] = None, first: int = 0):
     """Step and class of each sample's decision.
 
     Parameters
@@ -54,17 +166,24 @@ def decide(outputs, threshold: float):
     outputs : ndarray, shape (n_samples, steps, classes)
     threshold : float
         Of the confidence.
+    judge, first
+        As in :func:`confidence`.
 
     Returns
     -------
     steps : ndarray of int, shape (n_samples,)
-        From 0; the last one where the confidence never reaches the threshold.
+        From 0, counted in ``outputs``; the last one where the confidence never reaches the
+        threshold.
     classes : ndarray of int, shape (n_samples,)
     """
-    sure = confidence(outputs) >= threshold
-    sure[:, -1] = True
-    steps = sure.argmax(1)
-    return steps, np.asarray(outputs)[np.arange(len(steps)), steps].argmax(-1)
+    return _decided(np.asarray(outputs), confidence(outputs, judge, first), threshold)
+
+
+def _decided(outputs, sure, threshold):
+    reached = sure >= threshold
+    reached[:, -1] = True
+    steps = reached.argmax(1)
+    return steps, outputs[np.arange(len(steps)), steps].argmax(-1)
 
 
 def share_of_time(steps, last_step) -> np.ndarray:
@@ -78,7 +197,9 @@ def share_of_time(steps, last_step) -> np.ndarray:
     return np.minimum((np.asarray(steps) + 1) / (np.asarray(last_step) + 1), 1)
 
 
-def choose_threshold(outputs, labels, last_step, loss: float = 0.005) -> Threshold:
+def choose_threshold(
+    outputs, labels, last_step, loss: float = 0.005, judge: Optional[Judge] = None
+) -> Threshold:
     """The threshold that decides earliest without losing much; choose it on validation samples.
 
     Parameters
@@ -87,16 +208,18 @@ def choose_threshold(outputs, labels, last_step, loss: float = 0.005) -> Thresho
     labels, last_step : ndarray of int, shape (n_samples,)
     loss : float
         By how much the accuracy may be below that of the last step.
+    judge : Judge, optional
+        As in :func:`confidence`.
 
     Returns
     -------
     Threshold
     """
-    labels = np.asarray(labels)
-    allowed = np.mean(np.asarray(outputs)[:, -1].argmax(-1) == labels) - loss
+    labels, outputs = np.asarray(labels), np.asarray(outputs)
+    allowed, sure = np.mean(outputs[:, -1].argmax(-1) == labels) - loss, confidence(outputs, judge)
     best = None
-    for level in 1 - np.geomspace(0.5, 1e-4, 100):
-        steps, classes = decide(outputs, level)
+    for level in 1 - np.geomspace(0.5, 1e-4, 200):
+        steps, classes = _decided(outputs, sure, level)
         found = Threshold(
             float(level), float(np.mean(classes == labels)),
             float(np.mean(share_of_time(steps, last_step))),

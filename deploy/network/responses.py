@@ -133,7 +133,7 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
     limit = spec.presentation.confidence
     stopped = None
     if limit is not None:
-        stopped = start + 1 + decide(_settled(scores * counts), limit)[0]
+        stopped = start + 1 + decide(_settled(scores * counts), limit, spec.judge, start)[0]
     return Responses(
         scores=scores[:, -1],
         decisions=decisions,

@@ -18,6 +18,7 @@ import numpy as np
 from .. import limits
 from ..errors import UserError
 from .chip import LOIHI
+from .decision import Judge
 from .geometry import convolution_shape, pooled_shape
 from .stimulus import KINDS, ImageCurrent, ImageSpikes, Stimulus
 
@@ -242,6 +243,8 @@ class NetworkSpec:
     presentation : Presentation
     provenance : dict
         Where the network comes from: data set, seed, recipe, package version.
+    judge : Judge or None
+        What tells how sure the outputs are; None for their softmax.
     """
 
     architecture: str
@@ -250,6 +253,7 @@ class NetworkSpec:
     layers: Tuple[Layer, ...]
     presentation: Presentation
     provenance: dict = field(default_factory=dict)
+    judge: Optional[Judge] = field(default=None, repr=False, compare=False)
 
     def __post_init__(self):
         object.__setattr__(self, "input_shape", tuple(int(n) for n in self.input_shape))
@@ -304,12 +308,13 @@ class NetworkSpec:
         }
 
     def arrays(self) -> dict:
-        """The arrays, for ``weights.npz``: ``<layer>.weights`` and ``<layer>.bias``."""
-        return {
+        """The arrays, for ``weights.npz``: ``<layer>.weights``, ``<layer>.bias``, the judge's."""
+        arrays = {
             f"{layer.name}.{name}": getattr(layer, name)
             for layer in self.layers
             for name in ("weights", "bias")
         }
+        return arrays if self.judge is None else {**arrays, **self.judge.arrays()}
 
     @classmethod
     def from_json(cls, value: dict, arrays: dict) -> NetworkSpec:
@@ -341,6 +346,7 @@ class NetworkSpec:
                 layers=tuple(layers),
                 presentation=_build(Presentation, value["presentation"]),
                 provenance=dict(value.get("provenance", {})),
+                judge=Judge.from_arrays(arrays, layers[-1].size if layers else 0),
             )
             fed_in = "stimulus" if "stimulus" in value else "encoder"  # of the first schema
             _only(value, {"schema", fed_in, *spec.to_json()}, "network")

@@ -151,7 +151,9 @@ def train_for_chip(settings: Settings, dataset: Dataset, seed: int, checkpoint=N
     recipe, table = EventRecipe.of(settings), EventTable.of(dataset.recordings)
     trained = train_events(recipe, table, dataset.labels, learn, seed, checkpoint=checkpoint)
     shown = trained.answers(dataset.inputs[held])
-    chosen = choose_threshold(shown.outputs, dataset.labels[held], shown.last_step)
+    chosen = choose_threshold(
+        shown.outputs, dataset.labels[held], shown.last_step, judge=trained.judge
+    )
     spec = spec_of_events(
         recipe,
         trained.weights,

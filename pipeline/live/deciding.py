@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from deploy.check.bundle import Bundle
+from deploy.network.decision import confidence
 from deploy.network.responses import read_output
 from deploy.network.stimulus import EventFrames
 from deploy.targets.fast.emulation import Emulation, compile_spec
@@ -124,8 +125,12 @@ class _Fast:
         counts = {name: done.counts[name][0] for name in spec.spiking_layers}
         said = read_output(spec, done.output[0, :, gap : gap + steps], counts)
         scores = said.scores[0]
-        odds = np.exp(self._logits(scores, steps) - self._logits(scores, steps).max())
-        reached = said.stopped_at is not None and odds.max() / odds.sum() >= shown.confidence
+        logits = self._logits(scores, steps)
+        odds = np.exp(logits - logits.max())
+        reached = said.stopped_at is not None
+        if reached:
+            sure = confidence(logits[None], spec.judge, steps - 1)[0]
+            reached = bool(sure >= shown.confidence)
         return Answer(scores, odds / odds.sum(), spikes, reached)
 
     def _logits(self, scores, steps):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deploy.network.chip import LOIHI
+from deploy.network.decision import Judge
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import EventFrames
 from models.architecture import parse
@@ -71,4 +72,5 @@ def spec_of_events(
         layers=tuple(layers),
         presentation=presentation,
         provenance=provenance,
+        judge=Judge.from_arrays(weights, architecture.outputs),
     )

@@ -15,7 +15,7 @@ from deploy.check.results import read_result
 from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.files import read_arrays, read_json, sha256_of, write_arrays, write_json
-from deploy.network.decision import choose_threshold
+from deploy.network.decision import Judge, choose_threshold
 from models.architecture import parse
 from models.own import ModelFileError, read_own_model
 from pipeline.inputs.dataset import TOO_SMALL, Dataset, event_warnings
@@ -247,7 +247,9 @@ def train_on_events(run: RunFolder, settings: Settings, dataset: Dataset, say=pr
 
     def decision_of(trained):
         shown = trained.answers(dataset.inputs[held])
-        chosen = choose_threshold(shown.outputs, dataset.labels[held], shown.last_step)
+        chosen = choose_threshold(
+            shown.outputs, dataset.labels[held], shown.last_step, judge=trained.judge
+        )
         return {"decides_by_itself": {**chosen._asdict(), "samples": len(held)}}
 
     metrics = _train("events", run.snn, stamp, recipe.epochs, train_it, dataset, say, decision_of)
@@ -445,7 +447,8 @@ def read_weights(folder: Path, settings: Settings) -> dict:
     weights = read_arrays(path, REMEDY)
     if settings.on_events:
         architecture = settings.events.architecture
-        shapes = parse(architecture).event_weight_shapes
+        parsed = parse(architecture)
+        shapes = parsed.event_weight_shapes | Judge.shapes(parsed.outputs)
     else:
         architecture = settings.cnn.architecture
         shapes = parse(architecture).weight_shapes

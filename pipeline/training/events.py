@@ -21,11 +21,13 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import read_arrays, write_arrays
+from deploy.network.decision import Judge
 from models.architecture import parse
 from models.keras2 import tf
 from models.spiking import Neuron, SpikingNetwork, operations
 from pipeline.recordings.steps import EventTable, spike_frames
 from pipeline.settings import Events, Input, Settings
+from pipeline.training.judge import train_judge
 from pipeline.training.networks import make_deterministic
 
 CNN_MACS = 43104
@@ -104,7 +106,8 @@ class TrainedOnEvents:
     ----------
     recipe : EventRecipe
     weights : dict of str to ndarray
-        See :meth:`models.spiking.SpikingNetwork.get_weights`.
+        See :meth:`models.spiking.SpikingNetwork.get_weights`; and the arrays of the judge that says
+        how sure the network is (:class:`deploy.network.decision.Judge`).
     history : list of dict
         One row an epoch: ``epoch``, ``loss`` (without the price), ``accuracy`` and ``operations``
         (in multiples of the CNN's) of the training samples as they were altered, ``seconds``, and
@@ -118,6 +121,11 @@ class TrainedOnEvents:
     def answers(self, frames, advance=None) -> Answers:
         """What it answers to frames of events; see :func:`answer_frames`."""
         return answer_frames(self.recipe, self.weights, frames, advance)
+
+    @property
+    def judge(self) -> Judge:
+        """What says how sure the outputs are."""
+        return Judge.from_arrays(self.weights, parse(self.recipe.architecture).outputs)
 
     def logits(self, frames) -> np.ndarray:
         """Outputs at the last step, shape (n_samples, classes)."""
@@ -202,7 +210,8 @@ def train_events(
         trainer.save(checkpoint, run, history)
         if advance is not None:
             advance(1, _note(row))
-    return TrainedOnEvents(recipe, trainer.weights(), history)
+    judge = train_judge(*trainer.outputs_of(train), seed)
+    return TrainedOnEvents(recipe, {**trainer.weights(), **judge.arrays()}, history)
 
 
 def answer_events(recipe: EventRecipe, weights: dict, table: EventTable, indices, steps: int):
@@ -448,20 +457,33 @@ class _Trainer:
         last = self.table.duration_ms[indices].max() / self.recipe.step_ms
         return self.table.frames(indices, self.recipe.step_ms, _padded(int(last)))
 
-    def watch(self, indices, size=100):
-        """Accuracy and operations of samples as they are, for the history."""
+    def _answers(self, indices, size=100):
+        """Of samples as they are, a batch after the other: which, outputs and operations."""
         indices = np.asarray(indices)
         order = indices[np.argsort(self.table.duration_ms[indices], kind="stable")]
-        right, costs = [], []
         for start in range(0, len(order), size):
             part = order[start : start + size]
-            full = np.resize(part, size)
-            outputs, cost, _ = self._answer(self._frames(full))
-            answers = outputs.numpy()[-1, : len(part)].argmax(-1)
-            right.append(answers == self.labels[part])
-            costs.append(cost.numpy()[: len(part)].sum(1))
+            outputs, cost, _ = self._answer(self._frames(np.resize(part, size)))
+            yield part, outputs.numpy()[:, : len(part)], cost.numpy()[: len(part)].sum(1)
+
+    def watch(self, indices):
+        """Accuracy and operations of samples as they are, for the history."""
+        right, costs = [], []
+        for part, outputs, cost in self._answers(indices):
+            right.append(outputs[-1].argmax(-1) == self.labels[part])
+            costs.append(cost)
         cost = float(np.concatenate(costs).mean()) / CNN_MACS
         return {"val_accuracy": float(np.concatenate(right).mean()), "val_operations": cost}
+
+    def outputs_of(self, indices):
+        """Each sample's outputs up to its last event, and whether they were right."""
+        every, right = [], []
+        for part, outputs, _ in self._answers(indices):
+            steps = (self.table.duration_ms[part] / self.recipe.step_ms).astype(int) + 1
+            for column, (index, length) in enumerate(zip(part, steps, strict=True)):
+                every.append(outputs[:length, column])
+                right.append(every[-1].argmax(-1) == self.labels[index])
+        return every, right
 
     def weights(self):
         """The result: the running mean of the weights."""

@@ -3,7 +3,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.network.decision import choose_threshold, confidence, decide, share_of_time
+from deploy.network.decision import (
+    Judge,
+    choose_threshold,
+    confidence,
+    decide,
+    judged_by,
+    share_of_time,
+)
 
 
 def outputs_of(*samples):
@@ -50,3 +57,71 @@ def test_a_higher_threshold_never_decides_earlier(seed):
     assert decide(outputs, 1.1)[1].tolist() == outputs[:, -1].argmax(-1).tolist()
     chosen = choose_threshold(outputs, rng.integers(0, 4, 5), np.full(5, 11))
     assert 0 < chosen.share <= 1
+
+
+def judge_of(classes, seed=0):
+    rng = np.random.default_rng(seed)
+    arrays = {name: rng.normal(size=shape) for name, shape in Judge.shapes(classes).items()}
+    return Judge.from_arrays(arrays, classes)
+
+
+def test_what_a_judge_goes_by_by_hand():
+    # Two classes with shares of 1/4 and 3/4, in the sixth step.
+    told = judged_by(np.log([[1.0, 3.0]]), first=5)
+    low, high = np.log(0.25), np.log(0.75)
+    np.testing.assert_allclose(told, [[high, low, 0, 1, low, high, 5]])
+
+
+def test_a_judge_of_one_unit_by_hand():
+    judge = judge_of(2)
+    kernels, biases = [0 * k for k in judge.kernels], [0 * b for b in judge.biases]
+    kernels[0][6, 3] = 1.0  # the step
+    biases[0][3] = -2.0
+    kernels[1][3, 0], kernels[2][0, 0], biases[2][0] = 2.0, 0.5, -1.0
+    simple = Judge(tuple(kernels), tuple(biases))
+    expected = 1 / (1 + np.exp(-(np.maximum(np.arange(6) - 2, 0) - 1)))
+    np.testing.assert_allclose(confidence(np.zeros((3, 6, 2)), simple), [expected] * 3)
+    np.testing.assert_allclose(confidence(np.zeros((2, 2)), simple, first=4), expected[4:])
+    steps, classes = decide(np.zeros((1, 6, 2)), 0.6, simple)
+    assert (steps.tolist(), classes.tolist()) == ([4], [0])
+    assert decide(np.zeros((1, 3, 2)), 0.6, simple, first=3)[0].tolist() == [1]
+
+
+def test_a_judge_that_is_very_sure_says_so_without_a_warning():
+    judge = judge_of(3)
+    with np.errstate(all="raise", under="ignore"):
+        sure = confidence(1e4 * np.eye(3)[:, None], judge)
+    assert np.isfinite(sure).all()
+
+
+def test_a_judges_arrays_there_and_back():
+    judge = judge_of(10)
+    again = Judge.from_arrays({**judge.arrays(), "output.weights": np.zeros(3)}, 10)
+    outputs = np.random.default_rng(1).normal(size=(4, 7, 10))
+    np.testing.assert_array_equal(judge(outputs), again(outputs))
+    assert Judge.from_arrays({"output.weights": np.zeros(3)}, 10) is None
+
+
+@pytest.mark.parametrize("change", ["missing", "shape", "nan"])
+def test_wrong_arrays_of_a_judge_are_named(change):
+    arrays = judge_of(10).arrays()
+    if change == "missing":
+        del arrays["judge.bias2"]
+    elif change == "shape":
+        arrays["judge.bias2"] = np.zeros(3)
+    else:
+        arrays["judge.bias2"] = np.full(32, np.nan)
+    with pytest.raises(ValueError, match=r"judge\.bias2"):
+        Judge.from_arrays(arrays, 10)
+
+
+def test_a_threshold_is_chosen_for_the_judge():
+    # Wrong where the first class leads: the softmax cannot know, the judge does.
+    outputs = np.repeat(np.array([[[5.0, 0.0]], [[0.0, 5.0]]]), 4, axis=1)
+    outputs[0, 2:] = [0.0, 5.0]
+    labels, last = np.ones(2, int), np.full(2, 3)
+    kernels, biases = [0 * k for k in judge_of(2).kernels], [0 * b for b in judge_of(2).biases]
+    kernels[0][3, 0], kernels[1][0, 0], kernels[2][0, 0], biases[2][0] = 1.0, 1.0, 9.0, -4.0
+    judge = Judge(tuple(kernels), tuple(biases))
+    assert choose_threshold(outputs, labels, last, 0).share == pytest.approx(1)
+    assert choose_threshold(outputs, labels, last, 0, judge).share == pytest.approx((3 + 1) / 8)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from deploy.network.decision import Judge, decide
 from deploy.network.operations import synaptic_operations
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.targets.registry import answer
@@ -68,6 +69,30 @@ def test_every_spike_is_that_of_the_trained_network(architecture, target):
         spec, {"input": frames.sum(1).reshape(len(table), -1), **expected.spikes}
     )
     np.testing.assert_allclose(np.stack(list(counted.values()), 1), expected.operations)
+
+
+def test_the_judge_decides_on_the_chip_as_in_training():
+    recipe = EventRecipe(architecture="10x10x2-12c4s2-32-10o")
+    rng, weights, table = np.random.default_rng(0), trained_like(recipe.architecture), table_of()
+    weights |= {name: rng.normal(0, 0.3, shape) for name, shape in Judge.shapes(10).items()}
+    weights["judge.kernel1"][-1] = 0  # no mind for the time
+    indices, steps = np.arange(len(table)), STEPS + GAP
+    shown = answer_events(recipe, weights, table, indices, steps)
+    late = len(shown.spikes) + 1
+    # What arrives is what was said `late` steps before.
+    arrived = np.pad(shown.outputs, ((0, 0), (late, 0), (0, 0)))[:, :steps]
+    judge = Judge.from_arrays(weights, 10)
+    limit = float(np.quantile(judge(arrived), 0.9))
+    expected, _ = decide(arrived, limit, judge)
+    assert set(expected) - {0, steps - 1}
+    assert (expected != decide(arrived, limit)[0]).any()
+    presentation = Presentation(
+        steps=steps, gap=GAP, readout_start=0, stream_length=3, confidence=limit
+    )
+    spec = spec_of_events(recipe, weights, presentation, {})
+    spec = NetworkSpec.from_json(spec.to_json(), spec.arrays())
+    frames = np.moveaxis(table.frames(indices, recipe.step_ms, steps), 0, 1)
+    np.testing.assert_array_equal(answer(spec, frames, "fast").stopped_at, expected + 1)
 
 
 def test_a_long_silence_is_silent():

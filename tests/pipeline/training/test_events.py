@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
+from deploy.network.decision import Judge
 from models.architecture import parse
 from models.spiking import SpikingNetwork
 from pipeline.recordings.steps import EventTable
@@ -58,8 +59,9 @@ def test_weights_have_the_names_and_shapes_of_the_architecture(trained):
     arrays = {k: np.shape(v) for k, v in trained.weights.items() if np.ndim(v)}
     expected = dict(architecture.weight_shapes)
     del expected["output.bias"]  # the readout is a sum of spikes' weights and nothing else
-    assert arrays == expected
+    assert arrays == {**expected, **Judge.shapes(3)}
     assert trained.weights["conv1.tau_u"] > 0
+    assert trained.judge(np.zeros((5, 3))).shape == (5,)
 
 
 def test_answers_are_the_chips_integers(trained, data):
