@@ -193,7 +193,7 @@ class SNN:
 class Events:
     """The spiking network that is trained on events; see :mod:`pipeline.training.events`."""
 
-    architecture: str = "10x10x2-12c4s2-64-10o"
+    architecture: str = "10x10x2-24c4s3-64-10o"
     """As the CNN's, with a channel for each polarity and at least one hidden layer; no pooling."""
     epochs: Annotated[int, EPOCHS] = 80
     """Passes over the training samples."""
@@ -201,7 +201,7 @@ class Events:
     """Samples a step."""
     learning_rate: Annotated[float, ABOVE_0] = 0.003
     """Of Adam; it falls to 0 along a half cosine."""
-    early: Annotated[float, AT_LEAST_0] = 0.3
+    early: Annotated[float, AT_LEAST_0] = 1.0
     """Weight in the loss of being right while the digit is still being written."""
     budget: Annotated[float, ABOVE_0] = 0.9
     """Synaptic operations of an inference, in multiples of the paper's CNN's multiply-accumulates,

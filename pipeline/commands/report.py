@@ -24,11 +24,18 @@ def report(
         Optional[Path],  # noqa: UP045
         typer.Option(help="The file to write (default: report.html in the run's folder)."),
     ] = None,
+    beside: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(
+            help="A run of images to show beside one of events, from the same recordings."
+        ),
+    ] = None,
     jobs: options.Jobs = 2,
 ):
     """Write the run as one self-contained HTML file, with whatever has been measured so far."""
     folder = RunFolder(run)
-    html = render(gather(folder, benchmark or run.parent / "table2", jobs, options.say))
+    other = RunFolder(beside) if beside else None
+    html = render(gather(folder, benchmark or run.parent / "table2", jobs, options.say, other))
     path = out or run / "report.html"
     with replacing(path, "w") as file:
         file.write(html)

@@ -10,7 +10,7 @@ import typer
 from deploy.errors import UserError
 from pipeline.commands import options
 from pipeline.run import stages
-from pipeline.run.answers import STAGES as REFERENCES
+from pipeline.run.answers import REFERENCES
 from pipeline.run.ladder import ladder_text, measure_ladder
 
 

@@ -26,11 +26,14 @@ class Series:
     ----------
     name : str
     x, y : sequence of float
+    intervals : sequence of (low, high), optional
+        About each y: a band about the line, or a bar where there is one point.
     """
 
     name: str
     x: tuple
     y: tuple
+    intervals: tuple = ()
 
 
 def line_chart(series, x_label: str, y_label: str, y_range=None, description="") -> Markup:
@@ -45,18 +48,29 @@ def line_chart(series, x_label: str, y_label: str, y_range=None, description="")
         Read out in place of the picture.
     """
     x = np.concatenate([np.asarray(s.x, float) for s in series])
-    y = np.concatenate([np.asarray(s.y, float) for s in series])
+    y = np.concatenate([np.ravel([*s.y, *np.ravel(s.intervals)]) for s in series])
     x_axis = _Axis(x.min(), x.max(), LEFT, WIDTH - RIGHT)
     low, high = y_range or (y.min(), y.max())
     y_axis = _Axis(low, high, HEIGHT - BOTTOM, TOP)
     marks = [_axes(x_axis, y_axis, x_label, y_label)]
     for number, s in enumerate(series, 1):
-        points = " ".join(f"{x_axis(a):.1f},{y_axis(b):.1f}" for a, b in zip(s.x, s.y, strict=True))
+        points = _points(x_axis, y_axis, s.x, s.y)
+        if s.intervals and len(s.x) > 1:
+            low, high = zip(*s.intervals, strict=True)
+            around = _points(x_axis, y_axis, (*s.x, *s.x[::-1]), (*low, *high[::-1]))
+            marks.append(f'<polygon class="band s{number}" points="{around}"/>')
+        elif s.intervals:
+            (low, high), at = s.intervals[0], x_axis(s.x[0])
+            marks.append(_segment(f"line s{number}", at, y_axis(low), at, y_axis(high)))
         if len(s.x) == 1:
             at = points.split(",")
             marks.append(f'<circle class="dot s{number}" cx="{at[0]}" cy="{at[1]}" r="3"/>')
         marks.append(f'<polyline class="line s{number}" points="{points}"/>')
     return _svg(WIDTH, HEIGHT, marks, description)
+
+
+def _points(x_axis, y_axis, x, y):
+    return " ".join(f"{x_axis(a):.1f},{y_axis(b):.1f}" for a, b in zip(x, y, strict=True))
 
 
 def interval_chart(rows, x_label: str, description="") -> Markup:

@@ -14,7 +14,7 @@ from deploy.preflight.plan import make_plan
 from pipeline.experiments.table2_splits import split_path
 from pipeline.inputs.library import recordings_of
 from pipeline.progress import progress
-from pipeline.report.page import Inputs, choose_samples
+from pipeline.report.page import Inputs, choose_samples, trained_title
 from pipeline.report.replay import replay
 from pipeline.run.folder import RunFolder
 from pipeline.run.history import read_history
@@ -24,7 +24,9 @@ from pipeline.settings import read_settings
 REMEDY = "delete it and make it again"
 
 
-def gather(folder: RunFolder, benchmark: Path, jobs: int, say) -> Inputs:
+def gather(
+    folder: RunFolder, benchmark: Path, jobs: int, say, beside: RunFolder | None = None
+) -> Inputs:
     """Read a run and the benchmark of Table 2, and replay the samples that are shown.
 
     Parameters
@@ -36,11 +38,14 @@ def gather(folder: RunFolder, benchmark: Path, jobs: int, say) -> Inputs:
         Processes for recordings that are not in the cache.
     say : callable
         Called with a line about what is left out.
+    beside : RunFolder, optional
+        A run of images on the same recordings, to be shown beside one of events.
 
     Raises
     ------
     UserError
-        There is no run or no check result, a file is damaged, or the recordings are others now.
+        There is no run or no check result, a file is damaged, or the recordings are others now;
+        the run beside it is of other recordings or none of images.
     """
     settings = read_settings(folder.experiment)
     bundle = read_bundle(folder.bundle)
@@ -58,7 +63,7 @@ def gather(folder: RunFolder, benchmark: Path, jobs: int, say) -> Inputs:
         title: read_history(path)
         for title, path in (
             ("CNN", folder.cnn / "history.csv"),
-            ("Rate LIF", folder.snn / "history.csv"),
+            (trained_title(settings), folder.snn / "history.csv"),
         )
         if path.exists()
     }
@@ -86,7 +91,21 @@ def gather(folder: RunFolder, benchmark: Path, jobs: int, say) -> Inputs:
         answers=answers,
         plan=make_plan(bundle.spec).to_json(),
         replays=replays,
+        beside=beside and _beside(beside, bundle, settings),
     )
+
+
+def _beside(folder, bundle, settings):
+    """The last result of a run of images on the recordings of a bundle of events."""
+    other, kinds = read_bundle(folder.bundle), ("image", "events")
+    if (read_settings(folder.experiment).input.kind, settings.input.kind) != kinds:
+        raise UserError(
+            f"{folder.path}: what is shown beside is a run of images, and beside one of events"
+        )
+    made_from = [b.spec.provenance.get("source_sha256") for b in (other, bundle)]
+    if made_from[0] != made_from[1]:
+        raise UserError(f"{folder.path}: its bundle was made from other recordings")
+    return _results(folder, other, "image")[-1]
 
 
 def _metrics(path):

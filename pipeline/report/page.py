@@ -12,6 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from deploy import __version__
 from deploy.check.bundle import Bundle
 from deploy.check.energy import estimate_energy
+from deploy.check.intervals import wilson_interval
 from deploy.network.responses import seconds_per_sample
 from deploy.targets.registry import TARGETS
 from pipeline.experiments.table2_splits import MODELS
@@ -57,6 +58,8 @@ class Inputs:
         Cores and what they hold.
     replays : dict of int to Replay
         Spikes of the samples that are shown, by their index in the check.
+    beside : dict or None
+        Check result of another run on the same recordings, which answers at the end of the writing.
     """
 
     settings: Settings
@@ -70,6 +73,7 @@ class Inputs:
     answers: dict
     plan: dict | None
     replays: dict
+    beside: dict | None = None
 
 
 def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
@@ -105,6 +109,8 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         other_settings=_other_settings(inputs),
         source=inputs.recordings.source,
         n_recordings=len(inputs.recordings),
+        n_taxels=len(inputs.recordings.taxels),
+        trained_title=trained_title(inputs.settings),
         bundle=inputs.bundle,
         metrics=inputs.metrics,
         plan=inputs.plan,
@@ -112,7 +118,9 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         ladder=_ladder(inputs),
         benchmark=_benchmark(inputs.table2),
         table1=_table1(inputs.recordings),
+        step=_step(inputs),
         anytime=_anytime(inputs),
+        written=_while_written(inputs),
         curves=_learning_curves(inputs.histories),
         matrices=_confusions(inputs),
         stories=_stories(inputs),
@@ -148,6 +156,11 @@ def _named(stage):
 
 def _title(stage):
     return _named(stage)[0]
+
+
+def trained_title(settings: Settings) -> str:
+    """What the network is called that was trained for the chip."""
+    return NETWORKS["trained" if settings.input.kind == "events" else "rate-lif"][0]
 
 
 def _other_settings(inputs):
@@ -228,6 +241,11 @@ def _table1(recordings):
     }
 
 
+def _step(inputs):
+    """What a step of the presentation is, in words."""
+    return f"steps of {1000 * inputs.bundle.spec.stimulus.step_seconds:g} ms"
+
+
 def _anytime(inputs):
     shown = [r for r in inputs.results if len(r["anytime_accuracy"]) > 1][-4:]
     if not shown:
@@ -244,13 +262,56 @@ def _anytime(inputs):
     return {
         "chart": charts.line_chart(
             series,
-            "steps of 1 ms since the sample was shown",
+            f"{_step(inputs)} since the sample was shown",
             "accuracy",
             description="Accuracy if the decision were taken at each step",
         ),
         "legend": charts.legend([s.name for s in series]),
         "median": shown[-1]["decided_at_median"],
+        "median_ms": 1000
+        * inputs.bundle.spec.stimulus.step_seconds
+        * shown[-1]["decided_at_median"],
         "target": _title(shown[-1]["target"]),
+    }
+
+
+def _while_written(inputs):
+    """Accuracy against the share of the writing that has passed; of events only."""
+    result = inputs.results[-1]
+    while_written = result.get("while_written")
+    if not while_written:
+        return None
+    n = result["n_samples"]
+    series = [
+        charts.Series(
+            _title(result["target"]),
+            tuple(100 * share for share in while_written["shares"]),
+            tuple(while_written["accuracy"]),
+            tuple(wilson_interval(round(n * a), n) for a in while_written["accuracy"]),
+        )
+    ]
+    if inputs.beside:
+        series.append(
+            charts.Series(
+                f"an image's network, {_title(inputs.beside['target'])}",
+                (100,),
+                (inputs.beside["accuracy"],),
+                (tuple(inputs.beside["accuracy_ci95"]),),
+            )
+        )
+    return {
+        "chart": charts.line_chart(
+            series,
+            "share of the writing, %",
+            "accuracy",
+            description="Accuracy after each share of the writing, with 95 % intervals",
+        ),
+        "legend": charts.legend([s.name for s in series]),
+        "step_ms": while_written["step_ms"],
+        "target": _title(result["target"]),
+        "by_itself": while_written.get("by_itself"),
+        "end": result["accuracy"],
+        "beside": inputs.beside,
     }
 
 
@@ -284,7 +345,12 @@ def _learning_curves(histories):
 def _confusions(inputs):
     wanted = {
         f"{title}, test samples of all splits": inputs.answers[name]
-        for name, title in (("cnn", "CNN"), ("ann-snn", "ANN-SNN"), ("slayer", "SNN-SLAYER"))
+        for name, title in (
+            ("cnn", "CNN"),
+            ("ann-snn", "ANN-SNN"),
+            ("slayer", "SNN-SLAYER"),
+            ("events", "Trained on events"),
+        )
         if name in inputs.answers
     }
     for result in (inputs.results[0], inputs.results[-1]):
@@ -308,7 +374,7 @@ def _stories(inputs):
         recording = position[sample["id"]]
         events = inputs.recordings[recording]
         rasters = [
-            _layer_raster(layer, steps[steps >= 0], neurons[steps >= 0], replay)
+            _layer_raster(layer, steps[steps >= 0], neurons[steps >= 0], replay, _step(inputs))
             for layer, (steps, neurons) in replay.spikes.items()
         ]
         stories.append(
@@ -341,14 +407,14 @@ def _stories(inputs):
     return stories
 
 
-def _layer_raster(layer, steps, neurons, replay):
+def _layer_raster(layer, steps, neurons, replay, step):
     size = replay.neurons[layer]
     return {
         "title": f"{layer}: {size} neurons, {len(steps)} spikes",
         "chart": charts.raster(
             [("s1", steps, neurons)],
             replay.steps,
-            "steps of 1 ms",
+            step,
             "neuron",
             f"Spikes of {layer}",
             size,

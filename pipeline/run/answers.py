@@ -28,7 +28,7 @@ NETWORKS = {
 }
 """Title and note of each network before the bundle; those after it are targets."""
 
-STAGES = {"image": ("cnn", "rate-lif", "spiking-lif"), "events": ("trained",)}
+REFERENCES = {"image": ("cnn", "rate-lif", "spiking-lif"), "events": ("trained",)}
 """Which of them there are, by the kind of input."""
 
 
@@ -40,7 +40,7 @@ def reference_result(
     Parameters
     ----------
     stage : str
-        One of `STAGES`.
+        One of `REFERENCES`.
     settings : Settings
     weights : dict
         The CNN's for ``"cnn"``; otherwise those that the bundle was made from.

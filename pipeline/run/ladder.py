@@ -14,7 +14,7 @@ from deploy.tables import aligned
 from deploy.targets.registry import TARGETS
 from pipeline.progress import progress
 from pipeline.run import stages
-from pipeline.run.answers import STAGES as NETWORKS
+from pipeline.run.answers import REFERENCES
 from pipeline.run.diagnosis import layers_json, layers_text, least_faithful
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings
@@ -36,7 +36,7 @@ def ladder_stages(kind: str, whole: bool = False) -> list:
     test split the other, and no answer of a board.
     """
     left_out = ("emulator", *BOARDS) if whole else ("fast",)
-    return [*NETWORKS[kind], *(name for name in TARGETS if name not in left_out)]
+    return [*REFERENCES[kind], *(name for name in TARGETS if name not in left_out)]
 
 
 def measure_ladder(

@@ -25,8 +25,7 @@ from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import progress
 from pipeline.recordings.sensors import about_sensor
 from pipeline.recordings.steps import EventTable
-from pipeline.run.answers import STAGES as REFERENCES
-from pipeline.run.answers import reference_result, training_versions
+from pipeline.run.answers import REFERENCES, reference_result, training_versions
 from pipeline.run.diagnosis import activity, fastest_rate, training_lines
 from pipeline.run.folder import RunFolder, is_current, stamp_of
 from pipeline.run.history import write_history
@@ -352,7 +351,7 @@ def answer(
     bundle : Bundle
         The run's own, or :func:`on_test_split` of it.
     stage : str
-        One of :data:`pipeline.run.answers.STAGES`, or a target.
+        One of :data:`pipeline.run.answers.REFERENCES`, or a target.
     say : callable
     whole : bool
         The samples are those of :func:`on_test_split`.
