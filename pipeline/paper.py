@@ -14,6 +14,9 @@ CLASSES = 10
 TEST_FRACTION = 0.2
 """Share of the samples that test: random 80-20 splits (Section 3.2)."""
 
+CNN_MACS = 43104
+"""Multiply-accumulates of an inference of its CNN, 10x10-6c4-24c3-10o (Fig. 4)."""
+
 CHECK_SAMPLES = 200
 """Test samples drawn at random for Loihi (Section 3.2.2)."""
 

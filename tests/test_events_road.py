@@ -93,7 +93,35 @@ def test_plan_energy_and_report(run_on_events, tmp_path, capsys):
     assert "ESTIMATE" in capsys.readouterr().out
     page = tmp_path / "report.html"
     assert call("report", run_on_events, "--out", page) == 0
-    assert "Trained on events" in page.read_text(encoding="utf-8")
+    text = page.read_text(encoding="utf-8")
+    assert "Trained on events" in text
+    assert "Rate LIF" not in text
+    assert "steps of 40 ms" in text
+    assert "steps of 1 ms" not in text
+    early = read_result(run_on_events / "checks" / "emulator.json")["while_written"]["by_itself"]
+    assert f"after {early['share_of_writing_mean']:.1%} of the writing".replace("%", " %") in text
+
+
+def test_the_report_shows_a_run_of_images_beside_it(run_on_events, tmp_path, capsys):
+    images = tmp_path / "images"
+    fewer = ("--set", "data.samples_per_digit=40", "--samples", "12", "--set", "cnn.epochs=1")
+    assert call("convert", images, *fewer, "--set", "snn.epochs=1") == 0
+    assert call("check", "run", images / "bundle", "--target", "fast") == 0
+    page = tmp_path / "report.html"
+    assert call("report", run_on_events, "--out", page, "--beside", images) == 0
+    assert "on images: " in page.read_text(encoding="utf-8")
+    page.unlink()
+    capsys.readouterr()
+    assert call("report", run_on_events, "--out", page, "--beside", run_on_events) == 2
+    assert "is a run of images" in capsys.readouterr().err
+    assert not page.exists()
+
+
+def test_what_is_beside_is_of_the_same_recordings(run_on_events, tiny_run, tmp_path, capsys):
+    page = tmp_path / "report.html"
+    assert call("report", run_on_events, "--out", page, "--beside", tiny_run) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "made from other recordings" in line
 
 
 def test_another_kind_of_input_makes_another_network(run_on_events, tmp_path, capsys):

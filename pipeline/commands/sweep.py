@@ -9,7 +9,7 @@ import typer
 
 from pipeline.commands import options
 from pipeline.experiments.study import Workers
-from pipeline.experiments.sweep import DEFAULT_GRID, measure_sweep
+from pipeline.experiments.sweep import DEFAULT_GRID, EVENTS_GRID, measure_sweep
 from pipeline.experiments.sweep_text import sweep_text
 
 
@@ -20,10 +20,11 @@ def sweep(
         typer.Option(
             help="Values of a setting, such as presentation.steps=50,100 or "
             "snn.max_rates=[100,150],[150,150]; repeatable, all combinations are tried "
-            f"(default: {' '.join(DEFAULT_GRID)}).",
+            f"(default: {' '.join(DEFAULT_GRID)}; on events {' '.join(EVENTS_GRID)}).",
         ),
     ] = None,
     data: options.Data = None,
+    input_: options.Input = None,
     seed: options.Seed = None,
     settings: options.SettingsFile = None,
     set_: options.Assignments = None,
@@ -31,13 +32,16 @@ def sweep(
     scheduler: options.Scheduler = None,
     as_json: options.Json = False,
 ):
-    """Compare settings by accuracy, synaptic operations and steps, on a validation part.
+    """Compare settings by accuracy, synaptic operations, cores and steps, on a validation part.
 
     Writes sweep.json, sweep.csv and pareto.png.  Points that are there are not computed again.
     """
     workers = Workers(jobs, scheduler)
-    with options.opened(out, data, seed, None, None, settings, set_) as (folder, resolved):
-        found = measure_sweep(folder, resolved, grid or DEFAULT_GRID, workers, options.say)
+    with options.opened(out, data, seed, settings=settings, assignments=set_, kind=input_) as (
+        folder,
+        resolved,
+    ):
+        found = measure_sweep(folder, resolved, grid, workers, options.say)
         if found.summary["points"]:
             from pipeline.report import figures  # imports Matplotlib
             from pipeline.report.figures.pareto import pareto

@@ -31,6 +31,7 @@ from pipeline.inputs.dataset import Dataset, inputs_of
 from pipeline.inputs.library import recordings_of
 from pipeline.inputs.splits import hold_out
 from pipeline.jobs import Failure
+from pipeline.paper import CNN_MACS
 from pipeline.recordings.steps import EventTable
 from pipeline.recordings.variants import VARIANTS, durations_ns, vary
 from pipeline.run.folder import RunFolder, stamp_of
@@ -181,8 +182,6 @@ def measure(job: VariantJob) -> dict:
         which both answer the same.  ``spikes_in``: mean spikes shown of a sample, ``merged``:
         share of all events that are one spike with another.
     """
-    from pipeline.training.events import CNN_MACS
-
     begun = time.perf_counter()
     settings, seed, dataset = job.settings, job.seed, job.dataset()
     checkpoint = job.path.with_suffix(".npz")

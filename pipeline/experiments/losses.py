@@ -19,7 +19,7 @@ from pipeline.experiments.events import train_for_chip
 from pipeline.experiments.resampling import estimate
 from pipeline.experiments.study import Findings, SplitJob, Workers, over_splits
 from pipeline.inputs.dataset import inputs_of
-from pipeline.paper import points_lost
+from pipeline.paper import CNN_MACS, points_lost
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings
 
@@ -115,8 +115,6 @@ def _on_images(job, dataset):
 
 def _on_events(job, dataset):
     """The same of the network on events, and of the CNNs on the images of the same samples."""
-    from pipeline.training.events import CNN_MACS
-
     settings, split = job.settings, dataset.split
     on_images = replace(settings, input=replace(settings.input, kind="image"))
     images = inputs_of(dataset.recordings, on_images)

@@ -20,19 +20,20 @@ from deploy import __version__
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.files import read_json, replacing, write_json
-from deploy.network.operations import multiply_accumulates
+from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
 from pipeline.experiments.study import Findings, Workers, read_kept, study, write_kept
 from pipeline.experiments.sweep_text import sweep_csv
 from pipeline.inputs.dataset import Dataset
 from pipeline.jobs import Failure
+from pipeline.paper import CNN_MACS
 from pipeline.progress import hidden
 from pipeline.run import stages
 from pipeline.run.folder import RunFolder, stamp_of
 from pipeline.settings import Settings, parse_assignments
 
-POINT_SCHEMA = "stmnist-sweep-point/2"
-SCHEMA = "stmnist-sweep/1"
+POINT_SCHEMA = "stmnist-sweep-point/3"
+SCHEMA = "stmnist-sweep/2"
 VALIDATION = 0.15
 """Share of the training samples that judges, where the settings keep none."""
 
@@ -42,7 +43,10 @@ DEFAULT_GRID = (
     "snn.max_rates=100,150",
     "snn.spike_penalty=0,0.05",
 )
-"""16 points from four trainings."""
+"""16 points from four trainings, of images."""
+
+EVENTS_GRID = ("events.budget=0.6,0.9", "events.early=0.3,1")
+"""Four points from four trainings, on events."""
 
 SAMPLES_APART = ("seed", "data", "split", "check")
 """Settings that change which samples there are; points on different ones cannot be compared."""
@@ -62,7 +66,7 @@ class Point:
     stamp : str
         Hash of all that its result depends on.
     cnn, snn : str
-        Hashes of what its networks' trainings depend on.
+        Hashes of what its networks' trainings depend on; on events there is no CNN.
     """
 
     folder: Path
@@ -102,7 +106,7 @@ class Networks(RunFolder):
 
     @property
     def snn(self) -> Path:
-        """Weights, history and metrics of the rate-based network."""
+        """Weights, history and metrics of the network for the chip."""
         return self.path / "snn" / self.snn_stamp[:16]
 
 
@@ -156,10 +160,15 @@ def points_of(folder: Path, base: Settings, grid) -> list:
                 changes=tuple(changes),
                 stamp=stamp_of(__version__, POINT_SCHEMA, source, asdict(settings)),
                 cnn=stages.cnn_stamp(settings, dataset),
-                snn=stages.snn_stamp(settings, dataset),
+                snn=_trained_stamp(settings, dataset),
             )
         )
     return points
+
+
+def _trained_stamp(settings, dataset):
+    stamp = stages.events_stamp if settings.on_events else stages.snn_stamp
+    return stamp(settings, dataset)
 
 
 def _axis(entry, base):
@@ -204,9 +213,15 @@ def dataset_of(settings: Settings, jobs: int = 1, warn=None) -> Dataset:
     settings, jobs, warn
         As in :meth:`pipeline.inputs.dataset.Dataset.of`.
     """
+    # What does not tell in the samples is left out, so that points share them.
+    shown = Settings()
+    if settings.on_events:
+        shown = replace(shown, presentation=settings.presentation)
     dataset = _dataset_of(
-        Settings(
-            seed=settings.seed, data=settings.data, image=settings.image, split=settings.split
+        replace(
+            shown,
+            **{name: getattr(settings, name) for name in ("seed", "data", "input", "skin")},
+            **{name: getattr(settings, name) for name in ("image", "split", "cnn", "events")},
         ),
         jobs,
         warn,
@@ -231,11 +246,13 @@ def train_cnn(point: Point) -> dict:
         return stages.train(point.networks, point.settings, _samples(point), _silent)
 
 
-def train_rates(point: Point) -> dict:
-    """Train a point's rate-based network from its CNN, unless it is there."""
-    train_cnn(point)  # where a worker does not see the folder of the one that trained it
+def train_for_chip(point: Point) -> dict:
+    """Train a point's network for the chip, unless it is there; from its CNN if it has one."""
+    if not point.settings.on_events:
+        train_cnn(point)  # where a worker does not see the folder of the one that trained it
+    train = stages.train_on_events if point.settings.on_events else stages.train_rates
     with hidden():
-        return stages.train_rates(point.networks, point.settings, _samples(point), _silent)
+        return train(point.networks, point.settings, _samples(point), _silent)
 
 
 def judge(point: Point) -> dict:
@@ -245,26 +262,19 @@ def judge(point: Point) -> dict:
     -------
     dict
         ``accuracy`` with its interval; of an inference the mean ``operations`` (synaptic), the same
-        as ``operations_per_mac`` relative to the CNN's multiply-accumulates, and ``spikes`` by
-        layer; ``decided_at_median``; the accuracies of the CNN and the rate-based network on the
-        same samples.
+        as ``operations_per_mac`` relative to the multiply-accumulates of the paper's CNN, and
+        ``spikes`` by layer; ``cores``; ``decided_at_median``; the accuracies of the CNN (None on
+        events) and the network as it was trained on the same samples.
     """
-    from pipeline.run.conversion import deployed
-
-    train_rates(point)
+    train_for_chip(point)
     begun = time.perf_counter()
     settings, networks = point.settings, point.networks
     dataset = _samples(point)
-    images, labels = dataset.part("validation")
-    weights = stages.read_weights(networks.snn, settings)
-    spec = deployed(settings, weights, {}, dataset.part("train"))
-    responses = answer(spec, images, "fast", settings.seed)
+    inputs, labels = dataset.part("validation")
+    spec = stages.spec_of(networks, settings, dataset, {})
+    responses = answer(spec, inputs, "fast", settings.seed)
     right = responses.predictions == labels
     operations = float(sum(counts.mean() for counts in responses.operations.values()))
-    before = {
-        name: read_json(path / "metrics.json", stages.REMEDY)["accuracy"]["validation"]
-        for name, path in (("cnn", networks.cnn), ("rate-lif", networks.snn))
-    }
     return {
         "schema": POINT_SCHEMA,
         "made_from": point.stamp,
@@ -275,14 +285,20 @@ def judge(point: Point) -> dict:
         "steps": settings.presentation.steps,
         "accuracy": float(right.mean()),
         "accuracy_ci95": list(wilson_interval(int(right.sum()), len(labels))),
-        "cnn_accuracy": before["cnn"],
-        "rate_accuracy": before["rate-lif"],
+        "cnn_accuracy": None if settings.on_events else _validated(networks.cnn),
+        "trained_accuracy": _validated(networks.snn),
         "operations": operations,
-        "operations_per_mac": operations / sum(multiply_accumulates(spec).values()),
+        "operations_per_mac": operations / CNN_MACS,
+        "cores": len(make_plan(spec).to_json()["cores"]),
         "spikes": {name: float(counts.mean()) for name, counts in responses.spikes.items()},
         "decided_at_median": float(np.median(responses.decided_at)),
         "seconds": time.perf_counter() - begun,
     }
+
+
+def _validated(folder):
+    """Accuracy on the validation samples, as the training measured it."""
+    return read_json(folder / "metrics.json", stages.REMEDY)["accuracy"]["validation"]
 
 
 def pareto_front(costs) -> np.ndarray:
@@ -320,7 +336,7 @@ def summarise(points, results, errors) -> dict:
         for point in points
         if point.stamp in results
     ]
-    costs = [(-r["accuracy"], r["operations"], r["steps"]) for r in done]
+    costs = [(-r["accuracy"], r["operations"], r["cores"], r["steps"]) for r in done]
     for result, on_front in zip(done, pareto_front(costs) if done else (), strict=True):
         result["pareto"] = bool(on_front)
     done.sort(key=lambda r: (-r["accuracy"], r["operations"], r["steps"]))
@@ -346,8 +362,8 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     folder : RunFolder
         Of the sweep, locked.  Workers of a cluster that do not see it train for themselves.
     settings : Settings
-    grid : sequence of str
-        As in :func:`points_of`.
+    grid : sequence of str or None
+        As in :func:`points_of`; None for the default of the kind of input.
     workers, say
         As in :func:`pipeline.experiments.study.study`.
 
@@ -358,6 +374,7 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     """
     base = base_settings(settings)
     dataset_of(base, workers.processes, say)
+    grid = grid or (EVENTS_GRID if settings.on_events else DEFAULT_GRID)
     points = points_of(folder.path.absolute(), base, grid)
     folder.save_settings(base)
     results, errors = _measure(points, workers, say)
@@ -373,12 +390,13 @@ def _measure(points, workers, say):
     """Results and errors by stamp: trainings that points share first, then the points."""
     results = {p.stamp: kept for p in points if (kept := read_kept(p)) is not None}
     errors = {}
-    for label, function, key, keep in (
-        ("train cnn", train_cnn, lambda point: point.cnn, None),
-        ("train rate-lif", train_rates, lambda point: point.snn, None),
-        ("judge", judge, lambda point: point.stamp, write_kept),
+    images = [point for point in points if not point.settings.on_events]
+    for label, function, among, key, keep in (
+        ("train cnn", train_cnn, images, lambda point: point.cnn, None),
+        ("train for the chip", train_for_chip, points, lambda point: point.snn, None),
+        ("judge", judge, points, lambda point: point.stamp, write_kept),
     ):
-        left = [p for p in points if p.stamp not in results and p.stamp not in errors]
+        left = [p for p in among if p.stamp not in results and p.stamp not in errors]
         waiting = {key(point): point for point in left}
         answers = study(label, function, waiting.values(), workers, say, keep=keep)
         for what, answer_ in zip(waiting, answers, strict=True):

@@ -7,6 +7,7 @@ import io
 import textwrap
 
 from deploy.tables import aligned
+from pipeline.paper import CNN_MACS
 
 
 def short_names(names) -> dict:
@@ -29,7 +30,8 @@ def sweep_text(sweep: dict) -> str:
     short, points, lines = short_names(sweep["names"]), sweep["points"], []
     if points:
         kind = "simulated validation samples" if points[0]["simulated"] else "validation samples"
-        figures = ["accuracy", "95 % interval", "operations", "shown", "decided", "rate-lif", "cnn"]
+        figures = ["accuracy", "95 % interval", "operations", "cores", "shown", "decided"]
+        figures += ["trained", "cnn"]
         rows = [["", "#", *figures, *(short[name] for name in sweep["names"])]]
         for number, point in enumerate(points, 1):
             low, high = point["accuracy_ci95"]
@@ -40,20 +42,21 @@ def sweep_text(sweep: dict) -> str:
                     f"{point['accuracy']:.3f}",
                     f"{low:.3f} to {high:.3f}",
                     f"{point['operations_per_mac']:.2f} x",
+                    str(point["cores"]),
                     str(point["steps"]),
                     f"{point['decided_at_median']:.0f}",
-                    f"{point['rate_accuracy']:.3f}",
-                    f"{point['cnn_accuracy']:.3f}",
+                    f"{point['trained_accuracy']:.3f}",
+                    "" if point["cnn_accuracy"] is None else f"{point['cnn_accuracy']:.3f}",
                     *(_value(point["changes"][name]) for name in sweep["names"]),
                 ]
             )
         lines = [
             f"{len(points)} points, each on the same {points[0]['n_samples']} {kind}",
             *aligned(rows),
-            "* on the Pareto front: no other point is at least as good in accuracy, operations and",
-            "steps and better in one of them",
-            "operations: synaptic, an inference, in multiples of the CNN's multiply-accumulates;",
-            "shown: steps of 1 ms; decided: step from which half the samples' decisions stay",
+            "* on the Pareto front: no other point is at least as good in accuracy, operations,",
+            "cores and steps and better in one of them",
+            f"operations: synaptic, an inference, in multiples of the paper CNN's {CNN_MACS:,};",
+            "shown: steps; decided: step from which half the samples' decisions stay",
         ]
     for point in sweep["failed"]:
         what = ", ".join(f"{k}={_value(v)}" for k, v in point["changes"].items())
@@ -65,7 +68,8 @@ def sweep_csv(sweep: dict) -> str:
     """One row a point, settings first; a failed one has only those and its error."""
     figures = [
         *("pareto", "accuracy", "accuracy_low", "accuracy_high", "operations"),
-        *("operations_per_mac", "steps", "decided_at_median", "rate_accuracy", "cnn_accuracy"),
+        *("operations_per_mac", "cores", "steps", "decided_at_median"),
+        *("trained_accuracy", "cnn_accuracy"),
         *("n_samples", "simulated"),
     ]
     text = io.StringIO()

@@ -293,7 +293,7 @@ def _while_written(inputs):
     if inputs.beside:
         series.append(
             charts.Series(
-                f"an image's network, {_title(inputs.beside['target'])}",
+                f"on images: {_title(inputs.beside['target'])}",
                 (100,),
                 (inputs.beside["accuracy"],),
                 (tuple(inputs.beside["accuracy_ci95"]),),

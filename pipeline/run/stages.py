@@ -16,6 +16,7 @@ from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.files import read_arrays, read_json, sha256_of, write_arrays, write_json
 from deploy.network.decision import Judge, choose_threshold
+from deploy.network.spec import NetworkSpec
 from models.architecture import parse
 from models.own import ModelFileError, read_own_model
 from pipeline.inputs.dataset import TOO_SMALL, Dataset, event_warnings
@@ -297,7 +298,6 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         if bundle.spec.provenance.get("made_from") == stamp:
             say(f"bundle: up to date ({run.bundle})")
             return bundle
-    weights = read_weights(run.snn, settings)
     if not on_events:
         read_weights(run.cnn, settings)  # damaged ones are found now, not once the bundle is there
     chosen = draw_check_samples(dataset.split.test, settings.check.samples, settings.seed)
@@ -313,25 +313,30 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         "image": asdict(settings.image),
         "package": __version__,
     }
-    if on_events:
-        from pipeline.run.event_conversion import spec_of_events
-        from pipeline.training.events import EventRecipe
-
-        early = read_json(run.snn / "metrics.json", REMEDY)["decides_by_itself"]
-        spec = spec_of_events(
-            EventRecipe.of(settings),
-            weights,
-            settings.presented(early["confidence"]),
-            provenance,
-            settings.deployment.pop_type,
-        )
-    else:
-        from pipeline.run.conversion import deployed
-
-        spec = deployed(settings, weights, provenance, dataset.part("train"))
+    spec = spec_of(run, settings, dataset, provenance)
     bundle = write_bundle(run.bundle, spec, _check_set(settings, dataset, chosen))
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
     return bundle
+
+
+def spec_of(run: RunFolder, settings: Settings, dataset: Dataset, provenance: dict) -> NetworkSpec:
+    """The network that was trained in a run, as the chip gets it."""
+    weights = read_weights(run.snn, settings)
+    if not settings.on_events:
+        from pipeline.run.conversion import deployed
+
+        return deployed(settings, weights, provenance, dataset.part("train"))
+    from pipeline.run.event_conversion import spec_of_events
+    from pipeline.training.events import EventRecipe
+
+    early = read_json(run.snn / "metrics.json", REMEDY)["decides_by_itself"]
+    return spec_of_events(
+        EventRecipe.of(settings),
+        weights,
+        settings.presented(early["confidence"]),
+        provenance,
+        settings.deployment.pop_type,
+    )
 
 
 def on_test_split(settings: Settings, dataset: Dataset, bundle: Bundle) -> Bundle:

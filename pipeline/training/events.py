@@ -25,13 +25,11 @@ from deploy.network.decision import Judge
 from models.architecture import parse
 from models.keras2 import tf
 from models.spiking import Neuron, SpikingNetwork, operations
+from pipeline.paper import CNN_MACS
 from pipeline.recordings.steps import EventTable, spike_frames
 from pipeline.settings import Events, Input, Settings
 from pipeline.training.judge import train_judge
 from pipeline.training.networks import make_deterministic
-
-CNN_MACS = 43104
-"""Multiply-accumulates of the paper's CNN, 10x10-6c4-24c3-10o: the unit of the budget."""
 
 TAIL = 3
 """Steps after a sample's last event in which spikes that it caused still count."""

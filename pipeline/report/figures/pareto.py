@@ -37,7 +37,7 @@ def pareto(sweep: dict) -> Figure:
                 textcoords="offset points",
                 fontsize=9,
             )
-    for accuracy in sorted({point["cnn_accuracy"] for point in points}):
+    for accuracy in sorted({point["cnn_accuracy"] for point in points} - {None}):
         axes.axhline(accuracy, color="0.4", linestyle="--", linewidth=1)
         axes.annotate(
             "CNN", (1, accuracy), xycoords=("axes fraction", "data"), xytext=(-4, 3),
@@ -49,7 +49,7 @@ def pareto(sweep: dict) -> Figure:
     axes.yaxis.set_major_formatter(PercentFormatter(1, decimals=None))
     kind = "simulated validation samples" if points[0]["simulated"] else "validation samples"
     axes.set(
-        xlabel="synaptic operations an inference / the CNN's multiply-accumulates",
+        xlabel="synaptic operations an inference / multiply-accumulates of the paper's CNN",
         ylabel=f"accuracy on {points[0]['n_samples']} {kind}",
         title="Accuracy against cost: fast emulator, bars are 95 % intervals",
     )

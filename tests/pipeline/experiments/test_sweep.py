@@ -139,9 +139,10 @@ def result(accuracy, operations, steps, synapse):
         "accuracy": accuracy,
         "accuracy_ci95": [accuracy - 0.1, accuracy + 0.1],
         "cnn_accuracy": 0.9,
-        "rate_accuracy": 0.91,
+        "trained_accuracy": 0.91,
         "operations": operations,
         "operations_per_mac": operations / 1000,
+        "cores": 2,
         "decided_at_median": 25.0,
     }
 
@@ -160,7 +161,7 @@ def test_the_table():
     lines = text.splitlines()
     assert lines[0] == "3 points, each on the same 100 simulated validation samples"
     assert " ".join(lines[2].split()) == (
-        "* 1 0.800 0.700 to 0.900 1.50 x 50 25 0.910 0.900 50 0.005"
+        "* 1 0.800 0.700 to 0.900 1.50 x 2 50 25 0.910 0.900 50 0.005"
     )
     assert lines[3].split()[:3] == ["*", "2", "0.700"]
     assert lines[4].split()[:2] == ["3", "0.700"]
@@ -224,7 +225,7 @@ def test_a_small_sweep(tiny_sweep):
     # Longer presentations and no price on spikes mean more operations, whatever was learnt.
     assert by_setting[40, 0]["operations"] > by_setting[24, 0]["operations"]
     assert by_setting[40, 3]["operations"] < by_setting[40, 0]["operations"]
-    assert by_setting[24, 0]["rate_accuracy"] == by_setting[40, 0]["rate_accuracy"]
+    assert by_setting[24, 0]["trained_accuracy"] == by_setting[40, 0]["trained_accuracy"]
     for p in points:
         low, high = p["accuracy_ci95"]
         assert low <= p["accuracy"] <= high
@@ -276,6 +277,39 @@ def test_a_failed_point_is_reported_and_the_others_stand(tiny_sweep, tmp_path, c
     summary = read_json(folder / "sweep.json", "")
     assert (len(summary["points"]), len(summary["failed"])) == (1, 1)
     assert "NengoLoihi cannot build this network" in summary["failed"][0]["error"]
+
+
+def test_a_sweep_on_events(tmp_path, capsys):
+    folder = tmp_path / "out"
+    tiny = ("--set", "data.samples_per_digit=40", "--set", "events.epochs=1", "--jobs", 1)
+    tiny += ("--set", "input.step=40", "--set", "presentation.steps=50")
+    grid = ("--grid", "events.architecture=10x10x2-4c4s3-16-10o,10x10x2-6c4s3-10o")
+    assert call("sweep", folder, "--input", "events", *tiny, *grid) == 0
+    assert "10x10x2-6c4s3-10o" in capsys.readouterr().out
+    points = read_json(folder / "sweep.json", "")["points"]
+    sizes = {p["changes"]["events.architecture"].count("-"): p for p in points}
+    assert list(sizes[3]["spikes"]) == ["input", "conv1", "dense1"]
+    assert list(sizes[2]["spikes"]) == ["input", "conv1"]
+    assert (sizes[3]["cores"], sizes[2]["cores"]) == (2, 1)
+    for p in points:
+        assert (p["n_samples"], p["cnn_accuracy"]) == (48, None)
+    assert not (folder / "cnn").exists()
+    assert imread(folder / "pareto.png")[..., :3].std() > 0.05
+
+
+def test_architectures_of_another_skin_are_swept(tmp_path):
+    changes = {
+        "skin": {"rows": 8, "columns": 8},
+        "data": {"samples_per_digit": 12},
+        "cnn": {"architecture": "8x8-4c3-10o"},
+    }
+    base = sweep.base_settings(Settings().with_values(changes, "here"))
+    grid = ["cnn.architecture=8x8-4c3-10o,8x8-6c3s2-10o"]
+    with pytest.raises(UserError, match="8x8"):
+        sweep.points_of(tmp_path, base, ["cnn.architecture=10x10-4c3-10o"])
+    one, two = sweep.points_of(tmp_path, base, grid)
+    assert one.cnn != two.cnn
+    assert sweep.dataset_of(one.settings).inputs.shape[1:3] == (8, 8)
 
 
 def test_a_wrong_grid_is_one_line_and_leaves_nothing(tmp_path, capsys):

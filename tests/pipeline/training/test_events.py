@@ -7,9 +7,9 @@ from deploy.errors import UserError
 from deploy.network.decision import Judge
 from models.architecture import parse
 from models.spiking import SpikingNetwork
+from pipeline.paper import CNN_MACS
 from pipeline.recordings.steps import EventTable
 from pipeline.training.events import (
-    CNN_MACS,
     EventRecipe,
     alter,
     answer_events,
