@@ -171,7 +171,7 @@ class SNN:
     spike_penalty: Annotated[float, AT_LEAST_0] = 0.05
     """Weight in the loss of the synaptic operations of 100 steps, in units of the CNN's
     multiply-accumulates; recipe ``loihi`` only."""
-    max_rates: tuple = (150.0, 150.0)
+    max_rates: tuple = (150.0,)
     """Spikes a second of the neurons of each convolution and hidden dense layer at activation 1;
     the last entry holds for all layers after it."""
     tau_rc: Annotated[float, TAU] = 0.02

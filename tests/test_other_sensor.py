@@ -40,7 +40,7 @@ def run(tmp_path_factory):
     architecture = "cnn.architecture=16x12-4c4s2-5o"
     status = call(
         *("ladder", folder / "run", "--data", folder / "gestures.zip", "--set", architecture),
-        *("--set", "snn.max_rates=[150]", "--set", "cnn.epochs=15", "--set", "snn.epochs=5"),
+        *("--set", "cnn.epochs=15", "--set", "snn.epochs=5"),
         *("--samples", "20", "--steps", "40"),
     )
     assert status == 0

@@ -47,7 +47,7 @@ class Settled:
 def class_order(name: str):
     """Key that sorts names as people do: 2 before 10."""
     parts = re.split(r"(\d+)", name)
-    return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts], name
+    return [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts], name
 
 
 def settle(path, read, lookup: TaxelMap | None = None, rows: int = 0, columns: int = 0) -> Settled:

@@ -5,7 +5,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from deploy.errors import UserError
@@ -263,6 +263,7 @@ def test_digits_with_a_hundred_taxels_are_st_mnists(tmp_path):
     assert read.labels.tolist() == [3, 3, 7, 7]
 
 
+@example(["²", "2", "٣"])
 @given(st.lists(st.text(max_size=8)))
 def test_names_have_one_order(names):
     assert sorted(sorted(names, key=class_order, reverse=True), key=class_order) == sorted(
@@ -286,7 +287,7 @@ def test_the_cache_keeps_the_sensor(tmp_path):
 
 def settings_for(path, architecture="16x12-4c3s2-5o", **more):
     values = {"data": {"source": str(path)}, "cnn": {"architecture": architecture}, **more}
-    return Settings().with_values({**values, "snn": {"max_rates": [150.0]}}, "test")
+    return Settings().with_values(values, "test")
 
 
 def test_a_data_set_of_another_sensor(tmp_path):
