@@ -92,6 +92,21 @@ def host_first_spec(seed=0):
     return replace(spec, stimulus=ImageCurrent(), layers=(first, *spec.layers[1:]))
 
 
+def mixed_spec(seed=0):
+    """8x8-4c3s2p-2a-9-4o: a stride, "same" padding, pooling, a dense layer, several cores each."""
+    rng = np.random.default_rng(seed)
+    conv1 = conv("conv1", (8, 8, 1), 4, 3, rng, block_shape=(3, 4, 2), stride=2, padding="same")
+    dense1 = dense("dense1", conv1.shape, 9, rng, block_shape=(4,), pool=2)
+    return NetworkSpec(
+        architecture="8x8-4c3s2p-2a-9-4o",
+        input_shape=(8, 8, 1),
+        stimulus=ImageSpikes(),
+        layers=(conv1, dense1, readout((9,), rng, classes=4)),
+        presentation=Presentation(steps=30, gap=5, readout_start=8, stream_length=3),
+        provenance={"simulated": True, "weights": "random"},
+    )
+
+
 def paper_spec(seed=0, **presentation):
     """10x10-6c4-24c3-10o, the size of the paper's network."""
     rng = np.random.default_rng(seed)

@@ -13,7 +13,16 @@ from deploy.errors import UserError
 from deploy.targets import board as hardware
 from deploy.targets import registry as targets
 from deploy.targets.board import BoardOptions
-from tests.deploy.networks import bundle_at, host_first_spec, paper_spec, random_checks, small_spec
+from tests.deploy.networks import (
+    bundle_at,
+    events_spec,
+    host_first_spec,
+    mixed_spec,
+    paper_spec,
+    random_checks,
+    random_frames,
+    small_spec,
+)
 
 PATIENT = BoardOptions(wait=0)
 
@@ -39,11 +48,14 @@ def same_answers(a, b):
 
 @pytest.mark.parametrize(
     "spec",
-    [small_spec(), small_spec(on_chip_output=True), host_first_spec()],
-    ids=["small", "output-on-chip", "first-layer-on-host"],
+    [small_spec(), small_spec(on_chip_output=True), host_first_spec(), mixed_spec(), events_spec()],
+    ids=["small", "output-on-chip", "first-layer-on-host", "stride-padding-pool-dense", "events"],
 )
 def test_every_spike_is_the_emulators(nxsdk, spec):
-    images = random_checks(spec, 7).inputs.reshape(7, -1)
+    if spec.stimulus.held:
+        images = random_checks(spec, 7).inputs.reshape(7, -1)
+    else:
+        images = spec.stimulus.flat(random_frames(spec, 7, share=0.3))
     streams = [images[:3], images[3:6], images[6:]]
     for mine, theirs in zip(
         targets.run_loihi(spec, streams), targets.run_emulator(spec, streams), strict=True
@@ -52,6 +64,7 @@ def test_every_spike_is_the_emulators(nxsdk, spec):
         np.testing.assert_array_equal(mine.scores, theirs.scores)
         np.testing.assert_array_equal(mine.decisions, theirs.decisions)
         for name, counts in theirs.spikes.items():
+            assert counts.any()
             np.testing.assert_array_equal(mine.spikes[name], counts)
 
 
