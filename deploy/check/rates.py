@@ -80,7 +80,9 @@ def chip_rates(spec: NetworkSpec, samples) -> Dict[str, dict]:
     """The summary of the layers on the chip; see :func:`firing_rates` and :func:`rate_summary`."""
     on_chip = [layer.name for layer in spec.layers if layer.placement == "chip"]
     rates = firing_rates(spec, samples)
-    return rate_summary({name: rates[name] for name in on_chip}, spec.stimulus.step_seconds)
+    return rate_summary(
+        {name: rates[name] for name in on_chip}, spec.stimulus.step_seconds, spec.stimulus.held
+    )
 
 
 def silent_share(rates) -> float:
@@ -93,7 +95,9 @@ def silent_share(rates) -> float:
     return float(np.mean(np.all(np.asarray(rates) <= 0, axis=0)))
 
 
-def rate_summary(rates: Dict[str, np.ndarray], dt: float = DT) -> Dict[str, dict]:
+def rate_summary(
+    rates: Dict[str, np.ndarray], dt: float = DT, steady: bool = True
+) -> Dict[str, dict]:
     """Of each layer: share of silent neurons; mean, 99th percentile and maximum where one fires.
 
     Also how far, relative to it, the next lower rate is from the 99th percentile
@@ -105,6 +109,9 @@ def rate_summary(rates: Dict[str, np.ndarray], dt: float = DT) -> Dict[str, dict
         In spikes a second.
     dt : float
         Seconds that a step stands for.
+    steady : bool
+        Whether the input is, so that values are told by rates; if not, nothing is said of how far
+        apart those are.
     """
     summary = {}
     for name, values in rates.items():
@@ -115,10 +122,15 @@ def rate_summary(rates: Dict[str, np.ndarray], dt: float = DT) -> Dict[str, dict
             "mean_hz": float(firing.mean()) if firing.size else 0.0,
             "p99_hz": p99,
             "max_hz": float(values.max()),
-            "step_at_p99": p99 * dt / (1 + p99 * dt),
-            "coarse_above_hz": COARSE / dt,
-            "coarse": float(np.mean(firing > COARSE / dt)) if firing.size else 0.0,
         }
+        if steady:
+            summary[name].update(
+                {
+                    "step_at_p99": p99 * dt / (1 + p99 * dt),
+                    "coarse_above_hz": COARSE / dt,
+                    "coarse": float(np.mean(firing > COARSE / dt)) if firing.size else 0.0,
+                }
+            )
     return summary
 
 
@@ -126,10 +138,10 @@ def rates_text(summary: Dict[str, dict], n_samples: int) -> str:
     """A summary in a few lines."""
     lines = [f"firing rates on the emulator, {n_samples} samples:"]
     for name, layer in summary.items():
+        apart = f" (next rate {layer['step_at_p99']:.0%} lower)" if "coarse" in layer else ""
         lines.append(
             f"  {name}: {layer['silent']:.0%} silent; where one fires: "
-            f"mean {layer['mean_hz']:.0f} Hz, 99 % below {layer['p99_hz']:.0f} Hz "
-            f"(next rate {layer['step_at_p99']:.0%} lower), "
+            f"mean {layer['mean_hz']:.0f} Hz, 99 % below {layer['p99_hz']:.0f} Hz{apart}, "
             f"at most {layer['max_hz']:.0f} Hz"
         )
     lines += [f"warning: {line}" for line in rate_warnings(summary)]
@@ -142,7 +154,7 @@ def rate_warnings(summary: Dict[str, dict]) -> List[str]:
     for name, layer in summary.items():
         if layer["silent"] == 1:
             lines.append(f"layer {name}: no neuron fires; its bias or its weights are too small")
-        elif layer["coarse"] > 0.05:
+        elif layer.get("coarse", 0) > 0.05:
             lines.append(
                 f"layer {name}: {layer['coarse']:.0%} of the rates are above "
                 f"{layer['coarse_above_hz']:g} Hz, a quarter and more apart; train for lower"

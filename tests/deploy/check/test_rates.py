@@ -5,8 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.check.rates import firing_rates, rate_summary, rate_warnings, rates_text
-from tests.deploy.networks import random_checks, small_spec
+from deploy.check.rates import (
+    chip_rates,
+    firing_rates,
+    rate_summary,
+    rate_warnings,
+    rates_text,
+)
+from tests.deploy.networks import events_spec, random_checks, random_frames, small_spec
 
 
 def test_rate_of_a_constant_drive():
@@ -49,3 +55,12 @@ def test_warnings():
     assert "layer quiet: no neuron fires" in silent
     assert "layer loud: 100% of the rates are above 250 Hz" in coarse
     assert "warning: layer loud" in rates_text(summary, 1)
+
+
+def test_of_events_nothing_is_said_of_how_far_rates_are_apart():
+    spec = events_spec()
+    summary = chip_rates(spec, random_frames(spec, 3, share=0.3))
+    assert set(summary["conv1"]) == {"silent", "mean_hz", "p99_hz", "max_hz"}
+    assert max(layer["max_hz"] for layer in summary.values()) > 0
+    assert rate_warnings(summary) == []
+    assert "next rate" not in rates_text(summary, 3)
