@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 import traceback
 import warnings
 from dataclasses import dataclass
@@ -78,7 +79,9 @@ def run_jobs(function, jobs, processes: int = 1, scheduler: str | None = None, s
 
 def _in_processes(function, jobs, processes):
     left = dict(enumerate(jobs))
-    parallel = Parallel(n_jobs=min(processes, len(jobs)), return_as="generator_unordered")
+    parallel = Parallel(
+        n_jobs=min(processes, len(jobs)), return_as="generator_unordered", **_bound()
+    )
     try:
         for number, result in parallel(
             delayed(_numbered)(number, function, job) for number, job in left.copy().items()
@@ -90,9 +93,16 @@ def _in_processes(function, jobs, processes):
             yield job, _alone(function, job)
 
 
+def _bound():
+    """Options by which workers of a process that uses ``stmnist`` bind its packages first too."""
+    return {"initializer": sys.modules["stmnist"].bind} if "stmnist" in sys.modules else {}
+
+
 def _alone(function, job):
     try:
-        return Parallel(n_jobs=2)([delayed(_attempt)(function, job)])[0]  # 1 is this process
+        return Parallel(n_jobs=2, **_bound())([delayed(_attempt)(function, job)])[
+            0
+        ]  # 1 is this process
     except TerminatedWorkerError:
         message = "its process was killed; has the machine enough memory?"
         return Failure(message, message)

@@ -300,7 +300,7 @@ class Settings:
     presentation: Showing = field(default_factory=Showing)
     check: Check = field(default_factory=Check)
 
-    def with_values(self, changes: dict, origin: str) -> Settings:
+    def with_values(self, changes: dict, origin: str = "settings") -> Settings:
         """These settings with some changed.
 
         Parameters

@@ -10,6 +10,7 @@ import sys
 import pytest
 import typer.main
 
+import stmnist
 from pipeline.commands.main import app
 from pipeline.commands.reference import FILES, with_parts
 from pipeline.settings import Settings
@@ -205,8 +206,12 @@ def test_what_a_page_imports_in_python_exists(page):
         if language != "python":
             continue
         for node in ast.walk(ast.parse(block)):
-            if isinstance(node, ast.ImportFrom) and re.match("pipeline|models|deploy", node.module):
-                names = {alias.name for alias in node.names}
+            if not isinstance(node, ast.ImportFrom):
+                continue
+            names = {alias.name for alias in node.names}
+            if node.module == "stmnist":
+                assert names <= set(stmnist.__all__)
+            elif re.match("pipeline|models|deploy", node.module):
                 assert names <= set(defined(node.module)), node.module
 
 

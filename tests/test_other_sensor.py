@@ -67,7 +67,7 @@ def test_names_in_the_ladder(run):
 
 
 def test_names_in_the_report_and_the_figure(run):
-    from pipeline.report.figures.confusion import confusion
+    from pipeline.report.figures.confusion import confusion_figure
 
     assert call("report", run) == 0
     page = (run / "report.html").read_text(encoding="utf-8")
@@ -76,5 +76,5 @@ def test_names_in_the_report_and_the_figure(run):
         assert f'rotate(-90)">{name}</text>' in page  # above the confusion matrix
         assert f"<th>{name}</th>" in page
     assert "ten digits" not in page
-    ticks = confusion(read_json(run / "ladder.json", "")).axes[0].get_yticklabels()
+    ticks = confusion_figure(read_json(run / "ladder.json", "")).axes[0].get_yticklabels()
     assert tuple(tick.get_text() for tick in ticks) == NAMES

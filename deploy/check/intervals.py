@@ -44,3 +44,21 @@ def mcnemar(correct_a, correct_b) -> float:
     if only_a + only_b == 0:
         return 1.0
     return float(stats.binomtest(only_a, only_a + only_b).pvalue)
+
+
+def fisher(correct_a: int, n_a: int, correct_b: int, n_b: int) -> float:
+    """Exact two-sided test of two classifiers on different samples (Fisher 1922).
+
+    Parameters
+    ----------
+    correct_a, n_a, correct_b, n_b : int
+        Right answers and samples of each.
+
+    Returns
+    -------
+    float
+        Probability of a table at most as likely if both were equally good.  Where the two have some
+        samples in common it is too large: the test is cautious then, not wrong.
+    """
+    table = [[correct_a, n_a - correct_a], [correct_b, n_b - correct_b]]
+    return float(stats.fisher_exact(table)[1])

@@ -14,6 +14,7 @@ from pipeline.commands import (
     benchmark,
     benchmark_live,
     check,
+    compare,
     data,
     deploy,
     live,
@@ -50,6 +51,7 @@ VERBS = {
         {"run": check.run, "compare": check.compare},
     ),
     "ladder": run.ladder,
+    "compare": compare.compare,
     "deploy": (
         "Before and beside a board: what fits, exports.",
         {"plan": deploy.plan, "export": deploy.export, "energy": deploy.energy},

@@ -102,9 +102,9 @@ def ladder(
         table = measure_ladder(folder, resolved, jobs, whole, slow, options.say)
         if whole:
             from pipeline.report import figures  # imports Matplotlib
-            from pipeline.report.figures.confusion import confusion
+            from pipeline.report.figures.confusion import confusion_figure
 
-            figures.save(confusion(table), folder.confusion, dpi=100)
+            figures.save(confusion_figure(table), folder.confusion, dpi=100)
     if limit is None:
         limit = 1.0 if whole else 3.0
     options.tell(table, lambda ladder: "\n" + ladder_text(ladder, limit), as_json)

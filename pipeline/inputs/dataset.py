@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from hashlib import sha256
 
 import numpy as np
 
@@ -10,10 +11,10 @@ from deploy.errors import UserError
 from pipeline.inputs.images import tactile_images
 from pipeline.inputs.library import recordings_of
 from pipeline.inputs.splits import Split, random_split, writer_split
-from pipeline.recordings.events import Recordings
+from pipeline.recordings.events import Events, Recordings, Sensor, Source, TaxelMap
 from pipeline.recordings.sensors import too_small
 from pipeline.recordings.steps import EventTable
-from pipeline.settings import Settings, check_fits
+from pipeline.settings import SIMULATED, Settings, check_fits
 
 KINDS = ("random", "writers")
 """Of splits: over samples, as in the paper; or nobody writes both training and test samples."""
@@ -59,19 +60,68 @@ class Dataset:
             The source cannot be read, is too small for the split, has a class with a single
             recording, or the architecture is for another sensor.
         """
-        parts = settings.split
         recordings = recordings_of(settings, jobs, warn)
-        sensor, source = recordings.sensor, settings.data.source
-        try:
-            split = split_of(
-                recordings, settings.seed, parts.test_fraction, parts.validation_fraction
-            )
-        except ValueError as error:
-            raise UserError(f"{source}: {error}; {TOO_SMALL}") from error
-        if problem := too_small(recordings):
-            raise UserError(f"{source}: {problem}")
-        check_fits(settings, sensor.rows, sensor.columns, len(sensor.classes), source)
+        split = _checked_split(recordings, settings)
+        recordings_fit(recordings, settings)
         return cls(recordings, inputs_of(recordings, settings), split)
+
+    @classmethod
+    def of_arrays(
+        cls, images, labels, settings: Settings, classes=None, simulated: bool = False
+    ) -> Dataset:
+        """Images of one's own in the place of recordings, divided by the settings' own seed.
+
+        Parameters
+        ----------
+        images : array_like, shape (n_samples, rows, columns) or (n_samples, rows, columns, 1)
+            From -1 to 1; those of recordings are from 0 to 1.
+        labels : array_like of int, shape (n_samples,)
+            From 0.
+        settings : Settings
+            ``data.source`` says what the images are, in results and reports.  Of the others only
+            the seed and the shares of the split matter here.
+        classes : sequence of str, optional
+            Names of the labels 0, 1, ...; default: the numbers.
+        simulated : bool
+            Whether the images are made up; every result repeats it.
+
+        Raises
+        ------
+        UserError
+            The arrays do not fit each other or the settings, are too small for the split, or hold
+            what is no image.
+        """
+        name = settings.data.source
+        if name == SIMULATED:
+            raise UserError(
+                f"'data.source' must say what the arrays are; {SIMULATED!r} means the built-in "
+                "recordings"
+            )
+        if settings.on_events:
+            raise UserError(f"{name}: arrays are taken as images; choose input.kind = 'image'")
+        images, labels = np.asarray(images), np.asarray(labels)
+        if images.ndim == 3:
+            images = images[..., None]
+        if problem := _wrong_with(images, labels, classes):
+            raise UserError(f"{name}: {problem}")
+        images, labels = images.astype(np.float32), labels.astype(np.int64)
+        classes = tuple(classes) if classes is not None else range(labels.max() + 1)
+        rows, columns = images.shape[1:3]
+        content = sha256(repr((images.shape, classes)).encode())
+        for array in (images, labels):
+            content.update(np.ascontiguousarray(array).tobytes())
+        nothing = Events(*np.empty((4, 0), np.int64))
+        recordings = Recordings(
+            events=nothing,
+            offsets=np.zeros(len(images) + 1, np.int64),
+            labels=labels,
+            ids=tuple(f"{classes[label]}/{index:04d}" for index, label in enumerate(labels)),
+            writers=np.full(len(images), -1),
+            source=Source(name, content.hexdigest(), simulated),
+            taxels=TaxelMap.grid(rows, columns),
+            sensor=Sensor(rows, columns, classes=tuple(map(str, classes))),
+        )
+        return cls(recordings, images, _checked_split(recordings, settings))
 
     def __len__(self):
         return len(self.recordings)
@@ -81,6 +131,11 @@ class Dataset:
         """The class of each sample, shape (n_samples,)."""
         return self.recordings.labels
 
+    @property
+    def is_of_arrays(self) -> bool:
+        """Whether there are images only; see :meth:`of_arrays`."""
+        return not len(self.recordings.events) and len(self) > 0 and self.inputs.ndim == 4
+
     def part(self, name: str):
         """(inputs, labels) of ``"train"``, ``"validation"`` (None if empty) or ``"test"``."""
         index = getattr(self.split, name)
@@ -89,6 +144,49 @@ class Dataset:
     def divided(self, seed: int, test_fraction: float, kind: str = "random") -> Dataset:
         """The same samples with another split, without a validation part; see :func:`split_of`."""
         return replace(self, split=split_of(self.recordings, seed, test_fraction, kind=kind))
+
+
+def recordings_fit(recordings: Recordings, settings: Settings):
+    """Make sure that the architecture is for the recordings' sensor and classes.
+
+    Raises
+    ------
+    UserError
+        It is not.
+    """
+    sensor = recordings.sensor
+    classes = len(sensor.classes)
+    check_fits(settings, sensor.rows, sensor.columns, classes, settings.data.source)
+
+
+def _checked_split(recordings, settings):
+    """The settings' own split of recordings that are enough for it."""
+    source, parts = settings.data.source, settings.split
+    try:
+        split = split_of(recordings, settings.seed, parts.test_fraction, parts.validation_fraction)
+    except ValueError as error:
+        raise UserError(f"{source}: {error}; {TOO_SMALL}") from error
+    if problem := too_small(recordings):
+        raise UserError(f"{source}: {problem}")
+    return split
+
+
+def _wrong_with(images, labels, classes):
+    """Why arrays are not images and their labels, or None."""
+    if images.ndim != 4 or images.shape[3] != 1 or images.dtype.kind not in "fiub":
+        return f"images of shape {images.shape}, not numbers of (n_samples, rows, columns)"
+    if labels.shape != images.shape[:1] or labels.dtype.kind not in "iu":
+        return (
+            f"labels of shape {labels.shape}, not a whole number for each of {len(images)} images"
+        )
+    if not len(images) or not np.all(np.abs(images.astype(float)) <= 1):  # which NaN is not
+        return "no images, or some with values that are NaN or not from -1 to 1; scale them"
+    n_classes = labels.max() + 1 if classes is None else len(classes)
+    if labels.min() < 0 or labels.max() >= n_classes:
+        return f"labels from {labels.min()} to {labels.max()}, not from 0 to {n_classes - 1}"
+    if classes is not None and len(set(map(str, classes))) < len(classes):
+        return "two classes of one name"
+    return None
 
 
 def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:

@@ -26,9 +26,13 @@ class RunFolder:
     Attributes
     ----------
     path : Path
+        May be given as text.
     """
 
     path: Path
+
+    def __post_init__(self):
+        object.__setattr__(self, "path", Path(self.path))
 
     @property
     def experiment(self) -> Path:

@@ -40,7 +40,14 @@ def ladder_stages(kind: str, whole: bool = False) -> list:
 
 
 def measure_ladder(
-    run: RunFolder, settings: Settings, jobs: int, whole: bool, slow: bool, say
+    run: RunFolder,
+    settings: Settings,
+    jobs: int = 1,
+    whole: bool = False,
+    slow: bool = False,
+    say=print,
+    dataset=None,
+    asked=None,
 ) -> dict:
     """Do what is missing of a run up to the emulator; compare its stages and write the ladder.
 
@@ -57,14 +64,18 @@ def measure_ladder(
         With ``whole``: the stages of :data:`SLOW` too.
     say : callable
         Called with a line about each stage.
+    dataset : pipeline.inputs.dataset.Dataset, optional
+        Of the same settings, in the place of their recordings: arrays of one's own.
+    asked : sequence of str, optional
+        Stages to climb; default: :func:`ladder_stages`.
 
     Returns
     -------
     dict
         See :func:`ladder_json`.
     """
-    dataset, bundle = stages.make_bundle(run, settings, jobs, say)
-    asked = ladder_stages(settings.input.kind, whole)
+    dataset, bundle = stages.make_bundle(run, settings, jobs, say, dataset)
+    asked = asked or ladder_stages(settings.input.kind, whole)
     left_out = ()
     if whole:
         bundle = stages.on_test_split(settings, dataset, bundle)

@@ -19,7 +19,7 @@ from deploy.network.decision import Judge, choose_threshold
 from deploy.network.spec import NetworkSpec
 from models.architecture import parse
 from models.own import ModelFileError, read_own_model
-from pipeline.inputs.dataset import TOO_SMALL, Dataset, event_warnings
+from pipeline.inputs.dataset import TOO_SMALL, Dataset, event_warnings, recordings_fit
 from pipeline.inputs.library import SIMULATED
 from pipeline.inputs.splits import draw_check_samples, hold_out
 from pipeline.jobs import Failure, run_jobs
@@ -41,7 +41,12 @@ REMEDY_CHECK = "delete it and run the command again"
 
 
 def open_dataset(
-    run: RunFolder, settings: Settings, jobs: int = 2, warn=None, check: bool = True
+    run: RunFolder,
+    settings: Settings,
+    jobs: int = 2,
+    warn=None,
+    check: bool = True,
+    dataset: Dataset | None = None,
 ) -> Dataset:
     """Load, split and draw the recordings of a run; keep its settings; write ``dataset.json``.
 
@@ -57,13 +62,23 @@ def open_dataset(
         Called with a line for each thing that the user should know.
     check : bool
         Whether samples of a check will be drawn; training alone needs none.
+    dataset : Dataset, optional
+        Of the same settings, in the place of their recordings; see :meth:`Dataset.of_arrays`.
 
     Raises
     ------
     UserError
         The source cannot be read, or is too small for the split or the check.
     """
-    dataset = Dataset.of(settings, jobs, warn)
+    if dataset is None:
+        dataset = Dataset.of(settings, jobs, warn)
+    elif dataset.is_of_arrays and dataset.recordings.source.name != settings.data.source:
+        raise UserError(
+            f"{settings.data.source}: other settings than the arrays were taken with; give "
+            f"'data.source' {dataset.recordings.source.name!r}"
+        )
+    else:
+        recordings_fit(dataset.recordings, settings)
     recordings, split = dataset.recordings, dataset.split
     if check:
         try:
@@ -141,12 +156,12 @@ def read_model(path: Path) -> tuple:
         raise UserError(str(error)) from error
 
 
-def settings_of_model(path: Path, retrain: bool) -> dict:
+def settings_of_model(path: Path, retrain: bool = False) -> dict:
     """Changes of the settings that put a user's Keras model in the place of the CNN.
 
     Parameters
     ----------
-    path : Path
+    path : path-like
     retrain : bool
         Train it on with rate-based LIF neurons.
 
@@ -155,6 +170,7 @@ def settings_of_model(path: Path, retrain: bool) -> dict:
     UserError
         As :func:`read_model`.
     """
+    path = Path(path)
     model, sha256 = read_model(path)
     rates = Settings().snn.max_rates[: max(len(model.architecture.spiking), 1)]
     return {
@@ -262,9 +278,14 @@ def train_on_events(run: RunFolder, settings: Settings, dataset: Dataset, say=pr
     return metrics
 
 
-def make_bundle(run: RunFolder, settings: Settings, jobs: int = 1, say=print) -> tuple:
-    """Do what is missing of a run up to its bundle; return the dataset and the bundle."""
-    dataset = open_dataset(run, settings, jobs, say)
+def make_bundle(
+    run: RunFolder, settings: Settings, jobs: int = 1, say=print, dataset: Dataset | None = None
+) -> tuple:
+    """Do what is missing of a run up to its bundle; return the dataset and the bundle.
+
+    ``dataset`` is as in :func:`open_dataset`.
+    """
+    dataset = open_dataset(run, settings, jobs, say, dataset=dataset)
     train_all(run, settings, dataset, say)
     return dataset, convert(run, settings, dataset, say)
 

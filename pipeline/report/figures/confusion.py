@@ -13,7 +13,7 @@ LONGEST = 16
 """Characters of a class's name that are shown."""
 
 
-def confusion(ladder: dict) -> Figure:
+def confusion_figure(ladder: dict) -> Figure:
     """Counts of each stage by label and prediction, shaded by the share of the label's samples.
 
     Parameters

@@ -7,6 +7,8 @@ from deploy.errors import UserError
 from pipeline.inputs.dataset import Dataset, split_of
 from pipeline.inputs.images import tactile_images
 from pipeline.inputs.splits import random_split, writer_split
+from pipeline.run.folder import RunFolder
+from pipeline.run.stages import open_dataset
 from pipeline.settings import Settings
 from tests.pipeline.handmade import archive, good_members, recordings
 
@@ -58,3 +60,78 @@ def test_too_few_samples_are_one_line_with_the_source(tmp_path):
     settings = Settings().with_values(values, "test")
     with pytest.raises(UserError, match=r"st\.zip: 10 samples are too few .*; ask for fewer"):
         Dataset.of(settings)
+
+
+OWN = Settings().with_values({"seed": 2, "data": {"source": "mine"}}, "test")
+
+
+def arrays(n=10, classes=2):
+    images = np.random.default_rng(0).random((n, 4, 6))
+    return images, np.arange(n) % classes
+
+
+def test_arrays_in_the_place_of_recordings():
+    images, labels = arrays()
+    dataset = Dataset.of_arrays(images, labels, OWN, ("soft", "hard"), simulated=True)
+    assert dataset.is_of_arrays
+    assert not Dataset.of(SMALL).is_of_arrays
+    assert dataset.inputs.shape == (10, 4, 6, 1)
+    np.testing.assert_array_equal(dataset.inputs[..., 0], images.astype(np.float32))
+    np.testing.assert_array_equal(dataset.split.test, random_split(10, 2).test)
+    recordings = dataset.recordings
+    assert recordings.ids[:3] == ("soft/0000", "hard/0001", "soft/0002")
+    assert (recordings.source.name, recordings.source.simulated) == ("mine", True)
+    assert (recordings.sensor.rows, recordings.sensor.columns) == (4, 6)
+    same = Dataset.of_arrays(images[..., None], labels, OWN, ["soft", "hard"])
+    assert same.recordings.source.sha256 == recordings.source.sha256
+    images[0, 0, 0] /= 2
+    other = Dataset.of_arrays(images, labels, OWN)
+    assert other.recordings.source.sha256 != recordings.source.sha256
+    assert other.recordings.sensor.classes == ("0", "1")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda x, y: (x[0], y), "mine: images of shape"),
+        (lambda x, y: (np.stack([x, x], -1), y), "mine: images of shape"),
+        (lambda x, y: (x.astype(str), y), "mine: images of shape"),
+        (lambda x, y: (255 * x, y), "not from -1 to 1; scale them"),
+        (lambda x, y: (np.where(x > 0.5, np.nan, x), y), "NaN"),
+        (lambda x, y: (x, y[:-1]), "labels of shape"),
+        (lambda x, y: (x, y.astype(float)), "not a whole number"),
+        (lambda x, y: (x, y + 1), "labels from 1 to 2, not from 0 to 1"),
+        (lambda x, y: (x, y - 1), "labels from -1 to 0"),
+        (lambda x, y: (x[:0], y[:0]), "no images"),
+        (lambda x, y: (x, 0 * y), "recordings of one class only"),
+        (lambda x, y: (x, (np.arange(10) > 8).astype(int)), "only one recording of 'hard'"),
+        (lambda x, y: (x[:2], y[:2]), "too few"),
+    ],
+)
+def test_arrays_that_are_no_samples_are_refused(change, message):
+    with pytest.raises(UserError, match=message):
+        Dataset.of_arrays(*change(*arrays()), OWN, ("soft", "hard"))
+
+
+def test_settings_that_are_not_for_arrays_are_refused():
+    with pytest.raises(UserError, match=r"'data\.source' must say"):
+        Dataset.of_arrays(*arrays(), SMALL)
+    on_events = OWN.with_values({"input": {"kind": "events"}})
+    with pytest.raises(UserError, match="taken as images"):
+        Dataset.of_arrays(*arrays(), on_events)
+    with pytest.raises(UserError, match="two classes of one name"):
+        Dataset.of_arrays(*arrays(), OWN, ("soft", "soft"))
+
+
+def test_a_run_refuses_arrays_of_other_settings(tmp_path):
+    dataset = Dataset.of_arrays(*arrays(40), OWN)
+    run = RunFolder(tmp_path)
+    few = OWN.with_values({"check": {"samples": 4}})
+    with pytest.raises(UserError, match=r"mine: 'cnn\.architecture' must be .* 4x6-6c4-.*-2o"):
+        open_dataset(run, few, dataset=dataset)
+    small = few.with_values({"cnn": {"architecture": "4x6-3c2-2o"}, "snn": {"max_rates": [150.0]}})
+    with pytest.raises(UserError, match="other settings than the arrays"):
+        open_dataset(run, small.with_values({"data": {"source": "x"}}), dataset=dataset)
+    assert not run.experiment.exists()
+    assert open_dataset(run, small, dataset=dataset) is dataset
+    assert run.experiment.exists()

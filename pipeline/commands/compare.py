@@ -1,0 +1,26 @@
+"""``stmnist compare``: runs side by side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pipeline.commands import options
+from pipeline.run.comparison import compare_runs, read_runs, runs_text
+
+
+def compare(
+    runs: Annotated[list[Path], typer.Argument(help="Two or more runs' folders.")],
+    whole: Annotated[
+        bool, typer.Option("--whole", help="On the whole test split, not on the check's samples.")
+    ] = False,
+    as_json: options.Json = False,
+):
+    """Set runs side by side: settings, accuracy of each stage, operations, cores, time to decide.
+
+    Every run is held against the first one: pairwise, with McNemar's test, where both answered the
+    same samples.
+    """
+    options.tell(compare_runs(read_runs(runs, whole)), runs_text, as_json)

@@ -1,0 +1,402 @@
+"""Runs side by side: settings that differ, accuracy stage by stage, what an inference takes."""
+
+from __future__ import annotations
+
+import itertools
+import string
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+
+from deploy.check.bundle import read_bundle
+from deploy.check.intervals import fisher, mcnemar, wilson_interval
+from deploy.check.results import read_result
+from deploy.errors import UserError
+from deploy.network.operations import multiply_accumulates
+from deploy.network.spec import NetworkSpec
+from deploy.preflight.plan import make_plan
+from deploy.tables import aligned
+from deploy.targets.registry import TARGETS
+from pipeline.run.answers import STAGES
+from pipeline.run.folder import RunFolder
+from pipeline.settings import Settings, read_settings
+
+SCHEMA = "stmnist-runs/1"
+
+NETWORKS = tuple(dict.fromkeys(stage for stages in STAGES.values() for stage in stages))
+"""What answers before the bundle, of either kind of input."""
+
+ORDER = (*NETWORKS, *TARGETS)
+"""Of the stages in a comparison."""
+
+COUNTED = ("emulator", "fast", "simreal", "nengo", "loihi")
+"""Whose spikes are taken for the operations and the time to decide, the first that is there; the
+first two are the same spikes, and of a board not every layer's are known."""
+
+WIDTH = 80
+"""Columns of the text."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """What is compared of a run.
+
+    Attributes
+    ----------
+    name : str
+        As the user called it.
+    settings : Settings
+    spec : NetworkSpec
+        Of its bundle.
+    cores, chips : int
+        That the network takes; see :func:`deploy.preflight.plan.make_plan`.
+    results : dict of str to dict
+        Check results of the bundle, by stage.
+    stale : tuple of str
+        Stages whose results are of an earlier bundle, and are left out.
+    """
+
+    name: str
+    settings: Settings
+    spec: NetworkSpec
+    cores: int
+    chips: int
+    results: dict
+    stale: tuple = ()
+
+
+def read_runs(paths, whole: bool = False) -> list:
+    """Read what is compared of runs' folders.
+
+    Parameters
+    ----------
+    paths : sequence of path-like
+    whole : bool
+        Of the whole test split, not of the check's samples.
+
+    Returns
+    -------
+    list of Run
+
+    Raises
+    ------
+    UserError
+        Fewer than two runs, one twice, or a folder that is no run, has no bundle or no results.
+    """
+    paths = [Path(path) for path in paths]
+    if len(paths) < 2:
+        raise UserError("one run alone cannot be compared; name two or more")
+    if len(paths) > len(string.ascii_uppercase):
+        raise UserError(f"{len(paths)} runs; name at most {len(string.ascii_uppercase)}")
+    for a, b in itertools.combinations(paths, 2):
+        if a.resolve() == b.resolve():
+            raise UserError(f"{a} and {b} are the same run; name two different ones")
+    return [_read_run(path, whole) for path in paths]
+
+
+def _read_run(path, whole):
+    folder = RunFolder(path)
+    if not folder.experiment.is_file():
+        raise UserError(f"{path}: no run's folder (it has no {folder.experiment.name}); check it")
+    if not folder.bundle.is_dir():
+        raise UserError(f"{path}: no bundle yet; make it with 'stmnist convert {path}'")
+    bundle = read_bundle(folder.bundle)
+    results, stale = {}, []
+    for stage in ORDER:
+        file = folder.whole_check(stage) if whole else folder.check(stage)
+        if file.exists():
+            result = read_result(file, "delete it and run the command again")
+            if result["bundle"] == bundle.id:
+                results[stage] = result
+            else:
+                stale.append(stage)
+    if not results:
+        option = " --whole" if whole else ""
+        old = " of its bundle, only of an earlier one" if stale else ""
+        raise UserError(
+            f"{path}: no check results{old}; make them with 'stmnist ladder {path}{option}'"
+        )
+    plan = make_plan(bundle.spec)
+    return Run(
+        name=str(path),
+        settings=read_settings(folder.experiment),
+        spec=bundle.spec,
+        cores=len(plan.cores),
+        chips=plan.chips,
+        results=results,
+        stale=tuple(stale),
+    )
+
+
+def compare_runs(runs) -> dict:
+    """Set runs side by side.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        At least two.
+
+    Returns
+    -------
+    dict
+        Ready for JSON: ``runs``, from each its ``name`` and what an inference takes (see
+        :func:`inference`); ``settings`` that differ, each with its ``name`` and ``values`` in the
+        order of the runs; ``stages`` that two runs or more have, each with ``accuracies`` (None
+        for a run without it) and ``differences``, one of every pair (see :func:`difference`).
+    """
+    flat = [run.settings.flat() for run in runs]
+    found = [stage for stage in ORDER if sum(stage in run.results for run in runs) > 1]
+    return {
+        "schema": SCHEMA,
+        "runs": [
+            {"name": run.name, **inference(run), "results_of_an_earlier_bundle": list(run.stale)}
+            for run in runs
+        ],
+        "settings": [
+            {"name": name, "values": [values[name] for values in flat]}
+            for name in flat[0]
+            if any(values[name] != flat[0][name] for values in flat)
+        ],
+        "stages": [_stage(stage, runs) for stage in found],
+    }
+
+
+def inference(run: Run) -> dict:
+    """What an inference of a run's network takes, as plain values.
+
+    Operations and times are of the stage named by ``counted_on``; None where no result tells.
+    ``writing`` is there of networks on events that decide by themselves: the mean share of the
+    writing after which they do, and how accurate they are then.
+    """
+    spec = run.spec
+    macs = sum(multiply_accumulates(spec).values())
+    stage = next((s for s in COUNTED if run.results.get(s, {}).get("synaptic_operations")), None)
+    result = run.results.get(stage, {})
+    counted = result.get("synaptic_operations", {})
+    operations = sum(counted.values()) / result["n_samples"] if stage else None
+    median = result.get("decided_at_median")
+    step_ms = 1000 * spec.stimulus.step_seconds
+    early = result.get("while_written", {}).get("by_itself")
+    return {
+        "input": run.settings.input.kind,
+        "architecture": spec.architecture,
+        "simulated": spec.provenance.get("simulated"),
+        "neurons": sum(layer.size for layer in spec.layers if layer.neurons is not None),
+        "cores": run.cores,
+        "chips": run.chips,
+        "counted_on": stage,
+        "synaptic_operations": operations,
+        "multiply_accumulates": macs,
+        "operations_per_multiply_accumulate": operations / macs if stage else None,
+        "steps": spec.presentation.steps,
+        "step_ms": step_ms,
+        "decided_at_median": median,
+        "decided_after_ms": None if median is None else median * step_ms,
+        "writing": early
+        and {
+            "share": early["share_of_writing_mean"],
+            "accuracy": early["accuracy"],
+            "accuracy_ci95": early["accuracy_ci95"],
+        },
+    }
+
+
+def _stage(stage, runs):
+    have = [index for index, run in enumerate(runs) if stage in run.results]
+    accuracies = []
+    for run in runs:
+        result = run.results.get(stage)
+        accuracies.append(
+            result
+            and {
+                "n_samples": result["n_samples"],
+                "accuracy": result["accuracy"],
+                "accuracy_ci95": list(wilson_interval(_right(result), result["n_samples"])),
+            }
+        )
+    return {
+        "stage": stage,
+        "accuracies": accuracies,
+        "differences": [
+            {"a": a, "b": b, **difference(runs[a], runs[b], stage)}
+            for a, b in itertools.combinations(have, 2)
+        ],
+    }
+
+
+def _right(result):
+    return sum(sample["prediction"] == sample["label"] for sample in result["samples"])
+
+
+def difference(a: Run, b: Run, stage: str) -> dict:
+    """How much more accurate a stage of B is than A's.
+
+    Paired where both answered the same samples: the same ids and labels, in any order, of the same
+    recordings as far as the bundles say which (``source_sha256``).  An id alone tells a recording
+    within its source only: every simulation has a ``0/0000``.
+
+    Returns
+    -------
+    dict
+        ``difference`` of the accuracies, B's less A's; ``paired``; ``only_a`` and ``only_b``,
+        samples that only the one got right (None if not paired); ``p``, by McNemar's exact test
+        where they are paired, by Fisher's where they are not.
+    """
+    first, second = a.results[stage], b.results[stage]
+    labels_a, labels_b = ({s["id"]: s["label"] for s in r["samples"]} for r in (first, second))
+    sources = [run.spec.provenance.get("source_sha256") for run in (a, b)]
+    paired = labels_a == labels_b and (None in sources or sources[0] == sources[1])
+    value = {"difference": second["accuracy"] - first["accuracy"], "paired": paired}
+    if not paired:
+        counts = (_right(first), first["n_samples"], _right(second), second["n_samples"])
+        return {**value, "only_a": None, "only_b": None, "p": fisher(*counts)}
+    right_b = {s["id"]: s["prediction"] == s["label"] for s in second["samples"]}
+    pairs = [(s["prediction"] == s["label"], right_b[s["id"]]) for s in first["samples"]]
+    return {
+        **value,
+        "only_a": sum(in_a and not in_b for in_a, in_b in pairs),
+        "only_b": sum(in_b and not in_a for in_a, in_b in pairs),
+        "p": mcnemar(*zip(*pairs, strict=True)),
+    }
+
+
+def runs_text(compared: dict, width: int = WIDTH) -> str:
+    """A comparison as tables, each run called by a letter.
+
+    Parameters
+    ----------
+    compared : dict
+        From :func:`compare_runs`.
+    width : int
+        Columns; only a run's own name may be longer.
+    """
+    runs = compared["runs"]
+    letters = string.ascii_uppercase[: len(runs)]
+    lines = [f"{letter}  {run['name']}" for letter, run in zip(letters, runs, strict=True)]
+    lines += ["", *_settings_lines(compared, letters, width)]
+    lines += ["", *_accuracy_lines(compared, letters)]
+    lines += ["", *_inference_lines(runs, letters, width)]
+    for letter, run in zip(letters, runs, strict=True):
+        if stale := run["results_of_an_earlier_bundle"]:
+            note = f"{letter}: left out, of an earlier bundle: {', '.join(stale)}"
+            lines += ["", *textwrap.wrap(note, width, break_on_hyphens=False)]
+    return "\n".join(lines)
+
+
+def _settings_lines(compared, letters, width):
+    if not compared["settings"]:
+        return ["no setting differs"]
+    rows = [["setting that differs", *letters]]
+    for setting in compared["settings"]:
+        rows.append([setting["name"], *map(_plain, setting["values"])])
+    return _fitted(rows, width)
+
+
+def _accuracy_lines(compared, letters):
+    if not compared["stages"]:
+        return ["no stage has been answered by two of the runs; 'stmnist ladder RUN' lets them"]
+    rows = [["stage", "", "accuracy", "95 % interval", f"less {letters[0]}", "won", "lost", "p"]]
+    unpaired = False
+    for stage in compared["stages"]:
+        against = {d["b"]: d for d in stage["differences"] if d["a"] == 0}
+        name = stage["stage"]
+        for index, (letter, row) in enumerate(zip(letters, stage["accuracies"], strict=True)):
+            if row is None:
+                continue
+            low, high = row["accuracy_ci95"]
+            cells = [name, letter, f"{row['accuracy']:.3f}", f"{low:.3f} to {high:.3f}"]
+            rows.append([*cells, *_difference_cells(against.get(index))])
+            unpaired |= index in against and not against[index]["paired"]
+            name = ""
+    simulated = [a for a, run in zip(letters, compared["runs"], strict=True) if run["simulated"]]
+    what = "simulated samples" if len(simulated) == len(letters) else "samples"
+    of_some = f"; those of {', '.join(simulated)} are simulated"
+    counts = sorted(
+        {row["n_samples"] for s in compared["stages"] for row in s["accuracies"] if row}
+    )
+    lines = [
+        f"accuracy on {' and '.join(map(str, counts))} {what}"
+        + (of_some if 0 < len(simulated) < len(letters) else ""),
+        *aligned(rows, left=2),
+        "won, lost: samples that the run alone, or A alone, got right; p: McNemar's test",
+    ]
+    if unpaired:
+        lines.append("unpaired: the two answered different samples; p by Fisher's exact test")
+    return lines
+
+
+def _difference_cells(value):
+    if value is None:
+        return ["", "", "", ""]
+    counts = [str(value["only_b"]), str(value["only_a"])] if value["paired"] else ["unpaired", ""]
+    p = "< 0.001" if value["p"] < 0.001 else f"{value['p']:.3f}"
+    return [f"{round(value['difference'], 3) + 0.0:+.3f}", *counts, p]
+
+
+def _inference_lines(runs, letters, width):
+    def row(head, cell):
+        return [head, *("" if (text := cell(run)) is None else text for run in runs)]
+
+    def given(name, form="{}"):
+        return lambda run: None if run[name] is None else form.format(run[name])
+
+    def early(name, form):
+        return lambda run: run["writing"] and form.format(run["writing"][name])
+
+    rows = [
+        ["an inference", *letters],
+        row("input", given("input")),
+        row("architecture", given("architecture")),
+        row("neurons", given("neurons")),
+        row("cores", given("cores")),
+        row("chips", given("chips")),
+        row("counted on", given("counted_on")),
+        row("synaptic operations", given("synaptic_operations", "{:,.0f}")),
+        row("times the CNN's", given("operations_per_multiply_accumulate", "{:.2f}")),
+        row("steps shown", given("steps")),
+        row("for good from step", given("decided_at_median", "{:g}")),
+        row("that is, ms", given("decided_after_ms", "{:,.0f}")),
+        row("by itself after", early("share", "{:.0%} of writing")),
+        row("accuracy then", early("accuracy", "{:.3f}")),
+    ]
+    lines = _fitted([cells for cells in rows if any(cells[1:])], width)
+    lines.append("times the CNN's: the multiply-accumulates of a CNN of the same architecture")
+    if any(run["decided_at_median"] is not None for run in runs):
+        lines.append("for good: half the samples' decisions no longer change from this step on")
+    if len({run["input"] for run in runs}) > 1:
+        lines.append("ms: of an image after the whole writing, of events while it goes on")
+    return lines
+
+
+def _plain(value):
+    """A setting's value in a table."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(_plain, value))
+    return str(value) if value != "" else "-"
+
+
+def _fitted(rows, width):
+    """A table whose cells go on in further lines where their columns would be too wide."""
+    first, n = max(len(row[0]) for row in rows), len(rows[0]) - 1
+    room = max((width - first) // n - 2, 8)
+    folded = []
+    for head, *cells in rows:
+        parts = [_folded(cell, room) for cell in cells]
+        for index, line in enumerate(itertools.zip_longest(*parts, fillvalue="")):
+            folded.append(["" if index else head, *line])
+    return aligned(folded)
+
+
+def _folded(text, room):
+    """A cell's lines; broken at blanks, after ``-`` and ``/``, and elsewhere only if it must be."""
+    lines = [""]
+    for part in text.replace("-", "-\0").replace("/", "/\0").replace(" ", " \0").split("\0"):
+        if len(lines[-1] + part.rstrip()) > room and lines[-1]:
+            lines.append("")
+        while len(part.rstrip()) > room:
+            lines[-1], part = part[:room], part[room:]
+            lines.append("")
+        lines[-1] += part
+    return [line.rstrip() for line in lines if line.strip()] or [""]

@@ -1,0 +1,116 @@
+"""The public names: ``from stmnist import Settings, Dataset, train_cnn, ...``; see docs/python.md.
+
+Each is loaded from its module when it is first asked for, so that the import takes no time and
+nothing brings in TensorFlow that does not train.
+
+This distribution's own packages have common names: ``deploy``, ``models`` and ``pipeline``.  A file
+``models.py`` beside a notebook or script would be found before ours, and everything of ours that
+imports ``models`` would break.  So the first thing that happens here is that the three names are
+bound to the packages beside this one, wherever Python looks first, in this process and in its
+workers.  What that means for a user's own file of such a name:
+
+- Imported after ``stmnist``, ``import models`` gives our package, not the file: a name has one
+  module in a process.  Rename the file, or load it by its path under another name
+  (``importlib.util.spec_from_file_location("mine", "models.py")``).
+- Imported before ``stmnist``, it stays what it is, and ``import stmnist`` is an `ImportError` that
+  names the file.  A script that is itself called ``models.py`` is no trouble: it is ``__main__``.
+"""
+
+import importlib
+import importlib.util
+import os
+import sys
+
+PACKAGES = ("deploy", "models", "pipeline")
+"""Of this distribution, beside this one."""
+
+_PLACES = {
+    "deploy.check.bundle": ("CheckSet", "read_bundle", "write_bundle"),
+    "deploy.check.energy": ("estimate_energy", "estimate_text"),
+    "deploy.check.results": ("compare_results", "read_result"),
+    "deploy.check.run": ("run_check",),
+    "deploy.errors": ("UserError",),
+    "deploy.network.nir": ("write_nir",),
+    "deploy.network.operations": ("multiply_accumulates",),
+    "deploy.preflight.plan": ("make_plan", "plan_text"),
+    "deploy.targets.registry": ("TARGETS", "answer"),
+    "pipeline.inputs.dataset": ("Dataset",),
+    "pipeline.inputs.splits": ("draw_check_samples",),
+    "pipeline.progress": ("progress",),
+    "pipeline.report.figures.confusion": ("confusion_figure",),
+    "pipeline.report.figures.placement": ("placement_figure",),
+    "pipeline.run": ("stages",),
+    "pipeline.run.comparison": ("compare_runs", "read_runs", "runs_text"),
+    "pipeline.run.conversion": ("deployed",),
+    "pipeline.run.folder": ("RunFolder",),
+    "pipeline.run.ladder": ("ladder_text", "measure_ladder"),
+    "pipeline.settings": ("Settings", "read_settings", "write_settings"),
+    "pipeline.training.networks": ("train_cnn", "train_rate_network"),
+}
+"""Module of each public name; of ``stages``, a module itself, the package."""
+
+_MODULE_OF = {name: module for module, names in _PLACES.items() for name in names}
+
+__all__ = sorted(_MODULE_OF)
+
+
+def bind():
+    """Bind the names of `PACKAGES` to the folders beside this one; done on import.
+
+    A second call changes nothing.  Workers call it before anything else.
+
+    Raises
+    ------
+    ImportError
+        Something else was imported under one of the names; nothing is bound then.
+    """
+    here = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    files = {name: os.path.join(here, name, "__init__.py") for name in PACKAGES}
+    for name, file in files.items():
+        if name in sys.modules and not _is(sys.modules[name], file):
+            raise ImportError(
+                f"{_where(sys.modules[name])} was imported as {name!r} before stmnist, which has a "
+                f"package of that name; import stmnist first, or rename your {name!r}",
+                name=name,
+            )
+    for name, file in files.items():
+        if name not in sys.modules:
+            spec = importlib.util.spec_from_file_location(
+                name, file, submodule_search_locations=[os.path.dirname(file)]
+            )
+            module = importlib.util.module_from_spec(spec)
+            sys.modules[name] = module
+            spec.loader.exec_module(module)
+
+
+def _is(module, file):
+    found = getattr(module, "__file__", None)
+    return found is not None and os.path.realpath(found) == os.path.realpath(file)
+
+
+def _where(module):
+    """The file of a module, or the folder of one that is a folder without ``__init__.py``."""
+    return getattr(module, "__file__", None) or next(
+        iter(getattr(module, "__path__", ())), "a module"
+    )
+
+
+def __getattr__(name):
+    if name == "__version__":
+        return importlib.import_module("deploy").__version__
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = _MODULE_OF[name]
+    if name == "stages":
+        value = importlib.import_module(f"{module}.{name}")
+    else:
+        value = getattr(importlib.import_module(module), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__():
+    return sorted({*globals(), *__all__})
+
+
+bind()

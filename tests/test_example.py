@@ -1,0 +1,40 @@
+"""What examples/ shows runs as a script of a user's would, and does what it says."""
+
+import subprocess
+import sys
+
+import pytest
+
+from deploy.files import read_json
+from tests.command import ROOT, environment
+
+SHOWN = """
+import runpy, sys
+from matplotlib.figure import Figure
+shown = runpy.run_path(sys.argv[1])
+assert isinstance(shown["figure"], Figure)
+assert "matplotlib.pyplot" not in sys.modules
+shown["figure"].savefig("figure.png")
+"""
+
+
+@pytest.mark.slow
+def test_a_network_of_ones_own(tmp_path):
+    (tmp_path / "models.py").write_text("raise RuntimeError('beside the notebook')\n")
+    done = subprocess.run(
+        [sys.executable, "-c", SHOWN, str(ROOT / "examples" / "own_network.py")],
+        cwd=tmp_path,
+        env=environment(),
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Loss ladder, 200 simulated samples" in done.stdout
+    ladder = read_json(tmp_path / "runs" / "gestures" / "ladder.json", "")
+    accuracy = {row["stage"]: row["accuracy"] for row in ladder["rows"]}
+    assert list(accuracy) == ["cnn", "rate-lif", "nengo", "fast"]
+    assert accuracy["cnn"] > 0.8  # chance is 0.2
+    assert accuracy["fast"] >= accuracy["cnn"] - 0.02
+    assert ladder["classes"] == ["across", "along", "diagonal", "ring", "press"]
+    assert (tmp_path / "figure.png").stat().st_size > 1000
+    assert (tmp_path / "runs" / "gestures" / "bundle" / "MANIFEST.json").is_file()
