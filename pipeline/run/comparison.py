@@ -17,13 +17,13 @@ from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
 from deploy.tables import aligned
 from deploy.targets.registry import TARGETS
-from pipeline.run.answers import STAGES
+from pipeline.run.answers import REFERENCES
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings, read_settings
 
 SCHEMA = "stmnist-runs/1"
 
-NETWORKS = tuple(dict.fromkeys(stage for stages in STAGES.values() for stage in stages))
+NETWORKS = tuple(dict.fromkeys(stage for stages in REFERENCES.values() for stage in stages))
 """What answers before the bundle, of either kind of input."""
 
 ORDER = (*NETWORKS, *TARGETS)

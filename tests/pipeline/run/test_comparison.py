@@ -96,7 +96,7 @@ def test_settings_that_differ_and_no_others():
     compared = compare_runs([a, b])
     assert compared["settings"] == [
         {"name": "seed", "values": [3, 0]},
-        {"name": "snn.max_rates", "values": [(150.0, 150.0), (100.0,)]},
+        {"name": "snn.max_rates", "values": [(150.0,), (100.0,)]},
     ]
     assert "no setting differs" in runs_text(compare_runs([a, a]))
 
