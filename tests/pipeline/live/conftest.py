@@ -38,13 +38,13 @@ def served(folder, make_decider=Parrot):
         server = Server(live, listen(0))
         thread = threading.Thread(target=server.run, daemon=True)
         thread.start()
-        assert server.listens.wait(20)
+        assert server.listens.wait(120)
         server.keeper = keeper
         try:
             yield server
         finally:
             server.should_exit = True
-            thread.join(20)
+            thread.join(120)
             assert not thread.is_alive()
 
 
