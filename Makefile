@@ -17,6 +17,7 @@ BIN := .venv/bin
 STMNIST := $(BIN)/stmnist
 SOURCE_OPTIONS := $(if $(DATA),--data "$(DATA)") $(if $(INPUT),--input $(INPUT)) $(if $(SEED),--seed $(SEED)) --jobs $(JOBS)
 BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $(PARTITION))
+ON_ALL_CORES := --numprocesses logical --maxprocesses 4 --dist worksteal
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
 
 .PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report live test test-pythons torture lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava audit clean help
@@ -57,14 +58,14 @@ report: loihi-emulate  ## RUN as one HTML file, RUN/report.html, with Table 2 wh
 live: setup  ## Write digits in the browser; trains RUN first if need be (PORT; RECORD: where to keep)
 	@$(STMNIST) live $(RUN) $(SOURCE_OPTIONS) $(if $(PORT),--port $(PORT)) $(if $(RECORD),--record "$(RECORD)")
 
-test: setup  ## Run the tests
-	@$(BIN)/python -m pytest
+test: setup  ## Run the tests, on every core but at most four (memory)
+	@$(BIN)/python -m pytest $(ON_ALL_CORES)
 
 test-pythons:  ## Run the tests on each of Python 3.11 to 3.13 that this machine has (TESTS: options)
 	@for version in 3.11 3.12 3.13; do \
 	  python=$$(sh setup.sh --find $$version) || { echo "Python $$version: not on this machine"; continue; }; \
 	  sh setup.sh .venv-$$version "$$python" && echo "Python $$version:" && \
-	  .venv-$$version/bin/python -m pytest $(TESTS) || exit; \
+	  .venv-$$version/bin/python -m pytest $(ON_ALL_CORES) $(TESTS) || exit; \
 	done
 
 torture: setup  ## Damaged input, kills, interruptions, full disks: half an hour (TORTURE: options)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import logging
+import multiprocessing.resource_tracker
+import signal
 import sys
 import traceback
 import warnings
 from dataclasses import dataclass
 
 from joblib import Parallel, delayed
+from joblib.externals.loky.backend import resource_tracker
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from deploy.errors import UserError
@@ -77,15 +80,38 @@ def run_jobs(function, jobs, processes: int = 1, scheduler: str | None = None, s
             yield from _in_processes(function, jobs, processes)
 
 
+def results_of(calls, processes: int, in_order: bool = True):
+    """Make calls in processes of this machine, and yield what they return as it comes.
+
+    A terminal tells Ctrl-C to all processes.  These do not hear it: between two calls joblib's
+    would answer with a traceback.  This process ends them when it is interrupted itself.
+
+    Parameters
+    ----------
+    calls : iterable
+        Of :func:`joblib.delayed`.
+    processes : int
+        With 1 the calls are made in this process.
+    in_order : bool
+        Whether results come in the order of the calls or of their ends.
+    """
+    order = "generator" if in_order else "generator_unordered"
+    parallel = Parallel(processes, return_as=order, **(_bound() if processes != 1 else {}))
+    if processes != 1:
+        for tracker in (resource_tracker, multiprocessing.resource_tracker):
+            tracker.ensure_running()  # started later they would unblock again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        return parallel(calls)  # here the processes are started, and inherit what is blocked
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _in_processes(function, jobs, processes):
     left = dict(enumerate(jobs))
-    parallel = Parallel(
-        n_jobs=min(processes, len(jobs)), return_as="generator_unordered", **_bound()
-    )
+    calls = (delayed(_numbered)(number, function, job) for number, job in left.copy().items())
     try:
-        for number, result in parallel(
-            delayed(_numbered)(number, function, job) for number, job in left.copy().items()
-        ):
+        for number, result in results_of(calls, min(processes, len(jobs)), in_order=False):
             yield left.pop(number), result
     except TerminatedWorkerError:
         # Nothing tells whose process was killed, so each job that is left gets one to itself.
@@ -100,9 +126,7 @@ def _bound():
 
 def _alone(function, job):
     try:
-        return Parallel(n_jobs=2, **_bound())([delayed(_attempt)(function, job)])[
-            0
-        ]  # 1 is this process
+        return next(results_of([delayed(_attempt)(function, job)], 2))  # 1 is this process
     except TerminatedWorkerError:
         message = "its process was killed; has the machine enough memory?"
         return Failure(message, message)

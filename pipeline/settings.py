@@ -99,7 +99,7 @@ class Input:
 
 
 @dataclass(frozen=True)
-class Skin:
+class SkinSize:
     """The array of taxels."""
 
     rows: Annotated[int, SIDE] = 0
@@ -123,7 +123,7 @@ class Image:
 
 
 @dataclass(frozen=True)
-class Split:
+class SplitShares:
     """Which samples are for what."""
 
     test_fraction: Annotated[float, INSIDE_0_1] = paper.TEST_FRACTION
@@ -190,7 +190,7 @@ class SNN:
 
 
 @dataclass(frozen=True)
-class Events:
+class EventTraining:
     """The spiking network that is trained on events; see :mod:`pipeline.training.events`."""
 
     architecture: str = "10x10x2-24c4s3-64-10o"
@@ -289,12 +289,12 @@ class Settings:
     """Of the split, the training and the choice of the check's samples."""
     data: Data = field(default_factory=Data)
     input: Input = field(default_factory=Input)
-    skin: Skin = field(default_factory=Skin)
+    skin: SkinSize = field(default_factory=SkinSize)
     image: Image = field(default_factory=Image)
-    split: Split = field(default_factory=Split)
+    split: SplitShares = field(default_factory=SplitShares)
     cnn: CNN = field(default_factory=CNN)
     snn: SNN = field(default_factory=SNN)
-    events: Events = field(default_factory=Events)
+    events: EventTraining = field(default_factory=EventTraining)
     slayer: Slayer = field(default_factory=Slayer)
     deployment: Deployment = field(default_factory=Deployment)
     presentation: Showing = field(default_factory=Showing)

@@ -3,6 +3,11 @@
 import os
 from pathlib import Path
 
+if "PYTEST_XDIST_WORKER" in os.environ:
+    # Every core has a worker already; what the worker starts inherits this.
+    for library in ("OMP_NUM", "OPENBLAS_NUM", "TF_NUM_INTRAOP", "TF_NUM_INTEROP"):
+        os.environ.setdefault(f"{library}_THREADS", "1")
+
 import pytest
 from hypothesis import settings
 
@@ -18,6 +23,12 @@ TINY = (
 
 settings.register_profile("stmnist", deadline=None)
 settings.load_profile("stmnist")
+
+
+def pytest_make_parametrize_id(val, argname):
+    """Bytes go by their parameter's name: a file's hold the time of day, and every process that
+    runs a part of the tests must call a test the same."""
+    return argname if isinstance(val, bytes) else None
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -1,11 +1,11 @@
 """Ctrl-C, however early and wherever it falls."""
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
 import textwrap
-import time
 
 import pytest
 
@@ -16,34 +16,43 @@ from .command import ROOT, environment
 LINE = "stmnist: interrupted; the same command goes on where it stopped"
 
 
-def started(code):
-    """A process of its own that runs some code and has said that it is ready."""
+@contextlib.contextmanager
+def process_of(*arguments, **more):
+    """A process in a group of its own that Ctrl-C reaches and that ends with the block."""
     process = subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(code)],
-        env=environment(),
+        [sys.executable, *map(str, arguments)],
+        env=environment(**more),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        start_new_session=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
-    assert process.stdout.readline() == "ready\n"
-    return process
-
-
-def interrupted(process, seconds=20):
-    process.send_signal(signal.SIGINT)
     try:
-        out, err = process.communicate(timeout=seconds)
-    except subprocess.TimeoutExpired:
-        process.kill()
+        yield process
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
-        raise
+
+
+@contextlib.contextmanager
+def started(code):
+    """A process of its own that runs some code and has said that it is ready."""
+    with process_of("-c", textwrap.dedent(code)) as process:
+        assert process.stdout.readline() == "ready\n"
+        yield process
+
+
+def interrupted(process, seconds=300):
+    """Its status and what it said after Ctrl-C."""
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=seconds)
     return process.returncode, out, err
 
 
 def test_in_the_imports_it_is_one_line():
-    process = started(
-        """
+    code = """
         from deploy import interrupts
         interrupts.end_at_once("stmnist")
         print("ready", flush=True)
@@ -53,8 +62,8 @@ def test_in_the_imports_it_is_one_line():
             except BaseException:
                 pass
         """
-    )
-    assert interrupted(process) == (130, "", LINE + "\n")
+    with started(code) as process:
+        assert interrupted(process) == (130, "", LINE + "\n")
 
 
 DROPPED = """
@@ -83,21 +92,26 @@ DROPPED = """
 
 
 def test_a_callback_of_the_garbage_collector_does_not_lose_it():
-    status, out, err = interrupted(started(DROPPED))
+    with started(DROPPED) as process:
+        status, out, err = interrupted(process)
     assert (status, out) == (130, "came through\n")
     assert err == ""
 
 
 def test_without_the_guard_it_would_be_lost():
-    """What the test before is about: Python itself prints and drops it."""
+    """What the test before is about: Python itself prints and drops it, and goes on."""
     code = DROPPED.replace('interrupts.raised("stmnist")', "open('/dev/null')")
-    with pytest.raises(subprocess.TimeoutExpired):
-        interrupted(started(code), seconds=1)
+    with started(code) as process:
+        process.send_signal(signal.SIGINT)
+        assert process.stderr.readline().startswith("Exception ignored in")
+        while process.stderr.readline() != "KeyboardInterrupt: \n":
+            assert process.poll() is None
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.communicate(timeout=0.2)
 
 
 def test_a_weak_reference_does_not_lose_it():
-    process = started(
-        """
+    code = """
         import sys, weakref
         from deploy import interrupts
 
@@ -119,13 +133,12 @@ def test_a_weak_reference_does_not_lose_it():
             except KeyboardInterrupt:
                 sys.exit(130)
         """
-    )
-    assert interrupted(process)[0] == 130
+    with started(code) as process:
+        assert interrupted(process)[0] == 130
 
 
 def test_a_second_one_ends_at_once():
-    process = started(
-        """
+    code = """
         from deploy import interrupts
 
         with interrupts.raised("stmnist"):
@@ -137,10 +150,10 @@ def test_a_second_one_ends_at_once():
                 except KeyboardInterrupt:
                     pass
         """
-    )
-    process.send_signal(signal.SIGINT)
-    assert process.stdout.readline() == "ready\n"
-    assert interrupted(process) == (130, "", LINE + "\n")
+    with started(code) as process:
+        process.send_signal(signal.SIGINT)
+        assert process.stdout.readline() == "ready\n"
+        assert interrupted(process) == (130, "", LINE + "\n")
 
 
 def test_in_the_background_it_stays_ignored():
@@ -160,23 +173,18 @@ def test_in_the_background_it_stays_ignored():
     assert done.stdout == "went on\n"
 
 
-@pytest.mark.parametrize("moment", [0.2, 0.5, 0.9])
-def test_early_in_the_command(moment, tmp_path):
-    process = subprocess.Popen(
-        [sys.executable, "-m", "pipeline", "data", "simulate", "--out", tmp_path / "a.zip",
-         "--seed", "12345"],
-        env=environment(STMNIST_CACHE=str(tmp_path / "cache")),
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )  # fmt: skip
-    time.sleep(moment)
-    os.killpg(process.pid, signal.SIGINT)
-    out, err = process.communicate(timeout=60)
-    if process.returncode == -signal.SIGINT:  # before Python itself had started
-        return
-    assert (process.returncode, out) == (130, "")
-    assert err.splitlines()[-1] == LINE
-    assert len(err.splitlines()) <= 2  # progress may be there, a traceback may not
+@pytest.mark.parametrize("module", ["deploy.errors", "numpy", "scipy.special", "pipeline.settings"])
+def test_early_in_the_command(module, tmp_path):
+    """As soon as Python tells that it has imported a module, which is before anything is done."""
+    command = ("-X", "importtime", "-m", "pipeline", "data", "simulate", "--seed", "12345")
+    cache = {"STMNIST_CACHE": str(tmp_path / "cache")}
+    with process_of(*command, "--out", tmp_path / "a.zip", **cache) as process:
+        while not process.stderr.readline().rstrip().endswith(f" {module}"):
+            assert process.poll() is None
+        os.killpg(process.pid, signal.SIGINT)
+        out, err = process.communicate(timeout=300)
+    said = [line for line in err.splitlines() if not line.startswith("import time:")]
+    assert (process.returncode, out, said) == (130, "", [LINE])
 
 
 def test_what_an_interruption_leaves_to_joblibs_process_is_not_told():

@@ -50,7 +50,7 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Layer:
+class DrawnLayer:
     """A layer as the page draws it."""
 
     name: str
@@ -72,7 +72,7 @@ class Decider(Protocol):
     about : str
         How the page's picture of the spikes goes on after "One row for each neuron, every mark is
         a spike; ".
-    layers : tuple of Layer
+    layers : tuple of DrawnLayer
         Those that spike, in order.
     steps : int
         Of the network's time in an answer's spikes.
@@ -103,7 +103,7 @@ class _Fast:
         self.steps, self.first_step = spec.presentation.period, -spec.presentation.gap
         sizes = {layer.name: layer.size for layer in spec.layers}
         sizes["input"] = int(np.prod(spec.input_shape))
-        self.layers = tuple(Layer(name, sizes[name]) for name in spec.spiking_layers)
+        self.layers = tuple(DrawnLayer(name, sizes[name]) for name in spec.spiking_layers)
         shape = spec.stimulus.sample_shape(spec.input_shape, spec.presentation.steps)
         self._show(np.zeros((1, *shape)), spec.presentation.steps)  # compiles the kernel
 

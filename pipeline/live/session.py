@@ -30,7 +30,7 @@ from pipeline.live.keeping import WRITERS, Keeper, asked_next
 from pipeline.recordings.events import Events
 from pipeline.recordings.matfile import MatRecording, Written
 from pipeline.skin.parameters import Parameters
-from pipeline.skin.writing import MARGIN, START_S, Point, Writing
+from pipeline.skin.writing import MARGIN, START_S, PenPoint, Writing
 
 LONGEST_S = 10.0
 """A recording takes no longer.  The published ones last 2 s; not everybody writes as fast, and a
@@ -85,7 +85,7 @@ class Allowance:
         return True
 
 
-class Recording:
+class OpenRecording:
     """What is being written."""
 
     def __init__(self, number, seed, begun_ms, deciding, p: Parameters):
@@ -119,7 +119,7 @@ class Recording:
     def point(self, page_ms, right, down, pressure, touches):
         """The pen was somewhere."""
         if not self.over and (touches or self.down):
-            point = Point(self.time_s(page_ms), down, right, pressure, touches)
+            point = PenPoint(self.time_s(page_ms), down, right, pressure, touches)
             self.writing.point(point)
             self.pen.append((*point[:4], float(touches)))
         self.down = touches
@@ -289,7 +289,7 @@ class Session:
         self._recordings += 1
         seed = (self._seed, 2, self._number, self._recordings)
         deciding = self._decider.begin()
-        self.recording = Recording(self._recordings, seed, page_ms, deciding, self._p)
+        self.recording = OpenRecording(self._recordings, seed, page_ms, deciding, self._p)
 
     def _events(self, events):
         recording = self.recording

@@ -18,11 +18,12 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-import joblib
+from joblib import delayed
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from deploy.errors import UserError
 from deploy.files import replacing, sha256_of
+from pipeline.jobs import results_of
 from pipeline.recordings import sensors
 from pipeline.recordings.eventfile import read_events
 from pipeline.recordings.events import DIGITS, Recordings, Source, TaxelMap, collect
@@ -422,9 +423,7 @@ def _open_reader(path, *_state):
 def _read_chunks(path, chunks, jobs):
     """Yield the recordings and reasons of each chunk of names; see :func:`_read_members`."""
     done = 0
-    work = joblib.Parallel(n_jobs=jobs, return_as="generator")(
-        joblib.delayed(_read_members)(path, names) for names in chunks
-    )
+    work = results_of((delayed(_read_members)(path, names) for names in chunks), jobs)
     try:
         for results in work:
             yield results
@@ -438,7 +437,7 @@ def _read_chunks(path, chunks, jobs):
 def _read_carefully(path, names):
     """As :func:`_read_members`, in a process that may die; halves show which file it dies of."""
     try:
-        return joblib.Parallel(n_jobs=2)([joblib.delayed(_read_members)(path, names)])[0]
+        return next(results_of([delayed(_read_members)(path, names)], 2))
     except TerminatedWorkerError:
         if len(names) == 1:
             return ["ends the process that reads it; damaged, or the memory is too small"]

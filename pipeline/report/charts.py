@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup, escape
 
-from pipeline.run.ladder import confusion_shares
+from pipeline.run.ladder import confusion_shares, short_names
 
 WIDTH, HEIGHT = 360, 250
 LEFT, RIGHT, TOP, BOTTOM = 48, 14, 26, 40
@@ -149,10 +149,6 @@ def raster(groups, extent: float, x_label: str, y_label: str, description="", ro
     return _svg(WIDTH, height, marks, description)
 
 
-LONGEST_NAME = 16
-"""Characters of a class's name that a chart shows."""
-
-
 def confusion(matrix, description="", names=None) -> Markup:
     """A confusion matrix: row the class that was shown, column the answer, in counts.
 
@@ -166,7 +162,7 @@ def confusion(matrix, description="", names=None) -> Markup:
     matrix = np.asarray(matrix)
     size, cell = len(matrix), 30
     share = confusion_shares(matrix)
-    names = [str(name)[:LONGEST_NAME] for name in names or range(size)]
+    names = short_names(names, size)
     longest = max(map(len, names), default=1)
     edge = 46 if longest <= 2 else 30 + 7 * longest  # some 7 units a letter
     side = edge + size * cell

@@ -16,6 +16,7 @@ import numpy as np
 
 from deploy.check.rates import firing_rates, silent_share
 from deploy.network.spec import DT, NetworkSpec
+from deploy.tables import aligned
 
 NEAR_FASTEST = 0.9
 """Share of the fastest rate from which a neuron is at its limit."""
@@ -150,21 +151,17 @@ def least_faithful(layers: list) -> str:
 
 def layers_text(layers: list) -> str:
     """The comparison as a table that says what its columns mean."""
-    lines = [
-        "firing rate on the chip in the readout window against the rate network's activation:",
-        f"  {'layer':<8} {'correlation':>11} {'worst error':>11} {'mean error':>10} "
-        f"{'silent':>15} {'saturated':>15}",
-    ]
+    rows = [("layer", "correlation", "worst error", "mean error", "silent", "saturated")]
     for layer in layers:
         r = layer["correlation"]
         chip, rate = layer["chip"], layer["rate_network"]
-        shares = " ".join(
-            f"{chip[name]:>6.1%} ({rate[name]:>6.1%})" for name in ("silent", "saturated")
-        )
-        lines.append(
-            f"  {layer['layer']:<8} {'-' if r is None else format(r, '.4f'):>11} "
-            f"{layer['worst_error']:>11.3f} {layer['mean_error']:>10.4f} {shares}"
-        )
+        shares = (f"{chip[name]:.1%} ({rate[name]:6.1%})" for name in ("silent", "saturated"))
+        errors = (f"{layer['worst_error']:.3f}", f"{layer['mean_error']:.4f}")
+        rows.append((layer["layer"], "-" if r is None else f"{r:.4f}", *errors, *shares))
+    lines = [
+        "firing rate on the chip in the readout window against the rate network's activation:",
+        *(f"  {line}" for line in aligned(rows)),
+    ]
     lines += [
         f"  lowest correlation: {least_faithful(layers)}",
         "  errors in units of max_rate; in brackets the rate network.  silent: share of neurons",

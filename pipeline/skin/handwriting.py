@@ -25,7 +25,7 @@ MOST_TURN = 3.6
 
 
 @dataclass(frozen=True)
-class Plan:
+class ActionPlan:
     """Points that the pen aims at.
 
     Attributes
@@ -127,7 +127,7 @@ def allographs() -> tuple:
 
     Returns
     -------
-    tuple of tuple of (float, Plan)
+    tuple of tuple of (float, ActionPlan)
         For each digit, the share of writers with the habit, and the plan in a box of unit size.
     """
     digits = read_allographs()
@@ -139,7 +139,7 @@ def allographs() -> tuple:
 
 def _plan(path):
     strokes = path[1:]
-    return Plan(
+    return ActionPlan(
         points=np.array([[point[1], point[0]] for point in path], float),
         turns=np.radians([stroke[2] if len(stroke) > 2 else 0.0 for stroke in strokes]),
         in_air=np.array([len(stroke) > 3 for stroke in strokes]),
@@ -201,7 +201,7 @@ class _Deal:
         return self.rng.permutation(np.minimum(chosen, len(shares) - 1))
 
 
-def plan(digit: int, who: Writer, rng, p, form) -> Plan:
+def plan(digit: int, who: Writer, rng, p, form) -> ActionPlan:
     """One digit as one person sets out to write it this time, placed on the skin.
 
     Parameters
@@ -223,7 +223,7 @@ def plan(digit: int, who: Writer, rng, p, form) -> Plan:
     wobble = p.wobble * who.sloppiness * rng.standard_normal(base.points.shape)
     rounder = p.roundness * who.sloppiness * rng.standard_normal(len(base.turns))
     place = placing(who, rng, p, form.height, form.width, form.down, form.right)
-    return Plan(
+    return ActionPlan(
         points=place(base.points - 0.5 + habit + wobble),
         turns=np.clip(base.turns * np.exp(rounder), -MOST_TURN, MOST_TURN),
         in_air=base.in_air,
@@ -258,13 +258,13 @@ def placing(who: Writer, rng, p, height, width, down, right):
     return lambda points: points * scale @ shear.T @ turn.T + centre
 
 
-def length_s(plan: Plan, p) -> float:
+def length_s(plan: ActionPlan, p) -> float:
     """Seconds from the first stroke's start to the last one's end, at tempo 1."""
     begin, last = _timing(plan, 1.0, p)
     return float(begin[-1] + last[-1])
 
 
-def move(plan: Plan, tempo: float, step_s: float, start_s: float, p) -> Motion:
+def move(plan: ActionPlan, tempo: float, step_s: float, start_s: float, p) -> Motion:
     """Carry out a plan.
 
     Stroke ``i`` starts while the one before it still moves.  At time ``t`` it has covered the share
@@ -273,7 +273,7 @@ def move(plan: Plan, tempo: float, step_s: float, start_s: float, p) -> Motion:
 
     Parameters
     ----------
-    plan : Plan
+    plan : ActionPlan
         In taxels.
     tempo : float
         Factor on the speed.

@@ -9,9 +9,10 @@ import json
 from dataclasses import dataclass, replace
 
 import numpy as np
-from joblib import Parallel, delayed
+from joblib import delayed
 
 from deploy.errors import UserError
+from pipeline.jobs import results_of
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.recordings.events import GRID, Recordings, Sensor, Source, TaxelMap, collect
 from pipeline.skin import aces, handwriting, unipen
@@ -112,7 +113,7 @@ def simulate(
     batches = [samples[first : first + BATCH] for first in range(0, len(samples), BATCH)]
     parts = []
     work = (delayed(_batch)(seed, batch, parameters, size) for batch in batches)
-    for done in Parallel(n_jobs=jobs, return_as="generator")(work):
+    for done in results_of(work, jobs):
         parts += done
         if advance:
             advance(len(done))

@@ -32,7 +32,7 @@ MARGIN = 2.0
 """Taxels beyond the first and the last ones' centres within which a pen may be."""
 
 
-class Point(NamedTuple):
+class PenPoint(NamedTuple):
     """Where the pen was.
 
     Attributes
@@ -112,7 +112,7 @@ class Writing:
             self._parts = [Events(*joined)]
         return self._parts[0] if self._parts else Events(*(np.empty(0),) * 4)
 
-    def point(self, point: Point):
+    def point(self, point: PenPoint):
         """The pen was somewhere.
 
         What has been simulated stays: a point from before :attr:`time_s` counts as from then.

@@ -27,7 +27,7 @@ from models.keras2 import tf
 from models.spiking import Neuron, SpikingNetwork, operations
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.steps import EventTable, spike_frames
-from pipeline.settings import Events, Input, Settings
+from pipeline.settings import EventTraining, Input, Settings
 from pipeline.training.judge import train_judge
 from pipeline.training.networks import make_deterministic
 
@@ -69,20 +69,20 @@ class EventRecipe:
         How training samples are altered, each time anew; see :func:`alter`.
     """
 
-    architecture: str = Events.architecture
+    architecture: str = EventTraining.architecture
     step_ms: float = Input.step
     tau_u_ms: tuple = (30.0,)
     tau_v_ms: tuple = (80.0,)
     floor: float = -2.0
     beta: float = 4.0
-    epochs: int = Events.epochs
-    batch_size: int = Events.batch_size
-    learning_rate: float = Events.learning_rate
+    epochs: int = EventTraining.epochs
+    batch_size: int = EventTraining.batch_size
+    learning_rate: float = EventTraining.learning_rate
     average: float = 0.998
     dropout: float = 0.1
-    early: float = Events.early
+    early: float = EventTraining.early
     price: float = 1.0
-    budget: float = Events.budget
+    budget: float = EventTraining.budget
     stretch: float = 0.1
     drop: float = 0.2
     turn: float = 0.08

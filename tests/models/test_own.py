@@ -90,9 +90,15 @@ def files(tmp_path_factory):
         )
         for which, folder in folders.items()
     ]
-    for process in started:
-        _, said = process.communicate()
-        assert process.returncode == 0, said
+    try:
+        for process in started:
+            _, said = process.communicate()
+            assert process.returncode == 0, said
+    finally:
+        for process in started:
+            if process.poll() is None:
+                process.kill()
+                process.communicate()
     return folders
 
 

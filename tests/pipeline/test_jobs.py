@@ -34,6 +34,17 @@ def test_a_killed_process_is_a_failure_and_the_others_go_on():
     assert results == {number: number for number in (0, 1, 3, 4)}
 
 
+def interrupted_at(number):
+    os.kill(os.getpid(), signal.SIGINT)
+    return number
+
+
+def test_processes_do_not_hear_ctrl_c():
+    """Between two jobs joblib's own code would answer it with a traceback."""
+    assert dict(run_jobs(interrupted_at, [0, 1], 2)) == {0: 0, 1: 1}
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
 def complain_at_length(job):
     raise ValueError("word " * 500)
 

@@ -85,7 +85,11 @@ def run(arguments, folder, seconds=SECONDS):
     child = os.fork()
     if child == 0:
         _become(arguments, folder, out, err)
-    status, usage = _wait(child, begun + seconds + 2)
+    try:
+        status, usage = _wait(child, begun + seconds + 2)
+    except BaseException:  # an interruption of the campaign: the child does not outlive it
+        os.killpg(child, signal.SIGKILL)
+        raise
     return Outcome(
         status=os.waitstatus_to_exitcode(status),
         out=out.read_text(errors="replace"),

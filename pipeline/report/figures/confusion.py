@@ -7,10 +7,7 @@ import math
 import numpy as np
 from matplotlib.figure import Figure
 
-from pipeline.run.ladder import confusion_shares
-
-LONGEST = 16
-"""Characters of a class's name that are shown."""
+from pipeline.run.ladder import confusion_shares, short_names
 
 
 def confusion_figure(ladder: dict) -> Figure:
@@ -56,8 +53,7 @@ def _matrix(axes, counts, names=None):
                 weight="bold" if label == prediction else "normal",
             )
     classes = range(len(counts))
-    names = [name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
-             for name in names or map(str, classes)]  # fmt: skip
+    names = short_names(names, len(counts))
     axes.set_xticks(classes, names, rotation=90 if max(map(len, names)) > 2 else 0)
     axes.set_yticks(classes, names)
     axes.tick_params(length=0)

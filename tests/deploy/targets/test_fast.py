@@ -35,7 +35,7 @@ from deploy.targets.fast import kernel_numba
 
 @pytest.mark.slow
 @settings(
-    max_examples=120,
+    max_examples=50,  # every compartment; of every spike 100 more follow
     deadline=None,
     phases=[Phase.explicit, Phase.reuse, Phase.generate],  # a seed's network has no simpler one
     suppress_health_check=[HealthCheck.too_slow],

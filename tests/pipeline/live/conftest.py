@@ -6,7 +6,7 @@ from contextlib import closing, contextmanager
 import numpy as np
 import pytest
 
-from pipeline.live.deciding import Answer, Layer
+from pipeline.live.deciding import Answer, DrawnLayer
 from pipeline.skin import parameters
 
 
@@ -14,7 +14,7 @@ class Parrot:
     """Decides for the number of events, modulo 10."""
 
     about = "It is shown nothing."
-    layers = (Layer("input", 100),)
+    layers = (DrawnLayer("input", 100),)
     steps, first_step, clocked = 3, -1, False
 
     def begin(self):
@@ -38,13 +38,13 @@ def served(folder, make_decider=Parrot):
         server = Server(live, listen(0))
         thread = threading.Thread(target=server.run, daemon=True)
         thread.start()
-        assert server.listens.wait(20)
+        assert server.listens.wait(120)
         server.keeper = keeper
         try:
             yield server
         finally:
             server.should_exit = True
-            thread.join(20)
+            thread.join(120)
             assert not thread.is_alive()
 
 

@@ -1,5 +1,6 @@
 """``stmnist live`` as a process: its start, its end, and what survives."""
 
+import contextlib
 import json
 import os
 import resource
@@ -31,7 +32,7 @@ def socket_of(url):
 
 def write_and_label(page, digit):
     """Write a line, say what it was, and return the answer to that."""
-    messages = iter(lambda: json.loads(page.recv(timeout=60)), None)
+    messages = iter(lambda: json.loads(page.recv(timeout=300)), None)
     next(message for message in messages if message["type"] == "ready")
     for message in stroke():
         page.send(json.dumps(message))
@@ -61,7 +62,7 @@ def live(tiny_run, tmp_path):
 
     yield begin
     for process in processes:
-        if process.poll() is None:
+        with contextlib.suppress(ProcessLookupError):  # nor may any that it started be left
             os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
 
@@ -71,7 +72,7 @@ def test_ctrl_c_ends_it_cleanly_and_what_was_kept_works_as_data(live, tmp_path, 
     with socket_of(address(process)) as page:
         assert write_and_label(page, 4)["type"] == "saved"
         os.kill(process.pid, signal.SIGINT)
-        _, error = process.communicate(timeout=30)
+        _, error = process.communicate(timeout=300)
     assert process.returncode == 130
     assert "Traceback" not in error
     assert "1 recordings are kept" in error
@@ -93,7 +94,7 @@ def test_a_killed_server_has_lost_nothing(live):
     with socket_of(address(process)) as page:
         name = write_and_label(page, 4)["name"]
         os.killpg(process.pid, signal.SIGKILL)
-        process.wait(30)
+        process.wait(300)
     assert read_source(kept, jobs=1).ids == (name.removesuffix(".mat"),)
     again, _ = live()
     with socket_of(address(again)) as page:
@@ -113,7 +114,7 @@ def test_a_full_disk_is_said_and_nothing_half_is_kept(live):
         assert len(list(kept.rglob("*"))) <= 2  # the lock, and a folder at most
         resource.prlimit(process.pid, resource.RLIMIT_FSIZE, room)
         page.send(json.dumps({"type": "label", "digit": 4}))  # what was written is still there
-        while (message := json.loads(page.recv(timeout=60)))["type"] not in ("saved", "problem"):
+        while (message := json.loads(page.recv(timeout=300)))["type"] not in ("saved", "problem"):
             pass
     assert message["type"] == "saved"
     assert read_source(kept, jobs=1).labels.tolist() == [4]

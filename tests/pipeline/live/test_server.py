@@ -28,7 +28,7 @@ def parts(server):
 def get(server, path=None, **headers):
     """Status, headers and body of a request."""
     port, own = parts(server)
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=120)
     connection.request("GET", own if path is None else path, headers=headers)
     response = connection.getresponse()
     body = response.read().decode()
@@ -42,7 +42,7 @@ def connect(server, path=None, **options):
     return sync_client.connect(f"ws://127.0.0.1:{port}{path}", proxy=None, **options)
 
 
-def read_until(page, kind, seconds=20):
+def read_until(page, kind, seconds=120):
     """Messages up to the first of a kind."""
     messages, end = [], time.monotonic() + seconds
     while time.monotonic() < end:
@@ -157,7 +157,7 @@ def refused(page):
     said = []
     try:
         while True:
-            said.append(json.loads(page.recv(timeout=20)))
+            said.append(json.loads(page.recv(timeout=120)))
     except ConnectionClosed as closed:
         return [message["text"] for message in said if message["type"] == "problem"], closed
 

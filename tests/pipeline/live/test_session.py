@@ -214,8 +214,11 @@ def test_a_thousand_strokes_a_second_are_not_kept(session, keeper):
     refused = session.handle(json.dumps({"type": "label", "digit": 1}), 5.0)
     assert "not kept" in of(refused, "problem")[0]["text"]
     assert len(keeper) == 0
-    written(session, start_ms=20_000.0)  # and an honest hand is welcome afterwards
-    assert of(say(session, {"type": "label", "digit": 1}), "saved")
+    later = Clock()
+    later.now_s = 6.0
+    for message in stroke(start_ms=20_000.0):  # and an honest hand is welcome afterwards
+        say(session, message, later)
+    assert of(say(session, {"type": "label", "digit": 1}, later), "saved")
 
 
 def test_an_allowance_fills_up_again_but_not_beyond_a_second():

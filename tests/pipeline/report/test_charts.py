@@ -73,6 +73,11 @@ def test_a_confusion_matrix_shows_its_counts():
     assert "77" in texts(charts.confusion(matrix))
 
 
+def test_a_confusion_matrix_has_room_for_long_names():
+    shown = texts(charts.confusion(np.eye(2, dtype=int), names=["a", "rotating counterclockwise"]))
+    assert {"a", "rotating counte…"} <= set(shown)
+
+
 @pytest.mark.parametrize("matrix", [np.zeros((10, 10), int), np.ones((10, 10), int)])
 def test_confusions_of_nothing_and_of_everything(matrix):
     ElementTree.fromstring(charts.confusion(matrix))

@@ -89,7 +89,7 @@ def test_a_stage_that_loses_too_much_brings_the_layers():
     text = ladder_text(ladder, 1)
     assert "emulator loses 30.0 points on rate-lif, more than 1" in text
     assert "lowest correlation: conv2" in text
-    assert "conv2         0.8700       0.500     0.0100" in text
+    assert "conv2       0.8700        0.500      0.0100" in text
     assert "conv2" not in ladder_text(ladder, 30)  # at the limit is not above it
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.skin import handwriting, parameters
-from pipeline.skin.handwriting import Plan, allographs, move
+from pipeline.skin.handwriting import ActionPlan, allographs, move
 
 P = parameters.load()
 STEP = 1e-3
@@ -16,7 +16,7 @@ STEP = 1e-3
 
 def written(points, turns=None, in_air=None):
     n = len(points) - 1
-    plan = Plan(
+    plan = ActionPlan(
         np.array(points, float),
         np.zeros(n) if turns is None else np.radians(turns),
         np.zeros(n, bool) if in_air is None else np.array(in_air),
@@ -68,7 +68,9 @@ def test_the_pen_is_in_the_air_between_contacts():
 
 @given(st.floats(0.5, 3.0))
 def test_tempo_scales_time_only(tempo):
-    plan = Plan(np.array([[0, 0], [4, 1], [0, 5]], float), np.radians([40, -60]), np.zeros(2, bool))
+    plan = ActionPlan(
+        np.array([[0, 0], [4, 1], [0, 5]], float), np.radians([40, -60]), np.zeros(2, bool)
+    )
     length = handwriting.length_s(plan, P.kinematics)
     pen = move(plan, tempo, STEP, 0.0, P.kinematics)
     assert pen.time_s[-1] == pytest.approx(length / tempo + P.kinematics.settle_s, abs=2 * STEP)

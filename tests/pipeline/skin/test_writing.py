@@ -10,7 +10,7 @@ from pipeline.skin import aces, parameters
 from pipeline.skin.contact import Film, jolt, landings, press, pressure, strength
 from pipeline.skin.handwriting import Motion
 from pipeline.skin.receptors import Receptors, fire
-from pipeline.skin.writing import START_S, Point, Writing
+from pipeline.skin.writing import START_S, PenPoint, Writing
 
 P = parameters.load()
 STEP = 1e-3
@@ -77,10 +77,10 @@ def written(seed=0, rate_s=0.01, p=P, pieces=None, pressure=0.5):
     """A line downwards in half a second, told at a rate; ``pieces`` divides the time otherwise."""
     writing = Writing([seed], p)
     for t in np.arange(0, 0.5, rate_s):
-        writing.point(Point(START_S + t, 1 + 14 * t, 4.5, pressure, True))
+        writing.point(PenPoint(START_S + t, 1 + 14 * t, 4.5, pressure, True))
         if pieces is None:
             writing.advance(START_S + t)
-    writing.point(Point(START_S + 0.5, 8, 4.5, pressure, False))
+    writing.point(PenPoint(START_S + 0.5, 8, 4.5, pressure, False))
     for until in pieces or [writing.settled_s]:
         writing.advance(until)
     return writing
@@ -132,7 +132,7 @@ def test_more_pressure_gives_more_events():
 
 def test_a_pen_that_rests_is_silent_after_a_while():
     writing = Writing([0], P)
-    writing.point(Point(START_S, 4, 4, 0.5, True))
+    writing.point(PenPoint(START_S, 4, 4, 0.5, True))
     writing.advance(START_S + 0.5)
     assert len(writing.events) > 0
     assert len(writing.advance(START_S + 1.5)) <= 2
@@ -142,12 +142,12 @@ def test_nothing_happens_before_the_pen_comes_or_when_time_goes_back():
     writing = Writing([0], P)
     assert len(writing.advance(3.0)) == 0
     assert writing.time_s == START_S
-    writing.point(Point(START_S, 4, 4, 0.5, True))
+    writing.point(PenPoint(START_S, 4, 4, 0.5, True))
     writing.advance(START_S + 0.2)
     now = writing.time_s
     assert len(writing.advance(START_S)) == 0
     assert writing.time_s == now
-    writing.point(Point(START_S, 4, 5, 0.5, True))  # told late: counts as from now
+    writing.point(PenPoint(START_S, 4, 5, 0.5, True))  # told late: counts as from now
     writing.advance(START_S + 0.3)
     assert writing.time_s > now
 
@@ -164,15 +164,15 @@ def test_what_no_later_moment_depends_on_is_forgotten():
 )
 def test_points_that_no_pen_makes_are_refused(place, why):
     with pytest.raises(ValueError, match=why):
-        Writing([0], P).point(Point(START_S, *place, 0.5, True))
+        Writing([0], P).point(PenPoint(START_S, *place, 0.5, True))
 
 
 def test_two_strokes_leave_what_is_between_them_untouched():
     writing = Writing([0], P)
     for right, start in ((1.0, 0.0), (8.0, 0.4)):
         for t in np.arange(0, 0.2, 0.01):
-            writing.point(Point(START_S + start + t, 2 + 20 * t, right, 0.5, True))
-        writing.point(Point(START_S + start + 0.2, 6, right, 0.5, False))
+            writing.point(PenPoint(START_S + start + t, 2 + 20 * t, right, 0.5, True))
+        writing.point(PenPoint(START_S + start + 0.2, 6, right, 0.5, False))
     writing.advance(writing.settled_s)
     column = writing.events.taxel // 10
     assert (np.isin(column, (0, 1, 2))).sum() > 20

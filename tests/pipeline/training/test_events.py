@@ -1,3 +1,4 @@
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -111,22 +112,33 @@ def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):
         assert got["loss"] == pytest.approx(expected["loss"], rel=1e-5)
 
 
+SHORT = replace(RECIPE, epochs=1)
+
+
+@pytest.fixture(scope="module")
+def checkpoint(data, tmp_path_factory):
+    """Of a training of one epoch."""
+    path = tmp_path_factory.mktemp("checkpoint") / "state.npz"
+    train_events(SHORT, *data, 3, checkpoint=path)
+    return path
+
+
 @pytest.mark.parametrize("change", ["seed", "recipe", "labels"])
-def test_a_checkpoint_of_another_run_is_not_taken_up(data, tmp_path, change):
+def test_a_checkpoint_of_another_run_is_not_taken_up(data, checkpoint, tmp_path, change):
     table, labels, train = data
-    short, path, told = replace(RECIPE, epochs=1), tmp_path / "state.npz", []
-    train_events(short, table, labels, train, 3, checkpoint=path)
+    path = shutil.copy(checkpoint, tmp_path / "state.npz")
     seed = 4 if change == "seed" else 3
-    recipe = replace(short, drop=0.1) if change == "recipe" else short
+    recipe = replace(SHORT, drop=0.1) if change == "recipe" else SHORT
     labels = labels[::-1] if change == "labels" else labels
-    train_events(recipe, table, labels, train, seed, checkpoint=path,
-                 advance=lambda n, note: told.append(n))  # fmt: skip
-    assert told == [
-        1
-    ]  # its own epoch; a checkpoint that is taken up is told of, and trains no more
-    train_events(recipe, table, labels, train, seed, checkpoint=path,
-                 advance=lambda n, note: told.append(n))  # fmt: skip
-    assert told == [1, 1]
+    train_events(recipe, table, labels, train, seed, checkpoint=path)
+    assert path.read_bytes() != checkpoint.read_bytes()  # it was trained, and saved its own
+
+
+def test_a_checkpoint_of_the_same_run_is_taken_up(data, checkpoint, tmp_path):
+    path, told = shutil.copy(checkpoint, tmp_path / "state.npz"), []
+    train_events(SHORT, *data, 3, checkpoint=path, advance=lambda n, note: told.append(n))
+    assert told == [1]
+    assert path.read_bytes() == checkpoint.read_bytes()  # nothing is trained again, or saved
 
 
 def test_a_damaged_checkpoint_is_named(data, tmp_path):
