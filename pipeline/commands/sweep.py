@@ -18,9 +18,9 @@ def sweep(
     grid: Annotated[
         Optional[list[str]],  # noqa: UP045
         typer.Option(
-            help="Values of a setting, such as presentation.steps=50,100 or "
-            "snn.max_rates=[100,150],[150,150]; repeatable, all combinations are tried "
-            f"(default: {' '.join(DEFAULT_GRID)}).",
+            help="Values of a setting, such as cnn.epochs=5,10 or "
+            "snn.max_rates=100,150; repeatable, all combinations are tried "
+            "(default: 16 points of steps, synapse, rates and penalty, see docs/training.md).",
         ),
     ] = None,
     data: options.Data = None,
