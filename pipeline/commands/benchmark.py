@@ -30,7 +30,8 @@ def table2(
         typer.Option(
             help=f"Rows, separated by commas: {', '.join(MODELS)}. Left out by default "
             "are events and events-loihi, which take minutes a split, and slayer, which takes some "
-            "forty."
+            "forty.",
+            show_default=False,  # one long word without a place to break it
         ),
     ] = ",".join(BY_DEFAULT),
     kind: Annotated[

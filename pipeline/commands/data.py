@@ -24,13 +24,20 @@ from pipeline.skin import unipen
 from pipeline.skin.simulate import simulate
 
 Source = Annotated[str, typer.Option("--data", help="ST-MNIST zip or folder, or 'simulated'.")]
-SimulationSeed = Annotated[int, typer.Option("--seed", help="Seed of simulated recordings.", min=0)]
+SimulationSeed = Annotated[
+    int,
+    typer.Option(
+        "--seed", help="Seed of simulated recordings.", parser=options.between(0, 2**63 - 1)
+    ),
+]
 PerDigit = Annotated[
     int,
     typer.Option(
-        help="Recordings of each digit; 0 for the published numbers.", min=0, max=limits.SAMPLES
+        help="Recordings of each digit; 0 for the published numbers.",
+        parser=options.between(0, limits.SAMPLES),
     ),
 ]
+Side = Annotated[int, typer.Option(help="Of taxels, 2 to 256.", parser=options.between(2, 256))]
 
 
 def import_(
@@ -131,15 +138,20 @@ def recording_facts(events: Events) -> dict:
 
 
 def simulate_(
-    out: Annotated[Path, typer.Option(help="The zip to write, in the published layout.")],
+    out: Annotated[
+        Path, typer.Option(help="The zip to write, in the published layout.", metavar="ZIP")
+    ],
     handwriting: Annotated[
         Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
-        typer.Option(help="UNIPEN file of digits to press on the skin instead of simulated hands."),
+        typer.Option(
+            help="UNIPEN file of digits to press on the skin instead of simulated hands.",
+            metavar="PEN",
+        ),
     ] = None,
     seed: SimulationSeed = 0,
     samples_per_digit: PerDigit = 0,
-    rows: Annotated[int, typer.Option(help="Of taxels.", min=2, max=256)] = GRID,
-    columns: Annotated[int, typer.Option(help="Of taxels.", min=2, max=256)] = GRID,
+    rows: Side = GRID,
+    columns: Side = GRID,
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import os
 import sys
+from pathlib import Path
+from typing import Annotated, get_args, get_origin, get_type_hints
 
 import typer
+from typer.core import TyperCommand, TyperGroup
+from typer.models import OptionInfo
 
 from deploy import __version__, interrupts
 from deploy.errors import CheckFailed, UserError, one_line
@@ -76,11 +80,51 @@ VERBS = {
 """Every verb: a function, or a help text and verbs of its own."""
 
 
+METAVARS = {bool: "", int: "N", float: "X", Path: "PATH", str: "TEXT"}
+"""What ``--help`` says that an option takes; a choice lists itself.  Typer's own words, such as
+``<int range>``, would take a third of 60 columns from the help."""
+
+
+def _with_short_metavars(verb):
+    """The verb, its options with words of :data:`METAVARS` where they have none of their own."""
+    hints = get_type_hints(verb, include_extras=True)
+    for hint in hints.values():
+        kinds = (
+            {hint.__origin__, *get_args(hint.__origin__)} if get_origin(hint) is Annotated else ()
+        )
+        inner = {kind for outer in kinds for kind in (outer, *get_args(outer))}
+        word = next((METAVARS[kind] for kind in METAVARS if kind in inner), None)
+        for info in getattr(hint, "__metadata__", ()):
+            if isinstance(info, OptionInfo) and info.metavar is None:
+                info.metavar = word
+    verb.__annotations__ = hints  # as they were read: in the source they are text
+    return verb
+
+
+class _Flags:
+    """Without a word for what is taken, beside options of Typer's own that take nothing."""
+
+    def get_params(self, ctx):
+        parameters = super().get_params(ctx)
+        for parameter in parameters:
+            if getattr(parameter, "is_flag", False) and parameter.metavar is None:
+                parameter.metavar = ""
+        return parameters
+
+
+class _Command(_Flags, TyperCommand):
+    pass
+
+
+class _Group(_Flags, TyperGroup):
+    pass
+
+
 def _typer(help_text, verbs, **options) -> typer.Typer:
-    made = typer.Typer(help=help_text, no_args_is_help=True, **options)
+    made = typer.Typer(help=help_text, no_args_is_help=True, cls=_Group, **options)
     for name, verb in verbs.items():
         if callable(verb):
-            made.command(name)(verb)
+            made.command(name, cls=_Command)(_with_short_metavars(verb))
         else:
             made.add_typer(_typer(*verb), name=name)
     return made
@@ -89,7 +133,6 @@ def _typer(help_text, verbs, **options) -> typer.Typer:
 app = _typer(
     "From event-based touch to a spiking network on Loihi.",
     VERBS,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",  # which fills paragraphs
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},

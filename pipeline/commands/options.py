@@ -15,6 +15,19 @@ from pipeline.inputs.library import SIMULATED
 from pipeline.run.folder import RunFolder
 from pipeline.settings import parse_assignments
 
+
+def between(low: int, high: int):
+    """What reads a whole number; its range beside it would cut an option's name at 60 columns."""
+
+    def number(text) -> int:
+        value = int(text)
+        if not low <= value <= high:
+            raise typer.BadParameter(f"{value} is not from {low} to {high}")
+        return value
+
+    return number
+
+
 Run = Annotated[Path, typer.Argument(help="The run's folder, such as runs/default.")]
 Bundle = Annotated[Path, typer.Argument(help="The bundle's folder.")]
 Data = Annotated[
@@ -36,7 +49,7 @@ Assignments = Annotated[
     Optional[list[str]],  # noqa: UP045
     typer.Option("--set", help="Change a setting, such as --set cnn.epochs=5; repeatable."),
 ]
-Jobs = Annotated[int, typer.Option(help="Processes.", min=1)]
+Jobs = Annotated[int, typer.Option(help="Processes.", parser=between(1, 10_000))]
 Scheduler = Annotated[
     Optional[str],  # noqa: UP045
     typer.Option(

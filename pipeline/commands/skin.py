@@ -29,7 +29,9 @@ def calibrate(
     check: Annotated[
         bool, typer.Option("--check", help="Fit nothing; exit 1 if a cell is past its limit.")
     ] = False,
-    out: Annotated[Path, typer.Option(help="Where to write the fit.")] = parameters.CALIBRATION,
+    out: Annotated[
+        Path, typer.Option(help="Where to write the fit.", show_default="the one that is read")
+    ] = parameters.CALIBRATION,
     jobs: options.Jobs = 2,
 ):
     """Fit the simulated recordings to the paper's Table 1, or check the fit.

@@ -9,7 +9,7 @@ import typer
 
 from pipeline.commands import options
 from pipeline.experiments.study import Workers
-from pipeline.experiments.sweep import DEFAULT_GRID, EVENTS_GRID, measure_sweep
+from pipeline.experiments.sweep import measure_sweep
 from pipeline.experiments.sweep_text import sweep_text
 
 
@@ -18,9 +18,10 @@ def sweep(
     grid: Annotated[
         Optional[list[str]],  # noqa: UP045
         typer.Option(
-            help="Values of a setting, such as presentation.steps=50,100 or "
-            "snn.max_rates=[100,150],[150,150]; repeatable, all combinations are tried "
-            f"(default: {' '.join(DEFAULT_GRID)}; on events {' '.join(EVENTS_GRID)}).",
+            help="Values of a setting, such as cnn.epochs=5,10 or "
+            "snn.max_rates=100,150; repeatable, all combinations are tried "
+            "(default: 16 points of steps, synapse, rates and penalty, on events four of budget "
+            "and early; see docs/training.md).",
         ),
     ] = None,
     data: options.Data = None,

@@ -1,0 +1,86 @@
+"""``--help`` on a narrow terminal, and completion in the shell."""
+
+import re
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from pipeline.commands.main import app
+from tests.command import ROOT, call, environment
+from tests.test_documentation import commands
+
+NARROW = 60
+GROUPS = sorted({" ".join(words.split()[:-1]) for words in commands()})
+
+
+def shown(words, width=NARROW):
+    found = CliRunner(env={"COLUMNS": str(width), "TERMINAL_WIDTH": str(width)}).invoke(
+        app, [*words.split(), "--help"]
+    )
+    assert found.exit_code == 0
+    return found.output
+
+
+def words_of(text):
+    return re.sub(r"[│╭╮╰╯─]", " ", text).split()
+
+
+@pytest.mark.parametrize("words", [*GROUPS, *sorted(commands())])
+def test_help_fits_60_columns_and_cuts_no_word(words):
+    text = shown(words)
+    assert max(map(len, text.splitlines())) <= NARROW
+    assert "…" not in text
+    cut = set(words_of(text)) - set(words_of(shown(words, 300)))
+    assert not cut, cut
+
+
+@pytest.mark.parametrize("number", ["-1", "1000001", "many"])
+def test_a_number_of_recordings_out_of_range_is_one_line(number, tmp_path, capsys):
+    out = tmp_path / "x.zip"
+    assert call("data", "simulate", "--out", out, "--samples-per-digit", number) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "--samples-per-digit" in line
+    assert not out.exists()
+
+
+COMPLETE = """
+import sys
+sys.argv = ["stmnist"]
+from pipeline.commands.main import main
+try:
+    main([])
+finally:
+    assert "tensorflow" not in sys.modules
+"""
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"), [("stmnist com", "compare"), ("stmnist ladder --wh", "--whole")]
+)
+def test_completion_offers_commands_and_options_without_tensorflow(typed, offered):
+    done = subprocess.run(
+        [sys.executable, "-c", COMPLETE],
+        cwd=ROOT,
+        env=environment(
+            _STMNIST_COMPLETE="complete_bash",
+            COMP_WORDS=typed,
+            COMP_CWORD=str(len(typed.split()) - 1),
+        ),
+        capture_output=True,
+        text=True,
+    )
+    assert offered in done.stdout.split(), done.stderr
+    assert "Error" not in done.stderr
+
+
+def test_completion_can_be_shown():
+    done = subprocess.run(
+        [sys.executable, "-m", "pipeline", "--show-completion", "bash"],
+        cwd=ROOT,
+        env=environment(),
+        capture_output=True,
+        text=True,
+    )
+    assert "_STMNIST_COMPLETE=complete_bash" in done.stdout, done.stderr
