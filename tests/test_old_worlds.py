@@ -33,6 +33,18 @@ def test_keras_is_the_second_whoever_asks():
     assert done.stdout.startswith("tf_keras."), done.stderr
 
 
+def test_nengoloihi_brings_in_nothing_that_it_only_looks_for():
+    code = """
+import sys
+from deploy.network.loihi_import import nengo_loihi
+print({"tensorflow", "nengo_dl", "keras", "numba", "scipy.stats"} & set(sys.modules))
+import numba, scipy.cluster.hierarchy
+print(numba.njit(lambda: 1)())
+"""
+    done = run(code)
+    assert done.stdout.split() == ["set()", "1"], done.stderr
+
+
 def test_keras_3_is_refused_and_nengodl_finds_no_keras_of_its_time():
     code = """
 import tensorflow

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
 
 
 def wilson_interval(correct: int, n: int, confidence: float = 0.95):
@@ -20,6 +19,8 @@ def wilson_interval(correct: int, n: int, confidence: float = 0.95):
     low, high : float
         In [0, 1].
     """
+    from scipy import stats  # a third of a second, for those who only ask for help
+
     interval = stats.binomtest(correct, n).proportion_ci(confidence, method="wilson")
     return float(interval.low), float(interval.high)
 
@@ -43,6 +44,8 @@ def mcnemar(correct_a, correct_b) -> float:
     only_b = int(np.sum(correct_b & ~correct_a))
     if only_a + only_b == 0:
         return 1.0
+    from scipy import stats
+
     return float(stats.binomtest(only_a, only_a + only_b).pvalue)
 
 
@@ -61,4 +64,6 @@ def fisher(correct_a: int, n_a: int, correct_b: int, n_b: int) -> float:
         samples in common it is too large: the test is cautious then, not wrong.
     """
     table = [[correct_a, n_a - correct_a], [correct_b, n_b - correct_b]]
+    from scipy import stats
+
     return float(stats.fisher_exact(table)[1])

@@ -1,7 +1,8 @@
-"""NengoLoihi, imported without TensorFlow.
+"""NengoLoihi, imported without TensorFlow and what else it only looks for.
 
 NengoLoihi imports TensorFlow and NengoDL wherever they are installed, only to teach NengoDL its
-neuron types.  Nothing here needs that, and it costs some ten seconds at every start.
+neuron types, and nengo-extras imports Keras, Numba and parts of SciPy, only to know whether they
+are there.  Nothing here needs that, and it costs some ten seconds and one at every start.
 """
 
 import sys
@@ -11,7 +12,8 @@ import nengo
 import numpy
 
 # None in sys.modules makes an import of that name raise ImportError.
-_hidden = [name for name in ("tensorflow", "nengo_dl") if name not in sys.modules]
+_PROBED = ("tensorflow", "nengo_dl", "keras", "numba", "scipy.cluster")
+_hidden = [name for name in _PROBED if name not in sys.modules]
 sys.modules.update(dict.fromkeys(_hidden))
 try:
     with warnings.catch_warnings():

@@ -10,7 +10,6 @@ import typer
 from deploy.check.bundle import read_bundle
 from deploy.errors import CheckFailed, UserError
 from pipeline.commands import options
-from pipeline.experiments import emulator_speed
 from pipeline.experiments.choices import choices_text, measure_choices
 from pipeline.experiments.events import events_text, measure_events
 from pipeline.experiments.losses import losses_text, measure_losses
@@ -163,6 +162,8 @@ def emulator(
 
     Checks that both give the same spikes; exit status 1 if not.
     """
+    from pipeline.experiments import emulator_speed  # imports Nengo
+
     result = emulator_speed.measure(read_bundle(bundle), samples, compare_only)
     options.tell(result, emulator_speed.speed_text, as_json)
     if not result["identical"]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+import scipy
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,9 @@ def estimate(values, n_train: float, n_test: float, confidence: float = 0.95) ->
         return Estimate(mean, None, None, None)
     sd = float(values.std(ddof=1))
     error = sd * np.sqrt(1 / n + n_test / n_train)
-    reach = float(stats.t.ppf(0.5 + confidence / 2, n - 1) * error)
+    reach = float(scipy.stats.t.ppf(0.5 + confidence / 2, n - 1) * error)
     if error > 0:
-        p_value = float(2 * stats.t.sf(abs(mean) / error, n - 1))
+        p_value = float(2 * scipy.stats.t.sf(abs(mean) / error, n - 1))
     else:
         p_value = 1.0 if mean == 0 else 0.0
     return Estimate(mean, sd, (mean - reach, mean + reach), p_value)

@@ -7,7 +7,7 @@ same equations take it piece by piece (:class:`Film`, :func:`pressure`, :func:`l
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy
 
 from pipeline.recordings.events import GRID, TaxelMap
 
@@ -98,7 +98,7 @@ class Film:
         signal *= self._gain
         scrape = p.scrape * np.minimum(speed / p.scrape_speed, 1)
         lag = np.float32(np.exp(-self._step_s / p.creep_s))
-        late, self._late = lfilter(
+        late, self._late = scipy.signal.lfilter(
             np.array([1 - lag]), np.array([1, -lag], np.float32), signal, axis=0, zi=self._late
         )
         signal += np.float32(p.creep) * (late - signal)

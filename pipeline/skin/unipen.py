@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+import scipy
 
 from deploy.errors import UserError
 from pipeline.skin.handwriting import Motion, on_skin
@@ -137,7 +137,7 @@ def move(trace: Trace, place, tempo: float, step_s: float, start_s: float, p) ->
     clock = _timing(strokes, tempo, p)
     end = clock[-1][-1]
     time = np.arange(-p.landing_s, end + p.settle_s, step_s)
-    path = PchipInterpolator(np.concatenate(clock), np.concatenate(strokes))
+    path = scipy.interpolate.PchipInterpolator(np.concatenate(clock), np.concatenate(strokes))
     down, right = path(np.clip(time, 0, end)).T
     lands, lifts = np.array([(stroke[0], stroke[-1]) for stroke in clock]).T
     return Motion(start_s + time, down, right, on_skin(time, lands, lifts, p))
