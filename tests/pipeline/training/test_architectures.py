@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
 
 from deploy.network.operations import multiply_accumulates
 from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
-from models.architecture import parse
+from models.architecture import NotationError, parse
 from pipeline.run.conversion import to_spec
 from pipeline.settings import Settings
 from pipeline.training import nengodl, stacked
@@ -26,11 +28,29 @@ ARCHITECTURES = [
 
 def settings_of(architecture, recipe="paper", **presentation):
     changes = {
+        "data": {"source": "elsewhere"},  # whose sensor may have any size
         "cnn": {"architecture": architecture},
         "snn": {"recipe": recipe, "max_rates": [200.0]},
         "presentation": presentation,
     }
     return Settings().with_values(changes, "test")
+
+
+@st.composite
+def architectures(draw):
+    """Any that the notation knows, with neurons, but small."""
+    tokens = [f"{draw(st.integers(3, 8))}x{draw(st.integers(3, 8))}"]
+    for _ in range(draw(st.integers(0, 3))):
+        size = f"{draw(st.integers(1, 5))}c{draw(st.integers(1, 4))}"
+        stride, padding = draw(st.sampled_from(["", "s2", "s3"])), draw(st.sampled_from(["", "p"]))
+        tokens.append(draw(st.sampled_from([size + stride + padding] * 2 + ["2a", "3a"])))
+    tokens += [str(draw(st.integers(2, 12))) for _ in range(draw(st.integers(0, 2)))]
+    text = "-".join([*tokens, f"{draw(st.integers(2, 6))}o"])
+    try:
+        assume(parse(text).spiking)
+    except NotationError:  # the image is too small for it
+        assume(False)
+    return text
 
 
 def random_weights(architecture, seed=1):
@@ -44,28 +64,39 @@ def random_weights(architecture, seed=1):
     return weights
 
 
-def images(n=4):
+def images(n=4, size=(10, 10, 1)):
     rng = np.random.default_rng(0)
-    shape = (n, 10, 10, 1)
+    shape = (n, *size)
     return (rng.uniform(size=shape) * (rng.uniform(size=shape) < 0.5)).astype(np.float32)
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
 def test_the_network_in_nengodl_is_the_keras_one(architecture):
-    settings, weights = settings_of(architecture), random_weights(architecture)
-    trained = training.TrainedRates(settings, weights).logits(images())
-    ours = nengodl.run(settings, weights, images(), 1, spiking=False, batch=4)
+    chosen, weights = settings_of(architecture), random_weights(architecture)
+    trained = training.TrainedRates(chosen, weights).logits(images())
+    ours = nengodl.run(chosen, weights, images(), 1, spiking=False, batch=4)
     assert trained.std() > 0.1
     np.testing.assert_allclose(ours[:, 0], trained, atol=5e-4)
+
+
+@pytest.mark.slow
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
+@given(architecture=architectures(), seed=st.integers(0, 2**16))
+def test_any_network_in_nengodl_is_the_keras_one(architecture, seed):
+    given_settings, weights = settings_of(architecture), random_weights(architecture, seed)
+    shown = images(2, parse(architecture).input_shape)
+    trained = training.TrainedRates(given_settings, weights).logits(shown)
+    ours = nengodl.run(given_settings, weights, shown, 1, spiking=False, batch=2)
+    np.testing.assert_allclose(ours[:, 0], trained, rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
 def test_shown_long_the_deployed_network_answers_as_the_rate_network(architecture):
     shown = dict(steps=700, gap=0, readout_start=150, stream_length=1)
-    settings = settings_of(architecture, "loihi", **shown)
+    chosen = settings_of(architecture, "loihi", **shown)
     weights = random_weights(architecture)
-    rates = training.TrainedRates(settings, weights).logits(images())
-    spec = to_spec(settings, weights, {})
+    rates = training.TrainedRates(chosen, weights).logits(images())
+    spec = to_spec(chosen, weights, {})
     assert NetworkSpec.from_json(spec.to_json(), spec.arrays()) == spec
     scores = answer(spec, images(), "fast").scores
     assert np.corrcoef(scores.ravel(), rates.ravel())[0, 1] > 0.97
