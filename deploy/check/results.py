@@ -157,10 +157,11 @@ def read_result(path, remedy="run 'stmnist check run' again") -> dict:
     sound = (
         len(samples) == result["n_samples"]
         and len({sample["id"] for sample in samples}) == len(samples)
+        and len({len(sample["scores"]) for sample in samples}) == 1
         and abs(right / len(samples) - result["accuracy"]) < 1e-9
     )
     if not sound:
-        raise UserError(f"{path}: its samples and its accuracy contradict each other; {remedy}")
+        raise UserError(f"{path}: its samples contradict each other or its accuracy; {remedy}")
     return result
 
 
@@ -188,6 +189,35 @@ def _are_counts(values):
     return isinstance(values, dict) and all(_is_number(v) and v >= 0 for v in values.values())
 
 
+def _is_while_written(value):
+    if not isinstance(value, dict) or not all(map(_are_shares, map(value.get, _CURVES))):
+        return False
+    by_itself = value.get("by_itself", dict.fromkeys(_BY_ITSELF, 0))
+    return (
+        len({len(value[name]) for name in _CURVES}) == 1
+        and all(_is_number(value.get(name)) for name in ("step_ms", "written_steps_mean"))
+        and isinstance(by_itself, dict)
+        and all(_is_share(by_itself.get(name)) for name in _BY_ITSELF)
+        and ("by_itself" not in value or _are_shares(by_itself.get("accuracy_ci95"), 2))
+    )
+
+
+_CURVES = ("shares", "accuracy")
+_BY_ITSELF = ("confidence", "accuracy", "share_of_writing_mean", "before_the_end")
+
+
+def _is_share(value):
+    return _is_number(value) and 0 <= value <= 1
+
+
+def _are_shares(value, length=None):
+    return (
+        isinstance(value, list)
+        and all(map(_is_share, value))
+        and len(value) == (length or max(len(value), 1))
+    )
+
+
 _FIELDS = {
     "bundle": _is_text,
     "target": _is_text,
@@ -203,10 +233,13 @@ _FIELDS = {
     "synaptic_operations": _are_counts,
     "wall_seconds": lambda v: _is_number(v) and v >= 0,
     "versions": lambda v: isinstance(v, dict) and all(map(_is_text, v.values())),
+    "while_written": _is_while_written,
 }
 """What is read from a result, and of what kind it must be."""
 
-_OPTIONAL = {"decided_at_median", "anytime_accuracy", "synaptic_operations", "versions"}
+_OPTIONAL = {
+    *("decided_at_median", "anytime_accuracy", "synaptic_operations", "versions", "while_written")
+}
 """What a comparison can do without."""
 
 
@@ -219,6 +252,7 @@ def _is_sample(value):
         and _is_count(value.get("label"), classes)
         and _is_count(value.get("prediction"), classes)
         and _is_count(value.get("decided_at"))
+        and ("stopped_at" not in value or _is_count(value["stopped_at"]))
         and ("spike_hash" not in value or _is_text(value["spike_hash"]))
     )
 

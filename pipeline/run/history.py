@@ -35,7 +35,7 @@ def read_history(path) -> list:
     Raises
     ------
     UserError
-        It cannot be read, or is not a table of numbers with at least one epoch.
+        It cannot be read, or is not a table of numbers with an accuracy of at least one epoch.
     """
     try:
         with open(path, newline="", encoding="utf-8") as file:
@@ -48,7 +48,9 @@ def read_history(path) -> list:
         raise UserError(f"{path}: cannot read ({error.strerror or error}); {REMEDY}") from error
     except (ValueError, TypeError, csv.Error) as error:
         raise UserError(f"{path}: not a learning curve ({error}); {REMEDY}") from error
-    sound = rows and "epoch" in rows[0] and all(map(math.isfinite, _values(rows)))
+    sound = (
+        rows and {"epoch", "accuracy"} <= set(rows[0]) and all(map(math.isfinite, _values(rows)))
+    )
     if not sound:
         raise UserError(f"{path}: not a learning curve, or one with gaps; {REMEDY}")
     return rows
