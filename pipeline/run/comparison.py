@@ -12,11 +12,11 @@ from deploy.check.bundle import read_bundle
 from deploy.check.intervals import fisher, mcnemar, wilson_interval
 from deploy.check.results import read_result
 from deploy.errors import UserError
-from deploy.network.operations import multiply_accumulates
 from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
 from deploy.tables import aligned
 from deploy.targets.registry import TARGETS
+from pipeline.paper import CNN_MACS
 from pipeline.run.answers import REFERENCES
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings, read_settings
@@ -169,7 +169,6 @@ def inference(run: Run) -> dict:
     writing after which they do, and how accurate they are then.
     """
     spec = run.spec
-    macs = sum(multiply_accumulates(spec).values())
     stage = next((s for s in COUNTED if run.results.get(s, {}).get("synaptic_operations")), None)
     result = run.results.get(stage, {})
     counted = result.get("synaptic_operations", {})
@@ -186,8 +185,7 @@ def inference(run: Run) -> dict:
         "chips": run.chips,
         "counted_on": stage,
         "synaptic_operations": operations,
-        "multiply_accumulates": macs,
-        "operations_per_multiply_accumulate": operations / macs if stage else None,
+        "operations_per_mac": operations / CNN_MACS if stage else None,
         "steps": spec.presentation.steps,
         "step_ms": step_ms,
         "decided_at_median": median,
@@ -352,7 +350,7 @@ def _inference_lines(runs, letters, width):
         row("chips", given("chips")),
         row("counted on", given("counted_on")),
         row("synaptic operations", given("synaptic_operations", "{:,.0f}")),
-        row("times the CNN's", given("operations_per_multiply_accumulate", "{:.2f}")),
+        row("times the CNN's", given("operations_per_mac", "{:.2f}")),
         row("steps shown", given("steps")),
         row("for good from step", given("decided_at_median", "{:g}")),
         row("that is, ms", given("decided_after_ms", "{:,.0f}")),
@@ -360,7 +358,7 @@ def _inference_lines(runs, letters, width):
         row("accuracy then", early("accuracy", "{:.3f}")),
     ]
     lines = _fitted([cells for cells in rows if any(cells[1:])], width)
-    lines.append("times the CNN's: the multiply-accumulates of a CNN of the same architecture")
+    lines.append(f"times the CNN's: the {CNN_MACS:,} multiply-accumulates of the paper's")
     if any(run["decided_at_median"] is not None for run in runs):
         lines.append("for good: half the samples' decisions no longer change from this step on")
     if len({run["input"] for run in runs}) > 1:
