@@ -53,9 +53,11 @@ def replacing(path, mode="wb"):
         with os.fdopen(handle, mode, **options) as file:
             claim(handle)
             yield file
-        os.chmod(temporary, 0o666 & ~_umask())  # mkstemp makes files that only their owner can read
-        os.replace(temporary, str(path))
-        temporary = None
+            file.flush()
+            # mkstemp makes files that only their owner can read.
+            os.chmod(temporary, 0o666 & ~_umask())
+            os.replace(temporary, str(path))  # before it is closed, so that it is always locked
+            temporary = None
     except OSError as error:
         raise UserError(
             f"{path}: cannot write ({error.strerror or error}); "
@@ -67,8 +69,9 @@ def replacing(path, mode="wb"):
                 os.unlink(temporary)
 
 
-ABANDONED_S = 2.0
-"""Age of what may be abandoned: between its last byte and its new name a file is not locked."""
+ABANDONED_S = 0.5
+"""Age of what may be abandoned: just made, before :func:`claim`, a file is not locked yet.  Shorter
+than a command takes to start, so that the next one removes what a killed one left."""
 
 
 def claim(handle):

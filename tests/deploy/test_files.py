@@ -138,8 +138,12 @@ def test_what_a_killed_process_left_goes_with_the_next_writing(tmp_path):
     for path in [*abandoned, *others]:
         os.utime(path, (old, old))
     (tmp_path / ".a.json.87654321").write_text("of this moment")
+    just = tmp_path / ".a.json.1_second"
+    just.write_text("of a process that was killed before this command was started")
+    os.utime(just, (time.time() - 1,) * 2)
     write_json(tmp_path / "a.json", {})
     assert not abandoned[0].exists()
+    assert not just.exists()
     assert all(other.exists() for other in others)
     assert (tmp_path / ".a.json.87654321").exists()
     remove_abandoned(tmp_path, ".bundle.")
