@@ -32,7 +32,7 @@ EARLY = 0.12
 """Seconds in which Python itself starts, before the first line of ours."""
 
 TIMES = {"seconds", "wall_seconds", "connect", "run", "build", "minutes"}
-SOME_TIME = re.compile(rb"\d+(\.\d+)? (s|seconds|minutes)\b")
+SOME_TIME = re.compile(rb"\d+(\.\d+)? (s|seconds|minutes)\b|[\d-]{10} \d\d:\d\d UTC")
 
 
 @dataclass(frozen=True)

@@ -103,3 +103,11 @@ def test_what_differs_from_an_uninterrupted_run_is_named(tmp_path):
         "c.bin is missing",
         "tmp/left is left over",
     ]
+
+
+def test_a_report_of_another_minute_is_the_same(tmp_path):
+    prints = []
+    for minute, accuracy in (("03:16", 0.9), ("03:17", 0.9), ("03:17", 0.8)):
+        (tmp_path / "report.html").write_text(f"report of 2026-11-22 {minute} UTC: {accuracy}")
+        prints.append(breaks.fingerprint(tmp_path))
+    assert prints[0] == prints[1] != prints[2]
