@@ -6,10 +6,12 @@ reference it is printed and dropped, and the command goes on for good.  So, in t
 
 - while a command's modules are imported there is nothing to tidy up: Ctrl-C ends the process;
 - then it raises KeyboardInterrupt, and if that is dropped, it is raised again;
-- a second Ctrl-C ends the process at once.
+- a second Ctrl-C ends the process at once;
+- in the last moment, when Python has taken its handlers away and all is done, none is heard.
 """
 
 import _thread
+import atexit
 import contextlib
 import os
 import signal
@@ -41,6 +43,8 @@ def end_at_once(name):
     """
     if is_ours():
         signal.signal(signal.SIGINT, lambda *_: _end(name))
+        # Registered before all others, so it comes after them.
+        atexit.register(signal.pthread_sigmask, signal.SIG_BLOCK, {signal.SIGINT})
 
 
 @contextlib.contextmanager

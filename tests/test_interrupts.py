@@ -156,6 +156,25 @@ def test_a_second_one_ends_at_once():
         assert interrupted(process) == (130, "", LINE + "\n")
 
 
+@pytest.mark.parametrize(("guard", "status"), [("end_at_once('stmnist')", 0), ("is_ours()", -2)])
+def test_when_python_has_taken_its_handlers_away_all_is_done(guard, status):
+    code = f"""
+    import os, signal, sys
+    from deploy import interrupts
+    interrupts.{guard}
+    class Last:
+        kill, arguments = os.kill, (os.getpid(), signal.SIGINT)
+        def __del__(self):
+            self.kill(*self.arguments)
+    sys.kept = Last()  # until Python takes its modules apart
+    with interrupts.raised("stmnist"):
+        print("ready", flush=True)
+    """
+    with started(code) as process:
+        out, err = process.communicate(timeout=300)
+        assert (process.returncode, out, err) == (status, "", "")
+
+
 def test_in_the_background_it_stays_ignored():
     code = """
         from deploy import interrupts
