@@ -189,32 +189,36 @@ def _are_counts(values):
     return isinstance(values, dict) and all(_is_number(v) and v >= 0 for v in values.values())
 
 
-def _is_while_written(value):
-    if not isinstance(value, dict) or not all(map(_are_shares, map(value.get, _CURVES))):
-        return False
-    by_itself = value.get("by_itself", dict.fromkeys(_BY_ITSELF, 0))
-    return (
-        len({len(value[name]) for name in _CURVES}) == 1
-        and all(_is_number(value.get(name)) for name in ("step_ms", "written_steps_mean"))
-        and isinstance(by_itself, dict)
-        and all(_is_share(by_itself.get(name)) for name in _BY_ITSELF)
-        and ("by_itself" not in value or _are_shares(by_itself.get("accuracy_ci95"), 2))
-    )
-
-
-_CURVES = ("shares", "accuracy")
-_BY_ITSELF = ("confidence", "accuracy", "share_of_writing_mean", "before_the_end")
-
-
-def _is_share(value):
+def is_share(value) -> bool:
+    """Whether a value that was read is a number from 0 to 1."""
     return _is_number(value) and 0 <= value <= 1
 
 
-def _are_shares(value, length=None):
+def _are_shares(values):
+    return isinstance(values, list) and all(map(is_share, values))
+
+
+def _is_while_written(value):
+    if not isinstance(value, dict):
+        return False
+    shares, accuracy = value.get("shares"), value.get("accuracy")
     return (
-        isinstance(value, list)
-        and all(map(_is_share, value))
-        and len(value) == (length or max(len(value), 1))
+        _are_shares(shares)
+        and _are_shares(accuracy)
+        and len(shares) == len(accuracy) > 0
+        and _is_number(value.get("step_ms"))
+        and _is_number(value.get("written_steps_mean"))
+        and ("by_itself" not in value or _is_by_itself(value["by_itself"]))
+    )
+
+
+def _is_by_itself(value):
+    names = ("confidence", "accuracy", "share_of_writing_mean", "before_the_end")
+    return (
+        isinstance(value, dict)
+        and all(is_share(value.get(name)) for name in names)
+        and _are_shares(value.get("accuracy_ci95"))
+        and len(value["accuracy_ci95"]) == 2
     )
 
 

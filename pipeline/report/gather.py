@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from deploy.check.bundle import read_bundle
-from deploy.check.results import read_result
+from deploy.check.results import is_share, read_result
 from deploy.errors import UserError
 from deploy.files import read_json
 from deploy.preflight.plan import make_plan
@@ -113,13 +113,9 @@ def _metrics(path):
     metrics = read_json(path, REMEDY)
     accuracy, count = metrics.get("accuracy"), metrics.get("n_test")
     told = isinstance(accuracy, dict) and "test" in accuracy and type(count) is int and count > 0
-    if not told or not all(map(_is_share, accuracy.values())):
+    if not told or not all(map(is_share, accuracy.values())):
         raise UserError(f"{path}: says no accuracy on the test split; {REMEDY}")
     return metrics
-
-
-def _is_share(value):
-    return type(value) in (int, float) and 0 <= value <= 1
 
 
 def _results(folder, bundle, kind):
