@@ -85,7 +85,11 @@ class Judge:
 
     def __call__(self, outputs, first: int = 0) -> np.ndarray:
         """Confidence at each step; see :func:`confidence`."""
-        return confidence(outputs, self, first)
+        signal = judged_by(outputs, first)
+        for kernel, bias in zip(self.kernels[:-1], self.biases[:-1]):
+            signal = np.maximum(signal @ kernel + bias, 0)
+        odds = np.clip((signal @ self.kernels[-1] + self.biases[-1])[..., 0], -50, 50)
+        return 1 / (1 + np.exp(-odds))
 
 
 def judged_by(outputs, first: int = 0) -> np.ndarray:
@@ -148,14 +152,10 @@ def confidence(outputs, judge: Optional[Judge] = None, first: int = 0) -> np.nda
     -------
     ndarray, shape (..., steps)
     """
+    if judge is not None:
+        return judge(outputs, first)
     outputs = np.asarray(outputs, float)
-    if judge is None:
-        return 1 / np.exp(outputs - outputs.max(-1, keepdims=True)).sum(-1)
-    signal = judged_by(outputs, first)
-    for kernel, bias in zip(judge.kernels[:-1], judge.biases[:-1]):
-        signal = np.maximum(signal @ kernel + bias, 0)
-    odds = np.clip((signal @ judge.kernels[-1] + judge.biases[-1])[..., 0], -50, 50)
-    return 1 / (1 + np.exp(-odds))
+    return 1 / np.exp(outputs - outputs.max(-1, keepdims=True)).sum(-1)
 
 
 def decide(outputs, threshold: float, judge: Optional[Judge] = None, first: int = 0):
