@@ -15,7 +15,7 @@ from deploy import __version__
 from deploy.check.intervals import mcnemar, wilson_interval
 from deploy.errors import CheckFailed
 from deploy.files import write_json
-from deploy.network.decision import choose_threshold, share_of_time
+from deploy.network.decision import share_of_time
 from deploy.tables import aligned
 from deploy.targets.registry import answer
 from pipeline.experiments.resampling import estimate
@@ -151,10 +151,7 @@ def train_for_chip(settings: Settings, dataset: Dataset, seed: int, checkpoint=N
     learn, held = hold_out(dataset.split.train, seed)
     recipe, table = EventRecipe.of(settings), EventTable.of(dataset.recordings)
     trained = train_events(recipe, table, dataset.labels, learn, seed, checkpoint=checkpoint)
-    shown = trained.answers(dataset.inputs[held])
-    chosen = choose_threshold(
-        shown.outputs, dataset.labels[held], shown.last_step, judge=trained.judge
-    )
+    chosen = trained.threshold(dataset.inputs[held], dataset.labels[held])
     spec = spec_of_events(
         recipe,
         trained.weights,

@@ -160,15 +160,10 @@ def points_of(folder: Path, base: Settings, grid) -> list:
                 changes=tuple(changes),
                 stamp=stamp_of(__version__, POINT_SCHEMA, source, asdict(settings)),
                 cnn=stages.cnn_stamp(settings, dataset),
-                snn=_trained_stamp(settings, dataset),
+                snn=stages.trained_stamp(settings, dataset),
             )
         )
     return points
-
-
-def _trained_stamp(settings, dataset):
-    stamp = stages.events_stamp if settings.on_events else stages.snn_stamp
-    return stamp(settings, dataset)
 
 
 def _axis(entry, base):
@@ -246,13 +241,10 @@ def train_cnn(point: Point) -> dict:
         return stages.train(point.networks, point.settings, _samples(point), _silent)
 
 
-def train_for_chip(point: Point) -> dict:
-    """Train a point's network for the chip, unless it is there; from its CNN if it has one."""
-    if not point.settings.on_events:
-        train_cnn(point)  # where a worker does not see the folder of the one that trained it
-    train = stages.train_on_events if point.settings.on_events else stages.train_rates
+def train_networks(point: Point):
+    """Train a point's networks, unless they are there; a worker may not see who trained its CNN."""
     with hidden():
-        return train(point.networks, point.settings, _samples(point), _silent)
+        stages.train_all(point.networks, point.settings, _samples(point), _silent)
 
 
 def judge(point: Point) -> dict:
@@ -266,7 +258,7 @@ def judge(point: Point) -> dict:
         ``spikes`` by layer; ``cores``; ``decided_at_median``; the accuracies of the CNN (None on
         events) and the network as it was trained on the same samples.
     """
-    train_for_chip(point)
+    train_networks(point)
     begun = time.perf_counter()
     settings, networks = point.settings, point.networks
     dataset = _samples(point)
@@ -393,7 +385,7 @@ def _measure(points, workers, say):
     images = [point for point in points if not point.settings.on_events]
     for label, function, among, key, keep in (
         ("train cnn", train_cnn, images, lambda point: point.cnn, None),
-        ("train for the chip", train_for_chip, points, lambda point: point.snn, None),
+        ("train for the chip", train_networks, points, lambda point: point.snn, None),
         ("judge", judge, points, lambda point: point.stamp, write_kept),
     ):
         left = [p for p in among if p.stamp not in results and p.stamp not in errors]

@@ -15,7 +15,7 @@ from deploy.check.results import read_result
 from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.files import read_arrays, read_json, sha256_of, write_arrays, write_json
-from deploy.network.decision import Judge, choose_threshold
+from deploy.network.decision import Judge
 from deploy.network.spec import NetworkSpec
 from models.architecture import parse
 from models.own import ModelFileError, read_own_model
@@ -262,10 +262,7 @@ def train_on_events(run: RunFolder, settings: Settings, dataset: Dataset, say=pr
         )
 
     def decision_of(trained):
-        shown = trained.answers(dataset.inputs[held])
-        chosen = choose_threshold(
-            shown.outputs, dataset.labels[held], shown.last_step, judge=trained.judge
-        )
+        chosen = trained.threshold(dataset.inputs[held], dataset.labels[held])
         return {"decides_by_itself": {**chosen._asdict(), "samples": len(held)}}
 
     metrics = _train("events", run.snn, stamp, recipe.epochs, train_it, dataset, say, decision_of)
@@ -309,7 +306,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
     """
     on_events = settings.on_events
     stamp = stamp_of(
-        events_stamp(settings, dataset) if on_events else snn_stamp(settings, dataset),
+        trained_stamp(settings, dataset),
         asdict(settings.deployment),
         asdict(settings.presentation),
         asdict(settings.check),
@@ -513,6 +510,11 @@ def events_stamp(settings: Settings, dataset: Dataset) -> str:
     parts = (settings.data, settings.input, settings.split, settings.events)
     source = dataset.recordings.source.sha256
     return stamp_of(__version__, source, settings.seed, *map(asdict, parts))
+
+
+def trained_stamp(settings: Settings, dataset: Dataset) -> str:
+    """Hash of all that the training of the network for the chip depends on."""
+    return (events_stamp if settings.on_events else snn_stamp)(settings, dataset)
 
 
 def _neurons(settings, trained, inputs):

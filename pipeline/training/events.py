@@ -21,7 +21,7 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import read_arrays, write_arrays
-from deploy.network.decision import Judge
+from deploy.network.decision import Judge, Threshold, choose_threshold
 from models.architecture import parse
 from models.keras2 import tf
 from models.spiking import Neuron, SpikingNetwork, operations
@@ -124,6 +124,18 @@ class TrainedOnEvents:
     def judge(self) -> Judge:
         """What says how sure the outputs are."""
         return Judge.from_arrays(self.weights, parse(self.recipe.architecture).outputs)
+
+    def threshold(self, frames, labels) -> Threshold:
+        """The confidence at which it decides; see :func:`deploy.network.decision.choose_threshold`.
+
+        Parameters
+        ----------
+        frames : ndarray of uint8, shape (n_samples, steps, rows, columns, 2)
+            Of samples that it was not trained on.
+        labels : ndarray of int, shape (n_samples,)
+        """
+        shown = self.answers(frames)
+        return choose_threshold(shown.outputs, labels, shown.last_step, judge=self.judge)
 
     def logits(self, frames) -> np.ndarray:
         """Outputs at the last step, shape (n_samples, classes)."""
