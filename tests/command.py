@@ -36,13 +36,22 @@ def started(*arguments):
     Ctrl-C reaches it even if these tests run in a shell's background, where it is ignored.  Its
     progress bars are drawn, so that :func:`wait_until_said` can follow them.
     """
+    terminal = environment(FORCE_COLOR="1", COLUMNS="100")
+    with process_of(
+        "-m", "pipeline", *arguments, env=terminal, stdout=subprocess.DEVNULL
+    ) as process:
+        yield process
+
+
+@contextlib.contextmanager
+def process_of(*arguments, **options):
+    """A Python of its own, in a group that Ctrl-C reaches and that ends with the block."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "pipeline", *map(str, arguments)],
-        env=environment(FORCE_COLOR="1", COLUMNS="100"),
-        stdout=subprocess.DEVNULL,
+        [sys.executable, *map(str, arguments)],
         stderr=subprocess.PIPE,
         start_new_session=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        **options,
     )
     try:
         yield process

@@ -11,35 +11,20 @@ import pytest
 
 from pipeline.__main__ import QUIET
 
-from .command import ROOT, environment
+from .command import ROOT, environment, process_of
 
 LINE = "stmnist: interrupted; the same command goes on where it stopped"
 
 
-@contextlib.contextmanager
-def process_of(*arguments, **more):
-    """A process in a group of its own that Ctrl-C reaches and that ends with the block."""
-    process = subprocess.Popen(
-        [sys.executable, *map(str, arguments)],
-        env=environment(**more),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-    try:
-        yield process
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
+def told(**more):
+    """Options of a process whose words are read as text; ``more`` of its environment."""
+    return {"env": environment(**more), "stdout": subprocess.PIPE, "text": True}
 
 
 @contextlib.contextmanager
 def started(code):
     """A process of its own that runs some code and has said that it is ready."""
-    with process_of("-c", textwrap.dedent(code)) as process:
+    with process_of("-c", textwrap.dedent(code), **told()) as process:
         assert process.stdout.readline() == "ready\n"
         yield process
 
@@ -197,7 +182,7 @@ def test_early_in_the_command(module, tmp_path):
     """As soon as Python tells that it has imported a module, which is before anything is done."""
     command = ("-X", "importtime", "-m", "pipeline", "data", "simulate", "--seed", "12345")
     cache = {"STMNIST_CACHE": str(tmp_path / "cache")}
-    with process_of(*command, "--out", tmp_path / "a.zip", **cache) as process:
+    with process_of(*command, "--out", tmp_path / "a.zip", **told(**cache)) as process:
         while not process.stderr.readline().rstrip().endswith(f" {module}"):
             assert process.poll() is None
         os.killpg(process.pid, signal.SIGINT)
