@@ -87,6 +87,10 @@ def raised(name):
     finally:
         # What comes after the command, such as threads that are waited for, has nothing to tidy up.
         sys.unraisablehook = hook
+        # Where KeyboardInterrupt passed through exec() of a text, as libraries have it, CPython
+        # remembers it as one that nobody caught, and "python -m" ends by a signal whatever the
+        # status is; the next text makes it forget.
+        exec("")
         signal.signal(signal.SIGINT, lambda *_: _end(name))
 
 

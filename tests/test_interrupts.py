@@ -95,6 +95,27 @@ def test_without_the_guard_it_would_be_lost():
             process.communicate(timeout=0.2)
 
 
+def test_in_a_text_that_is_executed_it_ends_by_its_status(tmp_path):
+    """CPython takes it for one that nobody caught, and ends "python -m" by a signal."""
+    code = """
+        import sys, threading
+        from deploy import interrupts
+
+        interrupts.end_at_once("stmnist")
+        threading.Thread(target=threading.Event().wait, daemon=True).start()
+        with interrupts.raised("stmnist"):
+            try:
+                exec("print('ready', flush=True)\\nwhile True: pass")
+            except KeyboardInterrupt:
+                print("came through", flush=True)
+                sys.exit(130)
+        """
+    (tmp_path / "executes.py").write_text(textwrap.dedent(code))
+    with process_of("-m", "executes", cwd=tmp_path, **told()) as process:
+        assert process.stdout.readline() == "ready\n"
+        assert interrupted(process) == (130, "came through\n", "")
+
+
 def test_a_weak_reference_does_not_lose_it():
     code = """
         import sys, weakref
