@@ -49,7 +49,7 @@ const pen = new Pen($("skin"), (points, now) => {
       pen.lifted = true;
       continue;
     }
-    if (pen.lifted !== false) strokes.push([]);
+    if (pen.lifted !== false || !strokes.length) strokes.push([]); // or cleared in the middle
     pen.lifted = false;
     strokes.at(-1).push([right, down]);
   }

@@ -264,6 +264,29 @@ def test_clear_empties_the_decision(page):
     assert page.inner_text("#saved") == "0"
 
 
+def test_a_pen_that_lands_before_the_page_is_clear_goes_on_writing(page):
+    """The server's word that all is forgotten comes while the stroke is under way."""
+    robot.write(page, digit(1))
+    settled(page)
+    page.told.clear()
+    tell = """([kind, down]) => {
+      const skin = document.querySelector("#skin"), box = skin.getBoundingClientRect();
+      skin.dispatchEvent(new PointerEvent(kind, { pointerId: 7, pointerType: "pen", pressure: 0.5,
+        clientX: box.left + box.width / 2, clientY: box.top + down * box.height }));
+    }"""
+    both = "(first) => { document.querySelector('#clear').click(); (%s)(first); }" % tell
+    page.evaluate(both, ["pointerdown", 0.1])
+    while [message["recording"] for message in messages(page, "cleared")][:1] != [None]:
+        page.wait_for_timeout(10)
+    for down in np.linspace(0.1, 0.9, 40).tolist():
+        page.evaluate(tell, ["pointermove", down])
+    page.evaluate(tell, ["pointerup", 0.9])
+    settled(page)
+    label(page, 1)
+    kept = read_recording(next(page.server.keeper.folder.rglob("w*.mat")).read_bytes())
+    assert len(kept.written.pen) > 30
+
+
 def test_everything_but_writing_goes_by_keyboard(page):
     robot.write(page, digit(7))
     settled(page)
