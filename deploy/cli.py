@@ -137,8 +137,8 @@ def summary(result: dict) -> str:
         f"{result['target']}: accuracy {result['accuracy']:.3f} (95 % interval {low:.3f} to "
         f"{high:.3f}) on {result['n_samples']} {_kind(result)}samples of "
         f"{result['steps_per_sample']} steps\nspikes a sample: {spikes}\n"
-        f"synaptic operations a sample: {operations:.0f}, {operations / macs:.2f} times the CNN's "
-        f"{macs} multiply-accumulates\n"
+        f"synaptic operations a sample: {operations:.0f}, {operations / macs:.2f} times the "
+        f"{macs} multiply-accumulates of a CNN of this architecture\n"
         f"{result['wall_seconds']:.1f} s, {result['n_samples'] / result['wall_seconds']:.1f} "
         "samples a second" + _hardware(result)
     )

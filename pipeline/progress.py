@@ -1,8 +1,9 @@
-"""Progress bars on standard error: with an estimate on a terminal, silent elsewhere."""
+"""Progress bars: with an estimate on a terminal's standard error or in a notebook, else silent."""
 
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 
 from rich.console import Console
 from rich.progress import (
@@ -52,7 +53,7 @@ def progress(label: str, total: int):
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, disable=_hidden or not console.is_terminal) as bar:
+    with Progress(*columns, console=console, disable=_hidden or not _can_draw()) as bar:
         task = bar.add_task(label, total=total)
 
         def advance(n=1, note=None):
@@ -60,3 +61,9 @@ def progress(label: str, total: int):
             bar.update(task, advance=n, description=description)
 
         yield advance
+
+
+def _can_draw():
+    """Whether a bar is seen: a notebook needs ipywidgets for one that moves."""
+    in_notebook = console.is_jupyter and importlib.util.find_spec("ipywidgets") is not None
+    return console.is_terminal or in_notebook

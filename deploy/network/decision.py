@@ -20,13 +20,18 @@ HIDDEN = (32, 32)
 RANKS = 4
 """How many of the largest shares a judge is told in the order of their size."""
 
+LAGS = (2, 5)
+"""A judge is told how the outputs have changed in so many steps: whether the digit is still going
+on, and which way the evidence points."""
+
 
 @dataclass(frozen=True)
 class Judge:
     """A small network on the host that tells from the outputs how sure they are.
 
     With p the softmax of the outputs at a step, x are the logarithms of p, of its largest values in
-    the order of their size, which class is the largest, and the number of the step:
+    the order of their size, which class is the largest, the number of the step, and by how much the
+    outputs have changed since some earlier steps (``LAGS``):
 
         h = relu(relu(x A + a) B + b),    confidence = 1 / (1 + exp(-h C - c)).
 
@@ -45,7 +50,8 @@ class Judge:
     @staticmethod
     def shapes(classes: int) -> dict:
         """Shape of each array by name, for networks of so many classes."""
-        sizes = (2 * classes + min(RANKS, classes) + 1, *HIDDEN, 1)
+        features = min(RANKS, classes) + 2 * classes + 1 + len(LAGS) * classes
+        sizes = (features, *HIDDEN, 1)
         shapes = {}
         for index, (before, after) in enumerate(zip(sizes, sizes[1:]), 1):
             shapes[f"judge.kernel{index}"] = (before, after)
@@ -98,7 +104,7 @@ def judged_by(outputs, first: int = 0) -> np.ndarray:
     Parameters
     ----------
     outputs : ndarray, shape (..., steps, classes)
-        Sums of the readout from a sample's start on.
+        Sums of the readout from a sample's start on; before that they are 0.
     first : int
         Step of the sample, from 0, that the first of them is of.
 
@@ -115,7 +121,10 @@ def judged_by(outputs, first: int = 0) -> np.ndarray:
     step = np.broadcast_to(
         (first + np.arange(steps, dtype=float))[:, None], (*ranked.shape[:-1], 1)
     )
-    return np.concatenate([ranked, which, log_p, step], -1)
+    silence = np.zeros((*outputs.shape[:-2], max(LAGS), classes))
+    padded = np.concatenate([silence, outputs], -2)
+    before = [padded[..., max(LAGS) - lag : max(LAGS) - lag + steps, :] for lag in LAGS]
+    return np.concatenate([ranked, which, log_p, step, *(outputs - b for b in before)], -1)
 
 
 class Threshold(NamedTuple):
@@ -198,7 +207,7 @@ def share_of_time(steps, last_step) -> np.ndarray:
 
 
 def choose_threshold(
-    outputs, labels, last_step, loss: float = 0.005, judge: Optional[Judge] = None
+    outputs, labels, last_step, loss: float = 0.005, judge: Optional[Judge] = None, weights=None
 ) -> Threshold:
     """The threshold that decides earliest without losing much; choose it on validation samples.
 
@@ -210,20 +219,25 @@ def choose_threshold(
         By how much the accuracy may be below that of the last step.
     judge : Judge, optional
         As in :func:`confidence`.
+    weights : ndarray, shape (n_samples,), optional
+        How much each sample counts; default: all the same.
 
     Returns
     -------
     Threshold
     """
     labels, outputs = np.asarray(labels), np.asarray(outputs)
-    allowed, sure = np.mean(outputs[:, -1].argmax(-1) == labels) - loss, confidence(outputs, judge)
-    best = None
+
+    def mean(values):
+        return float(np.average(values, weights=weights))
+
+    at_the_end, sure = mean(outputs[:, -1].argmax(-1) == labels), confidence(outputs, judge)
+    best = Threshold(1.0, at_the_end, 1.0)
     for level in 1 - np.geomspace(0.5, 1e-4, 200):
         steps, classes = _decided(outputs, sure, level)
         found = Threshold(
-            float(level), float(np.mean(classes == labels)),
-            float(np.mean(share_of_time(steps, last_step))),
-        )  # fmt: skip
-        if found.accuracy >= allowed and (best is None or found.share < best.share):
+            float(level), mean(classes == labels), mean(share_of_time(steps, last_step))
+        )
+        if found.accuracy >= at_the_end - loss and found.share < best.share:
             best = found
-    return best or Threshold(1.0, float(allowed + loss), 1.0)
+    return best

@@ -122,18 +122,13 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
     -------
     Responses
     """
-    start = spec.presentation.readout_start
-    readout = spec.layers[-1]
-    bias = readout.bias if readout.neurons is None else 0.0
-    window = output[:, start:]
-    counts = np.arange(1, window.shape[1] + 1)[:, None]
-    scores = np.cumsum(window, axis=1) / counts + bias
+    start, limit = spec.presentation.readout_start, spec.presentation.confidence
+    scores = _running_means(spec, output)
     decisions = np.full(output.shape[:2], -1)
     decisions[:, start:] = np.argmax(_settled(scores), axis=2)
-    limit = spec.presentation.confidence
     stopped = None
     if limit is not None:
-        stopped = start + 1 + decide(_settled(scores * counts), limit, spec.judge, start)[0]
+        stopped = start + 1 + decide(running_sums(spec, output), limit, spec.judge, start)[0]
     return Responses(
         scores=scores[:, -1],
         decisions=decisions,
@@ -141,6 +136,30 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
         operations=synaptic_operations(spec, spikes),
         stopped_at=stopped,
     )
+
+
+def running_sums(spec: NetworkSpec, output: np.ndarray) -> np.ndarray:
+    """What a network decides by while a sample is shown, if it decides by itself.
+
+    Parameters
+    ----------
+    spec, output
+        As in :func:`read_output`.
+
+    Returns
+    -------
+    ndarray, shape (n_samples, steps - readout_start, n_classes)
+        Sums of the readout from ``readout_start`` on.
+    """
+    means = _running_means(spec, output)
+    return _settled(means * np.arange(1, means.shape[1] + 1)[:, None])
+
+
+def _running_means(spec, output):
+    """Means of the readout from ``readout_start`` on."""
+    readout, window = spec.layers[-1], output[:, spec.presentation.readout_start :]
+    bias = readout.bias if readout.neurons is None else 0.0
+    return np.cumsum(window, axis=1) / np.arange(1, window.shape[1] + 1)[:, None] + bias
 
 
 def _settled(scores):

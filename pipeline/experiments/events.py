@@ -151,7 +151,7 @@ def train_for_chip(settings: Settings, dataset: Dataset, seed: int, checkpoint=N
     learn, held = hold_out(dataset.split.train, seed)
     recipe, table = EventRecipe.of(settings), EventTable.of(dataset.recordings)
     trained = train_events(recipe, table, dataset.labels, learn, seed, checkpoint=checkpoint)
-    chosen = trained.threshold(dataset.inputs[held], dataset.labels[held])
+    chosen = trained.threshold(table, dataset.labels, held, settings.presentation.steps, seed)
     spec = spec_of_events(
         recipe,
         trained.weights,

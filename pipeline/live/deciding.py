@@ -13,7 +13,7 @@ import numpy as np
 
 from deploy.check.bundle import Bundle
 from deploy.network.decision import confidence
-from deploy.network.responses import read_output
+from deploy.network.responses import read_output, running_sums
 from deploy.network.stimulus import EventFrames
 from deploy.targets.fast.emulation import Emulation, compile_spec
 from pipeline.inputs.images import tactile_images
@@ -123,15 +123,16 @@ class _Fast:
 
         done = self._emulation.run(spec.stimulus.flat(samples)[None], shown.steps, gap, watch)
         counts = {name: done.counts[name][0] for name in spec.spiking_layers}
-        said = read_output(spec, done.output[0, :, gap : gap + steps], counts)
+        output = done.output[0, :, gap : gap + steps]
+        said = read_output(spec, output, counts)
         scores = said.scores[0]
         logits = self._logits(scores, steps)
         odds = np.exp(logits - logits.max())
-        reached = said.stopped_at is not None
-        if reached:
-            sure = confidence(logits[None], spec.judge, steps - 1)[0]
-            reached = bool(sure >= shown.confidence)
-        return Answer(scores, odds / odds.sum(), spikes, reached)
+        reached = False
+        if shown.confidence is not None:
+            sums = running_sums(spec, output)[0]
+            reached = confidence(sums, spec.judge, shown.readout_start)[-1] >= shown.confidence
+        return Answer(scores, odds / odds.sum(), spikes, bool(reached))
 
     def _logits(self, scores, steps):
         """What the softmax was taken of when the network was trained."""

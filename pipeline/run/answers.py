@@ -90,13 +90,13 @@ def training_versions() -> dict:
 
 
 def _on_events(settings, weights, bundle, advance):
-    """Of the trained network, each sample from rest and no spike a step late."""
-    from pipeline.training.events import EventRecipe, TrainedOnEvents
+    """Of the trained network, each sample from rest; the outputs when they reach the host."""
+    from pipeline.training.events import EventRecipe, TrainedOnEvents, arriving
 
-    frames = bundle.checks.inputs.astype(np.uint8)
-    found = TrainedOnEvents(EventRecipe.of(settings), weights).answers(frames, advance)
+    recipe, frames = EventRecipe.of(settings), bundle.checks.inputs.astype(np.uint8)
+    found = TrainedOnEvents(recipe, weights).answers(frames, advance)
     spikes = {"input": frames.reshape(*frames.shape[:2], -1).sum(1, dtype=np.int64), **found.spikes}
-    output = np.diff(found.outputs.astype(float), axis=1, prepend=0)
+    output = np.diff(arriving(found.outputs, recipe).astype(float), axis=1, prepend=0)
     return read_output(bundle.spec, output, spikes)
 
 

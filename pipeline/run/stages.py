@@ -244,7 +244,7 @@ def train_on_events(run: RunFolder, settings: Settings, dataset: Dataset, say=pr
         return done
     from pipeline.training.events import EventRecipe, train_events
 
-    split, recipe = dataset.split, EventRecipe.of(settings)
+    split, recipe, table = dataset.split, EventRecipe.of(settings), EventTable.of(dataset.recordings)
     learn, held = split.train, split.validation
     if not len(held):
         learn, held = hold_out(learn, settings.seed)
@@ -253,7 +253,7 @@ def train_on_events(run: RunFolder, settings: Settings, dataset: Dataset, say=pr
     def train_it(advance):
         return train_events(
             recipe,
-            EventTable.of(dataset.recordings),
+            table,
             dataset.labels,
             learn,
             settings.seed,
@@ -262,7 +262,8 @@ def train_on_events(run: RunFolder, settings: Settings, dataset: Dataset, say=pr
         )
 
     def decision_of(trained):
-        chosen = trained.threshold(dataset.inputs[held], dataset.labels[held])
+        steps = settings.presentation.steps
+        chosen = trained.threshold(table, dataset.labels, held, steps, settings.seed)
         return {"decides_by_itself": {**chosen._asdict(), "samples": len(held)}}
 
     metrics = _train("events", run.snn, stamp, recipe.epochs, train_it, dataset, say, decision_of)
@@ -508,8 +509,11 @@ def snn_stamp(settings: Settings, dataset: Dataset) -> str:
 def events_stamp(settings: Settings, dataset: Dataset) -> str:
     """Hash of all that the training on events depends on."""
     parts = (settings.data, settings.input, settings.split, settings.events)
-    source = dataset.recordings.source.sha256
-    return stamp_of(__version__, source, settings.seed, *map(asdict, parts))
+    recordings = dataset.recordings
+    judge = Judge.shapes(len(recordings.sensor.classes))
+    return stamp_of(
+        __version__, recordings.source.sha256, settings.seed, *map(asdict, parts), judge
+    )
 
 
 def trained_stamp(settings: Settings, dataset: Dataset) -> str:

@@ -34,6 +34,11 @@ from pipeline.training.networks import make_deterministic
 TAIL = 3
 """Steps after a sample's last event in which spikes that it caused still count."""
 
+ALTERED = 4
+"""How often each held-out sample is altered, beside the sample as it is, to choose the confidence
+at which the network decides: half a point of some hundred samples is two or three of them, and what
+is chosen on so few promises more than it holds."""
+
 LENGTHS = 16
 """Batches have a multiple of so many steps, because each length is compiled by itself."""
 
@@ -125,17 +130,36 @@ class TrainedOnEvents:
         """What says how sure the outputs are."""
         return Judge.from_arrays(self.weights, parse(self.recipe.architecture).outputs)
 
-    def threshold(self, frames, labels) -> Threshold:
+    def threshold(self, table: EventTable, labels, held, steps: int, seed: int) -> Threshold:
         """The confidence at which it decides; see :func:`deploy.network.decision.choose_threshold`.
+
+        Chosen on samples as they are and, with as much weight, on the same samples altered.
 
         Parameters
         ----------
-        frames : ndarray of uint8, shape (n_samples, steps, rows, columns, 2)
-            Of samples that it was not trained on.
+        table : EventTable
         labels : ndarray of int, shape (n_samples,)
+        held : ndarray of int
+            Indices of samples that it was not trained on.
+        steps : int
+            For how long each sample is shown.
+        seed : int
+            Of how they are altered.
         """
-        shown = self.answers(frames)
-        return choose_threshold(shown.outputs, labels, shown.last_step, judge=self.judge)
+        often, rng = np.tile(held, ALTERED), np.random.default_rng([seed, 0x7E57])
+        sample, step, *place = alter(
+            self.recipe, rng, len(often), *table.pick(often), size=table.size
+        )
+        altered = spike_frames(sample, step, *place, len(often), steps, table.size)
+        as_they_are = table.frames(held, self.recipe.step_ms, steps)
+        shown = self.answers(np.moveaxis(np.concatenate([as_they_are, altered], 1), 0, 1))
+        return choose_threshold(
+            arriving(shown.outputs, self.recipe),
+            np.asarray(labels)[np.concatenate([held, often])],
+            shown.last_step,
+            judge=self.judge,
+            weights=np.repeat([1, 1 / ALTERED], [len(held), len(often)]),
+        )
 
     def logits(self, frames) -> np.ndarray:
         """Outputs at the last step, shape (n_samples, classes)."""
@@ -275,6 +299,25 @@ def answer_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> A
     outputs, costs, *spikes = (np.concatenate(column) for column in zip(*parts, strict=True))
     named = {n: s.astype(np.int32) for n, s in zip(network.names, spikes, strict=True)}
     return Answers(outputs.astype(np.float32), costs, named, last_steps(frames))
+
+
+def arriving(outputs, recipe: EventRecipe) -> np.ndarray:
+    """Outputs as they reach the host: on the chip the relay and every layer take a step each.
+
+    Parameters
+    ----------
+    outputs : ndarray, shape (..., steps, outputs)
+        Of the trained network, where nothing takes time.
+    recipe : EventRecipe
+
+    Returns
+    -------
+    ndarray of the same shape
+    """
+    outputs = np.asarray(outputs)
+    late = len(parse(recipe.architecture).folded)
+    silence = np.zeros_like(outputs[..., :late, :])
+    return np.concatenate([silence, outputs], -2)[..., : outputs.shape[-2], :]
 
 
 def last_steps(frames) -> np.ndarray:
@@ -486,12 +529,13 @@ class _Trainer:
         return {"val_accuracy": float(np.concatenate(right).mean()), "val_operations": cost}
 
     def outputs_of(self, indices):
-        """Each sample's outputs up to its last event, and whether they were right."""
+        """Each sample's outputs as they arrive, up to its last event's, and if they were right."""
         every, right = [], []
         for part, outputs, _ in self._answers(indices):
-            steps = (self.table.duration_ms[part] / self.recipe.step_ms).astype(int) + 1
-            for column, (index, length) in enumerate(zip(part, steps, strict=True)):
-                every.append(outputs[:length, column])
+            outputs = arriving(np.moveaxis(outputs, 0, 1), self.recipe)
+            steps = (self.table.duration_ms[part] / self.recipe.step_ms).astype(int) + 1 + TAIL
+            for sample, index, length in zip(outputs, part, steps, strict=True):
+                every.append(sample[:length])
                 right.append(every[-1].argmax(-1) == self.labels[index])
         return every, right
 

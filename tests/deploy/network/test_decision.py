@@ -44,6 +44,7 @@ def test_the_chosen_threshold_is_the_earliest_that_loses_no_more_than_allowed():
     assert 0.75 < strict.confidence < 0.983
     assert strict.share == pytest.approx((1 + 1 + 2 + 2) / 16)
     loose = choose_threshold(outputs, labels, last, loss=0.25)
+    assert choose_threshold(outputs, labels, last, 0.25, weights=[1, 1, 2, 2]).accuracy == 1
     assert loose.accuracy == 0.75
     assert loose.share == pytest.approx(4 / 16)  # all in their first step
 
@@ -66,10 +67,19 @@ def judge_of(classes, seed=0):
 
 
 def test_what_a_judge_goes_by_by_hand():
-    # Two classes with shares of 1/4 and 3/4, in the sixth step.
+    # Two classes with shares of 1/4 and 3/4, in the sixth step; before it there was nothing.
     told = judged_by(np.log([[1.0, 3.0]]), first=5)
     low, high = np.log(0.25), np.log(0.75)
-    np.testing.assert_allclose(told, [[high, low, 0, 1, low, high, 5]])
+    np.testing.assert_allclose(told, [[high, low, 0, 1, low, high, 5, *[0, np.log(3)] * 2]])
+
+
+def test_what_a_judge_is_told_of_the_steps_before():
+    outputs = np.stack([np.arange(8.0), np.arange(8.0) ** 2], -1)
+    changes = judged_by(np.stack([outputs, 2 * outputs]))[..., -4:]
+    for t in range(8):
+        expected = [outputs[t] - (outputs[t - lag] if t >= lag else 0) for lag in (2, 5)]
+        np.testing.assert_allclose(changes[0, t], np.concatenate(expected))
+        np.testing.assert_allclose(changes[1, t], 2 * np.concatenate(expected))
 
 
 def test_a_judge_of_one_unit_by_hand():
