@@ -53,7 +53,7 @@ def progress(label: str, total: int):
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, disable=_hidden or not _can_draw()) as bar:
+    with Progress(*columns, console=console, disable=_hidden or not can_draw()) as bar:
         task = bar.add_task(label, total=total)
 
         def advance(n=1, note=None):
@@ -63,7 +63,7 @@ def progress(label: str, total: int):
         yield advance
 
 
-def _can_draw():
-    """Whether a bar is seen: a notebook needs ipywidgets for one that moves."""
+def can_draw() -> bool:
+    """Whether a bar would be seen: on a terminal, or in a notebook with ipywidgets."""
     in_notebook = console.is_jupyter and importlib.util.find_spec("ipywidgets") is not None
     return console.is_terminal or in_notebook

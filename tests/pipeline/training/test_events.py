@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from deploy.network.decision import Judge
+from deploy.network.decision import Judge, choose_threshold
 from models.architecture import parse
 from models.spiking import SpikingNetwork
 from pipeline.paper import CNN_MACS
@@ -14,6 +14,7 @@ from pipeline.training.events import (
     EventRecipe,
     alter,
     answer_events,
+    arriving,
     train_events,
 )
 from tests.models import reference
@@ -22,6 +23,8 @@ RECIPE = EventRecipe(
     architecture="10x10x2-6c4s3-16-3o", epochs=6, batch_size=8, learning_rate=0.02, average=0.9,
     dropout=0.0, budget=0.5, turn=0.02, shift=0.1, scale=0.02, shear=0.02,
 )  # fmt: skip
+
+ALTERATIONS = ("stretch", "drop", "turn", "shift", "scale", "shear")
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +87,31 @@ def test_answers_are_the_chips_integers(trained, data):
     assert cost == pytest.approx(trained.history[-1]["val_operations"], rel=1e-3)
     last = np.floor(table.duration_ms[VALIDATION] / RECIPE.step_ms)
     np.testing.assert_array_equal(answers.last_step, last)
+
+
+def test_outputs_arrive_a_step_later_for_the_relay_and_each_layer():
+    # conv1 and dense1 on the chip: the relay's step, and one for each of the two.
+    outputs = np.arange(2 * 5 * 3.0).reshape(2, 5, 3) + 1
+    found = arriving(outputs, RECIPE)
+    assert found[:, :3].tolist() == np.zeros((2, 3, 3)).tolist()
+    np.testing.assert_array_equal(found[:, 3:], outputs[:, :2])
+    np.testing.assert_array_equal(arriving(outputs[0, :2], RECIPE), np.zeros((2, 3)))
+
+
+def test_the_threshold_is_that_of_what_arrives_of_samples_as_they_are_and_altered(trained, data):
+    table, labels, _ = data
+    none = replace(trained, recipe=replace(RECIPE, **dict.fromkeys(ALTERATIONS, 0.0)))
+    # Not altered but for where in its first step a sample begins.
+    whole = replace(table, time_ms=np.floor(table.time_ms / RECIPE.step_ms) * RECIPE.step_ms)
+    plain = answer_events(RECIPE, trained.weights, whole, VALIDATION, 40)
+    expected = choose_threshold(
+        arriving(plain.outputs, RECIPE), labels[VALIDATION], plain.last_step, judge=trained.judge
+    )
+    assert none.threshold(whole, labels, VALIDATION, 40, 0) == pytest.approx(expected)
+    altered = trained.threshold(table, labels, VALIDATION, 40, 0)
+    assert altered == trained.threshold(table, labels, VALIDATION, 40, 0)
+    assert altered.share != none.threshold(table, labels, VALIDATION, 40, 0).share
+    assert 0 < altered.share <= 1
 
 
 def test_a_budget_is_kept(data):
