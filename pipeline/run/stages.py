@@ -244,7 +244,8 @@ def train_on_events(run: RunFolder, settings: Settings, dataset: Dataset, say=pr
         return done
     from pipeline.training.events import EventRecipe, train_events
 
-    split, recipe, table = dataset.split, EventRecipe.of(settings), EventTable.of(dataset.recordings)
+    recipe, table = EventRecipe.of(settings), EventTable.of(dataset.recordings)
+    split = dataset.split
     learn, held = split.train, split.validation
     if not len(held):
         learn, held = hold_out(learn, settings.seed)

@@ -274,7 +274,7 @@ def test_a_pen_that_lands_before_the_page_is_clear_goes_on_writing(page):
       skin.dispatchEvent(new PointerEvent(kind, { pointerId: 7, pointerType: "pen", pressure: 0.5,
         clientX: box.left + box.width / 2, clientY: box.top + down * box.height }));
     }"""
-    both = "(first) => { document.querySelector('#clear').click(); (%s)(first); }" % tell
+    both = f"(first) => {{ document.querySelector('#clear').click(); ({tell})(first); }}"
     page.evaluate(both, ["pointerdown", 0.1])
     while [message["recording"] for message in messages(page, "cleared")][:1] != [None]:
         page.wait_for_timeout(10)
