@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import h5py
 import numpy as np
-import scipy.io
+import scipy
 
 from pipeline.recordings import mat5
 from pipeline.recordings.events import (
