@@ -43,8 +43,9 @@ def end_at_once(name):
     """
     if is_ours():
         signal.signal(signal.SIGINT, lambda *_: _end(name))
-        # Registered before all others, so it comes after them.
-        atexit.register(signal.pthread_sigmask, signal.SIG_BLOCK, {signal.SIGINT})
+        # Registered before all others, so it comes after them; of all handlers Python leaves this
+        # one in place when it ends.
+        atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
 
 
 @contextlib.contextmanager
