@@ -215,7 +215,7 @@ class Slayer:
     architecture: str = "10x10x2-6c2-24c3-10o"
     """As the CNN's, with a channel for each polarity."""
     bins: Annotated[int, STEPS] = 200
-    """Time steps; of two seconds, so 10 ms each (paper)."""
+    """Time steps that a recording is divided into; of two seconds, so 10 ms each (paper)."""
     epochs: Annotated[int, EPOCHS] = 100
     """Passes over the training samples."""
     batch_size: Annotated[int, BATCH] = 32

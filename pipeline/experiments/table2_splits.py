@@ -319,6 +319,7 @@ def _measure_slayer(batch, divided):
             dataset.split.test,
             batch.seeds[position],
             path.with_suffix(".npz"),
+            duration_s=recordings.sensor.duration_s,
         )
         seconds = sum(row["seconds"] for row in trained.history)
         predictions = trained.counts.argmax(1)

@@ -39,7 +39,15 @@ class TrainedSlayer:
 
 
 def train_slayer(
-    settings: Slayer, frames, labels, train, test, seed: int, checkpoint=None, advance=None
+    settings: Slayer,
+    frames,
+    labels,
+    train,
+    test,
+    seed: int,
+    checkpoint=None,
+    advance=None,
+    duration_s: float = DURATION_S,
 ) -> TrainedSlayer:
     """Train for all epochs and answer the test samples.
 
@@ -58,6 +66,8 @@ def train_slayer(
         ends as it would have without the interruption.
     advance : callable, optional
         ``advance(1, note)`` after each epoch, those of an earlier session included.
+    duration_s : float
+        Of a recording, which the bins divide.
 
     Returns
     -------
@@ -68,8 +78,8 @@ def train_slayer(
     UserError
         The checkpoint is damaged.
     """
-    trainer = _Trainer(settings, frames, labels, seed)
-    run = _identity(settings, labels, train, test, seed)
+    trainer = _Trainer(settings, frames, labels, seed, duration_s)
+    run = _identity(settings, labels, train, test, seed, duration_s)
     history = trainer.resume(checkpoint, run)
     if advance is not None and history:
         advance(len(history), _note(history[-1]))
@@ -94,12 +104,12 @@ def train_slayer(
     return TrainedSlayer(kernels, history, trainer.count(test))
 
 
-def spike_response(settings: Slayer) -> SpikeResponse:
+def spike_response(settings: Slayer, duration_s: float = DURATION_S) -> SpikeResponse:
     """The neuron that the settings describe, in time steps of one bin."""
-    return SpikeResponse(DURATION_S / settings.bins, settings.tau_s, settings.tau_r)
+    return SpikeResponse(duration_s / settings.bins, settings.tau_s, settings.tau_r)
 
 
-def layer_spikes(settings: Slayer, kernels, frames) -> list:
+def layer_spikes(settings: Slayer, kernels, frames, duration_s: float = DURATION_S) -> list:
     """Spikes of every layer of a trained network.
 
     Parameters
@@ -107,12 +117,14 @@ def layer_spikes(settings: Slayer, kernels, frames) -> list:
     settings : Slayer
     kernels : list of ndarray
     frames : ndarray, shape (n_samples, bins, rows, columns, 2)
+    duration_s : float
+        Of a recording.
 
     Returns
     -------
     list of ndarray of bool, shape (n_samples, bins, ...)
     """
-    network = SlayerNetwork(parse(settings.architecture), spike_response(settings))
+    network = SlayerNetwork(parse(settings.architecture), spike_response(settings, duration_s))
     for variable, kernel in zip(network.kernels, kernels, strict=True):
         variable.assign(kernel)
     theta = network.neuron.theta
@@ -122,9 +134,10 @@ def layer_spikes(settings: Slayer, kernels, frames) -> list:
 class _Trainer:
     """The network, the optimiser, and their compiled steps."""
 
-    def __init__(self, settings, frames, labels, seed):
+    def __init__(self, settings, frames, labels, seed, duration_s):
         self.settings, self.seed, self.labels = settings, seed, labels
-        architecture, neuron = parse(settings.architecture), spike_response(settings)
+        architecture = parse(settings.architecture)
+        neuron = spike_response(settings, duration_s)
         scales = settings.conv_scale, settings.dense_scale
         self.network = network = SlayerNetwork(architecture, neuron, seed, *scales)
         self.optimizer = tf.keras.optimizers.Adam(settings.learning_rate, amsgrad=True)
@@ -198,12 +211,12 @@ class _Trainer:
         return history
 
 
-def _identity(settings, labels, train, test, seed):
+def _identity(settings, labels, train, test, seed, duration_s):
     """What must be the same for a checkpoint to be of this run; more epochs may be asked for."""
     plain = {**asdict(settings), "epochs": None, "seed": seed}
     parts = [np.asarray(part).astype(int) for part in (labels, train, test)]
     sums = [int(np.dot(part, np.arange(1, len(part) + 1)) % (1 << 61)) for part in parts]
-    return json.dumps([plain, asdict(spike_response(settings)), sums])
+    return json.dumps([plain, asdict(spike_response(settings, duration_s)), sums])
 
 
 def _note(row):

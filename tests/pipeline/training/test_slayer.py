@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -47,6 +49,18 @@ def test_layers_have_the_shapes_of_the_notation(trained, data):
     spikes = layer_spikes(SETTINGS, trained.kernels, data[0][:4])
     assert [s.shape for s in spikes] == [(4, 40, 9, 9, 4), (4, 40, 7, 7, 6), (4, 40, 3)]
     assert all(s.any() for s in spikes)
+
+
+def test_time_is_that_of_the_recordings(trained, data):
+    """Recordings and time constants of twice the length are the same in bins."""
+    slower = dataclasses.replace(SETTINGS, epochs=1, tau_s=1.0, tau_r=0.1)
+    first = train_slayer(slower, *data, seed=3, duration_s=4.0).history[0]
+    assert first["loss"] == pytest.approx(trained.history[0]["loss"])
+    same = layer_spikes(slower, trained.kernels, data[0][:4], duration_s=4.0)
+    for mine, expected in zip(
+        same, layer_spikes(SETTINGS, trained.kernels, data[0][:4]), strict=True
+    ):
+        np.testing.assert_array_equal(mine, expected)
 
 
 def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):
