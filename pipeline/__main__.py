@@ -1,6 +1,7 @@
 """``python -m pipeline``, and the command ``stmnist``: what must stand before the imports."""
 
 import os
+import sys
 
 from deploy import interrupts
 
@@ -12,6 +13,12 @@ command's last line."""
 def main():
     """Import the command, which takes a second, and run it."""
     interrupts.end_at_once("stmnist")
+    try:
+        os.getcwd()
+    except OSError as error:  # libraries ask for it while they are imported
+        where = "stmnist: the folder that it was started in"
+        print(f"{where}: {error.strerror}; change to one that is there", file=sys.stderr)
+        sys.exit(2)
     filters = os.environ.get("PYTHONWARNINGS")
     os.environ["PYTHONWARNINGS"] = f"{filters},{QUIET}" if filters else QUIET
     from pipeline.commands.main import main as command

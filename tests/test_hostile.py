@@ -3,6 +3,8 @@
 import json
 import os
 import shutil
+import subprocess
+import sys
 import zipfile
 
 import pytest
@@ -12,7 +14,7 @@ from pipeline.recordings import cache
 from pipeline.run.folder import RunFolder
 from pipeline.settings import read_settings
 
-from .command import call
+from .command import call, environment
 from .pipeline.handmade import archive, good_members, mat5, spiketrain
 
 
@@ -198,3 +200,16 @@ def test_a_file_without_end(refused, tmp_path, monkeypatch):
     assert "larger than a recording" in refused("data", "inspect", "/dev/zero")
     assert "larger than any file" in refused("check", "compare", "/dev/zero", "/dev/zero")
     assert "larger than any file" in refused("train", tmp_path / "run", "--settings", "/dev/zero")
+
+
+def test_a_folder_that_has_vanished(tmp_path):
+    """Which Nengo asks for when it is imported."""
+    started_in = tmp_path / "gone"
+    started_in.mkdir()
+    done = subprocess.run(
+        [sys.executable, "-c", "import os, sys, pipeline.__main__ as main\n"
+         "os.rmdir(os.getcwd())\nsys.argv[1:] = ['settings']\nmain.main()"],
+        cwd=started_in, env=environment(), capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
+    assert done.stderr.startswith("stmnist: the folder that it was started in: ")
