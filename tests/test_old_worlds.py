@@ -45,6 +45,15 @@ print(numba.njit(lambda: 1)())
     assert done.stdout.split() == ["set()", "1"], done.stderr
 
 
+def test_nengo_is_silent_about_rates_that_nobody_asks_for():
+    """Of a neuron of gain 1 without a bias it works out a maximum rate of 0, by a division by 0."""
+    done = run(
+        "from deploy.network import loihi_import; import nengo, numpy as np\n"
+        "nengo.LIF().max_rates_intercepts(np.ones(1), np.zeros(1))"
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_keras_3_is_refused_and_nengodl_finds_no_keras_of_its_time():
     code = """
 import tensorflow

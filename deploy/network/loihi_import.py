@@ -47,7 +47,7 @@ nengo.rc["decoder_cache"]["enabled"] = "False"
 
 # From gain and bias Nengo works out intercepts and maximum rates that nothing here asks for.
 warnings.filterwarnings("ignore", "Non-finite values detected", module="nengo")
-warnings.filterwarnings("ignore", "invalid value encountered in log1p", module="nengo")
+warnings.filterwarnings("ignore", "(invalid value|divide by zero) .* log1p", module="nengo")
 
 # NengoLoihi's emulator fills integer arrays with NaN before it writes to them.
 warnings.filterwarnings("ignore", "invalid value encountered in cast", module="numpy")
