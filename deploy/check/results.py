@@ -242,8 +242,8 @@ _FIELDS = {
 """What is read from a result, and of what kind it must be."""
 
 _OPTIONAL = {
-    *("decided_at_median", "anytime_accuracy", "synaptic_operations", "versions", "while_written")
-}
+    "decided_at_median", "anytime_accuracy", "synaptic_operations", "versions", "while_written",
+}  # fmt: skip
 """What a comparison can do without."""
 
 

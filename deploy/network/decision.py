@@ -121,10 +121,25 @@ def judged_by(outputs, first: int = 0) -> np.ndarray:
     step = np.broadcast_to(
         (first + np.arange(steps, dtype=float))[:, None], (*ranked.shape[:-1], 1)
     )
-    silence = np.zeros((*outputs.shape[:-2], max(LAGS), classes))
-    padded = np.concatenate([silence, outputs], -2)
-    before = [padded[..., max(LAGS) - lag : max(LAGS) - lag + steps, :] for lag in LAGS]
-    return np.concatenate([ranked, which, log_p, step, *(outputs - b for b in before)], -1)
+    changes = (outputs - delayed(outputs, lag) for lag in LAGS)
+    return np.concatenate([ranked, which, log_p, step, *changes], -1)
+
+
+def delayed(outputs, steps: int) -> np.ndarray:
+    """What there was so many steps before; 0 before the first.
+
+    Parameters
+    ----------
+    outputs : ndarray, shape (..., steps, classes)
+    steps : int
+
+    Returns
+    -------
+    ndarray of the same shape
+    """
+    outputs = np.asarray(outputs)
+    silence = np.zeros_like(outputs[..., :steps, :])
+    return np.concatenate([silence, outputs], -2)[..., : outputs.shape[-2], :]
 
 
 class Threshold(NamedTuple):

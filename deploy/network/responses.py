@@ -128,7 +128,7 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
     decisions[:, start:] = np.argmax(_settled(scores), axis=2)
     stopped = None
     if limit is not None:
-        stopped = start + 1 + decide(running_sums(spec, output), limit, spec.judge, start)[0]
+        stopped = start + 1 + decide(_sums(scores), limit, spec.judge, start)[0]
     return Responses(
         scores=scores[:, -1],
         decisions=decisions,
@@ -151,7 +151,11 @@ def running_sums(spec: NetworkSpec, output: np.ndarray) -> np.ndarray:
     ndarray, shape (n_samples, steps - readout_start, n_classes)
         Sums of the readout from ``readout_start`` on.
     """
-    means = _running_means(spec, output)
+    return _sums(_running_means(spec, output))
+
+
+def _sums(means):
+    """What was added up, from its mean at each step."""
     return _settled(means * np.arange(1, means.shape[1] + 1)[:, None])
 
 

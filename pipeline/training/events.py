@@ -21,7 +21,7 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import read_arrays, write_arrays
-from deploy.network.decision import Judge, Threshold, choose_threshold
+from deploy.network.decision import Judge, Threshold, choose_threshold, delayed
 from models.architecture import parse
 from models.keras2 import tf
 from models.spiking import Neuron, SpikingNetwork, operations
@@ -314,10 +314,7 @@ def arriving(outputs, recipe: EventRecipe) -> np.ndarray:
     -------
     ndarray of the same shape
     """
-    outputs = np.asarray(outputs)
-    late = len(parse(recipe.architecture).folded)
-    silence = np.zeros_like(outputs[..., :late, :])
-    return np.concatenate([silence, outputs], -2)[..., : outputs.shape[-2], :]
+    return delayed(outputs, len(parse(recipe.architecture).folded))
 
 
 def last_steps(frames) -> np.ndarray:

@@ -238,16 +238,19 @@ def test_pointer_events_of_any_origin_write(page):
     assert (np.diff(kept.written.pen[:, 0]) >= 0).all()
 
 
+TELL = """([kind, right, down]) => {
+  const skin = document.querySelector("#skin"), box = skin.getBoundingClientRect();
+  skin.dispatchEvent(new PointerEvent(kind, { pointerId: 7, pointerType: "pen", pressure: 0.5,
+    clientX: box.left + right * box.width, clientY: box.top + down * box.height }));
+}"""
+"""One event of a pointer that the browser knows nothing else of."""
+
+
 def test_a_pointer_whose_end_was_never_told_does_not_hold_the_pen(page):
-    tell = """([kind, share]) => {
-      const skin = document.querySelector("#skin"), box = skin.getBoundingClientRect();
-      skin.dispatchEvent(new PointerEvent(kind, { pointerId: 7, pointerType: "pen", pressure: 0.5,
-        clientX: box.left + share * box.width, clientY: box.top + share * box.height }));
-    }"""
-    page.evaluate(tell, ["pointerdown", 0.2])
+    page.evaluate(TELL, ["pointerdown", 0.2, 0.2])
     robot.replay(page, digit(0))
-    page.evaluate(tell, ["pointerdown", 0.8])
-    page.evaluate(tell, ["pointerup", 0.8])
+    page.evaluate(TELL, ["pointerdown", 0.8, 0.8])
+    page.evaluate(TELL, ["pointerup", 0.8, 0.8])
     settled(page)
     label(page, 0)
 
@@ -269,18 +272,13 @@ def test_a_pen_that_lands_before_the_page_is_clear_goes_on_writing(page):
     robot.write(page, digit(1))
     settled(page)
     page.told.clear()
-    tell = """([kind, down]) => {
-      const skin = document.querySelector("#skin"), box = skin.getBoundingClientRect();
-      skin.dispatchEvent(new PointerEvent(kind, { pointerId: 7, pointerType: "pen", pressure: 0.5,
-        clientX: box.left + box.width / 2, clientY: box.top + down * box.height }));
-    }"""
-    both = f"(first) => {{ document.querySelector('#clear').click(); ({tell})(first); }}"
-    page.evaluate(both, ["pointerdown", 0.1])
+    both = f"(first) => {{ document.querySelector('#clear').click(); ({TELL})(first); }}"
+    page.evaluate(both, ["pointerdown", 0.5, 0.1])
     while [message["recording"] for message in messages(page, "cleared")][:1] != [None]:
         page.wait_for_timeout(10)
     for down in np.linspace(0.1, 0.9, 40).tolist():
-        page.evaluate(tell, ["pointermove", down])
-    page.evaluate(tell, ["pointerup", 0.9])
+        page.evaluate(TELL, ["pointermove", 0.5, down])
+    page.evaluate(TELL, ["pointerup", 0.5, 0.9])
     settled(page)
     label(page, 1)
     kept = read_recording(next(page.server.keeper.folder.rglob("w*.mat")).read_bytes())
