@@ -11,7 +11,7 @@ import typer
 from deploy import limits
 from deploy.errors import UserError
 from pipeline.commands import options
-from pipeline.inputs.library import SIMULATED, load_recordings
+from pipeline.inputs.library import load_recordings
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import progress
 from pipeline.recordings.archive import export_zip, read_file, write_zip
@@ -20,6 +20,7 @@ from pipeline.recordings.events import GRID, Events, Sensor, expand_bursts
 from pipeline.recordings.matfile import BadRecording, read_limited
 from pipeline.recordings.sensors import about_sensor
 from pipeline.recordings.table1 import table1_json, table1_text
+from pipeline.settings import SIMULATED
 from pipeline.skin import unipen
 from pipeline.skin.simulate import simulate
 

@@ -11,9 +11,8 @@ from typing import Annotated, Optional
 import typer
 
 from deploy.errors import CheckFailed
-from pipeline.inputs.library import SIMULATED
 from pipeline.run.folder import RunFolder
-from pipeline.settings import parse_assignments
+from pipeline.settings import SIMULATED, parse_assignments
 
 
 def between(low: int, high: int):

@@ -14,11 +14,10 @@ from pipeline.commands import options
 from pipeline.commands.data import SimulationSeed, Source
 from pipeline.experiments import difficulty as difficulty_
 from pipeline.inputs.dataset import Dataset
-from pipeline.inputs.library import SIMULATED
 from pipeline.paper import SAMPLES_PER_DIGIT, TABLE2
 from pipeline.progress import progress
 from pipeline.recordings import table1
-from pipeline.settings import Settings
+from pipeline.settings import SIMULATED, Settings
 from pipeline.skin import aces, calibration, parameters
 from pipeline.skin.simulate import simulate, source_of
 

@@ -20,7 +20,6 @@ from deploy.network.spec import NetworkSpec
 from models.architecture import parse
 from models.own import ModelFileError, read_own_model
 from pipeline.inputs.dataset import TOO_SMALL, Dataset, event_warnings, recordings_fit
-from pipeline.inputs.library import SIMULATED
 from pipeline.inputs.splits import draw_check_samples, hold_out
 from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import progress
@@ -30,7 +29,7 @@ from pipeline.run.answers import REFERENCES, reference_result, training_versions
 from pipeline.run.diagnosis import activity, fastest_rate, training_lines
 from pipeline.run.folder import RunFolder, is_current, stamp_of
 from pipeline.run.history import write_history
-from pipeline.settings import Settings
+from pipeline.settings import SIMULATED, Settings
 
 REMEDY = "delete its folder and run the command again"
 LEAST_KNOWN = 0.15
