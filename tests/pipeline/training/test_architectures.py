@@ -1,5 +1,6 @@
 """Networks unlike the paper's all the way: NengoDL, conversion, targets, training."""
 
+import contextlib
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
 from models.architecture import NotationError, parse
+from models.keras2 import tf
 from pipeline.run.conversion import to_spec
 from pipeline.settings import Settings
 from pipeline.training import nengodl, stacked
@@ -79,14 +81,25 @@ def test_the_network_in_nengodl_is_the_keras_one(architecture):
     np.testing.assert_allclose(ours[:, 0], trained, atol=5e-4)
 
 
+@contextlib.contextmanager
+def without_tracing():
+    """TensorFlow as it is written: a hundred networks take half as long if none is compiled."""
+    tf.config.run_functions_eagerly(True)
+    try:
+        yield
+    finally:
+        tf.config.run_functions_eagerly(False)
+
+
 @pytest.mark.slow
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
 @given(architecture=architectures(), seed=st.integers(0, 2**16))
 def test_any_network_in_nengodl_is_the_keras_one(architecture, seed):
     given_settings, weights = settings_of(architecture), random_weights(architecture, seed)
     shown = images(2, parse(architecture).input_shape)
-    trained = training.TrainedRates(given_settings, weights).logits(shown)
-    ours = nengodl.run(given_settings, weights, shown, 1, spiking=False, batch=2)
+    with without_tracing():
+        trained = training.TrainedRates(given_settings, weights).logits(shown)
+        ours = nengodl.run(given_settings, weights, shown, 1, spiking=False, batch=2)
     np.testing.assert_allclose(ours[:, 0], trained, rtol=1e-4, atol=1e-5)
 
 
