@@ -11,6 +11,9 @@ ROWS = COLUMNS = 10
 CLASSES = 10
 """Digits."""
 
+DURATION_S = 2.0
+"""Length of a recording in seconds (Section 2.2)."""
+
 TEST_FRACTION = 0.2
 """Share of the samples that test: random 80-20 splits (Section 3.2)."""
 

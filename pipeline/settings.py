@@ -94,8 +94,16 @@ class Input:
     kind: Annotated[str, one_of("image", "events")] = "image"
     """``image``: a recording's tactile image as evenly spaced spikes, as in the paper; ``events``:
     the skin's own events, one spike each."""
-    step: Annotated[float, STEP] = 20.0
+    step: Annotated[float, STEP] = 10.0
     """Milliseconds on the skin for which one step of the chip stands; of ``events`` only."""
+    refractory: Annotated[float, AT_LEAST_0] = 10.0
+    """Milliseconds after a step with a spike in which further events of its taxel and polarity are
+    none, in whole steps; the refractory period of an event camera's pixel.  Of ``events`` only."""
+
+    @property
+    def rest(self) -> int:
+        """The refractory period in steps."""
+        return int(self.refractory / self.step + 1e-9)
 
 
 @dataclass(frozen=True)
@@ -203,7 +211,7 @@ class EventTraining:
     """Of Adam; it falls to 0 along a half cosine."""
     early: Annotated[float, AT_LEAST_0] = 1.0
     """Weight in the loss of being right while the digit is still being written."""
-    budget: Annotated[float, ABOVE_0] = 0.9
+    budget: Annotated[float, ABOVE_0] = 0.8
     """Synaptic operations of an inference, in multiples of the paper's CNN's multiply-accumulates,
     past which the loss has a price."""
 
@@ -263,8 +271,9 @@ class Deployment:
 class Showing:
     """How samples are shown; see :class:`deploy.network.spec.Presentation`."""
 
-    steps: Annotated[int, STEPS] = Presentation.steps
-    """Steps that a sample is shown: of 1 ms, or with events each of ``input.step``."""
+    steps: Annotated[int, STEPS_OR_NONE] = 0
+    """Steps that a sample is shown: of 1 ms, or with events each of ``input.step``; 0 for 100, or
+    with events for the two seconds of a recording."""
     gap: Annotated[int, STEPS_OR_NONE] = Presentation.gap
     """Blank steps before each sample."""
     readout_start: int = Presentation.readout_start
@@ -327,8 +336,17 @@ class Settings:
         confidence : float, optional
             See :class:`deploy.network.spec.Presentation`.
         """
-        shown = {**vars(self.presentation), "confidence": confidence}
+        shown = {**vars(self.presentation), "steps": self.steps, "confidence": confidence}
         return Presentation(**(shown | {"readout_start": 0} if self.on_events else shown))
+
+    @property
+    def steps(self) -> int:
+        """Steps that a sample is shown, also where ``presentation.steps`` leaves it open."""
+        if self.presentation.steps:
+            return self.presentation.steps
+        if not self.on_events:
+            return Presentation.steps
+        return min(round(1000 * paper.DURATION_S / self.input.step), limits.STEPS)
 
     @property
     def on_events(self) -> bool:
@@ -542,11 +560,11 @@ def _validate(s: Settings, origin):
         limit = _limits(type(section)).get(entry)
         if limit is not None:
             need(limit.holds(getattr(section, entry)), name, limit.expected)
-    inside = 0 <= s.presentation.readout_start < s.presentation.steps
+    inside = 0 <= s.presentation.readout_start < s.steps
     need(s.on_events or inside, "presentation.readout_start",
-         f"from 0 to below presentation.steps ({s.presentation.steps}), not "
-         f"{s.presentation.readout_start}; with so few steps give another one too, such as "
-         f"--set presentation.readout_start={s.presentation.steps // 5}")  # fmt: skip
+         f"from 0 to below presentation.steps ({s.steps}), not {s.presentation.readout_start}; "
+         "with so few steps give another one too, such as "
+         f"--set presentation.readout_start={s.steps // 5}")  # fmt: skip
     on_events = _parsed(s.events.architecture, "events.architecture", origin)
     need(len(on_events.layers) > 1 and all(layer.kind != "pool" for layer in on_events.layers),
          "events.architecture", "a network with a hidden layer and without pooling")  # fmt: skip

@@ -14,7 +14,7 @@ from tests.command import call
 
 TINY = (
     *("--input", "events", "--set", "data.samples_per_digit=40", "--set", "events.epochs=2"),
-    *("--set", "input.step=40", "--steps", "50", "--samples", "12"),
+    *("--set", "input.step=40", "--set", "input.refractory=40", "--steps", "50", "--samples", "12"),
 )
 
 
@@ -157,5 +157,5 @@ def test_what_is_not_shown_is_said(tmp_path, capsys):
     options += ("--set", "presentation.steps=5")
     assert call("train", tmp_path / "run", "--input", "events", *options) == 0
     said = capsys.readouterr().err
-    assert "% fall into the 20 ms of another one" in said
-    assert "are longer than 5 steps of 20 ms" in said
+    assert "% come within 20 ms of another one" in said
+    assert "are longer than 5 steps of 10 ms" in said

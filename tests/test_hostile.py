@@ -43,7 +43,7 @@ def refused(capsys):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--steps", "1000000000"], "'presentation.steps' must be from 1 to 10000"),
+        (["--steps", "1000000000"], "'presentation.steps' must be from 0 to 10000"),
         (["--set", f"presentation.gap={10**22}"], "'presentation.gap' must be a whole number"),
         (["--set", f"seed={'9' * 5000}"], "'seed' must be"),
         (["--set", f"cnn.epochs={'[' * 5000}"], "'cnn.epochs' must be a whole number"),

@@ -117,7 +117,7 @@ class ImageCurrent(Stimulus):
 
 @dataclass(frozen=True)
 class EventFrames(Stimulus):
-    """The skin's own events: at most one spike a taxel, polarity and step.
+    """The skin's own events: at most one spike a taxel, polarity and step, and silence after it.
 
     A sample is a frame of 0 and 1 for each step, zero once its events are over.  An event makes a
     relay neuron on the host spike in its step, a spike of height 1 for one step; so nothing spikes
@@ -127,14 +127,24 @@ class EventFrames(Stimulus):
     ----------
     seconds : float
         Time in seconds of the recording that one step stands for.
+    rest : int
+        Steps after a spike in which its taxel is silent with that polarity.
     """
 
     kind: ClassVar[str] = "events"
     held: ClassVar[bool] = False
     seconds: float = 0.02
+    rest: int = 0
 
     def __post_init__(self):
         _require(1e-6 <= self.seconds <= limits.SECONDS, "seconds must be above 0")
+        _require(type(self.rest) is int and 0 <= self.rest <= limits.STEPS,
+                 f"rest must be a whole number from 0 to {limits.STEPS}")  # fmt: skip
+
+    @property
+    def shortest_interval(self) -> int:
+        """Fewest steps between two spikes of a taxel and polarity."""
+        return 1 + self.rest
 
     @property
     def area(self) -> float:
@@ -151,7 +161,34 @@ class EventFrames(Stimulus):
         found = super().complaint(samples, input_shape, steps)
         if found is None and not np.isin(samples, (0, 1)).all():
             found = "frames of events hold something else than 0 and 1"
+        in_time = np.moveaxis(samples, 1, 0)
+        if found is None and not np.array_equal(rested(in_time, self.rest), in_time):
+            found = f"a taxel spikes again within {self.rest} steps"
         return found
+
+
+def rested(frames, rest: int) -> np.ndarray:
+    """Spikes that are left where a neuron is silent for some steps after each of them.
+
+    Parameters
+    ----------
+    frames : ndarray, shape (steps, ...)
+        1 where there is a spike, 0 elsewhere.
+    rest : int
+        Steps.
+
+    Returns
+    -------
+    ndarray of the same shape
+    """
+    if rest == 0:
+        return frames
+    frames = np.array(frames)
+    ready = np.zeros(frames.shape[1:], int)  # first step at which each may spike again
+    for step in range(len(frames)):
+        frames[step] *= ready <= step
+        ready[frames[step] != 0] = step + 1 + rest
+    return frames
 
 
 KINDS = {stimulus.kind: stimulus for stimulus in (ImageSpikes, ImageCurrent, EventFrames)}

@@ -160,7 +160,7 @@ def _predictions(choice, settings, weights, dataset, seed):
     if choice.row == "loihi":
         spec = deployed(chosen, weights, {}, dataset.part("train"))
         return answer(spec, shown, "fast", seed).predictions
-    steps = chosen.presentation.steps
+    steps = chosen.steps
     if choice.smoothed:
         return smoothed(nengodl.run(chosen, weights, shown, steps)).argmax(1)
     return nengodl.predict(chosen, weights, shown, steps)

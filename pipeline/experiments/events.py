@@ -151,7 +151,7 @@ def train_for_chip(settings: Settings, dataset: Dataset, seed: int, checkpoint=N
     learn, held = hold_out(dataset.split.train, seed)
     recipe, table = EventRecipe.of(settings), EventTable.of(dataset.recordings)
     trained = train_events(recipe, table, dataset.labels, learn, seed, checkpoint=checkpoint)
-    chosen = trained.threshold(table, dataset.labels, held, settings.presentation.steps, seed)
+    chosen = trained.threshold(table, dataset.labels, held, settings.steps, seed)
     spec = spec_of_events(
         recipe,
         trained.weights,
@@ -198,7 +198,7 @@ def measure(job: VariantJob) -> dict:
         "predictions": found.predictions.tolist(),
         "operations": float(sum(n.mean() for n in found.operations.values()) / CNN_MACS),
         "spikes_in": float(shown.reshape(len(shown), -1).sum(1, dtype=np.int64).mean()),
-        "merged": EventTable.of(dataset.recordings).lost(settings.input.step),
+        "merged": EventTable.of(dataset.recordings).lost(settings.input.step, settings.input.rest),
         "confidence": spec.presentation.confidence,
         "share": float(share_of_time(found.stopped_at - 1, expected.last_step).mean()),
         "accuracy_by_itself": float(np.mean(by_itself == labels)),

@@ -274,7 +274,7 @@ def judge(point: Point) -> dict:
         "simulated": dataset.recordings.source.simulated,
         "target": "fast",
         "n_samples": len(labels),
-        "steps": settings.presentation.steps,
+        "steps": settings.steps,
         "accuracy": float(right.mean()),
         "accuracy_ci95": list(wilson_interval(int(right.sum()), len(labels))),
         "cnn_accuracy": None if settings.on_events else _validated(networks.cnn),

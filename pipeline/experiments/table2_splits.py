@@ -261,9 +261,7 @@ def _spiking_answers(settings, weights, dataset, seed):
 
     settings = replace(settings, seed=seed)
     shown = dataset.part("test")[0]
-    return dataset.split.test, nengodl.predict(
-        settings, weights, shown, settings.presentation.steps
-    )
+    return dataset.split.test, nengodl.predict(settings, weights, shown, settings.steps)
 
 
 def _loihi_answers(settings, weights, dataset, seed):
@@ -355,7 +353,12 @@ def stamp(benchmark: Benchmark, model: str) -> str:
     if model == "slayer":
         return stamp_of(*common, asdict(settings.slayer))
     if model in ON_EVENTS:
-        parts = [settings.input.step, asdict(settings.events), asdict(settings.presentation)]
+        shown = settings.input  # whose kind is of the run, and images' by default
+        parts = [
+            (shown.step, shown.refractory),
+            asdict(settings.events),
+            asdict(settings.presentation),
+        ]
         if model == "events-loihi":
             parts.append(settings.deployment.pop_type)
     else:

@@ -19,6 +19,9 @@ from pipeline.settings import SIMULATED, Settings, check_fits
 KINDS = ("random", "writers")
 """Of splits: over samples, as in the paper; or nobody writes both training and test samples."""
 
+AT_ONCE = 500
+"""Recordings whose frames of events are made at once, which bounds the memory."""
+
 MOST_LOST = 0.1
 """Share of the events that may be lost before a warning says so."""
 
@@ -201,11 +204,11 @@ def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:
     """
     image = settings.image
     if settings.on_events:
-        table = EventTable.of(recordings)
-        frames = table.frames(
-            np.arange(len(recordings)), settings.input.step, settings.presentation.steps
-        )
-        return np.ascontiguousarray(np.moveaxis(frames, 0, 1))
+        shown, steps, table = settings.input, settings.steps, EventTable.of(recordings)
+        inputs = np.empty((len(table), steps, *table.size, 2), np.uint8)
+        for some in np.array_split(np.arange(len(table)), 1 + len(table) // AT_ONCE):
+            inputs[some] = np.moveaxis(table.frames(some, shown.step, steps, shown.rest), 0, 1)
+        return inputs
     return tactile_images(recordings, image.aggregation, image.normalisation)
 
 
@@ -217,18 +220,19 @@ def event_warnings(settings: Settings, recordings: Recordings) -> list:
     UserError
         There is no event at all.
     """
-    table, step, steps = EventTable.of(recordings), settings.input.step, settings.presentation.steps
+    table, step, steps = EventTable.of(recordings), settings.input.step, settings.steps
     empty = int(np.sum(np.diff(table.offsets) == 0))
     if empty == len(recordings):
         raise UserError(f"{recordings.source.name}: no recording has an event; give others")
     long = int(np.sum(table.duration_ms >= step * steps))
-    lost = table.lost(step)
+    lost = table.lost(step, settings.input.rest)
+    window = step * (1 + settings.input.rest)
     lines = [
-        f"events: {lost:.1%} fall into the {step:g} ms of another one of their taxel and polarity, "
+        f"events: {lost:.1%} come within {window:g} ms of another one of their taxel and polarity, "
         "and are one spike with it"
     ]
     if lost > MOST_LOST:
-        lines[0] += "; fewer would with a shorter input.step"
+        lines[0] += "; fewer would with a shorter input.step or input.refractory"
     if empty:
         lines.append(f"events: {empty} of {len(recordings)} recordings have none")
     if long:

@@ -201,7 +201,8 @@ class EventDecider(_Fast):
         steps = int(min(max(since, 0), shown.steps))
         if steps <= shown.readout_start:
             return None
-        frames = EventTable.of(_alone(events)).frames([0], 1e3 * seconds, shown.steps)
+        table, rest = EventTable.of(_alone(events)), self._spec.stimulus.rest
+        frames = table.frames([0], 1e3 * seconds, shown.steps, rest)
         return self._show(np.moveaxis(frames, 0, 1), steps)
 
     def _logits(self, scores, steps):

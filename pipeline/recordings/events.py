@@ -11,14 +11,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from pipeline.paper import DURATION_S
+
 N_TAXELS = 100
 """Taxels of the array, 10 x 10 (paper, Section 2.1)."""
 
 TICK_NS = 16
 """Period of the decoder's time grid in nanoseconds: 62.5 MHz, which the paper rounds to 63 MHz."""
-
-DURATION_S = 2.0
-"""Length of a recording in seconds (paper, Section 2.2)."""
 
 GRID = 10
 """Taxels along each side of the array."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deploy.network.stimulus import rested
 from pipeline.recordings.events import Recordings
 
 
@@ -74,28 +75,35 @@ class EventTable:
         columns = (self.time_ms, self.row, self.column, self.polarity)
         return (sample, *(column[event] for column in columns))
 
-    def frames(self, indices, step_ms: float, steps: int) -> np.ndarray:
+    def frames(self, indices, step_ms: float, steps: int, rest: int = 0) -> np.ndarray:
         """Frames of some recordings; see :func:`spike_frames`."""
         sample, time_ms, *place = self.pick(np.asarray(indices))
-        return spike_frames(sample, time_ms / step_ms, *place, len(indices), steps, self.size)
+        return spike_frames(sample, time_ms / step_ms, *place, len(indices), steps, self.size, rest)
 
-    def lost(self, step_ms: float) -> float:
-        """Share of the events that fall into the step of another one of their taxel and polarity.
-
-        A taxel spikes at most once a step with each polarity.
-        """
+    def lost(self, step_ms: float, rest: int = 0) -> float:
+        """Share of the events that are no spike of their own; see :func:`spike_frames`."""
+        if not len(self.time_ms):
+            return 0.0
         sample = np.repeat(np.arange(len(self)), np.diff(self.offsets))
+        place = (sample * self.size[0] + self.row) * self.size[1] + self.column
         step = (self.time_ms / step_ms).astype(np.int64)
-        place = (self.row.astype(np.int64) * self.size[1] + self.column) * 2 + self.polarity
-        kept = np.unique(np.stack([sample, step, place]), axis=1).shape[1]
-        return 1 - kept / len(sample) if len(sample) else 0.0
+        # One long time: all of a taxel and polarity after all of another, further than a rest apart.
+        time = np.sort((2 * place + self.polarity) * (step.max() + rest + 1) + step)
+        following = np.searchsorted(time, time + rest + 1).tolist()
+        spikes = event = 0
+        while event < len(following):
+            spikes, event = spikes + 1, following[event]
+        return 1 - spikes / len(following)
 
 
-def spike_frames(sample, step, row, column, polarity, samples: int, steps: int, size=(10, 10)):
-    """Where there is an event in which step.
+def spike_frames(
+    sample, step, row, column, polarity, samples: int, steps: int, size=(10, 10), rest: int = 0
+):
+    """Where there is a spike in which step.
 
-    Several events of one taxel and polarity in a step are one spike.  Events past the last step are
-    left out.
+    Several events of one taxel and polarity in a step are one spike.  For ``rest`` steps after it
+    further ones are none: the refractory period of an event camera's pixel.  Events past the last
+    step are left out.
 
     Parameters
     ----------
@@ -105,6 +113,8 @@ def spike_frames(sample, step, row, column, polarity, samples: int, steps: int, 
         How many there are.
     size : (int, int)
         Rows and columns.
+    rest : int
+        Steps.
 
     Returns
     -------
@@ -114,4 +124,4 @@ def spike_frames(sample, step, row, column, polarity, samples: int, steps: int, 
     step = np.floor(step).astype(np.int64)
     inside = (step >= 0) & (step < steps)
     frames[step[inside], sample[inside], row[inside], column[inside], polarity[inside]] = 1
-    return frames
+    return rested(frames, rest)

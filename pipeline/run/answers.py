@@ -106,7 +106,7 @@ def _logits(stage, settings, weights, images, advance):
     if stage == "spiking-lif":
         from pipeline.training import nengodl
 
-        return nengodl.run(settings, weights, images, settings.presentation.steps, advance=advance)
+        return nengodl.run(settings, weights, images, settings.steps, advance=advance)
     from pipeline.training.networks import TrainedCNN, TrainedRates
 
     network = TrainedCNN if stage == "cnn" else TrainedRates

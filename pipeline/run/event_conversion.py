@@ -68,7 +68,7 @@ def spec_of_events(
     return NetworkSpec(
         architecture=str(architecture),
         input_shape=architecture.input_shape,
-        stimulus=EventFrames(recipe.step_ms / 1000),
+        stimulus=EventFrames(recipe.step_ms / 1000, recipe.rest),
         layers=tuple(layers),
         presentation=presentation,
         provenance=provenance,

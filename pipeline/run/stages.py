@@ -262,7 +262,7 @@ def train_on_events(run: RunFolder, settings: Settings, dataset: Dataset, say=pr
         )
 
     def decision_of(trained):
-        steps = settings.presentation.steps
+        steps = settings.steps
         chosen = trained.threshold(table, dataset.labels, held, steps, settings.seed)
         return {"decides_by_itself": {**chosen._asdict(), "samples": len(held)}}
 

@@ -57,6 +57,9 @@ class EventRecipe:
         See :mod:`models.architecture`.
     step_ms : float
         Time on the skin that is one step of the chip.
+    rest : int
+        Steps for which a taxel stays silent after a spike; see
+        :func:`pipeline.recordings.steps.spike_frames`.
     tau_u_ms, tau_v_ms : tuple of float
         Where the time constants of current and voltage begin, in milliseconds of skin time.
     floor, beta : float
@@ -76,6 +79,7 @@ class EventRecipe:
 
     architecture: str = EventTraining.architecture
     step_ms: float = Input.step
+    rest: int = Input().rest
     tau_u_ms: tuple = (30.0,)
     tau_v_ms: tuple = (80.0,)
     floor: float = -2.0
@@ -86,7 +90,7 @@ class EventRecipe:
     average: float = 0.998
     dropout: float = 0.1
     early: float = EventTraining.early
-    price: float = 1.0
+    price: float = 3.0
     budget: float = EventTraining.budget
     stretch: float = 0.1
     drop: float = 0.2
@@ -98,7 +102,8 @@ class EventRecipe:
     @classmethod
     def of(cls, settings: Settings) -> EventRecipe:
         """The recipe with what the settings say of it."""
-        return cls(step_ms=settings.input.step, **asdict(settings.events))
+        shown = settings.input
+        return cls(step_ms=shown.step, rest=shown.rest, **asdict(settings.events))
 
 
 @dataclass(frozen=True)
@@ -150,8 +155,9 @@ class TrainedOnEvents:
         sample, step, *place = alter(
             self.recipe, rng, len(often), *table.pick(often), size=table.size
         )
-        altered = spike_frames(sample, step, *place, len(often), steps, table.size)
-        as_they_are = table.frames(held, self.recipe.step_ms, steps)
+        rest = self.recipe.rest
+        altered = spike_frames(sample, step, *place, len(often), steps, table.size, rest)
+        as_they_are = table.frames(held, self.recipe.step_ms, steps, rest)
         shown = self.answers(np.moveaxis(np.concatenate([as_they_are, altered], 1), 0, 1))
         return choose_threshold(
             arriving(shown.outputs, self.recipe),
@@ -265,7 +271,7 @@ def answer_events(recipe: EventRecipe, weights: dict, table: EventTable, indices
     -------
     Answers
     """
-    frames = table.frames(indices, recipe.step_ms, steps)
+    frames = table.frames(indices, recipe.step_ms, steps, recipe.rest)
     return answer_frames(recipe, weights, np.moveaxis(frames, 0, 1))
 
 
@@ -498,14 +504,16 @@ class _Trainer:
         )
         last = np.zeros(n, np.int64)
         np.maximum.at(last, sample, step.astype(np.int64))
-        frames = spike_frames(sample, step, *place, n, _padded(last.max()), self.table.size)
+        steps, rest = _padded(last.max()), self.recipe.rest
+        frames = spike_frames(sample, step, *place, n, steps, self.table.size, rest)
         writing = (np.arange(len(frames))[:, None] <= last).astype(np.float32)
         return frames, self.labels[batch], writing
 
     def _frames(self, indices):
         """Frames of samples as they are."""
-        last = self.table.duration_ms[indices].max() / self.recipe.step_ms
-        return self.table.frames(indices, self.recipe.step_ms, _padded(int(last)))
+        step, rest = self.recipe.step_ms, self.recipe.rest
+        steps = _padded(int(self.table.duration_ms[indices].max() / step))
+        return self.table.frames(indices, step, steps, rest)
 
     def _answers(self, indices, size=100):
         """Of samples as they are, a batch after the other: which, outputs and operations."""

@@ -14,7 +14,7 @@ from deploy.files import read_arrays, write_arrays
 from models.architecture import parse
 from models.keras2 import tf
 from models.slayer import SlayerNetwork, SpikeResponse, spike_count_loss, spike_counts
-from pipeline.recordings.events import DURATION_S
+from pipeline.paper import DURATION_S
 from pipeline.settings import Slayer
 
 

@@ -87,7 +87,7 @@ BAD = [
     ("synapse", {"deployment": {"synapse": -1}}, "'deployment.synapse' must be from 0 to 1000 "),
     ("pop type", {"deployment": {"pop_type": 8}}, "16 or 32"),
     ("pop 16 of 6", {"deployment": {"pop_type": 16}}, "filters on the chip come in multiples of 4"),
-    ("no steps", {"presentation": {"steps": 0}}, "'presentation.steps' must be from 1 to 10000"),
+    ("no steps", {"presentation": {"steps": -1}}, "'presentation.steps' must be from 0 to 10000"),
     ("gap", {"presentation": {"gap": -1}}, "'presentation.gap' must be from 0 to 10000"),
     ("late readout", {"presentation": {"steps": 15}}, r"below presentation.steps \(15\)"),
     ("no stream", {"presentation": {"stream_length": 0}}, "from 1 to 1000000"),
@@ -196,3 +196,18 @@ def test_two_processes_cannot_work_in_one_run(tmp_path):
         pass
     with run.locked():
         pass
+
+
+def test_steps_that_are_left_open():
+    """A hundred for images; with events what the two seconds of a recording take."""
+    settings = Settings()
+    assert (settings.steps, settings.input.rest) == (100, 1)
+    for step, refractory, expected in (
+        (10, 10, (200, 1)),
+        (20, 10, (100, 0)),
+        (0.1, 0.3, (10000, 3)),
+    ):
+        changes = {"input": {"kind": "events", "step": step, "refractory": refractory}}
+        on_events = settings.with_values(changes)
+        assert (on_events.presented().steps, on_events.input.rest) == expected
+        assert on_events.with_values({"presentation": {"steps": 7}}).presented().steps == 7

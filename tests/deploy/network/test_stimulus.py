@@ -12,6 +12,7 @@ from deploy.files import read_arrays, write_arrays
 from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.operations import synaptic_operations
+from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, Feed, ImageCurrent, ImageSpikes
 from deploy.network.stream import show
 from deploy.preflight.plan import make_plan
@@ -141,6 +142,26 @@ def copy(bundle, path, arrays):
     manifest = read_json(path / "MANIFEST.json", "")
     manifest["files"]["checks.npz"] = sha256_of(path / "checks.npz")
     write_json(path / "MANIFEST.json", manifest)
+
+
+def test_a_taxel_that_spikes_while_it_rests_is_refused():
+    spec = events_spec()
+    resting = replace(spec, stimulus=EventFrames(0.01, rest=2))
+    assert resting.stimulus.shortest_interval == 3
+    assert NetworkSpec.from_json(resting.to_json(), resting.arrays()) == resting
+    before = spec.to_json()  # as it was written before a taxel could rest
+    del before["stimulus"]["rest"]
+    assert NetworkSpec.from_json(before, spec.arrays()) == spec
+    steps = spec.presentation.steps
+    frames = np.zeros((1, *spec.stimulus.sample_shape(spec.input_shape, steps)), np.uint8)
+    frames[0, [0, 3], 2, 2, 0] = 1
+    assert resting.stimulus.complaint(frames, spec.input_shape, steps) is None
+    frames[0, 5, 2, 2, 0] = 1
+    assert spec.stimulus.complaint(frames, spec.input_shape, steps) is None
+    said = resting.stimulus.complaint(frames, spec.input_shape, steps)
+    assert said == "a taxel spikes again within 2 steps"
+    with pytest.raises(UserError, match="rest must be a whole number from 0"):
+        EventFrames(0.01, rest=-1)
 
 
 def test_what_each_kind_shows():

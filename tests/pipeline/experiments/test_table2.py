@@ -91,7 +91,7 @@ def test_both_rows_on_events_are_of_one_training_a_split(benchmark):
         ("check", {"samples": 50}, {"loihi", "events-loihi"}),
         ("deployment", {"input_rate": 400.0}, {"ann-snn", "loihi"}),
         ("presentation", {"gap": 3}, {"ann-snn", "loihi", "events", "events-loihi"}),
-        ("input", {"step": 10}, {"events", "events-loihi"}),
+        ("input", {"refractory": 20}, {"events", "events-loihi"}),
         ("input", {"kind": "events"}, set()),
         ("events", {"epochs": 3}, {"events", "events-loihi"}),
         ("slayer", {"epochs": 3}, {"slayer"}),

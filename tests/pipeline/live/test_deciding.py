@@ -65,16 +65,16 @@ def test_layers_are_as_many_bytes_as_the_page_reads(bundle, decider, recordings)
 
 @pytest.fixture(scope="module")
 def clocked():
-    """An events bundle of random weights, for whole recordings in steps of 20 ms."""
+    """An events bundle of random weights, for whole recordings in steps of 10 ms."""
     rng = np.random.default_rng(0)
     small = networks.events_spec()
     conv1 = networks.conv("conv1", (10, 10, 2), 4, 4, rng, scale=8.0)
     spec = replace(
         small,
         input_shape=(10, 10, 2),
-        stimulus=EventFrames(0.02),
+        stimulus=EventFrames(0.01, rest=1),
         layers=(conv1, networks.readout(conv1.shape, rng, classes=10)),
-        presentation=replace(small.presentation, steps=100, confidence=0.7),
+        presentation=replace(small.presentation, steps=200, confidence=0.7),
     )
     return Bundle(None, "random", spec, None)
 
@@ -88,15 +88,15 @@ def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
     spec = clocked.spec.with_presentation(stream_length=1)
     settings = Settings().with_values({"input": {"kind": "events"}}, "test")
     frames = inputs_of(recordings, settings)
-    assert frames.shape[1] == 100
+    assert frames.shape[1] == 200
     expected = answers_of(spec, frames, "fast")
     assert len(set(expected.predictions)) > 1
     for index in range(0, len(recordings), 3):
         events = recordings[index]
         first_s = events.time_ns[0] * 1e-9
         deciding = decider.begin()
-        for step in (3, 20, 41, 100):
-            time_s = first_s + 0.02 * step + 1e-6
+        for step in (5, 40, 82, 200):
+            time_s = first_s + 0.01 * step + 1e-6
             so_far = events.time_ns < time_s * 1e9
             names = ("time_ns", "taxel", "polarity", "columns")
             known = Events(*(getattr(events, name)[so_far] for name in names))
@@ -106,7 +106,7 @@ def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
             assert all(not rows[after:].any() for rows in said.spikes.values())
         at_the_end = deciding.answer(events, math.inf)
         np.testing.assert_array_equal(at_the_end.scores, expected.scores[index])
-        summed = expected.scores[index] * 100
+        summed = expected.scores[index] * 200
         assert at_the_end.confidence.max() == pytest.approx(confidence(summed))
         assert at_the_end.sure == (confidence(summed) >= spec.presentation.confidence)
 

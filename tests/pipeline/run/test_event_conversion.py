@@ -47,7 +47,7 @@ def test_every_spike_is_that_of_the_trained_network(architecture, target):
     spec = spec_of_events(recipe, weights, presentation, {})
     spec = NetworkSpec.from_json(spec.to_json(), spec.arrays())
     indices = np.arange(len(table))
-    frames = np.moveaxis(table.frames(indices, recipe.step_ms, STEPS + GAP), 0, 1)
+    frames = np.moveaxis(table.frames(indices, recipe.step_ms, STEPS + GAP, recipe.rest), 0, 1)
     expected = answer_events(recipe, weights, table, indices, STEPS + GAP)
     found = answer(spec, frames, target)
     for name, spikes in expected.spikes.items():
@@ -91,7 +91,7 @@ def test_the_judge_decides_on_the_chip_as_in_training():
     )
     spec = spec_of_events(recipe, weights, presentation, {})
     spec = NetworkSpec.from_json(spec.to_json(), spec.arrays())
-    frames = np.moveaxis(table.frames(indices, recipe.step_ms, steps), 0, 1)
+    frames = np.moveaxis(table.frames(indices, recipe.step_ms, steps, recipe.rest), 0, 1)
     np.testing.assert_array_equal(answer(spec, frames, "fast").stopped_at, expected + 1)
 
 

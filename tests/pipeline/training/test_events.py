@@ -70,10 +70,10 @@ def test_weights_have_the_names_and_shapes_of_the_architecture(trained):
 
 def test_answers_are_the_chips_integers(trained, data):
     table, labels, _ = data
-    answers = answer_events(RECIPE, trained.weights, table, VALIDATION, steps=40)
+    answers = answer_events(RECIPE, trained.weights, table, VALIDATION, steps=64)
     network = SpikingNetwork(parse(RECIPE.architecture))
     network.set_weights(trained.weights)
-    frames = table.frames(VALIDATION, RECIPE.step_ms, 40)
+    frames = table.frames(VALIDATION, RECIPE.step_ms, 64, RECIPE.rest)
     for index in (0, 7):
         conv, dense = reference.network(network.architecture, network.integers(), frames[:, index])
         np.testing.assert_array_equal(answers.spikes["conv1"][index], conv.sum(0))
@@ -196,13 +196,13 @@ def test_nothing_altered_but_where_in_its_step_a_sample_begins():
     sample, step, row, column, polarity = altered(STILL)
     assert sample.tolist() == list(range(400))
     assert (set(row), set(column), set(polarity)) == ({4}, {0}, {1})
-    assert 5 <= step.min() < 5.1
-    assert 5.9 < step.max() <= 6
+    assert 10 <= step.min() < 10.1
+    assert 10.9 < step.max() <= 11
 
 
 def test_each_change_does_what_it_says():
     sample, step, *_ = altered(replace(STILL, stretch=0.2))
-    assert np.std(np.log((step - 0.5) / 5)) == pytest.approx(0.2, abs=0.05)
+    assert np.std(np.log((step - 0.5) / 10)) == pytest.approx(0.2, abs=0.05)
     assert len(altered(replace(STILL, drop=0.5), n=4000)[0]) == pytest.approx(3000, abs=150)
     # A quarter turn takes the middle of the left edge to an end of the middle column.
     _, _, row, column, _ = altered(replace(STILL, turn=np.pi / 2))
