@@ -87,7 +87,7 @@ class EventTable:
         sample = np.repeat(np.arange(len(self)), np.diff(self.offsets))
         place = (sample * self.size[0] + self.row) * self.size[1] + self.column
         step = (self.time_ms / step_ms).astype(np.int64)
-        # One long time: all of a taxel and polarity after all of another, further than a rest apart.
+        # One long time: all of a taxel and polarity after all of another, more than a rest later.
         time = np.sort((2 * place + self.polarity) * (step.max() + rest + 1) + step)
         following = np.searchsorted(time, time + rest + 1).tolist()
         spikes = event = 0
