@@ -515,33 +515,41 @@ class _Trainer:
         steps = _padded(int(self.table.duration_ms[indices].max() / step))
         return self.table.frames(indices, step, steps, rest)
 
-    def _answers(self, indices, size=100):
-        """Of samples as they are, a batch after the other: which, outputs and operations."""
+    def _answers(self, indices, frames_of, size=100):
+        """A batch after the other: which, frames, outputs and operations."""
         indices = np.asarray(indices)
         order = indices[np.argsort(self.table.duration_ms[indices], kind="stable")]
         for start in range(0, len(order), size):
             part = order[start : start + size]
-            outputs, cost, _ = self._answer(self._frames(np.resize(part, size)))
-            yield part, outputs.numpy()[:, : len(part)], cost.numpy()[: len(part)].sum(1)
+            frames = frames_of(np.resize(part, size))
+            outputs, cost, _ = self._answer(frames)
+            n = len(part)
+            yield part, frames[:, :n], outputs.numpy()[:, :n], cost.numpy()[:n].sum(1)
 
     def watch(self, indices):
         """Accuracy and operations of samples as they are, for the history."""
         right, costs = [], []
-        for part, outputs, cost in self._answers(indices):
+        for part, _, outputs, cost in self._answers(indices, self._frames):
             right.append(outputs[-1].argmax(-1) == self.labels[part])
             costs.append(cost)
         cost = float(np.concatenate(costs).mean()) / CNN_MACS
         return {"val_accuracy": float(np.concatenate(right).mean()), "val_operations": cost}
 
     def outputs_of(self, indices):
-        """Each sample's outputs as they arrive, up to its last event's, and if they were right."""
+        """Outputs as they arrive, up to what the last event causes, and whether they were right.
+
+        Of each sample as it is, and once altered: by heart the network knows the samples as they
+        are, so that they alone would show it surer than it can be.
+        """
+        rng = np.random.default_rng([self.seed, 0x10D6E])
         every, right = [], []
-        for part, outputs, _ in self._answers(indices):
-            outputs = arriving(np.moveaxis(outputs, 0, 1), self.recipe)
-            steps = (self.table.duration_ms[part] / self.recipe.step_ms).astype(int) + 1 + TAIL
-            for sample, index, length in zip(outputs, part, steps, strict=True):
-                every.append(sample[:length])
-                right.append(every[-1].argmax(-1) == self.labels[index])
+        for frames_of in (self._frames, lambda batch: self._altered(batch, rng)[0]):
+            for part, frames, outputs, _ in self._answers(indices, frames_of):
+                outputs = arriving(np.moveaxis(outputs, 0, 1), self.recipe)
+                lengths = last_steps(np.moveaxis(frames, 0, 1)) + 1 + TAIL
+                for sample, index, length in zip(outputs, part, lengths, strict=True):
+                    every.append(sample[:length])
+                    right.append(every[-1].argmax(-1) == self.labels[index])
         return every, right
 
     def weights(self):
