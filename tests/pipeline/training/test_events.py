@@ -10,7 +10,9 @@ from models.architecture import parse
 from models.spiking import SpikingNetwork
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.steps import EventTable
+from pipeline.training import events
 from pipeline.training.events import (
+    TAIL,
     EventRecipe,
     alter,
     answer_events,
@@ -56,6 +58,31 @@ def test_it_learns(trained):
     assert [row["epoch"] for row in trained.history] == [1, 2, 3, 4, 5, 6]
     assert trained.history[-1]["loss"] < trained.history[0]["loss"] / 2
     assert trained.history[-1]["val_accuracy"] >= 15 / 18
+
+
+def test_the_judge_learns_from_samples_as_they_are_and_altered(data, monkeypatch):
+    table, labels, train = data
+    told = {}
+
+    def keep(outputs, right, seed):
+        told.update(outputs=outputs, right=right)
+        return Judge.from_arrays({n: np.zeros(s) for n, s in Judge.shapes(3).items()}, 3)
+
+    monkeypatch.setattr(events, "train_judge", keep)
+    result = train_events(replace(RECIPE, epochs=1), table, labels, train, 0)
+    order = train[np.argsort(table.duration_ms[train], kind="stable")]
+    assert len(told["outputs"]) == len(told["right"]) == 2 * len(train)
+    steps = int(table.duration_ms.max() / RECIPE.step_ms) + 1 + TAIL
+    answers = answer_events(RECIPE, result.weights, table, order, steps)
+    arrived, differ = arriving(answers.outputs, RECIPE), 0
+    for sample, seen, changed, right, label in zip(
+        arrived, told["outputs"], told["outputs"][len(train) :], told["right"], labels[order],
+        strict=False,
+    ):  # fmt: skip
+        np.testing.assert_allclose(seen, sample[: len(seen)], atol=1e-3)
+        np.testing.assert_array_equal(right, seen.argmax(-1) == label)
+        differ += changed.shape != seen.shape or not np.allclose(changed, seen)
+    assert differ == len(train)
 
 
 def test_weights_have_the_names_and_shapes_of_the_architecture(trained):
