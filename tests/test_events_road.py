@@ -154,8 +154,8 @@ def test_another_word_for_the_input_is_one_line(tmp_path, capsys):
 
 def test_what_is_not_shown_is_said(tmp_path, capsys):
     options = ("--set", "data.samples_per_digit=10", "--set", "events.epochs=1")
-    options += ("--set", "presentation.steps=5")
+    options += ("--set", "presentation.steps=5", "--set", "input.step=50")
     assert call("train", tmp_path / "run", "--input", "events", *options) == 0
     said = capsys.readouterr().err
-    assert "% come within 20 ms of another one" in said
-    assert "are longer than 5 steps of 10 ms" in said
+    assert "% come within 50 ms of another one" in said
+    assert "are longer than 5 steps of 50 ms" in said

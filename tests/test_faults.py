@@ -93,7 +93,7 @@ def test_more_samples_than_the_test_split_has(refused, run):
         ("cnn=3", "'cnn' is a section"),
         ("epochs", "expected section.name=value"),
         ("cnn.architecture=10x10-6p4-10o", "token 2 ('6p4')"),
-        ("presentation.steps=0", "'presentation.steps' must be from 1 to 10000"),
+        ("presentation.steps=-1", "'presentation.steps' must be from 0 to 10000"),
     ],
 )
 def test_a_wrong_setting_on_the_command_line(refused, run, option, said):

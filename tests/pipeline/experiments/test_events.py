@@ -77,7 +77,7 @@ def test_the_text():
 
 TINY = (
     *("--jobs", "1", "--set", "data.samples_per_digit=6", "--set", "events.epochs=1"),
-    *("--set", "input.step=80", "--set", "presentation.steps=26", "--json"),
+    *("--set", "input.step=125", "--json"),
 )
 
 
