@@ -7,11 +7,12 @@ import json
 import numpy as np
 import pytest
 
+from deploy.check.bundle import CheckSet, write_bundle
 from deploy.targets.fast.emulation import Emulation, compile_spec
 from pipeline.experiments import emulator_speed as measure
 from tests.command import call
 from tests.deploy.fast_networks import images_for
-from tests.deploy.networks import bundle_at, paper_spec, small_spec
+from tests.deploy.networks import bundle_at, events_spec, paper_spec, random_frames, small_spec
 
 pytest.importorskip("numba")
 
@@ -43,6 +44,20 @@ def test_text_tells_growth_and_limit(bundle, capsys):
     text = capsys.readouterr().out
     for said in ("6 simulated samples", "fast, numba", "fast, numpy", "steps a sample", "limit: "):
         assert said in text
+
+
+def test_a_bundle_of_events_is_measured_as_well(tmp_path, capsys):
+    spec = events_spec()
+    checks = CheckSet(random_frames(spec, 4), np.zeros(4, int), tuple("abcd"), 0)
+    bundle = write_bundle(tmp_path / "bundle", spec, checks)
+    assert call("benchmark", "emulator", bundle.path, "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["identical"] is True
+    assert [row["steps"] for row in result["growth"]["steps"]] == [25, 50, 100, 200, 400]
+    rates = [row["chip_hz"] for row in result["growth"]["brightness"]]
+    assert rates[0] < rates[1]
+    assert call("benchmark", "emulator", bundle.path) == 0
+    assert "limit: " in capsys.readouterr().out
 
 
 def test_missing_bundle_is_one_line(tmp_path, capsys):
