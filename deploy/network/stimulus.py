@@ -159,12 +159,14 @@ class EventFrames(Stimulus):
     def complaint(self, samples, input_shape, steps: int) -> Optional[str]:
         """Why samples are not what this stimulus shows, or None."""
         found = super().complaint(samples, input_shape, steps)
-        if found is None and not np.isin(samples, (0, 1)).all():
-            found = "frames of events hold something else than 0 and 1"
+        if found is not None:
+            return found
+        if not np.isin(samples, (0, 1)).all():
+            return "frames of events hold something else than 0 and 1"
         in_time = np.moveaxis(samples, 1, 0)
-        if found is None and not np.array_equal(rested(in_time, self.rest), in_time):
-            found = f"a taxel spikes again within {self.rest} steps"
-        return found
+        if not np.array_equal(rested(in_time, self.rest), in_time):
+            return f"a taxel spikes again within {self.rest} steps"
+        return None
 
 
 def rested(frames, rest: int) -> np.ndarray:

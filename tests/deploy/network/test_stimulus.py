@@ -160,6 +160,7 @@ def test_a_taxel_that_spikes_while_it_rests_is_refused():
     assert spec.stimulus.complaint(frames, spec.input_shape, steps) is None
     said = resting.stimulus.complaint(frames, spec.input_shape, steps)
     assert said == "a taxel spikes again within 2 steps"
+    assert "have shape" in resting.stimulus.complaint(frames.ravel(), spec.input_shape, steps)
     with pytest.raises(UserError, match="rest must be a whole number from 0"):
         EventFrames(0.01, rest=-1)
 
