@@ -1,8 +1,8 @@
 # Thin: every target calls the command `stmnist`, which offers the same and more (stmnist --help).
 #
 # Variables: DATA (ST-MNIST zip or folder; default: simulated), INPUT (image, the default, or
-# events), RUN (default runs/default), SEED (default 0), SAMPLES (default 200), STEPS (default 100,
-# of 1 ms, or with events of 10 ms of skin time), JOBS (default 2),
+# events), RUN (default runs/default), SEED (default 0), SAMPLES (default 200), STEPS (default 100
+# of 1 ms, or with events 200 of 10 ms of skin time), JOBS (default 2),
 # TARGET (of make check; default emulator), BOARD and PARTITION (of make loihi-hardware),
 # PYTHON (of 3.11 to 3.13; default: the first on the path that fits).
 # Unset ones leave a run's own settings as they are.

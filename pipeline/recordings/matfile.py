@@ -17,9 +17,9 @@ import h5py
 import numpy as np
 import scipy
 
+from pipeline.paper import DURATION_S
 from pipeline.recordings import mat5
 from pipeline.recordings.events import (
-    DURATION_S,
     N_TAXELS,
     Events,
     TaxelMap,

@@ -262,8 +262,7 @@ def train_on_events(run: RunFolder, settings: Settings, dataset: Dataset, say=pr
         )
 
     def decision_of(trained):
-        steps = settings.steps
-        chosen = trained.threshold(table, dataset.labels, held, steps, settings.seed)
+        chosen = trained.threshold(table, dataset.labels, held, settings.steps, settings.seed)
         return {"decides_by_itself": {**chosen._asdict(), "samples": len(held)}}
 
     metrics = _train("events", run.snn, stamp, recipe.epochs, train_it, dataset, say, decision_of)

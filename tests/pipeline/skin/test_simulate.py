@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from pipeline.paper import SAMPLES_PER_DIGIT
+from pipeline.paper import DURATION_S, SAMPLES_PER_DIGIT
 from pipeline.recordings.events import (
-    DURATION_S,
     EVENT_DTYPES,
     TICK_NS,
     expand_bursts,
