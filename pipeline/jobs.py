@@ -8,6 +8,7 @@ import signal
 import sys
 import traceback
 import warnings
+from contextlib import closing
 from dataclasses import dataclass
 
 from joblib import Parallel, delayed
@@ -39,7 +40,14 @@ class Failure:
     details: str
 
 
-def run_jobs(function, jobs, processes: int = 1, scheduler: str | None = None, say=print):
+def run_jobs(
+    function,
+    jobs,
+    processes: int = 1,
+    scheduler: str | None = None,
+    say=print,
+    meanwhile=lambda: None,
+):
     """Call a function once for each job, and yield what it returns as it comes.
 
     A job that fails does not stop the others.
@@ -56,6 +64,8 @@ def run_jobs(function, jobs, processes: int = 1, scheduler: str | None = None, s
         Address of a Dask scheduler, such as ``tcp://host:8786``; its workers run the jobs.
     say : callable
         Called with a line where the jobs have to wait.
+    meanwhile : callable
+        Called once, in this process, where jobs run in others while they begin.
 
     Yields
     ------
@@ -69,15 +79,17 @@ def run_jobs(function, jobs, processes: int = 1, scheduler: str | None = None, s
     """
     jobs = list(jobs)
     if scheduler is not None:
+        meanwhile()
         yield from _on_cluster(function, jobs, scheduler, say)
     elif processes == 1 or len(jobs) <= 1:
+        meanwhile()
         for job in jobs:
             yield job, _attempt(function, job)
     else:
         with warnings.catch_warnings():
             # Workers whose memory has grown are replaced between jobs, which is as it should be.
             warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
-            yield from _in_processes(function, jobs, processes)
+            yield from _in_processes(function, jobs, processes, meanwhile)
 
 
 def results_of(calls, processes: int, in_order: bool = True):
@@ -107,12 +119,14 @@ def results_of(calls, processes: int, in_order: bool = True):
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _in_processes(function, jobs, processes):
+def _in_processes(function, jobs, processes, meanwhile):
     left = dict(enumerate(jobs))
     calls = (delayed(_numbered)(number, function, job) for number, job in left.copy().items())
     try:
-        for number, result in results_of(calls, min(processes, len(jobs)), in_order=False):
-            yield left.pop(number), result
+        with closing(results_of(calls, min(processes, len(jobs)), in_order=False)) as results:
+            meanwhile()
+            for number, result in results:
+                yield left.pop(number), result
     except TerminatedWorkerError:
         # Nothing tells whose process was killed, so each job that is left gets one to itself.
         for job in left.values():

@@ -22,7 +22,7 @@ from models.own import ModelFileError, read_own_model
 from pipeline.inputs.dataset import TOO_SMALL, Dataset, event_warnings, recordings_fit
 from pipeline.inputs.splits import draw_check_samples, hold_out
 from pipeline.jobs import Failure, run_jobs
-from pipeline.progress import progress
+from pipeline.progress import hidden, progress
 from pipeline.recordings.sensors import about_sensor
 from pipeline.recordings.steps import EventTable
 from pipeline.run.answers import REFERENCES, reference_result, training_versions
@@ -401,7 +401,7 @@ def answer_all(
     say=print,
     whole: bool = False,
 ) -> list:
-    """:func:`answer` of several stages, those that are targets side by side in processes.
+    """:func:`answer` of several stages; targets in processes, the networks meanwhile in this one.
 
     Parameters
     ----------
@@ -426,13 +426,18 @@ def answer_all(
     results = {}
     targets = [s for s in asked if s not in networks and not _answers(paths[s], bundle)]
     if jobs > 1 and len(targets) > 1:
-        for stage in asked:
-            if stage in networks:
-                results[stage] = answer(run, settings, bundle, stage, say, whole)
         work = [_Check(bundle, stage, paths[stage], settings.seed) for stage in targets]
-        # The slowest begin first; all are about as long as their place in the ladder is late.
-        with progress(f"check {', '.join(targets)}", len(work)) as advance:
-            for job, outcome in run_jobs(_check, work[::-1], jobs):
+        here = [stage for stage in asked if stage not in targets]
+        with progress("check", len(asked)) as advance:
+
+            def answer_here():
+                for stage in here:
+                    with hidden():
+                        results[stage] = answer(run, settings, bundle, stage, say, whole)
+                    advance(1, stage)
+
+            # The slowest begin first; all are about as long as their place in the ladder is late.
+            for job, outcome in run_jobs(_check, work[::-1], jobs, meanwhile=answer_here):
                 if isinstance(outcome, Failure):
                     raise UserError(f"target {job.target}: {outcome.error}")
                 results[job.target] = read_result(job.path, REMEDY_CHECK)
