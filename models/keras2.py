@@ -20,6 +20,8 @@ os.environ["XLA_FLAGS"] = (
     os.environ.get("XLA_FLAGS", "") + " --xla_cpu_enable_concurrency_optimized_scheduler=false"
 )
 
+import models.hdf5  # noqa: F401  before TensorFlow imports h5py
+
 # The import makes half a million objects and no garbage.  Looking for some takes 0.6 of its 2.1
 # seconds, and 0.7 more when the process ends.
 gc.disable()

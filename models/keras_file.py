@@ -23,8 +23,9 @@ import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import h5py
 import numpy as np
+
+from models.hdf5 import h5py
 
 MAX_FILE = 256 * 2**20
 """Bytes of a model file and of the arrays in it."""
@@ -122,11 +123,11 @@ def read_model_file(path) -> SavedModel:
     content = _content(path)
     try:
         done = subprocess.run(
-            [sys.executable, "-P", str(Path(__file__).resolve())],
+            [sys.executable, "-P", "-m", "models.keras_file"],
             input=content,
             capture_output=True,
             timeout=MAX_SECONDS,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": _search_path()},
         )
     except subprocess.TimeoutExpired as error:
         problem = f"could not be read in {MAX_SECONDS} s, seems damaged"
@@ -196,6 +197,12 @@ def read_content(content: bytes) -> SavedModel:
         raise ModelFileError(f"takes too much memory, seems damaged; {REMEDY}") from error
     except Exception as error:  # zipfile, zlib and h5py fail in many ways on damaged files
         raise ModelFileError(f"damaged ({type(error).__name__}); {REMEDY}") from error
+
+
+def _search_path():
+    """Where Python finds this package first, wherever this process found it."""
+    here = str(Path(__file__).resolve().parents[1])
+    return os.pathsep.join(filter(None, [here, os.environ.get("PYTHONPATH")]))
 
 
 def _content(path):

@@ -140,6 +140,7 @@ def test_each_foreign_world_is_in_one_file():
     assert users("nengo_dl") == {"pipeline/training/nengodl.py"}
     assert users("nengo_loihi") == {"deploy/network/loihi_import.py"}
     assert users("tensorflow") == {"models/keras2.py"}
+    assert users("h5py") == {"models/hdf5.py"}
 
 
 def test_deploy_is_written_for_python_38():

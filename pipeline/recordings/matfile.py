@@ -13,10 +13,10 @@ import math
 import zlib
 from dataclasses import dataclass, field
 
-import h5py
 import numpy as np
 import scipy
 
+from models.hdf5 import h5py, unusual_filters
 from pipeline.paper import DURATION_S
 from pipeline.recordings import mat5
 from pipeline.recordings.events import (
@@ -265,6 +265,8 @@ def _datasets(file, names):
             continue
         if dataset.external or dataset.is_virtual or dataset.shape is None:
             raise BadRecording(f"keeps {name!r} in another file")
+        if unusual_filters(dataset):
+            raise BadRecording(f"has {name!r} in a form that MATLAB does not write")
         held = max(math.prod(map(int, shape)) for shape in (dataset.shape, dataset.chunks or ()))
         if held * dataset.dtype.itemsize > mat5.LARGEST:
             raise mat5.TooLarge(

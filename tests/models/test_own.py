@@ -512,9 +512,11 @@ def test_damaged_files_are_refused_or_read(files, tmp_path_factory, data):
 
 
 def test_a_crash_of_the_reading_process_is_a_line(files, monkeypatch, tmp_path):
-    crash = tmp_path / "crash.py"
-    crash.write_text("import os\nos.abort()\n")
-    monkeypatch.setattr(keras_file, "__file__", str(crash))
+    package = tmp_path / "models"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "keras_file.py").write_text("import os\nos.abort()\n")
+    monkeypatch.setattr(keras_file, "__file__", str(package / "keras_file.py"))
     with pytest.raises(ModelFileError, match="damaged; save it anew"):
         read_own_model(files["keras3"] / "paper.keras")
 

@@ -169,11 +169,29 @@ def test_another_use_of_the_name_writer_in_a_matlab_73_file(put):
                                              external=[("/etc/hostname", 0, 4 * 101 * 8)]),
             "keeps 'spiketrain' in another file",
         ),
+        (
+            lambda file: file.create_dataset("spiketrain", (4, 101), "i4", chunks=(4, 101),
+                                             scaleoffset=0),
+            "'spiketrain' in a form that MATLAB does not write",
+        ),
+        (
+            lambda file: file.create_dataset("spiketrain", (4, 101), "f8", compression="lzf"),
+            "'spiketrain' in a form that MATLAB does not write",
+        ),
     ],
 )  # fmt: skip
 def test_a_matlab_73_file_that_declares_too_much_or_points_elsewhere(build, reason):
     with pytest.raises(BadRecording, match=reason):
         read_recording(hdf5(build))
+
+
+def test_a_matlab_73_file_compressed_as_matlab_does():
+    def build(file):
+        file.create_dataset(
+            "spiketrain", data=spiketrain(4).T, compression=3, shuffle=True, fletcher32=True
+        )
+
+    assert len(read_recording(hdf5(build)).events) == 4
 
 
 def test_a_file_that_is_too_large(monkeypatch):
