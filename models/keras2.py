@@ -22,18 +22,22 @@ os.environ["XLA_FLAGS"] = (
 
 import models.hdf5  # noqa: F401  before TensorFlow imports h5py
 
-# The import makes half a million objects and no garbage.  Looking for some takes 0.6 of its 2.1
-# seconds, and 0.7 more when the process ends.
+# The import makes half a million objects and no garbage; to look for some takes a third of it.
+_collects = gc.isenabled()
 gc.disable()
-import tensorflow as tf  # noqa: E402
+try:
+    import tensorflow as tf
 
-if not tf.keras.Model.__module__.startswith("tf_keras."):
+    _keras = tf.keras.Model.__module__  # which imports it
+finally:
+    if _collects:
+        gc.enable()
+
+if not _keras.startswith("tf_keras."):
     raise ImportError(
         "TensorFlow is already in use with Keras 3 in this process; "
         "set TF_USE_LEGACY_KERAS=1 before the first import of tensorflow"
     )
-gc.enable()
-gc.freeze()
 
 # That a function is traced anew for each network is no news to the user.
 tf.get_logger().setLevel("ERROR")

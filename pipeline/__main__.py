@@ -1,5 +1,6 @@
 """``python -m pipeline``, and the command ``stmnist``: what must stand before the imports."""
 
+import gc
 import os
 import sys
 
@@ -25,7 +26,11 @@ def main():
     from pipeline.temporary import own_folder
 
     with interrupts.raised("stmnist"), own_folder():
-        command()
+        try:
+            command()
+        finally:
+            # Python looks for garbage as it ends, with TensorFlow for most of a second.
+            gc.freeze()
 
 
 if __name__ == "__main__":

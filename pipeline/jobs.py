@@ -89,6 +89,8 @@ def run_jobs(
         with warnings.catch_warnings():
             # Workers whose memory has grown are replaced between jobs, which is as it should be.
             warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
+            # That jobs are given up where the caller gives up is no news either.
+            warnings.filterwarnings("ignore", message=r"\d+ tasks (which were|have been)")
             yield from _in_processes(function, jobs, processes, meanwhile)
 
 

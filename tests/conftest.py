@@ -1,5 +1,6 @@
 """What all tests share: a cache of their own, the data of development, one small run."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -20,6 +21,10 @@ TINY = (
     *("--samples", "20", "--steps", "40"),
 )
 """Options of the small run: trained badly, but through every stage."""
+
+# TensorFlow's graphs are a million objects: looking through them for garbage every few hundred new
+# ones takes an eighth of the time of the tests that make them.
+gc.set_threshold(50_000, 20, 50)
 
 settings.register_profile("stmnist", deadline=None)
 settings.load_profile("stmnist")

@@ -1,5 +1,7 @@
 import os
 import signal
+import time
+import warnings
 from threading import Thread
 
 import pytest
@@ -43,6 +45,34 @@ def test_processes_do_not_hear_ctrl_c():
     """Between two jobs joblib's own code would answer it with a traceback."""
     assert dict(run_jobs(interrupted_at, [0, 1], 2)) == {0: 0, 1: 1}
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+def slow(number):
+    time.sleep(600)  # ended by who asked for it
+
+
+@pytest.mark.parametrize("gives_up", [KeyboardInterrupt, UserError])
+def test_what_goes_on_meanwhile_may_fail_or_be_interrupted(gives_up):
+    """The processes end, and nothing is said of them."""
+
+    def meanwhile():
+        raise gives_up("enough")
+
+    with warnings.catch_warnings(record=True) as told, pytest.raises(gives_up):
+        list(run_jobs(slow, [0, 1, 2], 2, meanwhile=meanwhile))
+    assert told == []
+
+
+def fail_at_once(number):
+    return Failure("no", "no") if number == 0 else slow(number)
+
+
+def test_who_asked_may_give_up_at_the_first_failure():
+    with warnings.catch_warnings(record=True) as told:
+        results = run_jobs(fail_at_once, [0, 1, 2], 2)
+        assert next(results)[0] == 0
+        results.close()
+    assert told == []
 
 
 def complain_at_length(job):

@@ -285,7 +285,7 @@ def _interrupted(process, folder, moment):
         return
     if status != 130:
         yield f"status {status} after Ctrl-C: {err[-300:]!r}"
-    if "Traceback" in err or "KeyboardInterrupt" in err:
+    if any(word in err for word in ("Traceback", "KeyboardInterrupt", "Warning")):
         yield f"{len(err.splitlines())} lines after Ctrl-C: {err[-300:]!r}"
     elif not err.splitlines()[-1].startswith("stmnist: interrupted"):
         yield f"ends with {err.splitlines()[-1]!r} after Ctrl-C"
