@@ -33,11 +33,31 @@ class Failure:
     error : str
         One short line: the exception's type and message.
     details : str
-        The traceback, where there is one.
+        The traceback, where there is one; of a user's mistake the whole message.
+    mistake : UserError, optional
+        What was raised, where that is all there is to say.
     """
 
     error: str
     details: str
+    mistake: UserError | None = None
+
+    def raise_again(self):
+        """Raise what was raised, or what tells as much of it.
+
+        Raises
+        ------
+        UserError
+            The user's mistake, or a process that was killed.
+        MemoryError
+        RuntimeError
+            Anything else, with its traceback.
+        """
+        if self.mistake is not None:
+            raise self.mistake
+        if self.error.startswith(MemoryError.__name__):
+            raise MemoryError
+        raise RuntimeError(self.details)
 
 
 def run_jobs(
@@ -145,7 +165,7 @@ def _alone(function, job):
         return next(results_of([delayed(_attempt)(function, job)], 2))  # 1 is this process
     except TerminatedWorkerError:
         message = "its process was killed; has the machine enough memory?"
-        return Failure(message, message)
+        return Failure(message, message, UserError(message))
 
 
 def _numbered(number, function, job):
@@ -155,6 +175,8 @@ def _numbered(number, function, job):
 def _attempt(function, job):
     try:
         return function(job)
+    except UserError as error:
+        return Failure(_one_line(error), str(error), error)
     except Exception as error:
         return Failure(_one_line(error), traceback.format_exc())
 

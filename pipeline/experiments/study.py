@@ -92,7 +92,8 @@ def study(
     Raises
     ------
     UserError
-        There is no scheduler at the address, or Dask is not installed.
+        There is no scheduler at the address, or Dask is not installed; or every job failed by the
+        same mistake.
     """
     results = [kept(job) if kept else None for job in jobs]
     todo = [(number, job) for number, job in enumerate(jobs) if results[number] is None]
@@ -103,10 +104,17 @@ def study(
         ):
             results[number] = result
             if isinstance(result, Failure):
-                say(result.details)
+                if result.mistake is None:
+                    say(result.details)
             elif keep is not None:
                 keep(job, result)
             advance(size(job))
+    mistaken = [r for r in results if isinstance(r, Failure) and r.mistake is not None]
+    mistakes = sorted({failure.details for failure in mistaken})
+    if len(mistakes) == 1 and len(mistaken) == len(results):
+        raise mistaken[0].mistake
+    for mistake in mistakes:
+        say(mistake)
     return results
 
 

@@ -30,6 +30,22 @@ def die_of_two(number):
     return number
 
 
+def refuse(number):
+    raise {0: UserError("snn.tau_rc: 0; " + "give more " * 30), 1: MemoryError(), 2: KeyError(7)}[
+        number
+    ]
+
+
+def test_what_was_raised_in_a_process_can_be_raised_again():
+    failures = dict(run_jobs(refuse, [0, 1, 2], 2))
+    with pytest.raises(UserError, match=r"^snn.tau_rc: 0; (give more ){30}$"):
+        failures[0].raise_again()
+    with pytest.raises(MemoryError):
+        failures[1].raise_again()
+    with pytest.raises(RuntimeError, match=r"(?s)Traceback .*in refuse.*KeyError: 7"):
+        failures[2].raise_again()
+
+
 def test_a_killed_process_is_a_failure_and_the_others_go_on():
     results = dict(run_jobs(die_of_two, [0, 1, 2, 3, 4], 2))
     assert "killed" in results.pop(2).error

@@ -59,6 +59,25 @@ def test_a_study_keeps_its_results_and_goes_on(tmp_path):
     assert asked == outdated
 
 
+def test_a_mistake_of_the_users_is_said_as_it_is(tmp_path):
+    jobs, said = [Half(number, tmp_path) for number in (2, 4, 6)], []
+
+    def refuse(job):
+        raise UserError("snn.tau_rc: 0; " + "give a longer one " * 20)
+
+    with pytest.raises(UserError, match=r"give a longer one $"):
+        study("halves", refuse, jobs, Workers(1), said.append)
+    assert said == []
+
+    def refuse_some(job):
+        return refuse(job) if job.number > 2 else {"half": 1}
+
+    found = study("halves", refuse_some, jobs, Workers(1), said.append)
+    assert found[0] == {"half": 1}
+    assert said == [found[1].details] == [found[2].details]
+    assert "Traceback" not in said[0]
+
+
 def test_a_study_on_a_cluster(tmp_path):
     distributed = pytest.importorskip("distributed")
     jobs, said = [Half(number, tmp_path) for number in (4, 3)], []
