@@ -13,6 +13,7 @@ from .check.results import compare_results, read_result
 from .check.run import run_check
 from .errors import CheckFailed, UserError, one_line
 from .preflight.plan import make_plan, plan_text
+from .tables import aligned
 from .targets.board import BoardOptions, nxsdk_version
 from .targets.registry import TARGETS, options_for
 
@@ -185,8 +186,8 @@ def comparison_text(comparison, shown: int = 10) -> str:
     elif comparison.other_spikes is not None:
         lines.append(f"spikes differ in {comparison.other_spikes} samples")
     if differ:
-        lines.append(f"{'sample':<24} {'label':>5} {a:>9} {b:>9}")
-        lines += [f"{s['id']:<24} {s['label']:>5} {s['a']:>9} {s['b']:>9}" for s in differ[:shown]]
+        rows = [[s["id"], *(str(s[key]) for key in ("label", "a", "b"))] for s in differ[:shown]]
+        lines += aligned([["sample", "label", a, b], *rows])
     if len(differ) > shown:
         lines.append(f"and {len(differ) - shown} more")
     return "\n".join(lines)

@@ -43,10 +43,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deploy.network.chip import LOIHI
 from models.architecture import Architecture
 from models.keras2 import quiet_compiler, tf
 
-WEIGHT_LEVELS = 127
+WEIGHT_LEVELS = LOIHI.weight_levels
 """Largest magnitude of an 8-bit weight that may have either sign."""
 
 WEIGHT_UNIT = 128
@@ -56,10 +57,10 @@ THRESHOLD_UNIT = 64
 MAX_THRESHOLD = (2**17 - 2) * THRESHOLD_UNIT
 """A unit below the chip's largest, where NengoLoihi's scaling can round past it and halves all."""
 
-DECAY_UNIT = 4096
-BIAS_MANTISSA = 2**12 - 1
+DECAY_UNIT = LOIHI.decay_levels + 1
+BIAS_MANTISSA = 2**LOIHI.bias_bits - 1
 BIAS_EXPONENTS = 7
-Q_BITS, U_BITS = 21, 23
+Q_BITS, U_BITS = LOIHI.input_bits, LOIHI.current_bits
 """Bits of the synaptic accumulator and of the current, without their signs."""
 
 BIAS_CAP = 0.9
@@ -322,7 +323,7 @@ class SpikingNetwork(tf.Module):
 def operations(architecture: Architecture, frames, spikes):
     """Synaptic operations of each sample by the layer that receives them; differentiable.
 
-    A spike counts once for each synapse that it arrives at, as in :mod:`deploy.operations`.
+    A spike counts once for each synapse that it arrives at, as in :mod:`deploy.network.operations`.
 
     Parameters
     ----------

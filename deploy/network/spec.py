@@ -201,8 +201,8 @@ class Presentation:
     stream_length: int = 10
     """Samples a stream; 1 means that every sample starts from a fresh network."""
     confidence: Optional[float] = None
-    """Share of the softmax of the summed outputs at which a sample is decided before its end; None
-    if only the end decides."""
+    """At which a sample is decided before its end, see :mod:`deploy.network.decision`; None if only
+    the end decides."""
 
     @property
     def period(self) -> int:

@@ -19,11 +19,9 @@ from deploy.network.responses import read_output, seconds_per_sample
 from deploy.network.spec import NetworkSpec
 from deploy.network.stream import show, streams_of
 from deploy.tables import aligned
-from deploy.targets.fast.emulation import Emulation, compile_spec
+from deploy.targets.fast.emulation import KERNELS, Emulation, compile_spec
 from pipeline.experiments import emulator_limits
 from pipeline.progress import progress
-
-KERNELS = ("numba", "numpy")
 
 
 @dataclass(frozen=True)

@@ -301,10 +301,10 @@ def events_text(summary: dict) -> str:
             "",
             *(f"{name}: {VARIANTS[name]}" for name in summary["variants"]),
             "accuracy at the end, on the target fast, in %; points lost: as-is less this one",
-            "operations: of an inference, in multiples of the paper's CNN's 43,104",
+            f"operations: of an inference, in multiples of the paper's CNN's {CNN_MACS:,}",
             "share: of the writing, in %, until it decides by itself; then right: accuracy of that",
             "agreement: same answer of fast and the trained network, in %; trained: its accuracy",
-            "spikes in: shown of a sample; merged: events that are one spike with another, in %",
+            "spikes in: shown of a sample; merged: events that are no spike of their own, in %",
         ]
     )
 

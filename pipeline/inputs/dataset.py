@@ -23,7 +23,7 @@ AT_ONCE = 500
 """Recordings whose frames of events are made at once, which bounds the memory."""
 
 MOST_LOST = 0.1
-"""Share of the events that may be lost before a warning says so."""
+"""Share of the events that may be lost to steps that are too long before a line says so."""
 
 TOO_SMALL = "ask for fewer (SAMPLES, or check.samples) or give more data"
 """What to do where there are too few samples."""
@@ -225,14 +225,18 @@ def event_warnings(settings: Settings, recordings: Recordings) -> list:
     if empty == len(recordings):
         raise UserError(f"{recordings.source.name}: no recording has an event; give others")
     long = int(np.sum(table.duration_ms >= step * steps))
-    lost = table.lost(step, settings.input.rest)
-    window = step * (1 + settings.input.rest)
+    shared, lost = table.lost(step), table.lost(step, settings.input.rest)
     lines = [
-        f"events: {lost:.1%} come within {window:g} ms of another one of their taxel and polarity, "
-        "and are one spike with it"
+        f"events: {shared:.1%} share a step of {step:g} ms with another one of their taxel and "
+        "polarity, and are one spike with it"
     ]
-    if lost > MOST_LOST:
-        lines[0] += "; fewer would with a shorter input.step or input.refractory"
+    if shared > MOST_LOST:
+        lines[0] += "; fewer would with a shorter input.step"
+    if lost > shared:
+        lines.append(
+            f"events: {lost - shared:.1%} more come while their taxel rests, for "
+            f"{settings.input.rest * step:g} ms after a spike (input.refractory)"
+        )
     if empty:
         lines.append(f"events: {empty} of {len(recordings)} recordings have none")
     if long:

@@ -112,8 +112,14 @@ def _notes(run, settings, recordings):
     """What should not pass without a word, such as simulated data that nobody asked for."""
     if settings.on_events:
         yield from event_warnings(settings, recordings)
-    if settings.data.source == SIMULATED and not run.experiment.exists():
-        yield f"{run.path}: a new run, on simulated recordings (others: --data)"
+    if not run.experiment.exists():
+        if settings.data.source == SIMULATED:
+            yield f"{run.path}: a new run, on simulated recordings (others: --data)"
+    elif (before := run.resolve_settings(None, {}).input.kind) != settings.input.kind:
+        yield (
+            f"{run.path}: was a run of input.kind {before!r}; its network and bundle are replaced "
+            "(name another folder to keep both)"
+        )
     classes = recordings.sensor.classes
     missing = sorted(set(range(len(classes))) - set(recordings.labels.tolist()))
     if missing:

@@ -9,14 +9,18 @@ import shutil
 import stat
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from deploy import requirements as host
+from deploy.check.bundle import CheckSet, write_bundle
 from deploy.check.run import run_check
-from tests.deploy.networks import bundle_at, small_spec
+from deploy.network.decision import Judge
+from deploy.network.stimulus import EventFrames, rested
+from tests.deploy.networks import events_spec, random_checks, random_frames, small_spec
 from tests.deploy.standin import STANDIN
 
 ROOT = Path(__file__).parent.parent.parent
@@ -27,8 +31,11 @@ OLD_PYTHON = ROOT / ".venv-inrc" / "bin" / "python"
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
     """A bundle and the emulator's result at home: ``(bundle, result)``."""
-    folder = tmp_path_factory.mktemp("home")
-    bundle = bundle_at(folder / "bundle", small_spec(), 7)
+    return at_home(tmp_path_factory.mktemp("home"), small_spec())
+
+
+def at_home(folder, spec, checks=None):
+    bundle = write_bundle(folder / "bundle", spec, checks or random_checks(spec, 7))
     return bundle, run_check(bundle, "emulator", folder / "checks" / "emulator.json")
 
 
@@ -200,6 +207,30 @@ def test_python_38_gives_the_same_result(home, copied):
     assert result["versions"]["python"].startswith("3.8")
     assert same_answers(result, home[1])
     assert set(result) == set(home[1])
+
+
+@old_python
+def test_python_38_answers_a_bundle_of_events(tmp_path):
+    """With taxels that rest and a judge, so that every sample is decided in a step of its own."""
+    rng = np.random.default_rng(0)
+    judge = {name: 0.3 * rng.normal(size=shape) for name, shape in Judge.shapes(3).items()}
+    spec = replace(
+        events_spec(confidence=0.7),
+        stimulus=EventFrames(0.01, rest=1),
+        judge=Judge.from_arrays(judge, 3),
+    )
+    frames = rested(np.moveaxis(random_frames(spec, 7, share=0.2), 1, 0), 1)
+    names = tuple(f"random/{i:03d}" for i in range(7))
+    checks = CheckSet(np.moveaxis(frames, 0, 1), rng.integers(0, 3, 7), names, 0)
+    bundle, expected = at_home(tmp_path / "home", spec, checks)
+    copied = shutil.copytree(bundle.path, tmp_path / "copied")
+    run = pyz(copied, "check", ".", "--target", "emulator", python=OLD_PYTHON, standin=False)
+    assert run.returncode == 0, run.stderr
+    result = result_in(copied, "emulator")
+    assert same_answers(result, expected)
+    decided = [sample["stopped_at"] for sample in result["samples"]]
+    assert decided == [sample["stopped_at"] for sample in expected["samples"]]
+    assert len(set(decided)) > 2
 
 
 @old_python

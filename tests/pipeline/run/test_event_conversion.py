@@ -75,7 +75,6 @@ def test_the_judge_decides_on_the_chip_as_in_training():
     recipe = EventRecipe(architecture="10x10x2-12c4s2-32-10o")
     rng, weights, table = np.random.default_rng(0), trained_like(recipe.architecture), table_of()
     weights |= {name: rng.normal(0, 0.3, shape) for name, shape in Judge.shapes(10).items()}
-    weights["judge.kernel1"][-1] = 0  # no mind for the time
     indices, steps = np.arange(len(table)), STEPS + GAP
     shown = answer_events(recipe, weights, table, indices, steps)
     late = len(shown.spikes) + 1
