@@ -59,11 +59,12 @@ def _parsed():
 
 
 def made_base(folder):
-    """A finished tiny run, its cache and a zip of recordings."""
+    """Finished tiny runs on images and on events, their cache and a zip of recordings."""
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / "done").exists():
         for name, arguments in (
             ("run", ["ladder", folder / "run", *breaks.TINY]),
+            ("events", ["ladder", folder / "events", *breaks.TINY_EVENTS]),
             ("st.zip", ["data", "simulate", "--out", folder / "st.zip",
                         "--samples-per-digit", 60]),
         ):  # fmt: skip
@@ -119,13 +120,14 @@ def run_inputs(part, count, options, folder, base, counts):
 
 def _shard(cases, kinds, options, folder, base, log):
     _warm(base, folder)
-    given = inputs.Base(base / "run")
+    given = [inputs.Base(base / name) for name in ("run", "events")]
     with log.open("w") as file:
         for case in cases:
             place = folder / str(case)
             place.mkdir(parents=True)
             rng = generator(options, "inputs", case)
-            outcome = bounded.run(inputs.make(kinds[case], rng, place, given), place)
+            which = given[int(rng.integers(0, len(given)))]
+            outcome = bounded.run(inputs.make(kinds[case], rng, place, which), place)
             record = {
                 "case": case, "kind": kinds[case], "finding": outcome.finding,
                 "seconds": outcome.seconds, "memory": outcome.memory, "status": outcome.status,
@@ -148,8 +150,9 @@ def _warm(base, folder):
     from deploy.targets.registry import answer
     from pipeline.report.gather import gather  # noqa: F401
 
-    opened = read_bundle(base / "run" / "bundle")
-    answer(opened.spec, opened.checks.inputs[:1], "fast")
+    for name in ("run", "events"):
+        opened = read_bundle(base / name / "bundle")
+        answer(opened.spec, opened.checks.inputs[:1], "fast")
 
 
 def run_breaks(part, count, options, folder, base, counts):

@@ -24,6 +24,10 @@ TINY = (
     *("--set", "data.samples_per_digit=60", "--set", "cnn.epochs=3", "--set", "snn.epochs=2"),
     *("--samples", "20", "--steps", "40"),
 )
+TINY_EVENTS = (
+    *("--input", "events", "--set", "data.samples_per_digit=60", "--set", "events.epochs=3"),
+    *("--set", "input.step=40", "--set", "input.refractory=40", "--samples", "20"),
+)
 GRACE = 60
 """Seconds within which an interrupted command ends, and a second Ctrl-C at once."""
 
@@ -59,6 +63,7 @@ def _small(f):
 
 COMMANDS = (
     Command("ladder", lambda f: ["ladder", f / "run", *TINY]),
+    Command("events", lambda f: ["ladder", f / "events", *TINY_EVENTS]),
     Command("train", lambda f: ["train", f / "run", *_small(f)]),
     Command("convert", lambda f: ["convert", f / "run"], ("run", "-bundle", "-checks", "-ladder")),
     Command(
@@ -89,7 +94,7 @@ COMMANDS = (
 )  # fmt: skip
 """The commands that take long enough to be stopped."""
 
-WEIGHTS = {"ladder": 3, "train": 2, "convert": 2, "check": 2}
+WEIGHTS = {"ladder": 3, "events": 2, "train": 2, "convert": 2, "check": 2}
 
 
 def prepare(command, folder, base):

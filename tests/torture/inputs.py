@@ -316,9 +316,10 @@ def run_folder(rng, folder, base):
     (folder / "cache").symlink_to(base.run.parent / "cache")
     names = [
         "snn/history.csv", "cnn/history.csv", "snn/metrics.json", "cnn/metrics.json",
-        "checks/emulator.json", "checks/cnn.json", "ladder.json", "dataset.json",
+        "checks/emulator.json", "checks/cnn.json", "checks/trained.json", "ladder.json",
+        "dataset.json",
     ]  # fmt: skip
-    path = run / str(rng.choice(names))
+    path = run / str(rng.choice([name for name in names if (run / name).exists()]))
     if path.suffix == ".json":
         path.write_bytes(damage.json_text(rng, read_json(path, "")))
     else:
