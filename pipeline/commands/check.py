@@ -72,7 +72,7 @@ def run(
     options.tell(result, lambda value: f"{summary(value)}\nwritten to {path}", as_json)
 
 
-def compare(
+def compare_checks(
     a: Annotated[Path, typer.Argument(help="A result, JSON.")],
     b: Annotated[Path, typer.Argument(help="Another of the same bundle.")],
     max_disagreements: Annotated[

@@ -11,7 +11,7 @@ from pipeline.commands import options
 from pipeline.run.comparison import compare_runs, read_runs, runs_text
 
 
-def compare(
+def compare_(
     runs: Annotated[list[Path], typer.Argument(help="Two or more runs' folders.")],
     whole: Annotated[
         bool, typer.Option("--whole", help="On the whole test split, not on the check's samples.")

@@ -23,9 +23,9 @@ from pipeline.commands import (
     deploy,
     live,
     report,
-    run,
     settings,
     skin,
+    stages,
     sweep,
 )
 
@@ -48,14 +48,14 @@ VERBS = {
             "aces": skin.aces_,
         },
     ),
-    "train": run.train,
-    "convert": run.convert,
+    "train": stages.train,
+    "convert": stages.convert,
     "check": (
         "The check that every target answers.",
-        {"run": check.run, "compare": check.compare},
+        {"run": check.run, "compare": check.compare_checks},
     ),
-    "ladder": run.ladder,
-    "compare": compare.compare,
+    "ladder": stages.ladder,
+    "compare": compare.compare_,
     "deploy": (
         "Before and beside a board: what fits, exports.",
         {"plan": deploy.plan, "export": deploy.export, "energy": deploy.energy},

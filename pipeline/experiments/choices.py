@@ -21,7 +21,7 @@ import numpy as np
 from deploy.tables import aligned
 from deploy.targets.registry import answer
 from pipeline.experiments.resampling import estimate
-from pipeline.experiments.study import Findings, SplitJob, Workers, over_splits
+from pipeline.experiments.study import Findings, SplitJob, Workers, measure_splits
 from pipeline.paper import points_lost
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings
@@ -103,9 +103,9 @@ read in the last four fifths of the steps.  ``host layer``: the first convolutio
 def measure_choices(
     folder: RunFolder, settings: Settings, splits: int, workers: Workers, say
 ) -> Findings:
-    """Measure what is not there yet; see :func:`pipeline.experiments.study.over_splits`."""
+    """Measure what is not there yet; see :func:`pipeline.experiments.study.measure_splits`."""
     depends_on = SCHEMA, [asdict(choice) for choice in CHOICES]
-    return over_splits(
+    return measure_splits(
         "conversion", measure, summarise, folder, settings, splits, workers, say, depends_on
     )
 

@@ -17,7 +17,7 @@ from deploy.tables import aligned
 from deploy.targets.registry import answer
 from pipeline.experiments.events import train_for_chip
 from pipeline.experiments.resampling import estimate
-from pipeline.experiments.study import Findings, SplitJob, Workers, over_splits
+from pipeline.experiments.study import Findings, SplitJob, Workers, measure_splits
 from pipeline.inputs.dataset import inputs_of
 from pipeline.paper import CNN_MACS, points_lost
 from pipeline.run.folder import RunFolder
@@ -36,7 +36,7 @@ PAPERS = {"spiking-lif": "ann-snn", "chip-100": "loihi"}
 def measure_losses(
     folder: RunFolder, settings: Settings, seeds: int, workers: Workers, say
 ) -> Findings:
-    """Measure what is not there yet; see :func:`pipeline.experiments.study.over_splits`.
+    """Measure what is not there yet; see :func:`pipeline.experiments.study.measure_splits`.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def measure_losses(
     """
     for steps in () if settings.on_events else STEPS:
         settings.with_values({"presentation": {"steps": steps}}, "benchmark losses")
-    return over_splits(
+    return measure_splits(
         "losses", measure, summarise, folder, settings, seeds, workers, say, (SCHEMA,)
     )
 

@@ -177,7 +177,7 @@ class SplitJob:
         return dataset.divided(self.seed, self.settings.split.test_fraction)
 
 
-def over_splits(
+def measure_splits(
     name: str,
     measure: Callable,
     summarise: Callable,

@@ -403,10 +403,3 @@ def test_text_and_marks_stand_out_from_what_is_behind_them():
         ]:  # fmt: skip
             bright, dim = sorted(map(luminance, (colours[front], colours[behind])), reverse=True)
             assert (bright + 0.05) / (dim + 0.05) >= least, (front, behind)
-
-
-def test_two_minutes_are_not_all_waiting(browser, server):
-    """From opening the page to writing on it: no more than a few seconds."""
-    begun = time.monotonic()
-    with page_of(browser, server):
-        assert time.monotonic() - begun < 30
