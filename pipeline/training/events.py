@@ -12,15 +12,12 @@ softmax a confidence; the third, on the mean of a batch, keeps the network withi
 from __future__ import annotations
 
 import json
-import time
 import zlib
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.files import read_arrays, write_arrays
 from deploy.network.decision import Judge, Threshold, choose_threshold, delayed
 from models.architecture import parse
 from models.keras2 import tf
@@ -28,6 +25,7 @@ from models.spiking import Neuron, SpikingNetwork, operations
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.steps import EventTable, spike_frames
 from pipeline.settings import EventTraining, Input, Settings
+from pipeline.training.checkpoint import train_epochs
 from pipeline.training.judge import train_judge
 from pipeline.training.networks import make_deterministic
 
@@ -238,18 +236,15 @@ def train_events(
         raise UserError("no training sample has an event; give other recordings")
     trainer = _Trainer(recipe, table, np.asarray(labels), train, seed)
     run = _identity(recipe, table, labels, train, validation, seed)
-    history = trainer.resume(checkpoint, run)
-    if advance is not None and history:
-        advance(len(history), _note(history[-1]))
-    for epoch in range(len(history), recipe.epochs):
-        begun = time.perf_counter()
-        row = {"epoch": epoch + 1, **trainer.epoch(epoch), "seconds": time.perf_counter() - begun}
-        if len(validation):
-            row |= trainer.watch(validation)
-        history.append(row)
-        trainer.save(checkpoint, run, history)
-        if advance is not None:
-            advance(1, _note(row))
+    history = train_epochs(
+        trainer.epoch,
+        recipe.epochs,
+        trainer.state,
+        run,
+        checkpoint,
+        (lambda: trainer.watch(validation)) if len(validation) else None,
+        advance,
+    )
     judge = train_judge(*trainer.outputs_of(train), seed)
     return TrainedOnEvents(recipe, {**trainer.weights(), **judge.arrays()}, history)
 
@@ -557,34 +552,12 @@ class _Trainer:
         return self.network.named(variable.numpy() for variable in self.mean)
 
     @property
-    def _state(self):
+    def state(self):
         """All that the next epoch depends on, by name."""
         kinds = {"weight": self.variables, "mean": self.mean, "adam": self.optimizer.variables}
         return {
             f"{kind}{i}": v for kind, variables in kinds.items() for i, v in enumerate(variables)
         }
-
-    def save(self, checkpoint, run, history):
-        """Keep the state after an epoch."""
-        if checkpoint is not None:
-            state = {name: variable.numpy() for name, variable in self._state.items()}
-            history = np.array(json.dumps(history))
-            write_arrays(checkpoint, run=np.array(run), history=history, **state)
-
-    def resume(self, checkpoint, run):
-        """Take up the state of an earlier session of the same run; return its history."""
-        if checkpoint is None or not Path(checkpoint).exists():
-            return []
-        remedy = "delete it to train from the start"
-        state = read_arrays(checkpoint, remedy)
-        try:
-            if str(state["run"]) != run:
-                return []
-            for name, variable in self._state.items():
-                variable.assign(state[name])
-            return json.loads(str(state["history"]))
-        except (KeyError, ValueError) as error:
-            raise UserError(f"{checkpoint}: damaged checkpoint ({error}); {remedy}") from error
 
 
 def _padded(last_step):
@@ -598,7 +571,3 @@ def _identity(recipe, table, labels, train, validation, seed):
     parts = (*columns, *(np.asarray(part, np.int64) for part in (labels, train, validation)))
     sums = [zlib.crc32(np.ascontiguousarray(part).view(np.uint8)) for part in parts]
     return json.dumps([asdict(recipe), seed, sums])
-
-
-def _note(row):
-    return f"accuracy {row['accuracy']:.3f}"

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import numpy as np
 
-from deploy.errors import UserError
-from deploy.files import read_arrays, write_arrays
 from models.architecture import parse
 from models.keras2 import tf
 from models.slayer import SlayerNetwork, SpikeResponse, spike_count_loss, spike_counts
 from pipeline.paper import DURATION_S
 from pipeline.settings import Slayer
+from pipeline.training.checkpoint import train_epochs
 
 
 @dataclass(frozen=True)
@@ -80,26 +77,20 @@ def train_slayer(
     """
     trainer = _Trainer(settings, frames, labels, seed, duration_s)
     run = _identity(settings, labels, train, test, seed, duration_s)
-    history = trainer.resume(checkpoint, run)
-    if advance is not None and history:
-        advance(len(history), _note(history[-1]))
-    for epoch in range(len(history), settings.epochs):
-        begun = time.perf_counter()
-        loss, right = trainer.epoch(train, epoch)
-        seconds = time.perf_counter() - begun
-        counts = trainer.count(test)
-        history.append(
-            {
-                "epoch": epoch + 1,
-                "loss": loss,
-                "accuracy": right,
-                "test_accuracy": float(np.mean(counts.argmax(1) == labels[test])),
-                "seconds": seconds,
-            }
-        )
-        trainer.save(checkpoint, run, history)
-        if advance is not None:
-            advance(1, _note(history[-1]))
+
+    def watch():
+        right = trainer.count(test).argmax(1) == labels[test]
+        return {"test_accuracy": float(np.mean(right))}
+
+    history = train_epochs(
+        lambda epoch: trainer.epoch(train, epoch),
+        settings.epochs,
+        trainer.state,
+        run,
+        checkpoint,
+        watch,
+        advance,
+    )
     kernels = [kernel.numpy() for kernel in trainer.network.kernels]
     return TrainedSlayer(kernels, history, trainer.count(test))
 
@@ -172,7 +163,7 @@ class _Trainer:
             batch_loss, counts = self._step(batch, self.desired[batch])
             loss += float(batch_loss) * len(batch)
             right += int(np.sum(counts.numpy().argmax(1) == self.labels[batch]))
-        return loss / len(order), right / len(order)
+        return {"loss": loss / len(order), "accuracy": right / len(order)}
 
     def count(self, indices):
         """Spike counts of the outputs, shape (n, outputs)."""
@@ -182,33 +173,13 @@ class _Trainer:
         size = self.settings.batch_size
         return (indices[start : start + size] for start in range(0, len(indices), size))
 
-    def save(self, checkpoint, run, history):
-        """Keep all that the next epoch depends on."""
-        if checkpoint is None:
-            return
-        state = {f"kernel{i}": v.numpy() for i, v in enumerate(self.network.kernels)}
-        state |= {f"optimizer{i}": v.numpy() for i, v in enumerate(self.optimizer.variables)}
-        write_arrays(checkpoint, run=np.array(run), history=np.array(json.dumps(history)), **state)
-
-    def resume(self, checkpoint, run):
-        """Take up the state of an earlier session of the same run; return its history."""
-        if checkpoint is None or not Path(checkpoint).exists():
-            return []
-        remedy = "delete it to train from the start"
-        state = read_arrays(checkpoint, remedy)
-        try:
-            if str(state["run"]) != run:
-                return []
-            history = json.loads(str(state["history"]))
-            if len(history) > self.settings.epochs:
-                return []  # trained for longer than is asked for now
-            for i, variable in enumerate(self.network.kernels):
-                variable.assign(state[f"kernel{i}"])
-            for i, variable in enumerate(self.optimizer.variables):
-                variable.assign(state[f"optimizer{i}"])
-        except (KeyError, ValueError) as error:
-            raise UserError(f"{checkpoint}: damaged checkpoint ({error}); {remedy}") from error
-        return history
+    @property
+    def state(self):
+        """All that the next epoch depends on, by name."""
+        kinds = {"kernel": self.network.kernels, "optimizer": self.optimizer.variables}
+        return {
+            f"{kind}{i}": v for kind, variables in kinds.items() for i, v in enumerate(variables)
+        }
 
 
 def _identity(settings, labels, train, test, seed, duration_s):
@@ -217,7 +188,3 @@ def _identity(settings, labels, train, test, seed, duration_s):
     parts = [np.asarray(part).astype(int) for part in (labels, train, test)]
     sums = [int(np.dot(part, np.arange(1, len(part) + 1)) % (1 << 61)) for part in parts]
     return json.dumps([plain, asdict(spike_response(settings, duration_s)), sums])
-
-
-def _note(row):
-    return f"accuracy {row['accuracy']:.3f}"

@@ -1,0 +1,84 @@
+"""Training epoch by epoch, in which an interruption costs at most one epoch."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+
+from deploy.errors import UserError
+from deploy.files import read_arrays, write_arrays
+
+REMEDY = "delete it to train from the start"
+
+
+def train_epochs(train, epochs: int, state: dict, run: str, checkpoint=None, watch=None,
+                 advance=None) -> list:  # fmt: skip
+    """Train, and keep the state after each epoch.
+
+    Parameters
+    ----------
+    train : callable
+        ``train(epoch) -> dict``, ``loss`` and ``accuracy`` of an epoch, counted from 0.
+    epochs : int
+    state : dict of str to tf.Variable
+        All that the next epoch depends on.
+    run : str
+        What must be the same for a checkpoint to be of this training.
+    checkpoint : path-like, optional
+        Of this training, as long or longer, it is gone on with, and ends as it would have without
+        the interruption; any other is overwritten.
+    watch : callable, optional
+        ``watch() -> dict``, more about the epoch, on samples that are not trained on.
+    advance : callable, optional
+        ``advance(1, note)`` after each epoch, those of an earlier session included.
+
+    Returns
+    -------
+    list of dict
+        The history, one row an epoch: ``epoch``, what ``train`` returns, ``seconds``, what
+        ``watch`` returns.
+
+    Raises
+    ------
+    UserError
+        The checkpoint is damaged.
+    """
+    history = [] if checkpoint is None else _taken_up(Path(checkpoint), run, state, epochs)
+    if advance is not None and history:
+        advance(len(history), _note(history))
+    for epoch in range(len(history), epochs):
+        begun = time.perf_counter()
+        row = {"epoch": epoch + 1, **train(epoch), "seconds": time.perf_counter() - begun}
+        history.append(row | (watch() if watch else {}))
+        if checkpoint is not None:
+            arrays = {name: variable.numpy() for name, variable in state.items()}
+            told = {"run": np.array(run), "history": np.array(json.dumps(history))}
+            write_arrays(checkpoint, **told, **arrays)
+        if advance is not None:
+            advance(1, _note(history))
+    return history
+
+
+def _taken_up(path, run, state, epochs):
+    """The history of an earlier session, whose state the variables are given."""
+    if not path.exists():
+        return []
+    kept = read_arrays(path, REMEDY)
+    try:
+        if str(kept["run"]) != run:
+            return []
+        history = json.loads(str(kept["history"]))
+        if len(history) > epochs:
+            return []
+        for name, variable in state.items():
+            variable.assign(kept[name])
+        return history
+    except (KeyError, ValueError) as error:
+        raise UserError(f"{path}: damaged checkpoint ({error}); {REMEDY}") from error
+
+
+def _note(history):
+    return f"accuracy {history[-1]['accuracy']:.3f}"
