@@ -7,34 +7,22 @@ recipe, and all are judged on the same test samples by the target fast.
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deploy import __version__
 from deploy.check.intervals import mcnemar, wilson_interval
-from deploy.errors import CheckFailed
-from deploy.files import write_json
 from deploy.network.decision import share_of_time
 from deploy.tables import aligned
 from deploy.targets.registry import answer
 from pipeline.experiments.resampling import estimate
-from pipeline.experiments.study import (
-    Findings,
-    SplitJob,
-    Workers,
-    read_kept,
-    study,
-    write_kept,
-)
+from pipeline.experiments.study import Findings, SplitJob, Workers, measure_splits
 from pipeline.inputs.dataset import Dataset, inputs_of
-from pipeline.inputs.library import recordings_of
 from pipeline.inputs.splits import hold_out
-from pipeline.jobs import Failure
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.steps import EventTable
 from pipeline.recordings.variants import VARIANTS, durations_ns, vary
-from pipeline.run.folder import RunFolder, stamp_of
+from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings
 
 SCHEMA = "stmnist-time/1"
@@ -56,6 +44,11 @@ class VariantJob(SplitJob):
     """
 
     variant: str
+
+    @property
+    def name(self) -> str:
+        """What a failure is called by."""
+        return f"{self.variant} of seed {self.seed}"
 
     def dataset(self) -> Dataset:
         """The samples with this split, of the variant.
@@ -86,41 +79,22 @@ def measure_events(
 
     Raises
     ------
-    UserError
-        The recordings cannot be read.
-    CheckFailed
-        Every training failed.
+    UserError, CheckFailed
+        As in :func:`pipeline.experiments.study.measure_splits`.
     """
-    source = recordings_of(settings, workers.processes).source
-    folder.save_settings(settings)
-    root = folder.path.absolute()  # the worker keeps its checkpoint there
-    jobs = [
+    return measure_splits(
+        "events", measure, summarise, folder, settings, seeds, workers, say, (SCHEMA,), _variants_of
+    )
+
+
+def _variants_of(settings, seed, source_sha256, folder, stamp):
+    return [
         VariantJob(
-            settings,
-            seed,
-            source.sha256,
-            root / f"{variant}-{seed:02d}.json",
-            stamp_of(__version__, source.sha256, asdict(settings), SCHEMA, variant),
+            settings, seed, source_sha256, folder / f"{variant}-{seed:02d}.json", stamp(variant),
             variant,
         )
-        for seed in range(settings.seed, settings.seed + seeds)
         for variant in VARIANTS
-    ]
-    results = study("events", measure, jobs, workers, say, read_kept, write_kept)
-    whole = [result for result in results if not isinstance(result, Failure)]
-    if not whole:
-        raise CheckFailed("every training failed; see above")
-    summary = summarise(whole, source.simulated)
-    summary["source_sha256"] = source.sha256
-    write_json(folder.path / "events.json", summary)
-    failed = [
-        f"{job.variant} of seed {job.seed}"
-        for job, result in zip(jobs, results, strict=True)
-        if isinstance(result, Failure)
-    ]
-    return Findings(
-        summary, f"{', '.join(failed)} failed; the same command tries again" if failed else ""
-    )
+    ]  # fmt: skip
 
 
 def train_for_chip(settings: Settings, dataset: Dataset, seed: int, checkpoint=None):

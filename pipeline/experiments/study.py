@@ -171,10 +171,20 @@ class SplitJob:
     path: Path
     stamp: str
 
+    @property
+    def name(self) -> str:
+        """What a failure is called by."""
+        return f"split {self.seed}"
+
     def dataset(self) -> Dataset:
         """The samples with this split; see :func:`dataset_for`."""
         dataset = dataset_for(self.settings, self.source_sha256)
         return dataset.divided(self.seed, self.settings.split.test_fraction)
+
+
+def one_a_split(settings, seed, source_sha256, folder, stamp) -> list:
+    """The jobs of a seed where there is one; ``stamp(*more)`` hashes what it depends on."""
+    return [SplitJob(settings, seed, source_sha256, folder / f"split-{seed:02d}.json", stamp())]
 
 
 def measure_splits(
@@ -187,6 +197,7 @@ def measure_splits(
     workers: Workers,
     say: Callable,
     depends_on=(),
+    jobs_of: Callable = one_a_split,
 ) -> Findings:
     """Measure the random splits that are not there yet, and write the summary of all.
 
@@ -207,31 +218,35 @@ def measure_splits(
         As in :func:`study`.
     depends_on : tuple
         Plain values that the results depend on besides recordings and settings.
+    jobs_of : callable
+        The jobs of a seed, see :func:`one_a_split`.
 
     Raises
     ------
     UserError
         The recordings cannot be read.
     CheckFailed
-        Every split failed.
+        Everything failed.
     """
     source = recordings_of(settings, workers.processes).source
     folder.save_settings(settings)
-    stamp = stamp_of(__version__, source.sha256, asdict(settings), *depends_on)
+    stamp = partial(stamp_of, __version__, source.sha256, asdict(settings), *depends_on)
+    root = folder.path.absolute()  # where a worker keeps its checkpoint too
     jobs = [
-        SplitJob(settings, seed, source.sha256, folder.path / f"split-{seed:02d}.json", stamp)
+        job
         for seed in range(settings.seed, settings.seed + splits)
+        for job in jobs_of(settings, seed, source.sha256, root, stamp)
     ]
     results = study(name, measure, jobs, workers, say, read_kept, write_kept)
     whole = [result for result in results if not isinstance(result, Failure)]
     if not whole:
-        raise CheckFailed("every split failed; see above")
+        raise CheckFailed("all of it failed; see above")
     summary = summarise(whole, source.simulated)
     summary["source_sha256"] = source.sha256
     write_json(folder.path / f"{name}.json", summary)
     failed = [
-        job.seed for job, result in zip(jobs, results, strict=True) if isinstance(result, Failure)
+        job.name for job, result in zip(jobs, results, strict=True) if isinstance(result, Failure)
     ]
     return Findings(
-        summary, f"splits {failed} failed; the same command tries them again" if failed else ""
+        summary, f"{', '.join(failed)} failed; the same command tries again" if failed else ""
     )

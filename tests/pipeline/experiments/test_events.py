@@ -110,7 +110,7 @@ def test_if_nothing_succeeds_it_says_so(tmp_path, monkeypatch, capsys):
 
     monkeypatch.setattr(events, "measure", fail)
     assert call("benchmark", "events", "--out", tmp_path / "out", *TINY) == 1
-    assert "every training failed" in capsys.readouterr().err
+    assert "all of it failed" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -190,7 +190,7 @@ def test_splits_are_measured_once_and_failed_ones_tried_again(
     captured = capsys.readouterr()
     assert json.loads(captured.out)["seeds"] == [7]
     assert "lost" in captured.err
-    assert "splits [8] failed" in captured.err
+    assert "split 8 failed; the same command tries again" in captured.err
     assert call(*command, "--set", "cnn.epochs=2") == 1  # what depends on other settings is redone
     assert asked == [7, 8, 8, 7, 8]
 
