@@ -92,8 +92,7 @@ def study(
     Raises
     ------
     UserError
-        There is no scheduler at the address, or Dask is not installed; or every job failed by the
-        same mistake.
+        There is no scheduler at the address, or Dask is not installed.
     """
     results = [kept(job) if kept else None for job in jobs]
     todo = [(number, job) for number, job in enumerate(jobs) if results[number] is None]
@@ -109,11 +108,8 @@ def study(
             elif keep is not None:
                 keep(job, result)
             advance(size(job))
-    mistaken = [r for r in results if isinstance(r, Failure) and r.mistake is not None]
-    mistakes = sorted({failure.details for failure in mistaken})
-    if len(mistakes) == 1 and len(mistaken) == len(results):
-        raise mistaken[0].mistake
-    for mistake in mistakes:
+    failures = [result for result in results if isinstance(result, Failure)]
+    for mistake in sorted({f.details for f in failures if f.mistake is not None}):
         say(mistake)
     return results
 

@@ -65,16 +65,9 @@ def test_a_mistake_of_the_users_is_said_as_it_is(tmp_path):
     def refuse(job):
         raise UserError("snn.tau_rc: 0; " + "give a longer one " * 20)
 
-    with pytest.raises(UserError, match=r"give a longer one $"):
-        study("halves", refuse, jobs, Workers(1), said.append)
-    assert said == []
-
-    def refuse_some(job):
-        return refuse(job) if job.number > 2 else {"half": 1}
-
-    found = study("halves", refuse_some, jobs, Workers(1), said.append)
-    assert found[0] == {"half": 1}
-    assert said == [found[1].details] == [found[2].details]
+    found = study("halves", refuse, jobs, Workers(1), said.append)
+    assert said == [found[0].details] == [found[2].details]
+    assert said[0].endswith("give a longer one ")
     assert "Traceback" not in said[0]
 
 

@@ -226,7 +226,7 @@ def test_the_command_runs_resumes_and_prints(tmp_path, monkeypatch, capsys):
     assert all(len(row["per_split"]) == 1 for row in table["rows"])
     assert [row["n_test"] for row in table["rows"]] == [24, 24, 24, 5]
     curve = (out / "splits/random-00/slayer.csv").read_text().splitlines()
-    assert curve[0] == "epoch,loss,accuracy,test_accuracy,seconds"
+    assert curve[0] == "epoch,loss,accuracy,seconds,test_accuracy"
     assert len(curve) == 2
     assert "epochs = 1\n" in (out / "experiment.toml").read_text()
 
