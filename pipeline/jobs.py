@@ -42,8 +42,13 @@ class Failure:
     details: str
     mistake: UserError | None = None
 
-    def raise_again(self):
+    def raise_again(self, what: str):
         """Raise what was raised, or what tells as much of it.
+
+        Parameters
+        ----------
+        what : str
+            Failed; the start of a user's line.
 
         Raises
         ------
@@ -54,7 +59,7 @@ class Failure:
             Anything else, with its traceback.
         """
         if self.mistake is not None:
-            raise self.mistake
+            raise UserError(f"{what}: {self.mistake}")
         if self.error.startswith(MemoryError.__name__):
             raise MemoryError
         raise RuntimeError(self.details)
@@ -85,7 +90,7 @@ def run_jobs(
     say : callable
         Called with a line where the jobs have to wait.
     meanwhile : callable
-        Called once, in this process, where jobs run in others while they begin.
+        Called once in this process, and where the jobs run in others, while they do.
 
     Yields
     ------

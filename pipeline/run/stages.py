@@ -445,7 +445,7 @@ def answer_all(
             # The slowest begin first; all are about as long as their place in the ladder is late.
             for job, outcome in run_jobs(_check, work[::-1], jobs, meanwhile=answer_here):
                 if isinstance(outcome, Failure):
-                    outcome.raise_again()
+                    outcome.raise_again(f"target {job.target}")
                 results[job.target] = read_result(job.path, REMEDY_CHECK)
                 advance(1, job.target)
     for stage in asked:

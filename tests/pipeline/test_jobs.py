@@ -38,12 +38,12 @@ def refuse(number):
 
 def test_what_was_raised_in_a_process_can_be_raised_again():
     failures = dict(run_jobs(refuse, [0, 1, 2], 2))
-    with pytest.raises(UserError, match=r"^snn.tau_rc: 0; (give more ){30}$"):
-        failures[0].raise_again()
+    with pytest.raises(UserError, match=r"^target fast: snn.tau_rc: 0; (give more ){30}$"):
+        failures[0].raise_again("target fast")
     with pytest.raises(MemoryError):
-        failures[1].raise_again()
+        failures[1].raise_again("target fast")
     with pytest.raises(RuntimeError, match=r"(?s)Traceback .*in refuse.*KeyError: 7"):
-        failures[2].raise_again()
+        failures[2].raise_again("target fast")
 
 
 def test_a_killed_process_is_a_failure_and_the_others_go_on():
