@@ -159,6 +159,12 @@ def _hardware(result):
         f"NxSDK {result['versions']['nxsdk']}, {board['connections']} connections; "
         f"a sample: {phases}"
     )
+    text += (
+        f"\nspikes of {result['samples_unlike_fast']} samples are not those of the chip's integers "
+        "(target fast): lost on the way, or the board computes otherwise"
+        if result["samples_unlike_fast"]
+        else "\nevery spike is that of the chip's integers (target fast)"
+    )
     if "power" in result:
         power = result["power"]
         text += (

@@ -202,7 +202,9 @@ def test_a_fault_at_any_stream(nxsdk, bundle, emulated, tmp_path, stream, faults
 def test_lost_input_spikes_show_in_the_comparison(nxsdk, bundle, emulated, tmp_path):
     nxsdk.faults.FAULTS.drop_spikes = 10
     result = run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
-    assert compare_results(result, emulated).other_spikes >= 1
+    differ = compare_results(result, emulated).other_spikes
+    assert result["samples_unlike_fast"] == differ >= 1
+    assert f"spikes of {differ} samples are not those of the chip's integers" in summary(result)
 
 
 @pytest.mark.parametrize(("version", "wrong"), [("0.8.7", "old"), ("1.1.0", "new")])
