@@ -1,13 +1,13 @@
 """From a moving pen to the signal of every taxel: contact, film, gain, vibration, noise.
 
 A whole recording goes through :func:`press` at once; where a pen is written with right now, the
-same equations take it piece by piece (:class:`Film`, :func:`pressure`, :func:`landings`).
+same equations take it piece by piece (:func:`pressure`, :func:`landings`, :class:`Shaking`).
+:class:`Creep` and :func:`scrape` follow, for either.
 """
 
 from __future__ import annotations
 
 import numpy as np
-import scipy
 
 from pipeline.recordings.events import GRID, TaxelMap
 
@@ -16,14 +16,11 @@ LANDED = 0.1
 
 
 def press(motion, gain, least, rng, p, size=(GRID, GRID)):
-    """The signal of the taxels that a pen reaches.
+    """What the taxels that a pen reaches feel of it, before the film creeps.
 
     The force of the tip (0.5 mm, half a taxel) spreads in the film and its cover; over the taxels
-    it falls off as a Gaussian of standard deviation ``p.spread``.  The piezoresistive film follows
-    at once with one part of its answer and lags behind with the rest, so it comes back from a
-    pressure later than it took it up (hysteresis).  A sliding tip scrapes: each taxel's pressure
-    vibrates in proportion to itself and to the speed, up to ``p.scrape_speed``.  Each taxel has a
-    little noise of its own besides.
+    it falls off as a Gaussian of standard deviation ``p.spread``.  Where the pen comes down or
+    lifts, the whole skin shakes.  What follows is :class:`Creep`, then :func:`scrape`.
 
     Parameters
     ----------
@@ -31,7 +28,7 @@ def press(motion, gain, least, rng, p, size=(GRID, GRID)):
     gain : ndarray of float, shape (n_taxels,)
         Of each taxel.
     least : float
-        Taxels whose signal stays below are left out.
+        Taxels that feel less all the time are left out.
     rng : numpy.random.Generator
     p : pipeline.skin.parameters.Skin
     size : (int, int)
@@ -40,7 +37,9 @@ def press(motion, gain, least, rng, p, size=(GRID, GRID)):
     Returns
     -------
     taxels : ndarray of int, shape (n,)
-    signal : ndarray of float32, shape (n_times, n)
+    felt : ndarray of float32, shape (n_times, n)
+    speed : ndarray of float, shape (n_times,)
+        Of the tip, in taxels per second.
     """
     step = motion.time_s[1] - motion.time_s[0]
     places = TaxelMap.grid(*size)
@@ -51,15 +50,14 @@ def press(motion, gain, least, rng, p, size=(GRID, GRID)):
         rows.max(axis=0)[places.x] * columns.max(axis=0)[places.y] + jolts.max(axis=0, initial=0.0)
     ) * gain
     taxels = np.flatnonzero(reach > least)
-    signal = rows[:, places.x[taxels]] * columns[:, places.y[taxels]]
+    felt = rows[:, places.x[taxels]] * columns[:, places.y[taxels]]
+    Shaking(gain[taxels], step, p).advance(felt, zip(lands, jolts[:, taxels], strict=True))
     speed = np.hypot(np.gradient(motion.down, step), np.gradient(motion.right, step))
-    film = Film(gain[taxels], step, p)
-    film.advance(signal, zip(lands, jolts[:, taxels], strict=True), speed, rng)
-    return taxels, signal
+    return taxels, felt, speed
 
 
-class Film:
-    """What the film and the taxels under it carry from one moment to the next.
+class Shaking:
+    """Jolts that have not died away yet, and the taxels' gain.
 
     Parameters
     ----------
@@ -70,41 +68,84 @@ class Film:
 
     def __init__(self, gain, step_s, p):
         self._gain, self._step_s, self._p = gain.astype(np.float32), step_s, p
-        self._late = np.zeros((1, len(gain)), np.float32)
         self._jolts = []  # (rows since the landing, what each taxel feels of it)
 
-    def advance(self, signal, jolts, speed, rng):
-        """Turn the pressure of some steps into the taxels' signal, in place.
+    def advance(self, pressure, jolts):
+        """Turn the pressure of some steps into what the taxels feel, in place.
 
         Parameters
         ----------
-        signal : ndarray of float32, shape (n_times, n_taxels)
-            Pressure, see :func:`pressure`; becomes the signal.
+        pressure : ndarray of float32, shape (n_times, n_taxels)
+            See :func:`pressure`.
         jolts : iterable of (int, ndarray of float, shape (n_taxels,))
             Row at which the pen comes down or lifts, and what each taxel feels of it.
-        speed : ndarray of float, shape (n_times,)
-            Of the tip, in taxels per second.
-        rng : numpy.random.Generator
         """
         p = self._p
         shaking = [(0, age, felt) for age, felt in self._jolts]
         shaking += [(row, 0, felt) for row, felt in jolts]
         for row, age, felt in shaking:
-            decay = np.exp(-np.arange(age, age + len(signal) - row) * self._step_s / p.jolt_s)
-            signal[row:] += np.outer(decay, felt)
+            decay = np.exp(-np.arange(age, age + len(pressure) - row) * self._step_s / p.jolt_s)
+            pressure[row:] += np.outer(decay, felt)
         # After some twenty times its time a jolt is below the last bit of what it shook.
-        ages = [(age + len(signal) - row, felt) for row, age, felt in shaking]
+        ages = [(age + len(pressure) - row, felt) for row, age, felt in shaking]
         self._jolts = [jolt for jolt in ages if jolt[0] * self._step_s < 20 * p.jolt_s]
-        signal *= self._gain
-        scrape = p.scrape * np.minimum(speed / p.scrape_speed, 1)
-        lag = np.float32(np.exp(-self._step_s / p.creep_s))
-        late, self._late = scipy.signal.lfilter(
-            np.array([1 - lag]), np.array([1, -lag], np.float32), signal, axis=0, zi=self._late
-        )
-        signal += np.float32(p.creep) * (late - signal)
-        # Two independent noises are one with the root of the sum of their squares.
-        restless = np.hypot(scrape[:, None].astype(np.float32) * signal, np.float32(p.noise))
-        signal += restless * rng.standard_normal(signal.shape, np.float32)
+        pressure *= self._gain
+
+
+class Creep:
+    """The piezoresistive film, of any number of taxels, of many recordings too.
+
+    It follows a pressure at once with one part of its answer and lags behind with the rest, so that
+    it comes back from a pressure later than it took it up (hysteresis).
+
+    Parameters
+    ----------
+    n_taxels : int
+    step_s : float
+    p : pipeline.skin.parameters.Skin
+    """
+
+    def __init__(self, n_taxels, step_s, p):
+        self._late = np.zeros(n_taxels, np.float32)
+        self._lag, self._share = np.float32(np.exp(-step_s / p.creep_s)), np.float32(p.creep)
+
+    def advance(self, felt):
+        """Turn what is felt in some steps into the film's answer, in place.
+
+        Parameters
+        ----------
+        felt : ndarray of float32, shape (n_times, n_taxels)
+        """
+        late, change = self._late, np.empty_like(self._late)
+        for now in felt:
+            late *= self._lag
+            late += np.multiply(now, 1 - self._lag, out=change)
+            np.subtract(late, now, out=change)
+            now += np.multiply(change, self._share, out=change)
+
+
+def scrape(signal, speed, rng, p):
+    """Make the film's answer restless, in place.
+
+    A sliding tip scrapes: each taxel's pressure vibrates in proportion to itself and to the speed,
+    up to ``p.scrape_speed``.  Each taxel has a little noise of its own besides.
+
+    Parameters
+    ----------
+    signal : ndarray of float32, shape (n_times, n_taxels)
+    speed : ndarray of float, shape (n_times,)
+        Of the tip, in taxels per second.
+    rng : numpy.random.Generator
+    p : pipeline.skin.parameters.Skin
+    """
+    rough = (p.scrape * np.minimum(speed / p.scrape_speed, 1)).astype(np.float32)
+    # Two independent noises are one with the root of the sum of their squares: np.hypot to the last
+    # bit, in half its time.
+    restless = np.square(rough[:, None] * signal, dtype=np.float64)
+    restless += np.float64(np.float32(p.noise)) ** 2
+    restless = np.sqrt(restless, out=restless).astype(np.float32)
+    restless *= rng.standard_normal(signal.shape, np.float32)
+    signal += restless
 
 
 def pressure(down, right, force, p, size=(GRID, GRID)) -> np.ndarray:

@@ -17,7 +17,7 @@ from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.recordings.events import GRID, Recordings, Sensor, Source, TaxelMap, collect
 from pipeline.skin import aces, handwriting, unipen
 from pipeline.skin import parameters as settings
-from pipeline.skin.contact import press
+from pipeline.skin.contact import Creep, press, scrape
 from pipeline.skin.receptors import fire
 
 VERSION = 5
@@ -56,13 +56,15 @@ class Sample:
 
 @dataclass(frozen=True)
 class Touch:
-    """One recording up to the taxels' signal, before the receptors."""
+    """One recording up to what the taxels feel, and what the rest of it depends on."""
 
     start_s: float
     taxels: np.ndarray
-    signal: np.ndarray
+    felt: np.ndarray
+    speed: np.ndarray
+    skin: settings.Skin
     off: float
-    clock: np.ndarray
+    rng: np.random.Generator
 
 
 def simulate(
@@ -263,31 +265,30 @@ def _touch(sample, who, gain, rng, p, size):
     rough = np.exp(who.scrape + p.trials.scrape * rng.standard_normal())
     skin = replace(p.skin, scrape=p.skin.scrape * rough)
     gain = gain * np.exp(p.skin.gain_drift * rng.standard_normal(len(gain)))
-    taxels, signal = press(moved, gain, p.receptor.threshold / 2, rng, skin, size)
-    return Touch(
-        start_s=moved.time_s[0],
-        taxels=taxels,
-        signal=signal,
-        off=p.receptor.threshold * np.exp(form.off + p.receptor.off_spread * rng.standard_normal()),
-        clock=np.exp(p.receptor.clock * np.abs(rng.standard_normal(len(taxels)))),
-    )
+    taxels, felt, speed = press(moved, gain, p.receptor.threshold / 2, rng, skin, size)
+    return Touch(moved.time_s[0], taxels, felt, speed, skin, form.off, rng)
 
 
 def _receive(touches, p):
-    """Receptors of all recordings of a batch side by side, then each recording's read-out."""
+    """Film and receptors of a batch's recordings side by side, then each recording's read-out."""
     first = np.cumsum([0] + [len(touch.taxels) for touch in touches])
-    rows = max(len(touch.signal) for touch in touches)
+    widths, columns = np.diff(first), list(itertools.starmap(slice, itertools.pairwise(first)))
     # One row before the pen comes, when nobody touches the skin; nothing changes after the end.
-    signal = np.zeros((rows + 1, first[-1]), np.float32)
-    for touch, (begin, end) in zip(touches, itertools.pairwise(first), strict=True):
-        signal[1 : 1 + len(touch.signal), begin:end] = touch.signal
-        signal[1 + len(touch.signal) :, begin:end] = touch.signal[-1]
-    widths = np.diff(first)
-    clock = np.concatenate([touch.clock for touch in touches])
+    signal = np.zeros((1 + max(len(touch.felt) for touch in touches), first[-1]), np.float32)
+    for touch, own in zip(touches, columns, strict=True):
+        signal[1 : 1 + len(touch.felt), own] = touch.felt
+    Creep(first[-1], STEP_S, p.skin).advance(signal[1:])
+    off, clock = np.empty((2, first[-1]))
+    for touch, own in zip(touches, columns, strict=True):
+        rng, end = touch.rng, 1 + len(touch.felt)
+        scrape(signal[1:end, own], touch.speed, rng, touch.skin)
+        signal[end:, own] = signal[end - 1, own]
+        off[own] = np.exp(touch.off + p.receptor.off_spread * rng.standard_normal())
+        clock[own] = np.exp(p.receptor.clock * np.abs(rng.standard_normal(len(touch.taxels))))
     time, channel, polarity = fire(
         signal,
         on=np.full(first[-1], p.receptor.threshold, np.float32),
-        off=np.repeat(np.float32([touch.off for touch in touches]), widths),
+        off=(p.receptor.threshold * off).astype(np.float32),
         step_s=STEP_S,
         refractory_s=p.receptor.refractory_s * clock,
         poll_s=p.receptor.poll_s * clock,

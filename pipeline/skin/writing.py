@@ -75,7 +75,8 @@ class Writing:
         self._usual = np.exp(np.mean([form.force for form in p.forms]))
         self._rough = np.exp(p.trials.scrape * rng.standard_normal())
         self._strength = contact.strength(rng, p.skin)
-        self._film = contact.Film(gain, STEP_S, p.skin)
+        self._shaking = contact.Shaking(gain, STEP_S, p.skin)
+        self._film = contact.Creep(N_TAXELS, STEP_S, p.skin)
         self._receptors = Receptors(
             np.zeros(N_TAXELS, np.float32),
             on=np.full(N_TAXELS, p.receptor.threshold, np.float32),
@@ -165,8 +166,9 @@ class Writing:
         lands = contact.landings(felt, contact.LANDED * self._usual) - 1
         jolts = self._strength * contact.jolt(self._rng, len(lands), N_TAXELS)
         signal = contact.pressure(down, right, force, skin)
-        sliding = self._rough * speed / STEP_S
-        self._film.advance(signal, zip(lands, jolts, strict=True), sliding, self._rng)
+        self._shaking.advance(signal, zip(lands, jolts, strict=True))
+        self._film.advance(signal)
+        contact.scrape(signal, self._rough * speed / STEP_S, self._rng, skin)
         seconds, taxel, polarity = self._receptors.advance(signal)
         self._row += n
         self._last = down[-1], right[-1], force[-1]

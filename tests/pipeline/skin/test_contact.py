@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from pipeline.skin import parameters
-from pipeline.skin.contact import press
+from pipeline.skin.contact import Creep, press, scrape
 from pipeline.skin.handwriting import Motion
 
 P = parameters.load().skin
@@ -20,9 +21,18 @@ def resting(down, right, force):
     return Motion(STEP * np.arange(n), np.full(n, float(down)), np.full(n, float(right)), force)
 
 
+def signal_of(motion, gain, least, seed, p):
+    """Taxels and their signal, all the way through the film."""
+    rng = np.random.default_rng(seed)
+    taxels, felt, speed = press(motion, gain, least, rng, p)
+    Creep(len(taxels), STEP, p).advance(felt)
+    scrape(felt, speed, rng, p)
+    return taxels, felt
+
+
 def image(motion, p=QUIET, gain=None, row=-1):
     gain = np.ones(100) if gain is None else gain
-    taxels, signal = press(motion, gain, 1e-6, np.random.default_rng(0), p)
+    taxels, signal = signal_of(motion, gain, 1e-6, 0, p)
     full = np.zeros(100)
     full[taxels] = signal[row]
     return full.reshape(10, 10).T  # address runs down the rows first
@@ -61,7 +71,7 @@ def test_only_a_sliding_tip_scrapes():
     p = replace(P, jolt=0.0, noise=0.0)
 
     def restless(motion):
-        _, signal = press(motion, np.ones(100), 0.5, np.random.default_rng(1), p)
+        _, signal = signal_of(motion, np.ones(100), 0.5, 1, p)
         return np.abs(np.diff(signal, 2, axis=0)).max()
 
     assert restless(still) < 1e-3
@@ -73,3 +83,20 @@ def test_landing_jolts_taxels_far_away():
     far = image(replace(landing), replace(QUIET, jolt=0.5), row=50)[6:, 6:]
     assert (far > 0.05).any()
     assert image(landing, QUIET, row=50)[6:, 6:].max() < 1e-6
+
+
+def test_the_film_is_a_filter_of_first_order():
+    felt = np.random.default_rng(0).standard_normal((300, 7)).astype(np.float32)
+    lag = np.exp(-STEP / P.creep_s)
+    late = lfilter([1 - lag], [1, -lag], felt.astype(float), axis=0)
+    expected = felt + P.creep * (late - felt)
+    Creep(7, STEP, P).advance(felt)
+    np.testing.assert_allclose(felt, expected, rtol=1e-5, atol=1e-6)
+
+
+def test_restlessness_is_scraping_and_noise_together():
+    p = replace(P, scrape=0.3, scrape_speed=2.0, noise=0.4)
+    signal = np.full((4, 50_000), 1.0, np.float32)
+    scrape(signal, np.array([0.0, 1.0, 2.0, 9.0]), np.random.default_rng(0), p)
+    rough = 0.3 * np.array([0, 0.5, 1, 1])  # up to the greatest speed
+    np.testing.assert_allclose(signal.std(axis=1), np.hypot(rough, 0.4), rtol=0.02)

@@ -7,7 +7,16 @@ import pytest
 
 from pipeline.recordings.events import EVENT_DTYPES, TICK_NS, expand_bursts, merge_bursts
 from pipeline.skin import aces, parameters
-from pipeline.skin.contact import Film, jolt, landings, press, pressure, strength
+from pipeline.skin.contact import (
+    Creep,
+    Shaking,
+    jolt,
+    landings,
+    press,
+    pressure,
+    scrape,
+    strength,
+)
 from pipeline.skin.handwriting import Motion
 from pipeline.skin.receptors import Receptors, fire
 from pipeline.skin.writing import START_S, PenPoint, Writing
@@ -29,12 +38,14 @@ def cuts(n, seed=0):
 
 def test_the_film_piece_by_piece_is_the_film_at_once():
     motion, gain = swipe(), np.ones(100)
-    _, whole = press(motion, gain, -1.0, np.random.default_rng(7), P.skin)  # every taxel
+    rng = np.random.default_rng(7)
+    _, whole, speed = press(motion, gain, -1.0, rng, P.skin)  # every taxel
+    Creep(100, STEP, P.skin).advance(whole)
+    scrape(whole, speed, rng, P.skin)
     rng = np.random.default_rng(7)
     lands = landings(motion.force, 0.1 * motion.force.max())
     jolts = strength(rng, P.skin) * jolt(rng, len(lands), 100)
-    speed = np.hypot(np.gradient(motion.down, STEP), np.gradient(motion.right, STEP))
-    film, parts = Film(gain, STEP, P.skin), []
+    shaking, film, parts = Shaking(gain, STEP, P.skin), Creep(100, STEP, P.skin), []
     for rows in cuts(len(speed)):
         if len(rows) == 0:
             continue
@@ -42,7 +53,9 @@ def test_the_film_piece_by_piece_is_the_film_at_once():
         mine = [
             (row - rows[0], felt) for row, felt in zip(lands, jolts, strict=True) if row in rows
         ]
-        film.advance(signal, mine, speed[rows], rng)
+        shaking.advance(signal, mine)
+        film.advance(signal)
+        scrape(signal, speed[rows], rng, P.skin)
         parts.append(signal)
     np.testing.assert_allclose(np.concatenate(parts), whole, rtol=1e-5, atol=1e-7)
 
