@@ -473,15 +473,19 @@ def _through(rounding, x):
 
 def _twelve_bits(bias):
     """Round to 12 bits times a power of two, the smallest that will do, at most 2^7."""
-    size = tf.abs(bias) / BIAS_MANTISSA
-    exponent = sum(tf.cast(size > 2.0**k, bias.dtype) for k in range(BIAS_EXPONENTS))
+    size = tf.abs(bias)[..., None] / BIAS_MANTISSA
+    limits = tf.constant(2.0 ** np.arange(BIAS_EXPONENTS), bias.dtype)
+    exponent = tf.reduce_sum(tf.cast(size > limits, bias.dtype), -1)
     unit = tf.pow(tf.constant(2, bias.dtype), exponent)
     return tf.round(tf.clip_by_value(bias / unit, -BIAS_MANTISSA, BIAS_MANTISSA)) * unit
 
 
 def _power_of_two(x):
     """The power of two next to x, by ratio; exact, which a logarithm in float32 would not be."""
-    return sum(tf.cast(x > 2.0 ** (k - 0.5), x.dtype) * 2.0 ** max(k - 1, 0) for k in range(25))
+    powers = np.arange(25)
+    limits, rises = 2.0 ** (powers - 0.5), 2.0 ** np.maximum(powers - 1, 0)
+    passed = tf.cast(x[..., None] > tf.constant(limits, x.dtype), x.dtype)
+    return tf.reduce_sum(passed * tf.constant(rises, x.dtype), -1)
 
 
 def _logit(tau):

@@ -147,7 +147,9 @@ def options_for(name: str, **given):
     return own(**{option.name: given[option.name] for option in fields(own)})
 
 
-def answer(spec: NetworkSpec, samples, target: str, seed=0, advance=None) -> Responses:
+def answer(
+    spec: NetworkSpec, samples, target: str, seed=0, advance=None, **options
+) -> Responses:
     """Show samples to a target in the network's own presentation.
 
     Parameters
@@ -160,6 +162,8 @@ def answer(spec: NetworkSpec, samples, target: str, seed=0, advance=None) -> Res
     seed : int
     advance : callable, optional
         Called with the number of samples done since the last call.
+    **options
+        Of the target's own ``run``, such as the kernel of ``fast``.
 
     Returns
     -------
@@ -168,7 +172,7 @@ def answer(spec: NetworkSpec, samples, target: str, seed=0, advance=None) -> Res
     flat = spec.stimulus.flat(samples)
     streams = [flat[part] for part in streams_of(len(flat), spec.presentation.stream_length)]
     parts = []
-    for responses in target_named(target).run(spec, streams, seed):
+    for responses in target_named(target).run(spec, streams, seed, **options):
         parts.append(responses)
         if advance is not None:
             advance(len(responses.scores))

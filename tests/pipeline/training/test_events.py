@@ -1,4 +1,3 @@
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -167,39 +166,20 @@ def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):
         assert got["loss"] == pytest.approx(expected["loss"], rel=1e-5)
 
 
-SHORT = replace(RECIPE, epochs=1)
-
-
-@pytest.fixture(scope="module")
-def checkpoint(data, tmp_path_factory):
-    """Of a training of one epoch."""
-    path = tmp_path_factory.mktemp("checkpoint") / "state.npz"
-    train_events(SHORT, *data, 3, checkpoint=path)
-    return path
-
-
-@pytest.mark.parametrize("change", ["seed", "recipe", "labels"])
-def test_a_checkpoint_of_another_run_is_not_taken_up(data, checkpoint, tmp_path, change):
+def test_a_checkpoint_is_of_this_run_alone(data):
     table, labels, train = data
-    path = shutil.copy(checkpoint, tmp_path / "state.npz")
-    seed = 4 if change == "seed" else 3
-    recipe = replace(SHORT, drop=0.1) if change == "recipe" else SHORT
-    labels = labels[::-1] if change == "labels" else labels
-    train_events(recipe, table, labels, train, seed, checkpoint=path)
-    assert path.read_bytes() != checkpoint.read_bytes()  # it was trained, and saved its own
-
-
-def test_a_checkpoint_of_the_same_run_is_taken_up(data, checkpoint, tmp_path):
-    path, told = shutil.copy(checkpoint, tmp_path / "state.npz"), []
-    train_events(SHORT, *data, 3, checkpoint=path, advance=lambda n, note: told.append(n))
-    assert told == [1]
-    assert path.read_bytes() == checkpoint.read_bytes()  # nothing is trained again, or saved
-
-
-def test_a_damaged_checkpoint_is_named(data, tmp_path):
-    (tmp_path / "state.npz").write_bytes(b"no archive")
-    with pytest.raises(UserError, match=r"state\.npz"):
-        train_events(RECIPE, *data, 3, checkpoint=tmp_path / "state.npz")
+    same = events._identity(RECIPE, table, labels, train, VALIDATION, 3)
+    assert events._identity(RECIPE, table, labels.copy(), list(train), VALIDATION, 3) == same
+    others = (
+        (replace(RECIPE, drop=0.1), table, labels, train, VALIDATION, 3),
+        (RECIPE, replace(table, time_ms=table.time_ms + 1), labels, train, VALIDATION, 3),
+        (RECIPE, replace(table, polarity=1 - table.polarity), labels, train, VALIDATION, 3),
+        (RECIPE, table, labels[::-1], train, VALIDATION, 3),
+        (RECIPE, table, labels, train[:-1], VALIDATION, 3),
+        (RECIPE, table, labels, train, (), 3),
+        (RECIPE, table, labels, train, VALIDATION, 4),
+    )
+    assert same not in [events._identity(*other) for other in others]
 
 
 def test_samples_without_events_are_left_out(data):

@@ -3,8 +3,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from deploy.errors import UserError
 from pipeline.settings import Slayer
+from pipeline.training import slayer
 from pipeline.training.slayer import layer_spikes, train_slayer
 
 SETTINGS = Slayer(
@@ -80,23 +80,19 @@ def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):
     np.testing.assert_array_equal(resumed.counts, trained.counts)
 
 
-def test_a_checkpoint_of_another_run_is_not_taken_up(data, tmp_path):
-    short = Slayer(**{**vars(SETTINGS), "epochs": 1})
-    train_slayer(short, *data, 3, tmp_path / "state.npz")
-    other = train_slayer(short, *data, 4, tmp_path / "state.npz")
-    fresh = train_slayer(short, *data, 4)
-    np.testing.assert_allclose(other.kernels[0], fresh.kernels[0], atol=1e-6)
-
-
-def test_fewer_epochs_than_a_checkpoint_has_start_afresh(trained, data, tmp_path):
-    longer, shorter = (Slayer(**{**vars(SETTINGS), "epochs": epochs}) for epochs in (2, 1))
-    train_slayer(longer, *data, 3, tmp_path / "state.npz")
-    got = train_slayer(shorter, *data, 3, tmp_path / "state.npz")
-    assert len(got.history) == 1
-    assert got.history[0]["loss"] == pytest.approx(trained.history[0]["loss"], rel=1e-4)
-
-
-def test_a_damaged_checkpoint_is_named(data, tmp_path):
-    (tmp_path / "state.npz").write_bytes(b"no archive")
-    with pytest.raises(UserError, match=r"state\.npz"):
-        train_slayer(SETTINGS, *data, 3, tmp_path / "state.npz")
+def test_a_checkpoint_is_of_this_run_alone_but_for_its_length(data):
+    _, labels, train, test = data
+    same = slayer._identity(SETTINGS, labels, train, test, 3, 2.0)
+    assert (
+        slayer._identity(dataclasses.replace(SETTINGS, epochs=9), labels, train, test, 3, 2.0)
+        == same
+    )
+    others = (
+        (dataclasses.replace(SETTINGS, tau_s=0.4), labels, train, test, 3, 2.0),
+        (SETTINGS, labels[::-1], train, test, 3, 2.0),
+        (SETTINGS, labels, train[:-1], test, 3, 2.0),
+        (SETTINGS, labels, train, test[:-1], 3, 2.0),
+        (SETTINGS, labels, train, test, 4, 2.0),
+        (SETTINGS, labels, train, test, 3, 2.5),
+    )
+    assert same not in [slayer._identity(*other) for other in others]
