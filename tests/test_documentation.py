@@ -220,7 +220,7 @@ def test_what_the_page_on_python_shows_runs(tmp_path):
     """One block after the other, as a notebook would, with fewer samples."""
     code = "\n".join(block for _, block in blocks(read(ROOT / "docs" / "python.md")))
     for shown, fewer in (
-        ('"samples_per_digit": 100', '"samples_per_digit": 30'),
+        ('"samples_per_digit": 100}', '"samples_per_digit": 30}, "snn": {"epochs": 10}'),
         ('"samples": 100', '"samples": 20'),
         ("split.test, 200", "split.test, 20"),
     ):

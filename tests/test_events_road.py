@@ -16,7 +16,17 @@ from tests.command import call
 
 TINY = (
     *("--input", "events", "--set", "data.samples_per_digit=40", "--set", "events.epochs=2"),
-    *("--set", "input.step=40", "--set", "input.refractory=40", "--steps", "50", "--samples", "12"),
+    *("--set", "events.architecture=10x10x2-4c4s3-16-10o"),
+    *(
+        "--set",
+        "input.step=100",
+        "--set",
+        "input.refractory=100",
+        "--steps",
+        "24",
+        "--samples",
+        "12",
+    ),
 )
 
 
@@ -37,9 +47,9 @@ def test_the_ladder_begins_with_what_was_trained(run_on_events):
 
 def test_the_samples_are_frames_of_the_recordings_own_events(run_on_events):
     bundle = read_bundle(run_on_events / "bundle")
-    assert bundle.checks.inputs.shape == (12, 50, 10, 10, 2)
+    assert bundle.checks.inputs.shape == (12, 24, 10, 10, 2)
     assert set(np.unique(bundle.checks.inputs)) == {0, 1}
-    assert bundle.spec.stimulus.step_seconds == pytest.approx(0.04)
+    assert bundle.spec.stimulus.step_seconds == pytest.approx(0.1)
     assert bundle.spec.presentation.readout_start == 0
     input_spikes = read_result(run_on_events / "checks" / "emulator.json")["spikes"]["input"]
     assert input_spikes == bundle.checks.inputs.sum()
@@ -95,7 +105,7 @@ def test_plan_energy_and_report(run_on_events, tmp_path, capsys):
     text = page.read_text(encoding="utf-8")
     assert "Trained on events" in text
     assert "Rate LIF" not in text
-    assert "steps of 40 ms" in text
+    assert "steps of 100 ms" in text
     assert "steps of 1 ms" not in text
     early = read_result(run_on_events / "checks" / "emulator.json")["while_written"]["by_itself"]
     assert f"after {early['share_of_writing_mean']:.1%} of the writing".replace("%", " %") in text
@@ -167,6 +177,7 @@ def test_few_that_share_a_step_and_many_that_come_while_a_taxel_rests_are_told_a
 
 def test_what_is_not_shown_is_said(tmp_path, capsys):
     options = ("--set", "data.samples_per_digit=10", "--set", "events.epochs=1")
+    options += ("--set", "events.architecture=10x10x2-4c4s3-10o")
     options += ("--set", "presentation.steps=5", "--set", "input.step=50")
     assert call("train", tmp_path / "run", "--input", "events", *options) == 0
     said = capsys.readouterr().err
