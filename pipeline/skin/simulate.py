@@ -56,7 +56,23 @@ class Sample:
 
 @dataclass(frozen=True)
 class Touch:
-    """One recording up to what the taxels feel, and what the rest of it depends on."""
+    """One recording up to what the taxels feel, and what the rest of it depends on.
+
+    Attributes
+    ----------
+    start_s : float
+        Time of the first row.
+    taxels : ndarray of int, shape (n,)
+    felt : ndarray of float32, shape (n_times, n)
+    speed : ndarray of float, shape (n_times,)
+        Of the tip, in taxels per second.
+    skin : pipeline.skin.parameters.Skin
+        As rough as it is in this recording.
+    off : float
+        Logarithm of the digit's threshold for a fall, over that for a rise.
+    rng : numpy.random.Generator
+        Goes on where the pen's movement left it.
+    """
 
     start_s: float
     taxels: np.ndarray
