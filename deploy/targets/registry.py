@@ -147,9 +147,7 @@ def options_for(name: str, **given):
     return own(**{option.name: given[option.name] for option in fields(own)})
 
 
-def answer(
-    spec: NetworkSpec, samples, target: str, seed=0, advance=None, **options
-) -> Responses:
+def answer(spec: NetworkSpec, samples, target: str, seed=0, advance=None, **options) -> Responses:
     """Show samples to a target in the network's own presentation.
 
     Parameters
