@@ -280,3 +280,12 @@ def test_a_wrong_python_is_one_clear_line(tmp_path):
     )
     assert done.returncode == 2
     assert "Python 3.11, 3.12 or 3.13 is needed" in done.stderr.splitlines()[0]
+
+
+def test_an_audit_leaves_out_what_security_explains():
+    explained = re.findall(r"^- \*\*(CVE-\d+-\d+)\*\*", read(ROOT / "SECURITY.md"), re.MULTILINE)
+    assert explained
+    run = subprocess.run(
+        ["make", "--dry-run", "audit"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert re.findall(r"--ignore-vuln (\S+)", run.stdout) == explained
