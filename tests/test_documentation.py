@@ -217,7 +217,7 @@ def test_what_a_page_imports_in_python_exists(page):
 
 @pytest.mark.slow
 def test_what_the_page_on_python_shows_runs(tmp_path):
-    """One block after the other, as a notebook would, with fewer samples."""
+    """One block after the other, as a notebook would, with fewer samples and epochs."""
     code = "\n".join(block for _, block in blocks(read(ROOT / "docs" / "python.md")))
     for shown, fewer in (
         ('"samples_per_digit": 100}', '"samples_per_digit": 30}, "snn": {"epochs": 10}'),

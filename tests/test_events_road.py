@@ -17,16 +17,8 @@ from tests.command import call
 TINY = (
     *("--input", "events", "--set", "data.samples_per_digit=40", "--set", "events.epochs=2"),
     *("--set", "events.architecture=10x10x2-4c4s3-16-10o"),
-    *(
-        "--set",
-        "input.step=100",
-        "--set",
-        "input.refractory=100",
-        "--steps",
-        "24",
-        "--samples",
-        "12",
-    ),
+    *("--set", "input.step=100", "--set", "input.refractory=100"),
+    *("--steps", "24", "--samples", "12"),
 )
 
 

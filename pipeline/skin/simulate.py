@@ -33,7 +33,7 @@ ARRAY_SEED = 2020
 """Of the taxels' gains: like the paper, every data set is recorded with the same array."""
 
 BATCH = 64
-"""Recordings whose receptors are simulated together.
+"""Recordings whose film and receptors are simulated together.
 
 Fixed, so that the bytes do not depend on the processes.
 """

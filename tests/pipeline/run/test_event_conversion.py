@@ -6,11 +6,13 @@ import pytest
 from deploy.network.decision import Judge, decide
 from deploy.network.operations import synaptic_operations
 from deploy.network.spec import NetworkSpec, Presentation
+from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
 from models.architecture import parse
 from models.spiking import Neuron, SpikingNetwork
 from pipeline.recordings.steps import EventTable
 from pipeline.run.event_conversion import spec_of_events
+from pipeline.settings import Settings
 from pipeline.training.events import EventRecipe, answer_events
 
 STEPS, GAP = 40, 60
@@ -35,7 +37,10 @@ def table_of(samples=6, events=150, seed=0):
 
 
 @pytest.mark.parametrize("target", ["fast", "emulator"])
-@pytest.mark.parametrize("architecture", ["10x10x2-12c4s2-32-10o", "10x10x2-4c3s2p-8c2-16-10o"])
+@pytest.mark.parametrize(
+    "architecture",
+    ["10x10x2-12c4s2-32-10o", "10x10x2-4c3s2p-8c2-16-10o", Settings().events.architecture],
+)
 def test_every_spike_is_that_of_the_trained_network(architecture, target):
     recipe, weights, table = (
         EventRecipe(architecture=architecture),
@@ -46,6 +51,7 @@ def test_every_spike_is_that_of_the_trained_network(architecture, target):
     presentation = Presentation(steps=STEPS + GAP, gap=GAP, readout_start=0, stream_length=3)
     spec = spec_of_events(recipe, weights, presentation, {})
     spec = NetworkSpec.from_json(spec.to_json(), spec.arrays())
+    assert make_plan(spec).problems == []
     indices = np.arange(len(table))
     frames = np.moveaxis(table.frames(indices, recipe.step_ms, STEPS + GAP, recipe.rest), 0, 1)
     expected = answer_events(recipe, weights, table, indices, STEPS + GAP)

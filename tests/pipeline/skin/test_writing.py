@@ -39,7 +39,9 @@ def cuts(n, seed=0):
 def test_the_film_piece_by_piece_is_the_film_at_once():
     motion, gain = swipe(), np.ones(100)
     rng = np.random.default_rng(7)
-    _, whole, speed = press(motion, gain, -1.0, rng, P.skin)  # every taxel
+    _, whole, felt_speed = press(motion, gain, -1.0, rng, P.skin)  # every taxel
+    speed = np.hypot(np.gradient(motion.down, STEP), np.gradient(motion.right, STEP))
+    np.testing.assert_allclose(felt_speed, speed)
     Creep(100, STEP, P.skin).advance(whole)
     scrape(whole, speed, rng, P.skin)
     rng = np.random.default_rng(7)

@@ -80,19 +80,26 @@ def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):
     np.testing.assert_array_equal(resumed.counts, trained.counts)
 
 
-def test_a_checkpoint_is_of_this_run_alone_but_for_its_length(data):
-    _, labels, train, test = data
-    same = slayer._identity(SETTINGS, labels, train, test, 3, 2.0)
-    assert (
-        slayer._identity(dataclasses.replace(SETTINGS, epochs=9), labels, train, test, 3, 2.0)
-        == same
-    )
+def test_a_checkpoint_is_of_this_run_alone_but_for_its_length(data, monkeypatch):
+    def keep(train, epochs, state, run, *rest):
+        runs.append(run)
+        raise InterruptedError  # all that is asked for; what follows takes seconds
+
+    def identity(settings=SETTINGS, labels=data[1], train=data[2], test=data[3], seed=3, long=2.0):
+        with pytest.raises(InterruptedError):
+            train_slayer(settings, data[0], labels, train, test, seed, duration_s=long)
+        return runs[-1]
+
+    runs, (_, labels, train, test) = [], data
+    monkeypatch.setattr(slayer, "train_epochs", keep)
+    same = identity()
+    assert identity(dataclasses.replace(SETTINGS, epochs=9)) == same
     others = (
-        (dataclasses.replace(SETTINGS, tau_s=0.4), labels, train, test, 3, 2.0),
-        (SETTINGS, labels[::-1], train, test, 3, 2.0),
-        (SETTINGS, labels, train[:-1], test, 3, 2.0),
-        (SETTINGS, labels, train, test[:-1], 3, 2.0),
-        (SETTINGS, labels, train, test, 4, 2.0),
-        (SETTINGS, labels, train, test, 3, 2.5),
+        {"settings": dataclasses.replace(SETTINGS, tau_s=0.4)},
+        {"labels": labels[::-1]},
+        {"train": train[:-1]},
+        {"test": test[:-1]},
+        {"seed": 4},
+        {"long": 2.5},
     )
-    assert same not in [slayer._identity(*other) for other in others]
+    assert same not in [identity(**other) for other in others]
