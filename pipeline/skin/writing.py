@@ -9,6 +9,7 @@ Contact, film, receptors and read-out are those of the simulation (:mod:`pipelin
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -73,7 +74,8 @@ class Writing:
         clock = np.exp(p.receptor.clock * np.abs(rng.standard_normal(N_TAXELS)))
         self._p, self._rng = p, rng
         self._usual = np.exp(np.mean([form.force for form in p.forms]))
-        self._rough = np.exp(p.trials.scrape * rng.standard_normal())
+        rough = np.exp(p.trials.scrape * rng.standard_normal())
+        self._skin = replace(p.skin, scrape=p.skin.scrape * rough)
         self._strength = contact.strength(rng, p.skin)
         self._shaking = contact.Shaking(gain, STEP_S, p.skin)
         self._film = contact.Creep(N_TAXELS, STEP_S, p.skin)
@@ -153,7 +155,6 @@ class Writing:
         n = int((until_s - self.time_s) / STEP_S)
         if n <= 0 or not self._points:
             return Events(*(np.empty(0),) * 4)
-        skin = self._p.skin
         time = START_S + STEP_S * np.arange(self._row + 1, self._row + n + 1)
         down, right, force = self._tip(time)
         if self._last is None:
@@ -165,10 +166,10 @@ class Writing:
         felt = np.concatenate([[self._last[2]], force])
         lands = contact.landings(felt, contact.LANDED * self._usual) - 1
         jolts = self._strength * contact.jolt(self._rng, len(lands), N_TAXELS)
-        signal = contact.pressure(down, right, force, skin)
+        signal = contact.pressure(down, right, force, self._skin)
         self._shaking.advance(signal, zip(lands, jolts, strict=True))
         self._film.advance(signal)
-        contact.scrape(signal, self._rough * speed / STEP_S, self._rng, skin)
+        contact.scrape(signal, speed / STEP_S, self._rng, self._skin)
         seconds, taxel, polarity = self._receptors.advance(signal)
         self._row += n
         self._last = down[-1], right[-1], force[-1]

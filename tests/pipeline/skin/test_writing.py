@@ -145,6 +145,18 @@ def test_more_pressure_gives_more_events():
     assert len(written(pressure=0.9).events) > len(written(pressure=0.3).events)
 
 
+def test_a_rough_skin_scrapes_more_however_fast_the_pen_is():
+    """Beyond ``scrape_speed`` it does not depend on the speed, but on the skin it does."""
+    fast = replace(P.skin, scrape_speed=1e-3)
+    counts = [
+        len(written(p=replace(P, skin=fast, trials=replace(P.trials, scrape=scrape))).events)
+        for scrape in (0.0, 1.0)
+    ]
+    rng = np.random.default_rng([0])
+    *_, unevenness = rng.standard_normal(100 + 1 + 100 + 1)  # drawn after gains, threshold, clocks
+    assert (counts[1] - counts[0]) * unevenness > 0
+
+
 def test_a_pen_that_rests_is_silent_after_a_while():
     writing = Writing([0], P)
     writing.point(PenPoint(START_S, 4, 4, 0.5, True))
