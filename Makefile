@@ -124,7 +124,7 @@ check-lava: convert setup-lava  ## The check's samples in Lava, every spike comp
 	@$(BIN)/python -m tests.lava_reader.result $(RUN)/bundle $(RUN)/lava/output.npz $(RUN)/checks/lava.json $(RUN)/lava/stock.npz
 
 # Those that SECURITY.md explains; pip-audit says how many it leaves out.
-EXPLAINED := $(shell sed -n 's/^- \*\*\(CVE-[0-9-]*\)\*\*.*/\1/p' SECURITY.md)
+EXPLAINED = $(shell sed -n 's/^- \*\*\(CVE-[0-9-]*\)\*\*.*/\1/p' SECURITY.md)
 
 audit: .venv-audit/installed  ## Ask for known vulnerabilities of what is pinned (AUDIT: options)
 	@.venv-audit/bin/pip-audit --strict --disable-pip --no-deps --progress-spinner off \
