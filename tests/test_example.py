@@ -22,25 +22,20 @@ shown["figure"].savefig("figure.png")
 @pytest.mark.slow
 def test_a_network_of_ones_own(tmp_path):
     (tmp_path / "models.py").write_text("raise RuntimeError('beside the notebook')\n")
-    code = (ROOT / "examples" / "own_network.py").read_text()
-    source = '{"data": {"source": "made-up gestures"}}'
-    assert source in code
-    less = source[:-1] + ', "check": {"samples": 50}, "snn": {"epochs": 15}}'
-    (tmp_path / "own_network.py").write_text(code.replace(source, less))
     done = subprocess.run(
-        [sys.executable, "-c", SHOWN, "own_network.py"],
+        [sys.executable, "-c", SHOWN, str(ROOT / "examples" / "own_network.py")],
         cwd=tmp_path,
         env=environment(),
         capture_output=True,
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    assert "Loss ladder, 50 simulated samples" in done.stdout
+    assert "Loss ladder, 200 simulated samples" in done.stdout
     ladder = read_json(tmp_path / "runs" / "gestures" / "ladder.json", "")
     accuracy = {row["stage"]: row["accuracy"] for row in ladder["rows"]}
     assert list(accuracy) == ["cnn", "rate-lif", "nengo", "fast"]
     assert accuracy["cnn"] > 0.8  # chance is 0.2
-    assert accuracy["fast"] >= accuracy["cnn"] - 0.04
+    assert accuracy["fast"] >= accuracy["cnn"] - 0.02
     assert ladder["classes"] == ["across", "along", "diagonal", "ring", "press"]
     assert (tmp_path / "figure.png").stat().st_size > 1000
     assert (tmp_path / "runs" / "gestures" / "bundle" / "MANIFEST.json").is_file()

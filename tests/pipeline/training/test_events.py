@@ -167,18 +167,11 @@ def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):
         assert got["loss"] == pytest.approx(expected["loss"], rel=1e-5)
 
 
-def test_a_checkpoint_is_of_this_run_alone(data, monkeypatch):
-    def keep(train, epochs, state, run, *rest):
-        runs.append(run)
-        raise InterruptedError  # all that is asked for; what follows takes seconds
-
+def test_a_checkpoint_is_of_this_run_alone(data, monkeypatch, run_of):
     def identity(recipe, table, labels, train, validation, seed):
-        with pytest.raises(InterruptedError):
-            train_events(recipe, table, labels, train, seed, validation)
-        return runs[-1]
+        return run_of(events, lambda: train_events(recipe, table, labels, train, seed, validation))
 
-    runs, (table, labels, train) = [], data
-    monkeypatch.setattr(events, "train_epochs", keep)
+    table, labels, train = data
     monkeypatch.setattr(events, "_Trainer", Mock())
     same = identity(RECIPE, table, labels, train, VALIDATION, 3)
     assert identity(RECIPE, table, labels.copy(), list(train), list(VALIDATION), 3) == same

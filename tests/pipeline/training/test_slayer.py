@@ -80,18 +80,14 @@ def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):
     np.testing.assert_array_equal(resumed.counts, trained.counts)
 
 
-def test_a_checkpoint_is_of_this_run_alone_but_for_its_length(data, monkeypatch):
-    def keep(train, epochs, state, run, *rest):
-        runs.append(run)
-        raise InterruptedError  # all that is asked for; what follows takes seconds
-
+def test_a_checkpoint_is_of_this_run_alone_but_for_its_length(data, run_of):
     def identity(settings=SETTINGS, labels=data[1], train=data[2], test=data[3], seed=3, long=2.0):
-        with pytest.raises(InterruptedError):
-            train_slayer(settings, data[0], labels, train, test, seed, duration_s=long)
-        return runs[-1]
+        return run_of(
+            slayer,
+            lambda: train_slayer(settings, data[0], labels, train, test, seed, duration_s=long),
+        )
 
-    runs, (_, labels, train, test) = [], data
-    monkeypatch.setattr(slayer, "train_epochs", keep)
+    _, labels, train, test = data
     same = identity()
     assert identity(dataclasses.replace(SETTINGS, epochs=9)) == same
     others = (
