@@ -80,9 +80,38 @@ def set_weights(model: tf.keras.Model, weights: dict):
             variable.assign(weights[name])
 
 
+def with_noise(model: tf.keras.Model, images, noise):
+    """Call the network as in training, with noise on what its neurons receive.
+
+    Parameters
+    ----------
+    model : tf.keras.Model
+        From :func:`build_cnn`.
+    images : tensor, shape (n_samples, rows, columns, channels)
+    noise : sequence of tensors
+        For each of :func:`noisy_layers`, shape (n_samples, \\*shape of its input).
+
+    Returns
+    -------
+    tensor, shape (n_samples, outputs)
+        Logits.
+    """
+    signal, added = images, dict(zip(noisy_layers(model), noise, strict=True))
+    for layer in model.layers[1:]:  # the first stands for the image
+        if layer in added:
+            signal = signal + added[layer]
+        signal = layer(signal, training=True)
+    return signal
+
+
+def noisy_layers(model: tf.keras.Model) -> list:
+    """The layers of neurons that training gives noise."""
+    return [layer for layer in model.layers if getattr(layer, "noise", 0)]
+
+
 def predict(model: tf.keras.Model, images) -> np.ndarray:
     """Logits, shape (n_samples, outputs)."""
-    return model.predict(np.asarray(images, np.float32), batch_size=512, verbose=0)
+    return np.concatenate([model(part, training=False) for part in _parts(images)])
 
 
 def activations(model: tf.keras.Model, images) -> dict:
@@ -93,16 +122,23 @@ def activations(model: tf.keras.Model, images) -> dict:
     dict of str to ndarray, shape (n_samples, n_neurons)
         ``"conv1"``, ..., ``"dense1"``, ...; neurons in the order (row, column, channel).
     """
-    suffix, images = "_neurons", np.asarray(images, np.float32)
+    suffix = "_neurons"
     layers = [layer for layer in model.layers if layer.name.endswith(suffix)]
     probe = tf.keras.Model(model.input, {layer.name: layer.output for layer in layers})
-    # Called, not predict(): that would trace a graph for a model that is used once.
-    parts = [
-        probe(images[first : first + 512], training=False) for first in range(0, len(images), 512)
-    ]
+    parts = [probe(part, training=False) for part in _parts(images)]
     return {
         layer.name[: -len(suffix)]: np.concatenate([part[layer.name] for part in parts]).reshape(
             len(images), -1
         )
         for layer in layers
     }
+
+
+def _parts(images):
+    """Images, a few hundred at a time.
+
+    For a model that is called with them, where Keras's ``predict`` would trace a graph that is used
+    once.
+    """
+    images = np.asarray(images, np.float32)
+    return np.split(images, range(512, len(images), 512))

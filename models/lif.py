@@ -65,7 +65,8 @@ class RateLIF(tf.keras.layers.Layer):
     on_chip : bool
         The mean rate on Loihi, with its rounded intervals and time constants.
     noise : float
-        Standard deviation of normal noise on z while training.
+        Standard deviation of the normal noise that training adds to z, outside of the layer: see
+        :func:`models.cnn.with_noise`.
     spike_costs : ndarray, shape of one sample, optional
         What a neuron adds to the training's loss when it fires at ``max_rate``, on the mean over
         samples.
@@ -104,15 +105,13 @@ class RateLIF(tf.keras.layers.Layer):
 
     def call(self, inputs, training=None):
         """Rates relative to ``max_rate``; adds the cost of the spikes to the loss in training."""
-        if training and self.noise:
-            inputs = inputs + tf.random.normal(tf.shape(inputs), stddev=self.noise)
         rates = self.rates(inputs)
         if training and self.spike_costs is not None:
             self.add_loss(tf.reduce_mean(self.cost(rates)))
         return rates
 
     def rates(self, inputs):
-        """Rates relative to ``max_rate``, without noise."""
+        """Rates relative to ``max_rate``."""
         smooth = self._rate(self.smoothing * tf.math.softplus(self.gain * inputs / self.smoothing))
         exact = tf.where(inputs > 0, self._rate(self.gain * inputs), 0.0)
         # The value of the exact rate with the gradient of the smooth one.

@@ -6,8 +6,9 @@ from pathlib import Path
 
 if "PYTEST_XDIST_WORKER" in os.environ:
     # Every core has a worker already; what the worker starts inherits this.
-    for library in ("OMP_NUM", "OPENBLAS_NUM", "TF_NUM_INTRAOP", "TF_NUM_INTEROP"):
+    for library in ("OMP_NUM", "OPENBLAS_NUM", "TF_NUM_INTEROP"):
         os.environ.setdefault(f"{library}_THREADS", "1")
+os.environ["TF_NUM_INTRAOP_THREADS"] = "1"  # as a run on images has it
 
 import pytest
 from hypothesis import settings

@@ -119,9 +119,10 @@ def _on_events(job, dataset):
     on_images = replace(settings, input=replace(settings.input, kind="image"))
     images = inputs_of(dataset.recordings, on_images)
     train = images[split.train], dataset.labels[split.train]
-    found, _ = _cnns(on_images, train, images[split.test], job.seed)
     checkpoint = job.path.with_suffix(".npz")
+    # First, before the CNNs' training has TensorFlow compute in one thread: it shares its sums.
     trained, spec = train_for_chip(settings, dataset, job.seed, checkpoint)
+    found, _ = _cnns(on_images, train, images[split.test], job.seed)
     shown = dataset.part("test")[0]
     found["trained"] = trained.logits(shown).argmax(1)
     chips = {"chip": answer(spec, shown, "fast", job.seed)}

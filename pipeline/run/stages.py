@@ -30,6 +30,7 @@ from pipeline.run.diagnosis import activity, fastest_rate, training_lines
 from pipeline.run.folder import RunFolder, is_current, stamp_of
 from pipeline.run.history import write_history
 from pipeline.settings import SIMULATED, Settings
+from pipeline.training.threads import one_thread_each
 
 REMEDY = "delete its folder and run the command again"
 LEAST_KNOWN = 0.15
@@ -129,6 +130,7 @@ def _notes(run, settings, recordings):
 
 def train(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> dict:
     """Train the CNN, or read the user's own, unless it is there already; return its metrics."""
+    one_thread_each()  # of a run on images all that follows in this process, trained before or not
     stamp = cnn_stamp(settings, dataset)
     if done := _done("cnn", run.cnn, stamp, say):
         return done

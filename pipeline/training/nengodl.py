@@ -76,7 +76,7 @@ def run(
     images,
     steps: int,
     spiking: bool = True,
-    batch: int = 100,
+    batch: int = 200,
     advance=None,
 ) -> np.ndarray:
     """Run the converted network on images, each from a fresh state.
@@ -93,7 +93,7 @@ def run(
     spiking : bool
         Spiking LIF neurons; False for rate-based ones.
     batch : int
-        Samples side by side.
+        Samples side by side, if there are so many.
     advance : callable, optional
         Called with the number of samples done since the last call.
 
@@ -109,6 +109,7 @@ def run(
         synapse=(settings.deployment.synapse or None) if spiking else None,
     )
     images = np.asarray(images, np.float32).reshape(len(images), 1, -1)
+    batch = min(batch, len(images))
     padding = -len(images) % batch  # NengoDL runs whole batches only
     padded = np.concatenate([images, np.zeros((padding, *images.shape[1:]), np.float32)])
     with nengo_dl.Simulator(

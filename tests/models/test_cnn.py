@@ -2,7 +2,16 @@ import numpy as np
 import pytest
 
 from models.architecture import parse
-from models.cnn import activations, build_cnn, get_weights, predict, set_weights
+from models.cnn import (
+    activations,
+    build_cnn,
+    get_weights,
+    noisy_layers,
+    predict,
+    set_weights,
+    with_noise,
+)
+from models.lif import RateLIF
 
 PAPER = parse("10x10-6c4-24c3-10o")
 
@@ -72,3 +81,21 @@ def test_strides_padding_pooling_and_dense_layers_against_numpy():
     np.testing.assert_allclose(predict(model, image[None])[0], expected, atol=1e-5)
     shapes = {name: array.shape for name, array in activations(model, image[None]).items()}
     assert shapes == {"conv1": (1, 36), "dense1": (1, 5)}
+
+
+def test_noise_is_added_to_what_the_neurons_receive():
+    """By hand, layer by layer; without training there is none."""
+    noises = [0.2, 0.0, 0.5]
+    model = build_cnn(parse("6x6-3c3-4c2-5-2o"), lambda index: RateLIF(150.0, noise=noises[index]))
+    assert [layer.name for layer in noisy_layers(model)] == ["conv1_neurons", "dense1_neurons"]
+    rng = np.random.default_rng(0)
+    images = rng.uniform(size=(4, 6, 6, 1)).astype(np.float32)
+    noise = [rng.normal(size=shape).astype(np.float32) for shape in ((4, 4, 4, 3), (4, 5))]
+    signal = images
+    for layer in model.layers[1:]:
+        added = {"conv1_neurons": noise[0], "dense1_neurons": noise[1]}.get(layer.name, 0)
+        signal = layer(signal + added).numpy()
+    np.testing.assert_allclose(with_noise(model, images, noise), signal, rtol=1e-6)
+    assert not np.allclose(signal, predict(model, images), atol=1e-3)
+    with pytest.raises(ValueError, match="shorter"):
+        with_noise(model, images, noise[:1])

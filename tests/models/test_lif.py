@@ -42,12 +42,6 @@ def test_on_the_chip_the_rate_is_nengo_loihis_averaged_over_a_ripple(tau_rc, tau
         assert np.mean(1 / rates) == pytest.approx(interval, rel=2e-3)
 
 
-def test_noise_is_only_for_training():
-    layer, z = RateLIF(RATE, noise=0.2), np.full(1000, 0.5, np.float32)
-    assert np.ptp(layer(z)) == 0
-    assert np.std(layer(z, training=True)) > 0.05
-
-
 def test_the_price_of_spikes_by_hand():
     costs = np.float32([1, 10])
     layer = RateLIF(RATE, spike_costs=costs)

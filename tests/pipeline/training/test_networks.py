@@ -1,12 +1,16 @@
 """Training learns, repeats itself, and hands over what it learned."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
 from models.cnn import activations
-from pipeline.settings import Settings
+from pipeline.settings import Settings, write_settings
 from pipeline.training import networks as training
 from pipeline.training.stacked import train_cnns
+from tests.command import environment
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +57,75 @@ def test_rate_networks_learn(cnn, stripes, recipe):
     chosen = settings(recipe=recipe, epochs=8, batch_size=16)
     trained = training.train_rate_network(chosen, stripes, 0, cnn.weights)
     assert accuracy(trained.logits(images), labels) > 0.9
+
+
+def test_the_number_of_cores_does_not_matter(cnn, stripes, tmp_path):
+    """The weights of this process, which has one thread, in another that may have many."""
+    chosen = settings(recipe="loihi", epochs=2)
+    here = training.train_rate_network(chosen, stripes, 0, cnn.weights).weights
+    np.savez(tmp_path / "data.npz", *stripes)
+    write_settings(tmp_path / "chosen.toml", chosen)
+    others = {name: value for name, value in environment().items() if "THREADS" not in name}
+    subprocess.run([sys.executable, "-c", IN_ANOTHER], cwd=tmp_path, env=others, check=True)
+    for name, weights in {"cnn": cnn.weights, "rates": here}.items():
+        with np.load(tmp_path / f"{name}.npz") as there:
+            assert set(there) == set(weights)
+            for key, array in weights.items():
+                np.testing.assert_array_equal(there[key], array, err_msg=f"{name} {key}")
+
+
+IN_ANOTHER = """
+import numpy as np
+from pipeline.settings import read_settings
+from pipeline.training.networks import train_cnn, train_rate_network
+
+chosen, stripes = read_settings("chosen.toml"), list(np.load("data.npz").values())
+cnn = train_cnn(chosen, stripes, 0)
+np.savez("cnn.npz", **cnn.weights)
+np.savez("rates.npz", **train_rate_network(chosen, stripes, 0, cnn.weights).weights)
+"""
+
+
+def test_noise_is_the_seeds_however_much_is_drawn_at_once(cnn, stripes, monkeypatch):
+    def weights(seed=0, **snn):
+        chosen = settings(recipe="loihi", epochs=2, batch_size=48, **snn)  # the last has 16
+        return training.train_rate_network(chosen, stripes, seed, cnn.weights).weights
+
+    drawn_by_epochs = weights()
+    monkeypatch.setattr(training, "NOISE_AHEAD", 1)  # less than a batch's, which is the least
+    drawn_by_batches = weights()
+    for name, array in drawn_by_epochs.items():
+        np.testing.assert_array_equal(drawn_by_batches[name], array)
+    for other in (weights(seed=1), weights(noise=0.0), weights(noise=0.3)):
+        assert not np.allclose(other["conv1.kernel"], drawn_by_epochs["conv1.kernel"], atol=1e-4)
+
+
+def test_noise_is_normal_with_the_settings_deviation():
+    chosen = settings(recipe="loihi", epochs=2, batch_size=64, noise=0.3)
+    model = training.build_rate_network(chosen)
+    drawn = list(training._samples(model, 200, training.snn_recipe(chosen.snn), seed=4))
+    assert [len(order) for order, _ in drawn] == [200, 200]
+    assert sorted(drawn[0][0].numpy()) == list(range(200))
+    assert not np.array_equal(drawn[0][0], drawn[1][0])
+    for _, noise in drawn:
+        assert [layer.shape for layer in noise] == [(200, 7, 7, 6), (200, 5, 5, 24)]
+        for layer in noise:
+            assert abs(float(np.mean(layer))) < 0.01
+            assert np.std(layer) == pytest.approx(0.3, rel=0.02)
+    first, second = drawn[0][1][0].numpy(), drawn[1][1][0].numpy()
+    assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.02
+
+
+def test_what_is_made_ahead_comes_in_order_and_fails_where_it_is_asked_for():
+    def values():
+        yield from range(5)
+        raise ZeroDivisionError
+
+    ahead = training._ahead(values())
+    assert [next(ahead) for _ in range(5)] == list(range(5))
+    with pytest.raises(ZeroDivisionError):
+        next(ahead)
+    assert list(training._ahead(iter([[], [1]]))) == [[], [1]]
 
 
 def test_a_price_on_spikes_saves_spikes(cnn, stripes):
