@@ -32,7 +32,7 @@ STEP_S = 3.27e-3 / 3
 ARRAY_SEED = 2020
 """Of the taxels' gains: like the paper, every data set is recorded with the same array."""
 
-BATCH = 64
+BATCH = 128
 """Recordings whose film and receptors are simulated together.
 
 Fixed, so that the bytes do not depend on the processes.
