@@ -10,12 +10,20 @@ import pytest
 from deploy.network.loihi_import import NumPy1, nengo_loihi
 from tests.command import ROOT
 
-IMPORT_NENGODL = """
-import sys
+IMPORT_BOTH = """
+import subprocess, sys
 from models.keras2 import tf
 import keras as keras3
-{first}
-import nengo_dl
+print("Keras", tf.keras.Model.__module__)
+def refuse(*arguments, **options):
+    raise AssertionError("NengoDL starts a process")
+subprocess.Popen = refuse
+def kerases():
+    return {name: module for name, module in sys.modules.items() if name.split(".")[0] == "keras"}
+before = kerases()
+import pipeline.training.nengodl
+assert kerases() == before and sys.modules["keras"] is keras3
+print("NengoDL", "nengo_dl" in sys.modules)
 """
 
 
@@ -28,9 +36,19 @@ def run(code):
     )  # fmt: skip
 
 
-def test_keras_is_the_second_whoever_asks():
-    done = run("from models.keras2 import tf; print(tf.keras.Model.__module__)")
-    assert done.stdout.startswith("tf_keras."), done.stderr
+@pytest.fixture(scope="module")
+def both():
+    """Keras and NengoDL as we import them, one after the other: seconds."""
+    return run(IMPORT_BOTH)
+
+
+def test_keras_is_the_second_whoever_asks(both):
+    assert "Keras tf_keras." in both.stdout, both.stderr
+
+
+def test_nengodl_is_imported_without_a_second_python_and_leaves_keras_3_as_it_was(both):
+    assert both.returncode == 0, both.stderr
+    assert "NengoDL True" in both.stdout
 
 
 def test_nengoloihi_brings_in_nothing_that_it_only_looks_for():
@@ -69,22 +87,6 @@ import nengo_dl
     done = run(code)
     assert "set TF_USE_LEGACY_KERAS=1 before" in done.stdout
     assert "No module named 'keras.engine'" in done.stderr
-
-
-@pytest.mark.slow
-def test_nengodl_is_imported_without_a_second_python_and_leaves_keras_3_as_it_was():
-    no_process = """
-import subprocess
-def refuse(*arguments, **options):
-    raise AssertionError("NengoDL starts a process")
-subprocess.Popen = refuse
-before = {name: module for name, module in sys.modules.items() if name.split(".")[0] == "keras"}
-import pipeline.training.nengodl
-after = {name: module for name, module in sys.modules.items() if name.split(".")[0] == "keras"}
-assert before == after and sys.modules["keras"] is keras3
-"""
-    done = run(IMPORT_NENGODL.format(first=no_process))
-    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.skipif(np.lib.NumpyVersion(np.__version__) < "2.0.0", reason="NumPy 1 is not NumPy 2")
