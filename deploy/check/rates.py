@@ -44,7 +44,7 @@ def firing_rates(
         In spikes a second, from ``start`` on while the sample is shown.
     """
     # Bit for bit Numba's, in a third of a second for 200 samples: to import Numba takes longer, and
-    # to compile it, at the first start on a machine, ten seconds.
+    # to compile it, at the first start on a machine, five seconds.
     emulation = Emulation(compile_spec(spec, seed), "numpy")
     presentation = spec.presentation
     sizes = {layer.name: layer.size for layer in spec.layers if layer.neurons is not None}

@@ -87,7 +87,7 @@ def run_check(
         notes = [record["notes"] for record in done if "notes" in record]
         extra = found.describe(notes) if notes and found.describe else {}
         if found.hardware:
-            # NumPy's kernel: Numba's compiles ten seconds in a bundle that was copied.
+            # NumPy's kernel: Numba's compiles five seconds in a bundle that was copied.
             expected = answer(bundle.spec, bundle.checks.inputs, "fast", seed, kernel="numpy")
             extra["samples_unlike_fast"] = sum(
                 told.get("spike_hash") != str(spikes)

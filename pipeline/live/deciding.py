@@ -142,7 +142,7 @@ class _Fast:
 class ImageDecider(_Fast):
     """A bundle whose input is the tactile image: shown the image so far, from rest, every time.
 
-    Making one takes a few seconds, and some ten the first time ever, when the kernel is compiled;
+    Making one takes a few seconds, some five more the first time ever, when the kernel is compiled;
     then every answer takes a millisecond or so.
 
     Parameters

@@ -119,7 +119,7 @@ def _list(words, row, first_source, in_use, events, n):
 
     Most words are 0; listing the others first, without a branch, leaves little to mispredict.
     """
-    row, n, n_in_use = uint64(row), uint64(n), uint64(0)
+    n, n_in_use = uint64(n), uint64(0)
     for w in range(uint64(words.shape[1])):
         in_use[n_in_use] = w
         n_in_use += uint64(words[row, w] != 0)
@@ -256,6 +256,16 @@ def _fire_refractory(period, threshold, voltage, waiting, spikes):
 
 
 @_jit()
+def _copy(values, into):
+    """Into the start of an array.
+
+    For NumPy's assignment Numba compiles the words of an error of shapes: a third of all its time.
+    """
+    for i in range(len(values)):
+        into[i] = values[i]
+
+
+@_jit()
 def advance(
     wiring,
     segments,
@@ -281,7 +291,9 @@ def advance(
     """
     n_streams, n_steps = decoded.shape[0], decoded.shape[1]
     n_inputs = wiring.first.shape[1] - 1 - len(bias)
-    widest = np.max(segments.stop - segments.start)
+    widest = 0
+    for s in range(len(segments.start)):
+        widest = max(widest, segments.stop[s] - segments.start[s])
     row = np.zeros((1, -(-widest // WORD) * WORD), np.uint8)
     in_use = np.empty(max(arriving.shape[2], row.shape[1] // WORD), np.int32)
     # Spikes of the inputs, then of each segment; those at row t are from ends[t] to ends[t + 1].
@@ -289,11 +301,11 @@ def advance(
     ends = np.zeros((len(segments.start) + 1, n_steps + 2), np.int64)
     for b in range(n_streams):
         for t in range(n_steps + 1):
-            ends[0, t + 1] = _list(arriving[b], t, int32(0), in_use, events, ends[0, t])
+            ends[0, t + 1] = _list(arriving[b], uint64(t), int32(0), in_use, events, ends[0, t])
         for s in range(len(segments.start)):
             part = slice(segments.start[s], segments.stop[s])
             row[:] = 0
-            row[0, : part.stop - part.start] = in_flight[b, part]
+            _copy(in_flight[b, part], row[0])
             _advance_segment(
                 wiring,
                 segments,
@@ -353,7 +365,7 @@ def _advance_segment(
     v_min, v_max = segments.v_min[s], segments.v_max[s]
     nearest, farthest = wiring.reach[s]
     ends[s + 1, 0] = ends[s, -1]
-    ends[s + 1, 1] = _list(words, 0, first_source, in_use, events, ends[s + 1, 0])
+    ends[s + 1, 1] = _list(words, uint64(0), first_source, in_use, events, ends[s + 1, 0])
     for t in range(spikes.shape[0]):
         for source in range(nearest, farthest):
             _deliver(wiring, s, events, ends[source, t], ends[source, t + 1], total)
@@ -372,11 +384,12 @@ def _advance_segment(
             _fire_refractory(period, threshold, voltage, waiting, row)
         else:
             _fire(threshold, voltage, row)
-        ends[s + 1, t + 2] = _list(words, 0, first_source, in_use, events, ends[s + 1, t + 1])
+        end = ends[s + 1, t + 1]
+        ends[s + 1, t + 2] = _list(words, uint64(0), first_source, in_use, events, end)
         for i in range(uint64(spikes.shape[1])):
             spikes[t, i] = row[0, i]
     if period == 1:
-        waiting[:] = row[0, : len(waiting)]
+        _copy(row[0, : len(waiting)], waiting)
 
 
 class _Announcer(event.Listener):
@@ -384,7 +397,7 @@ class _Announcer(event.Listener):
 
     def on_start(self, event):
         if event.data["dispatcher"] is advance:
-            print("fast: compiling; this takes some ten seconds", file=sys.stderr, flush=True)
+            print("fast: compiling; this takes some five seconds", file=sys.stderr, flush=True)
 
     def on_end(self, event):
         pass
