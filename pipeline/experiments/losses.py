@@ -120,7 +120,7 @@ def _on_events(job, dataset):
     images = inputs_of(dataset.recordings, on_images)
     train = images[split.train], dataset.labels[split.train]
     checkpoint = job.path.with_suffix(".npz")
-    # First, before the CNNs' training has TensorFlow compute in one thread: it shares its sums.
+    # First: from the CNNs' training on TensorFlow computes in one thread, to other last digits.
     trained, spec = train_for_chip(settings, dataset, job.seed, checkpoint)
     found, _ = _cnns(on_images, train, images[split.test], job.seed)
     shown = dataset.part("test")[0]

@@ -404,7 +404,7 @@ def _samples(model, count, recipe, seed):
     """Which samples are trained on, in their order, with noise for each of :func:`noisy_layers`.
 
     An epoch after the other, and of each as many whole batches at once as `NOISE_AHEAD` allows.
-    NumPy draws the noise in a quarter of the time that TensorFlow takes among a step's operations.
+    NumPy draws the noise in two thirds of TensorFlow's time, and beside a step instead of in it.
     """
     layers = noisy_layers(model)
     numbers = recipe.batch_size * sum(int(np.prod(layer.input_shape[1:])) for layer in layers)
