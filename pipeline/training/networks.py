@@ -331,8 +331,9 @@ def _best_shift(neurons, activations):
 def fit(model, recipe: Recipe, data, seed: int, validation=None, advance=None) -> list:
     """Train a model that puts out logits with sparse categorical cross-entropy.
 
-    Each epoch is one call of a compiled loop over its batches: Keras's own ``fit`` returns to
-    Python between them, which costs these small networks as much time as their arithmetic.
+    An epoch is one call of a compiled loop over its batches, or a few where the noise is much:
+    Keras's own ``fit`` returns to Python between them, which costs these small networks as much
+    time as their arithmetic.
 
     Parameters
     ----------
@@ -341,7 +342,7 @@ def fit(model, recipe: Recipe, data, seed: int, validation=None, advance=None) -
     recipe : Recipe
     data, validation : (images, labels)
     seed : int
-        Of the order of the samples: that of a network trained with others, see
+        Of the noise, and of the order of the samples: that of a network trained with others, see
         :mod:`models.together`.
     advance : callable, optional
         ``advance(1, note)`` after each epoch.
