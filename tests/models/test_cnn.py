@@ -84,7 +84,7 @@ def test_strides_padding_pooling_and_dense_layers_against_numpy():
 
 
 def test_noise_is_added_to_what_the_neurons_receive():
-    """By hand, layer by layer; without training there is none."""
+    """By hand, layer by layer; a model that is called adds none of its own."""
     noises = [0.2, 0.0, 0.5]
     model = build_cnn(parse("6x6-3c3-4c2-5-2o"), lambda index: RateLIF(150.0, noise=noises[index]))
     assert [layer.name for layer in noisy_layers(model)] == ["conv1_neurons", "dense1_neurons"]
@@ -96,6 +96,10 @@ def test_noise_is_added_to_what_the_neurons_receive():
         added = {"conv1_neurons": noise[0], "dense1_neurons": noise[1]}.get(layer.name, 0)
         signal = layer(signal + added).numpy()
     np.testing.assert_allclose(with_noise(model, images, noise), signal, rtol=1e-6)
-    assert not np.allclose(signal, predict(model, images), atol=1e-3)
+    quiet = predict(model, images)
+    assert not np.allclose(signal, quiet, atol=1e-3)
+    np.testing.assert_allclose(model(images, training=True), quiet, rtol=1e-6)
+    none = [np.zeros_like(values) for values in noise]
+    np.testing.assert_allclose(with_noise(model, images, none), quiet, rtol=1e-6)
     with pytest.raises(ValueError, match="shorter"):
         with_noise(model, images, noise[:1])
