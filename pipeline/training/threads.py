@@ -1,4 +1,4 @@
-"""How many threads TensorFlow computes with: chosen before it is imported."""
+"""How many threads TensorFlow computes with: chosen before it computes anything."""
 
 from __future__ import annotations
 
