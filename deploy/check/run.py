@@ -7,7 +7,7 @@ import json
 import os
 import time
 from pathlib import Path
-from typing import Optional
+from typing import Iterator, Optional
 
 from ..errors import UserError
 from ..files import lock, write_json
@@ -59,48 +59,138 @@ def run_check(
     UserError
         Unknown target, unwritable result, or another process is writing it.
     """
-    found = target_named(target)
-    if not 0 <= seed < 2**31:
-        raise UserError(f"seed {seed}: must be from 0 to {2**31 - 1}")
-    chosen = {} if options is None else {"options": options}
-    out = Path(out)
-    streams = streams_of(len(bundle.checks), bundle.spec.presentation.stream_length)
-    samples = bundle.spec.stimulus.flat(bundle.checks.inputs)
-    header = {"bundle": bundle.id, "target": target, "seed": seed, "versions": versions()}
-    with _partial_file(out, header) as (done, append):
-        for record in done:
-            _advance(advance, record)
-        begun = time.perf_counter()
-        remaining = streams[len(done) :]
-        for part, responses in zip(
-            remaining, found.run(bundle.spec, [samples[s] for s in remaining], seed, **chosen)
+    with open_check(bundle, target, out, seed, advance) as check:
+        for part, (responses, seconds) in zip(
+            check.left.copy(),
+            timed_answers(bundle.spec, target, check.samples(check.left), seed, options),
         ):
-            now = time.perf_counter()
-            record = {"samples": records_of(bundle, part, responses), "seconds": now - begun}
-            if responses.notes:
-                record["notes"] = responses.notes
-            begun = now
-            append(record)
-            done.append(record)
-            _advance(advance, record)
-        answers = [sample for record in done for sample in record["samples"]]
-        notes = [record["notes"] for record in done if "notes" in record]
-        extra = found.describe(notes) if notes and found.describe else {}
-        if found.hardware:
+            check.add(part, responses, seconds)
+        return check.finish()
+
+
+def timed_answers(spec, target: str, streams, seed: int = 0, options=None) -> Iterator[tuple]:
+    """A target's responses to each of some streams, and the seconds that they took.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    target : str
+    streams : list of ndarray
+        As a target's ``run`` takes them.
+    seed, options
+        As in :func:`run_check`.
+
+    Yields
+    ------
+    Responses, float
+    """
+    chosen = {} if options is None else {"options": options}
+    begun = time.perf_counter()
+    for responses in target_named(target).run(spec, streams, seed, **chosen):
+        now = time.perf_counter()
+        yield responses, now - begun
+        begun = now
+
+
+class OpenCheck:
+    """A check that is being done: what of it is there, and what is left; see :func:`open_check`.
+
+    Attributes
+    ----------
+    left : list of slice
+        The streams that have no answers yet, in order: which of the check's samples they show.
+    """
+
+    def __init__(self, bundle, target, out, seed, file, done, advance):
+        self._bundle, self._target, self._out, self._seed = bundle, target, out, seed
+        self._file, self._done, self._advance = file, done, advance
+        streams = streams_of(len(bundle.checks), bundle.spec.presentation.stream_length)
+        self.left = streams[len(done) :]
+        for record in done:
+            self._tell(record)
+
+    def samples(self, parts) -> list:
+        """What the streams of some parts show, as a target's ``run`` takes them."""
+        flat = self._bundle.spec.stimulus.flat(self._bundle.checks.inputs)
+        return [flat[part] for part in parts]
+
+    def add(self, part: slice, responses: Responses, seconds: float):
+        """Keep the answers to the next stream.
+
+        Parameters
+        ----------
+        part : slice
+            The first of ``left``.
+        responses : Responses
+        seconds : float
+            That the target took.
+
+        Raises
+        ------
+        UserError
+            The disk is full.
+        """
+        record = {"samples": records_of(self._bundle, part, responses), "seconds": seconds}
+        if responses.notes:
+            record["notes"] = responses.notes
+        with _disk_errors(self._file.name):
+            _write_now(self._file, json.dumps(record) + "\n")
+        self.left.remove(part)
+        self._done.append(record)
+        self._tell(record)
+
+    def finish(self) -> dict:
+        """Write the result, now that no stream is left; return it."""
+        bundle, target = self._bundle, target_named(self._target)
+        answers = [sample for record in self._done for sample in record["samples"]]
+        notes = [record["notes"] for record in self._done if "notes" in record]
+        extra = target.describe(notes) if notes and target.describe else {}
+        if target.hardware:
             # NumPy's kernel: Numba's compiles five seconds in a bundle that was copied.
-            expected = answer(bundle.spec, bundle.checks.inputs, "fast", seed, kernel="numpy")
+            expected = answer(bundle.spec, bundle.checks.inputs, "fast", self._seed, kernel="numpy")
             extra["samples_unlike_fast"] = sum(
                 told.get("spike_hash") != str(spikes)
                 for told, spikes in zip(answers, expected.spike_hashes)
             )
-        result = result_of(bundle, target, seed, answers, sum(r["seconds"] for r in done), extra)
-        write_json(out, result)
-    return result
+        seconds = sum(record["seconds"] for record in self._done)
+        result = result_of(bundle, self._target, self._seed, answers, seconds, extra)
+        write_json(self._out, result)
+        with contextlib.suppress(OSError):
+            os.unlink(self._file.name)
+        return result
+
+    def _tell(self, record):
+        if self._advance is not None:
+            self._advance(len(record["samples"]))
 
 
-def _advance(advance, record):
-    if advance is not None:
-        advance(len(record["samples"]))
+@contextlib.contextmanager
+def open_check(
+    bundle: Bundle, target: str, out, seed: int = 0, advance=None
+) -> Iterator[OpenCheck]:
+    """Open a check where it was left, for its streams to be answered in any way: here or elsewhere.
+
+    Parameters
+    ----------
+    bundle, target, out, seed, advance
+        As in :func:`run_check`, which is one of these ways.
+
+    Yields
+    ------
+    OpenCheck
+
+    Raises
+    ------
+    UserError
+        As :func:`run_check`.
+    """
+    target_named(target)
+    if not 0 <= seed < 2**31:
+        raise UserError(f"seed {seed}: must be from 0 to {2**31 - 1}")
+    out = Path(out)
+    header = {"bundle": bundle.id, "target": target, "seed": seed, "versions": versions()}
+    with _partial_file(out, header) as (file, done):
+        yield OpenCheck(bundle, target, out, seed, file, done, advance)
 
 
 def records_of(bundle: Bundle, part: slice, responses: Responses) -> list:
@@ -141,14 +231,7 @@ def _partial_file(out: Path, header: dict):
         )
         with _disk_errors(path):
             done = _resume(file, header)
-
-        def append(record):
-            with _disk_errors(path):
-                _write_now(file, json.dumps(record) + "\n")
-
-        yield done, append
-        with contextlib.suppress(OSError):
-            path.unlink()
+        yield file, done
 
 
 @contextlib.contextmanager

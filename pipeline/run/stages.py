@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +14,12 @@ from deploy import __version__
 from deploy.check.bundle import Bundle, CheckSet, read_bundle, write_bundle
 from deploy.check.intervals import wilson_interval
 from deploy.check.results import read_result
-from deploy.check.run import run_check
+from deploy.check.run import open_check, run_check, timed_answers
 from deploy.errors import UserError
 from deploy.files import read_arrays, read_json, sha256_of, write_arrays, write_json
 from deploy.network.decision import Judge
 from deploy.network.spec import NetworkSpec
+from deploy.targets.registry import TARGETS
 from models.architecture import parse
 from models.own import ModelFileError, read_own_model
 from pipeline.inputs.dataset import TOO_SMALL, Dataset, event_warnings, recordings_fit
@@ -411,6 +414,8 @@ def answer_all(
 ) -> list:
     """:func:`answer` of several stages; targets in processes, the networks meanwhile in this one.
 
+    What processes share are streams, not targets: no core is idle while the last target is at work.
+
     Parameters
     ----------
     run, settings, bundle, say, whole
@@ -431,25 +436,41 @@ def answer_all(
     """
     networks = REFERENCES[settings.input.kind]
     paths = {stage: run.whole_check(stage) if whole else run.check(stage) for stage in asked}
-    results = {}
+    results, failures = {}, {}
     targets = [s for s in asked if s not in networks and not _answers(paths[s], bundle)]
-    if jobs > 1 and len(targets) > 1:
-        work = [_Check(bundle, stage, paths[stage], settings.seed) for stage in targets]
+    if jobs > 1 and any(TARGETS[name].slow for name in targets):
         here = [stage for stage in asked if stage not in targets]
-        with progress("check", len(asked)) as advance:
+        total = len(asked) * len(bundle.checks)
+        with progress("check", total) as advance, contextlib.ExitStack() as opened:
 
             def answer_here():
                 for stage in here:
                     with hidden():
                         results[stage] = answer(run, settings, bundle, stage, say, whole)
-                    advance(1, stage)
+                    advance(len(bundle.checks), stage)
 
-            # The slowest begin first; all are about as long as their place in the ladder is late.
-            for job, outcome in run_jobs(_check, work[::-1], jobs, meanwhile=answer_here):
-                if isinstance(outcome, Failure):
-                    outcome.raise_again(f"target {job.target}")
-                results[job.target] = read_result(job.path, REMEDY_CHECK)
-                advance(1, job.target)
+            checks = {
+                name: opened.enter_context(
+                    open_check(
+                        bundle, name, paths[name], settings.seed, partial(advance, note=name)
+                    )
+                )
+                for name in targets
+            }
+            work = [job for name in targets for job in _work(bundle, checks[name], name, settings)]
+            for job, answers in run_jobs(
+                _answer_streams, work, jobs, meanwhile=answer_here, in_order=True
+            ):
+                if isinstance(answers, Failure):
+                    failures.setdefault(job.target, answers)
+                elif job.target not in failures:
+                    for part, (responses, seconds) in zip(job.parts, answers, strict=True):
+                        checks[job.target].add(part, responses, seconds)
+            for name, check in checks.items():
+                if name not in failures:
+                    results[name] = check.finish()
+            for name, failure in failures.items():
+                failure.raise_again(f"target {name}")
     for stage in asked:
         if stage not in results:
             results[stage] = answer(run, settings, bundle, stage, say, whole)
@@ -457,17 +478,25 @@ def answer_all(
 
 
 @dataclass(frozen=True)
-class _Check:
-    """A target's check, for a process of its own."""
+class _Streams:
+    """Streams of a target's check, for a process of its own."""
 
-    bundle: Bundle
+    spec: NetworkSpec
     target: str
-    path: Path
+    parts: list
+    samples: list
     seed: int
 
 
-def _check(job):
-    run_check(job.bundle, job.target, job.path, job.seed)
+def _work(bundle, check, target, settings):
+    """What is left of a check: each stream by itself where that takes long, else all at once."""
+    left = check.left
+    for parts in [[part] for part in left] if TARGETS[target].slow else [left.copy()]:
+        yield _Streams(bundle.spec, target, parts, check.samples(parts), settings.seed)
+
+
+def _answer_streams(job):
+    return list(timed_answers(job.spec, job.target, job.samples, job.seed))
 
 
 def read_weights(folder: Path, settings: Settings) -> dict:

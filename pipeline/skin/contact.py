@@ -14,6 +14,9 @@ from pipeline.recordings.events import GRID, TaxelMap
 LANDED = 0.1
 """Share of the greatest force at which the pen counts as on the skin."""
 
+NOTHING = 2.0**-150
+"""Half of float32's smallest number: added to one of them, it is rounded away."""
+
 
 def press(motion, gain, least, rng, p, size=(GRID, GRID)):
     """What the taxels that a pen reaches feel of it, before the film creeps.
@@ -84,8 +87,11 @@ class Shaking:
         shaking = [(0, age, felt) for age, felt in self._jolts]
         shaking += [(row, 0, felt) for row, felt in jolts]
         for row, age, felt in shaking:
-            decay = np.exp(-np.arange(age, age + len(pressure) - row) * self._step_s / p.jolt_s)
-            pressure[row:] += np.outer(decay, felt)
+            # What is below half of float32's smallest number changes no sum.
+            lasts = p.jolt_s / self._step_s * np.log(max(felt.max(), NOTHING) / NOTHING)
+            rows = slice(row, row + max(int(lasts) + 1 - age, 0))
+            decay = np.exp(-np.arange(age, age + len(pressure[rows])) * self._step_s / p.jolt_s)
+            pressure[rows] += np.outer(decay, felt)
         # After some twenty times its time a jolt is below the last bit of what it shook.
         ages = [(age + len(pressure) - row, felt) for row, age, felt in shaking]
         self._jolts = [jolt for jolt in ages if jolt[0] * self._step_s < 20 * p.jolt_s]
@@ -114,9 +120,11 @@ class Creep:
 
         Parameters
         ----------
-        felt : ndarray of float32, shape (n_times, n_taxels)
+        felt : ndarray of float32, shape (n_times, n)
+            Of all taxels, or the first n where the others are not touched any more.
         """
-        late, change = self._late, np.empty_like(self._late)
+        late = self._late[: felt.shape[1]]
+        change = np.empty_like(late)
         for now in felt:
             late *= self._lag
             late += np.multiply(now, 1 - self._lag, out=change)

@@ -67,14 +67,16 @@ class Receptors:
 
         Parameters
         ----------
-        signal : ndarray of float, shape (n_times, n_channels)
+        signal : ndarray of float, shape (n_times, n)
+            Of all channels, or the first n where the others have ended.
 
         Returns
         -------
         time_s, channel, polarity
             As :func:`fire` returns them, the time counted from the start.
         """
-        step_s, upper, lower, ready = self._step_s, self._upper, self._lower, self._ready
+        step_s, own = self._step_s, slice(signal.shape[1])
+        upper, lower, ready = self._upper[own], self._lower[own], self._ready[own]
         times, channels, polarities = [], [], []
         last = self._before
         for now in signal:

@@ -18,7 +18,7 @@ from pipeline.recordings.events import GRID, Recordings, Sensor, Source, TaxelMa
 from pipeline.skin import aces, handwriting, unipen
 from pipeline.skin import parameters as settings
 from pipeline.skin.contact import Creep, press, scrape
-from pipeline.skin.receptors import fire
+from pipeline.skin.receptors import Receptors
 
 VERSION = 5
 """Goes into the hash of the recordings; raise it with any change of what is simulated."""
@@ -286,34 +286,68 @@ def _touch(sample, who, gain, rng, p, size):
 
 
 def _receive(touches, p):
-    """Film and receptors of a batch's recordings side by side, then each recording's read-out."""
+    """Film and receptors of a batch's recordings side by side, then each recording's read-out.
+
+    The longest come first: at any time the columns of those that still go on are the first ones.
+    """
+    order = sorted(range(len(touches)), key=lambda index: -len(touches[index].felt))
+    touches = [touches[index] for index in order]
     first = np.cumsum([0] + [len(touch.taxels) for touch in touches])
     widths, columns = np.diff(first), list(itertools.starmap(slice, itertools.pairwise(first)))
-    # One row before the pen comes, when nobody touches the skin; nothing changes after the end.
-    signal = np.zeros((1 + max(len(touch.felt) for touch in touches), first[-1]), np.float32)
-    for touch, own in zip(touches, columns, strict=True):
-        signal[1 : 1 + len(touch.felt), own] = touch.felt
-    Creep(first[-1], STEP_S, p.skin).advance(signal[1:])
+    # One row before the pen comes, when nobody touches the skin.
+    ends = [1 + len(touch.felt) for touch in touches]
+    signal = np.empty((ends[0], first[-1]), np.float32)
+    signal[0] = 0
+    for touch, end, own in zip(touches, ends, columns, strict=True):
+        signal[1:end, own] = touch.felt
+    stretches = [signal[part] for part in _stretches(ends, first)]
+    film = Creep(first[-1], STEP_S, p.skin)
+    for stretch in stretches:
+        film.advance(stretch)
     off, clock = np.empty((2, first[-1]))
-    for touch, own in zip(touches, columns, strict=True):
-        rng, end = touch.rng, 1 + len(touch.felt)
+    for touch, end, own in zip(touches, ends, columns, strict=True):
+        rng = touch.rng
         scrape(signal[1:end, own], touch.speed, rng, touch.skin)
-        signal[end:, own] = signal[end - 1, own]
         off[own] = np.exp(touch.off + p.receptor.off_spread * rng.standard_normal())
         clock[own] = np.exp(p.receptor.clock * np.abs(rng.standard_normal(len(touch.taxels))))
-    time, channel, polarity = fire(
-        signal,
+    receptors = Receptors(
+        signal[0],
         on=np.full(first[-1], p.receptor.threshold, np.float32),
         off=(p.receptor.threshold * off).astype(np.float32),
         step_s=STEP_S,
         refractory_s=p.receptor.refractory_s * clock,
         poll_s=p.receptor.poll_s * clock,
     )
+    fired = [receptors.advance(stretch) for stretch in stretches]
+    time, channel, polarity = map(np.concatenate, zip(*fired, strict=True))
     sample = np.repeat(np.arange(len(touches)), widths)[channel]
-    events = []
-    for index, touch in enumerate(touches):
-        mine = np.flatnonzero(sample == index)
+    by_sample = np.argsort(sample, kind="stable")
+    parts = np.split(by_sample, np.searchsorted(sample[by_sample], np.arange(1, len(touches))))
+    events = [None] * len(touches)
+    for index, touch, start, mine in zip(order, touches, first, parts, strict=False):
         seconds = time[mine] + touch.start_s - STEP_S
-        taxel = touch.taxels[channel[mine] - first[index]]
-        events.append(aces.bursts(1e9 * seconds, taxel, polarity[mine], p.aces))
+        taxel = touch.taxels[channel[mine] - start]
+        events[index] = aces.bursts(1e9 * seconds, taxel, polarity[mine], p.aces)
     return events
+
+
+def _stretches(ends, first):
+    """From one recording's end to the next: rows, and the columns of those that still go on.
+
+    Parameters
+    ----------
+    ends : sequence of int
+        Row after the last one of each recording, the longest first.
+    first : sequence of int
+        Column at which each begins, and the one after the last.
+
+    Yields
+    ------
+    (slice, slice)
+        From row 1 on.
+    """
+    row = 1
+    for end, column in zip(ends[::-1], first[:0:-1], strict=True):
+        if end > row:
+            yield slice(row, end), slice(column)
+            row = end
