@@ -72,7 +72,6 @@ def run_jobs(
     scheduler: str | None = None,
     say=print,
     meanwhile=lambda: None,
-    in_order: bool = False,
 ):
     """Call a function once for each job, and yield what it returns as it comes.
 
@@ -92,13 +91,11 @@ def run_jobs(
         Called with a line where the jobs have to wait.
     meanwhile : callable
         Called once in this process, and where the jobs run in others, while they do.
-    in_order : bool
-        On this machine: results come in the order of the jobs, not of their ends.
 
     Yields
     ------
     job, result
-        The result is a :class:`Failure` where the function raised.
+        In the order in which they end; the result is a :class:`Failure` where the function raised.
 
     Raises
     ------
@@ -119,7 +116,7 @@ def run_jobs(
             warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
             # That jobs are given up where the caller gives up is no news either.
             warnings.filterwarnings("ignore", message=r"\d+ tasks (which were|have been)")
-            yield from _in_processes(function, jobs, processes, meanwhile, in_order)
+            yield from _in_processes(function, jobs, processes, meanwhile)
 
 
 def results_of(calls, processes: int, in_order: bool = True):
@@ -149,11 +146,11 @@ def results_of(calls, processes: int, in_order: bool = True):
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _in_processes(function, jobs, processes, meanwhile, in_order):
+def _in_processes(function, jobs, processes, meanwhile):
     left = dict(enumerate(jobs))
     calls = (delayed(_numbered)(number, function, job) for number, job in left.copy().items())
     try:
-        with closing(results_of(calls, min(processes, len(jobs)), in_order)) as results:
+        with closing(results_of(calls, min(processes, len(jobs)), in_order=False)) as results:
             meanwhile()
             for number, result in results:
                 yield left.pop(number), result

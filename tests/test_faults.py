@@ -327,7 +327,7 @@ def test_a_check_that_was_interrupted_goes_on(run, monkeypatch):
         assert call(*command) == 130
     assert not out.exists()
     assert temporaries(run) == [partial]
-    assert partial.read_text().count("\n") >= 2
+    assert partial.read_text().count('"first": ') == 1
     assert call(*command) == 0
     assert not temporaries(run)
     assert read_result(out)["samples"] == read_result(run / "checks" / "nengo.json")["samples"]

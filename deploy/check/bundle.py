@@ -71,6 +71,10 @@ class CheckSet:
     def __len__(self):
         return len(self.labels)
 
+    def __getitem__(self, part: slice) -> CheckSet:
+        """Some of the samples."""
+        return CheckSet(self.inputs[part], self.labels[part], self.ids[part], self.seed)
+
 
 @dataclass(frozen=True)
 class Bundle:

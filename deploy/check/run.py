@@ -6,15 +6,17 @@ import contextlib
 import json
 import os
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Iterator, Optional
 
 from ..errors import UserError
 from ..files import lock, write_json
 from ..network.responses import Responses
+from ..network.spec import NetworkSpec
 from ..network.stream import streams_of
 from ..targets.registry import answer, target_named
-from .bundle import Bundle
+from .bundle import Bundle, CheckSet
 from .results import result_of, versions
 
 KEYS = {"id", "label", "prediction", "scores", "decided_at", "decisions", "spikes", "operations"}
@@ -59,37 +61,69 @@ def run_check(
     UserError
         Unknown target, unwritable result, or another process is writing it.
     """
-    with open_check(bundle, target, out, seed, advance) as check:
-        for part, (responses, seconds) in zip(
-            check.left.copy(),
-            timed_answers(bundle.spec, target, check.samples(check.left), seed, options),
-        ):
-            check.add(part, responses, seconds)
+    with open_check(bundle, target, out, seed, advance, options) as check:
+        for record in answered(check.work(check.left)):
+            check.take(record)
         return check.finish()
 
 
-def timed_answers(spec, target: str, streams, seed: int = 0, options=None) -> Iterator[tuple]:
-    """A target's responses to each of some streams, and the seconds that they took.
+@dataclass(frozen=True)
+class Work:
+    """Some streams of a check, and all it takes to answer them: here, or in another process.
 
-    Parameters
+    Attributes
     ----------
     spec : NetworkSpec
-    target : str
-    streams : list of ndarray
-        As a target's ``run`` takes them.
-    seed, options
-        As in :func:`run_check`.
-
-    Yields
-    ------
-    Responses, float
+    streams : tuple of (int, CheckSet)
+        The number of each one's first sample in the check, and what is shown.
+    check : dict
+        Which check it is a part of.
+    saved : Path
+        Where the answers to each stream are appended.
+    options : object or None
+        Of the target.
     """
-    chosen = {} if options is None else {"options": options}
+
+    spec: NetworkSpec
+    streams: tuple
+    check: dict
+    saved: Path
+    options: Optional[object]
+
+    @property
+    def target(self) -> str:
+        """The target's name."""
+        return self.check["target"]
+
+
+def answered(work: Work) -> Iterator[dict]:
+    """Answer streams of a check, save the answers to each one, and yield them.
+
+    Raises
+    ------
+    UserError
+        The disk is full.
+    """
+    chosen = {} if work.options is None else {"options": work.options}
+    shown = [work.spec.stimulus.flat(checks.inputs) for _, checks in work.streams]
+    run = target_named(work.target).run
     begun = time.perf_counter()
-    for responses in target_named(target).run(spec, streams, seed, **chosen):
+    for (first, checks), responses in zip(
+        work.streams, run(work.spec, shown, work.check["seed"], **chosen)
+    ):
         now = time.perf_counter()
-        yield responses, now - begun
+        record = {
+            "of": work.check,
+            "first": first,
+            "samples": records_of(checks, responses),
+            "seconds": now - begun,
+        }
+        if responses.notes:
+            record["notes"] = responses.notes
         begun = now
+        with _disk_errors(work.saved), open(str(work.saved), "ab", buffering=0) as file:
+            _write_now(file, "\n" + json.dumps(record))
+        yield record
 
 
 class OpenCheck:
@@ -97,83 +131,75 @@ class OpenCheck:
 
     Attributes
     ----------
-    left : list of slice
-        The streams that have no answers yet, in order: which of the check's samples they show.
+    target : deploy.targets.registry.Target
     """
 
-    def __init__(self, bundle, target, out, seed, file, done, advance):
-        self._bundle, self._target, self._out, self._seed = bundle, target, out, seed
-        self._file, self._done, self._advance = file, done, advance
-        streams = streams_of(len(bundle.checks), bundle.spec.presentation.stream_length)
-        self.left = streams[len(done) :]
-        for record in done:
-            self._tell(record)
+    def __init__(self, bundle, check, out, saved, done, advance, options):
+        self.target = target_named(check["target"])
+        self._bundle, self._check, self._out = bundle, check, out
+        self._saved, self._done, self._options = saved, done, options
+        self._advance = advance or (lambda n: None)
+        for record in done.values():
+            self._advance(len(record["samples"]))
 
-    def samples(self, parts) -> list:
-        """What the streams of some parts show, as a target's ``run`` takes them."""
-        flat = self._bundle.spec.stimulus.flat(self._bundle.checks.inputs)
-        return [flat[part] for part in parts]
+    @property
+    def left(self) -> list:
+        """The streams that have no answers yet, in order: which samples they show, as slices."""
+        return [part for part in _streams(self._bundle) if part.start not in self._done]
 
-    def add(self, part: slice, responses: Responses, seconds: float):
-        """Keep the answers to the next stream.
+    def work(self, parts) -> Work:
+        """What it takes to answer some of the streams that are left."""
+        streams = tuple((part.start, self._bundle.checks[part]) for part in parts)
+        # Absolute, because a process may have been started elsewhere.
+        saved = self._saved.absolute()
+        return Work(self._bundle.spec, streams, self._check, saved, self._options)
 
-        Parameters
-        ----------
-        part : slice
-            The first of ``left``.
-        responses : Responses
-        seconds : float
-            That the target took.
-
-        Raises
-        ------
-        UserError
-            The disk is full.
-        """
-        record = {"samples": records_of(self._bundle, part, responses), "seconds": seconds}
-        if responses.notes:
-            record["notes"] = responses.notes
-        with _disk_errors(self._file.name):
-            _write_now(self._file, json.dumps(record) + "\n")
-        self.left.remove(part)
-        self._done.append(record)
-        self._tell(record)
+    def take(self, record: dict):
+        """Take what :func:`answered` yields, in any order."""
+        self._done[record["first"]] = record
+        self._advance(len(record["samples"]))
 
     def finish(self) -> dict:
         """Write the result, now that no stream is left; return it."""
-        bundle, target = self._bundle, target_named(self._target)
-        answers = [sample for record in self._done for sample in record["samples"]]
-        notes = [record["notes"] for record in self._done if "notes" in record]
+        bundle, target, seed = self._bundle, self.target, self._check["seed"]
+        records = [self._done[part.start] for part in _streams(bundle)]
+        answers = [sample for record in records for sample in record["samples"]]
+        notes = [record["notes"] for record in records if "notes" in record]
         extra = target.describe(notes) if notes and target.describe else {}
         if target.hardware:
             # NumPy's kernel: Numba's compiles five seconds in a bundle that was copied.
-            expected = answer(bundle.spec, bundle.checks.inputs, "fast", self._seed, kernel="numpy")
+            expected = answer(bundle.spec, bundle.checks.inputs, "fast", seed, kernel="numpy")
             extra["samples_unlike_fast"] = sum(
                 told.get("spike_hash") != str(spikes)
                 for told, spikes in zip(answers, expected.spike_hashes)
             )
-        seconds = sum(record["seconds"] for record in self._done)
-        result = result_of(bundle, self._target, self._seed, answers, seconds, extra)
+        seconds = sum(record["seconds"] for record in records)
+        result = result_of(bundle, target.name, seed, answers, seconds, extra)
         write_json(self._out, result)
         with contextlib.suppress(OSError):
-            os.unlink(self._file.name)
+            self._saved.unlink()
         return result
 
-    def _tell(self, record):
-        if self._advance is not None:
-            self._advance(len(record["samples"]))
+
+def _streams(bundle):
+    return streams_of(len(bundle.checks), bundle.spec.presentation.stream_length)
 
 
 @contextlib.contextmanager
 def open_check(
-    bundle: Bundle, target: str, out, seed: int = 0, advance=None
+    bundle: Bundle,
+    target: str,
+    out,
+    seed: int = 0,
+    advance=None,
+    options: Optional[object] = None,
 ) -> Iterator[OpenCheck]:
-    """Open a check where it was left, for its streams to be answered in any way: here or elsewhere.
+    """Open a check where it was left, for its streams to be answered in any order and process.
 
     Parameters
     ----------
-    bundle, target, out, seed, advance
-        As in :func:`run_check`, which is one of these ways.
+    bundle, target, out, seed, advance, options
+        As in :func:`run_check`, which answers them one after the other.
 
     Yields
     ------
@@ -188,18 +214,32 @@ def open_check(
     if not 0 <= seed < 2**31:
         raise UserError(f"seed {seed}: must be from 0 to {2**31 - 1}")
     out = Path(out)
-    header = {"bundle": bundle.id, "target": target, "seed": seed, "versions": versions()}
-    with _partial_file(out, header) as (file, done):
-        yield OpenCheck(bundle, target, out, seed, file, done, advance)
+    if out.exists() and not out.is_file():  # said now, not when the answers are there
+        raise UserError(f"{out}: cannot write (not a file); choose another --out")
+    saved = out.with_name("." + out.name + ".partial")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        # closed by "with" below; what is not UTF-8 is a damaged line, see _resume
+        file = open(str(saved), "a+", encoding="utf-8", errors="replace")  # noqa: SIM115
+    except OSError as error:
+        raise UserError(f"{out}: cannot write ({error.strerror}); choose another --out") from error
+    check = {"bundle": bundle.id, "target": target, "seed": seed, "versions": versions()}
+    with file:
+        lock(
+            file, f"{out}: another process is writing this result; wait for it or use another --out"
+        )
+        with _disk_errors(saved):
+            done = _resume(file, check, _streams(bundle))
+        yield OpenCheck(bundle, check, out, saved, done, advance, options)
 
 
-def records_of(bundle: Bundle, part: slice, responses: Responses) -> list:
-    """What is kept of each sample of a part of the check."""
-    checks, hashes, stops = bundle.checks, responses.spike_hashes, responses.stopped_at
+def records_of(checks: CheckSet, responses: Responses) -> list:
+    """What is kept of each sample."""
+    hashes, stops = responses.spike_hashes, responses.stopped_at
     return [
         {
-            "id": checks.ids[index],
-            "label": int(checks.labels[index]),
+            "id": checks.ids[i],
+            "label": int(checks.labels[i]),
             "prediction": int(responses.predictions[i]),
             "scores": [float(score) for score in responses.scores[i]],
             "decided_at": int(responses.decided_at[i]),
@@ -209,29 +249,8 @@ def records_of(bundle: Bundle, part: slice, responses: Responses) -> list:
             **({} if stops is None else {"stopped_at": int(stops[i])}),
             **({} if hashes is None else {"spike_hash": str(hashes[i])}),
         }
-        for i, index in enumerate(range(part.start, part.stop))
+        for i in range(len(checks))
     ]
-
-
-@contextlib.contextmanager
-def _partial_file(out: Path, header: dict):
-    """The answers so far, one line a stream after a header line; locked against a second writer."""
-    if out.exists() and not out.is_file():  # said now, not when the answers are there
-        raise UserError(f"{out}: cannot write (not a file); choose another --out")
-    path = out.with_name("." + out.name + ".partial")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        # closed by "with" below; what is not UTF-8 is a damaged line, see _resume
-        file = open(str(path), "a+", encoding="utf-8", errors="replace")  # noqa: SIM115
-    except OSError as error:
-        raise UserError(f"{out}: cannot write ({error.strerror}); choose another --out") from error
-    with file:
-        lock(
-            file, f"{out}: another process is writing this result; wait for it or use another --out"
-        )
-        with _disk_errors(path):
-            done = _resume(file, header)
-        yield file, done
 
 
 @contextlib.contextmanager
@@ -253,27 +272,32 @@ def _write_now(file, text):
     os.fsync(file.fileno())
 
 
-def _resume(file, header):
-    """Read the whole lines of a partial file of the same check; start afresh otherwise."""
+def _resume(file, check, streams):
+    """The records of a check that a partial file holds, by their first sample; none: empty it.
+
+    Lines may be of another check, or damaged: each is judged by itself.
+    """
+    lengths = {part.start: part.stop - part.start for part in streams}
     file.seek(0)
-    lines = file.read().split("\n")[:-1]  # what follows the last newline was cut short
-    try:
-        done = [json.loads(line) for line in lines]
-        sound = bool(done) and done[0] == header and all(map(_is_record, done[1:]))
-    except ValueError:
-        sound = False
-    if sound:
-        file.truncate(len("".join(line + "\n" for line in lines).encode()))
-    else:
+    done = {}
+    for line in file.read().split("\n"):
+        try:
+            record = json.loads(line)
+        except ValueError:
+            continue
+        if _is_record(record, check) and lengths.get(record["first"]) == len(record["samples"]):
+            done[record["first"]] = record
+    if not done:
         file.truncate(0)
-        _write_now(file, json.dumps(header) + "\n")
-    return done[1:] if sound else []
+    return done
 
 
-def _is_record(value):
-    """True for what :func:`run_check` appends; a line may have been damaged since."""
+def _is_record(value, check):
+    """True for what :func:`answered` appends of a check; a line may have been damaged since."""
     return (
         isinstance(value, dict)
+        and value.get("of") == check
+        and isinstance(value.get("first"), int)
         and isinstance(value.get("seconds"), float)
         and isinstance(value.get("samples"), list)
         and all(isinstance(sample, dict) for sample in value["samples"])

@@ -60,7 +60,7 @@ def reference_result(
         logits = _logits(stage, settings, weights, bundle.checks.inputs, advance)
         responses = responses_of(logits, settings.presentation)
     seconds = time.perf_counter() - begun
-    samples = records_of(bundle, slice(0, len(bundle.checks)), responses)
+    samples = records_of(bundle.checks, responses)
     extra = {"versions": training_versions()}
     return result_of(bundle, stage, settings.seed, samples, seconds, extra)
 

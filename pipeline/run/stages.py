@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from deploy import __version__
 from deploy.check.bundle import Bundle, CheckSet, read_bundle, write_bundle
 from deploy.check.intervals import wilson_interval
 from deploy.check.results import read_result
-from deploy.check.run import open_check, run_check, timed_answers
+from deploy.check.run import answered, open_check, run_check
 from deploy.errors import UserError
 from deploy.files import read_arrays, read_json, sha256_of, write_arrays, write_json
 from deploy.network.decision import Judge
@@ -436,12 +436,11 @@ def answer_all(
     """
     networks = REFERENCES[settings.input.kind]
     paths = {stage: run.whole_check(stage) if whole else run.check(stage) for stage in asked}
-    results, failures = {}, {}
+    results = {}
     targets = [s for s in asked if s not in networks and not _answers(paths[s], bundle)]
     if jobs > 1 and any(TARGETS[name].slow for name in targets):
         here = [stage for stage in asked if stage not in targets]
-        total = len(asked) * len(bundle.checks)
-        with progress("check", total) as advance, contextlib.ExitStack() as opened:
+        with progress("check", len(asked) * len(bundle.checks)) as advance:
 
             def answer_here():
                 for stage in here:
@@ -449,54 +448,41 @@ def answer_all(
                         results[stage] = answer(run, settings, bundle, stage, say, whole)
                     advance(len(bundle.checks), stage)
 
-            checks = {
-                name: opened.enter_context(
-                    open_check(
-                        bundle, name, paths[name], settings.seed, partial(advance, note=name)
-                    )
-                )
-                for name in targets
-            }
-            work = [job for name in targets for job in _work(bundle, checks[name], name, settings)]
-            for job, answers in run_jobs(
-                _answer_streams, work, jobs, meanwhile=answer_here, in_order=True
-            ):
-                if isinstance(answers, Failure):
-                    failures.setdefault(job.target, answers)
-                elif job.target not in failures:
-                    for part, (responses, seconds) in zip(job.parts, answers, strict=True):
-                        checks[job.target].add(part, responses, seconds)
-            for name, check in checks.items():
-                if name not in failures:
-                    results[name] = check.finish()
-            for name, failure in failures.items():
-                failure.raise_again(f"target {name}")
+            wanted = {name: paths[name] for name in targets}
+            results |= _shared(bundle, wanted, settings.seed, jobs, advance, answer_here)
     for stage in asked:
         if stage not in results:
             results[stage] = answer(run, settings, bundle, stage, say, whole)
     return [results[stage] for stage in asked]
 
 
-@dataclass(frozen=True)
-class _Streams:
-    """Streams of a target's check, for a process of its own."""
+def _shared(bundle, paths, seed, jobs, advance, meanwhile):
+    """Results of targets, by name: each stream that is left is a job, wherever one takes long."""
+    checks, failures = {}, {}
+    with contextlib.ExitStack() as opened:
+        for name, path in paths.items():
+            tell = partial(advance, note=name)
+            checks[name] = opened.enter_context(open_check(bundle, name, path, seed, tell))
+        work = [job for check in checks.values() for job in _work(check)]
+        for job, records in run_jobs(_answered, work, jobs, meanwhile=meanwhile):
+            if isinstance(records, Failure):
+                failures.setdefault(job.target, records)
+            else:
+                for record in records:
+                    checks[job.target].take(record)
+        results = {name: checks[name].finish() for name in checks if name not in failures}
+    for name, failure in failures.items():
+        failure.raise_again(f"target {name}")
+    return results
 
-    spec: NetworkSpec
-    target: str
-    parts: list
-    samples: list
-    seed: int
+
+def _work(check):
+    parts = [[part] for part in check.left] if check.target.slow else [check.left]
+    return [check.work(streams) for streams in parts if streams]
 
 
-def _work(bundle, check, target, settings):
-    """What is left of a check: each stream by itself where that takes long, else all at once."""
-    left = check.left
-    for parts in [[part] for part in left] if TARGETS[target].slow else [left.copy()]:
-        yield _Streams(bundle.spec, target, parts, check.samples(parts), settings.seed)
-
-
-def _answer_streams(job):
-    return list(timed_answers(job.spec, job.target, job.samples, job.seed))
+def _answered(work):
+    return list(answered(work))
 
 
 def read_weights(folder: Path, settings: Settings) -> dict:

@@ -10,44 +10,22 @@ from __future__ import annotations
 import numpy as np
 
 
-def fire(signal, on, off, step_s, refractory_s, poll_s):
-    """Events of many taxels at once.
+class Receptors:
+    """What taxels remember from one moment to the next.
 
     Between two samples the signal is taken as a straight line; an event stands at the first look
     of the taxel's clock at which the threshold has been crossed.
 
     Parameters
     ----------
-    signal : ndarray of float, shape (n_times, n_channels)
-        The receptors are adapted to the first row.
+    adapted : ndarray of float, shape (n_channels,)
+        The signal that they are adapted to at the start.
     on, off : ndarrays of float, shape (n_channels,)
         Thresholds, above 0, for a rise and a fall.
     step_s : float
-        Time between rows of ``signal``; no more than the refractory time.
+        Time between rows of a signal; no more than the refractory time.
     refractory_s, poll_s : float or ndarray, shape (n_channels,)
         Blind time after an event, and time between two looks.
-
-    Returns
-    -------
-    time_s : ndarray of float, shape (n_events,)
-        From the first row of ``signal`` on.
-    channel : ndarray of int, shape (n_events,)
-    polarity : ndarray of int8, shape (n_events,)
-        1 for ON, -1 for OFF.  In no particular order.
-    """
-    signal = np.asarray(signal)
-    return Receptors(signal[0], on, off, step_s, refractory_s, poll_s).advance(signal[1:])
-
-
-class Receptors:
-    """What taxels remember from one moment to the next.
-
-    Parameters
-    ----------
-    adapted : ndarray of float, shape (n_channels,)
-        The signal that they are adapted to at the start.
-    on, off, step_s, refractory_s, poll_s
-        As in :func:`fire`.
     """
 
     def __init__(self, adapted, on, off, step_s, refractory_s, poll_s):
@@ -72,8 +50,11 @@ class Receptors:
 
         Returns
         -------
-        time_s, channel, polarity
-            As :func:`fire` returns them, the time counted from the start.
+        time_s : ndarray of float, shape (n_events,)
+            From the start on.
+        channel : ndarray of int, shape (n_events,)
+        polarity : ndarray of int8, shape (n_events,)
+            1 for ON, -1 for OFF.  In no particular order.
         """
         step_s, own = self._step_s, slice(signal.shape[1])
         upper, lower, ready = self._upper[own], self._lower[own], self._ready[own]

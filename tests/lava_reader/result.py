@@ -110,7 +110,7 @@ def main(bundle, output, out, stock=None):
     program = compile_spec(opened.spec)
     given = read_arrays(output, REMEDY)
     wrong, answers = compared("Lava as deployed", opened, program, _spikes(given))
-    samples = records_of(opened, slice(0, len(opened.checks)), answers)
+    samples = records_of(opened.checks, answers)
     write_json(out, result_of(opened, "lava", 0, samples, float(given["seconds"])))
     if stock is not None:
         free = without_refractory_and_floor(program)

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pipeline.skin.receptors import fire
+from pipeline.skin.receptors import Receptors
 
 STEP, REFRACTORY, POLL = 1e-3, 3.27e-3, 88e-6
 
@@ -16,7 +16,9 @@ signals = arrays(float, st.tuples(st.integers(2, 60), st.integers(1, 4)), elemen
 
 def events_of(signal, on=0.5, off=0.5):
     n = signal.shape[1]
-    time, channel, polarity = fire(signal, np.full(n, on), np.full(n, off), STEP, REFRACTORY, POLL)
+    thresholds = np.full(n, on), np.full(n, off)
+    receptors = Receptors(signal[0], *thresholds, STEP, REFRACTORY, POLL)
+    time, channel, polarity = receptors.advance(signal[1:])
     order = np.lexsort((time, channel))
     return time[order], channel[order], polarity[order]
 
@@ -88,3 +90,20 @@ def test_channels_do_not_know_of_each_other(signal):
         alone = events_of(signal[:, [k]])
         np.testing.assert_array_equal(time[channel == k], alone[0])
         np.testing.assert_array_equal(polarity[channel == k], alone[2])
+
+
+@given(signals, st.lists(st.integers(1, 59), min_size=4, max_size=4))
+def test_channels_that_end_early_fire_as_by_themselves(signal, ends):
+    n = signal.shape[1]
+    ends = sorted(np.minimum(ends[:n], len(signal)), reverse=True)  # row after each one's last
+    thresholds = np.full(n, 0.5), np.full(n, 0.5)
+    receptors, found, row = Receptors(signal[0], *thresholds, STEP, REFRACTORY, POLL), [], 1
+    for end, width in zip(ends[::-1], range(n, 0, -1), strict=True):
+        found.append(receptors.advance(signal[row:end, :width]))
+        row = max(row, end)
+    time, channel, polarity = map(np.concatenate, zip(*found, strict=True))
+    for column, end in enumerate(ends):
+        alone = events_of(signal[:end, [column]])
+        mine = channel == column
+        np.testing.assert_array_equal(time[mine], alone[0])
+        np.testing.assert_array_equal(polarity[mine], alone[2])

@@ -18,7 +18,7 @@ from pipeline.skin.contact import (
     strength,
 )
 from pipeline.skin.handwriting import Motion
-from pipeline.skin.receptors import Receptors, fire
+from pipeline.skin.receptors import Receptors
 from pipeline.skin.writing import START_S, PenPoint, Writing
 
 P = parameters.load()
@@ -65,7 +65,7 @@ def test_the_film_piece_by_piece_is_the_film_at_once():
 def test_receptors_piece_by_piece_are_receptors_at_once():
     signal = np.cumsum(np.random.default_rng(0).standard_normal((300, 5)), axis=0)
     settings = (np.full(5, 1.5), np.full(5, 1.0), STEP, 3.27e-3, 88e-6)
-    whole = fire(signal, *settings)
+    whole = Receptors(signal[0], *settings).advance(signal[1:])
     receptors = Receptors(signal[0], *settings)
     parts = [receptors.advance(signal[1:][rows]) for rows in cuts(299)]
     for one, other in zip(zip(*parts, strict=True), whole, strict=True):
