@@ -3,12 +3,28 @@
 import gc
 import os
 import sys
+import threading
 
 from deploy import interrupts
 
 QUIET = "ignore:resource_tracker:UserWarning"
 """joblib's process that tidies up after workers tells of what an interruption left to it, after the
 command's last line."""
+
+
+def hear_threads():
+    """Say what threads raise, but not how joblib's trips over jobs that are being given up.
+
+    Of jobs that no worker has yet its thread looks up some that it has just dropped (a KeyError;
+    loky 3.6), and ends, as it was about to.
+    """
+    hook = threading.excepthook
+
+    def hear(told):
+        if told.exc_type is not KeyError or told.thread.name != "ExecutorManagerThread":
+            hook(told)
+
+    threading.excepthook = hear
 
 
 def main():
@@ -20,6 +36,7 @@ def main():
         where = "stmnist: the folder that it was started in"
         print(f"{where}: {error.strerror}; change to one that is there", file=sys.stderr)
         sys.exit(2)
+    hear_threads()
     filters = os.environ.get("PYTHONWARNINGS")
     os.environ["PYTHONWARNINGS"] = f"{filters},{QUIET}" if filters else QUIET
     from pipeline.commands.main import main as command

@@ -6,10 +6,11 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 
 import pytest
 
-from pipeline.__main__ import QUIET
+from pipeline.__main__ import QUIET, hear_threads
 
 from .command import ROOT, environment, process_of
 
@@ -227,3 +228,25 @@ def test_what_an_interruption_leaves_to_joblibs_process_is_not_told():
 
 def test_the_script_begins_where_the_guard_is():
     assert 'stmnist = "pipeline.__main__:main"' in (ROOT / "pyproject.toml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "heard"),
+    [
+        ("ExecutorManagerThread", KeyError, False),
+        ("ExecutorManagerThread", ValueError, True),
+        ("another", KeyError, True),
+    ],
+)
+def test_joblib_may_trip_over_jobs_that_are_given_up(monkeypatch, name, error, heard):
+    said = []
+    monkeypatch.setattr(threading, "excepthook", lambda told: said.append(told.exc_type))
+    hear_threads()
+
+    def trip():
+        raise error(2)
+
+    thread = threading.Thread(target=trip, name=name)
+    thread.start()
+    thread.join()
+    assert said == [error] * heard
