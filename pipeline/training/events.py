@@ -11,6 +11,7 @@ softmax a confidence; the third, on the mean of a batch, keeps the network withi
 
 from __future__ import annotations
 
+import functools
 import json
 import zlib
 from dataclasses import asdict, dataclass, field
@@ -288,10 +289,10 @@ def answer_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> A
     """
     network = SpikingNetwork(parse(recipe.architecture), _neuron(recipe))
     network.set_weights(weights)
-    runner, parts = _runner(network, None, tf.float64), []
+    run, values, parts = _compiled(recipe, tf.float64), _now(network.variables_by_name), []
     for start in range(0, len(frames), 100):
         part = frames[start : start + 100]
-        outputs, costs, spikes = runner(np.moveaxis(part, 0, 1))
+        outputs, costs, spikes = run(np.moveaxis(part, 0, 1), values)
         parts.append(
             (np.moveaxis(outputs.numpy(), 0, 1), costs.numpy(), *(s.numpy() for s in spikes))
         )
@@ -377,16 +378,28 @@ def _neuron(recipe):
     return Neuron(*taus, recipe.floor, recipe.beta)
 
 
-def _runner(network, values, dtype):
-    """The network compiled: outputs, operations of each sample, spikes of each neuron."""
+def _compiled(recipe, dtype):
+    """``run(frames, values)``: outputs, operations of each sample, spikes of each neuron."""
+    return _compiled_network(recipe.architecture, _neuron(recipe), dtype)
+
+
+@functools.lru_cache(maxsize=8)
+def _compiled_network(architecture, neuron, dtype):
+    # Of any weights: all networks of a shape are compiled once, which takes seconds.
+    network = SpikingNetwork(parse(architecture), neuron)
 
     @tf.function(autograph=False, reduce_retracing=False)
-    def run(frames):
+    def run(frames, values):
         outputs, spikes = network(frames, dtype=dtype, values=values)
         costs = operations(network.architecture, frames, spikes)
         return outputs, costs, [tf.reduce_sum(layer, 0) for layer in spikes]
 
     return run
+
+
+def _now(variables):
+    """What variables hold, for :func:`_compiled`."""
+    return {name: tf.convert_to_tensor(variable) for name, variable in variables.items()}
 
 
 class _Trainer:
@@ -411,8 +424,6 @@ class _Trainer:
         self.optimizer.build(self.variables)
         self._calibrate()
         self.mean = [tf.Variable(variable) for variable in self.variables]
-        means = dict(zip(self.network.variables_by_name, self.mean, strict=True))
-        self._answer = _runner(self.network, means, tf.float32)
         self._step = tf.function(self._train_on, autograph=False)
 
     def _calibrate(self):
@@ -420,14 +431,14 @@ class _Trainer:
         some = self.train[np.linspace(0, len(self.train) - 1, min(len(self.train), 64)).astype(int)]
         seconds = max(float(self.table.duration_ms[some].mean()), self.recipe.step_ms) / 1000
         frames = self._frames(some)
-        run = _runner(self.network, None, tf.float32)
+        run, variables = _compiled(self.recipe, tf.float32), self.network.variables_by_name
         for index, name in enumerate(self.network.names):
-            kernel = self.network.variables_by_name[f"{name}.kernel"]
+            kernel = variables[f"{name}.kernel"]
             first, low, high = kernel.numpy(), -4.0, 6.0
             for _ in range(12):
                 middle = (low + high) / 2
                 kernel.assign(first * np.exp(middle))
-                rate = float(tf.reduce_mean(run(frames)[2][index])) / seconds
+                rate = float(tf.reduce_mean(run(frames, _now(variables))[2][index])) / seconds
                 low, high = (low, middle) if rate > FIRST_RATE else (middle, high)
 
     def _train_on(self, frames, labels, writing, number):
@@ -514,10 +525,12 @@ class _Trainer:
         """A batch after the other: which, frames, outputs and operations."""
         indices = np.asarray(indices)
         order = indices[np.argsort(self.table.duration_ms[indices], kind="stable")]
+        run = _compiled(self.recipe, tf.float32)
+        means = _now(dict(zip(self.network.variables_by_name, self.mean, strict=True)))
         for start in range(0, len(order), size):
             part = order[start : start + size]
             frames = frames_of(np.resize(part, size))
-            outputs, cost, _ = self._answer(frames)
+            outputs, cost, _ = run(frames, means)
             n = len(part)
             yield part, frames[:, :n], outputs.numpy()[:, :n], cost.numpy()[:n].sum(1)
 
