@@ -1,7 +1,9 @@
 """What all tests share: a cache of their own, the data of development, one small run."""
 
+import fcntl
 import gc
 import os
+import shutil
 from pathlib import Path
 
 if "PYTEST_XDIST_WORKER" in os.environ:
@@ -67,9 +69,20 @@ def real_recording(shared_data):
 
 
 @pytest.fixture(scope="session")
-def tiny_run(tmp_path_factory):
-    """A finished run, made once with the command; tests copy it before they change it."""
-    folder = tmp_path_factory.mktemp("runs") / "tiny"
-    status = call("ladder", folder, *TINY)
-    assert status == 0, "the small run of the main job failed"
-    return folder
+def tiny_run(tmp_path_factory, own_cache):
+    """A finished run; tests copy it before they change it.
+
+    Made with the command, once for all processes of the tests; each has a copy of its own, and of
+    the recordings in the cache.
+    """
+    base = tmp_path_factory.getbasetemp()
+    made = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "tiny"
+    with open(made.with_suffix(".lock"), "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not made.exists():
+            begun = tmp_path_factory.mktemp("making")
+            assert call("ladder", begun / "run", *TINY) == 0, "the small run of the main job failed"
+            shutil.copytree(own_cache, begun / "cache")
+            begun.rename(made)
+    shutil.copytree(made / "cache", own_cache, dirs_exist_ok=True)
+    return shutil.copytree(made / "run", tmp_path_factory.mktemp("runs") / "tiny")

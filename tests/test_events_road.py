@@ -8,10 +8,12 @@ import pytest
 
 from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
+from deploy.errors import UserError
 from deploy.files import read_json
 from pipeline.inputs.dataset import event_warnings
 from pipeline.settings import Settings
 from pipeline.skin.simulate import simulate
+from pipeline.training import events
 from tests.command import call
 
 TINY = (
@@ -167,12 +169,17 @@ def test_few_that_share_a_step_and_many_that_come_while_a_taxel_rests_are_told_a
     assert "more come while their taxel rests, for 100 ms after a spike" in rests
 
 
-def test_what_is_not_shown_is_said(tmp_path, capsys):
+def test_what_is_not_shown_is_said(tmp_path, capsys, monkeypatch):
+    def told(*given, **more):
+        raise UserError("enough has been said")
+
+    monkeypatch.setattr(events, "train_events", told)
     options = ("--set", "data.samples_per_digit=10", "--set", "events.epochs=1")
     options += ("--set", "events.architecture=10x10x2-4c4s3-10o")
     options += ("--set", "presentation.steps=5", "--set", "input.step=50")
-    assert call("train", tmp_path / "run", "--input", "events", *options) == 0
+    assert call("train", tmp_path / "run", "--input", "events", *options) == 2
     said = capsys.readouterr().err
+    assert "enough has been said" in said
     assert "share a step of 50 ms with another one of their taxel and polarity" in said
     assert "; fewer would with a shorter input.step" in said
     assert "more come while" not in said  # steps are longer than a taxel rests
