@@ -283,7 +283,7 @@ def _resume(file, check, streams):
     for line in file.read().split("\n"):
         try:
             record = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             continue
         if _is_record(record, check) and lengths.get(record["first"]) == len(record["samples"]):
             done[record["first"]] = record

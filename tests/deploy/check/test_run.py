@@ -112,7 +112,17 @@ def test_a_line_that_was_cut_short_is_done_again(bundle, whole, tmp_path, cut):
 
 @pytest.mark.parametrize(
     "line",
-    [b"", b"[]", b"3", b"null", b"{}", b'"samples"', b'{"samples": [1]}', b"\xff\xfe\x00"]
+    [
+        b"",
+        b"[]",
+        b"3",
+        b"null",
+        b"{}",
+        b'"samples"',
+        b'{"samples": [1]}',
+        b"\xff\xfe\x00",
+        b"[" * 100_000,
+    ]
     + [b'{"samples": [{"id": 1}], "seconds": 1.0}'],
 )
 def test_a_damaged_line_starts_the_check_afresh(bundle, whole, tmp_path, line):

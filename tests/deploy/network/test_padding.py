@@ -1,0 +1,43 @@
+"""Nengo's convolutions copy nothing that needs no padding, and convolve as before."""
+
+import numpy as np
+import pytest
+from nengo.builder import transforms
+
+from deploy.network.padding import copy_no_unpadded, pad
+from deploy.targets.registry import answer
+from tests.deploy.networks import mixed_spec, random_checks, small_spec
+
+
+def test_what_is_padded_is_numpys():
+    array = np.arange(12.0).reshape(1, 2, 3, 2)
+    widths = ((0, 0), (1, 0), (0, 2), (0, 0))
+    np.testing.assert_array_equal(pad(array, widths, mode="constant"), np.pad(array, widths))
+    assert pad(array, ((0, 0),) * 4, mode="constant") is array
+
+
+@pytest.mark.parametrize("spec", [small_spec(), mixed_spec()], ids=["valid", "same"])
+def test_every_spike_is_that_of_nengo_as_it_is(spec, monkeypatch):
+    images = random_checks(spec, 3).inputs
+    ours = answer(spec, images, "nengo")
+    monkeypatch.setattr(transforms, "np", np)
+    theirs = answer(spec, images, "nengo")
+    assert ours.spikes["conv1"].sum() > 0
+    np.testing.assert_array_equal(ours.spike_hashes, theirs.spike_hashes)
+    np.testing.assert_array_equal(ours.scores, theirs.scores)
+
+
+def test_numpy_pads_nothing_where_there_is_nothing_to_pad(monkeypatch):
+    def boom(*given, **more):
+        raise AssertionError("padded")
+
+    spec, unpadded = small_spec(), transforms.np
+    images = random_checks(spec, 1).inputs
+    monkeypatch.setattr(np, "pad", boom)
+    answer(spec, images, "nengo")
+    monkeypatch.setattr(transforms, "np", np)
+    with pytest.raises(AssertionError, match="padded"):
+        answer(spec, images, "nengo")
+    copy_no_unpadded()
+    assert transforms.np is not unpadded
+    answer(spec, images, "nengo")
