@@ -10,11 +10,11 @@ import numpy as np
 from .blocks import block_shapes
 from .geometry import unpooled, windows
 from .loihi_import import nengo_loihi
-from .padding import copy_no_unpadded
+from .padding import pad_only_where_needed
 from .spec import Layer, NetworkSpec
 from .stimulus import EventFrames, Feed
 
-copy_no_unpadded()
+pad_only_where_needed()
 
 
 class EvenSpikes(nengo.SpikingRectifiedLinear):
