@@ -9,6 +9,7 @@ import pytest
 from deploy.check.results import read_result
 from deploy.check.run import run_check
 from deploy.errors import UserError
+from tests.deploy.checks import interrupted, partial, same_answers
 from tests.deploy.networks import bundle_at, small_spec
 
 CONTRACT = {
@@ -27,32 +28,6 @@ def bundle(tmp_path_factory):
 def whole(bundle, tmp_path_factory):
     """The result of a check that nothing disturbed."""
     return run_check(bundle, "emulator", tmp_path_factory.mktemp("whole") / "emulator.json")
-
-
-def partial(out):
-    return out.with_name(f".{out.name}.partial")
-
-
-def interrupted(bundle, out, after, target="emulator"):
-    """Run a check that is interrupted after some streams."""
-    told = []
-
-    def advance(n):
-        told.append(n)
-        if len(told) == after:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_check(bundle, target, out, advance=advance)
-    assert not out.exists()
-    return partial(out)
-
-
-def same_answers(a, b):
-    differ = {"wall_seconds"}
-    assert {k: v for k, v in a.items() if k not in differ} == {
-        k: v for k, v in b.items() if k not in differ
-    }
 
 
 def test_the_result_has_the_contracts_entries(bundle, whole):

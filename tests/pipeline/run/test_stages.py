@@ -12,6 +12,7 @@ from deploy.errors import UserError
 from pipeline.run.folder import RunFolder
 from pipeline.run.stages import answer_all
 from pipeline.settings import Settings
+from tests.deploy.checks import interrupted, partial, same_answers
 from tests.deploy.networks import bundle_at, paper_spec
 
 TARGETS = ["nengo", "emulator", "fast"]
@@ -27,25 +28,8 @@ def answered(folder, bundle, targets=TARGETS, **given):
     return answer_all(RunFolder(folder), Settings(), bundle, targets, jobs=2, **given)
 
 
-def partial(folder, target):
-    return folder / "checks" / f".{target}.json.partial"
-
-
-def interrupted(folder, bundle, target, after):
-    """Run a target's check that is interrupted after some streams."""
-    told = []
-
-    def advance(n):
-        told.append(n)
-        if len(told) == after:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_check(bundle, target, RunFolder(folder).check(target), advance=advance)
-
-
-def without_times(result):
-    return {key: value for key, value in result.items() if key != "wall_seconds"}
+def check_of(folder, target):
+    return RunFolder(folder).check(target)
 
 
 def test_shared_streams_give_the_answers_of_one_process(bundle, tmp_path):
@@ -53,8 +37,8 @@ def test_shared_streams_give_the_answers_of_one_process(bundle, tmp_path):
     assert [result["target"] for result in results] == TARGETS
     for result in results:
         alone = run_check(bundle, result["target"], tmp_path / "alone.json")
-        assert without_times(result) == without_times(alone)
-        assert read_result(RunFolder(tmp_path).check(result["target"])) == result
+        same_answers(result, alone)
+        assert read_result(check_of(tmp_path, result["target"])) == result
         assert result["wall_seconds"] > 0
     assert sorted(path.name for path in (tmp_path / "checks").iterdir()) == sorted(
         f"{target}.json" for target in TARGETS
@@ -62,17 +46,18 @@ def test_shared_streams_give_the_answers_of_one_process(bundle, tmp_path):
 
 
 def test_what_is_done_is_not_done_again(bundle, tmp_path):
-    interrupted(tmp_path, bundle, "nengo", 2)
-    saved = partial(tmp_path, "nengo")
-    header, first, second = saved.read_text().splitlines()
+    interrupted(bundle, check_of(tmp_path, "nengo"), 2, "nengo")
+    saved = partial(check_of(tmp_path, "nengo"))
+    _, first, second = saved.read_text().splitlines()
     record = json.loads(first)
     record["samples"][0]["scores"][0] = 123.0
-    saved.write_text("\n".join([header, json.dumps(record), second]) + "\n")
-    interrupted(tmp_path, bundle, "emulator", 3)  # all streams are there, the result is not
+    saved.write_text("\n".join(["", json.dumps(record), second]) + "\n")
+    # Of the emulator all streams are there, the result is not.
+    interrupted(bundle, check_of(tmp_path, "emulator"), 3, "emulator")
     nengo, emulator = answered(tmp_path, bundle, ["nengo", "emulator"])
     assert nengo["samples"][0]["scores"][0] == 123.0
     whole = run_check(bundle, "emulator", tmp_path / "whole.json")
-    assert without_times(emulator) == without_times(whole)
+    same_answers(emulator, whole)
 
 
 def test_an_interruption_keeps_every_stream_that_was_answered(bundle, tmp_path, monkeypatch):
@@ -85,25 +70,25 @@ def test_an_interruption_keeps_every_stream_that_was_answered(bundle, tmp_path, 
         patched.setattr(OpenCheck, "take", stop)
         with pytest.raises(KeyboardInterrupt):
             answered(tmp_path, bundle, ["nengo", "emulator"])
-    texts = [partial(tmp_path, target).read_text() for target in ("nengo", "emulator")]
+    texts = [partial(check_of(tmp_path, target)).read_text() for target in ("nengo", "emulator")]
     assert sum(text.count('"first": ') for text in texts) >= 1
     for result in answered(tmp_path, bundle, ["nengo", "emulator"]):
         alone = run_check(bundle, result["target"], tmp_path / "alone.json")
-        assert without_times(result) == without_times(alone)
-    assert not partial(tmp_path, "nengo").exists()
+        same_answers(result, alone)
+    assert not partial(check_of(tmp_path, "nengo")).exists()
 
 
 def test_streams_are_resumed_in_whatever_order_they_came(bundle, tmp_path):
-    interrupted(tmp_path, bundle, "emulator", 3)
-    saved = partial(tmp_path, "emulator")
+    interrupted(bundle, check_of(tmp_path, "emulator"), 3, "emulator")
+    saved = partial(check_of(tmp_path, "emulator"))
     first, second, third = saved.read_text().splitlines()[1:]
     cut, other = second[:-9], json.dumps({**json.loads(first), "of": {"bundle": "another"}})
     saved.write_text("\n".join(["", third, cut, other]))
-    check = RunFolder(tmp_path).check("emulator")
+    check = check_of(tmp_path, "emulator")
     with open_check(bundle, "emulator", check) as opened:
         assert opened.left == [slice(0, 3), slice(3, 6)]
     (result,) = answered(tmp_path, bundle, ["emulator"])
-    assert without_times(result) == without_times(run_check(bundle, "emulator", check))
+    same_answers(result, run_check(bundle, "emulator", check))
 
 
 def test_a_target_that_fails_leaves_the_others_results(tmp_path):
@@ -112,13 +97,13 @@ def test_a_target_that_fails_leaves_the_others_results(tmp_path):
     bundle = bundle_at(tmp_path / "bundle", replace(spec, layers=layers))
     with pytest.raises(UserError, match="target emulator: NengoLoihi cannot build this network"):
         answered(tmp_path, bundle, ["nengo", "emulator"])
-    assert len(read_result(RunFolder(tmp_path).check("nengo"))["samples"]) == 7
-    assert not RunFolder(tmp_path).check("emulator").exists()
+    assert len(read_result(check_of(tmp_path, "nengo"))["samples"]) == 7
+    assert not check_of(tmp_path, "emulator").exists()
 
 
 def test_a_result_that_another_process_writes(bundle, tmp_path):
-    interrupted(tmp_path, bundle, "nengo", 1)
-    with partial(tmp_path, "nengo").open("a") as other:
+    interrupted(bundle, check_of(tmp_path, "nengo"), 1, "nengo")
+    with partial(check_of(tmp_path, "nengo")).open("a") as other:
         fcntl.flock(other, fcntl.LOCK_EX)
         with pytest.raises(UserError, match="another process is writing this result"):
             answered(tmp_path, bundle, ["nengo", "emulator"])
