@@ -18,7 +18,6 @@ from deploy.targets.registry import answer
 from pipeline.experiments.resampling import estimate
 from pipeline.experiments.study import Findings, SplitJob, Workers, measure_splits
 from pipeline.inputs.dataset import Dataset, inputs_of
-from pipeline.inputs.splits import hold_out
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.steps import EventTable
 from pipeline.recordings.variants import VARIANTS, durations_ns, vary
@@ -97,45 +96,6 @@ def _variants_of(settings, seed, source_sha256, folder, stamp):
     ]  # fmt: skip
 
 
-def train_for_chip(settings: Settings, dataset: Dataset, seed: int, checkpoint=None):
-    """Train on events as a run does, and describe the network that is deployed.
-
-    The confidence at which it decides by itself is chosen on some of the training samples, which it
-    is not trained on.
-
-    Parameters
-    ----------
-    settings : Settings
-        With ``input.kind = "events"``.
-    dataset : Dataset
-        Of them.
-    seed : int
-        Of the training, and of which samples are held out.
-    checkpoint : path-like, optional
-        See :func:`pipeline.training.events.train_events`.
-
-    Returns
-    -------
-    trained : pipeline.training.events.TrainedOnEvents
-    spec : deploy.network.spec.NetworkSpec
-    """
-    from pipeline.run.event_conversion import spec_of_events
-    from pipeline.training.events import EventRecipe, train_events  # TensorFlow, where it is needed
-
-    learn, held = hold_out(dataset.split.train, seed)
-    recipe, table = EventRecipe.of(settings), EventTable.of(dataset.recordings)
-    trained = train_events(recipe, table, dataset.labels, learn, seed, checkpoint=checkpoint)
-    chosen = trained.threshold(table, dataset.labels, held, settings.steps, seed)
-    spec = spec_of_events(
-        recipe,
-        trained.weights,
-        settings.presented(chosen.confidence),
-        {},
-        settings.deployment.pop_type,
-    )
-    return trained, spec
-
-
 def measure(job: VariantJob) -> dict:
     """Train on a variant with one seed, and judge on its whole test split.
 
@@ -153,6 +113,8 @@ def measure(job: VariantJob) -> dict:
         which both answer the same.  ``spikes_in``: mean spikes shown of a sample, ``merged``:
         share of all events that are one spike with another.
     """
+    from pipeline.run.event_training import train_for_chip  # TensorFlow, where it is needed
+
     begun = time.perf_counter()
     settings, seed, dataset = job.settings, job.seed, job.dataset()
     checkpoint = job.path.with_suffix(".npz")

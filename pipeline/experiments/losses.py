@@ -15,7 +15,6 @@ import numpy as np
 from deploy.network.operations import multiply_accumulates
 from deploy.tables import aligned
 from deploy.targets.registry import answer
-from pipeline.experiments.events import train_for_chip
 from pipeline.experiments.resampling import estimate
 from pipeline.experiments.study import Findings, SplitJob, Workers, measure_splits
 from pipeline.inputs.dataset import inputs_of
@@ -115,6 +114,8 @@ def _on_images(job, dataset):
 
 def _on_events(job, dataset):
     """The same of the network on events, and of the CNNs on the images of the same samples."""
+    from pipeline.run.event_training import train_for_chip
+
     settings, split = job.settings, dataset.split
     on_images = replace(settings, input=replace(settings.input, kind="image"))
     images = inputs_of(dataset.recordings, on_images)

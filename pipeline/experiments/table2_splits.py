@@ -19,7 +19,6 @@ from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.targets.registry import answer
 from models.architecture import parse
-from pipeline.experiments.events import train_for_chip
 from pipeline.experiments.study import dataset_for
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.paper import TABLE2
@@ -274,6 +273,8 @@ def _loihi_answers(settings, weights, dataset, seed):
 
 
 def _measure_on_events(batch, divided):
+    from pipeline.run.event_training import train_for_chip
+
     settings = batch.benchmark.settings
     for position, (dataset, index) in enumerate(zip(divided, batch.indices, strict=True)):
         seed, test = batch.seeds[position], dataset.split.test

@@ -11,7 +11,26 @@ from deploy.network.stimulus import EventFrames
 from models.architecture import parse
 from models.spiking import SpikingNetwork, on_loihi
 from pipeline.run.conversion import geometry
+from pipeline.settings import Settings
 from pipeline.training.events import EventRecipe
+
+
+def deployed_on_events(
+    settings: Settings, weights: dict, confidence: float, provenance: dict
+) -> NetworkSpec:
+    """Describe the spiking network of a run; see :func:`spec_of_events`.
+
+    Parameters
+    ----------
+    settings : Settings
+        With ``input.kind = "events"``.
+    weights, provenance
+        As in :func:`spec_of_events`.
+    confidence : float
+        At which the network decides by itself.
+    """
+    recipe, shown = EventRecipe.of(settings), settings.presented(confidence)
+    return spec_of_events(recipe, weights, shown, provenance, settings.deployment.pop_type)
 
 
 def spec_of_events(

@@ -23,11 +23,10 @@ from deploy.targets.registry import TARGETS
 from models.architecture import parse
 from models.own import ModelFileError, read_own_model
 from pipeline.inputs.dataset import TOO_SMALL, Dataset, event_warnings, recordings_fit
-from pipeline.inputs.splits import draw_check_samples, hold_out
+from pipeline.inputs.splits import draw_check_samples
 from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import hidden, progress
 from pipeline.recordings.sensors import about_sensor
-from pipeline.recordings.steps import EventTable
 from pipeline.run.answers import REFERENCES, reference_result, training_versions
 from pipeline.run.diagnosis import activity, fastest_rate, training_lines
 from pipeline.run.folder import RunFolder, is_current, stamp_of
@@ -244,39 +243,24 @@ def train_rates(run: RunFolder, settings: Settings, dataset: Dataset, say=print)
 def train_on_events(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> dict:
     """Train the spiking network on events, unless it is there already; return its metrics.
 
-    The confidence at which it decides by itself is chosen on the validation samples, or, where the
-    settings set none apart, on some of the training samples
-    (:func:`pipeline.inputs.splits.hold_out`).  An interrupted training goes on after its last whole
-    epoch.
+    An interrupted training goes on after its last whole epoch.
     """
     stamp = events_stamp(settings, dataset)
     if done := _done("events", run.snn, stamp, say):
         return done
-    from pipeline.training.events import EventRecipe, train_events
+    from pipeline.run import event_training  # TensorFlow: seconds that _done can spare
 
-    recipe, table = EventRecipe.of(settings), EventTable.of(dataset.recordings)
-    split = dataset.split
-    learn, held = split.train, split.validation
-    if not len(held):
-        learn, held = hold_out(learn, settings.seed)
     checkpoint = run.snn / "checkpoint.npz"
 
     def train_it(advance):
-        return train_events(
-            recipe,
-            table,
-            dataset.labels,
-            learn,
-            settings.seed,
-            checkpoint=checkpoint,
-            advance=advance,
-        )
+        return event_training.train(settings, dataset, settings.seed, checkpoint, advance)
 
     def decision_of(trained):
-        chosen = trained.threshold(table, dataset.labels, held, settings.steps, settings.seed)
-        return {"decides_by_itself": {**chosen._asdict(), "samples": len(held)}}
+        chosen, samples = event_training.choose(settings, dataset, trained, settings.seed)
+        return {"decides_by_itself": {**chosen._asdict(), "samples": samples}}
 
-    metrics = _train("events", run.snn, stamp, recipe.epochs, train_it, dataset, say, decision_of)
+    epochs = settings.events.epochs
+    metrics = _train("events", run.snn, stamp, epochs, train_it, dataset, say, decision_of)
     checkpoint.unlink(missing_ok=True)
     chosen = metrics["decides_by_itself"]
     say(
@@ -355,17 +339,10 @@ def spec_of(run: RunFolder, settings: Settings, dataset: Dataset, provenance: di
         from pipeline.run.conversion import deployed
 
         return deployed(settings, weights, provenance, dataset.part("train"))
-    from pipeline.run.event_conversion import spec_of_events
-    from pipeline.training.events import EventRecipe
+    from pipeline.run.event_conversion import deployed_on_events
 
     early = read_json(run.snn / "metrics.json", REMEDY)["decides_by_itself"]
-    return spec_of_events(
-        EventRecipe.of(settings),
-        weights,
-        settings.presented(early["confidence"]),
-        provenance,
-        settings.deployment.pop_type,
-    )
+    return deployed_on_events(settings, weights, early["confidence"], provenance)
 
 
 def on_test_split(settings: Settings, dataset: Dataset, bundle: Bundle) -> Bundle:
