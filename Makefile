@@ -15,7 +15,8 @@ PYTHON310 ?= $(shell sh setup.sh --find 3.10)
 
 BIN := .venv/bin
 STMNIST := $(BIN)/stmnist
-SOURCE_OPTIONS := $(if $(DATA),--data "$(DATA)") $(if $(INPUT),--input $(INPUT)) $(if $(SEED),--seed $(SEED)) --jobs $(JOBS)
+DATA_OPTIONS := $(if $(DATA),--data "$(DATA)") $(if $(SEED),--seed $(SEED)) --jobs $(JOBS)
+SOURCE_OPTIONS := $(DATA_OPTIONS) $(if $(INPUT),--input $(INPUT))
 BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $(PARTITION))
 ON_ALL_CORES := --numprocesses logical --maxprocesses 4 --dist worksteal
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
@@ -27,36 +28,36 @@ setup:  ## Make .venv with everything pinned in constraints.txt (2.6 GB)
 	@sh setup.sh .venv $(PYTHON)
 
 data: setup  ## Import DATA, or simulate recordings, into the cache
-	@$(STMNIST) data import $(or $(DATA),simulated) --jobs $(JOBS)
+	@$(STMNIST) data import "$(or $(DATA),simulated)" --jobs $(JOBS)
 
 train: setup  ## Train the paper's CNN
-	@$(STMNIST) train $(RUN) $(SOURCE_OPTIONS)
+	@$(STMNIST) train "$(RUN)" $(SOURCE_OPTIONS)
 
 convert: setup  ## Train with rate LIF neurons, make them spike, write RUN/bundle
-	@$(STMNIST) convert $(RUN) $(OPTIONS)
+	@$(STMNIST) convert "$(RUN)" $(OPTIONS)
 
 loihi-emulate: setup  ## The main job: everything up to the loss ladder on the Loihi emulator
-	@$(STMNIST) ladder $(RUN) $(OPTIONS)
+	@$(STMNIST) ladder "$(RUN)" $(OPTIONS)
 
 loihi-hardware: setup  ## The same samples on a Loihi board (needs NxSDK; BOARD, PARTITION)
 	@$(BIN)/python -m deploy board
 	@$(MAKE) --no-print-directory convert
-	@$(STMNIST) deploy plan $(RUN)/bundle
-	@$(STMNIST) check run $(RUN)/bundle --target loihi $(BOARD_OPTIONS)
+	@$(STMNIST) deploy plan "$(RUN)/bundle"
+	@$(STMNIST) check run "$(RUN)/bundle" --target loihi $(BOARD_OPTIONS)
 
 check: convert  ## The bundle's check on TARGET, next to the reference simulator's answers
-	@$(STMNIST) check run $(RUN)/bundle --target nengo
-	@$(STMNIST) check run $(RUN)/bundle --target $(TARGET)
-	@$(STMNIST) check compare $(RUN)/checks/nengo.json $(RUN)/checks/$(TARGET).json
+	@$(STMNIST) check run "$(RUN)/bundle" --target nengo
+	@$(STMNIST) check run "$(RUN)/bundle" --target $(TARGET)
+	@$(STMNIST) check compare "$(RUN)/checks/nengo.json" "$(RUN)/checks/$(TARGET).json"
 
 benchmark: setup  ## The paper's Table 2 on ten splits, beside the paper's figures (not SLAYER's)
-	@$(STMNIST) benchmark table2 --out $(dir $(RUN))table2 $(filter-out --input $(INPUT),$(SOURCE_OPTIONS)) $(if $(SAMPLES),--set check.samples=$(SAMPLES)) $(if $(STEPS),--set presentation.steps=$(STEPS))
+	@$(STMNIST) benchmark table2 --out "$$(dirname "$(RUN)")/table2" $(DATA_OPTIONS) $(if $(SAMPLES),--set check.samples=$(SAMPLES)) $(if $(STEPS),--set presentation.steps=$(STEPS))
 
 report: loihi-emulate  ## RUN as one HTML file, RUN/report.html, with Table 2 where it was measured
-	@$(STMNIST) report $(RUN) --jobs $(JOBS)
+	@$(STMNIST) report "$(RUN)" --jobs $(JOBS)
 
 live: setup  ## Write digits in the browser; trains RUN first if need be (PORT; RECORD: where to keep)
-	@$(STMNIST) live $(RUN) $(SOURCE_OPTIONS) $(if $(PORT),--port $(PORT)) $(if $(RECORD),--record "$(RECORD)")
+	@$(STMNIST) live "$(RUN)" $(SOURCE_OPTIONS) $(if $(PORT),--port $(PORT)) $(if $(RECORD),--record "$(RECORD)")
 
 test: setup  ## Run the tests, on every core but at most four (memory)
 	@$(BIN)/python -m pytest $(ON_ALL_CORES)
@@ -99,11 +100,11 @@ test-nir: setup setup-nir  ## Show that Norse gives what the export to NIR shoul
 	@$(BIN)/python -m pytest tests/deploy/network/test_nir.py
 
 check-nir: convert setup-nir  ## The check's samples in Norse, compared with checks/emulator.json
-	@$(STMNIST) check run $(RUN)/bundle --target emulator
-	@$(STMNIST) deploy export $(RUN)/bundle --format nir --out $(RUN)/nir/network.nir --inputs $(RUN)/nir/input.npz
-	@.venv-nir/bin/python tests/nir_reader/run_norse.py $(RUN)/nir/network.nir $(RUN)/nir/input.npz $(RUN)/nir/output.npz
-	@$(BIN)/python -m tests.nir_reader.result $(RUN)/bundle $(RUN)/nir/input.npz $(RUN)/nir/output.npz $(RUN)/checks/norse.json
-	@$(STMNIST) check compare $(RUN)/checks/emulator.json $(RUN)/checks/norse.json
+	@$(STMNIST) check run "$(RUN)/bundle" --target emulator
+	@$(STMNIST) deploy export "$(RUN)/bundle" --format nir --out "$(RUN)/nir/network.nir" --inputs "$(RUN)/nir/input.npz"
+	@.venv-nir/bin/python tests/nir_reader/run_norse.py "$(RUN)/nir/network.nir" "$(RUN)/nir/input.npz" "$(RUN)/nir/output.npz"
+	@$(BIN)/python -m tests.nir_reader.result "$(RUN)/bundle" "$(RUN)/nir/input.npz" "$(RUN)/nir/output.npz" "$(RUN)/checks/norse.json"
+	@$(STMNIST) check compare "$(RUN)/checks/emulator.json" "$(RUN)/checks/norse.json"
 
 setup-lava: .venv-lava/installed  ## Make .venv-lava: Lava's integer models of Loihi on Python 3.10
 
@@ -118,10 +119,10 @@ test-lava: setup setup-lava  ## Show that Lava's integer models give every spike
 	@$(BIN)/python -m pytest tests/deploy/targets/test_lava.py
 
 check-lava: convert setup-lava  ## The check's samples in Lava, every spike compared with fast
-	@$(STMNIST) deploy export $(RUN)/bundle --format lava --out $(RUN)/lava/network.npz
-	@.venv-lava/bin/python tests/lava_reader/run_lava.py $(RUN)/lava/network.npz $(RUN)/lava/output.npz
-	@.venv-lava/bin/python tests/lava_reader/run_lava.py $(RUN)/lava/network.npz $(RUN)/lava/stock.npz --stock
-	@$(BIN)/python -m tests.lava_reader.result $(RUN)/bundle $(RUN)/lava/output.npz $(RUN)/checks/lava.json $(RUN)/lava/stock.npz
+	@$(STMNIST) deploy export "$(RUN)/bundle" --format lava --out "$(RUN)/lava/network.npz"
+	@.venv-lava/bin/python tests/lava_reader/run_lava.py "$(RUN)/lava/network.npz" "$(RUN)/lava/output.npz"
+	@.venv-lava/bin/python tests/lava_reader/run_lava.py "$(RUN)/lava/network.npz" "$(RUN)/lava/stock.npz" --stock
+	@$(BIN)/python -m tests.lava_reader.result "$(RUN)/bundle" "$(RUN)/lava/output.npz" "$(RUN)/checks/lava.json" "$(RUN)/lava/stock.npz"
 
 # Those that SECURITY.md explains; pip-audit says how many it leaves out.
 EXPLAINED = $(shell sed -n 's/^- \*\*\(CVE-[0-9-]*\)\*\*.*/\1/p' SECURITY.md)
@@ -136,7 +137,7 @@ audit: .venv-audit/installed  ## Ask for known vulnerabilities of what is pinned
 	@touch $@
 
 clean:  ## Remove the run RUN; the cache and .venv stay
-	@rm -rf $(RUN)
+	@rm -rf -- "$(RUN)"
 
 help:  ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-15s %s\n", $$1, $$2}' Makefile

@@ -272,6 +272,24 @@ def test_a_target_of_the_makefile_calls_a_command_that_exists(target):
         assert any(called.startswith(words) for words in commands()), called
 
 
+@pytest.mark.parametrize("target", TARGETS)
+def test_blanks_in_a_path_do_not_part_it(target):
+    given = {"DATA": "my events  set.zip", "RUN": "my runs/a b", "INPUT": "events"}
+    words = ["-n", "-o", "setup", "-o", ".venv/installed", target]
+    done = make(*words, *(f"{name}={value}" for name, value in given.items()))
+    for line in done.stdout.splitlines():
+        if line.startswith((".venv/bin/stmnist ", "rm ")):
+            _, arguments = line.split(" ", 1)
+            said = ["sh", "-c", rf"printf '%s\n' {arguments}"]
+            words = subprocess.run(said, capture_output=True, text=True, check=True).stdout
+            for word in words.splitlines():
+                if "set.zip" in word:
+                    assert word == given["DATA"]
+                if "runs" in word or "a b" in word:
+                    assert word == "my runs/table2" or f"{word}/".startswith("my runs/a b/")
+                assert word not in {"my", "set.zip", "runs/a", "b"}
+
+
 def test_a_wrong_python_is_one_clear_line(tmp_path):
     for name in ("Makefile", "setup.sh", "pyproject.toml", "constraints.txt"):
         (tmp_path / name).write_bytes((ROOT / name).read_bytes())
