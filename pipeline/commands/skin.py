@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from deploy.errors import CheckFailed
 from pipeline.commands import options
-from pipeline.commands.data import SimulationSeed, Source
+from pipeline.commands.data import SimulationSeed
 from pipeline.experiments import difficulty as difficulty_
-from pipeline.inputs.dataset import Dataset
-from pipeline.paper import SAMPLES_PER_DIGIT, TABLE2
+from pipeline.experiments.study import Workers
+from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import progress
 from pipeline.recordings import table1
-from pipeline.settings import SIMULATED, Settings
 from pipeline.skin import aces, calibration, parameters
 from pipeline.skin.simulate import simulate, source_of
 
@@ -56,25 +53,30 @@ def calibrate(
 
 
 def difficulty(
-    data: Source = SIMULATED,
-    seed: SimulationSeed = 0,
+    out: Annotated[
+        Path, typer.Option(help="Folder of the results; splits that are there are not run again.")
+    ] = Path("runs/difficulty"),
     splits: Annotated[int, typer.Option(help="Random 80-20 splits.", min=1)] = 10,
+    data: options.Data = None,
+    settings: options.SettingsFile = None,
+    set_: options.Assignments = None,
     store: Annotated[
         bool, typer.Option("--store", help="Keep the result beside the simulation's settings.")
     ] = False,
     jobs: options.Jobs = 2,
+    scheduler: options.Scheduler = None,
+    as_json: options.Json = False,
 ):
-    """Measure how hard the recordings are: the paper's CNN under the paper's protocol."""
-    chosen = {"source": data, "simulation_seed": seed}
-    settings = Settings().with_values({"data": chosen}, "command line")
-    dataset = Dataset.of(settings, jobs)
-    accuracies = difficulty_.measure(dataset, settings, splits)
-    mean, spread = np.mean(accuracies), np.std(accuracies, ddof=1) if splits > 1 else math.nan
-    kind = "simulated" if dataset.recordings.source.simulated else "recorded"
-    paper = "{:.2f} ({:.2f})".format(*TABLE2["cnn"])
-    print(f"{kind}: accuracy {mean:.4f} (SD {spread:.4f}) over {splits} splits; paper {paper}")
-    if store:
-        difficulty_.store(dataset, accuracies)
+    """Measure how hard the recordings are: the paper's CNN under the paper's protocol.
+
+    Goes on where it was interrupted.
+    """
+    workers = Workers(jobs, scheduler)
+    with options.opened(out, data, None, None, None, settings, set_) as (folder, resolved):
+        found = difficulty_.measure_difficulty(folder, resolved, splits, workers, options.say)
+    if store and not found.failed:
+        difficulty_.store(found.summary)
+    options.conclude(found, difficulty_.difficulty_text, as_json)
 
 
 def aces_(

@@ -9,11 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from deploy.files import write_json
-from pipeline.inputs.dataset import Dataset
-from pipeline.progress import progress
+from pipeline.experiments.study import Findings, SplitJob, Workers, measure_splits
+from pipeline.paper import TABLE2
+from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings
 from pipeline.skin.parameters import CALIBRATION
 
+SCHEMA = "stmnist-difficulty/1"
 AIM = (0.86, 0.92)
 """Mean accuracy that the built-in recordings are meant to give; the paper has 0.89 (Table 2)."""
 
@@ -21,43 +23,73 @@ RECORD = CALIBRATION.with_name("difficulty.json")
 """The last measurement on the built-in recordings, with their hash."""
 
 
-def measure(dataset: Dataset, settings: Settings, splits: int = 10) -> list:
-    """Test accuracy of the CNN on random splits (paper, Section 3.2).
+def measure_difficulty(
+    folder: RunFolder, settings: Settings, splits: int, workers: Workers, say
+) -> Findings:
+    """Measure the random splits that are not there yet, and write the summary of all.
 
     Parameters
     ----------
-    dataset : Dataset
+    folder : RunFolder
+        Of the results, locked.
     settings : Settings
     splits : int
+        How many, from the settings' own seed on.
+    workers, say
+        As in :func:`pipeline.experiments.study.study`.
 
-    Returns
-    -------
-    list of float
-        One accuracy a split.
+    Raises
+    ------
+    UserError, CheckFailed
+        As in :func:`pipeline.experiments.study.measure_splits`.
     """
-    from pipeline.training.stacked import train_cnns  # TensorFlow takes seconds to import
-
-    seeds = range(splits)
-    divided = [dataset.divided(seed, settings.split.test_fraction) for seed in seeds]
-    data, parts = (dataset.inputs, dataset.labels), [each.split.train for each in divided]
-    with progress("train", settings.cnn.epochs) as advance:
-        trained = train_cnns(settings, data, parts, seeds, advance)
-    accuracies = []
-    for cnn, each in zip(trained, divided, strict=True):
-        images, labels = each.part("test")
-        accuracies.append(float(np.mean(cnn.logits(images).argmax(1) == labels)))
-    return accuracies
-
-
-def store(dataset: Dataset, accuracies: list):
-    """Keep the accuracies beside the simulation's settings, in :data:`RECORD`."""
-    source = dataset.recordings.source
-    write_json(
-        RECORD,
-        {
-            "source": source.name,
-            "sha256": source.sha256,
-            "simulated": source.simulated,
-            "accuracies": accuracies,
-        },
+    return measure_splits(
+        "difficulty", measure, summarise, folder, settings, splits, workers, say, (SCHEMA,)
     )
+
+
+def measure(job: SplitJob) -> dict:
+    """Test accuracy of the CNN on a random split (paper, Section 3.2)."""
+    from pipeline.training.networks import train_cnn  # TensorFlow, in the process that needs it
+
+    dataset = job.dataset()
+    cnn = train_cnn(job.settings, dataset.part("train"), job.seed)
+    images, labels = dataset.part("test")
+    return {
+        "schema": SCHEMA,
+        "seed": job.seed,
+        "n_train": len(dataset.split.train),
+        "n_test": len(labels),
+        "accuracy": float(np.mean(cnn.logits(images).argmax(1) == labels)),
+    }
+
+
+def summarise(results, simulated: bool) -> dict:
+    """Mean and SD over splits; SD is None for one."""
+    accuracies = [result["accuracy"] for result in results]
+    return {
+        "schema": SCHEMA,
+        "simulated": simulated,
+        "seeds": [result["seed"] for result in results],
+        "n_train": results[0]["n_train"],
+        "n_test": results[0]["n_test"],
+        "accuracies": accuracies,
+        "mean": float(np.mean(accuracies)),
+        "sd": float(np.std(accuracies, ddof=1)) if len(accuracies) > 1 else None,
+    }
+
+
+def difficulty_text(summary: dict) -> str:
+    """The summary in a line."""
+    kind = "simulated" if summary["simulated"] else "recorded"
+    spread = "" if summary["sd"] is None else f" (SD {summary['sd']:.4f})"
+    paper = "{:.2f} ({:.2f})".format(*TABLE2["cnn"])
+    return (
+        f"{kind}: accuracy {summary['mean']:.4f}{spread} over {len(summary['seeds'])} splits; "
+        f"paper {paper}"
+    )
+
+
+def store(summary: dict):
+    """Keep a measurement beside the simulation's settings, in :data:`RECORD`."""
+    write_json(RECORD, summary)

@@ -10,7 +10,7 @@ from deploy.errors import UserError
 from deploy.files import read_json
 from pipeline import jobs
 from pipeline.experiments import choices as conversion_choices
-from pipeline.experiments import losses
+from pipeline.experiments import difficulty, losses
 from pipeline.experiments.study import Workers, _work, read_kept, study, write_kept
 from tests.command import call
 
@@ -96,6 +96,7 @@ def test_a_worker_of_another_version_is_found_out(tmp_path):
         ("benchmark", "conversion"),
         ("benchmark", "events"),
         ("benchmark", "table2", "--set", "check.samples=5"),
+        ("data", "difficulty"),
     ],
 )
 def test_every_experiment_takes_a_scheduler(command, tmp_path, monkeypatch, capsys):
@@ -110,7 +111,12 @@ TINY = [
     *("--jobs", "1", "--set", "seed=7", "--set", "data.samples_per_digit=6"),
     *("--set", "cnn.epochs=1", "--set", "snn.epochs=1", "--json"),
 ]
-BENCHMARKS = {"conversion": (conversion_choices, "--splits"), "losses": (losses, "--seeds")}
+MEASURED = {
+    "conversion": (conversion_choices, "benchmark", "--splits"),
+    "losses": (losses, "benchmark", "--seeds"),
+    "difficulty": (difficulty, "data", "--splits"),
+}
+"""Experiments over random splits: module, verb above, option of their number."""
 
 
 @pytest.fixture
@@ -121,11 +127,11 @@ def one_choice(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", BENCHMARKS)
+@pytest.mark.parametrize("name", MEASURED)
 def test_a_split_is_measured(name, one_choice, tmp_path, capsys):
-    _, number = BENCHMARKS[name]
+    _, verb, number = MEASURED[name]
     out = tmp_path / name
-    assert call("benchmark", name, "--out", out, number, "1", *TINY) == 0
+    assert call(verb, name, "--out", out, number, "1", *TINY) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["simulated"]
     assert summary["seeds"] == [7]
@@ -152,14 +158,15 @@ MADE_UP = {
         **{name: {"chip-100": 1.0} for name in ("disagreements", "operations")},
         "decided_at_median": {"chip-100": 30.0},
     },
+    "difficulty": {"accuracy": 0.5},
 }
 
 
-@pytest.mark.parametrize("name", BENCHMARKS)
+@pytest.mark.parametrize("name", MEASURED)
 def test_splits_are_measured_once_and_failed_ones_tried_again(
     name, one_choice, tmp_path, monkeypatch, capsys
 ):
-    module, number = BENCHMARKS[name]
+    module, verb, number = MEASURED[name]
     out, asked, lost = tmp_path / name, [], set()
 
     def measure(job):
@@ -169,7 +176,7 @@ def test_splits_are_measured_once_and_failed_ones_tried_again(
         return {"seed": job.seed, "n_train": 48, "n_test": 12, **MADE_UP[name]}
 
     monkeypatch.setattr(module, "measure", measure)
-    command = ["benchmark", name, "--out", out, number, "2", *TINY]
+    command = [verb, name, "--out", out, number, "2", *TINY]
     assert call(*command) == 0
     first = json.loads(capsys.readouterr().out)
     assert first["seeds"] == asked == [7, 8]

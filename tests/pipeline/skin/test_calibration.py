@@ -52,7 +52,7 @@ def test_the_fit_is_of_what_is_simulated():
 
 def test_the_recordings_are_about_as_hard_as_the_papers():
     record = read_json(RECORD, "run: stmnist data difficulty --store")
-    assert record["sha256"] == source_of(0).sha256, (
+    assert record["source_sha256"] == source_of(0).sha256, (
         "the simulation has changed since this was measured; run: stmnist data difficulty --store"
     )
     assert len(record["accuracies"]) == 10
