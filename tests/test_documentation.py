@@ -19,10 +19,10 @@ from tests.command import ROOT, environment
 README = ROOT / "README.md"
 DOCS = sorted((ROOT / "docs").glob("*.md"))
 PAGES = [
-    *(README, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *DOCS),
+    *(README, *(ROOT / f"{name}.md" for name in ("CONTRIBUTING", "CHANGELOG", "SECURITY")), *DOCS),
     *(ROOT / "results" / "README.md", ROOT / "deploy" / "inrc" / "README.md"),
 ]
-LONGEST_README = 260
+LONGEST_README = 250
 TARGETS = [
     *("setup", "data", "train", "convert", "loihi-emulate", "loihi-hardware"),
     *("check", "benchmark", "report", "live", "test", "lint", "clean", "help"),

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup, escape
 
-from pipeline.run.ladder import confusion_shares, short_names
+from pipeline.report.matrix import confusion_shares, names_beside
 
 WIDTH, HEIGHT = 360, 250
 LEFT, RIGHT, TOP, BOTTOM = 48, 14, 26, 40
@@ -162,7 +162,7 @@ def confusion(matrix, description="", names=None) -> Markup:
     matrix = np.asarray(matrix)
     size, cell = len(matrix), 30
     share = confusion_shares(matrix)
-    names = short_names(names, size)
+    names = names_beside(names, size)
     longest = max(map(len, names), default=1)
     edge = 46 if longest <= 2 else 30 + 7 * longest  # some 7 units a letter
     side = edge + size * cell

@@ -194,33 +194,6 @@ def confusion_matrix(labels, predictions, classes: int = 10) -> np.ndarray:
     return matrix
 
 
-def confusion_shares(matrix) -> np.ndarray:
-    """A confusion matrix as shares of each label's samples; 0 where a label has none."""
-    matrix = np.asarray(matrix)
-    return matrix / np.maximum(matrix.sum(axis=1, keepdims=True), 1)
-
-
-LONGEST_NAME = 16
-"""Characters of a class's name that a drawing of a confusion matrix has room for."""
-
-
-def short_names(names, classes: int) -> list:
-    """What is written beside the rows and columns of a confusion matrix.
-
-    Parameters
-    ----------
-    names : sequence of str or None
-        Of the classes; None for numbers from 0.
-    classes : int
-
-    Returns
-    -------
-    list of str
-    """
-    return [name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…"
-            for name in names or map(str, range(classes))]  # fmt: skip
-
-
 def ladder_json(results, layers=None, left_out=(), classes=None) -> dict:
     """The ladder as plain values.
 

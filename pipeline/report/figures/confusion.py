@@ -7,7 +7,7 @@ import math
 import numpy as np
 from matplotlib.figure import Figure
 
-from pipeline.run.ladder import confusion_shares, short_names
+from pipeline.report.matrix import confusion_shares, names_beside
 
 
 def confusion_figure(ladder: dict) -> Figure:
@@ -53,7 +53,7 @@ def _matrix(axes, counts, names=None):
                 weight="bold" if label == prediction else "normal",
             )
     classes = range(len(counts))
-    names = short_names(names, len(counts))
+    names = names_beside(names, len(counts))
     axes.set_xticks(classes, names, rotation=90 if max(map(len, names)) > 2 else 0)
     axes.set_yticks(classes, names)
     axes.tick_params(length=0)

@@ -1,0 +1,31 @@
+"""What a drawing of a confusion matrix needs, whatever it is drawn with."""
+
+from __future__ import annotations
+
+import numpy as np
+
+LONGEST_NAME = 16
+"""Characters of a class's name that a drawing of a confusion matrix has room for."""
+
+
+def confusion_shares(matrix) -> np.ndarray:
+    """A confusion matrix as shares of each label's samples; 0 where a label has none."""
+    matrix = np.asarray(matrix)
+    return matrix / np.maximum(matrix.sum(axis=1, keepdims=True), 1)
+
+
+def names_beside(names, classes: int) -> list:
+    """What is written beside the rows and columns of a confusion matrix.
+
+    Parameters
+    ----------
+    names : sequence of str or None
+        Of the classes; None for numbers from 0.
+    classes : int
+
+    Returns
+    -------
+    list of str
+    """
+    names = names or map(str, range(classes))
+    return [name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…" for name in names]
