@@ -227,20 +227,20 @@ class SpikingNetwork(tf.Module):
             Of each layer, 0 or 1.
         """
         values = self.variables_by_name if values is None else values
-        steps, samples = frames.shape[0], frames.shape[1]
+        steps, samples = tf.unstack(tf.shape(frames)[:2])  # of any number: traced once for all
         signal, spikes = tf.cast(frames, dtype), []
         layers = zip(self.names, self.architecture.layers, self.architecture.shapes, strict=False)
         for index, (name, layer, before) in enumerate(layers):
             parameters = self._on_chip(name, values, dtype)
             current = _weigh(layer, before, parameters["kernel"], signal)
-            current = tf.reshape(current, (steps, samples, -1))
+            current = tf.reshape(current, (steps, samples, self.architecture.neurons[name]))
             spread = _spread(parameters, current.shape[2])
             spikes.append(fire(current, *(spread[part] for part in _PARTS), beta=self.neuron.beta))
             signal = spikes[-1] if keep is None else spikes[-1] * keep[index]
             signal = tf.reshape(signal, (steps, samples, *layer.shape(before)))
         kernel = tf.cast(values["output.kernel"], dtype) * OUTPUT_SCALE
-        added = tf.matmul(tf.reshape(signal, (steps * samples, -1)), kernel)
-        return tf.cumsum(tf.reshape(added, (steps, samples, -1))), spikes
+        added = tf.matmul(tf.reshape(signal, (-1, kernel.shape[0])), kernel)
+        return tf.cumsum(tf.reshape(added, (steps, samples, kernel.shape[1]))), spikes
 
     def _on_chip(self, name, values, dtype):
         """The chip's integers as tensors, with gradients to what is trained."""
@@ -339,7 +339,7 @@ def operations(architecture: Architecture, frames, spikes):
     totals = [tf.reduce_sum(tf.cast(sender, tf.float32), 0) for sender in (frames, *spikes)]
     return tf.stack(
         [
-            tf.linalg.matvec(tf.reshape(total, (total.shape[0], -1)), fan_out.ravel().astype("f4"))
+            tf.linalg.matvec(tf.reshape(total, (-1, fan_out.size)), fan_out.ravel().astype("f4"))
             for total, fan_out in zip(totals, architecture.fan_out.values(), strict=True)
         ],
         axis=1,
@@ -434,7 +434,7 @@ def _rest(keep_v, bias):
 
 def _scan(step, like, state, outputs, backwards=False):
     """Run ``step(t, state) -> state, outputs`` over time."""
-    steps = like.shape[0]
+    steps = tf.shape(like)[0]
     arrays = tuple(tf.TensorArray(like.dtype, steps) for _ in range(outputs))
 
     def body(i, state, arrays):

@@ -39,7 +39,7 @@ at which the network decides: half a point of some hundred samples is two or thr
 is chosen on so few promises more than it holds."""
 
 LENGTHS = 16
-"""Batches have a multiple of so many steps, because each length is compiled by itself."""
+"""Batches have a multiple of so many steps: neurons in time are compiled for each length."""
 
 FIRST_RATE = 5.0
 """Spikes a second of skin time of a neuron when training begins, on average; silent neurons get no
@@ -387,14 +387,22 @@ def _compiled(recipe, dtype):
 def _compiled_network(architecture, neuron, dtype):
     # Of any weights: all networks of a shape are compiled once, which takes seconds.
     network = SpikingNetwork(parse(architecture), neuron)
+    variables = {
+        name: tf.TensorSpec(v.shape, v.dtype) for name, v in network.variables_by_name.items()
+    }
 
-    @tf.function(autograph=False, reduce_retracing=False)
+    @tf.function(autograph=False, input_signature=(_frames_of(network), variables))
     def run(frames, values):
         outputs, spikes = network(frames, dtype=dtype, values=values)
         costs = operations(network.architecture, frames, spikes)
         return outputs, costs, [tf.reduce_sum(layer, 0) for layer in spikes]
 
     return run
+
+
+def _frames_of(network, samples=None):
+    """Frames of any number of steps: what is compiled for them is traced once, in seconds."""
+    return tf.TensorSpec((None, samples, *network.architecture.input_shape), tf.uint8)
 
 
 def _now(variables):
@@ -424,7 +432,14 @@ class _Trainer:
         self.optimizer.build(self.variables)
         self._calibrate()
         self.mean = [tf.Variable(variable) for variable in self.variables]
-        self._step = tf.function(self._train_on, autograph=False)
+        samples = recipe.batch_size
+        given = (
+            _frames_of(self.network, samples),
+            tf.TensorSpec((samples,), self.labels.dtype),
+            tf.TensorSpec((None, samples), tf.float32),
+            tf.TensorSpec((), tf.int32),
+        )
+        self._step = tf.function(self._train_on, given, autograph=False)
 
     def _calibrate(self):
         """Scale each layer's first weights so that its neurons spike at ``FIRST_RATE``."""
@@ -447,7 +462,7 @@ class _Trainer:
         with tf.GradientTape() as tape:
             outputs, spikes = self.network(frames, self._dropout(frames.shape[1], number))
             loss_at = tf.nn.sparse_softmax_cross_entropy_with_logits(
-                tf.tile(labels[None], (frames.shape[0], 1)), outputs
+                tf.tile(labels[None], (tf.shape(frames)[0], 1)), outputs
             )
             throughout = tf.reduce_sum(loss_at * writing, 0) / tf.reduce_sum(writing, 0)
             loss = tf.reduce_mean(loss_at[-1] + recipe.early * throughout)

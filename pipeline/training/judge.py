@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from deploy.network.decision import HIDDEN, Judge, judged_by
@@ -35,24 +37,34 @@ def train_judge(outputs, right, seed: int) -> Judge:
     right = np.concatenate(right).astype(np.float32)
     middle, spread = told.mean(0), np.maximum(told.std(0), 1e-3)
     told = ((told - middle) / spread).astype(np.float32)
-    layers = [
-        tf.keras.layers.Dense(
-            units,
-            activation="relu" if units > 1 else None,
-            kernel_initializer=tf.keras.initializers.GlorotUniform(seed + index),
-        )
-        for index, units in enumerate((*HIDDEN, 1))
-    ]
-    model = tf.keras.Sequential([tf.keras.Input(told.shape[1:]), *layers])
-    model.compile(
-        tf.keras.optimizers.Adam(LEARNING_RATE),
-        tf.keras.losses.BinaryCrossentropy(from_logits=True),
-    )
+    model, untouched = _model(told.shape[1])
+    for variable, value in zip(model.optimizer.variables, untouched, strict=True):
+        variable.assign(value)
+    for index, layer in enumerate(model.layers):
+        draw = tf.keras.initializers.GlorotUniform(seed + index)
+        layer.kernel.assign(draw(layer.kernel.shape))
+        layer.bias.assign(tf.zeros_like(layer.bias))
     rng = np.random.default_rng([seed, 0x10D6])
     for _ in range(EPOCHS):
         order = rng.permutation(len(told))
         model.fit(told[order], right[order], batch_size=BATCH, shuffle=False, verbose=0)
-    kernels, biases = zip(*(layer.get_weights() for layer in layers), strict=True)
+    kernels, biases = zip(*(layer.get_weights() for layer in model.layers), strict=True)
     # What the inputs were scaled by goes into the first layer.
     first = kernels[0] / spread[:, None]
     return Judge((first, *kernels[1:]), (biases[0] - middle @ first, *biases[1:]))
+
+
+@functools.lru_cache(maxsize=1)
+def _model(inputs):
+    """A model to be trained from new weights each time, and its optimiser's values before that.
+
+    One for all trainings of a process, because its step of training takes a second to trace.
+    """
+    layers = [tf.keras.layers.Dense(n, activation="relu" if n > 1 else None) for n in (*HIDDEN, 1)]
+    model = tf.keras.Sequential([tf.keras.Input((inputs,)), *layers])
+    model.compile(
+        tf.keras.optimizers.Adam(LEARNING_RATE),
+        tf.keras.losses.BinaryCrossentropy(from_logits=True),
+    )
+    model.optimizer.build(model.trainable_variables)
+    return model, [variable.numpy() for variable in model.optimizer.variables]

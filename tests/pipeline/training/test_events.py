@@ -7,6 +7,7 @@ import pytest
 from deploy.errors import UserError
 from deploy.network.decision import Judge, choose_threshold
 from models.architecture import parse
+from models.keras2 import tf
 from models.spiking import SpikingNetwork
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.steps import EventTable
@@ -52,6 +53,12 @@ VALIDATION = np.arange(54, 72)
 @pytest.fixture(scope="module")
 def trained(data):
     return train_events(RECIPE, *data, seed=3, validation=VALIDATION)
+
+
+def test_of_whatever_length_samples_are_a_network_is_traced_once(trained):
+    for steps, samples in ((32, 100), (48, 100), (32, 7)):
+        trained.answers(np.zeros((samples, steps, 10, 10, 2), np.uint8))
+    assert events._compiled(RECIPE, tf.float64).experimental_get_tracing_count() == 1
 
 
 def test_it_learns(trained):
