@@ -15,11 +15,8 @@ from deploy.network.responses import Responses, read_output
 from pipeline.settings import Settings
 
 NETWORKS = {
-    "cnn": ("CNN", "the paper's convolutional network, no spikes"),
-    "rate-lif": (
-        "Rate LIF",
-        "trained with the firing rates of LIF neurons in the place of spikes",
-    ),
+    "cnn": ("CNN", "the convolutional network, no spikes"),
+    "rate-lif": ("Rate LIF", "the firing rates of LIF neurons in the place of spikes"),
     "spiking-lif": ("Spiking LIF, NengoDL", "the same weights, neurons that spike"),
     "trained": (
         "Trained on events",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+from pathlib import Path
 
 from deploy import limits
 from deploy.errors import UserError
@@ -20,11 +21,14 @@ def write_history(path, history: list):
     ----------
     path : path-like
     history : list of dict
-        One an epoch, all with the same keys; none of a network that was not trained here.
+        One an epoch, all with the same keys.  Of a network that was not trained here there is none:
+        then no file is there afterwards, nor that of a training before.
     """
-    names = list(history[0]) if history else ["epoch", "loss", "accuracy"]
+    if not history:
+        Path(path).unlink(missing_ok=True)
+        return
     with replacing(path, "w") as file:
-        writer = csv.DictWriter(file, fieldnames=names, lineterminator="\n")
+        writer = csv.DictWriter(file, fieldnames=list(history[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows(history)
 

@@ -9,3 +9,10 @@ def test_a_history_is_read_back(tmp_path):
     write_history(tmp_path / "history.csv", history)
     assert read_history(tmp_path / "history.csv") == history
     assert (tmp_path / "history.csv").read_text().startswith("epoch,loss,accuracy\n1,2.5,")
+
+
+def test_without_training_there_is_no_history_nor_one_from_before(tmp_path):
+    write_history(tmp_path / "history.csv", [{"epoch": 1, "accuracy": 0.5}])
+    write_history(tmp_path / "history.csv", [])
+    assert not list(tmp_path.iterdir())
+    write_history(tmp_path / "history.csv", [])

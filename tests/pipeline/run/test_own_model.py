@@ -116,6 +116,16 @@ def test_it_goes_into_the_bundle_and_through_the_ladder(run):
     assert rows["emulator"] > 0.3
 
 
+def test_the_report_says_that_nothing_was_trained(run, files, tmp_path):
+    """It asked for the learning curves, which no training had written."""
+    out = tmp_path / "report.html"
+    assert call("report", run, "--out", out) == 0
+    training = out.read_text().partition('<section id="training">')[2].partition("</section>")[0]
+    assert f"its weights are those of <code>{files / 'good.keras'}</code>" in training
+    assert "was not trained on: it has the CNN's weights" in training
+    assert "<figure>" not in training
+
+
 def test_again_is_up_to_date_even_without_the_file(run, files, tmp_path, capsys):
     away = tmp_path / "away.keras"
     path = files / "good.keras"
