@@ -447,14 +447,38 @@ def parse_assignments(assignments) -> dict:
             value = tomllib.loads(f"value = {text}")["value"]
         except (ValueError, RecursionError):
             value = text.strip()
-        *sections, last = name.strip().split(".")
-        place = values
-        for section in sections:
-            place = place.setdefault(section, {})
-            if not isinstance(place, dict):
-                raise UserError(f"--set {assignment!r}: {section!r} has a value of its own too")
-        place[last] = value
+        put(values, name.strip(), value, f"--set {assignment!r}")
     return values
+
+
+def put(values: dict, name: str, value, origin: str):
+    """Put a value into nested ones, in the place of one that is there.
+
+    Parameters
+    ----------
+    values : dict
+        As :meth:`Settings.with_values` takes them.
+    name : str
+        Dotted.
+    value
+    origin : str
+        For the error's line.
+
+    Raises
+    ------
+    UserError
+        What should be a section has a value of its own, or the other way about.
+    """
+    *sections, last = name.split(".")
+    for section in sections:
+        values = values.setdefault(section, {})
+        if not isinstance(values, dict):
+            raise UserError(
+                f"{origin}: {section!r} has a value of its own too; give it or {name!r}, not both"
+            )
+    if isinstance(values.get(last), dict) and not isinstance(value, dict):
+        raise UserError(f"{origin}: {name!r} has a value in it too; give one of them")
+    values[last] = value
 
 
 def _toml(value):

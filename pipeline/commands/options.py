@@ -12,7 +12,7 @@ import typer
 
 from deploy.errors import CheckFailed
 from pipeline.run.folder import RunFolder
-from pipeline.settings import SIMULATED, parse_assignments
+from pipeline.settings import SIMULATED, parse_assignments, put
 
 
 def between(low: int, high: int):
@@ -95,15 +95,15 @@ def opened(
         changes = merged(changes or {}, parse_assignments(assignments or []))
         if data is not None and data != SIMULATED:
             data = str(Path(data).absolute())  # the run can be repeated from any folder
-        for section, name, value in (
-            ("data", "source", data),
-            ("input", "kind", kind),
-            (None, "seed", seed),
-            ("check", "samples", samples),
-            ("presentation", "steps", steps),
+        for option, name, value in (
+            ("--data", "data.source", data),
+            ("--input", "input.kind", kind),
+            ("--seed", "seed", seed),
+            ("--samples", "check.samples", samples),
+            ("--steps", "presentation.steps", steps),
         ):
             if value is not None:
-                (changes.setdefault(section, {}) if section else changes)[name] = value
+                put(changes, name, value, option)
         yield folder, folder.resolve_settings(settings, changes)
 
 

@@ -30,7 +30,7 @@ from pipeline.paper import CNN_MACS
 from pipeline.progress import hidden
 from pipeline.run import stages
 from pipeline.run.folder import RunFolder, stamp_of
-from pipeline.settings import Settings, parse_assignments
+from pipeline.settings import Settings, parse_assignments, put
 
 POINT_SCHEMA = "stmnist-sweep-point/3"
 SCHEMA = "stmnist-sweep/2"
@@ -148,7 +148,7 @@ def points_of(folder: Path, base: Settings, grid) -> list:
         settings, changes = base, []
         values: dict = {}
         for name, value in combination:
-            _put(values, name, value)
+            put(values, name, value, "--grid")
             changes.append((name, value))
         settings = base.with_values(values, "--grid")
         dataset = dataset_of(settings)
@@ -191,13 +191,6 @@ def _axis(entry, base):
 
 def _setting(settings, name):
     return functools.reduce(lambda part, key: getattr(part, key, None), name.split("."), settings)
-
-
-def _put(values, name, value):
-    *sections, last = name.split(".")
-    for section in sections:
-        values = values.setdefault(section, {})
-    values[last] = value
 
 
 def dataset_of(settings: Settings, jobs: int = 1, warn=None) -> Dataset:

@@ -134,7 +134,16 @@ def test_assignments_of_the_command_line():
 
 
 @pytest.mark.parametrize(
-    "assignments", [["epochs"], ["=3"], [""], ["cnn=5", "cnn.epochs=3"], ["seed=1", "seed.x=2"]]
+    "assignments",
+    [
+        ["epochs"],
+        ["=3"],
+        [""],
+        ["cnn=5", "cnn.epochs=3"],
+        ["cnn.epochs=3", "cnn=5"],
+        ["seed=1", "seed.x=2"],
+        ["seed.x=2", "seed=1"],
+    ],
 )
 def test_assignments_that_make_no_sense(assignments):
     with pytest.raises(UserError, match="--set"):

@@ -76,6 +76,15 @@ def test_a_setting_given_twice_is_refused(tmp_path):
         sweep.points_of(tmp_path, SMALL, ["presentation.steps=30", "presentation.steps=50"])
 
 
+@pytest.mark.parametrize(
+    "grid",
+    [["cnn=5", "cnn.epochs=3"], ["cnn.epochs=3", "cnn=5"], ["cnn.epochs.x=5", "cnn.epochs=3"]],
+)
+def test_a_section_given_a_value_is_refused(tmp_path, grid):
+    with pytest.raises(UserError, match=r"--grid: 'cnn(\.epochs)?' has a value"):
+        sweep.points_of(tmp_path, SMALL, grid)
+
+
 def test_the_default_grid_is_a_grid(tmp_path):
     points = sweep.points_of(tmp_path, SMALL, sweep.DEFAULT_GRID)
     assert len(points) == 16
