@@ -16,6 +16,7 @@ import numpy as np
 import scipy
 
 from deploy.errors import UserError
+from pipeline.settings import LARGEST
 from pipeline.skin.handwriting import Motion, on_skin
 
 _SEGMENT = re.compile(r'\.SEGMENT\s+\S+\s+(\S+)\s+\S+\s+"(.*)"')
@@ -83,6 +84,8 @@ def read(path) -> tuple:
         elif pen_down and line.strip():
             try:
                 right, up = (float(value) for value in line.split()[:2])
+                if not (abs(right) <= LARGEST and abs(up) <= LARGEST):  # NaN is not
+                    raise ValueError
             except ValueError:
                 raise UserError(
                     f"{path}: line {number} is not a point (x y): {line.strip()[:40]!r}; "

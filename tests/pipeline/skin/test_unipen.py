@@ -64,6 +64,10 @@ def test_written_on_the_skin(tmp_path):
     [
         ('.SEGMENT DIGIT 0 ? "3"\n.PEN_DOWN\n 1 2\n 1 two\n.PEN_UP\n', "line 4 is not a point"),
         ('.SEGMENT DIGIT 0 ? "3"\n.PEN_DOWN\n 1\n.PEN_UP\n', "line 3 is not a point"),
+        *(
+            (f'.SEGMENT DIGIT 0 ? "3"\n.PEN_DOWN\n 1 2\n {point}\n.PEN_UP\n', "line 4 is not")
+            for point in ("nan 1", "1 -inf", "1e400 1", "1 -1e308")
+        ),
         ("hello\n", "no segment labelled with a digit"),
         ("", "no segment labelled with a digit"),
     ],
