@@ -39,6 +39,13 @@ PerDigit = Annotated[
     ),
 ]
 Side = Annotated[int, typer.Option(help="Of taxels, 2 to 256.", parser=options.between(2, 256))]
+SideOrFound = Annotated[
+    int,
+    typer.Option(
+        help="Of taxels; 0: as found, or ten of the simulated skin.",
+        parser=options.between(0, 256),
+    ),
+]
 
 
 def import_(
@@ -46,11 +53,15 @@ def import_(
     skip_bad: Annotated[
         bool, typer.Option("--skip-bad", help="Leave out files that cannot be read.")
     ] = False,
+    rows: SideOrFound = 0,
+    columns: SideOrFound = 0,
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
     """Read recordings once and keep them in the cache, so that the next start is quick."""
-    recordings = load_recordings(source, skip_bad=skip_bad, jobs=jobs, warn=options.say)
+    recordings = load_recordings(
+        source, skip_bad=skip_bad, jobs=jobs, warn=options.say, rows=rows, columns=columns
+    )
     facts = {
         "source": recordings.source.name,
         "sha256": recordings.source.sha256,
@@ -188,6 +199,8 @@ def stats(
     against_paper: Annotated[
         bool, typer.Option("--against-paper", help="The paper's Table 1 and the errors beside it.")
     ] = False,
+    rows: SideOrFound = 0,
+    columns: SideOrFound = 0,
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
@@ -196,7 +209,7 @@ def stats(
     Events are counted as the paper does, one for each column of a file; physical events count each
     burst of columns once.
     """
-    recordings = load_recordings(data, seed, jobs=jobs)
+    recordings = load_recordings(data, seed, jobs=jobs, rows=rows, columns=columns)
     value = table1_json(recordings, against_paper)
     options.tell(value, lambda _: table1_text(recordings, against_paper), as_json)
 
@@ -211,6 +224,8 @@ def plot(
     seed: SimulationSeed = 0,
     sample: Annotated[str, typer.Option(help="Id of a recording, such as 8/0000.")] = "8/0000",
     per_digit: Annotated[int, typer.Option(help="Samples of each digit on a sheet.", min=1)] = 16,
+    rows: SideOrFound = 0,
+    columns: SideOrFound = 0,
     jobs: options.Jobs = 2,
 ):
     """Draw recordings as the paper does.
@@ -229,7 +244,7 @@ def plot(
     if what not in FIGURES:
         raise UserError(f"{what!r} is no figure; choose one of {', '.join(FIGURES)}")
     figures.format_of(out)  # said before the recordings are read
-    recordings = load_recordings(data, seed, jobs=jobs)
+    recordings = load_recordings(data, seed, jobs=jobs, rows=rows, columns=columns)
     if what == "layout":
         figure = drawn.layout(recordings.taxels)
     elif what == "sheet":

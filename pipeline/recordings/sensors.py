@@ -18,8 +18,6 @@ from deploy.errors import UserError
 from pipeline.recordings.eventfile import EventRecording
 from pipeline.recordings.events import DIGITS, GRID, N_TAXELS, Sensor, TaxelMap
 
-HOW_TO_GIVE = "give them with --set skin.rows=... --set skin.columns=..."
-
 
 @dataclass(frozen=True)
 class Settled:
@@ -73,8 +71,8 @@ def settle(path, read, lookup: TaxelMap | None = None, rows: int = 0, columns: i
         for what, given, found in (("rows", rows, lookup.x), ("columns", columns, lookup.y)):
             if given and given <= found.max():
                 raise UserError(
-                    f"{path}: LUT.mat has coordinates outside the {given} {what} of skin.{what}; "
-                    f"at least {found.max() + 1} are needed"
+                    f"{path}: LUT.mat has coordinates outside the {given} {what} asked for; "
+                    f"give at least {found.max() + 1}, or 0 for as many as there are"
                 )
         rows, columns = rows or int(lookup.x.max()) + 1, columns or int(lookup.y.max()) + 1
     of_events = any(isinstance(recording, EventRecording) for _, _, recording in read)
@@ -138,7 +136,8 @@ def _from_addresses(path, read, lookup, rows, columns):
     if rows * columns != n:
         raise UserError(
             f"{path}: its {n} taxels are not {rows} rows of {columns}, and there is no LUT.mat; "
-            f"add it, or {HOW_TO_GIVE}"
+            "add it, or say how many rows and columns there are: --rows and --columns of "
+            "'stmnist data', else --set skin.rows=... --set skin.columns=..."
         )
     return TaxelMap.grid(rows, columns), kept, refused
 

@@ -184,7 +184,7 @@ def test_a_lookup_table_with_gaps(tmp_path):
     np.testing.assert_array_equal(image, [[2, 0, 1], [0, 1, 0], [1, 0, 1]])
     wider = read_source(tmp_path / "s.zip", jobs=1, rows=5, columns=5)
     assert aggregate(wider).shape == (4, 5, 5)
-    with pytest.raises(UserError, match=r"coordinates outside the 2 rows of skin\.rows"):
+    with pytest.raises(UserError, match=r"outside the 2 rows asked for; give at least 3"):
         read_source(tmp_path / "s.zip", jobs=1, rows=2)
 
 
@@ -365,6 +365,21 @@ def test_import_says_what_it_found(tmp_path, capsys):
         assert call("data", "plot", what, "--data", tmp_path / "g.zip", "--out", out,
                     "--sample", "wave/0") == 0  # fmt: skip
         assert out.stat().st_size > 1000
+
+
+def test_the_remedy_that_is_said_is_there(tmp_path, capsys):
+    """``data`` has no settings: rows and columns are options of its verbs."""
+    members = {f"{name}/{i}.mat": mat5(spiketrain=array_of(39)) for name in "ab" for i in (0, 1)}
+    archive(tmp_path / "s.zip", members)
+    here = ("--data", tmp_path / "s.zip")
+    verbs = [("import", tmp_path / "s.zip"), ("stats", *here)]
+    verbs += [("plot", "layout", *here, "--out", tmp_path / "layout.png")]
+    for verb in verbs:
+        assert call("data", *verb) == 2
+        assert "--rows and --columns of 'stmnist data'" in capsys.readouterr().err
+        assert call("data", *verb, "--rows", 3, "--columns", 13) == 0
+    assert call("data", "import", tmp_path / "s.zip", "--columns", 13) == 0
+    assert "3x13 taxels" in capsys.readouterr().out
 
 
 def test_inspect_an_event_file(tmp_path, capsys):
