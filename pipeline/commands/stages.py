@@ -60,11 +60,13 @@ def convert(
     """
     if retrain and model is None:
         raise UserError("--retrain: of a model of your own only; name it with --model FILE")
-    if model is not None and kind == "events":
-        raise UserError("--model: of tactile images, not of events; leave out --input events")
     changes = stages.settings_of_model(model, retrain) if model else {}
     given = (data, seed, samples, steps, settings, set_, kind, changes)
     with options.opened(run, *given) as (folder, resolved):
+        if model is not None and resolved.on_events:
+            raise UserError(
+                "--model: of tactile images; leave out what sets input.kind to 'events'"
+            )
         _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
         for stage in REFERENCES[resolved.input.kind]:
             stages.answer(folder, resolved, bundle, stage, options.say)

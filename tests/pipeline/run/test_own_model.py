@@ -182,6 +182,15 @@ def test_a_file_that_is_no_model(tmp_path, capsys):
     assert not folder.exists()
 
 
+@pytest.mark.parametrize("how", [("--input", "events"), ("--set", "input.kind=events")])
+def test_events_are_not_for_a_model_of_images(files, tmp_path, capsys, monkeypatch, how):
+    monkeypatch.setattr(stages, "make_bundle", lambda *_: pytest.fail("trained on events"))
+    folder = tmp_path / "run"
+    assert call("convert", folder, "--model", files / "good.keras", *SMALL, *how) == 2
+    assert "--model: of tactile images" in capsys.readouterr().err
+    assert not (folder / "experiment.toml").exists()
+
+
 def test_a_file_that_has_changed_since(files, tmp_path, capsys):
     path, folder = tmp_path / "model.keras", tmp_path / "run"
     path.write_bytes((files / "good.keras").read_bytes())
