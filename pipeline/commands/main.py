@@ -16,7 +16,6 @@ from deploy.errors import CheckFailed, UserError, one_line
 from models.architecture import NotationError
 from pipeline.commands import (
     benchmark,
-    benchmark_live,
     check,
     compare,
     data,
@@ -69,7 +68,7 @@ VERBS = {
             "emulator": benchmark.emulator,
             "losses": benchmark.losses,
             "events": benchmark.events,
-            "live": benchmark_live.live,
+            "live": benchmark.live,
         },
     ),
     "sweep": sweep.sweep,

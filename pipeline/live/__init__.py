@@ -2,5 +2,6 @@
 
 ``writing`` (in :mod:`pipeline.skin`) makes events of a pen's points, ``deciding`` lets the network
 answer to them, ``keeping`` writes recordings to a folder, ``session`` joins the three behind
-messages, ``server`` carries the messages to the page in ``page/``.
+messages, ``server`` carries the messages to the page in ``page/``.  ``robot`` writes on the page in
+the place of a hand, and ``latency`` measures how soon it answers.
 """

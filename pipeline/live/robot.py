@@ -33,7 +33,8 @@ def chromium(executable=None):
     Raises
     ------
     UserError
-        Chromium or Playwright is not here.
+        Chromium or Playwright is not here, Chromium does not start, or what is done with it in the
+        block takes too long or fails.
     """
     executable = executable or next(filter(None, map(shutil.which, BROWSERS)), None)
     if executable is None:
@@ -41,15 +42,29 @@ def chromium(executable=None):
             "no Chromium here; install one (on Debian and Ubuntu: apt install chromium)"
         )
     try:
-        from playwright.sync_api import sync_playwright
+        from playwright.sync_api import Error, sync_playwright
     except ImportError as error:
         raise UserError(f"{error.name} is not here: pip install playwright") from error
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=executable, args=list(ARGUMENTS))
+        try:
+            browser = playwright.chromium.launch(executable_path=executable, args=list(ARGUMENTS))
+        except Error as error:
+            raise UserError(
+                f"{executable}: cannot be started ({_what(error)}); see what it says by itself"
+            ) from error
         try:
             yield browser
+        except Error as error:
+            raise UserError(
+                f"the page in Chromium: {_what(error)}; leave the machine to it and try again"
+            ) from error
         finally:
             browser.close()
+
+
+def _what(error):
+    """Playwright's error without the log below it."""
+    return str(error).partition("\n")[0].rstrip(".")
 
 
 def opened(page, url, timeout_s=120):

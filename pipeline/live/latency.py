@@ -1,0 +1,103 @@
+"""How soon a decision is on the screen: simulated hands write on the page in a real Chromium."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import tempfile
+
+import numpy as np
+
+from deploy.errors import UserError
+from pipeline.live import robot
+from pipeline.progress import progress
+from pipeline.skin import handwriting, parameters, simulate
+
+SIZE = {"width": 1280, "height": 1000}
+AFTER_MS = 300
+"""From the end of a digit to the next, in which the last decisions reach the screen."""
+
+
+def measure_latency(run, digits: int, seed: int = 0) -> dict:
+    """Serve the page of a run, write on it at a hand's own pace, read what it counted.
+
+    Parameters
+    ----------
+    run : path-like
+    digits : int
+        How many are written, 0 to 9 in turn.
+    seed : int
+        Of the simulated hands.
+
+    Returns
+    -------
+    dict
+        ``median_ms`` and ``ninetieth_percentile_ms`` from the last event that led to a decision to
+        the frame that shows it, over so many ``decisions``; ``digits``.
+
+    Raises
+    ------
+    UserError
+        Chromium or Playwright is not here or fails, or the page cannot be served.
+    """
+    with robot.chromium() as browser, _served(run) as url:
+        page = browser.new_page(viewport=SIZE)
+        robot.opened(page, url)
+        with progress("write", digits) as advance:
+            for motion in hands(digits, seed):
+                page.click("#clear")
+                robot.write(page, motion)
+                page.wait_for_timeout(AFTER_MS)
+                advance(1)
+        told = page.locator("#latency").evaluate("element => ({...element.dataset})")
+    if not told:
+        raise UserError(
+            f"{run}: the page showed no decision; open it with 'stmnist live {run}' to see why"
+        )
+    return {
+        "median_ms": float(told["median"]),
+        "ninetieth_percentile_ms": float(told["ninetieth"]),
+        "decisions": int(told["count"]),
+        "digits": digits,
+    }
+
+
+def latency_text(measured: dict) -> str:
+    """What :func:`measure_latency` gives, in a line."""
+    return (
+        f"last event to decision on the screen: {measured['median_ms']:.0f} ms at the median, "
+        f"{measured['ninetieth_percentile_ms']:.0f} ms at the 90th percentile of "
+        f"{measured['decisions']} decisions while {measured['digits']} digits were written"
+    )
+
+
+def hands(n: int, seed: int):
+    """Motions of simulated hands, the digits in turn and each by the next writer.
+
+    Yields
+    ------
+    pipeline.skin.handwriting.Motion
+    """
+    p = parameters.load()
+    people = handwriting.writers(np.random.default_rng([seed, 1]), p.writers)
+    for index in range(n):
+        sample = simulate.Sample(index % 10, index, index % len(people))
+        rng = np.random.default_rng([seed, 2, sample.digit, index])
+        yield simulate.motion(sample, people[sample.writer], rng, p)
+
+
+@contextlib.contextmanager
+def _served(run):
+    """The page's address, while a process of its own serves it; what it keeps is thrown away."""
+    with tempfile.TemporaryDirectory() as kept:
+        command = [sys.executable, "-m", "pipeline", "live", str(run), "--no-browser"]
+        command += ["--port", "0", "--record", kept]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+            try:
+                line = server.stdout.readline().split()
+                if not line:
+                    raise UserError(f"{run}: the page could not be served; see above")
+                yield line[1]
+            finally:
+                server.terminate()

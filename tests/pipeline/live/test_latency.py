@@ -1,0 +1,37 @@
+"""How soon a decision is on the screen: the hands, and the measurement from end to end."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from pipeline.live import robot
+from pipeline.live.latency import hands, latency_text
+from tests.command import call
+
+
+def test_hands_are_drawn_from_the_seed():
+    first, again, other = (list(hands(3, seed)) for seed in (0, 0, 1))
+    for a, b, c in zip(first, again, other, strict=True):
+        np.testing.assert_array_equal(a.right, b.right)
+        assert not np.array_equal(a.right, c.right)
+
+
+def test_what_was_measured_in_a_line():
+    measured = {"median_ms": 12.4, "ninetieth_percentile_ms": 29.6, "decisions": 7, "digits": 2}
+    assert latency_text(measured) == (
+        "last event to decision on the screen: 12 ms at the median, 30 ms at the 90th percentile "
+        "of 7 decisions while 2 digits were written"
+    )
+
+
+@pytest.mark.skipif(not any(map(shutil.which, robot.BROWSERS)), reason="no Chromium here")
+def test_one_digit_from_end_to_end(tiny_run, capsys):
+    for module in ("uvicorn", "playwright"):
+        pytest.importorskip(module, reason=f"{module} is not installed")
+    assert call("benchmark", "live", tiny_run, "--digits", 1, "--json") == 0
+    measured = json.loads(capsys.readouterr().out)
+    assert 0 < measured["median_ms"] <= measured["ninetieth_percentile_ms"]
+    assert measured["decisions"] > 0
+    assert measured["digits"] == 1
