@@ -157,6 +157,7 @@ def main(arguments=None):
         status = app(args=arguments, prog_name="stmnist", standalone_mode=False)
         if status == interrupts.STATUS:  # Typer turns an interruption into this status
             raise KeyboardInterrupt
+        print(end="", flush=True)  # what goes wrong with it is said here, not by Python at its end
     except (KeyboardInterrupt, typer.Abort):
         status = _say(interrupts.LINE, interrupts.STATUS)
     except UsageError as error:
@@ -169,14 +170,20 @@ def main(arguments=None):
         status = _say(str(error), 1)
     except (UserError, NotationError) as error:
         status = _say(str(error), 2)
-    except BrokenPipeError:  # the reader, such as head, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (BrokenPipeError, SystemExit) as end:
+        # The reader, such as head, has seen enough.  Typer ends with status 1 then.
+        if isinstance(end, SystemExit) and not isinstance(end.__context__, BrokenPipeError):
+            raise
         status = 0
     except MemoryError:
         status = _say("not enough memory for this; ask for less, or close other programs", 2)
     except OSError as error:  # what no module foresaw: a full disk, a folder that may not be read
         where = f"{error.filename}: " if error.filename else ""
         status = _say(f"{where}{error.strerror or error}; check the path and its permissions", 2)
+    try:
+        print(end="", flush=True)
+    except OSError:  # said already; Python would try again and say it at length
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(status or 0)
 
 
