@@ -18,8 +18,7 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import replacing
-from pipeline.recordings.archive import DIGITS
-from pipeline.recordings.events import TaxelMap
+from pipeline.recordings.events import DIGITS, TaxelMap
 from pipeline.recordings.matfile import MatRecording, lookup_table_bytes, recording_bytes
 
 WRITERS = 1000

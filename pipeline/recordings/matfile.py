@@ -58,7 +58,7 @@ class Written:
         Of what the skin's noise was drawn with.
     pen : ndarray of float, shape (n, 5)
         Time in seconds, place in taxels (down, right), pressure and touch (1 or 0) of each point
-        of the pen as it came (:class:`pipeline.skin.writing.Point`).
+        of the pen as it came (:class:`pipeline.skin.writing.PenPoint`).
     """
 
     time: str

@@ -69,7 +69,7 @@ def responses_of(logits: np.ndarray, presentation) -> Responses:
     ----------
     logits : ndarray, shape (n_samples, steps, classes)
         At each step; one step for a network without time.
-    presentation : pipeline.settings.Presentation
+    presentation : pipeline.settings.Showing
         Where there is time, the score at a step is the mean from ``readout_start`` up to it.
     """
     start = presentation.readout_start if logits.shape[1] > 1 else 0
