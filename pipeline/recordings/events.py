@@ -7,7 +7,7 @@ columns beside each event; :func:`expand_bursts` is its inverse.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -180,10 +180,6 @@ class Recordings:
     def sample_of_event(self) -> np.ndarray:
         """Index of the recording each event belongs to, shape (n_events,)."""
         return np.repeat(np.arange(len(self)), np.diff(self.offsets))
-
-    def with_taxels(self, taxels: TaxelMap) -> Recordings:
-        """The same recordings read with another lookup table."""
-        return replace(self, taxels=taxels)
 
 
 def collect(parts, labels, ids, writers, source, taxels=None, sensor=None) -> Recordings:

@@ -250,27 +250,6 @@ def train_events(
     return TrainedOnEvents(recipe, {**trainer.weights(), **judge.arrays()}, history)
 
 
-def answer_events(recipe: EventRecipe, weights: dict, table: EventTable, indices, steps: int):
-    """Run a trained network on samples, in the chip's integers, each sample from rest.
-
-    Parameters
-    ----------
-    recipe : EventRecipe
-    weights : dict
-        Of a :class:`TrainedOnEvents`.
-    table : EventTable
-    indices : ndarray of int
-    steps : int
-        For how long each sample is shown; events after that are lost.
-
-    Returns
-    -------
-    Answers
-    """
-    frames = table.frames(indices, recipe.step_ms, steps, recipe.rest)
-    return answer_frames(recipe, weights, np.moveaxis(frames, 0, 1))
-
-
 def answer_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> Answers:
     """Run a trained network on frames of events, in the chip's integers, each sample from rest.
 

@@ -100,28 +100,6 @@ def spike_response(settings: Slayer, duration_s: float = DURATION_S) -> SpikeRes
     return SpikeResponse(duration_s / settings.bins, settings.tau_s, settings.tau_r)
 
 
-def layer_spikes(settings: Slayer, kernels, frames, duration_s: float = DURATION_S) -> list:
-    """Spikes of every layer of a trained network.
-
-    Parameters
-    ----------
-    settings : Slayer
-    kernels : list of ndarray
-    frames : ndarray, shape (n_samples, bins, rows, columns, 2)
-    duration_s : float
-        Of a recording.
-
-    Returns
-    -------
-    list of ndarray of bool, shape (n_samples, bins, ...)
-    """
-    network = SlayerNetwork(parse(settings.architecture), spike_response(settings, duration_s))
-    for variable, kernel in zip(network.kernels, kernels, strict=True):
-        variable.assign(kernel)
-    theta = network.neuron.theta
-    return [np.moveaxis(u.numpy() >= theta, 0, 1) for _, u in network.layers(frames)]
-
-
 class _Trainer:
     """The network, the optimiser, and their compiled steps."""
 

@@ -2,6 +2,7 @@ import functools
 import os
 import signal
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -190,7 +191,8 @@ def test_the_number_of_processes_changes_nothing(tmp_path):
 
 def test_simulated_recordings_come_back_identically(tmp_path):
     recordings = simulate(seed=3, samples_per_digit=[3] * 10, jobs=1)
-    recordings = recordings.with_taxels(TaxelMap(x=np.arange(100) // 10, y=np.arange(100) % 10))
+    turned = TaxelMap(x=np.arange(100) // 10, y=np.arange(100) % 10)
+    recordings = replace(recordings, taxels=turned)
     write_zip(tmp_path / "st.zip", recordings)
     read = read_source(tmp_path / "st.zip", jobs=1)
     assert_same(read, recordings, source=False)

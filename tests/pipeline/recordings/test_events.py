@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.recordings.events import Events, TaxelMap, expand_bursts, merge_bursts
-from tests.pipeline.handmade import GOOD, events, recordings
+from pipeline.recordings.events import Events, expand_bursts, merge_bursts
+from tests.pipeline.handmade import GOOD, recordings
 
 
 def test_bursts_by_hand():
@@ -51,9 +51,3 @@ def test_events_of_each_recording():
 def test_columns_of_events_must_be_equally_long():
     with pytest.raises(ValueError, match="equally long"):
         Events([1, 2], [3], [1], [1])
-
-
-def test_another_lookup_table():
-    swapped = recordings(GOOD).with_taxels(TaxelMap(x=np.arange(100) // 10, y=np.arange(100) % 10))
-    assert swapped.taxels.x[17] == 1
-    assert len(swapped.events) == len(events())

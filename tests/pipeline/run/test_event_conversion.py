@@ -13,7 +13,7 @@ from models.spiking import Neuron, SpikingNetwork
 from pipeline.recordings.steps import EventTable
 from pipeline.run.event_conversion import spec_of_events
 from pipeline.settings import Settings
-from pipeline.training.events import EventRecipe, answer_events
+from pipeline.training.events import EventRecipe, answer_frames
 
 STEPS, GAP = 40, 60
 
@@ -54,7 +54,7 @@ def test_every_spike_is_that_of_the_trained_network(architecture, target):
     assert make_plan(spec).problems == []
     indices = np.arange(len(table))
     frames = np.moveaxis(table.frames(indices, recipe.step_ms, STEPS + GAP, recipe.rest), 0, 1)
-    expected = answer_events(recipe, weights, table, indices, STEPS + GAP)
+    expected = answer_frames(recipe, weights, frames)
     found = answer(spec, frames, target)
     for name, spikes in expected.spikes.items():
         assert spikes.sum() > 100
@@ -82,7 +82,8 @@ def test_the_judge_decides_on_the_chip_as_in_training():
     rng, weights, table = np.random.default_rng(0), trained_like(recipe.architecture), table_of()
     weights |= {name: rng.normal(0, 0.3, shape) for name, shape in Judge.shapes(10).items()}
     indices, steps = np.arange(len(table)), STEPS + GAP
-    shown = answer_events(recipe, weights, table, indices, steps)
+    frames = np.moveaxis(table.frames(indices, recipe.step_ms, steps, recipe.rest), 0, 1)
+    shown = answer_frames(recipe, weights, frames)
     late = len(shown.spikes) + 1
     # What arrives is what was said `late` steps before.
     arrived = np.pad(shown.outputs, ((0, 0), (late, 0), (0, 0)))[:, :steps]
@@ -96,7 +97,6 @@ def test_the_judge_decides_on_the_chip_as_in_training():
     )
     spec = spec_of_events(recipe, weights, presentation, {})
     spec = NetworkSpec.from_json(spec.to_json(), spec.arrays())
-    frames = np.moveaxis(table.frames(indices, recipe.step_ms, steps, recipe.rest), 0, 1)
     np.testing.assert_array_equal(answer(spec, frames, "fast").stopped_at, expected + 1)
 
 

@@ -16,7 +16,7 @@ from pipeline.training.events import (
     TAIL,
     EventRecipe,
     alter,
-    answer_events,
+    answer_frames,
     arriving,
     train_events,
 )
@@ -61,6 +61,12 @@ def test_of_whatever_length_samples_are_a_network_is_traced_once(trained):
     assert events._compiled(RECIPE, tf.float64).experimental_get_tracing_count() == 1
 
 
+def answers_to(weights, table, indices, steps):
+    """What the trained network answers to samples, each from rest."""
+    frames = table.frames(indices, RECIPE.step_ms, steps, RECIPE.rest)
+    return answer_frames(RECIPE, weights, np.moveaxis(frames, 0, 1))
+
+
 def test_it_learns(trained):
     assert [row["epoch"] for row in trained.history] == [1, 2, 3, 4, 5, 6]
     assert trained.history[-1]["loss"] < trained.history[0]["loss"] / 2
@@ -80,7 +86,7 @@ def test_the_judge_learns_from_samples_as_they_are_and_altered(data, monkeypatch
     order = train[np.argsort(table.duration_ms[train], kind="stable")]
     assert len(told["outputs"]) == len(told["right"]) == 2 * len(train)
     steps = int(table.duration_ms.max() / RECIPE.step_ms) + 1 + TAIL
-    answers = answer_events(RECIPE, result.weights, table, order, steps)
+    answers = answers_to(result.weights, table, order, steps)
     arrived, differ = arriving(answers.outputs, RECIPE), 0
     for sample, seen, changed, right, label in zip(
         arrived, told["outputs"], told["outputs"][len(train) :], told["right"], labels[order],
@@ -104,7 +110,7 @@ def test_weights_have_the_names_and_shapes_of_the_architecture(trained):
 
 def test_answers_are_the_chips_integers(trained, data):
     table, labels, _ = data
-    answers = answer_events(RECIPE, trained.weights, table, VALIDATION, steps=64)
+    answers = answers_to(trained.weights, table, VALIDATION, steps=64)
     network = SpikingNetwork(parse(RECIPE.architecture))
     network.set_weights(trained.weights)
     frames = table.frames(VALIDATION, RECIPE.step_ms, 64, RECIPE.rest)
@@ -137,7 +143,7 @@ def test_the_threshold_is_that_of_what_arrives_of_samples_as_they_are_and_altere
     none = replace(trained, recipe=replace(RECIPE, **dict.fromkeys(ALTERATIONS, 0.0)))
     # Not altered but for where in its first step a sample begins.
     whole = replace(table, time_ms=np.floor(table.time_ms / RECIPE.step_ms) * RECIPE.step_ms)
-    plain = answer_events(RECIPE, trained.weights, whole, VALIDATION, 40)
+    plain = answers_to(trained.weights, whole, VALIDATION, 40)
     expected = choose_threshold(
         arriving(plain.outputs, RECIPE), labels[VALIDATION], plain.last_step, judge=trained.judge
     )

@@ -3,9 +3,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from models.architecture import parse
+from models.slayer import SlayerNetwork
 from pipeline.settings import Slayer
 from pipeline.training import slayer
-from pipeline.training.slayer import layer_spikes, train_slayer
+from pipeline.training.slayer import spike_response, train_slayer
 
 SETTINGS = Slayer(
     architecture="10x10x2-4c2-6c3-3o", bins=40, epochs=6, batch_size=8, learning_rate=0.05,
@@ -29,6 +31,15 @@ def data():
 @pytest.fixture(scope="module")
 def trained(data):
     return train_slayer(SETTINGS, *data, seed=3)
+
+
+def layer_spikes(settings, kernels, frames, duration_s=2.0):
+    """Spikes of every layer of a trained network, shape (n_samples, bins, ...) each."""
+    network = SlayerNetwork(parse(settings.architecture), spike_response(settings, duration_s))
+    for variable, kernel in zip(network.kernels, kernels, strict=True):
+        variable.assign(kernel)
+    theta = network.neuron.theta
+    return [np.moveaxis(u.numpy() >= theta, 0, 1) for _, u in network.layers(frames)]
 
 
 def test_it_learns(trained):
