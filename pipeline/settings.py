@@ -252,14 +252,16 @@ class Deployment:
     """How the spiking network is laid out; see :mod:`deploy.network.spec`."""
 
     first_layer: Annotated[str, one_of("chip", "host")] = "chip"
-    """``chip``: the image becomes spikes in an input layer on the host, all convolutions are on
-    the chip; ``host``: the first convolution's neurons are on the host, fed with currents."""
+    """``chip``: the image becomes spikes in an input layer on the host, all layers of neurons are
+    on the chip; ``host``: the first layer's neurons are on the host, fed with currents."""
     readout: Annotated[str, one_of("chip", "host")] = "host"
-    """``host``: output decoded from the last convolution's spikes; ``chip``: ten neurons."""
+    """``host``: output decoded from the spikes of the last layer of neurons; ``chip``: a neuron
+    for each class."""
     input_rate: Annotated[float, RATE] = 500.0
     """Spikes a second of a pixel of value 1."""
     input_phase: Annotated[float, FROM_0_BELOW_1] = 0.5
-    """Voltage of the input neurons at the start of a stream."""
+    """Voltage of a blank pixel's input neuron, as a share of its threshold: a sample's spikes are
+    as many as expected, rounded to the nearest with 0.5, rounded down with 0."""
     synapse: Annotated[float, TAU_OR_NONE] = 0.008
     """Time constant in seconds of the low-pass on every spiking connection; 0 for none."""
     pop_type: Annotated[int, POP_TYPE] = 32
