@@ -11,8 +11,8 @@ import pytest
 import typer.main
 
 import stmnist
+from pipeline.commands.documentation import FILES, with_parts
 from pipeline.commands.main import app
-from pipeline.commands.reference import FILES, with_parts
 from pipeline.settings import Settings
 from tests.command import ROOT, environment
 
@@ -94,7 +94,7 @@ def test_a_command_and_its_options_have_help(words):
 @pytest.mark.parametrize("name", FILES)
 def test_what_is_generated_is_the_current_one(name):
     text = (ROOT / name).read_text(encoding="utf-8")
-    assert text == with_parts(text), "run: python -m pipeline.commands.reference"
+    assert text == with_parts(text), "run: python -m pipeline.commands.documentation"
 
 
 def test_every_command_and_option_is_in_the_reference():
@@ -111,7 +111,7 @@ def test_every_setting_is_in_the_docs():
 
 def test_a_part_without_an_end_is_refused():
     with pytest.raises(ValueError, match="end of settings"):
-        with_parts("<!-- settings: written by python -m pipeline.commands.reference -->\n")
+        with_parts("<!-- settings: written by python -m pipeline.commands.documentation -->\n")
 
 
 @pages

@@ -30,7 +30,7 @@ import numpy as np
 
 from deploy.tables import aligned
 from pipeline.paper import TABLE1
-from pipeline.recordings import table1 as statistics
+from pipeline.recordings import table1
 from pipeline.skin.parameters import Form, Parameters
 from pipeline.skin.simulate import simulate
 
@@ -188,7 +188,7 @@ def calibrate(parameters: Parameters, rounds=12, seed=0, jobs=2, counts=None, ad
     for number in range(rounds):
         parameters = replace(parameters, forms=tuple(map(rounded, parameters.forms)))
         recordings = simulate(seed, counts, jobs, advance, parameters)
-        table = statistics.table(recordings)
+        table = table1.table(recordings)
         worst = cells(table)[0]
         if best is None or worst.strain < best[1].strain:
             best = parameters, worst

@@ -7,7 +7,7 @@ from models import spiking
 from models.architecture import parse
 from models.keras2 import tf
 from models.spiking import Integers, Neuron, SpikingNetwork
-from tests.models import reference
+from tests.models import spiking_in_numpy
 from tests.models.on_emulator import emulate
 
 ARCHITECTURES = [
@@ -44,7 +44,7 @@ def test_the_forward_pass_is_the_integers_of_plain_numpy(text):
     in_float32 = network(tf.constant(frames))[1]
     integers = network.integers()
     for sample in range(frames.shape[1]):
-        expected = reference.network(network.architecture, integers, frames[:, sample])
+        expected = spiking_in_numpy.network(network.architecture, integers, frames[:, sample])
         for layer, whole, single in zip(expected, spikes, in_float32, strict=True):
             assert layer.sum() > 20
             np.testing.assert_array_equal(whole[:, sample], layer)
@@ -58,7 +58,7 @@ def test_nengoloihis_emulator_makes_the_same_spikes(text):
     network = network_of(text, biases=0.0)
     frames, integers = frames_for(network), network.integers()
     for sample in range(frames.shape[1]):
-        expected = reference.network(network.architecture, integers, frames[:, sample])
+        expected = spiking_in_numpy.network(network.architecture, integers, frames[:, sample])
         spikes, _ = emulate(network.architecture, integers, frames[:, sample])
         for mine, its in zip(expected, spikes, strict=True):
             np.testing.assert_array_equal(mine, its)
@@ -68,7 +68,7 @@ def test_the_emulator_at_rest_under_biases_makes_the_same_spikes():
     network = network_of("10x10x2-12c4s2-64-10o", biases=0.05)
     frames, integers = frames_for(network), network.integers()
     assert any(layer.bias.max() > 0 for layer in integers.values())
-    expected = reference.network(network.architecture, integers, frames[:, 0])
+    expected = spiking_in_numpy.network(network.architecture, integers, frames[:, 0])
     spikes, _ = emulate(network.architecture, integers, frames[:, 0], gap=400)
     for mine, its in zip(expected, spikes, strict=True):
         assert its[:400].sum() == 0
@@ -131,11 +131,11 @@ def test_gradients_through_time_are_those_of_plain_numpy(floor):
     )  # fmt: skip
     frames = (rng.random((steps, 1, 1, 8)) < 0.3).astype(np.uint8)
     architecture = parse(f"1x1x8-{n}-2o")
-    spikes, u, v = reference.run(architecture.layers[0], layer, frames)
+    spikes, u, v = spiking_in_numpy.run(architecture.layers[0], layer, frames)
     assert 5 < spikes.sum() < 0.7 * spikes.size
     assert np.any(v <= layer.floor) == (floor == -0.1)
     error = rng.normal(size=(steps, n))
-    expected = reference.gradients(error, u, spikes, v, layer, beta)
+    expected = spiking_in_numpy.gradients(error, u, spikes, v, layer, beta)
 
     def tensor(value):
         return tf.Variable(np.asarray(value, float))
@@ -176,8 +176,8 @@ def test_the_gradient_of_a_weight_is_that_of_the_current_it_scales():
         loss = tf.reduce_sum(spikes[0])
     kernel = network.variables_by_name["dense1.kernel"]
     layer = network.integers()["dense1"]
-    s, u, v = reference.run(network.architecture.layers[0], layer, frames[:, 0])
-    by_q = reference.gradients(np.ones(s.shape), u, s, v, layer, 4.0)[0]
+    s, u, v = spiking_in_numpy.run(network.architecture.layers[0], layer, frames[:, 0])
+    by_q = spiking_in_numpy.gradients(np.ones(s.shape), u, s, v, layer, 4.0)[0]
     largest = np.abs(kernel.numpy()).max()
     expected = 128 * 127 / largest * (frames.reshape(30, 3).T @ by_q)
     np.testing.assert_allclose(tape.gradient(loss, kernel), expected, rtol=1e-4)

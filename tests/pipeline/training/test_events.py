@@ -20,7 +20,7 @@ from pipeline.training.events import (
     arriving,
     train_events,
 )
-from tests.models import reference
+from tests.models import spiking_in_numpy
 
 RECIPE = EventRecipe(
     architecture="10x10x2-6c4s3-16-3o", epochs=6, batch_size=8, learning_rate=0.02, average=0.9,
@@ -115,7 +115,9 @@ def test_answers_are_the_chips_integers(trained, data):
     network.set_weights(trained.weights)
     frames = table.frames(VALIDATION, RECIPE.step_ms, 64, RECIPE.rest)
     for index in (0, 7):
-        conv, dense = reference.network(network.architecture, network.integers(), frames[:, index])
+        conv, dense = spiking_in_numpy.network(
+            network.architecture, network.integers(), frames[:, index]
+        )
         np.testing.assert_array_equal(answers.spikes["conv1"][index], conv.sum(0))
         np.testing.assert_array_equal(answers.spikes["dense1"][index], dense.sum(0))
         expected = np.cumsum(dense @ trained.weights["output.kernel"], 0)

@@ -1,6 +1,6 @@
 """The generated parts of the documentation: every command, and every setting.
 
-``python -m pipeline.commands.reference`` writes them anew between their marks in the files of
+``python -m pipeline.commands.documentation`` writes them anew between their marks in the files of
 `FILES`; a test holds them current.
 """
 
@@ -54,7 +54,7 @@ def with_parts(text: str) -> str:
         A part has a mark where it begins and none where it ends.
     """
     for name, part in PARTS.items():
-        begin = f"<!-- {name}: written by python -m pipeline.commands.reference -->"
+        begin = f"<!-- {name}: written by python -m pipeline.commands.documentation -->"
         end = f"<!-- end of {name} -->"
         before, found, rest = text.partition(begin)
         if not found:
