@@ -127,7 +127,8 @@ class Image:
     polarity."""
     normalisation: Annotated[str, one_of(*NORMALISATIONS)] = "max"
     """What an image is divided by: ``max``, its largest magnitude; ``sum``, the sum of magnitudes;
-    ``sqrt-max``, as ``max`` after the square root of each magnitude; ``none``."""
+    ``sqrt-max``, as ``max`` after the square root of each magnitude; ``none``, nothing: whole
+    counts, for the CNN, ``deployment.first_layer = "host"`` or a low ``deployment.input_rate``."""
 
 
 @dataclass(frozen=True)

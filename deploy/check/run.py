@@ -102,10 +102,10 @@ def answered(work: Work) -> Iterator[dict]:
     Raises
     ------
     UserError
-        The disk is full.
+        The disk is full, or the network's stimulus cannot show the samples.
     """
     chosen = {} if work.options is None else {"options": work.options}
-    shown = [work.spec.stimulus.flat(checks.inputs) for _, checks in work.streams]
+    shown = [work.spec.fed(checks.inputs) for _, checks in work.streams]
     run = target_named(work.target).run
     begun = time.perf_counter()
     for (first, checks), responses in zip(

@@ -291,6 +291,22 @@ class NetworkSpec:
         """The same network shown in another way."""
         return replace(self, presentation=replace(self.presentation, **changes))
 
+    def fed(self, samples) -> np.ndarray:
+        """Samples as the network is fed them; see `Stimulus.flat`.
+
+        Raises
+        ------
+        UserError
+            They are not what its stimulus shows.
+        """
+        samples = np.asarray(samples)
+        problem = self.stimulus.complaint(samples, self.input_shape, self.presentation.steps)
+        if problem is not None:
+            raise UserError(
+                f"samples that cannot be shown to this network: {problem}; reshape or scale them"
+            )
+        return self.stimulus.flat(samples)
+
     def to_json(self) -> dict:
         """The description without the arrays, for ``network.json``."""
         layers = []

@@ -67,7 +67,9 @@ class Stimulus:
             return f"samples have shape {samples.shape[1:]}, not {wanted}"
         if samples.dtype.kind not in "fiub":
             return "samples are not real numbers"
-        if not np.all(np.abs(samples.astype(float)) <= limits.MAGNITUDE):  # NaN is not either
+        # The extremes alone: the frames of a whole test split are too many to be copied as floats.
+        lowest, highest = float(np.min(samples, initial=0)), float(np.max(samples, initial=0))
+        if not -limits.MAGNITUDE <= lowest <= highest <= limits.MAGNITUDE:  # NaN is not either
             return "samples have a value that is NaN or too large"
         return None
 
@@ -104,8 +106,21 @@ class ImageSpikes(Stimulus):
 
     @property
     def shortest_interval(self) -> int:
-        """Fewest steps between two spikes of a pixel."""
+        """Fewest steps between two spikes of a pixel of at most 1."""
         return max(1, int(1 / (self.max_rate * LOIHI.dt)))
+
+    def complaint(self, samples, input_shape, steps: int) -> Optional[str]:
+        """Why samples are not what this stimulus shows, or None."""
+        found = super().complaint(samples, input_shape, steps)
+        if found is not None:
+            return found
+        largest, most = np.max(samples, initial=0), 1 / (self.max_rate * LOIHI.dt)
+        if largest > most:
+            return (
+                f"a pixel is {largest:g}, and at {self.max_rate:g} spikes a second of a pixel of 1 "
+                f"all above {most:g} would spike more than once a step"
+            )
+        return None
 
 
 @dataclass(frozen=True)

@@ -154,7 +154,7 @@ def answer(spec: NetworkSpec, samples, target: str, seed=0, advance=None, **opti
     ----------
     spec : NetworkSpec
     samples : ndarray, shape (n_samples, ...)
-        Images with values from 0 to 1, or frames, as the network's stimulus takes them.
+        Images, mostly with values from 0 to 1, or frames, as the network's stimulus takes them.
     target : str
         ``"nengo"``, ``"simreal"``, ``"emulator"``, ...
     seed : int
@@ -166,8 +166,13 @@ def answer(spec: NetworkSpec, samples, target: str, seed=0, advance=None, **opti
     Returns
     -------
     Responses
+
+    Raises
+    ------
+    UserError
+        There is no target of that name, or the network's stimulus cannot show the samples.
     """
-    flat = spec.stimulus.flat(samples)
+    flat = spec.fed(samples)
     streams = [flat[part] for part in streams_of(len(flat), spec.presentation.stream_length)]
     parts = []
     for responses in target_named(target).run(spec, streams, seed, **options):

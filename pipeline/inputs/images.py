@@ -11,7 +11,8 @@ normalisation
     ``max``      divided by the image's largest magnitude (default)
     ``sum``      divided by the sum of magnitudes
     ``sqrt-max`` square root of the magnitude, then as ``max``; evens out taxels that chatter
-    ``none``     as they are
+    ``none``     as they are; counts spike too often for the chip, but at a low
+                 ``deployment.input_rate``
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from deploy.errors import UserError
 from deploy.network.spec import Layer, NetworkSpec, Neurons
 from deploy.network.stimulus import ImageCurrent, ImageSpikes
 from models.architecture import parse
@@ -22,11 +23,23 @@ def deployed(settings: Settings, weights: dict, provenance: dict, data) -> Netwo
         As in :func:`to_spec`.
     data : (images, labels)
         Of training samples, by which the range of a readout on the chip is set.
+
+    Raises
+    ------
+    UserError
+        The images cannot be shown to that network.
     """
     on_chip = settings.deployment.readout == "chip"
     images, labels = data
     range_of = (TrainedRates(settings, weights).logits(images), labels) if on_chip else None
-    return to_spec(settings, weights, provenance, range_of)
+    spec = to_spec(settings, weights, provenance, range_of)
+    problem = spec.stimulus.complaint(images, spec.input_shape, spec.presentation.steps)
+    if problem is not None:
+        raise UserError(
+            f"'image.normalisation' {settings.image.normalisation!r}: {problem}; choose another, a "
+            "lower deployment.input_rate, or deployment.first_layer = 'host'"
+        )
+    return spec
 
 
 def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) -> NetworkSpec:

@@ -111,6 +111,26 @@ def test_worst_case_counts_an_event_a_step():
     assert make_plan(events_spec()).problems == []
 
 
+def test_a_pixel_spikes_at_most_once_a_step():
+    """At 500 Hz a pixel of 2 spikes in every step of 1 ms; at 1000 Hz one of 1 does."""
+    images = np.zeros((2, 6, 6, 1))
+    for rate, most in ((500.0, 2.0), (1000.0, 1.0)):
+        stimulus = ImageSpikes(rate)
+        images[1, 2, 3] = most
+        assert stimulus.complaint(images, (6, 6, 1), 30) is None
+        images[1, 2, 3] = 1.01 * most
+        said = stimulus.complaint(images, (6, 6, 1), 30)
+        assert said.startswith(f"a pixel is {1.01 * most:g}, and at {rate:g} spikes a second")
+        assert ImageCurrent().complaint(images, (6, 6, 1), 30) is None
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 2e9, -2e9])
+def test_no_value_is_too_large_or_nan(value):
+    images = np.zeros((2, 6, 6, 1))
+    images[1, 2, 3] = value
+    assert "NaN or too large" in ImageCurrent().complaint(images, (6, 6, 1), 30)
+
+
 def test_wrong_samples_are_refused(tmp_path):
     spec = events_spec()
     frames = random_frames(spec, 2)

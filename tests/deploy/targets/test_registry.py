@@ -87,6 +87,17 @@ def test_the_encoder_makes_the_rounded_number_of_spikes():
     assert 25 + 12 + 6 + 2 <= counts[0] <= 25 + 13 + 6 + 3
 
 
+@pytest.mark.parametrize("target", EXACT)
+def test_more_than_a_spike_a_step_is_refused_and_no_less(target):
+    spec = small_spec(steps=30)  # 500 Hz: a pixel of 2 spikes in each of the 30 steps
+    image = np.zeros((1, 6, 6, 1))
+    image[0, 0, 0, 0] = 2
+    assert answer(spec, image, target).spikes["input"][0] == 30
+    image[0, 0, 0, 0] = 63  # a count of events
+    with pytest.raises(UserError, match="cannot be shown to this network: a pixel is 63"):
+        answer(spec, image, target)
+
+
 def linear_network(steps, readout_start=0, synapse=None):
     """One convolution of one neuron with a known current, decoded on the host."""
     neurons = Neurons("lif", amplitude=0.01)
@@ -137,14 +148,16 @@ def test_what_nengo_loihi_cannot_build_is_one_error():
     layers = (wide, wider, readout(wider.shape, rng))
     spec = NetworkSpec("6x6-64c3-256c2-10o", (6, 6, 1), ImageSpikes(), layers, Presentation())
     with pytest.raises(UserError, match=r"NengoLoihi cannot build this network: .* exceeded max"):
-        answer(spec, np.zeros((1, 36)), "emulator")
+        answer(spec, np.zeros((1, 6, 6, 1)), "emulator")
 
 
 def test_population_axons_of_16_bits_and_filters_not_in_fours():
     spec = paper_spec()
     first = replace(spec.layers[0], pop_type=16)
     with pytest.raises(UserError, match="NengoLoihi cannot build this network"):
-        answer(replace(spec, layers=(first, *spec.layers[1:])), np.zeros((1, 100)), "emulator")
+        answer(
+            replace(spec, layers=(first, *spec.layers[1:])), np.zeros((1, 10, 10, 1)), "emulator"
+        )
 
 
 def test_an_unknown_target_is_named_with_the_known_ones():

@@ -1,0 +1,25 @@
+"""What is trained becomes a description of the network that is deployed."""
+
+import numpy as np
+import pytest
+
+from deploy.errors import UserError
+from models.architecture import parse
+from pipeline.run.conversion import deployed
+from pipeline.settings import Settings
+
+WEIGHTS = {
+    name: np.zeros(shape, np.float32)
+    for name, shape in parse(Settings().cnn.architecture).weight_shapes.items()
+}
+
+
+def test_images_that_cannot_be_spikes_are_refused_before_there_is_a_bundle():
+    images = np.zeros((2, 10, 10, 1), np.float32)
+    images[1, 4, 5] = 63
+    data = images, np.zeros(2, int)
+    counts = Settings().with_values({"image": {"normalisation": "none"}})
+    with pytest.raises(UserError, match=r"'image.normalisation' 'none': a pixel is 63, .* choose"):
+        deployed(counts, WEIGHTS, {}, data)
+    for change in ({"first_layer": "host"}, {"input_rate": 15.0}):  # 15 x 63 = 945 a second
+        deployed(counts.with_values({"deployment": change}), WEIGHTS, {}, data)
