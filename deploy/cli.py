@@ -11,7 +11,7 @@ from . import __version__, interrupts
 from .check.bundle import RESULTS, read_bundle
 from .check.results import compare_results, read_result
 from .check.run import run_check
-from .errors import CheckFailed, UserError, one_line
+from .errors import CheckFailed, UserError, drop_unwritable, line_of, one_line
 from .preflight.plan import make_plan, plan_text
 from .tables import aligned
 from .targets.board import BoardOptions, nxsdk_version
@@ -29,13 +29,18 @@ def main(arguments=None) -> int:
     try:
         options = _parser().parse_args(arguments)
         options.run(options)
+        sys.stdout.flush()  # at Python's end it is too late for a line
         return 0
     except CheckFailed as error:
-        return _say(error, 1)
-    except UserError as error:
-        return _say(error, 2)
+        return _say(line_of(error), 1)
+    except BrokenPipeError:  # the reader, such as head, has seen enough
+        return 0
+    except (UserError, MemoryError, OSError) as error:
+        return _say(line_of(error), 2)
     except KeyboardInterrupt:
         return _say(interrupts.LINE, interrupts.STATUS)
+    finally:
+        drop_unwritable()
 
 
 def _say(message, status):

@@ -1,4 +1,7 @@
-"""The two ways in which a command ends without success."""
+"""The ways in which a command ends without success, and the one line that each has."""
+
+import os
+import sys
 
 LONGEST = 2400
 """Characters of an error's line; one file's content must not fill the screen."""
@@ -26,3 +29,29 @@ class UserError(Exception):
 
 class CheckFailed(Exception):
     """A check was carried out and did not pass: exit status 1."""
+
+
+def line_of(error) -> str:
+    """What an exception's line says: its own message, or the remedy for what no module foresaw.
+
+    Parameters
+    ----------
+    error : UserError, CheckFailed, MemoryError or OSError
+    """
+    if isinstance(error, MemoryError):
+        return "not enough memory for this; ask for less, or close other programs"
+    if isinstance(error, OSError):  # a full disk, a folder that may not be read
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror or error}; check the path and its permissions"
+    return str(error)
+
+
+def drop_unwritable():
+    """Drop what was printed and cannot be written, its reader gone or the disk full.
+
+    Python would try it again at its end, and complain.
+    """
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

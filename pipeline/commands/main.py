@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 from typing import Annotated, get_args, get_origin, get_type_hints
@@ -12,7 +11,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.models import OptionInfo
 
 from deploy import __version__, interrupts
-from deploy.errors import CheckFailed, UserError, one_line
+from deploy.errors import CheckFailed, UserError, drop_unwritable, line_of, one_line
 from models.architecture import NotationError
 from pipeline.commands import (
     benchmark,
@@ -175,15 +174,9 @@ def main(arguments=None):
         if isinstance(end, SystemExit) and not isinstance(end.__context__, BrokenPipeError):
             raise
         status = 0
-    except MemoryError:
-        status = _say("not enough memory for this; ask for less, or close other programs", 2)
-    except OSError as error:  # what no module foresaw: a full disk, a folder that may not be read
-        where = f"{error.filename}: " if error.filename else ""
-        status = _say(f"{where}{error.strerror or error}; check the path and its permissions", 2)
-    try:
-        print(end="", flush=True)
-    except OSError:  # said already; Python would try again and say it at length
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (MemoryError, OSError) as error:  # what no module foresaw
+        status = _say(line_of(error), 2)
+    drop_unwritable()
     sys.exit(status or 0)
 
 

@@ -1,0 +1,68 @@
+"""The command of a copied bundle ends in one line, whatever happens to its files and its output."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from deploy import cli
+from deploy.errors import CheckFailed, UserError
+from tests.command import environment
+from tests.deploy.networks import bundle_at
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory):
+    return bundle_at(tmp_path_factory.mktemp("bundle") / "bundle")
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "line"),
+    [
+        (CheckFailed("2 disagreements"), 1, "2 disagreements"),
+        (UserError("a: wrong; mend it"), 2, "a: wrong; mend it"),
+        (
+            PermissionError(13, "Permission denied", "b/weights.npz"), 2,
+            "b/weights.npz: Permission denied; check the path and its permissions",
+        ),
+        (OSError("no more"), 2, "no more; check the path and its permissions"),
+        (MemoryError(), 2, "not enough memory for this; ask for less, or close other programs"),
+        (KeyboardInterrupt(), 130, "interrupted; the same command goes on where it stopped"),
+    ],
+)  # fmt: skip
+def test_every_error_is_one_line_and_a_status(monkeypatch, capsys, error, status, line):
+    def fail(path):
+        raise error
+
+    monkeypatch.setattr(cli, "read_bundle", fail)
+    assert cli.main(["plan", "b"]) == status
+    assert capsys.readouterr().err == f"deploy: {line}\n"
+
+
+def plan(bundle, out, **more):
+    run = subprocess.run(
+        [sys.executable, "-m", "deploy", "plan", str(bundle.path)],
+        stdout=out, stderr=subprocess.PIPE, env=environment(**more), text=True, timeout=300,
+    )  # fmt: skip
+    return run.returncode, run.stderr
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_reader_that_has_seen_enough_ends_the_command_without_a_word(bundle, unbuffered):
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        assert plan(bundle, writer, PYTHONUNBUFFERED=unbuffered) == (0, "")
+    finally:
+        os.close(writer)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_an_output_on_a_full_disk_is_one_line(bundle, unbuffered):
+    with open("/dev/full", "w") as full:
+        status, said = plan(bundle, full, PYTHONUNBUFFERED=unbuffered)
+    assert status == 2
+    assert said.startswith("deploy: No space left on device")
+    assert said.count("\n") == 1
