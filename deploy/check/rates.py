@@ -41,7 +41,8 @@ def firing_rates(
     Returns
     -------
     dict of str to ndarray, shape (n_samples, n_neurons)
-        In spikes a second, from ``start`` on while the sample is shown.
+        In spikes a second, from ``start`` on while the sample is shown.  A second is the
+        stimulus's own (``step_seconds`` a step): with events one on the skin, not on the chip.
     """
     # Bit for bit Numba's, in a third of a second for 200 samples: to import Numba takes longer, and
     # to compile it, at the first start on a machine, five seconds.
@@ -138,7 +139,9 @@ def rate_summary(
 
 def rates_text(summary: Dict[str, dict], n_samples: int) -> str:
     """A summary in a few lines."""
-    lines = [f"firing rates on the emulator, {n_samples} samples:"]
+    steady = all("coarse" in layer for layer in summary.values())
+    seconds = "" if steady else ", in seconds on the skin"
+    lines = [f"firing rates on the emulator, {n_samples} samples{seconds}:"]
     for name, layer in summary.items():
         apart = f" (next rate {layer['step_at_p99']:.0%} lower)" if "coarse" in layer else ""
         lines.append(

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from deploy.network.spec import DT, NetworkSpec
+from deploy.network.responses import seconds_per_sample
+from deploy.network.spec import NetworkSpec
 from deploy.targets.fast.arrays import State
 from deploy.targets.fast.emulation import Emulation, compile_spec
 from deploy.targets.fast.wiring import wiring
@@ -48,7 +49,7 @@ def growth(spec: NetworkSpec, images) -> dict:
         "brightness": [
             {
                 "brightness": factor,
-                "chip_hz": _chip_rate(emulation, factor * base, steps, gap),
+                "chip_hz": _chip_rate(spec, emulation, factor * base),
                 "seconds": _best(emulation, factor * base, steps, gap),
             }
             for factor in ((0.0, 0.5, 1.0, 2.0) if held else (0, 1))
@@ -72,10 +73,25 @@ def _best(emulation, streams, steps, gap, repeats=3):
     return min(seconds)
 
 
-def _chip_rate(emulation, streams, steps, gap):
-    counts = emulation.run(streams, steps, gap).counts
+def _chip_rate(spec, emulation, streams):
+    counts = emulation.run(streams, spec.presentation.steps, spec.presentation.gap).counts
     on_chip = [counts[layer.label] for layer in emulation.program.network.layers]
-    return float(np.concatenate([c.reshape(-1) for c in on_chip]).mean() / ((steps + gap) * DT))
+    return mean_rate(spec, np.concatenate([c.reshape(-1) for c in on_chip]))
+
+
+def mean_rate(spec: NetworkSpec, counts) -> float:
+    """Spikes a second of a neuron, on average, while samples are shown and in their gaps.
+
+    A second is the stimulus's own: with events one on the skin, as :mod:`deploy.check.rates` has
+    it, however many steps of the chip stand for it.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    counts : ndarray of int
+        Spikes of each neuron and sample.
+    """
+    return float(np.mean(counts) / seconds_per_sample(spec))
 
 
 def limits(spec: NetworkSpec, images) -> dict:

@@ -15,7 +15,7 @@ import numpy as np
 from deploy.check.bundle import Bundle
 from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
-from deploy.network.responses import read_output, seconds_per_sample
+from deploy.network.responses import read_output
 from deploy.network.spec import NetworkSpec
 from deploy.network.stream import show, streams_of
 from deploy.tables import aligned
@@ -144,6 +144,7 @@ def compare_speed(spec: NetworkSpec, images, advance=None) -> dict:
         "n_samples": len(images),
         "steps_per_sample": spec.presentation.steps,
         "gap_per_sample": spec.presentation.gap,
+        "step_ms": 1000 * spec.stimulus.step_seconds,
         "turns": len(parts),
         "mean_rates_hz": _rates(spec, emulations[best], whole_set),
     }
@@ -179,10 +180,8 @@ def _pace(turns):
 
 
 def _rates(spec, emulation, streams):
-    """Spikes a second of each layer's neurons while a sample is shown and in its gap."""
     shown = emulation.run(streams, spec.presentation.steps, spec.presentation.gap)
-    seconds = seconds_per_sample(spec)
-    return {name: float(counts.mean() / seconds) for name, counts in shown.counts.items()}
+    return {name: emulator_limits.mean_rate(spec, counts) for name, counts in shown.counts.items()}
 
 
 def reference_turn(spec, images):
@@ -282,7 +281,7 @@ def speed_text(result: dict) -> str:
         f"{result['steps_per_sample']} shown steps, one thread, medians of {result['turns']} turns",
         f"identical: {verdict}",
         *aligned(rows),
-        f"mean rates in Hz: {rates}",
+        f"mean rates in Hz, at {result['step_ms']:g} ms a step: {rates}",
     ]
     lines += _growth(result["growth"]) if "growth" in result else []
     lines += _limits(result["limits"]) if "limits" in result else []

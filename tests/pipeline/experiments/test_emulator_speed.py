@@ -10,6 +10,7 @@ import pytest
 from deploy.check.bundle import CheckSet, write_bundle
 from deploy.targets.fast.emulation import Emulation, compile_spec
 from pipeline.experiments import emulator_speed as measure
+from pipeline.experiments.emulator_limits import mean_rate
 from tests.command import call
 from tests.deploy.fast_networks import images_for
 from tests.deploy.networks import bundle_at, events_spec, paper_spec, random_frames, small_spec
@@ -56,8 +57,21 @@ def test_a_bundle_of_events_is_measured_as_well(tmp_path, capsys):
     assert [row["steps"] for row in result["growth"]["steps"]] == [25, 50, 100, 200, 400]
     rates = [row["chip_hz"] for row in result["growth"]["brightness"]]
     assert rates[0] < rates[1]
+    # Of the same samples as the rates by layer, and in the same seconds.  Streams of three: the
+    # fourth sample is in neither.
+    layers, rates_of = {"conv1": 36, "dense1": 5}, result["mean_rates_hz"]
+    mean = sum(n * rates_of[name] for name, n in layers.items()) / sum(layers.values())
+    assert rates[1] == pytest.approx(mean)
+    assert result["step_ms"] == 10
     assert call("benchmark", "emulator", bundle.path) == 0
     assert "limit: " in capsys.readouterr().out
+
+
+def test_a_rate_is_of_the_seconds_that_the_steps_stand_for():
+    """Of 20 steps and 4 in the gap, 12 spikes are 500 Hz at 1 ms a step and 50 at 10 ms."""
+    shown = {"steps": 20, "gap": 4, "readout_start": 0}
+    assert mean_rate(small_spec(**shown), [10, 14]) == pytest.approx(500)
+    assert mean_rate(events_spec(**shown), [10, 14]) == pytest.approx(50)
 
 
 def test_missing_bundle_is_one_line(tmp_path, capsys):
