@@ -24,6 +24,10 @@ LAGS = (2, 5)
 """A judge is told how the outputs have changed in so many steps: whether the digit is still going
 on, and which way the evidence points."""
 
+SUREST = np.nextafter(1.0, 0.0)
+"""The highest confidence.  In floating point sure outputs would come to 1 itself, but a threshold
+of 1 means to wait for the end."""
+
 
 @dataclass(frozen=True)
 class Judge:
@@ -90,7 +94,7 @@ class Judge:
         return cls(tuple(found[::2]), tuple(found[1::2]))
 
     def __call__(self, outputs, first: int = 0) -> np.ndarray:
-        """Confidence at each step; see :func:`confidence`."""
+        """Confidence at each step, from 0 to 1; see :func:`confidence`."""
         signal = judged_by(outputs, first)
         for kernel, bias in zip(self.kernels[:-1], self.biases[:-1]):
             signal = np.maximum(signal @ kernel + bias, 0)
@@ -148,7 +152,7 @@ class Threshold(NamedTuple):
     Attributes
     ----------
     confidence : float
-        From 0 to 1.
+        From 0 to 1, which no confidence reaches: then the end decides.
     accuracy : float
         Share of right decisions.
     share : float
@@ -161,7 +165,7 @@ class Threshold(NamedTuple):
 
 
 def confidence(outputs, judge: Optional[Judge] = None, first: int = 0) -> np.ndarray:
-    """How sure the outputs are at each step, from 0 to 1.
+    """How sure the outputs are at each step, from 0 to `SUREST`.
 
     Parameters
     ----------
@@ -177,9 +181,9 @@ def confidence(outputs, judge: Optional[Judge] = None, first: int = 0) -> np.nda
     ndarray, shape (..., steps)
     """
     if judge is not None:
-        return judge(outputs, first)
+        return np.minimum(judge(outputs, first), SUREST)
     outputs = np.asarray(outputs, float)
-    return 1 / np.exp(outputs - outputs.max(-1, keepdims=True)).sum(-1)
+    return np.minimum(1 / np.exp(outputs - outputs.max(-1, keepdims=True)).sum(-1), SUREST)
 
 
 def decide(outputs, threshold: float, judge: Optional[Judge] = None, first: int = 0):

@@ -22,7 +22,21 @@ def outputs_of(*samples):
 def test_confidence_by_hand():
     assert confidence([[0, 0], [np.log(3), 0]]).tolist() == pytest.approx([0.5, 0.75])
     assert confidence(np.zeros(10)) == pytest.approx(0.1)
-    assert confidence([1000.0, 0.0, -1000.0]) == 1
+    assert 1 - 1e-15 < confidence([1000.0, 0.0, -1000.0]) < 1
+
+
+def test_a_threshold_of_1_waits_for_the_end_however_sure_the_outputs_are():
+    # As sure as can be from the first step on, and wrong until the last: any earlier is a loss.
+    outputs = outputs_of([-1000, -1000, 1000], [-1000, -1000, 1000])
+    certain = Judge(*(tuple(0 * a for a in arrays) for arrays in vars(judge_of(2)).values()))
+    certain.biases[2][0] = 1000.0
+    assert certain(outputs).tolist() == [[1, 1, 1]] * 2
+    for judge in (None, certain):
+        chosen = choose_threshold(outputs, np.zeros(2, int), np.full(2, 2), judge=judge)
+        assert chosen == (1, 1, 1)
+        steps, classes = decide(outputs, chosen.confidence, judge)
+        assert (steps.tolist(), classes.tolist()) == ([2, 2], [0, 0])
+    assert decide(outputs, 0.9999)[0].tolist() == [0, 0]
 
 
 def test_a_decision_falls_in_the_first_sure_step_or_at_the_end():
