@@ -135,7 +135,7 @@ def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
     Raises
     ------
     UserError
-        The result has no counts of this network's layers.
+        The result has no counts of this network's layers, or not when its samples were decided.
     """
     counted = result.get("synaptic_operations")
     receiving = {layer.name for layer in spec.layers if layer.placement == "chip"}
@@ -143,6 +143,8 @@ def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
         raise UserError(
             "the result has no synaptic operations of this network; run the check again"
         )
+    if "decided_at_median" not in result:  # a comparison can do without
+        raise UserError("the result does not say when samples were decided; run the check again")
     samples, shown = result["n_samples"], spec.presentation
     macs = multiply_accumulates(spec)
     layers = []

@@ -63,6 +63,14 @@ def test_result_without_counts_is_refused():
         estimate_energy(small_spec(), {"n_samples": 1})
 
 
+def test_result_without_the_time_of_its_decisions_is_refused():
+    spec = small_spec()
+    incomplete = counted(spec)
+    del incomplete["decided_at_median"]
+    with pytest.raises(UserError, match="does not say when samples were decided"):
+        estimate_energy(spec, incomplete)
+
+
 @pytest.mark.slow
 def test_constants_and_cnn_are_those_of_keras_spiking():
     from models.keras2 import tf  # before anybody asks TensorFlow for Keras
