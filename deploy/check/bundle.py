@@ -99,7 +99,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
     """Write a bundle, replacing one that is there, and read it back.
 
     The folder is filled under a temporary name and then renamed, so that an interruption leaves
-    the earlier bundle as it was.
+    the earlier bundle as it was, or the new one whole.
     """
     path = Path(path)
     if path.exists() and not path.is_dir():
@@ -140,20 +140,25 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
 
 
 def _exchange(new, path):
-    """Put a folder in the place of another in one go, so that there is never half of one."""
+    """Put a folder in the place of another, so that there is never half of one.
+
+    That takes two renames; whatever comes between them, an interruption too, puts the earlier
+    folder back.
+    """
     if not path.exists():
         os.replace(str(new), str(path))
         return
-    earlier = Path(tempfile.mkdtemp(dir=str(path.parent), prefix=".bundle."))
+    aside = Path(tempfile.mkdtemp(dir=str(path.parent), prefix=".bundle."))
+    earlier = aside / path.name
     try:
-        os.replace(str(path), str(earlier / path.name))
-        try:
-            os.replace(str(new), str(path))
-        except BaseException:
-            os.replace(str(earlier / path.name), str(path))
-            raise
+        os.replace(str(path), str(earlier))
+        os.replace(str(new), str(path))
+    except BaseException:
+        if not path.exists():
+            os.replace(str(earlier), str(path))
+        raise
     finally:
-        shutil.rmtree(str(earlier), ignore_errors=True)
+        shutil.rmtree(str(aside), ignore_errors=True)
 
 
 def read_bundle(path) -> Bundle:

@@ -1,6 +1,7 @@
 import json
 import shutil
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -148,6 +149,28 @@ def test_an_interruption_of_the_exchange_leaves_the_earlier_bundle(bundle, tmp_p
     assert read_bundle(bundle.path).id == bundle.id
     assert [path.name for path in tmp_path.iterdir()] == ["bundle"]
     assert write_bundle(bundle.path, *new).id != bundle.id
+    assert [path.name for path in tmp_path.iterdir()] == ["bundle"]
+
+
+@pytest.mark.parametrize("rename", [1, 2])
+def test_an_interruption_right_after_a_rename_leaves_a_whole_bundle(
+    bundle, tmp_path, monkeypatch, rename
+):
+    """The first takes the earlier bundle away, the second puts the new one in its place."""
+    replace, renames = bundles.os.replace, []
+
+    def interrupt(source, target):
+        replace(source, target)
+        if bundle.path in (Path(source), Path(target)):
+            renames.append(target)
+            if len(renames) == rename:
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr(bundles.os, "replace", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        bundle_at(bundle.path, small_spec(seed=1))
+    monkeypatch.undo()
+    assert (read_bundle(bundle.path).id == bundle.id) == (rename == 1)
     assert [path.name for path in tmp_path.iterdir()] == ["bundle"]
 
 
