@@ -77,7 +77,12 @@ than a command takes to start, so that the next one removes what a killed one le
 def claim(handle):
     """Lock an open temporary file or folder, so that it is not taken for an abandoned one."""
     with contextlib.suppress(OSError):  # a file system without locks
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _take(handle)
+
+
+def _take(handle):
+    """Lock what is open until it is closed; an OSError if another process has."""
+    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def remove_abandoned(folder, prefix):
@@ -97,7 +102,7 @@ def remove_abandoned(folder, prefix):
                     continue
                 handle = os.open(entry.path, os.O_RDONLY | os.O_NOFOLLOW)
                 try:
-                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # whose owner lives holds it
+                    _take(handle)  # whose owner lives holds it
                     if entry.is_dir(follow_symlinks=False):
                         shutil.rmtree(entry.path)
                     else:
@@ -127,7 +132,7 @@ def lock(file, taken: str):
         Another process does.
     """
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _take(file)
     except OSError:
         raise UserError(taken) from None
 

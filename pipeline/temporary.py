@@ -7,14 +7,13 @@ a kill prevents.  The folder of a process that was killed is removed by the next
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import shutil
 import tempfile
-from pathlib import Path
+
+from deploy.files import claim, remove_abandoned
 
 PREFIX = "stmnist-"
-LOCK = "lock"
 
 
 @contextlib.contextmanager
@@ -24,16 +23,15 @@ def own_folder():
     Where none can be made everything stays as it is.
     """
     before, directory = os.environ.get("TMPDIR"), tempfile.tempdir
-    with contextlib.suppress(OSError):
-        clean()
     try:
-        folder = Path(tempfile.mkdtemp(prefix=PREFIX))
-        lock = (folder / LOCK).open("w")
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        remove_abandoned(tempfile.gettempdir(), PREFIX)
+        folder = tempfile.mkdtemp(prefix=PREFIX)
+        handle = os.open(folder, os.O_RDONLY)
     except OSError:
         yield
         return
-    os.environ["TMPDIR"], tempfile.tempdir = str(folder), str(folder)
+    claim(handle)
+    os.environ["TMPDIR"], tempfile.tempdir = folder, folder
     try:
         yield
     finally:
@@ -43,12 +41,4 @@ def own_folder():
         else:
             os.environ["TMPDIR"] = before
         shutil.rmtree(folder, ignore_errors=True)
-        lock.close()
-
-
-def clean():
-    """Remove the folders of processes that are no more."""
-    for folder in Path(tempfile.gettempdir()).glob(PREFIX + "*"):
-        with contextlib.suppress(OSError), (folder / LOCK).open("r+") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # whose owner lives holds it
-            shutil.rmtree(folder, ignore_errors=True)
+        os.close(handle)

@@ -141,6 +141,7 @@ def test_each_foreign_world_is_in_one_file():
     assert users("nengo_loihi") == {"deploy/network/loihi_import.py"}
     assert users("tensorflow") == {"models/keras2.py"}
     assert users("h5py") == {"models/hdf5.py"}
+    assert users("fcntl") == {"deploy/files.py"}
 
 
 def test_deploy_is_written_for_python_38():

@@ -6,7 +6,6 @@ has been written is only ever read from those names, so that nothing else can be
 
 from __future__ import annotations
 
-import fcntl
 import os
 import re
 import threading
@@ -17,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.files import replacing
+from deploy.files import lock, replacing
 from pipeline.recordings.events import DIGITS, TaxelMap
 from pipeline.recordings.matfile import MatRecording, lookup_table_bytes, recording_bytes
 
@@ -66,13 +65,14 @@ class Keeper:
                 "choose another folder with --record"
             ) from error
         try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            self._lock.close()
-            raise UserError(
+            lock(
+                self._lock,
                 f"{self.folder}: another 'stmnist live' keeps recordings there; "
-                "end it, or choose another folder with --record"
-            ) from None
+                "end it, or choose another folder with --record",
+            )
+        except UserError:
+            self._lock.close()
+            raise
         self._guard = threading.Lock()
         self._kept = sorted(_list(self.folder), key=lambda kept: (kept.writer, kept.number))
 

@@ -1,5 +1,6 @@
 """Temporary files of a process and of those that were killed."""
 
+import fcntl
 import os
 import subprocess
 import sys
@@ -35,15 +36,39 @@ def test_what_a_killed_process_left_goes_with_the_next_start(tmp_path, monkeypat
     )
     subprocess.run([sys.executable, "-c", code], env=environment(TMPDIR=str(tmp_path)), check=False)
     (left,) = tmp_path.iterdir()
-    assert len(list(left.iterdir())) == 2
+    assert len(list(left.iterdir())) == 1
+    empty = tmp_path / "stmnist-abcd_123"  # of one that was killed before it wrote anything
+    empty.mkdir()
+    for folder in (left, empty):
+        os.utime(folder, (0, 0))
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(tempfile, "tempdir", None)
     with own_folder():
-        assert not left.exists()
         (mine,) = tmp_path.iterdir()
+        assert mine not in (left, empty)
+        os.utime(mine, (0, 0))
         tempfile.tempdir = str(tmp_path)
         with own_folder():
             assert mine.exists()  # whose owner lives stays
+
+
+def test_another_process_that_starts_in_the_same_moment_leaves_it(tmp_path, monkeypatch):
+    """The folder is there and not locked yet when the other one tidies up."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    flock, others = fcntl.flock, []
+
+    def interrupted(handle, how):
+        if not others:
+            others.append(own_folder())
+            with others[0]:
+                pass
+        flock(handle, how)
+
+    monkeypatch.setattr(fcntl, "flock", interrupted)
+    with own_folder():
+        assert len(others) == 1
+        assert Path(tempfile.mkdtemp()).parent.parent == tmp_path
 
 
 def test_no_place_for_it_is_no_reason_to_stop(tmp_path, monkeypatch):
