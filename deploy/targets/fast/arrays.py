@@ -1,7 +1,7 @@
 """What the kernels know: a network as flat arrays of integers, and its state.
 
 Nothing here knows of Nengo.  `from_nengo` makes these arrays from a built network, `kernel_numba`
-and `kernel_numpy` advance them, `run` feeds them.
+and `kernel_numpy` advance them, `emulation` feeds them.
 
 The equations are those of NengoLoihi's emulator (`nengo_loihi.emulator.interface`), which are the
 chip's (Davies et al., "Loihi", IEEE Micro 38(1), 2018, section "Neural computation") in integers.

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 import subprocess
 import sys
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import nengo
 import numpy as np
@@ -21,6 +23,7 @@ from deploy.network.loihi_import import nengo_loihi
 from deploy.network.responses import join
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import ImageCurrent, ImageSpikes
+from deploy.targets import fast
 from deploy.targets.fast import kernel_numpy
 from deploy.targets.fast.arrays import OVERFLOWS, State
 from deploy.targets.fast.emulation import Emulation, compile_spec, run_fast
@@ -454,3 +457,9 @@ def test_fresh_state_is_zero():
     state = State.fresh(compile_spec(paper_spec()).network, 3)
     assert state.current.shape == (3, 894)
     assert not any(getattr(state, name).any() for name in vars(state))
+
+
+def test_the_packages_description_names_its_modules():
+    described = set(re.findall(r"``(\w+)``", fast.__doc__)) - {"fast"}
+    there = {path.stem for path in Path(fast.__file__).parent.glob("*.py")}
+    assert described == there - {"__init__", "wiring"}  # which is of one kernel
