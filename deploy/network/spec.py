@@ -311,7 +311,7 @@ class NetworkSpec:
         """The description without the arrays, for ``network.json``."""
         layers = []
         for layer in self.layers:
-            plain = asdict(replace(layer, weights=layer.weights, bias=layer.bias))
+            plain = asdict(layer)
             layers.append({k: v for k, v in plain.items() if k not in ("weights", "bias")})
         return {
             "architecture": self.architecture,

@@ -67,6 +67,13 @@ def test_round_trip_through_json_text(spec):
     assert_same(NetworkSpec.from_json(json.loads(text), spec.arrays()), spec)
 
 
+def test_a_layer_is_described_as_it_is_and_not_looked_at_again(monkeypatch):
+    spec, looked_at = small_spec(), []
+    monkeypatch.setattr(Layer, "__post_init__", looked_at.append)
+    spec.to_json()
+    assert not looked_at
+
+
 @given(
     place=st.sampled_from(
         [(), ("layers", 0), ("layers", 0, "neurons"), ("stimulus",), ("presentation",)]
