@@ -9,11 +9,11 @@ from pathlib import Path
 
 from . import __version__, interrupts
 from .check.bundle import RESULTS, read_bundle
-from .check.results import compare_results, read_result
+from .check.results import compare_results, enforce, read_result
 from .check.run import run_check
+from .check.text import comparison_text, summary
 from .errors import CheckFailed, UserError, drop_unwritable, line_of, one_line
 from .preflight.plan import make_plan, plan_text
-from .tables import aligned
 from .targets.board import BoardOptions, nxsdk_version
 from .targets.registry import TARGETS, options_for
 
@@ -129,95 +129,3 @@ def _compare(options):
     comparison = compare_results(read_result(options.a), read_result(options.b))
     print(comparison_text(comparison))
     enforce(comparison, options.max_disagreements, options.max_accuracy_drop)
-
-
-def summary(result: dict) -> str:
-    """A check result in a few lines."""
-    low, high = result["accuracy_ci95"]
-    spikes = ", ".join(
-        f"{name} {count / result['n_samples']:.0f}" for name, count in result["spikes"].items()
-    )
-    operations = sum(result["synaptic_operations"].values()) / result["n_samples"]
-    macs = sum(result["multiply_accumulates"].values())
-    return (
-        f"{result['target']}: accuracy {result['accuracy']:.3f} (95 % interval {low:.3f} to "
-        f"{high:.3f}) on {result['n_samples']} {_kind(result)}samples of "
-        f"{result['steps_per_sample']} steps\nspikes a sample: {spikes}\n"
-        f"synaptic operations a sample: {operations:.0f}, {operations / macs:.2f} times the "
-        f"{macs} multiply-accumulates of a CNN of this architecture\n"
-        f"{result['wall_seconds']:.1f} s, {result['n_samples'] / result['wall_seconds']:.1f} "
-        "samples a second" + _hardware(result)
-    )
-
-
-def _hardware(result):
-    """What only a board has to say, in lines of their own."""
-    if "hardware" not in result:
-        return ""
-    board, timing = result["hardware"], result["timing"]
-    phases = ", ".join(
-        f"{phase} {timing[f'{phase}_seconds_per_sample']:.3f} s"
-        for phase in ("build", "connect", "run")
-    )
-    text = (
-        f"\nboard {board['board'] or 'of the cluster'}, partition {board['partition'] or 'none'}, "
-        f"NxSDK {result['versions']['nxsdk']}, {board['connections']} connections; "
-        f"a sample: {phases}"
-    )
-    text += (
-        f"\nspikes of {result['samples_unlike_fast']} samples are not those of the chip's integers "
-        "(target fast): lost on the way, or the board computes otherwise"
-        if result["samples_unlike_fast"]
-        else "\nevery spike is that of the chip's integers (target fast)"
-    )
-    if "power" in result:
-        power = result["power"]
-        text += (
-            f"\nmeasured power: {power['dynamic_mw']:.3g} mW beside {power['static_mw']:.3g} mW "
-            f"when idle, {power['step_microseconds']:.3g} us a step"
-        )
-    return text
-
-
-def _kind(result):
-    return "simulated " if result.get("simulated") else ""
-
-
-def comparison_text(comparison, shown: int = 10) -> str:
-    """A comparison in a few lines, with the first samples that differ."""
-    (a, b), differ = comparison.targets, comparison.disagreements
-    lines = [
-        f"{a} {comparison.accuracies[0]:.3f}, {b} {comparison.accuracies[1]:.3f}, "
-        f"drop {comparison.accuracy_drop:+.3f}",
-        f"{len(differ)} of {comparison.n_samples} predictions differ "
-        f"({len(differ) / comparison.n_samples:.1%}); McNemar p = {comparison.p_value:.3g}",
-    ]
-    if comparison.other_spikes == 0:
-        lines.append("every spike of every sample is the same")
-    elif comparison.other_spikes is not None:
-        lines.append(f"spikes differ in {comparison.other_spikes} samples")
-    if differ:
-        rows = [[s["id"], *(str(s[key]) for key in ("label", "a", "b"))] for s in differ[:shown]]
-        lines += aligned([["sample", "label", a, b], *rows])
-    if len(differ) > shown:
-        lines.append(f"and {len(differ) - shown} more")
-    return "\n".join(lines)
-
-
-def enforce(comparison, max_disagreements=None, max_accuracy_drop=None):
-    """Fail if a comparison is past a limit.
-
-    Raises
-    ------
-    CheckFailed
-        Naming the limit and what was found.
-    """
-    count = len(comparison.disagreements)
-    if max_disagreements is not None and count > max_disagreements:
-        raise CheckFailed(f"{count} disagreements, more than the {max_disagreements} allowed")
-    # An accuracy is a fraction of n samples: half a millionth is rounding, not a lost sample.
-    if max_accuracy_drop is not None and comparison.accuracy_drop > max_accuracy_drop + 5e-7:
-        raise CheckFailed(
-            f"accuracy drops by {comparison.accuracy_drop:.4f}, "
-            f"more than the {max_accuracy_drop:g} allowed"
-        )

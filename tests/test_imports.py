@@ -116,6 +116,12 @@ def test_imports_go_down_the_floors(package):
                 assert floor_of[below] < floor_of[room], f"{path} imports {package}.{below}"
 
 
+def test_the_command_line_of_a_copied_bundle_is_nobody_elses():
+    for package in ("pipeline", "models"):
+        for path in sources(package):
+            assert ("deploy", "cli") not in rooms_imported(path), path
+
+
 @pytest.mark.parametrize("package", sorted(ALLOWED))
 def test_packages_import_one_way(package):
     ours = {"stmnist", "pipeline", "models", "deploy", "tests"}

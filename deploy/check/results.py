@@ -9,7 +9,7 @@ from typing import List, Optional
 import nengo
 import numpy as np
 
-from ..errors import UserError
+from ..errors import CheckFailed, UserError
 from ..files import read_json
 from ..network.decision import share_of_time
 from ..network.loihi_import import nengo_loihi
@@ -337,3 +337,33 @@ def compare_results(a: dict, b: dict) -> Comparison:
         p_value=mcnemar(*right),
         other_spikes=sum(x["spike_hash"] != y["spike_hash"] for x, y in pairs) if told else None,
     )
+
+
+def enforce(
+    comparison: Comparison,
+    max_disagreements: Optional[int] = None,
+    max_accuracy_drop: Optional[float] = None,
+):
+    """Fail if a comparison is past a limit.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    max_disagreements : int, optional
+    max_accuracy_drop : float, optional
+        By how much B may be less accurate than A.
+
+    Raises
+    ------
+    CheckFailed
+        Naming the limit and what was found.
+    """
+    count = len(comparison.disagreements)
+    if max_disagreements is not None and count > max_disagreements:
+        raise CheckFailed(f"{count} disagreements, more than the {max_disagreements} allowed")
+    # An accuracy is a fraction of n samples: half a millionth is rounding, not a lost sample.
+    if max_accuracy_drop is not None and comparison.accuracy_drop > max_accuracy_drop + 5e-7:
+        raise CheckFailed(
+            f"accuracy drops by {comparison.accuracy_drop:.4f}, "
+            f"more than the {max_accuracy_drop:g} allowed"
+        )

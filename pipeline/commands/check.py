@@ -8,9 +8,9 @@ from typing import Annotated, Optional
 import typer
 
 from deploy.check.bundle import read_bundle
-from deploy.check.results import compare_results, read_result
+from deploy.check.results import compare_results, enforce, read_result
 from deploy.check.run import run_check
-from deploy.cli import comparison_text, enforce, summary
+from deploy.check.text import comparison_text, summary
 from deploy.targets.board import BoardOptions
 from deploy.targets.registry import TARGETS, options_for
 from pipeline.commands import options

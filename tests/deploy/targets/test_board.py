@@ -8,7 +8,7 @@ import pytest
 from deploy.check.bundle import read_bundle
 from deploy.check.results import compare_results, read_result
 from deploy.check.run import run_check
-from deploy.cli import summary
+from deploy.check.text import summary
 from deploy.errors import UserError
 from deploy.targets import board as hardware
 from deploy.targets import registry as targets
