@@ -57,7 +57,7 @@ THRESHOLD_UNIT = 64
 MAX_THRESHOLD = (2**17 - 2) * THRESHOLD_UNIT
 """A unit below the chip's largest, where NengoLoihi's scaling can round past it and halves all."""
 
-DECAY_UNIT = LOIHI.decay_levels + 1
+DECAY_UNIT = LOIHI.decay_unit
 BIAS_MANTISSA = 2**LOIHI.bias_bits - 1
 BIAS_EXPONENTS = 7
 Q_BITS, U_BITS = LOIHI.input_bits, LOIHI.current_bits

@@ -20,8 +20,8 @@ import numpy as np
 from .chip import LOIHI
 from .geometry import windows
 
-WORD_BITS, HEADER_BITS, LIST = 64, 10, 64
-"""Of synapse memory: bits of a word, of the header of a list of synapses, and synapses of one."""
+LIST = 64
+"""Synapses of one list."""
 
 INDEX_BITS = (6, 7, 8, 9, 10, 11, 12)
 """Widths that the index of a synapse's target can have."""
@@ -181,8 +181,19 @@ class _Cutting:
 def _words(synapses, bits):
     """Words that the lists of one input's synapses take."""
     full, rest = divmod(synapses, LIST)
-    words = full * -(-(LIST * bits + HEADER_BITS) // WORD_BITS)
-    return words + (-(-(rest * bits + HEADER_BITS) // WORD_BITS) if rest else 0)
+    return full * list_words(LIST, bits) + (list_words(rest, bits) if rest else 0)
+
+
+def list_words(synapses: int, bits: int) -> int:
+    """Words of synapse memory that one list takes; it begins with a new one.
+
+    Parameters
+    ----------
+    synapses : int
+    bits : int
+        Of each of them.
+    """
+    return -(-(synapses * bits + LOIHI.synapse_header_bits) // LOIHI.synapse_word_bits)
 
 
 def parts_of(n: int, length: int) -> list:

@@ -29,6 +29,8 @@ class Chip:
         first two wrap around beyond that, the voltage is clipped.
     population_channels, population_axons : int
         Channels and input axons that the short form of population spikes (16 bits) can address.
+    synapse_word_bits, synapse_header_bits : int
+        Of a word of synapse memory, and of the header that a list of synapses begins with.
     synaptic_operation_joules, neuron_update_joules : float
         Energy of one operation.
     """
@@ -45,6 +47,8 @@ class Chip:
     voltage_bits: int
     population_channels: int
     population_axons: int
+    synapse_word_bits: int
+    synapse_header_bits: int
     synaptic_operation_joules: float
     neuron_update_joules: float
 
@@ -54,9 +58,14 @@ class Chip:
         return 2 ** (self.weight_bits - 1) - 1
 
     @property
+    def decay_unit(self) -> int:
+        """What a decay is counted in parts of: this much in a step would leave nothing."""
+        return 2**self.decay_bits
+
+    @property
     def decay_levels(self) -> int:
         """Largest decay."""
-        return 2**self.decay_bits - 1
+        return self.decay_unit - 1
 
 
 LOIHI = Chip(
@@ -78,6 +87,8 @@ LOIHI = Chip(
     voltage_bits=23,
     population_channels=32,
     population_axons=1024,
+    synapse_word_bits=64,
+    synapse_header_bits=10,
     synaptic_operation_joules=(23.6 + 3.5) * 1e-12,
     neuron_update_joules=81e-12,
 )

@@ -9,6 +9,7 @@ from typing import Dict
 
 import numpy as np
 
+from ..network.blocks import list_words
 from ..network.chip import LOIHI
 
 LIMITS = LOIHI.limits
@@ -22,8 +23,6 @@ VOLTAGE_LIMIT = 2**LOIHI.voltage_bits - 1
 """Where the membrane voltage is clipped; the nearer the threshold, the less may go beyond it."""
 
 AXON_CFGS_PER_AXON = {0: 1, 16: 1, 32: 2}
-BITS_OF_A_WORD = 64
-BITS_OF_A_BLOCK_HEADER = 10
 
 
 def used_by(block) -> Dict[str, int]:
@@ -78,7 +77,7 @@ def _is_dummy(synapse, axon):
 
 
 def synapse_words(synapse):
-    """64-bit words of synapse memory, each list of synapses beginning with a new word.
+    """Words of synapse memory, each list of synapses beginning with a new word.
 
     A list is what one spike reads: an axon's weights, of one atom where it is a population's.
     NengoLoihi counts the bits of an axon's atoms together, which is a little less.
@@ -92,7 +91,7 @@ def synapse_words(synapse):
         atoms, length = weights.shape
         for first in range(0, length, per_block):
             n = min(per_block, length - first)
-            words += atoms * -(-(n * bits + BITS_OF_A_BLOCK_HEADER) // BITS_OF_A_WORD)
+            words += atoms * list_words(n, bits)
     return words
 
 
@@ -113,7 +112,8 @@ def worst_case(block, intervals):
         In the chip's integers; the limits are `INPUT_LIMIT` and `CURRENT_LIMIT`.
     """
     n = block.compartment.n_compartments
-    keep = (4095 - block.compartment.decay_u.astype(float)) / 4096
+    # The chip takes one part more from a current than its decay says.
+    keep = (LOIHI.decay_levels - block.compartment.decay_u.astype(float)) / LOIHI.decay_unit
     inputs, currents = np.zeros((2, n)), np.zeros((2, n))
     for synapse in block.synapses:
         sums = np.zeros((2, n))

@@ -35,6 +35,7 @@ import numpy as np
 
 from ..errors import UserError
 from ..files import write_arrays
+from ..network.chip import LOIHI
 from ..network.spec import NetworkSpec
 from ..network.stream import streams_of
 from .fast.arrays import U_BITS
@@ -44,7 +45,7 @@ from .fast.from_nengo import Program
 LARGEST = 2**U_BITS - 1
 """Where Lava and the chip clip a voltage."""
 
-_BIAS_BITS, _BIAS_EXPONENTS = 12, 8
+_BIAS_EXPONENTS = 8
 
 
 def write_lava(path, spec: NetworkSpec, images):
@@ -167,8 +168,8 @@ def _populations(network):
                 {
                     "layer": layer.label,
                     "n": len(places),
-                    "du": 4095 - keep_u,
-                    "dv": 4096 - keep_v,
+                    "du": LOIHI.decay_levels - keep_u,
+                    "dv": LOIHI.decay_unit - keep_v,
                     "vth": threshold // 64,
                     "refractory": refractory,
                     "v_min": max(v_min, -LARGEST),
@@ -177,14 +178,16 @@ def _populations(network):
 
 
 def _bias(bias, label):
-    """Mantissas of 12 bits and a sign, and exponents, of each neuron's bias."""
-    bias = np.asarray(bias, np.int64)
+    """Mantissas with the chip's bits and a sign, and exponents, of each neuron's bias."""
+    bias, beyond = np.asarray(bias, np.int64), 2**LOIHI.bias_bits
     exponents = np.zeros(len(bias), np.int64)
     for _ in range(_BIAS_EXPONENTS - 1):
-        exponents += np.abs(bias >> exponents) >= 2**_BIAS_BITS
+        exponents += np.abs(bias >> exponents) >= beyond
     mantissas = bias >> exponents
-    if np.any(mantissas << exponents != bias) or np.any(np.abs(mantissas) >= 2**_BIAS_BITS):
-        raise UserError(f"layer {label}: a bias does not fit 12 bits and an exponent")
+    if np.any(mantissas << exponents != bias) or np.any(np.abs(mantissas) >= beyond):
+        raise UserError(
+            f"layer {label}: a bias does not fit {LOIHI.bias_bits} bits and an exponent"
+        )
     return mantissas.astype(np.int32), exponents.astype(np.int32)
 
 

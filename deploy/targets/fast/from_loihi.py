@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse
 
 from ...errors import UserError
+from ...network.chip import LOIHI
 from .arrays import U_BITS, ChipLayer, Network, Segments
 
 _SCALARS = ("keep_u", "keep_v", "v_min", "v_max", "refractory")
@@ -53,8 +54,8 @@ def chip_arrays(network, model, inputs):
         for name, value in (
             ("layer", layer),
             ("neuron", list(model.block_comp_map[block])),
-            ("keep_u", 4096 - 1 - compartment.decay_u),
-            ("keep_v", 4096 - compartment.decay_v),
+            ("keep_u", LOIHI.decay_levels - compartment.decay_u),
+            ("keep_v", LOIHI.decay_unit - compartment.decay_v),
             ("v_min", compartment.vmin),
             ("v_max", compartment.vmax),
             # The emulator counts one down in the step of the spike itself.
@@ -153,7 +154,8 @@ def _refuse_loops(weights, layer_of):
 
 def _refuse_wrapping_voltages(table):
     """The emulator's voltages are int32 too: below -2**31 they would turn positive."""
-    reached = 2**30 * (4096 - table["keep_v"]) < 2**U_BITS * 4096
+    lost = LOIHI.decay_unit - table["keep_v"]
+    reached = 2**30 * lost < 2**U_BITS * LOIHI.decay_unit
     if np.any(reached & (table["v_min"] < -(2**30))):
         raise cannot("a minimum voltage so low that voltages can leave 32 bits")
 
