@@ -14,6 +14,7 @@ from ..files import read_json
 from ..network.decision import share_of_time
 from ..network.loihi_import import nengo_loihi
 from ..network.operations import multiply_accumulates
+from ..network.stimulus import last_steps
 from .intervals import mcnemar, wilson_interval
 
 SCHEMA = "stmnist-check/1"
@@ -99,8 +100,7 @@ def _while_written(bundle, decisions, labels, samples) -> dict:
     spec = bundle.spec
     if spec.stimulus.held:
         return {}
-    busy = np.asarray(bundle.checks.inputs).reshape(len(labels), spec.presentation.steps, -1).any(2)
-    written = np.where(busy.any(1), busy.shape[1] - np.argmax(busy[:, ::-1], 1), 1)
+    written = last_steps(bundle.checks.inputs) + 1
     everyone = np.arange(len(labels))
 
     def right_at(steps):

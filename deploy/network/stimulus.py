@@ -208,6 +208,23 @@ def rested(frames, rest: int) -> np.ndarray:
     return frames
 
 
+def last_steps(frames) -> np.ndarray:
+    """Step of each sample's last event, from 0; 0 where there is none.
+
+    Parameters
+    ----------
+    frames : ndarray, shape (n_samples, steps, ...)
+        Not 0 where there is an event.
+
+    Returns
+    -------
+    ndarray of int, shape (n_samples,)
+    """
+    frames = np.asarray(frames)
+    busy = frames.reshape(*frames.shape[:2], -1).any(2)
+    return np.where(busy.any(1), frames.shape[1] - 1 - np.argmax(busy[:, ::-1], 1), 0)
+
+
 KINDS = {stimulus.kind: stimulus for stimulus in (ImageSpikes, ImageCurrent, EventFrames)}
 
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.network.decision import Judge, Threshold, choose_threshold, delayed
+from deploy.network.stimulus import last_steps
 from models.architecture import parse
 from models.keras2 import tf
 from models.spiking import Neuron, SpikingNetwork, operations
@@ -296,13 +297,6 @@ def arriving(outputs, recipe: EventRecipe) -> np.ndarray:
     ndarray of the same shape
     """
     return delayed(outputs, len(parse(recipe.architecture).folded))
-
-
-def last_steps(frames) -> np.ndarray:
-    """Step of each sample's last event, 0 where there is none; frames as in `answer_frames`."""
-    frames = np.asarray(frames)
-    busy = frames.reshape(*frames.shape[:2], -1).any(2)
-    return np.where(busy.any(1), frames.shape[1] - 1 - np.argmax(busy[:, ::-1], 1), 0)
 
 
 def alter(recipe, rng, samples: int, sample, time_ms, row, column, polarity, size=(10, 10)):

@@ -13,7 +13,7 @@ from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.operations import synaptic_operations
 from deploy.network.spec import NetworkSpec
-from deploy.network.stimulus import EventFrames, Feed, ImageCurrent, ImageSpikes
+from deploy.network.stimulus import EventFrames, Feed, ImageCurrent, ImageSpikes, last_steps
 from deploy.network.stream import show
 from deploy.preflight.plan import make_plan
 from tests.deploy.networks import events_spec, random_frames, small_spec
@@ -183,6 +183,13 @@ def test_a_taxel_that_spikes_while_it_rests_is_refused():
     assert "have shape" in resting.stimulus.complaint(frames.ravel(), spec.input_shape, steps)
     with pytest.raises(UserError, match="rest must be a whole number from 0"):
         EventFrames(0.01, rest=-1)
+
+
+def test_the_last_event_by_hand():
+    frames = np.zeros((4, 5, 2, 1, 2), np.uint8)
+    frames[0, [1, 3], 1, 0, 1] = 1
+    frames[1, 4], frames[2, 0] = 1, 1
+    assert last_steps(frames).tolist() == [3, 4, 0, 0]
 
 
 def test_what_each_kind_shows():
