@@ -22,6 +22,7 @@ from deploy import limits
 from deploy.errors import UserError
 from deploy.files import replacing
 from deploy.network.spec import Presentation
+from deploy.network.stimulus import EventFrames, ImageCurrent, ImageSpikes, Stimulus
 from deploy.tables import aligned
 from models.architecture import NotationError, parse
 from pipeline import paper
@@ -341,6 +342,15 @@ class Settings:
         """
         shown = {**vars(self.presentation), "steps": self.steps, "confidence": confidence}
         return Presentation(**(shown | {"readout_start": 0} if self.on_events else shown))
+
+    @property
+    def stimulus(self) -> Stimulus:
+        """What the chip is fed."""
+        if self.on_events:
+            return EventFrames(self.input.step / 1000, self.input.rest)
+        if self.deployment.first_layer == "host":
+            return ImageCurrent()
+        return ImageSpikes(self.deployment.input_rate, self.deployment.input_phase)
 
     @property
     def steps(self) -> int:

@@ -149,6 +149,27 @@ class Dataset:
         return replace(self, split=split_of(self.recordings, seed, test_fraction, kind=kind))
 
 
+def images_fit(images: np.ndarray, settings: Settings):
+    """Refuse images that the chip cannot be shown.
+
+    Parameters
+    ----------
+    images : ndarray, shape (n_samples, rows, columns, channels)
+    settings : Settings
+
+    Raises
+    ------
+    UserError
+        A pixel would spike more than once a step.
+    """
+    problem = settings.stimulus.complaint(images, images.shape[1:], settings.steps)
+    if problem is not None:
+        raise UserError(
+            f"'image.normalisation' {settings.image.normalisation!r}: {problem}; choose another, a "
+            "lower deployment.input_rate, or deployment.first_layer = 'host'"
+        )
+
+
 def recordings_fit(recordings: Recordings, settings: Settings):
     """Make sure that the architecture is for the recordings' sensor and classes.
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from deploy.errors import UserError
 from deploy.network.spec import Layer, NetworkSpec, Neurons
-from deploy.network.stimulus import ImageCurrent, ImageSpikes
 from models.architecture import parse
 from models.lif import gain_for
 from models.quantised import eight_bits, twelve_bits
+from pipeline.inputs.dataset import images_fit
 from pipeline.settings import Settings
 from pipeline.training.networks import TrainedRates
 
@@ -31,15 +30,9 @@ def deployed(settings: Settings, weights: dict, provenance: dict, data) -> Netwo
     """
     on_chip = settings.deployment.readout == "chip"
     images, labels = data
+    images_fit(images, settings)
     range_of = (TrainedRates(settings, weights).logits(images), labels) if on_chip else None
-    spec = to_spec(settings, weights, provenance, range_of)
-    problem = spec.stimulus.complaint(images, spec.input_shape, spec.presentation.steps)
-    if problem is not None:
-        raise UserError(
-            f"'image.normalisation' {settings.image.normalisation!r}: {problem}; choose another, a "
-            "lower deployment.input_rate, or deployment.first_layer = 'host'"
-        )
-    return spec
+    return to_spec(settings, weights, provenance, range_of)
 
 
 def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) -> NetworkSpec:
@@ -90,9 +83,7 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) 
     return NetworkSpec(
         architecture=str(architecture),
         input_shape=architecture.input_shape,
-        stimulus=ImageCurrent()
-        if on_host
-        else ImageSpikes(deployment.input_rate, deployment.input_phase),
+        stimulus=settings.stimulus,
         layers=tuple(layers),
         presentation=settings.presented(),
         provenance=provenance,

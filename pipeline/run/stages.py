@@ -22,7 +22,13 @@ from deploy.network.spec import NetworkSpec
 from deploy.targets.registry import TARGETS
 from models.architecture import parse
 from models.own import ModelFileError, read_own_model
-from pipeline.inputs.dataset import TOO_SMALL, Dataset, event_warnings, recordings_fit
+from pipeline.inputs.dataset import (
+    TOO_SMALL,
+    Dataset,
+    event_warnings,
+    images_fit,
+    recordings_fit,
+)
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import hidden, progress
@@ -63,14 +69,14 @@ def open_dataset(
     warn : callable, optional
         Called with a line for each thing that the user should know.
     check : bool
-        Whether samples of a check will be drawn; training alone needs none.
+        Whether samples of a check will be drawn and shown; training alone needs none.
     dataset : Dataset, optional
         Of the same settings, in the place of their recordings; see :meth:`Dataset.of_arrays`.
 
     Raises
     ------
     UserError
-        The source cannot be read, or is too small for the split or the check.
+        The source cannot be read, is too small for the split or the check, or cannot be shown.
     """
     if dataset is None:
         dataset = Dataset.of(settings, jobs, warn)
@@ -90,6 +96,8 @@ def open_dataset(
             if settings.data != run.resolve_settings(None, {}).data:
                 remedy += "; nothing was kept: name the data (--data) in the next command too"
             raise UserError(f"{settings.data.source}: {error}; {remedy}") from error
+        if not settings.on_events:
+            images_fit(dataset.inputs, settings)
     if warn is not None:
         for line in _notes(run, settings, recordings):
             warn(line)

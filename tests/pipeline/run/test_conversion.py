@@ -7,6 +7,7 @@ from deploy.errors import UserError
 from models.architecture import parse
 from pipeline.run.conversion import deployed
 from pipeline.settings import Settings
+from tests.command import call
 
 WEIGHTS = {
     name: np.zeros(shape, np.float32)
@@ -23,3 +24,10 @@ def test_images_that_cannot_be_spikes_are_refused_before_there_is_a_bundle():
         deployed(counts, WEIGHTS, {}, data)
     for change in ({"first_layer": "host"}, {"input_rate": 15.0}):  # 15 x 63 = 945 a second
         deployed(counts.with_values({"deployment": change}), WEIGHTS, {}, data)
+
+
+def test_a_run_refuses_them_before_anything_is_trained_or_kept(tmp_path, capsys):
+    counts = ("--set", "image.normalisation=none", "--set", "data.samples_per_digit=12")
+    assert call("convert", tmp_path / "run", *counts, "--samples", "20") == 2
+    assert "would spike more than once a step" in capsys.readouterr().err
+    assert [path.name for path in (tmp_path / "run").iterdir()] == [".lock"]
