@@ -13,7 +13,8 @@ import tempfile
 
 from deploy.files import claim, remove_abandoned
 
-PREFIX = "stmnist-"
+PREFIX = ".stmnist-process-"
+"""Of a name that nobody gives a folder of their own: the abandoned ones are removed."""
 
 
 @contextlib.contextmanager

@@ -7,7 +7,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from pipeline.temporary import own_folder
+from pipeline.temporary import PREFIX, own_folder
 from tests.command import environment
 
 
@@ -37,7 +37,7 @@ def test_what_a_killed_process_left_goes_with_the_next_start(tmp_path, monkeypat
     subprocess.run([sys.executable, "-c", code], env=environment(TMPDIR=str(tmp_path)), check=False)
     (left,) = tmp_path.iterdir()
     assert len(list(left.iterdir())) == 1
-    empty = tmp_path / "stmnist-abcd_123"  # of one that was killed before it wrote anything
+    empty = tmp_path / f"{PREFIX}abcd_123"  # of one that was killed before it wrote anything
     empty.mkdir()
     for folder in (left, empty):
         os.utime(folder, (0, 0))
@@ -50,6 +50,16 @@ def test_what_a_killed_process_left_goes_with_the_next_start(tmp_path, monkeypat
         tempfile.tempdir = str(tmp_path)
         with own_folder():
             assert mine.exists()  # whose owner lives stays
+
+
+def test_a_users_own_folder_is_not_abandoned(tmp_path, monkeypatch):
+    (own := tmp_path / "stmnist-datasets").mkdir()
+    os.utime(own, (0, 0))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    with own_folder():
+        pass
+    assert list(tmp_path.iterdir()) == [own]
 
 
 def test_another_process_that_starts_in_the_same_moment_leaves_it(tmp_path, monkeypatch):
