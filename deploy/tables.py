@@ -1,4 +1,4 @@
-"""Tables in plain text."""
+"""Tables in plain text, and what stands in their cells."""
 
 from __future__ import annotations
 
@@ -23,3 +23,8 @@ def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> List[str]:
         ).rstrip()
         for row in rows
     ]
+
+
+def p_text(p_value: float) -> str:
+    """A p-value to three decimals; what would be 0 then is below 0.001."""
+    return "< 0.001" if p_value < 0.001 else f"{p_value:.3f}"

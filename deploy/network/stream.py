@@ -8,8 +8,6 @@ import numpy as np
 
 from .chip import LOIHI
 
-DT = LOIHI.dt
-
 
 class ShortOfSteps(Exception):
     """A simulator or board handed back other steps or spikes than it can have."""
@@ -57,7 +55,7 @@ def show(built, sim, samples) -> Iterator[Shown]:
             if len(rows) != period:
                 raise ShortOfSteps(f"{len(rows)} of {period} steps of layer {name} came back")
             spikes[name] = np.asarray(rows) != 0
-            one = probe.target.ensemble.neuron_type.amplitude / DT
+            one = probe.target.ensemble.neuron_type.amplitude / LOIHI.dt
             if not np.allclose(np.asarray(rows)[spikes[name]], one, rtol=1e-6):
                 raise ShortOfSteps(f"layer {name} gave more than one spike a step and neuron")
         output = np.array(sim.data[built.output])

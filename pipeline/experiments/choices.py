@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
+from deploy.network.chip import LOIHI
 from deploy.tables import aligned
 from deploy.targets.registry import answer
 from pipeline.experiments.resampling import estimate
@@ -166,7 +167,7 @@ def _predictions(choice, settings, weights, dataset, seed):
     return nengodl.predict(chosen, weights, shown, steps)
 
 
-def smoothed(outputs, dt: float = 0.001) -> np.ndarray:
+def smoothed(outputs, dt: float = LOIHI.dt) -> np.ndarray:
     """A low-pass of :data:`SMOOTHING` seconds at the last step, from zero.
 
     Parameters

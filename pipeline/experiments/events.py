@@ -13,7 +13,7 @@ import numpy as np
 
 from deploy.check.intervals import mcnemar, wilson_interval
 from deploy.network.decision import share_of_time
-from deploy.tables import aligned
+from deploy.tables import aligned, p_text
 from deploy.targets.registry import answer
 from pipeline.experiments.resampling import estimate
 from pipeline.experiments.study import Findings, SplitJob, Workers, measure_splits
@@ -253,8 +253,7 @@ def _judged(row):
         return [*cells, "", ""]
     bounds = [f"{100 * bound:.2f}" for bound in loss["ci95"] or ()]
     interval = f" ({' to '.join(bounds)})" if bounds else ""
-    p = "< 0.001" if loss["p_value"] < 0.001 else f"{loss['p_value']:.3f}"
-    return [*cells, f"{100 * loss['mean']:.2f}{interval}", p]
+    return [*cells, f"{100 * loss['mean']:.2f}{interval}", p_text(loss["p_value"])]
 
 
 def _more(row):

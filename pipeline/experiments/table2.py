@@ -6,7 +6,7 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import write_json
-from deploy.tables import aligned
+from deploy.tables import aligned, p_text
 from pipeline.experiments import table2_splits
 from pipeline.experiments.resampling import estimate
 from pipeline.experiments.study import Findings, Workers, study
@@ -295,5 +295,5 @@ def _signed(interval):
 
 
 def _p(comparison):
-    p_value = comparison["p_value"]
-    return "< 0.001" if p_value < 0.001 else f"= {p_value:.3f}"
+    text = p_text(comparison["p_value"])
+    return text if text.startswith("<") else f"= {text}"

@@ -14,6 +14,7 @@ from deploy.check.bundle import Bundle
 from deploy.check.energy import estimate_energy
 from deploy.check.intervals import wilson_interval
 from deploy.network.responses import seconds_per_sample
+from deploy.tables import p_text
 from deploy.targets.registry import TARGETS
 from pipeline.experiments.table2_splits import MODELS
 from pipeline.inputs.images import growing, normalise
@@ -97,6 +98,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["p"] = p_text
     environment.filters["percent"] = lambda share: f"{100 * share:.1f} %"
     now = now or datetime.datetime.now(datetime.UTC)
     return environment.get_template("report.html.j2").render(

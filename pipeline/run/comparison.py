@@ -14,7 +14,7 @@ from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
-from deploy.tables import aligned
+from deploy.tables import aligned, p_text
 from deploy.targets.registry import TARGETS
 from pipeline.paper import CNN_MACS
 from pipeline.run.answers import REFERENCES
@@ -327,8 +327,7 @@ def _difference_cells(value):
     if value is None:
         return ["", "", "", ""]
     counts = [str(value["only_b"]), str(value["only_a"])] if value["paired"] else ["unpaired", ""]
-    p = "< 0.001" if value["p"] < 0.001 else f"{value['p']:.3f}"
-    return [f"{round(value['difference'], 3) + 0.0:+.3f}", *counts, p]
+    return [f"{round(value['difference'], 3) + 0.0:+.3f}", *counts, p_text(value["p"])]
 
 
 def _inference_lines(runs, letters, width):

@@ -10,7 +10,7 @@ import numpy as np
 from deploy.check.bundle import Bundle
 from deploy.check.results import compare_results, read_result
 from deploy.files import read_json, write_json
-from deploy.tables import aligned
+from deploy.tables import aligned, p_text
 from deploy.targets.registry import TARGETS
 from pipeline.progress import progress
 from pipeline.run import stages
@@ -277,11 +277,10 @@ def ladder_text(ladder: dict, limit: float = 1.0) -> str:
         low, high = row["accuracy_ci95"]
         cells = [row["stage"], f"{row['accuracy']:.3f}", f"{low:.3f} to {high:.3f}", "", "", ""]
         if row["drop"] is not None:
-            p = row["mcnemar_p"]
             cells[3:] = [
                 f"{round(row['drop'], 3) + 0.0:+.3f}",  # "+ 0.0" turns -0.0 into 0.0
                 str(row["disagreements"]),
-                "< 0.001" if p < 0.001 else f"{p:.3f}",
+                p_text(row["mcnemar_p"]),
             ]
         table.append(cells)
     first, last = ladder["rows"][0], ladder["rows"][-1]

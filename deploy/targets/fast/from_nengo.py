@@ -19,6 +19,7 @@ from nengo.builder.transforms import ConvInc
 
 from ...errors import UserError
 from ...network.build import EvenSpikes, Relay
+from ...network.chip import LOIHI
 from ...network.loihi_import import nengo_loihi
 from .arrays import Network
 from .from_loihi import cannot, chip_arrays
@@ -70,7 +71,7 @@ class Program(NamedTuple):
     relays: bool = False
 
 
-def compile_network(network, source, output, dt=0.001) -> Program:
+def compile_network(network, source, output, dt=LOIHI.dt) -> Program:
     """Compile a feed-forward network of host input, chip and host output.
 
     Parameters
