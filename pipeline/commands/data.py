@@ -5,24 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Optional
 
-import numpy as np
 import typer
 
 from deploy import limits
 from deploy.errors import UserError
 from pipeline.commands import options
 from pipeline.inputs.library import load_recordings
-from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import progress
-from pipeline.recordings.archive import export_zip, read_file, write_zip
-from pipeline.recordings.eventfile import EventRecording
-from pipeline.recordings.events import GRID, Events, Sensor, expand_bursts
-from pipeline.recordings.matfile import BadRecording, read_limited
-from pipeline.recordings.sensors import about_sensor
+from pipeline.recordings.archive import export_zip, write_zip
+from pipeline.recordings.events import GRID
+from pipeline.recordings.facts import facts_of_file, facts_with_events, file_text, recordings_text
 from pipeline.recordings.table1 import table1_json, table1_text
 from pipeline.settings import SIMULATED
 from pipeline.skin import unipen
-from pipeline.skin.simulate import simulate
 
 Source = Annotated[str, typer.Option("--data", help="ST-MNIST zip or folder, or 'simulated'.")]
 SimulationSeed = Annotated[
@@ -62,30 +57,8 @@ def import_(
     recordings = load_recordings(
         source, skip_bad=skip_bad, jobs=jobs, warn=options.say, rows=rows, columns=columns
     )
-    facts = {
-        "source": recordings.source.name,
-        "sha256": recordings.source.sha256,
-        "simulated": recordings.source.simulated,
-        "written": recordings.source.written,
-        "samples": len(recordings),
-        **about_sensor(recordings),
-        "events": len(recordings.events),
-        "columns": int(recordings.events.columns.sum(dtype=np.int64)),
-    }
-    kind = "simulated recordings" if recordings.source.simulated else "recordings"
-    if recordings.source.written:
-        kind = "recordings, written by hand on the simulated skin,"
-    of_each = facts.get("samples_per_digit") or ", ".join(
-        f"{name} {count}" for name, count in facts["samples_per_class"].items()
-    )
-    of_what = "digit" if "samples_per_digit" in facts else "class"
-    text = (
-        f"{len(recordings)} {kind} in {facts['source']}; of each {of_what}: {of_each}\n"
-        f"{facts['events']} physical events in {facts['columns']} columns"
-    )
-    if recordings.sensor != Sensor():
-        text += f"\n{recordings.sensor}, up to {recordings.sensor.duration_s:g} s"
-    options.tell(facts, lambda _: text, as_json)
+    facts = facts_with_events(recordings)
+    options.tell(facts, lambda _: recordings_text(recordings), as_json)
 
 
 def export(
@@ -104,49 +77,7 @@ def inspect(
     as_json: options.Json = False,
 ):
     """Print one recording's facts."""
-    try:
-        with file.open("rb") as opened:
-            recording = read_file(file.name, read_limited(opened))
-    except OSError as error:
-        raise UserError(f"{file}: cannot read ({error.strerror}); check the path") from error
-    except BadRecording as error:
-        raise UserError(
-            f"{file}: {error}; expected a recording as ST-MNIST has them, or a .npz of x, y, t, p"
-        ) from error
-    events = recording.events
-    if isinstance(recording, EventRecording):
-        events = events(int(recording.x.max()) + 1)
-    facts = {"simulated": recording.simulated, **recording_facts(events)}
-    kind = " (simulated)" if recording.simulated else ""
-    if getattr(recording, "written", None) is not None:
-        facts |= {
-            "source": "written",
-            "time": recording.written.time,
-            "writer": recording.writer,
-            "handedness": recording.written.handedness or None,
-        }
-        kind = f" (written by hand on the simulated skin, {recording.written.time})"
-    text = (
-        f"{file.name}{kind}: "
-        f"{facts['columns']} columns, {facts['events']} physical events "
-        f"({facts['on']} ON, {facts['off']} OFF) of {facts['taxels']} taxels, "
-        f"{facts['t_first_s']:.4f} s to {facts['t_last_s']:.4f} s"
-    )
-    options.tell(facts, lambda _: text, as_json)
-
-
-def recording_facts(events: Events) -> dict:
-    """Counts and times of one recording: columns as in the file, the others physical events."""
-    times, _, _ = expand_bursts(events)
-    return {
-        "columns": len(times),
-        "events": len(events),
-        "on": int((events.polarity == 1).sum()),
-        "off": int((events.polarity == -1).sum()),
-        "t_first_s": float(times[0] * 1e-9),
-        "t_last_s": float(times[-1] * 1e-9),
-        "taxels": len(np.unique(events.taxel)),
-    }
+    options.tell(facts_of_file(file), lambda facts: file_text(file.name, facts), as_json)
 
 
 def simulate_(
@@ -170,16 +101,14 @@ def simulate_(
     """Write simulated recordings as a zip in the layout of ST-MNIST."""
     if out.suffix != ".zip":
         raise UserError(f"{out}: the name must end in .zip")
-    if handwriting is None:
-        recordings = load_recordings(
-            SIMULATED, seed, samples_per_digit, jobs=jobs, rows=rows, columns=columns
-        )
-    else:
-        counts = [samples_per_digit] * 10 if samples_per_digit else list(SAMPLES_PER_DIGIT)
-        traces = unipen.read(handwriting)
-        with progress("simulate", sum(counts)) as advance:
-            size = (rows, columns)
-            recordings = simulate(seed, counts, jobs, advance, traces=traces, size=size)
+    traces = None if handwriting is None else unipen.read(handwriting)
+    recordings = load_recordings(
+        *(SIMULATED, seed, samples_per_digit),
+        jobs=jobs,
+        rows=rows,
+        columns=columns,
+        traces=traces,
+    )
     write_zip(out, recordings, progress)
     facts = {
         "file": str(out),

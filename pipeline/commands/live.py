@@ -10,13 +10,11 @@ from typing import Annotated
 
 import typer
 
-from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
 from pipeline.commands import options
-from pipeline.recordings.events import GRID
+from pipeline.live.network import about, fits_the_page, network_of_bundle, network_of_run
 from pipeline.run import stages
 from pipeline.run.folder import RunFolder
-from pipeline.settings import Image, read_settings
 from pipeline.skin import parameters
 
 PORT = 8765
@@ -57,19 +55,7 @@ def live(
     # Said now, not when the network is trained: a folder or a port that is in use.
     with closing(Keeper(record)) as keeper, closing(listen(port)) as listening:
         bundle, image = _network(run, data, kind, seed, settings, set_, jobs)
-        shape, classes = bundle.spec.input_shape[:2], bundle.spec.layers[-1].size
-        if (*shape, classes) != (GRID, GRID, 10):
-            raise UserError(
-                f"{bundle.path}: made for {shape[0]}x{shape[1]} taxels and {classes} classes; the "
-                f"page's skin has {GRID}x{GRID} taxels, for the ten digits"
-            )
-        about = {
-            "folder": str(record),
-            "architecture": bundle.spec.architecture,
-            "bundle": bundle.id[:12],
-            "trained_on": bundle.spec.provenance.get("source", "recordings of unknown origin"),
-            "simulated": bool(bundle.spec.provenance.get("simulated", False)),
-        }
+        fits_the_page(bundle)
 
         def make_decider():
             from pipeline.live.deciding import decider_of  # Nengo: a second that the page can spare
@@ -82,34 +68,22 @@ def live(
                 threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
         try:
-            Server(Live(make_decider, keeper, parameters.load(), about), listening, opened).run()
+            page = Live(make_decider, keeper, parameters.load(), about(bundle, record))
+            Server(page, listening, opened).run()
         finally:
             options.say(f"live: ended; {len(keeper)} recordings are kept in {record}")
 
 
 def _network(run, data, kind, seed, settings, set_, jobs):
-    """The bundle, made if it is not there, and how events become its images."""
-    if (run / "MANIFEST.json").exists():
-        bundle = read_bundle(run)
-        return bundle, _image(bundle, Image())
+    """The bundle, made if it is not there or otherwise asked for, and how events become images."""
+    if found := network_of_bundle(run):
+        return found
     folder = RunFolder(run)
-    if folder.bundle.exists() and not any((data, kind, seed is not None, settings, set_)):
-        bundle = read_bundle(folder.bundle)
-        known = folder.experiment.exists()
-        return bundle, _image(bundle, read_settings(folder.experiment).image if known else Image())
+    asked = any((data, kind, seed is not None, settings, set_))
+    if not asked and (found := network_of_run(folder)):
+        return found
     if not folder.bundle.exists():
         options.say(f"live: {run} has no network yet; training it first, about a minute")
     with options.opened(run, data, seed, None, None, settings, set_, kind) as (folder, resolved):
         _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
     return bundle, resolved.image
-
-
-def _image(bundle, otherwise):
-    """What the bundle says of its images; bundles of before say nothing."""
-    said = bundle.spec.provenance.get("image")
-    try:
-        return otherwise if said is None else Image(**said)
-    except TypeError as error:
-        raise UserError(
-            f"{bundle.path}: its images are made in an unknown way ({error})"
-        ) from error

@@ -21,6 +21,7 @@ def load_recordings(
     warn=None,
     rows: int = 0,
     columns: int = 0,
+    traces=None,
 ) -> Recordings:
     """Recordings of a source, made or imported on first use and cached.
 
@@ -40,6 +41,8 @@ def load_recordings(
         Called with one line for each file that was left out.
     rows, columns : int
         Of the skin; 0 for ten where it is simulated, else for as found.
+    traces : sequence of pipeline.skin.unipen.Trace, optional
+        Recorded handwriting to press on the simulated skin instead of simulated hands.
 
     Returns
     -------
@@ -51,7 +54,8 @@ def load_recordings(
         The source cannot be read, or the cache is damaged.
     """
     if source == SIMULATED:
-        return _simulated(simulation_seed, samples_per_digit, jobs, (rows or GRID, columns or GRID))
+        size = (rows or GRID, columns or GRID)
+        return _simulated(simulation_seed, samples_per_digit, jobs, size, traces)
     return _imported(Path(source), skip_bad, jobs, warn, rows, columns)
 
 
@@ -64,13 +68,13 @@ def recordings_of(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
     )
 
 
-def _simulated(seed, samples_per_digit, jobs, size):
+def _simulated(seed, samples_per_digit, jobs, size, traces):
     counts = [samples_per_digit] * 10 if samples_per_digit else list(SAMPLES_PER_DIGIT)
-    key = cache.key_of("simulated", source_of(seed, counts, size=size).sha256)
+    key = cache.key_of("simulated", source_of(seed, counts, traces=traces, size=size).sha256)
     recordings = cache.load(key)
     if recordings is None:
         with progress("simulate", sum(counts)) as advance:
-            recordings = simulate(seed, counts, jobs, advance, size=size)
+            recordings = simulate(seed, counts, jobs, advance, traces=traces, size=size)
         cache.store(key, recordings)
     return recordings
 

@@ -147,26 +147,6 @@ def _duration_s(latest_ns):
     return max(-(-latest_ns // 100_000_000), 1) / 10
 
 
-def about_sensor(recordings) -> dict:
-    """As plain values: the sensor, and how many recordings there are of each class.
-
-    Where the classes are the digits they are also in a list of their own.
-    """
-    sensor = recordings.sensor
-    counts = np.bincount(recordings.labels, minlength=len(sensor.classes)).tolist()
-    facts = {
-        "samples_per_class": dict(zip(sensor.classes, counts, strict=True)),
-        "sensor": {
-            "rows": sensor.rows,
-            "columns": sensor.columns,
-            "taxels": len(recordings.taxels),
-            "polarities": sensor.polarities,
-            "duration_s": sensor.duration_s,
-        },
-    }
-    return {**facts, "samples_per_digit": counts} if sensor.classes == DIGITS else facts
-
-
 def too_small(recordings) -> str | None:
     """What is wrong with the numbers of recordings in the classes, if anything.
 

@@ -32,7 +32,7 @@ from pipeline.inputs.dataset import (
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import hidden, progress
-from pipeline.recordings.sensors import about_sensor
+from pipeline.recordings.facts import facts_of
 from pipeline.run.answers import REFERENCES, reference_result, training_versions
 from pipeline.run.diagnosis import activity, fastest_rate, training_lines
 from pipeline.run.folder import RunFolder, is_current, stamp_of
@@ -105,12 +105,7 @@ def open_dataset(
     write_json(
         run.dataset,
         {
-            "source": recordings.source.name,
-            "sha256": recordings.source.sha256,
-            "simulated": recordings.source.simulated,
-            "written": recordings.source.written,
-            "samples": len(recordings),
-            **about_sensor(recordings),
+            **facts_of(recordings),
             "train": len(split.train),
             "validation": len(split.validation),
             "test": len(split.test),

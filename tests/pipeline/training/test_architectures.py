@@ -3,9 +3,10 @@
 import contextlib
 from dataclasses import replace
 
+import nengo
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deploy.network.operations import multiply_accumulates
@@ -19,6 +20,10 @@ from pipeline.run.conversion import to_spec
 from pipeline.settings import Settings
 from pipeline.training import nengodl, stacked
 from pipeline.training import networks as training
+from pipeline.training.nengodl import nengo_dl
+
+noop_planner = nengo_dl.graph_optimizer.noop_planner
+"""To merge operations of ten networks takes longer than to run them."""
 
 ARCHITECTURES = [
     "10x10-4c3s2p-2a-12-10o",
@@ -40,20 +45,22 @@ def settings_of(architecture, recipe="paper", **presentation):
 
 
 @st.composite
-def architectures(draw):
-    """Any that the notation knows, with neurons, but small."""
+def notations(draw):
+    """What may be an architecture, with neurons, but small."""
     tokens = [f"{draw(st.integers(3, 8))}x{draw(st.integers(3, 8))}"]
     for _ in range(draw(st.integers(0, 3))):
         size = f"{draw(st.integers(1, 5))}c{draw(st.integers(1, 4))}"
         stride, padding = draw(st.sampled_from(["", "s2", "s3"])), draw(st.sampled_from(["", "p"]))
         tokens.append(draw(st.sampled_from([size + stride + padding] * 2 + ["2a", "3a"])))
     tokens += [str(draw(st.integers(2, 12))) for _ in range(draw(st.integers(0, 2)))]
-    text = "-".join([*tokens, f"{draw(st.integers(2, 6))}o"])
+    return "-".join([*tokens, f"{draw(st.integers(2, 6))}o"])
+
+
+def has_neurons(notation):
     try:
-        assume(parse(text).spiking)
+        return bool(parse(notation).spiking)
     except NotationError:  # the image is too small for it
-        assume(False)
-    return text
+        return False
 
 
 def random_weights(architecture, seed=1):
@@ -92,18 +99,33 @@ def without_tracing():
         tf.config.run_functions_eagerly(False)
 
 
+ANY = st.tuples(notations().filter(has_neurons), st.integers(0, 2**16))
+"""An architecture, and a seed of its weights."""
+
+
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
-@given(architecture=architectures(), seed=st.integers(0, 2**16))
-def test_any_network_in_nengodl_is_the_keras_one(architecture, seed):
-    given_settings, weights = settings_of(architecture), random_weights(architecture, seed)
-    shown = images(2, parse(architecture).input_shape)
-    with without_tracing():
-        model = training.build_rate_network(given_settings)
-        set_weights(model, weights)
-        expected = model(shown).numpy()  # called: a hundred times predict() takes ten seconds
-        ours = nengodl.run(given_settings, weights, shown, 1, spiking=False, batch=2)
-    np.testing.assert_allclose(ours[:, 0], expected, rtol=1e-4, atol=1e-5)
+@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
+@given(networks=st.lists(ANY, min_size=10, max_size=10))
+def test_any_network_in_nengodl_is_the_keras_one(networks):
+    """A hundred; ten to a simulator, which takes longer to build than to run."""
+    expected, shown, outputs = [], {}, []
+    with without_tracing(), nengo.Network(seed=0) as side_by_side:
+        nengo_dl.configure_settings(inference_only=True, planner=noop_planner)
+        for architecture, seed in networks:
+            given_settings, weights = settings_of(architecture), random_weights(architecture, seed)
+            inputs = images(2, parse(architecture).input_shape)
+            model = training.build_rate_network(given_settings)
+            set_weights(model, weights)
+            expected.append(model(inputs).numpy())  # called: predict() takes a tenth of a second
+            _, source, output = nengodl._convert(  # a part of the network around it
+                given_settings, weights, nengo.LIFRate, synapse=None
+            )
+            shown[source] = inputs.reshape(2, 1, -1)
+            outputs.append(output)
+        with nengo_dl.Simulator(side_by_side, minibatch_size=2, progress_bar=False) as simulator:
+            answers = simulator.predict_on_batch(shown)
+    for output, logits in zip(outputs, expected, strict=True):
+        np.testing.assert_allclose(answers[output][:, 0], logits, rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)

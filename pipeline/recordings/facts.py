@@ -1,0 +1,120 @@
+"""What is said of recordings: of a whole source, and of one file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from deploy.errors import UserError
+from pipeline.recordings.archive import read_file
+from pipeline.recordings.eventfile import EventRecording
+from pipeline.recordings.events import DIGITS, Recordings, Sensor, expand_bursts
+from pipeline.recordings.matfile import BadRecording, read_limited
+
+
+def facts_of(recordings: Recordings) -> dict:
+    """As plain values: the source, the sensor, and how many recordings there are of each class.
+
+    Where the classes are the digits they are also in a list of their own.
+    """
+    source, sensor = recordings.source, recordings.sensor
+    counts = np.bincount(recordings.labels, minlength=len(sensor.classes)).tolist()
+    facts = {
+        "source": source.name,
+        "sha256": source.sha256,
+        "simulated": source.simulated,
+        "written": source.written,
+        "samples": len(recordings),
+        "samples_per_class": dict(zip(sensor.classes, counts, strict=True)),
+        "sensor": {
+            "rows": sensor.rows,
+            "columns": sensor.columns,
+            "taxels": len(recordings.taxels),
+            "polarities": sensor.polarities,
+            "duration_s": sensor.duration_s,
+        },
+    }
+    return {**facts, "samples_per_digit": counts} if sensor.classes == DIGITS else facts
+
+
+def facts_with_events(recordings: Recordings) -> dict:
+    """The same with the numbers of physical events and of the files' columns."""
+    return {
+        **facts_of(recordings),
+        "events": len(recordings.events),
+        "columns": int(recordings.events.columns.sum(dtype=np.int64)),
+    }
+
+
+def recordings_text(recordings: Recordings) -> str:
+    """:func:`facts_with_events` in a few lines."""
+    facts = facts_with_events(recordings)
+    kind = "simulated recordings" if facts["simulated"] else "recordings"
+    if facts["written"]:
+        kind = "recordings, written by hand on the simulated skin,"
+    of_each = facts.get("samples_per_digit") or ", ".join(
+        f"{name} {count}" for name, count in facts["samples_per_class"].items()
+    )
+    of_what = "digit" if "samples_per_digit" in facts else "class"
+    text = (
+        f"{facts['samples']} {kind} in {facts['source']}; of each {of_what}: {of_each}\n"
+        f"{facts['events']} physical events in {facts['columns']} columns"
+    )
+    if recordings.sensor != Sensor():
+        text += f"\n{recordings.sensor}, up to {recordings.sensor.duration_s:g} s"
+    return text
+
+
+def facts_of_file(path: Path) -> dict:
+    """Counts and times of one recording: columns as in the file, the others physical events.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, or is no recording.
+    """
+    try:
+        with path.open("rb") as opened:
+            recording = read_file(path.name, read_limited(opened))
+    except OSError as error:
+        raise UserError(f"{path}: cannot read ({error.strerror}); check the path") from error
+    except BadRecording as error:
+        raise UserError(
+            f"{path}: {error}; expected a recording as ST-MNIST has them, or a .npz of x, y, t, p"
+        ) from error
+    events = recording.events
+    if isinstance(recording, EventRecording):
+        events = events(int(recording.x.max()) + 1)
+    times, _, _ = expand_bursts(events)
+    facts = {
+        "simulated": recording.simulated,
+        "columns": len(times),
+        "events": len(events),
+        "on": int((events.polarity == 1).sum()),
+        "off": int((events.polarity == -1).sum()),
+        "t_first_s": float(times[0] * 1e-9),
+        "t_last_s": float(times[-1] * 1e-9),
+        "taxels": len(np.unique(events.taxel)),
+    }
+    if getattr(recording, "written", None) is None:
+        return facts
+    return {
+        **facts,
+        "source": "written",
+        "time": recording.written.time,
+        "writer": recording.writer,
+        "handedness": recording.written.handedness or None,
+    }
+
+
+def file_text(name: str, facts: dict) -> str:
+    """:func:`facts_of_file` in a line."""
+    kind = " (simulated)" if facts["simulated"] else ""
+    if facts.get("source") == "written":
+        kind = f" (written by hand on the simulated skin, {facts['time']})"
+    return (
+        f"{name}{kind}: {facts['columns']} columns, {facts['events']} physical events "
+        f"({facts['on']} ON, {facts['off']} OFF) of {facts['taxels']} taxels, "
+        f"{facts['t_first_s']:.4f} s to {facts['t_last_s']:.4f} s"
+    )
