@@ -1,0 +1,56 @@
+"""What is learnt from and what is held back, when a network on events is trained."""
+
+import numpy as np
+import pytest
+
+from deploy.network.decision import Threshold
+from pipeline.inputs.dataset import Dataset
+from pipeline.run import event_training
+from pipeline.settings import Settings
+from pipeline.training.events import TrainedOnEvents
+
+EVENTS = {"input": {"kind": "events", "step": 125.0}, "data": {"samples_per_digit": 6}}
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """What training and the choice of the threshold are given, in the place of both."""
+    told = {}
+
+    def train_events(recipe, table, labels, train, seed, checkpoint=None, advance=None):
+        told.update(recipe=recipe, learn=train, seed=seed, checkpoint=checkpoint)
+        return TrainedOnEvents(recipe, {})
+
+    def threshold(self, table, labels, held, steps, seed):
+        told.update(held=held, steps=steps)
+        return Threshold(0.9, 1.0, 0.5)
+
+    monkeypatch.setattr(event_training, "train_events", train_events)
+    monkeypatch.setattr(TrainedOnEvents, "threshold", threshold)
+    return told
+
+
+def trained(changes):
+    settings = Settings().with_values({**EVENTS, **changes}, "here")
+    dataset = Dataset.of(settings)
+    network = event_training.train(settings, dataset, 3, "state.npz")
+    chosen, samples = event_training.choose(settings, dataset, network, 3)
+    return dataset.split, chosen, samples
+
+
+def test_without_validation_some_training_samples_are_held_back(told):
+    split, chosen, samples = trained({})
+    assert not len(split.validation)
+    assert (told["seed"], told["checkpoint"], told["steps"]) == (3, "state.npz", 16)
+    assert told["recipe"].step_ms == 125.0
+    assert samples == len(told["held"]) > 0
+    assert chosen.confidence == 0.9
+    both = np.concatenate([told["learn"], told["held"]])
+    np.testing.assert_array_equal(np.sort(both), split.train)
+
+
+def test_with_validation_samples_they_are_what_is_held_back(told):
+    split, _, samples = trained({"split": {"validation_fraction": 0.25}})
+    assert samples == len(split.validation) == 12
+    np.testing.assert_array_equal(told["learn"], split.train)
+    np.testing.assert_array_equal(told["held"], split.validation)
