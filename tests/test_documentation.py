@@ -240,10 +240,11 @@ def test_what_a_docstring_names_is_there(package):
 
 @pytest.mark.slow
 def test_what_the_page_on_python_shows_runs(tmp_path):
-    """One block after the other, as a notebook would, with fewer samples and epochs."""
+    """One block after the other, as a notebook would, with fewer samples, epochs and steps."""
+    small = '"cnn": {"epochs": 3}, "snn": {"epochs": 3}, "presentation": {"steps": 40}'
     code = "\n".join(block for _, block in blocks(read(ROOT / "docs" / "python.md")))
     for shown, fewer in (
-        ('"samples_per_digit": 100}', '"samples_per_digit": 30}, "snn": {"epochs": 10}'),
+        ('"samples_per_digit": 100}', f'"samples_per_digit": 30}}, {small}'),
         ('"samples": 100', '"samples": 20'),
         ("split.test, 200", "split.test, 20"),
     ):
