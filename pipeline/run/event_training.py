@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
+
+from deploy.network.decision import Threshold
 from pipeline.inputs.dataset import Dataset
 from pipeline.inputs.splits import hold_out
 from pipeline.recordings.steps import EventTable
@@ -10,10 +15,64 @@ from pipeline.settings import Settings
 from pipeline.training.events import EventRecipe, TrainedOnEvents, train_events
 
 
+class Apart(NamedTuple):
+    """Samples to learn from, and samples held back to choose the confidence on.
+
+    Attributes
+    ----------
+    table : EventTable
+        Of all samples of the dataset.
+    labels : ndarray of int, shape (n_samples,)
+    learn, held : ndarray of int
+        Indices.
+    """
+
+    table: EventTable
+    labels: np.ndarray
+    learn: np.ndarray
+    held: np.ndarray
+
+
+def set_apart(dataset: Dataset, seed: int) -> Apart:
+    """Hold back the validation samples, or, where there are none, some of the training samples.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    seed : int
+        Of :func:`pipeline.inputs.splits.hold_out`.
+    """
+    learn, held = dataset.split.train, dataset.split.validation
+    if not len(held):
+        learn, held = hold_out(learn, seed)
+    return Apart(EventTable.of(dataset.recordings), dataset.labels, learn, held)
+
+
 def train(
-    settings: Settings, dataset: Dataset, seed: int, checkpoint=None, advance=None
+    settings: Settings, samples: Apart, seed: int, checkpoint=None, advance=None
 ) -> TrainedOnEvents:
-    """Train on the training samples but those that :func:`choose` needs.
+    """Train on the samples to learn from.
+
+    Parameters
+    ----------
+    settings : Settings
+        With ``input.kind = "events"``.
+    samples : Apart
+    seed, checkpoint, advance
+        As in :func:`pipeline.training.events.train_events`.
+    """
+    recipe, (table, labels, learn, _) = EventRecipe.of(settings), samples
+    return train_events(recipe, table, labels, learn, seed, checkpoint=checkpoint, advance=advance)
+
+
+def choose(settings: Settings, samples: Apart, trained: TrainedOnEvents, seed: int) -> Threshold:
+    """Choose the confidence at which the network decides by itself, on the samples held back."""
+    table, labels, _, held = samples
+    return trained.threshold(table, labels, held, settings.steps, seed)
+
+
+def train_for_chip(settings: Settings, dataset: Dataset, seed: int, checkpoint=None) -> tuple:
+    """Train on events as a run does, and describe the network that is deployed.
 
     Parameters
     ----------
@@ -22,57 +81,16 @@ def train(
     dataset : Dataset
         Of them.
     seed : int
-        Of the training, and of which samples are held out.
-    checkpoint, advance
+        Of the training, and of which samples are held back.
+    checkpoint : path-like, optional
         As in :func:`pipeline.training.events.train_events`.
-    """
-    learn, _ = _apart(dataset, seed)
-    table = EventTable.of(dataset.recordings)
-    recipe, labels = EventRecipe.of(settings), dataset.labels
-    return train_events(recipe, table, labels, learn, seed, checkpoint=checkpoint, advance=advance)
-
-
-def choose(settings: Settings, dataset: Dataset, trained: TrainedOnEvents, seed: int) -> tuple:
-    """Choose the confidence at which the network decides by itself.
-
-    Parameters
-    ----------
-    settings, dataset, seed
-        As in :func:`train`.
-    trained : TrainedOnEvents
-
-    Returns
-    -------
-    deploy.network.decision.Threshold
-    int
-        Number of samples that it was chosen on: the validation samples, or, where none are set
-        apart, some of the training samples (:func:`pipeline.inputs.splits.hold_out`).
-    """
-    _, held = _apart(dataset, seed)
-    table = EventTable.of(dataset.recordings)
-    return trained.threshold(table, dataset.labels, held, settings.steps, seed), len(held)
-
-
-def train_for_chip(settings: Settings, dataset: Dataset, seed: int, checkpoint=None) -> tuple:
-    """Train on events as a run does, and describe the network that is deployed.
-
-    Parameters
-    ----------
-    settings, dataset, seed, checkpoint
-        As in :func:`train`.
 
     Returns
     -------
     TrainedOnEvents
     deploy.network.spec.NetworkSpec
     """
-    trained = train(settings, dataset, seed, checkpoint)
-    chosen, _ = choose(settings, dataset, trained, seed)
+    samples = set_apart(dataset, seed)
+    trained = train(settings, samples, seed, checkpoint)
+    chosen = choose(settings, samples, trained, seed)
     return trained, deployed_on_events(settings, trained.weights, chosen.confidence, {})
-
-
-def _apart(dataset, seed):
-    """Samples to learn from, and samples to choose the confidence on."""
-    if len(dataset.split.validation):
-        return dataset.split.train, dataset.split.validation
-    return hold_out(dataset.split.train, seed)

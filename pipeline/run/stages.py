@@ -253,14 +253,15 @@ def train_on_events(run: RunFolder, settings: Settings, dataset: Dataset, say=pr
         return done
     from pipeline.run import event_training  # TensorFlow: seconds that _done can spare
 
+    samples = event_training.set_apart(dataset, settings.seed)
     checkpoint = run.snn / "checkpoint.npz"
 
     def train_it(advance):
-        return event_training.train(settings, dataset, settings.seed, checkpoint, advance)
+        return event_training.train(settings, samples, settings.seed, checkpoint, advance)
 
     def decision_of(trained):
-        chosen, samples = event_training.choose(settings, dataset, trained, settings.seed)
-        return {"decides_by_itself": {**chosen._asdict(), "samples": samples}}
+        chosen = event_training.choose(settings, samples, trained, settings.seed)
+        return {"decides_by_itself": {**chosen._asdict(), "samples": len(samples.held)}}
 
     epochs = settings.events.epochs
     metrics = _train("events", run.snn, stamp, epochs, train_it, dataset, say, decision_of)

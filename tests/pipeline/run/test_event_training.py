@@ -33,9 +33,10 @@ def told(monkeypatch):
 def trained(changes):
     settings = Settings().with_values({**EVENTS, **changes}, "here")
     dataset = Dataset.of(settings)
-    network = event_training.train(settings, dataset, 3, "state.npz")
-    chosen, samples = event_training.choose(settings, dataset, network, 3)
-    return dataset.split, chosen, samples
+    samples = event_training.set_apart(dataset, 3)
+    network = event_training.train(settings, samples, 3, "state.npz")
+    chosen = event_training.choose(settings, samples, network, 3)
+    return dataset.split, chosen, len(samples.held)
 
 
 def test_without_validation_some_training_samples_are_held_back(told):
