@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from deploy.files import write_json
-from pipeline.experiments.study import Findings, SplitJob, Workers, measure_splits
+from pipeline.experiments.study import Findings, SplitJob, Workers, measure_splits, of_splits
 from pipeline.paper import TABLE2
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings
@@ -69,10 +69,7 @@ def summarise(results, simulated: bool) -> dict:
     accuracies = [result["accuracy"] for result in results]
     return {
         "schema": SCHEMA,
-        "simulated": simulated,
-        "seeds": [result["seed"] for result in results],
-        "n_train": results[0]["n_train"],
-        "n_test": results[0]["n_test"],
+        **of_splits(results, simulated),
         "accuracies": accuracies,
         "mean": float(np.mean(accuracies)),
         "sd": float(np.std(accuracies, ddof=1)) if len(accuracies) > 1 else None,

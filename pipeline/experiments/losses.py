@@ -16,7 +16,7 @@ from deploy.network.operations import multiply_accumulates
 from deploy.tables import aligned
 from deploy.targets.registry import answer
 from pipeline.experiments.resampling import estimate
-from pipeline.experiments.study import Findings, SplitJob, Workers, measure_splits
+from pipeline.experiments.study import Findings, SplitJob, Workers, measure_splits, of_splits
 from pipeline.inputs.dataset import inputs_of
 from pipeline.paper import CNN_MACS, points_lost
 from pipeline.run.folder import RunFolder
@@ -171,10 +171,7 @@ def summarise(results, simulated: bool) -> dict:
 
     return {
         "schema": SCHEMA,
-        "simulated": simulated,
-        "seeds": [r["seed"] for r in results],
-        "n_train": results[0]["n_train"],
-        "n_test": results[0]["n_test"],
+        **of_splits(results, simulated),
         "accuracy": over_seeds("accuracy"),
         "stronger_cnn": stronger,
         "loss": {

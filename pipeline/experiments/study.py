@@ -183,6 +183,23 @@ def one_a_split(settings, seed, source_sha256, folder, stamp) -> list:
     return [SplitJob(settings, seed, source_sha256, folder / f"split-{seed:02d}.json", stamp())]
 
 
+def of_splits(results, simulated: bool) -> dict:
+    """What a summary says of its splits: ``simulated``, ``seeds``, samples trained and tested on.
+
+    Parameters
+    ----------
+    results : sequence of dict
+        One a split, with ``seed``, ``n_train`` and ``n_test``.
+    simulated : bool
+    """
+    return {
+        "simulated": simulated,
+        "seeds": [result["seed"] for result in results],
+        "n_train": results[0]["n_train"],
+        "n_test": results[0]["n_test"],
+    }
+
+
 def measure_splits(
     name: str,
     measure: Callable,
