@@ -58,7 +58,7 @@ def import_(
         source, skip_bad=skip_bad, jobs=jobs, warn=options.say, rows=rows, columns=columns
     )
     facts = facts_with_events(recordings)
-    options.tell(facts, lambda _: recordings_text(recordings), as_json)
+    options.tell(facts, lambda facts: recordings_text(facts, recordings.sensor), as_json)
 
 
 def export(

@@ -156,7 +156,7 @@ def main(arguments=None):
         status = app(args=arguments, prog_name="stmnist", standalone_mode=False)
         if status == interrupts.STATUS:  # Typer turns an interruption into this status
             raise KeyboardInterrupt
-        print(end="", flush=True)  # what goes wrong with it is said here, not by Python at its end
+        sys.stdout.flush()  # at Python's end it is too late for a line
     except (KeyboardInterrupt, typer.Abort):
         status = _say(interrupts.LINE, interrupts.STATUS)
     except UsageError as error:

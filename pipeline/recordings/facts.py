@@ -47,9 +47,8 @@ def facts_with_events(recordings: Recordings) -> dict:
     }
 
 
-def recordings_text(recordings: Recordings) -> str:
+def recordings_text(facts: dict, sensor: Sensor) -> str:
     """:func:`facts_with_events` in a few lines."""
-    facts = facts_with_events(recordings)
     kind = "simulated recordings" if facts["simulated"] else "recordings"
     if facts["written"]:
         kind = "recordings, written by hand on the simulated skin,"
@@ -61,8 +60,8 @@ def recordings_text(recordings: Recordings) -> str:
         f"{facts['samples']} {kind} in {facts['source']}; of each {of_what}: {of_each}\n"
         f"{facts['events']} physical events in {facts['columns']} columns"
     )
-    if recordings.sensor != Sensor():
-        text += f"\n{recordings.sensor}, up to {recordings.sensor.duration_s:g} s"
+    if sensor != Sensor():
+        text += f"\n{sensor}, up to {sensor.duration_s:g} s"
     return text
 
 
