@@ -46,12 +46,13 @@ def settings_of(architecture, recipe="paper", **presentation):
 
 @st.composite
 def notations(draw):
-    """What may be an architecture, with neurons, but small."""
+    """What may be an architecture, but small, and most with a convolution: of what a network may be
+    they have the most kinds."""
     tokens = [f"{draw(st.integers(3, 8))}x{draw(st.integers(3, 8))}"]
-    for _ in range(draw(st.integers(0, 3))):
+    for _ in range(draw(st.sampled_from([0, 1, 1, 2, 2, 3]))):
         size = f"{draw(st.integers(1, 5))}c{draw(st.integers(1, 4))}"
         stride, padding = draw(st.sampled_from(["", "s2", "s3"])), draw(st.sampled_from(["", "p"]))
-        tokens.append(draw(st.sampled_from([size + stride + padding] * 2 + ["2a", "3a"])))
+        tokens.append(draw(st.sampled_from([size + stride + padding] * 4 + ["2a", "3a"])))
     tokens += [str(draw(st.integers(2, 12))) for _ in range(draw(st.integers(0, 2)))]
     return "-".join([*tokens, f"{draw(st.integers(2, 6))}o"])
 
@@ -91,7 +92,7 @@ def test_the_network_in_nengodl_is_the_keras_one(architecture):
 
 @contextlib.contextmanager
 def without_tracing():
-    """TensorFlow as it is written: a hundred networks take half as long if none is compiled."""
+    """TensorFlow as it is written: many small networks take half as long if none is compiled."""
     tf.config.run_functions_eagerly(True)
     try:
         yield
@@ -104,10 +105,10 @@ ANY = st.tuples(notations().filter(has_neurons), st.integers(0, 2**16))
 
 
 @pytest.mark.slow
-@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
+@settings(max_examples=4, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
 @given(networks=st.lists(ANY, min_size=10, max_size=10))
 def test_any_network_in_nengodl_is_the_keras_one(networks):
-    """A hundred; ten to a simulator, which takes longer to build than to run."""
+    """Forty; ten to a simulator, which takes longer to build than to run."""
     expected, shown, outputs = [], {}, []
     with without_tracing(), nengo.Network(seed=0) as side_by_side:
         nengo_dl.configure_settings(inference_only=True, planner=noop_planner)
