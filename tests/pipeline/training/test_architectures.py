@@ -1,6 +1,5 @@
 """Networks unlike the paper's all the way: NengoDL, conversion, targets, training."""
 
-import contextlib
 from dataclasses import replace
 
 import nengo
@@ -15,12 +14,12 @@ from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
 from models.architecture import NotationError, parse
 from models.cnn import set_weights
-from models.keras2 import tf
 from pipeline.run.conversion import to_spec
 from pipeline.settings import Settings
 from pipeline.training import nengodl, stacked
 from pipeline.training import networks as training
 from pipeline.training.nengodl import nengo_dl
+from tests.untraced import untraced
 
 noop_planner = nengo_dl.graph_optimizer.noop_planner
 """To merge operations of ten networks takes longer than to run them."""
@@ -85,19 +84,10 @@ def images(n=4, size=(10, 10, 1)):
 def test_the_network_in_nengodl_is_the_keras_one(architecture):
     chosen, weights = settings_of(architecture), random_weights(architecture)
     trained = training.TrainedRates(chosen, weights).logits(images())
-    ours = nengodl.run(chosen, weights, images(), 1, spiking=False, batch=4)
+    with untraced():
+        ours = nengodl.run(chosen, weights, images(), 1, spiking=False, batch=4)
     assert trained.std() > 0.1
     np.testing.assert_allclose(ours[:, 0], trained, atol=5e-4)
-
-
-@contextlib.contextmanager
-def without_tracing():
-    """TensorFlow as it is written: many small networks take half as long if none is compiled."""
-    tf.config.run_functions_eagerly(True)
-    try:
-        yield
-    finally:
-        tf.config.run_functions_eagerly(False)
 
 
 ANY = st.tuples(notations().filter(has_neurons), st.integers(0, 2**16))
@@ -110,7 +100,7 @@ ANY = st.tuples(notations().filter(has_neurons), st.integers(0, 2**16))
 def test_any_network_in_nengodl_is_the_keras_one(networks):
     """Forty; ten to a simulator, which takes longer to build than to run."""
     expected, shown, outputs = [], {}, []
-    with without_tracing(), nengo.Network(seed=0) as side_by_side:
+    with untraced(), nengo.Network(seed=0) as side_by_side:
         nengo_dl.configure_settings(inference_only=True, planner=noop_planner)
         for architecture, seed in networks:
             given_settings, weights = settings_of(architecture), random_weights(architecture, seed)

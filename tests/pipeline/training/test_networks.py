@@ -11,6 +11,7 @@ from pipeline.settings import Settings, write_settings
 from pipeline.training import networks as training
 from pipeline.training.stacked import train_cnns
 from tests.command import environment
+from tests.untraced import untraced
 
 
 @pytest.fixture(scope="module")
@@ -87,9 +88,12 @@ np.savez("rates.npz", **train_rate_network(chosen, stripes, 0, cnn.weights).weig
 
 
 def test_noise_does_not_depend_on_how_much_is_drawn_at_once(cnn, stripes, monkeypatch):
+    some = [column[:112] for column in stripes]
+
     def weights(**snn):
         chosen = settings(recipe="loihi", epochs=2, batch_size=48, **snn)  # the last has 16
-        return training.train_rate_network(chosen, stripes, 0, cnn.weights).weights
+        with untraced():
+            return training.train_rate_network(chosen, some, 0, cnn.weights).weights
 
     drawn_by_epochs, other = weights(), weights(noise=0.3)
     monkeypatch.setattr(training, "NOISE_AHEAD", 1)  # less than a batch's, which is the least
