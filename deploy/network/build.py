@@ -151,14 +151,8 @@ def _input_neurons(spec):
     else:
         neuron_type = EvenSpikes(stimulus.initial_phase, amplitude=stimulus.area)
         gain = stimulus.max_rate
-    return nengo.Ensemble(
-        int(np.prod(spec.input_shape)),
-        1,
-        neuron_type=neuron_type,
-        gain=nengo.dists.Choice([gain]),
-        bias=nengo.dists.Choice([0.0]),
-        label="input",
-    )
+    n = int(np.prod(spec.input_shape))
+    return _neurons(n, neuron_type, np.full(n, gain), np.zeros(n), "input")
 
 
 def _ensemble(layer: Layer):
@@ -173,13 +167,25 @@ def _ensemble(layer: Layer):
     else:
         neuron_type = nengo_loihi.neurons.LoihiSpikingRectifiedLinear(amplitude=neurons.amplitude)
     per_channel = layer.size // layer.bias.size
+    bias = np.tile(layer.bias, per_channel)  # channels are the last and fastest dimension
+    return _neurons(layer.size, neuron_type, np.ones(layer.size), bias, layer.name)
+
+
+def _neurons(n, neuron_type, gain, bias, label):
+    """An ensemble of which only the neurons are connected.
+
+    Encoders and the points to solve decoders at are given, because Nengo would draw and shuffle a
+    thousand of them, or two for each neuron, whenever it builds the network.
+    """
     return nengo.Ensemble(
-        layer.size,
+        n,
         1,
         neuron_type=neuron_type,
-        gain=np.ones(layer.size),
-        bias=np.tile(layer.bias, per_channel),  # channels are the last and fastest dimension
-        label=layer.name,
+        gain=gain,
+        bias=bias,
+        encoders=np.ones((n, 1)),
+        eval_points=np.zeros((1, 1)),
+        label=label,
     )
 
 

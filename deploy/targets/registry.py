@@ -197,7 +197,7 @@ def _loihi_simulator(network, target):
 
 
 def _run(spec: NetworkSpec, streams: Iterable, seed, simulator) -> Iterator[Responses]:
+    built = build(spec, seed)
     for samples in streams:
-        built = build(spec, seed)
         with simulator(built.network) as sim:
             yield respond(spec, built, sim, samples)
