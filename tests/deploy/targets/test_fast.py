@@ -53,10 +53,11 @@ def test_identical_to_the_emulator_in_every_compartment_at_every_step(seed):
         with pytest.raises(UserError, match="NengoLoihi cannot build this network"):
             quietly(compile_spec, spec)
         reject()
+    program = quietly(compile_spec, spec)
     for kernel in ("numba", "numpy"):
-        assert_identical(spec, images, expected, kernel)
+        assert_identical(spec, program, images, expected, kernel)
     event(f"overflows: {expected.overflows.any()}")
-    event(f"plain: {quietly(compile_spec, spec).network.is_plain.tolist()}")
+    event(f"plain: {program.network.is_plain.tolist()}")
     event(f"spikes on the chip: {expected.spiked.any()}")
     event(f"output: {spec.layers[-1].placement}, neurons {spec.layers[-1].neurons is not None}")
     event(f"first layer: {spec.layers[0].placement}")
@@ -87,10 +88,8 @@ def test_every_spike_is_the_emulators_whatever_the_architecture(seed):
     event(f"layers: {[layer.kind for layer in spec.layers]}, {spec.stimulus.kind}")
 
 
-def assert_identical(spec, images, expected, kernel):
-    presentation = spec.presentation
-    program = quietly(compile_spec, spec)
-    network = program.network
+def assert_identical(spec, program, images, expected, kernel):
+    presentation, network = spec.presentation, program.network
 
     # One step a call, to see the state after each.
     emulation = Emulation(program, kernel)
@@ -148,9 +147,10 @@ def test_the_papers_network_is_identical_in_all_compartments(placement):
     )
     images = images_for(spec, 2)
     expected = reference(spec, images)
-    assert compile_spec(spec).network.is_plain.all()
+    program = compile_spec(spec)
+    assert program.network.is_plain.all()
     for kernel in ("numba", "numpy"):
-        assert_identical(spec, images, expected, kernel)
+        assert_identical(spec, program, images, expected, kernel)
     assert all(spikes.any() for spikes in expected.spikes.values())
 
 
@@ -226,8 +226,9 @@ def test_overflows_are_identical_counted_and_warned_of_by_layer(filters, kinds, 
     totals = dict(zip(OVERFLOWS, expected.overflows.sum(axis=0), strict=True))
     assert set(kinds) <= {kind for kind, n in totals.items() if n}
     told = ", ".join(f"{n} in {kind}" for kind, n in totals.items() if n)
+    program = quietly(compile_spec, spec)
     for kernel in ("numba", "numpy"):
-        assert_identical(spec, images, expected, kernel)
+        assert_identical(spec, program, images, expected, kernel)
         with pytest.warns(RuntimeWarning, match=f"layer 'output': overflows .*: {told}"):
             list(run_fast(spec, [images], kernel=kernel))
 
