@@ -1,6 +1,7 @@
 """Target loihi, with the NxSDK stand-in where a board would be."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from tests.deploy.networks import (
     paper_spec,
     random_checks,
     random_frames,
+    readout,
     small_spec,
 )
 
@@ -150,7 +152,29 @@ def test_missing_steps_are_noticed(nxsdk, bundle, tmp_path):
         run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
 
 
-PERIOD = 35
+@pytest.fixture(scope="module")
+def shortest(tmp_path_factory):
+    """As little as can go wrong anywhere: a layer on the chip, three streams of two samples.
+
+    Every attempt at a stream builds the network again, and there are hundreds.
+    """
+    spec = small_spec(steps=12, gap=3, readout_start=4, stream_length=2)
+    conv1 = spec.layers[0]
+    layers = (conv1, readout(conv1.shape, np.random.default_rng(0)))
+    return bundle_at(
+        tmp_path_factory.mktemp("shortest") / "bundle", replace(spec, layers=layers), 6
+    )
+
+
+@pytest.fixture(scope="module")
+def shortest_emulated(shortest, tmp_path_factory):
+    result = run_check(shortest, "emulator", tmp_path_factory.mktemp("home") / "emulator.json")
+    assert all(result["spikes"].values())
+    assert len({sample["spike_hash"] for sample in result["samples"]}) == 6
+    return result
+
+
+PERIOD = 15  # a fault after 17 steps is in the second sample of its stream
 FAULTS = {
     "connection refused, then not": ({"refuse": 4}, True),
     "connection refused for good": ({"refuse": 10**6}, False),
@@ -169,7 +193,9 @@ FAULTS = {
 
 @pytest.mark.parametrize("stream", [0, 1, 2])
 @pytest.mark.parametrize(("faults", "survived"), FAULTS.values(), ids=FAULTS)
-def test_a_fault_at_any_stream(nxsdk, bundle, emulated, tmp_path, stream, faults, survived):
+def test_a_fault_at_any_stream(
+    nxsdk, shortest, shortest_emulated, tmp_path, stream, faults, survived
+):
     """Either the result is that of a run without faults, or it is one line; then it goes on."""
     injected = nxsdk.faults.FAULTS
     refused = faults.get("refuse") if "lose_at_step" in faults else None
@@ -186,17 +212,17 @@ def test_a_fault_at_any_stream(nxsdk, bundle, emulated, tmp_path, stream, faults
                 raise
 
         injected.step = step
-    options = BoardOptions(wait=0, timeout=1.0)
+    options = BoardOptions(attempts=2, wait=0, timeout=1.0)
     out = tmp_path / "r.json"
     if not survived:
         with pytest.raises(UserError, match=f"board lost in stream {stream + 1} ") as error:
-            run_check(bundle, "loihi", out, options=options)
+            run_check(shortest, "loihi", out, options=options)
         assert "\n" not in str(error.value)
         assert not out.exists()
         for name in ("refuse", "short_probes", "spikes_twice"):
             setattr(injected, name, 0)
-    result = run_check(bundle, "loihi", out, options=options)
-    assert same_answers(result, emulated)
+    result = run_check(shortest, "loihi", out, options=options)
+    assert same_answers(result, shortest_emulated)
 
 
 def test_lost_input_spikes_show_in_the_comparison(nxsdk, bundle, emulated, tmp_path):
@@ -271,7 +297,9 @@ def test_senseless_settings(wrong):
 
 @pytest.mark.slow
 def test_200_samples_of_the_papers_network_equal_the_emulators(nxsdk, tmp_path):
-    bundle = bundle_at(tmp_path / "bundle", paper_spec(steps=30, gap=5, stream_length=25), 200)
+    bundle = bundle_at(
+        tmp_path / "bundle", paper_spec(steps=12, gap=3, readout_start=4, stream_length=25), 200
+    )
     emulated = run_check(bundle, "emulator", tmp_path / "emulator.json")
     executed = run_check(read_bundle(bundle.path), "loihi", tmp_path / "loihi.json")
     assert len({sample["prediction"] for sample in executed["samples"]}) > 2

@@ -15,12 +15,11 @@ class Register:
     """
 
     def __init__(self, name, fields):
-        object.__setattr__(self, "_name", name)
-        object.__setattr__(self, "_fields", fields)
-        object.__setattr__(self, "written", False)
+        values = self.__dict__  # past __setattr__; a core has tens of thousands of registers
+        values.update(_name=name, _fields=fields, written=False)
         for field, value in fields.items():
             inner = Register(f"{name}.{field}", value) if isinstance(value, dict) else 0
-            object.__setattr__(self, field, inner)
+            values[field] = inner
 
     def __setattr__(self, field, value):
         if field not in self._fields:
@@ -30,13 +29,13 @@ class Register:
             raise BoardError(f"{self._name}.{field} = {value}: not a whole number")
         if not low <= value <= high:
             raise BoardError(f"{self._name}.{field} = {value}: outside {low} to {high}")
-        object.__setattr__(self, field, int(value))
-        object.__setattr__(self, "written", True)
+        self.__dict__[field] = int(value)
+        self.__dict__["written"] = True
 
     def configure(self, **fields):
         for field, value in fields.items():
             setattr(self, field, value)
-        object.__setattr__(self, "written", True)
+        self.__dict__["written"] = True
 
 
 class RegisterFile:
@@ -49,9 +48,10 @@ class RegisterFile:
         self.registers = {}
 
     def __getitem__(self, index):
+        if index in self.registers:
+            return self.registers[index]
         index = int(index)
         if not 0 <= index < self.size:
             raise BoardError(f"{self.name}[{index}]: a core has {self.size} of these registers")
-        if index not in self.registers:
-            self.registers[index] = Register(f"{self.name}[{index}]", self.fields)
-        return self.registers[index]
+        register = self.registers[index] = Register(f"{self.name}[{index}]", self.fields)
+        return register
