@@ -18,6 +18,7 @@ import pytest
 from deploy import requirements as host
 from deploy.check.bundle import CheckSet, write_bundle
 from deploy.check.run import run_check
+from deploy.files import write_json
 from deploy.network.decision import Judge
 from deploy.network.stimulus import EventFrames, rested
 from tests.deploy.networks import events_spec, random_checks, random_frames, small_spec
@@ -31,7 +32,11 @@ OLD_PYTHON = ROOT / ".venv-inrc" / "bin" / "python"
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
     """A bundle and the emulator's result at home: ``(bundle, result)``."""
-    return at_home(tmp_path_factory.mktemp("home"), small_spec())
+    spec = small_spec(steps=12, gap=3, readout_start=4)
+    bundle, result = at_home(tmp_path_factory.mktemp("home"), spec)
+    assert all(result["spikes"].values())
+    assert len({sample["spike_hash"] for sample in result["samples"]}) == 7
+    return bundle, result
 
 
 def at_home(folder, spec, checks=None):
@@ -79,6 +84,14 @@ def result_in(bundle, target):
     return json.loads((bundle / "checks" / f"{target}.json").read_text())
 
 
+def result_from_home(home, bundle, target):
+    """Put a result into the bundle that nothing in it has made; return its bytes."""
+    path = bundle / "checks" / f"{target}.json"
+    path.parent.mkdir()
+    write_json(path, {**home[1], "target": target})
+    return path.read_bytes()
+
+
 def test_board_is_found_at_import_and_equals_the_emulator(home, copied):
     run = pyz(copied, "check", ".", "--target", "loihi", "--partition", "nahuku32")
     assert run.returncode == 0, run.stderr
@@ -115,7 +128,7 @@ def test_too_new_nxsdk_is_one_line(copied):
 
 
 def test_killed_job_goes_on_where_it_was(home, copied):
-    killed = pyz(copied, "check", ".", "--target", "loihi", faults={"kill_at_step": 150})
+    killed = pyz(copied, "check", ".", "--target", "loihi", faults={"kill_at_step": 60})
     assert killed.returncode == 137
     partial = copied / "checks" / ".loihi.json.partial"
     assert len(partial.read_text().splitlines()) == 2  # a header and the first stream
@@ -128,9 +141,8 @@ def test_killed_job_goes_on_where_it_was(home, copied):
     assert not partial.exists()
 
 
-def test_two_jobs_on_one_result(copied):
-    assert pyz(copied, "check", ".", "--target", "loihi").returncode == 0
-    before = (copied / "checks" / "loihi.json").read_bytes()
+def test_two_jobs_on_one_result(home, copied):
+    before = result_from_home(home, copied, "loihi")
     with open(copied / "checks" / ".loihi.json.partial", "a") as other_job:
         fcntl.flock(other_job, fcntl.LOCK_EX)
         line = one_line(pyz(copied, "check", ".", "--target", "loihi"))
@@ -139,8 +151,7 @@ def test_two_jobs_on_one_result(copied):
 
 
 def test_full_disk_keeps_the_result_that_was_there(home, copied):
-    assert pyz(copied, "check", ".", "--target", "emulator").returncode == 0
-    before = (copied / "checks" / "emulator.json").read_bytes()
+    before = result_from_home(home, copied, "emulator")
 
     def no_room():  # every file ends at 1000 bytes, as on a disk that is full then
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
@@ -313,7 +324,7 @@ def test_guide_from_end_to_end(home, far_away, tmp_path):
 def test_job_submitted_again_goes_on(home, far_away, tmp_path):
     shutil.copytree(home[0].path, tmp_path / "bundle")
     shutil.copy(INRC / "check.sbatch", tmp_path)
-    for faults, state in (({"kill_at_step": 150}, "FAILED 137"), ({}, "COMPLETED")):
+    for faults, state in (({"kill_at_step": 60}, "FAILED 137"), ({}, "COMPLETED")):
         far_away["NXSDK_STANDIN"] = json.dumps(faults)
         subprocess.run(
             ["sbatch", "check.sbatch", "bundle", "nahuku32"],

@@ -18,6 +18,7 @@ from hypothesis import HealthCheck, Phase, event, given, reject, settings
 from hypothesis import strategies as st
 
 from deploy.check.results import read_result
+from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.responses import join
@@ -249,15 +250,13 @@ def test_a_copied_bundle_runs_it_without_numba(tmp_path):
     bundle = bundle_at(tmp_path / "bundle", small_spec(), 4)
     (tmp_path / "without").mkdir()
     (tmp_path / "without" / "numba.py").write_text("raise ImportError('not here')")
-    for target in ("fast", "emulator"):
-        subprocess.run(
-            [sys.executable, "deploy.pyz", "check", ".", "--target", target],
-            cwd=bundle.path, check=True, capture_output=True, timeout=300,
-            env={**os.environ, "PYTHONPATH": str(tmp_path / "without")},
-        )  # fmt: skip
-    fast, emulator = (
-        read_result(bundle.path / "checks" / f"{target}.json") for target in ("fast", "emulator")
-    )
+    subprocess.run(
+        [sys.executable, "deploy.pyz", "check", ".", "--target", "fast"],
+        cwd=bundle.path, check=True, capture_output=True, timeout=300,
+        env={**os.environ, "PYTHONPATH": str(tmp_path / "without")},
+    )  # fmt: skip
+    fast = read_result(bundle.path / "checks" / "fast.json")
+    emulator = run_check(bundle, "emulator", tmp_path / "emulator.json")
     assert set(fast) == set(emulator)
     assert fast["spikes"] == emulator["spikes"]
     for mine, theirs in zip(fast["samples"], emulator["samples"], strict=True):
