@@ -113,16 +113,16 @@ def test_too_many_compartments_names_layer_limit_excess_and_remedy():
 
 
 def test_too_many_input_axons():
-    plan = make_plan(spec_of((1, 60), shape=(70, 70, 1), block_shape=(11, 11, 1)))
+    plan = make_plan(spec_of((1, 68), shape=(70, 70, 1), block_shape=(3, 3, 1)))
     assert any("4900 input axons, 804 more than the 4096" in line for line in plan.problems)
 
 
 def test_too_many_chips():
-    spec = spec_of((4, 3), (4, 3), shape=(40, 40, 1), block_shape=(4, 4, 4))
+    spec = spec_of((2, 3), (2, 3), shape=(20, 20, 1), block_shape=(2, 2, 2))
     plan = make_plan(spec)
-    assert len(plan.cores) == 100 + 81
+    assert len(plan.cores) == 81 + 64
     assert plan.chips == 2
-    assert "181 cores need 2 chips, 1 more than the 1 asked for" in plan.problems[-1]
+    assert "145 cores need 2 chips, 1 more than the 1 asked for" in plan.problems[-1]
     assert make_plan(spec, chips=2).problems == []
 
 
