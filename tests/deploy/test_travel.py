@@ -32,7 +32,7 @@ OLD_PYTHON = ROOT / ".venv-inrc" / "bin" / "python"
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
     """A bundle and the emulator's result at home: ``(bundle, result)``."""
-    spec = small_spec(steps=12, gap=3, readout_start=4)
+    spec = small_spec(steps=20, gap=3, readout_start=4)
     bundle, result = at_home(tmp_path_factory.mktemp("home"), spec)
     assert all(result["spikes"].values())
     assert len({sample["spike_hash"] for sample in result["samples"]}) == 7
@@ -128,7 +128,7 @@ def test_too_new_nxsdk_is_one_line(copied):
 
 
 def test_killed_job_goes_on_where_it_was(home, copied):
-    killed = pyz(copied, "check", ".", "--target", "loihi", faults={"kill_at_step": 60})
+    killed = pyz(copied, "check", ".", "--target", "loihi", faults={"kill_at_step": 100})
     assert killed.returncode == 137
     partial = copied / "checks" / ".loihi.json.partial"
     assert len(partial.read_text().splitlines()) == 2  # a header and the first stream
@@ -324,7 +324,7 @@ def test_guide_from_end_to_end(home, far_away, tmp_path):
 def test_job_submitted_again_goes_on(home, far_away, tmp_path):
     shutil.copytree(home[0].path, tmp_path / "bundle")
     shutil.copy(INRC / "check.sbatch", tmp_path)
-    for faults, state in (({"kill_at_step": 60}, "FAILED 137"), ({}, "COMPLETED")):
+    for faults, state in (({"kill_at_step": 100}, "FAILED 137"), ({}, "COMPLETED")):
         far_away["NXSDK_STANDIN"] = json.dumps(faults)
         subprocess.run(
             ["sbatch", "check.sbatch", "bundle", "nahuku32"],

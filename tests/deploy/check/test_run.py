@@ -21,7 +21,7 @@ CONTRACT = {
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory):
     """Seven samples in streams of three."""
-    spec = small_spec(steps=12, gap=3, readout_start=4)
+    spec = small_spec(steps=20, gap=3, readout_start=4)
     return bundle_at(tmp_path_factory.mktemp("bundle") / "bundle", spec)
 
 
@@ -41,7 +41,7 @@ def test_the_result_has_the_contracts_entries(bundle, whole):
     assert whole.keys() >= CONTRACT
     assert whole["schema"] == "stmnist-check/1"
     assert (whole["target"], whole["bundle"]) == ("emulator", bundle.id)
-    assert (whole["n_samples"], whole["steps_per_sample"]) == (7, 12)
+    assert (whole["n_samples"], whole["steps_per_sample"]) == (7, 20)
     assert [s["id"] for s in whole["samples"]] == list(bundle.checks.ids)
     assert [s["label"] for s in whole["samples"]] == bundle.checks.labels.tolist()
     for sample in whole["samples"]:

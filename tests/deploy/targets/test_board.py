@@ -158,7 +158,7 @@ def shortest(tmp_path_factory):
 
     Every attempt at a stream builds the network again, and there are hundreds.
     """
-    spec = small_spec(steps=12, gap=3, readout_start=4, stream_length=2)
+    spec = small_spec(steps=20, gap=3, readout_start=4, stream_length=2)
     conv1 = spec.layers[0]
     layers = (conv1, readout(conv1.shape, np.random.default_rng(0)))
     return bundle_at(
@@ -168,26 +168,25 @@ def shortest(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def shortest_emulated(shortest, tmp_path_factory):
-    result = run_check(shortest, "emulator", tmp_path_factory.mktemp("home") / "emulator.json")
-    assert all(result["spikes"].values())
-    assert len({sample["spike_hash"] for sample in result["samples"]}) == 6
-    return result
+    spikes = targets.answer(shortest.spec, shortest.checks.inputs, "emulator").spikes
+    assert all(counts.all() for counts in spikes.values())  # each sample has what can be lost
+    return run_check(shortest, "emulator", tmp_path_factory.mktemp("home") / "emulator.json")
 
 
-PERIOD = 15  # a fault after 17 steps is in the second sample of its stream
+PERIOD = 23  # a fault after 30 steps is in the second sample of its stream
 FAULTS = {
     "connection refused, then not": ({"refuse": 4}, True),
     "connection refused for good": ({"refuse": 10**6}, False),
-    "connection lost in the middle": ({"lose_at_step": 17}, True),
+    "connection lost in the middle": ({"lose_at_step": 30}, True),
     "lost, and the board is taken away while we wait": (
-        {"lose_at_step": 17, "refuse": 10**6}, False),
+        {"lose_at_step": 30, "refuse": 10**6}, False),
     "a short read": ({"short_probes": 1, "times": 1}, True),
     "nothing read": ({"short_probes": PERIOD, "times": 1}, True),
     "too much read": ({"short_probes": -1, "times": 1}, True),
     "always a short read": ({"short_probes": 1}, False),
     "two spikes for one": ({"spikes_twice": True, "times": 1}, True),
     "always two spikes for one": ({"spikes_twice": True}, False),
-    "a job that hangs": ({"hang_at_step": 17}, True),
+    "a job that hangs": ({"hang_at_step": 30}, True),
 }  # fmt: skip
 
 

@@ -39,7 +39,7 @@ from deploy.targets.fast import kernel_numba
 
 @pytest.mark.slow
 @settings(
-    max_examples=50,  # every compartment; of every spike 100 more follow
+    max_examples=40,  # every compartment; of every spike 60 more follow
     deadline=None,
     phases=[Phase.explicit, Phase.reuse, Phase.generate],  # a seed's network has no simpler one
     suppress_health_check=[HealthCheck.too_slow],
@@ -65,7 +65,7 @@ def test_identical_to_the_emulator_in_every_compartment_at_every_step(seed):
 
 
 @settings(
-    max_examples=100,
+    max_examples=60,
     deadline=None,
     phases=[Phase.explicit, Phase.reuse, Phase.generate],
     suppress_health_check=[HealthCheck.too_slow],
