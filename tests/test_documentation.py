@@ -5,7 +5,6 @@ import itertools
 import re
 import shlex
 import subprocess
-import sys
 
 import pytest
 import typer.main
@@ -14,7 +13,7 @@ import stmnist
 from pipeline.commands.documentation import FILES, with_parts
 from pipeline.commands.main import app
 from pipeline.settings import Settings
-from tests.command import ROOT, environment
+from tests.command import ROOT
 
 README = ROOT / "README.md"
 DOCS = sorted((ROOT / "docs").glob("*.md"))
@@ -236,31 +235,6 @@ def test_what_a_docstring_names_is_there(package):
         ours = r"(?:deploy|models|pipeline|stmnist)(?!\.pyz?\b)(?:\.\w+)+"
         for name in re.findall(rf"(?:`~?| : |of )({ours})", text):
             assert is_defined(name), f"{path}: {name}"
-
-
-@pytest.mark.slow
-def test_what_the_page_on_python_shows_runs(tmp_path):
-    """One block after the other, as a notebook would, with fewer samples, epochs and steps."""
-    small = '"cnn": {"epochs": 3}, "snn": {"epochs": 3}, "presentation": {"steps": 40}'
-    code = "\n".join(block for _, block in blocks(read(ROOT / "docs" / "python.md")))
-    for shown, fewer in (
-        ('"samples_per_digit": 100}', f'"samples_per_digit": 30}}, {small}'),
-        ('"samples": 100', '"samples": 20'),
-        ("split.test, 200", "split.test, 20"),
-    ):
-        assert shown in code
-        code = code.replace(shown, fewer)
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=tmp_path,
-        env=environment(),
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    for said in ("rate-lif: ", "nengo: ", "fast: ", "ESTIMATE", "2 cores on 1 chip"):
-        assert said in done.stdout
-    assert (tmp_path / "mine" / "network.nir").is_file()
 
 
 def targets():
