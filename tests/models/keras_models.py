@@ -1,28 +1,23 @@
-"""Models in files, made by either Keras in a process of its own: with its predictions beside them.
+"""Models in files, made by either Keras: with its predictions beside them.
 
-    python keras_models.py keras2|keras3 FOLDER
+    python keras_models.py FOLDER OTHER_FOLDER
 
-A process can have Keras 2 or Keras 3 in TensorFlow, not both.
+Keras 2 writes into the first folder and Keras 3 into the other.  They live side by side in one
+process, since neither is asked of TensorFlow (there `tensorflow.keras` is one of them, for good).
 """
 
+import gc
 import os
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
 
-
-def keras_of(which):
-    """The module keras: tf-keras, or Keras 3."""
-    os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
-    if which == "keras2":
-        os.environ["TF_USE_LEGACY_KERAS"] = "1"
-        import tf_keras as keras
-    else:
-        os.environ.pop("TF_USE_LEGACY_KERAS", None)
-        os.environ["KERAS_BACKEND"] = "tensorflow"
-        import keras
-    return keras
+# As in tests/conftest.py: the two make a million objects and hardly any garbage.
+gc.set_threshold(50_000, 20, 50)
+os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
+os.environ["KERAS_BACKEND"] = "tensorflow"
 
 
 def good(keras):
@@ -106,7 +101,7 @@ def good(keras):
         layers.Flatten(),
         layers.Dense(10, activation="softmax"),
     ])  # fmt: skip
-    model.compile("adam", "sparse_categorical_crossentropy")
+    model.compile("adam", "sparse_categorical_crossentropy", run_eagerly=True)  # no graph for this
     images = np.random.default_rng(1).uniform(size=(64, 10, 10, 1))
     model.fit(images, np.arange(64) % 10, verbose=0)
     models["trained"] = model
@@ -212,9 +207,8 @@ def randomise(model, seed):
         layer.set_weights(arrays)
 
 
-def main(which, folder):
+def write(keras, folder):
     """Write NAME.keras, NAME.h5 and, of the good ones, NAME.npz with inputs and predictions."""
-    keras, folder = keras_of(which), Path(folder)
     keras.utils.set_random_seed(0)
     for seed, (name, model) in enumerate(good(keras).items()):
         if name != "trained":
@@ -239,8 +233,6 @@ def main(which, folder):
 
 def save(model, path):
     """In both formats."""
-    import warnings
-
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         model.save(f"{path}.keras")
@@ -248,4 +240,8 @@ def save(model, path):
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    import keras
+    import tf_keras
+
+    for version, folder in zip((tf_keras, keras), sys.argv[1:], strict=True):
+        write(version, Path(folder))

@@ -77,28 +77,17 @@ BAD = {
 
 @pytest.fixture(scope="session")
 def files(tmp_path_factory):
-    """Folders of files that Keras 2 and Keras 3 wrote, each in a process of its own."""
+    """Folders of files that Keras 2 and Keras 3 wrote, in a process of their own."""
     folders = {which: tmp_path_factory.mktemp(which) for which in KERAS}
     clean = {k: v for k, v in os.environ.items() if k != "TF_USE_LEGACY_KERAS"}
-    started = [
-        subprocess.Popen(
-            [sys.executable, keras_models.__file__, which, str(folder)],
-            env=clean,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for which, folder in folders.items()
-    ]
-    try:
-        for process in started:
-            _, said = process.communicate()
-            assert process.returncode == 0, said
-    finally:
-        for process in started:
-            if process.poll() is None:
-                process.kill()
-                process.communicate()
+    done = subprocess.run(
+        [sys.executable, keras_models.__file__, *map(str, folders.values())],
+        env=clean,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
     return folders
 
 
