@@ -1,6 +1,3 @@
-import functools
-import os
-import signal
 import zipfile
 from dataclasses import replace
 
@@ -16,8 +13,9 @@ from pipeline.recordings.archive import (
     write_zip,
 )
 from pipeline.recordings.events import TaxelMap
-from pipeline.recordings.matfile import lookup_table_bytes, read_recording
+from pipeline.recordings.matfile import lookup_table_bytes
 from pipeline.skin.simulate import simulate
+from tests.pipeline import deadly
 from tests.pipeline.handmade import (
     archive,
     assert_same,
@@ -271,22 +269,11 @@ def test_a_zip_is_opened_once_not_for_every_chunk(tmp_path, monkeypatch):
     assert len(read_source(path, jobs=1)) == 20
 
 
-def die_of_the_bad_one(content):
-    if content == b"deadly":
-        os.kill(os.getpid(), signal.SIGKILL)
-    return read_recording(content)
-
-
 def test_a_file_that_ends_its_worker_is_named(tmp_path, monkeypatch):
+    """In the second of three parts, and then in halves of it, each in new processes."""
     path = tmp_path / "st.zip"
-    archive(path, {**good_members(4), "5/deadly.mat": b"deadly"})
-    monkeypatch.setattr(
-        "pipeline.recordings.archive._read_members", functools.partial(_members_read)
-    )
-    with pytest.raises(UserError, match=r"1 of 41 files refused: 5/deadly.mat ends the process"):
+    archive(path, {**good_members(), "5/deadly.mat": deadly.CONTENT})
+    monkeypatch.setattr("pipeline.recordings.archive.CHUNK", 4)
+    monkeypatch.setattr("pipeline.recordings.archive._read_members", deadly.read_members)
+    with pytest.raises(UserError, match=r"1 of 11 files refused: 5/deadly.mat ends the process"):
         read_source(path, jobs=2)
-
-
-def _members_read(path, names):
-    with zipfile.ZipFile(path) as file:
-        return [die_of_the_bad_one(file.read(name)) for name in names]
