@@ -12,9 +12,10 @@ from tests.command import environment
 UNKNOWN = 32_123
 """Number of a filter that nobody has."""
 
+REFUSED = "filter plugins disabled"
+
 READ = """
 import sys
-from {module} import *
 import h5py
 try:
     h5py.File(sys.argv[1])["x"][()]
@@ -23,10 +24,10 @@ except OSError as error:
 """
 
 
-@pytest.fixture
-def asks_for_a_plug_in(tmp_path):
-    """A file whose data went through a filter that only a plug-in could undo."""
-    path = tmp_path / "asks.h5"
+def asking(folder):
+    """A file whose data went through a filter that only a plug-in could undo; and variables of an
+    environment that name a folder with a library that is none."""
+    path = folder / "asks.h5"
     with h5py.File(path, "w") as file:
         plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
         plan.set_chunk((10,))
@@ -34,18 +35,22 @@ def asks_for_a_plug_in(tmp_path):
         space = h5py.h5s.create_simple((10,))
         dataset = h5py.h5d.create(file.id, b"x", h5py.h5t.NATIVE_INT32, space, plan)
         dataset.write_direct_chunk((0,), np.arange(10, dtype="i4").tobytes())
-    return path
-
-
-@pytest.mark.parametrize("module", ["numpy", "models.hdf5", "models.keras2"])
-def test_no_plug_in_is_looked_for(module, asks_for_a_plug_in, tmp_path):
-    """Without :mod:`models.hdf5`, NumPy's line, HDF5 would try each library in the folder."""
-    (tmp_path / "plug-ins").mkdir()
-    (tmp_path / "plug-ins" / "libno.so").write_text("no library")
-    new = environment(HDF5_PLUGIN_PATH=str(tmp_path / "plug-ins"))
+    (folder / "plug-ins").mkdir()
+    (folder / "plug-ins" / "libno.so").write_text("no library")
+    new = environment(HDF5_PLUGIN_PATH=str(folder / "plug-ins"))
     new.pop("HDF5_PLUGIN_PRELOAD", None)
+    return path, new
+
+
+@pytest.mark.parametrize("module", ["numpy", "models.hdf5"])
+def test_no_plug_in_is_looked_for(module, tmp_path):
+    """Without :mod:`models.hdf5`, NumPy's line, HDF5 would try each library in the folder.
+
+    That nothing does beside TensorFlow either is in tests/test_old_worlds.py.
+    """
+    path, new = asking(tmp_path)
     done = subprocess.run(
-        [sys.executable, "-c", READ.format(module=module), str(asks_for_a_plug_in)],
+        [sys.executable, "-c", f"from {module} import *\n{READ}", str(path)],
         env=new,
         capture_output=True,
         text=True,
@@ -54,4 +59,4 @@ def test_no_plug_in_is_looked_for(module, asks_for_a_plug_in, tmp_path):
     if module == "numpy":
         assert "libno.so" in done.stdout, done
     else:
-        assert "filter plugins disabled" in done.stdout, done
+        assert REFUSED in done.stdout, done
