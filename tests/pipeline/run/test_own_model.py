@@ -18,7 +18,8 @@ ARCHITECTURE = "10x10-6c4-24c3-10o"
 
 
 @pytest.fixture(scope="module")
-def dataset():
+def dataset(tiny_run):
+    """The recordings of the small run, which are in the cache with it."""
     return Dataset.of(Settings().with_values({"data": {"samples_per_digit": 60}}, "test"))
 
 
