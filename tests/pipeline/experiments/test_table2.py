@@ -13,6 +13,7 @@ from pipeline.experiments.table2 import summarise, table_text
 from pipeline.experiments.table2_splits import MODELS
 from pipeline.jobs import Failure
 from pipeline.settings import Settings
+from tests.untraced import untraced
 
 
 @pytest.fixture
@@ -219,7 +220,8 @@ def test_the_command_runs_resumes_and_prints(tmp_path, monkeypatch, capsys):
     out = tmp_path / "out"
     names = ["cnn", "ann-snn", "slayer", "own-loihi"]  # each recipe and each kind of answer once
     models = ",".join(names)
-    status, said = run(capsys, "--out", str(out), "--models", models, *SMALL)
+    with untraced():
+        status, said = run(capsys, "--out", str(out), "--models", models, *SMALL)
     assert status == 0, said.err
     table = json.loads((out / "table2.json").read_text())
     assert [row["model"] for row in table["rows"]] == names
@@ -302,7 +304,7 @@ def test_mistakes_end_with_status_2(arguments, message, tmp_path, monkeypatch, c
 @pytest.mark.slow
 def test_the_training_speed_is_told(capsys):
     """Figures as they come; that they are good is for a quiet machine to say."""
-    with pytest.raises(SystemExit) as stop:
+    with untraced(), pytest.raises(SystemExit) as stop:
         cli.main(
             "benchmark training --networks 1 --rounds 1 --samples 12 --jobs 1 --json".split()  # noqa: SIM905
         )

@@ -25,7 +25,7 @@ def dataset(tiny_run):
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory, dataset):
-    """A trained model with a normalisation, and one that saw the classes in another order."""
+    """A trained model with a normalisation, and the same with the classes in another order."""
     from models.keras2 import tf
 
     folder = tmp_path_factory.mktemp("models")
@@ -44,14 +44,15 @@ def files(tmp_path_factory, dataset):
             layers.Dense(10, activation="softmax"),
         ])  # fmt: skip
 
-    for name, order in (("good", np.arange(10)), ("other", np.roll(np.arange(10), 1))):
-        tf.keras.utils.set_random_seed(0)
-        model = network()
-        model.compile(tf.keras.optimizers.Adam(0.01), "sparse_categorical_crossentropy")
-        model.fit(images, order[labels], epochs=12, batch_size=32, verbose=0)
-        model.save(folder / f"{name}.keras")
-        if name == "good":
-            np.save(folder / "probabilities.npy", model.predict(dataset.inputs, verbose=0))
+    tf.keras.utils.set_random_seed(0)
+    model = network()
+    model.compile(tf.keras.optimizers.Adam(0.01), "sparse_categorical_crossentropy")
+    model.fit(images, labels, epochs=12, batch_size=32, verbose=0)
+    model.save(folder / "good.keras")
+    np.save(folder / "probabilities.npy", model(dataset.inputs))
+    output = model.layers[-1]
+    output.set_weights([np.roll(array, 1, axis=-1) for array in output.get_weights()])
+    model.save(folder / "other.keras")
     small = tf.keras.Sequential([
         tf.keras.Input((8, 8, 1)),
         layers.Flatten(),
