@@ -42,6 +42,10 @@ if not _keras.startswith("tf_keras."):
 # That a function is traced anew for each network is no news to the user.
 tf.get_logger().setLevel("ERROR")
 
+as_written = tf.autograph.experimental.do_not_convert
+"""Decorates what has no branch or loop over tensors: to translate it for some takes longer than to
+trace it."""
+
 
 @contextlib.contextmanager
 def silenced():
@@ -64,4 +68,4 @@ def quiet_compiler():
         tf.function(lambda x: x + 1, jit_compile=True)(tf.ones(()))
 
 
-__all__ = ["quiet_compiler", "tf"]
+__all__ = ["as_written", "quiet_compiler", "tf"]

@@ -23,7 +23,7 @@ from __future__ import annotations
 import numpy as np
 
 from deploy.network.chip import LOIHI
-from models.keras2 import tf
+from models.keras2 import as_written, tf
 
 DT = LOIHI.dt
 """Time step in seconds."""
@@ -110,6 +110,7 @@ class RateLIF(tf.keras.layers.Layer):
             self.add_loss(tf.reduce_mean(self.cost(rates)))
         return rates
 
+    @as_written
     def rates(self, inputs):
         """Rates relative to ``max_rate``."""
         smooth = self._rate(self.smoothing * tf.math.softplus(self.gain * inputs / self.smoothing))
@@ -117,6 +118,7 @@ class RateLIF(tf.keras.layers.Layer):
         # The value of the exact rate with the gradient of the smooth one.
         return smooth + tf.stop_gradient(exact - smooth)
 
+    @as_written
     def cost(self, rates):
         """Cost of the spikes of each sample; the last dimensions are those of ``spike_costs``."""
         dimensions = len(self.spike_costs.shape)

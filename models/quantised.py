@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deploy.network.chip import LOIHI
-from models.keras2 import tf
+from models.keras2 import as_written, tf
 
 WEIGHT_LEVELS = LOIHI.weight_levels
 """Largest magnitude of a weight that may have either sign."""
@@ -42,6 +42,7 @@ def twelve_bits(bias):
     return bias + tf.stop_gradient(tf.round(bias / unit) * unit - bias)
 
 
+@as_written
 def on_chip(kernel, bias, gain: float, stacked=False):
     """Kernel and bias as the chip has them.
 

@@ -18,7 +18,7 @@ from models.cnn import (
     set_weights,
     with_noise,
 )
-from models.keras2 import tf
+from models.keras2 import as_written, tf
 from models.lif import DT, RateLIF, gain_for
 from models.quantised import OnChipConv2D, OnChipDense
 from pipeline.settings import Settings
@@ -377,6 +377,7 @@ def _compiled_batches(model, rule, images, labels, batch_size):
     """``train_on(order, noise) -> [sum of losses, number of right answers]``, batch by batch."""
     variables = model.trainable_variables
 
+    @as_written
     def step(chosen, noise):
         wanted = tf.gather(labels, chosen)
         with tf.GradientTape() as tape:
@@ -388,7 +389,7 @@ def _compiled_batches(model, rule, images, labels, batch_size):
             skip_gradients_aggregation=True,
         )
         right = tf.reduce_sum(tf.cast(tf.argmax(logits, 1, tf.int32) == wanted, tf.float32))
-        return tf.stack([loss * tf.cast(len(wanted), tf.float32), right])
+        return tf.stack([loss * tf.cast(tf.shape(wanted)[0], tf.float32), right])
 
     @tf.function
     def train_on(order, noise):
