@@ -1,6 +1,7 @@
 """Imports go one way, and what travels to an INRC host needs nothing that is not there."""
 
 import ast
+import functools
 import subprocess
 import sys
 from pathlib import Path
@@ -45,6 +46,7 @@ def sources(package):
     return sorted((ROOT / package).rglob("*.py"))
 
 
+@functools.cache
 def imported(path):
     """Top-level names that a source file imports, wherever in it."""
     names = set()
