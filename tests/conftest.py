@@ -11,6 +11,9 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     for library in ("OMP_NUM", "OPENBLAS_NUM", "TF_NUM_INTEROP"):
         os.environ.setdefault(f"{library}_THREADS", "1")
 os.environ["TF_NUM_INTRAOP_THREADS"] = "1"  # as a run on images has it
+# A training takes less time with oneDNN, but to look into each new graph for what oneDNN could do
+# takes TensorFlow a fifth of the time of the tests that make one.
+os.environ["TF_ENABLE_ONEDNN_OPTS"] = "0"
 
 import pytest
 from hypothesis import settings
@@ -28,6 +31,16 @@ TINY = (
 # TensorFlow's graphs are a million objects: looking through them for garbage every few hundred new
 # ones takes an eighth of the time of the tests that make them.
 gc.set_threshold(50_000, 20, 50)
+
+
+def pytest_collection_finish():
+    """What was imported is no garbage."""
+    gc.freeze()
+
+
+def pytest_sessionfinish():
+    """Nor is what is left: pytest looks ten times through it, and Python again as it ends."""
+    gc.freeze()
 
 # Properties are tried on the same examples in every run, so that a change is blamed for what it
 # breaks and chance never is; `pytest --hypothesis-profile=search` draws new ones.
