@@ -31,16 +31,19 @@ TINY = (
 # TensorFlow's graphs are a million objects: looking through them for garbage every few hundred new
 # ones takes an eighth of the time of the tests that make them.
 gc.set_threshold(50_000, 20, 50)
+gc.disable()
 
 
 def pytest_collection_finish():
     """What was imported is no garbage."""
     gc.freeze()
+    gc.enable()
 
 
 def pytest_sessionfinish():
     """Nor is what is left: pytest looks ten times through it, and Python again as it ends."""
     gc.freeze()
+
 
 # Properties are tried on the same examples in every run, so that a change is blamed for what it
 # breaks and chance never is; `pytest --hypothesis-profile=search` draws new ones.

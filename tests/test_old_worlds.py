@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deploy.network.loihi_import import NumPy1, nengo_loihi
-from tests.command import ROOT
+from tests.command import LEAVE_GARBAGE, ROOT
 from tests.models.test_hdf5 import READ, REFUSED, asking
 
 IMPORT_BOTH = (
@@ -37,7 +37,7 @@ def run(code, *arguments, environment=os.environ):
     """Run it in a process that knows nothing of this one's choice of Keras."""
     env = {name: value for name, value in environment.items() if not name.startswith("TF_")}
     return subprocess.run(
-        [sys.executable, "-c", code, *map(str, arguments)],
+        [sys.executable, "-c", LEAVE_GARBAGE + code, *map(str, arguments)],
         cwd=ROOT, env=env, capture_output=True, text=True, timeout=300,
     )  # fmt: skip
 

@@ -6,6 +6,7 @@ Keras 2 writes into the first folder and Keras 3 into the other.  They live side
 process, since neither is asked of TensorFlow (there `tensorflow.keras` is one of them, for good).
 """
 
+import atexit
 import gc
 import os
 import sys
@@ -14,8 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-# As in tests/conftest.py: the two make a million objects and hardly any garbage.
-gc.set_threshold(50_000, 20, 50)
+# The two make a million objects and hardly any garbage, through which Python would look as it ends.
+gc.disable()
+atexit.register(gc.freeze)
 os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
 os.environ["KERAS_BACKEND"] = "tensorflow"
 

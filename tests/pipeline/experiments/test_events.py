@@ -77,7 +77,7 @@ def test_the_text():
 
 TINY = (
     *("--jobs", "1", "--set", "data.samples_per_digit=6", "--set", "events.epochs=1"),
-    *("--set", "input.step=125", "--json"),
+    *("--set", "input.step=500", "--json"),
 )
 
 

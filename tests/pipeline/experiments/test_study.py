@@ -141,7 +141,7 @@ def test_a_split_is_measured(name, one_choice, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_losses_of_a_network_on_events(tmp_path, capsys):
-    out, tiny = tmp_path / "losses", ("--set", "events.epochs=1", "--set", "input.step=125")
+    out, tiny = tmp_path / "losses", ("--set", "events.epochs=1", "--set", "input.step=500")
     command = ("benchmark", "losses", "--input", "events", "--out", out, "--seeds", "1")
     assert call(*command, *TINY, *tiny) == 0
     summary = json.loads(capsys.readouterr().out)

@@ -291,7 +291,7 @@ def test_a_failed_point_is_reported_and_the_others_stand(tiny_sweep, tmp_path, c
 def test_a_sweep_on_events(tmp_path, capsys):
     folder = tmp_path / "out"
     tiny = ("--set", "data.samples_per_digit=40", "--set", "events.epochs=1", "--jobs", 1)
-    tiny += ("--set", "input.step=125", "--set", "events.batch_size=96")
+    tiny += ("--set", "input.step=500", "--set", "events.batch_size=96")
     grid = ("--grid", "events.architecture=10x10x2-4c4s3-16-10o,10x10x2-6c4s3-10o")
     assert call("sweep", folder, "--input", "events", *tiny, *grid) == 0
     assert "10x10x2-6c4s3-10o" in capsys.readouterr().out

@@ -257,7 +257,7 @@ def test_the_command_runs_resumes_and_prints(tmp_path, monkeypatch, capsys):
 def test_the_rows_on_events(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("STMNIST_CACHE", str(tmp_path / "cache"))
     out = tmp_path / "out"
-    tiny = ("--set", "events.epochs=1", "--set", "input.step=125", "--json")
+    tiny = ("--set", "events.epochs=1", "--set", "input.step=500", "--json")
     status, said = run(capsys, "--out", str(out), "--models", "events,events-loihi", *SMALL, *tiny)
     assert status == 0, said.err
     table = json.loads(said.out)

@@ -10,7 +10,7 @@ from models.cnn import activations
 from pipeline.settings import Settings, write_settings
 from pipeline.training import networks as training
 from pipeline.training.stacked import train_cnns
-from tests.command import environment
+from tests.command import LEAVE_GARBAGE, environment
 from tests.untraced import untraced
 
 
@@ -67,7 +67,9 @@ def test_the_number_of_cores_does_not_matter(cnn, stripes, tmp_path):
     np.savez(tmp_path / "data.npz", *stripes)
     write_settings(tmp_path / "chosen.toml", chosen)
     others = {name: value for name, value in environment().items() if "THREADS" not in name}
-    subprocess.run([sys.executable, "-c", IN_ANOTHER], cwd=tmp_path, env=others, check=True)
+    subprocess.run(
+        [sys.executable, "-c", LEAVE_GARBAGE + IN_ANOTHER], cwd=tmp_path, env=others, check=True
+    )
     for name, weights in {"cnn": cnn.weights, "rates": here}.items():
         with np.load(tmp_path / f"{name}.npz") as there:
             assert set(there) == set(weights)
