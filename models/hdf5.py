@@ -3,7 +3,7 @@
 A file names the filters that its data went through, and HDF5 looks for those it does not know as
 plug-ins: shared libraries in a folder that an environment variable names, by default one below
 ``/usr/local``.  It is told to look nowhere (TensorFlow before 2.21 does not tell it:
-CVE-2026-2492).  HDF5 asks once, when h5py is imported.
+CVE-2026-2492).  HDF5 asks once, when it first looks for one.
 """
 
 from __future__ import annotations

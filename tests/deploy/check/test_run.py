@@ -91,6 +91,14 @@ def test_a_line_that_was_cut_short_is_done_again(bundle, whole, begun, tmp_path,
     same_answers(run_check(bundle, "emulator", out), whole)
 
 
+def test_a_stream_that_lost_a_sample_is_done_again(bundle, whole, begun, tmp_path):
+    out = tmp_path / "emulator.json"
+    first, second = map(json.loads, filter(None, begun.decode().split("\n")))
+    del first["samples"][-1]
+    partial(out).write_text("\n".join(map(json.dumps, [first, second])))
+    same_answers(run_check(bundle, "emulator", out), whole)
+
+
 @pytest.mark.parametrize(
     "line",
     [

@@ -1,6 +1,7 @@
 """Target loihi, with the NxSDK stand-in where a board would be."""
 
 import json
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -222,6 +223,19 @@ def test_a_fault_at_any_stream(
             setattr(injected, name, 0)
     result = run_check(shortest, "loihi", out, options=options)
     assert same_answers(result, shortest_emulated)
+
+
+def test_connecting_and_running_are_each_given_the_time_that_was_asked_for(
+    nxsdk, shortest, tmp_path, monkeypatch
+):
+    def set_timer(which, seconds):
+        asked.append(seconds)
+        return before(which, seconds)
+
+    asked, before = [], signal.setitimer
+    monkeypatch.setattr(signal, "setitimer", set_timer)
+    run_check(shortest, "loihi", tmp_path / "r.json", options=BoardOptions(timeout=432.0))
+    assert asked == [432.0, 0] * 6  # three streams, and each connects and runs
 
 
 def test_lost_input_spikes_show_in_the_comparison(nxsdk, bundle, emulated, tmp_path):

@@ -3,9 +3,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from deploy.errors import UserError
 from pipeline.recordings.archive import (
+    _read_chunks,
     content_hash,
     fingerprint,
     list_source,
@@ -267,6 +269,20 @@ def test_a_zip_is_opened_once_not_for_every_chunk(tmp_path, monkeypatch):
     assert len(opened) == 2  # to list and to read
     archive(path, good_members(2))  # another file of that name is read anew
     assert len(read_source(path, jobs=1)) == 20
+
+
+def test_what_was_read_before_a_worker_ended_is_not_read_again(monkeypatch):
+    def results_of(calls, jobs):
+        yield ["a"]
+        raise TerminatedWorkerError
+
+    def read_carefully(path, names):
+        return [f"{name}, carefully" for name in names]
+
+    monkeypatch.setattr("pipeline.recordings.archive.results_of", results_of)
+    monkeypatch.setattr("pipeline.recordings.archive._read_carefully", read_carefully)
+    found = _read_chunks("st.zip", [["a"], ["b"], ["c", "d"]], jobs=2)
+    assert list(found) == [["a"], ["b, carefully"], ["c, carefully", "d, carefully"]]
 
 
 def test_a_file_that_ends_its_worker_is_named(tmp_path, monkeypatch):
