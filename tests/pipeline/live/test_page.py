@@ -6,6 +6,7 @@ import re
 import threading
 import time
 from contextlib import closing, contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,10 +66,11 @@ def messages(page, kind):
 
 
 def digit(number, index=0):
-    """A simulated hand's motion."""
+    """A simulated hand's motion in a third of its time."""
     who = handwriting.writers(np.random.default_rng([0, 1]), P.writers)[index]
     sample = simulate.Sample(number, index, index)
-    return simulate.motion(sample, who, np.random.default_rng([0, 2, number, index]), P)
+    motion = simulate.motion(sample, who, np.random.default_rng([0, 2, number, index]), P)
+    return replace(motion, time_s=motion.time_s / 3)
 
 
 def until(page, condition, seconds=120):
