@@ -32,6 +32,12 @@ def environment(**more) -> dict:
     return {**os.environ, "PYTHONPATH": str(ROOT), **more}
 
 
+def users_environment() -> dict:
+    """The same without what tests/conftest.py chooses for TensorFlow: oneDNN, and threads."""
+    chosen = ("ONEDNN", "THREADS")
+    return {k: v for k, v in environment().items() if not any(part in k for part in chosen)}
+
+
 @contextlib.contextmanager
 def started(*arguments):
     """Start it as a process of its own, in a group of its own that ends with the block.

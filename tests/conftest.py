@@ -31,7 +31,7 @@ TINY = (
 # TensorFlow's graphs are a million objects: looking through them for garbage every few hundred new
 # ones takes an eighth of the time of the tests that make them.
 gc.set_threshold(50_000, 20, 50)
-gc.disable()
+gc.disable()  # until all is imported
 
 
 def pytest_collection_finish():

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from deploy.files import read_json
-from tests.command import ROOT, environment
+from tests.command import ROOT, users_environment
 from tests.test_documentation import DOCS, blocks, read
 
 SHOWN = """
@@ -60,7 +60,7 @@ def test_a_network_of_ones_own_and_the_page_on_python(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", SHOWN, "own_network.py", "page.py"],
         cwd=tmp_path,
-        env={k: v for k, v in environment().items() if k != "TF_ENABLE_ONEDNN_OPTS"},
+        env=users_environment(),
         capture_output=True,
         text=True,
     )

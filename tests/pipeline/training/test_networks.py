@@ -11,7 +11,7 @@ from models.cnn import activations
 from pipeline.settings import Settings, write_settings
 from pipeline.training import networks as training
 from pipeline.training.stacked import train_cnns
-from tests.command import LEAVE_GARBAGE, environment
+from tests.command import LEAVE_GARBAGE, users_environment
 from tests.untraced import untraced
 
 
@@ -65,13 +65,15 @@ def test_the_number_of_cores_does_not_matter(stripes, tmp_path):
     """The weights of a process on one core in another that has all, both as a user starts them."""
     np.savez(tmp_path / "data.npz", *stripes)
     write_settings(tmp_path / "chosen.toml", settings(recipe="loihi", epochs=2))
-    user = {k: v for k, v in environment().items() if "THREADS" not in k and "ONEDNN" not in k}
     trained = []
     for cores in ({min(os.sched_getaffinity(0))}, os.sched_getaffinity(0)):
         subprocess.run(
-            [sys.executable, "-c", LEAVE_GARBAGE + IN_ANOTHER], cwd=tmp_path, env=user, check=True,
+            [sys.executable, "-c", LEAVE_GARBAGE + IN_ANOTHER],
+            cwd=tmp_path,
+            env=users_environment(),
+            check=True,
             preexec_fn=lambda cores=cores: os.sched_setaffinity(0, cores),
-        )  # fmt: skip
+        )
         for name in ("cnn", "rates"):
             with np.load(tmp_path / f"{name}.npz") as weights:
                 trained.append(dict(weights))
