@@ -7,11 +7,10 @@ import shlex
 import subprocess
 
 import pytest
-import typer.main
 
 import stmnist
 from pipeline.commands.documentation import FILES, with_parts
-from pipeline.commands.main import app
+from pipeline.commands.main import command_line
 from pipeline.settings import Settings
 from tests.command import ROOT
 
@@ -34,14 +33,14 @@ pages = pytest.mark.parametrize("page", PAGES, ids=lambda p: p.relative_to(ROOT)
 def commands():
     """Each command's words, such as ``"check run"``, with the command."""
 
-    def walk(command, words):
-        if hasattr(command, "commands"):
-            for name, below in command.commands.items():
-                yield from walk(below, [*words, name])
+    def walk(verb, words):
+        if hasattr(verb, "commands"):
+            for name, below in verb.commands.items():
+                yield from walk(getattr(below, "chosen", below), [*words, name])
         else:
-            yield " ".join(words), command
+            yield " ".join(words), verb
 
-    return dict(walk(typer.main.get_command(app), []))
+    return dict(walk(command_line(), []))
 
 
 def options(command):

@@ -6,9 +6,8 @@ import subprocess
 import sys
 
 import pytest
-from typer.testing import CliRunner
 
-from pipeline.commands.main import app
+from pipeline.commands.main import command_line
 from tests.command import ROOT, call, environment
 from tests.test_documentation import commands
 
@@ -16,12 +15,14 @@ NARROW = 60
 GROUPS = sorted({" ".join(words.split()[:-1]) for words in commands()})
 
 
-def shown(words, width=NARROW):
-    found = CliRunner(env={"COLUMNS": str(width), "TERMINAL_WIDTH": str(width)}).invoke(
-        app, [*words.split(), "--help"]
-    )
-    assert found.exit_code == 0
-    return found.output
+@pytest.fixture
+def shown(monkeypatch, capsys):
+    def shown(words, width=NARROW):
+        monkeypatch.setenv("COLUMNS", str(width))
+        assert call(*words.split(), "--help") == 0
+        return capsys.readouterr().out
+
+    return shown
 
 
 def words_of(text):
@@ -29,12 +30,18 @@ def words_of(text):
 
 
 @pytest.mark.parametrize("words", [*GROUPS, *sorted(commands())])
-def test_help_fits_60_columns_and_cuts_no_word(words):
+def test_help_fits_60_columns_and_cuts_no_word(words, shown):
     text = shown(words)
     assert max(map(len, text.splitlines())) <= NARROW
     assert "…" not in text
     cut = set(words_of(text)) - set(words_of(shown(words, 300)))
     assert not cut, cut
+
+
+@pytest.mark.parametrize("verb", command_line().commands.values(), ids=lambda verb: verb.name)
+def test_the_list_says_of_a_verb_what_its_own_help_begins_with(verb):
+    """In the one it is kept beside the name, so that no module is imported to list it."""
+    assert " ".join(verb.chosen.help.partition("\n\n")[0].split()) == verb.help
 
 
 @pytest.mark.parametrize("number", ["-1", "1000001", "many"])

@@ -204,5 +204,29 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 
 def test_the_command_starts_without_tensorflow():
     """Each verb imports it when it trains; a check or a --help does not wait for it."""
-    code = "import sys, pipeline.commands.main; sys.exit('tensorflow' in sys.modules)"
+    code = """
+import sys
+from pipeline.commands.main import VERBS, import_verb
+for name in VERBS:
+    import_verb([name])
+sys.exit("tensorflow" in sys.modules)
+"""
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
+
+
+def test_the_list_of_commands_imports_none_of_their_modules():
+    """They take most of a second, and ``--help`` and a TAB are to be quick."""
+    code = """
+import sys
+from pipeline.commands.main import main
+try:
+    main(["--help"])
+finally:
+    heavy = {"nengo", "scipy", "h5py", "joblib", "pipeline.commands.stages"} & set(sys.modules)
+    assert not heavy, heavy
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, env=environment(), capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert "settings" in done.stdout

@@ -52,6 +52,30 @@ def test_in_the_imports_it_is_one_line():
         assert interrupted(process) == (130, "", LINE + "\n")
 
 
+def test_in_the_imports_of_a_verb_it_is_one_line():
+    """Which are not imported to list the verbs, so they come after those of the command."""
+    code = """
+        import sys
+
+        class Long:
+            def find_spec(self, name, path, target=None):
+                if name == "pipeline.commands.settings":
+                    print("ready", flush=True)
+                    try:
+                        while True:
+                            pass
+                    except KeyboardInterrupt:
+                        raise ImportError(name)
+
+        sys.argv = ["stmnist", "settings"]
+        sys.meta_path.insert(0, Long())
+        from pipeline.__main__ import main
+        main()
+        """
+    with started(code) as process:
+        assert interrupted(process) == (130, "", LINE + "\n")
+
+
 DROPPED = """
     import gc, sys
     from deploy import interrupts

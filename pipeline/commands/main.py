@@ -3,29 +3,19 @@
 from __future__ import annotations
 
 import sys
+from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, get_args, get_origin, get_type_hints
 
 import typer
+import typer.main
 from typer.core import TyperCommand, TyperGroup
 from typer.models import OptionInfo
 
 from deploy import __version__, interrupts
 from deploy.errors import CheckFailed, UserError, drop_unwritable, line_of, one_line
 from models.architecture import NotationError
-from pipeline.commands import (
-    benchmark,
-    check,
-    compare,
-    data,
-    deploy,
-    live,
-    report,
-    settings,
-    skin,
-    stages,
-    sweep,
-)
 
 # Typer brings its own copy of Click from some version on: these are the classes that it raises.
 UsageError = typer.BadParameter.__base__
@@ -35,47 +25,74 @@ VERBS = {
     "data": (
         "Recordings: read, look at, make, count, draw.",
         {
-            "import": data.import_,
-            "inspect": data.inspect,
-            "export": data.export,
-            "simulate": data.simulate_,
-            "stats": data.stats,
-            "plot": data.plot,
-            "calibrate": skin.calibrate,
-            "difficulty": skin.difficulty,
-            "aces": skin.aces_,
+            "import": "data.import_",
+            "inspect": "data.inspect",
+            "export": "data.export",
+            "simulate": "data.simulate_",
+            "stats": "data.stats",
+            "plot": "data.plot",
+            "calibrate": "skin.calibrate",
+            "difficulty": "skin.difficulty",
+            "aces": "skin.aces_",
         },
     ),
-    "train": stages.train,
-    "convert": stages.convert,
+    "train": (
+        "Train the paper's CNN on tactile images, or with --input events the network on events.",
+        "stages.train",
+    ),
+    "convert": (
+        "Train the network that spikes, on images or with --input events, and write the bundle.",
+        "stages.convert",
+    ),
     "check": (
         "The check that every target answers.",
-        {"run": check.run, "compare": check.compare_checks},
+        {"run": "check.run", "compare": "check.compare_checks"},
     ),
-    "ladder": stages.ladder,
-    "compare": compare.compare_,
+    "ladder": (
+        "Do what is missing up to the emulator, and print what each stage loses.",
+        "stages.ladder",
+    ),
+    "compare": (
+        "Set runs side by side: settings, accuracy of each stage, operations, cores, time to "
+        "decide.",
+        "compare.compare_",
+    ),
     "deploy": (
         "Before and beside a board: what fits, exports.",
-        {"plan": deploy.plan, "export": deploy.export, "energy": deploy.energy},
+        {"plan": "deploy.plan", "export": "deploy.export", "energy": "deploy.energy"},
     ),
     "benchmark": (
         "The paper's Table 2, what conversion costs and time is worth, and speed.",
         {
-            "table2": benchmark.table2,
-            "training": benchmark.training,
-            "conversion": benchmark.conversion,
-            "emulator": benchmark.emulator,
-            "losses": benchmark.losses,
-            "events": benchmark.events,
-            "live": benchmark.live,
+            "table2": "benchmark.table2",
+            "training": "benchmark.training",
+            "conversion": "benchmark.conversion",
+            "emulator": "benchmark.emulator",
+            "losses": "benchmark.losses",
+            "events": "benchmark.events",
+            "live": "benchmark.live",
         },
     ),
-    "sweep": sweep.sweep,
-    "report": report.report,
-    "live": live.live,
-    "settings": settings.settings,
+    "sweep": (
+        "Compare settings by accuracy, synaptic operations, cores and steps, on a validation part.",
+        "sweep.sweep",
+    ),
+    "report": (
+        "Write the run as one self-contained HTML file, with whatever has been measured so far.",
+        "report.report",
+    ),
+    "live": (
+        "Write digits in the browser, watch the network decide, keep what was written.",
+        "live.live",
+    ),
+    "settings": (
+        "List every setting: its name, as --set takes it, its value, its default and its meaning.",
+        "settings.settings",
+    ),
 }
-"""Every verb: a function, or a help text and verbs of its own."""
+"""Every verb: what the list says of it, and the function, as ``module.function`` of this package,
+or verbs of its own.  A module is imported when a verb of it is chosen: all take a second, which
+``--help`` and a TAB need not wait for."""
 
 
 METAVARS = {bool: "", int: "N", float: "X", Path: "PATH", str: "TEXT"}
@@ -118,26 +135,43 @@ class _Group(_Flags, TyperGroup):
     pass
 
 
-def _typer(help_text, verbs, **options) -> typer.Typer:
-    made = typer.Typer(help=help_text, no_args_is_help=True, cls=_Group, **options)
-    for name, verb in verbs.items():
-        if callable(verb):
+def _imported(name):
+    """The functions of one of the :data:`VERBS`, or of the verbs below it, each with its name."""
+    _, verb = VERBS[name]
+    places = {name: verb} if isinstance(verb, str) else verb
+    functions = {}
+    for word, place in places.items():
+        module, _, function = place.partition(".")
+        functions[word] = getattr(import_module(f"pipeline.commands.{module}"), function)
+    return functions
+
+
+class _Later(_Command):
+    """Stands in the list for a verb whose modules are imported when it is chosen."""
+
+    @cached_property
+    def chosen(self):
+        made = _typer(self.help, add_completion=False)
+        for name, verb in _imported(self.name).items():
             made.command(name, cls=_Command)(_with_short_metavars(verb))
-        else:
-            made.add_typer(_typer(*verb), name=name)
-    return made
+        return typer.main.get_command(made)  # of one verb it is that verb, else the group
+
+    def make_context(self, *arguments, **options):
+        return self.chosen.make_context(*arguments, **options)
 
 
-app = _typer(
-    "From event-based touch to a spiking network on Loihi.",
-    VERBS,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="markdown",  # which fills paragraphs
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-)
+def _typer(help_text, **options) -> typer.Typer:
+    return typer.Typer(
+        help=help_text,
+        no_args_is_help=True,
+        cls=_Group,
+        pretty_exceptions_enable=False,
+        rich_markup_mode="markdown",  # which fills paragraphs
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+        **options,
+    )
 
 
-@app.callback(invoke_without_command=True)
 def root(
     version: bool = typer.Option(False, "--version", help="Print the version and stop."),
 ):
@@ -147,13 +181,33 @@ def root(
         raise typer.Exit
 
 
+def command_line() -> TyperGroup:
+    """The command with its :data:`VERBS`, none of whose modules is imported yet."""
+    made = _typer(root.__doc__)
+    made.callback(invoke_without_command=True)(root)
+    group = typer.main.get_command(made)
+    for name, (summary, _) in VERBS.items():
+        group.add_command(_Later(name, help=summary))
+    return group
+
+
+def import_verb(arguments):
+    """Import the modules of the verb that is asked for, if one is, ahead of :func:`main`.
+
+    In its time Ctrl-C raises what an import takes for a module that is not there.
+    """
+    for name in arguments[:1]:
+        if name in VERBS:
+            _imported(name)
+
+
 def main(arguments=None):
     """Run the command.
 
     Exit status 0: done; 1: a check failed; 2: wrong usage or bad input; 130: interrupted.
     """
     try:
-        status = app(args=arguments, prog_name="stmnist", standalone_mode=False)
+        status = command_line()(args=arguments, prog_name="stmnist", standalone_mode=False)
         if status == interrupts.STATUS:  # Typer turns an interruption into this status
             raise KeyboardInterrupt
         sys.stdout.flush()  # at Python's end it is too late for a line

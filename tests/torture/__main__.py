@@ -145,11 +145,13 @@ def _warm(base, folder):
     """Import what the commands import, and let Numba compile, so that a case takes no seconds."""
     import scipy.io  # noqa: F401
 
-    import pipeline.commands.main  # noqa: F401
     from deploy.check.bundle import read_bundle
     from deploy.targets.registry import answer
+    from pipeline.commands.main import VERBS, import_verb
     from pipeline.report.gather import gather  # noqa: F401
 
+    for name in VERBS:
+        import_verb([name])
     for name in ("run", "events"):
         opened = read_bundle(base / name / "bundle")
         answer(opened.spec, opened.checks.inputs[:1], "fast")
