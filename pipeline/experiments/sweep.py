@@ -30,6 +30,8 @@ from pipeline.paper import CNN_MACS
 from pipeline.progress import hidden
 from pipeline.run import stages
 from pipeline.run.folder import RunFolder, stamp_of
+from pipeline.run.stages.stamps import cnn_stamp, trained_stamp
+from pipeline.run.stages.training import REMEDY
 from pipeline.settings import Settings, parse_assignments, put
 
 POINT_SCHEMA = "stmnist-sweep-point/3"
@@ -159,8 +161,8 @@ def points_of(folder: Path, base: Settings, grid) -> list:
                 settings=settings,
                 changes=tuple(changes),
                 stamp=stamp_of(__version__, POINT_SCHEMA, source, asdict(settings)),
-                cnn=stages.cnn_stamp(settings, dataset),
-                snn=stages.trained_stamp(settings, dataset),
+                cnn=cnn_stamp(settings, dataset),
+                snn=trained_stamp(settings, dataset),
             )
         )
     return points
@@ -283,7 +285,7 @@ def judge(point: Point) -> dict:
 
 def _validated(folder):
     """Accuracy on the validation samples, as the training measured it."""
-    return read_json(folder / "metrics.json", stages.REMEDY)["accuracy"]["validation"]
+    return read_json(folder / "metrics.json", REMEDY)["accuracy"]["validation"]
 
 
 def pareto_front(costs) -> np.ndarray:
@@ -395,7 +397,7 @@ def _measure(points, workers, say):
 def _samples(point):
     """The samples of a point, where it is judged."""
     dataset = dataset_of(point.settings)
-    if stages.cnn_stamp(point.settings, dataset) != point.cnn:
+    if cnn_stamp(point.settings, dataset) != point.cnn:
         raise UserError(f"{point.settings.data.source}: the worker has other recordings there")
     return dataset
 

@@ -1,0 +1,30 @@
+"""The stages of a run: each reads what the one before wrote, and is redone only if out of date."""
+
+from pipeline.run.stages.answering import answer, answer_all
+from pipeline.run.stages.bundling import convert, make_bundle, on_test_split, spec_of
+from pipeline.run.stages.opening import open_dataset
+from pipeline.run.stages.own_model import read_model, settings_of_model
+from pipeline.run.stages.training import (
+    read_weights,
+    train,
+    train_all,
+    train_on_events,
+    train_rates,
+)
+
+__all__ = [
+    "answer",
+    "answer_all",
+    "convert",
+    "make_bundle",
+    "on_test_split",
+    "open_dataset",
+    "read_model",
+    "read_weights",
+    "settings_of_model",
+    "spec_of",
+    "train",
+    "train_all",
+    "train_on_events",
+    "train_rates",
+]

@@ -1,0 +1,136 @@
+"""What each network and target answers of a bundle, asked unless it is known already."""
+
+from __future__ import annotations
+
+import contextlib
+from functools import partial
+
+from deploy.check.bundle import Bundle
+from deploy.check.results import read_result
+from deploy.check.run import answered, open_check, run_check
+from deploy.files import write_json
+from deploy.targets.registry import TARGETS
+from pipeline.jobs import Failure, run_jobs
+from pipeline.progress import hidden, progress
+from pipeline.run.answers import REFERENCES, reference_result
+from pipeline.run.folder import RunFolder
+from pipeline.run.stages.training import read_weights
+from pipeline.settings import Settings
+
+REMEDY = "delete it and run the command again"
+
+
+def answer(
+    run: RunFolder, settings: Settings, bundle: Bundle, stage: str, say=print, whole: bool = False
+) -> dict:
+    """Let a network or target answer the bundle's samples, unless it has; return the result.
+
+    Parameters
+    ----------
+    run, settings
+    bundle : Bundle
+        The run's own, or :func:`on_test_split` of it.
+    stage : str
+        One of :data:`pipeline.run.answers.REFERENCES`, or a target.
+    say : callable
+    whole : bool
+        The samples are those of :func:`on_test_split`.
+    """
+    path = run.whole_check(stage) if whole else run.check(stage)
+    if _answers(path, bundle):
+        say(f"{stage}: up to date ({path})")
+        return read_result(path, REMEDY)
+    with progress(f"check {stage}", len(bundle.checks)) as advance:
+        if stage not in REFERENCES[settings.input.kind]:
+            return run_check(bundle, stage, path, settings.seed, advance)
+        weights = read_weights(run.cnn if stage == "cnn" else run.snn, settings)
+        result = reference_result(stage, settings, weights, bundle, advance)
+        write_json(path, result)
+        return result
+
+
+def answer_all(
+    run: RunFolder,
+    settings: Settings,
+    bundle: Bundle,
+    asked,
+    jobs: int = 1,
+    say=print,
+    whole: bool = False,
+) -> list:
+    """:func:`answer` of several stages; targets in processes, the networks meanwhile in this one.
+
+    What processes share are streams, not targets: no core is idle while the last target is at work.
+
+    Parameters
+    ----------
+    run, settings, bundle, say, whole
+        As in :func:`answer`.
+    asked : sequence of str
+    jobs : int
+        Processes.
+
+    Returns
+    -------
+    list of dict
+        In the order that was asked for.
+
+    Raises
+    ------
+    UserError
+        A target failed; those that did not are kept.
+    """
+    networks = REFERENCES[settings.input.kind]
+    paths = {stage: run.whole_check(stage) if whole else run.check(stage) for stage in asked}
+    results = {}
+    targets = [s for s in asked if s not in networks and not _answers(paths[s], bundle)]
+    if jobs > 1 and any(TARGETS[name].slow for name in targets):
+        here = [stage for stage in asked if stage not in targets]
+        with progress("check", len(asked) * len(bundle.checks)) as advance:
+
+            def answer_here():
+                for stage in here:
+                    with hidden():
+                        results[stage] = answer(run, settings, bundle, stage, say, whole)
+                    advance(len(bundle.checks), stage)
+
+            wanted = {name: paths[name] for name in targets}
+            results |= _shared(bundle, wanted, settings.seed, jobs, advance, answer_here)
+    for stage in asked:
+        if stage not in results:
+            results[stage] = answer(run, settings, bundle, stage, say, whole)
+    return [results[stage] for stage in asked]
+
+
+def _shared(bundle, paths, seed, jobs, advance, meanwhile):
+    """Results of targets, by name: each stream that is left is a job, wherever one takes long."""
+    checks, failures = {}, {}
+    with contextlib.ExitStack() as opened:
+        for name, path in paths.items():
+            tell = partial(advance, note=name)
+            checks[name] = opened.enter_context(open_check(bundle, name, path, seed, tell))
+        work = [job for check in checks.values() for job in _work(check)]
+        for job, records in run_jobs(_answered, work, jobs, meanwhile=meanwhile):
+            if isinstance(records, Failure):
+                failures.setdefault(job.target, records)
+            else:
+                for record in records:
+                    checks[job.target].take(record)
+        results = {name: checks[name].finish() for name in checks if name not in failures}
+    for name, failure in failures.items():
+        failure.raise_again(f"target {name}")
+    return results
+
+
+def _work(check):
+    parts = [[part] for part in check.left] if check.target.slow else [check.left]
+    return [check.work(streams) for streams in parts if streams]
+
+
+def _answered(work):
+    return list(answered(work))
+
+
+def _answers(path, bundle):
+    """True if there is a result of this bundle."""
+    return path.exists() and read_result(path, REMEDY)["bundle"] == bundle.id

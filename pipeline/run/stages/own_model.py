@@ -1,0 +1,103 @@
+"""A user's Keras model in the place of the CNN."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from deploy.check.intervals import wilson_interval
+from deploy.errors import UserError
+from deploy.files import sha256_of
+from models.own import ModelFileError, read_own_model
+from pipeline.inputs.dataset import Dataset
+from pipeline.settings import Settings
+
+LEAST_KNOWN = 0.15
+"""Share of the way from chance to always right that an own model must have gone.  Of 30 networks of
+three layers with Keras's first weights the best had gone 0.06 of it by luck, on ten classes."""
+
+
+def read_model(path: Path) -> tuple:
+    """A user's Keras model, and the SHA-256 of its file.
+
+    Returns
+    -------
+    OwnModel, str
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, is no Keras model, or one that no chip can hold.
+    """
+    try:
+        return read_own_model(path), sha256_of(path)
+    except ModelFileError as error:
+        raise UserError(str(error)) from error
+
+
+def settings_of_model(path: Path, retrain: bool = False) -> dict:
+    """Changes of the settings that put a user's Keras model in the place of the CNN.
+
+    Parameters
+    ----------
+    path : path-like
+    retrain : bool
+        Train it on with rate-based LIF neurons.
+
+    Raises
+    ------
+    UserError
+        As :func:`read_model`.
+    """
+    path = Path(path)
+    model, sha256 = read_model(path)
+    rates = Settings().snn.max_rates[: max(len(model.architecture.spiking), 1)]
+    return {
+        "input": {"kind": "image"},
+        "cnn": {
+            "model": str(path.absolute()),
+            "model_sha256": sha256,
+            "architecture": str(model.architecture),
+        },
+        "snn": {"recipe": "loihi" if retrain else "as-is", "max_rates": rates},
+    }
+
+
+def take_over(settings: Settings, dataset: Dataset) -> tuple:
+    """The user's model in the place of the CNN; it must know more than chance.
+
+    Parameters
+    ----------
+    settings : Settings
+        With :func:`settings_of_model`.
+    dataset : Dataset
+
+    Returns
+    -------
+    TrainedCNN, sequence of str
+        The second: what the user should know of it, a line each.
+
+    Raises
+    ------
+    UserError
+        It cannot be read, is another than the settings say, or knows nothing.
+    """
+    path = Path(settings.cnn.model)
+    model, sha256 = read_model(path)
+    if sha256 != settings.cnn.model_sha256 or str(model.architecture) != settings.cnn.architecture:
+        raise UserError(f"{path}: has changed; give it again with 'stmnist convert RUN --model'")
+    from pipeline.training.networks import TrainedCNN
+
+    taken = TrainedCNN(settings, model.weights)
+    images, labels = dataset.part("train")
+    right = int((taken.logits(images).argmax(1) == labels).sum())
+    likeliest = np.bincount(labels).max() / len(labels)
+    if wilson_interval(right, len(labels))[0] <= likeliest + LEAST_KNOWN * (1 - likeliest):
+        raise UserError(
+            f"{path}: hardly better than chance on this run's training samples (accuracy "
+            f"{right / len(labels):.3f}, {likeliest:.3f} by always answering the same): never "
+            "trained, trained on other inputs than tactile images as [image] in the settings makes "
+            "them, or with the classes in another order"
+        )
+    return taken, model.notes
