@@ -53,7 +53,7 @@ def test_in_the_imports_it_is_one_line():
 
 
 def test_in_the_imports_of_a_verb_it_is_one_line():
-    """Which are not imported to list the verbs, so they come after those of the command."""
+    """They come after the command's own, since they are not needed to list the verbs."""
     code = """
         import sys
 

@@ -194,7 +194,7 @@ def command_line() -> TyperGroup:
 def import_verb(arguments):
     """Import the modules of the verb that is asked for, if one is, ahead of :func:`main`.
 
-    In its time Ctrl-C raises what an import takes for a module that is not there.
+    There Ctrl-C raises KeyboardInterrupt, which an import may take for a module that is missing.
     """
     for name in arguments[:1]:
         if name in VERBS:
