@@ -10,7 +10,7 @@ import pytest
 
 import stmnist
 from pipeline.commands.documentation import FILES, with_parts
-from pipeline.commands.main import command_line
+from pipeline.commands.main import with_every_verb
 from pipeline.settings import Settings
 from tests.command import ROOT
 
@@ -33,14 +33,14 @@ pages = pytest.mark.parametrize("page", PAGES, ids=lambda p: p.relative_to(ROOT)
 def commands():
     """Each command's words, such as ``"check run"``, with the command."""
 
-    def walk(verb, words):
-        if hasattr(verb, "commands"):
-            for name, below in verb.commands.items():
-                yield from walk(getattr(below, "chosen", below), [*words, name])
+    def walk(command, words):
+        if hasattr(command, "commands"):
+            for name, below in command.commands.items():
+                yield from walk(below, [*words, name])
         else:
-            yield " ".join(words), verb
+            yield " ".join(words), command
 
-    return dict(walk(command_line(), []))
+    return dict(walk(with_every_verb(), []))
 
 
 def options(command):

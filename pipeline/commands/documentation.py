@@ -23,9 +23,9 @@ FILES = ("docs/commands.md", "docs/settings.md")
 
 def commands() -> str:
     """Every command with its arguments and options, as Markdown."""
-    from pipeline.commands.main import command_line
+    from pipeline.commands.main import with_every_verb
 
-    return "\n".join(_sections(command_line(), "stmnist", 2))
+    return "\n".join(_sections(with_every_verb(), "stmnist", 2))
 
 
 def settings() -> str:
@@ -70,7 +70,7 @@ def _sections(command, words, depth):
         if depth > 2:  # the command itself has a title of its own
             yield f"\n{'#' * (depth - 1)} {words}\n\n{summary}"
         for name, below in command.commands.items():
-            yield from _sections(getattr(below, "chosen", below), f"{words} {name}", depth + 1)
+            yield from _sections(below, f"{words} {name}", depth + 1)
         return
     arguments = [p for p in command.params if p.param_type_name == "argument"]
     usage = " ".join([words, *(p.name.upper() for p in arguments)])

@@ -191,14 +191,20 @@ def command_line() -> TyperGroup:
     return group
 
 
+def with_every_verb() -> TyperGroup:
+    """:func:`command_line` with the verbs themselves, all imported; to be read as a whole."""
+    group = command_line()
+    group.commands = {name: verb.chosen for name, verb in group.commands.items()}
+    return group
+
+
 def import_verb(arguments):
     """Import the modules of the verb that is asked for, if one is, ahead of :func:`main`.
 
     There Ctrl-C raises KeyboardInterrupt, which an import may take for a module that is missing.
     """
-    for name in arguments[:1]:
-        if name in VERBS:
-            _imported(name)
+    if arguments and arguments[0] in VERBS:
+        _imported(arguments[0])
 
 
 def main(arguments=None):

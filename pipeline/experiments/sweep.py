@@ -29,9 +29,8 @@ from pipeline.jobs import Failure
 from pipeline.paper import CNN_MACS
 from pipeline.progress import hidden
 from pipeline.run import stages
-from pipeline.run.folder import RunFolder, stamp_of
+from pipeline.run.folder import DELETE_ITS_FOLDER, RunFolder, stamp_of
 from pipeline.run.stages.stamps import cnn_stamp, trained_stamp
-from pipeline.run.stages.training import REMEDY
 from pipeline.settings import Settings, parse_assignments, put
 
 POINT_SCHEMA = "stmnist-sweep-point/3"
@@ -285,7 +284,7 @@ def judge(point: Point) -> dict:
 
 def _validated(folder):
     """Accuracy on the validation samples, as the training measured it."""
-    return read_json(folder / "metrics.json", REMEDY)["accuracy"]["validation"]
+    return read_json(folder / "metrics.json", DELETE_ITS_FOLDER)["accuracy"]["validation"]
 
 
 def pareto_front(costs) -> np.ndarray:

@@ -18,7 +18,7 @@ from deploy.tables import aligned, p_text
 from deploy.targets.registry import TARGETS
 from pipeline.paper import CNN_MACS
 from pipeline.run.answers import REFERENCES
-from pipeline.run.folder import RunFolder
+from pipeline.run.folder import DELETE_IT, RunFolder
 from pipeline.settings import Settings, read_settings
 
 SCHEMA = "stmnist-runs/1"
@@ -105,7 +105,7 @@ def _read_run(path, whole):
     for stage in ORDER:
         file = folder.whole_check(stage) if whole else folder.check(stage)
         if file.exists():
-            result = read_result(file, "delete it and run the command again")
+            result = read_result(file, DELETE_IT)
             if result["bundle"] == bundle.id:
                 results[stage] = result
             else:

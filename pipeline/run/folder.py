@@ -19,6 +19,11 @@ FILES = {
 """Ends of names that nobody gives to a folder: a file that is not there must not become one."""
 
 
+DELETE_IT = "delete it and run the command again"
+DELETE_ITS_FOLDER = "delete its folder and run the command again"
+"""What to do about a damaged file of a run."""
+
+
 @dataclass(frozen=True)
 class RunFolder:
     """Paths of a run's artifacts.
@@ -156,13 +161,12 @@ def is_current(metrics: Path, stamp: str, *artifacts: Path) -> bool:
     """True if the artifacts are there and ``metrics`` says that they were made from ``stamp``."""
     if not metrics.exists() or not all(path.exists() for path in artifacts):
         return False
-    remedy = "delete it and run the command again"
-    return read_json(metrics, remedy).get("made_from") == stamp
+    return read_json(metrics, DELETE_IT).get("made_from") == stamp
 
 
 def read_stamped(path: Path, stamp: str) -> dict | None:
     """A result written with ``made_from``, or None if it is missing or of another stamp."""
     if not path.exists():
         return None
-    result = read_json(path, "delete it and run the command again")
+    result = read_json(path, DELETE_IT)
     return result if result.get("made_from") == stamp else None

@@ -16,7 +16,7 @@ from pipeline.progress import progress
 from pipeline.run import stages
 from pipeline.run.answers import REFERENCES
 from pipeline.run.diagnosis import layers_json, layers_text, least_faithful
-from pipeline.run.folder import RunFolder
+from pipeline.run.folder import DELETE_IT, RunFolder
 from pipeline.settings import Settings
 
 BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
@@ -98,7 +98,7 @@ def _layers(run: RunFolder, path, settings: Settings, bundle: Bundle) -> list:
     if settings.on_events:
         return None  # no network of rates that the chip's rates could be held against
     if path.exists():
-        earlier = read_json(path, "delete it and run the command again")
+        earlier = read_json(path, DELETE_IT)
         if earlier.get("bundle") == bundle.id and earlier.get("layers"):
             return earlier["layers"]
     from pipeline.training.networks import TrainedRates  # TensorFlow, where it is needed

@@ -147,11 +147,10 @@ def _warm(base, folder):
 
     from deploy.check.bundle import read_bundle
     from deploy.targets.registry import answer
-    from pipeline.commands.main import VERBS, import_verb
+    from pipeline.commands.main import with_every_verb
     from pipeline.report.gather import gather  # noqa: F401
 
-    for name in VERBS:
-        import_verb([name])
+    with_every_verb()
     for name in ("run", "events"):
         opened = read_bundle(base / name / "bundle")
         answer(opened.spec, opened.checks.inputs[:1], "fast")

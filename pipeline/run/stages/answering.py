@@ -13,11 +13,9 @@ from deploy.targets.registry import TARGETS
 from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import hidden, progress
 from pipeline.run.answers import REFERENCES, reference_result
-from pipeline.run.folder import RunFolder
+from pipeline.run.folder import DELETE_IT, RunFolder
 from pipeline.run.stages.training import read_weights
 from pipeline.settings import Settings
-
-REMEDY = "delete it and run the command again"
 
 
 def answer(
@@ -39,7 +37,7 @@ def answer(
     path = run.whole_check(stage) if whole else run.check(stage)
     if _answers(path, bundle):
         say(f"{stage}: up to date ({path})")
-        return read_result(path, REMEDY)
+        return read_result(path, DELETE_IT)
     with progress(f"check {stage}", len(bundle.checks)) as advance:
         if stage not in REFERENCES[settings.input.kind]:
             return run_check(bundle, stage, path, settings.seed, advance)
@@ -133,4 +131,4 @@ def _answered(work):
 
 def _answers(path, bundle):
     """True if there is a result of this bundle."""
-    return path.exists() and read_result(path, REMEDY)["bundle"] == bundle.id
+    return path.exists() and read_result(path, DELETE_IT)["bundle"] == bundle.id

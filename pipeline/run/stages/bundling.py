@@ -10,10 +10,10 @@ from deploy.files import read_json
 from deploy.network.spec import NetworkSpec
 from pipeline.inputs.dataset import Dataset
 from pipeline.inputs.splits import draw_check_samples
-from pipeline.run.folder import RunFolder, stamp_of
+from pipeline.run.folder import DELETE_ITS_FOLDER, RunFolder, stamp_of
 from pipeline.run.stages.opening import open_dataset
 from pipeline.run.stages.stamps import trained_stamp
-from pipeline.run.stages.training import REMEDY, read_weights, train_all
+from pipeline.run.stages.training import read_weights, train_all
 from pipeline.settings import Settings
 
 
@@ -79,7 +79,7 @@ def spec_of(run: RunFolder, settings: Settings, dataset: Dataset, provenance: di
         return deployed(settings, weights, provenance, dataset.part("train"))
     from pipeline.run.event_conversion import deployed_on_events
 
-    early = read_json(run.snn / "metrics.json", REMEDY)["decides_by_itself"]
+    early = read_json(run.snn / "metrics.json", DELETE_ITS_FOLDER)["decides_by_itself"]
     return deployed_on_events(settings, weights, early["confidence"], provenance)
 
 

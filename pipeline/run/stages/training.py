@@ -17,14 +17,12 @@ from pipeline.inputs.dataset import Dataset
 from pipeline.progress import progress
 from pipeline.run.answers import training_versions
 from pipeline.run.diagnosis import activity, fastest_rate, training_lines
-from pipeline.run.folder import RunFolder, is_current
+from pipeline.run.folder import DELETE_ITS_FOLDER, RunFolder, is_current
 from pipeline.run.history import write_history
 from pipeline.run.stages.own_model import take_over
 from pipeline.run.stages.stamps import cnn_stamp, events_stamp, snn_stamp
 from pipeline.settings import Settings
 from pipeline.training.threads import one_thread_each
-
-REMEDY = "delete its folder and run the command again"
 
 
 def train_all(run: RunFolder, settings: Settings, dataset: Dataset, say=print):
@@ -119,7 +117,7 @@ def read_weights(folder: Path, settings: Settings) -> dict:
         They are not there, damaged, or do not fit the architecture.
     """
     path = folder / "weights.npz"
-    weights = read_arrays(path, REMEDY)
+    weights = read_arrays(path, DELETE_ITS_FOLDER)
     if settings.on_events:
         architecture = settings.events.architecture
         parsed = parse(architecture)
@@ -128,7 +126,7 @@ def read_weights(folder: Path, settings: Settings) -> dict:
         architecture = settings.cnn.architecture
         shapes = parse(architecture).weight_shapes
     if {name: array.shape for name, array in weights.items()} != shapes:
-        raise UserError(f"{path}: not the weights of {architecture}; {REMEDY}")
+        raise UserError(f"{path}: not the weights of {architecture}; {DELETE_ITS_FOLDER}")
     return weights
 
 
@@ -138,7 +136,7 @@ def _done(name, folder, stamp, say):
     if not is_current(path, stamp, folder / "weights.npz"):
         return None
     say(f"{name}: up to date ({folder})")
-    return read_json(path, REMEDY)
+    return read_json(path, DELETE_ITS_FOLDER)
 
 
 def _train(name, folder, stamp, epochs, train_it, dataset, say, more=lambda trained: {}):
