@@ -14,7 +14,7 @@ BIAS_BITS = LOIHI.bias_bits
 """Bits of the mantissa of a bias current."""
 
 
-def eight_bits(weights, stacked=False):
+def eight_bits(weights):
     """Round weights to 8 bits with one scale for all of them; the gradient passes unchanged.
 
     NengoLoihi scales the weights of a block so that the largest fills 8 bits
@@ -23,12 +23,8 @@ def eight_bits(weights, stacked=False):
     Parameters
     ----------
     weights : tensor
-    stacked : bool
-        The first dimension is of several networks, each with a scale of its own.
     """
-    axes = tuple(range(int(stacked), len(weights.shape)))
-    largest = tf.reduce_max(tf.abs(weights), axes, keepdims=True)
-    scale = tf.maximum(largest, 1e-12) / WEIGHT_LEVELS
+    scale = tf.maximum(tf.reduce_max(tf.abs(weights)), 1e-12) / WEIGHT_LEVELS
     return weights + tf.stop_gradient(tf.round(weights / scale) * scale - weights)
 
 
@@ -43,7 +39,7 @@ def twelve_bits(bias):
 
 
 @as_written
-def on_chip(kernel, bias, gain: float, stacked=False):
+def on_chip(kernel, bias, gain: float):
     """Kernel and bias as the chip has them.
 
     Parameters
@@ -52,10 +48,8 @@ def on_chip(kernel, bias, gain: float, stacked=False):
     gain : float
         Of the neurons that follow: their current is ``1 + gain * (kernel * input + bias)``, which
         makes ``1 + gain * bias`` their bias current.
-    stacked : bool
-        As in :func:`eight_bits`.
     """
-    return eight_bits(kernel, stacked), (twelve_bits(1 + gain * bias) - 1) / gain
+    return eight_bits(kernel), (twelve_bits(1 + gain * bias) - 1) / gain
 
 
 class OnChipConv2D(tf.keras.layers.Conv2D):

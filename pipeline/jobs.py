@@ -109,7 +109,7 @@ def run_jobs(
     elif processes == 1 or len(jobs) <= 1:
         meanwhile()
         for job in jobs:
-            yield job, _attempt(function, job)
+            yield job, attempt(function, job)
     else:
         with warnings.catch_warnings():
             # Workers whose memory has grown are replaced between jobs, which is as it should be.
@@ -167,17 +167,18 @@ def _bound():
 
 def _alone(function, job):
     try:
-        return next(results_of([delayed(_attempt)(function, job)], 2))  # 1 is this process
+        return next(results_of([delayed(attempt)(function, job)], 2))  # 1 is this process
     except TerminatedWorkerError:
         message = "its process was killed; has the machine enough memory?"
         return Failure(message, message, UserError(message))
 
 
 def _numbered(number, function, job):
-    return number, _attempt(function, job)
+    return number, attempt(function, job)
 
 
-def _attempt(function, job):
+def attempt(function, job):
+    """What a function returns for a job, or a :class:`Failure` if it raises an error."""
     try:
         return function(job)
     except UserError as error:
@@ -212,7 +213,7 @@ def _on_cluster(function, jobs, scheduler, say):
     with client:
         if not client.scheduler_info()["workers"]:
             say(f"{scheduler} has no workers yet; the jobs wait for one")
-        tasks = {client.submit(_attempt, function, job, pure=False): job for job in jobs}
+        tasks = {client.submit(attempt, function, job, pure=False): job for job in jobs}
         for task in as_completed(tasks):
             if task.status == "finished":
                 yield tasks[task], task.result()

@@ -34,6 +34,41 @@ SIMULATED = "simulated"
 NORMALISATIONS = ("max", "sum", "sqrt-max", "none")
 
 
+class UndeclaredSetting(Exception):
+    """Code read a setting that the artifact it is making does not declare.
+
+    This is a programming error: the setting belongs in the ``reads`` of that artifact's origin, see
+    :mod:`pipeline.artifacts`.
+    """
+
+
+class _Hidden:
+    """Stands in a section for a value that may not be read; the same object after pickling."""
+
+    def __reduce__(self):
+        return "_HIDDEN"
+
+
+_HIDDEN = _Hidden()
+
+PATHS = ("data.source", "cnn.model")
+"""Settings that say where a file lies.  They never count as part of what an artifact was made from,
+because the file's content does, and every artifact may read them."""
+
+
+class Section:
+    """Base of the settings and their sections; see :meth:`Settings.only`."""
+
+    def __getattribute__(self, name):
+        value = object.__getattribute__(self, name)
+        if value is _HIDDEN:
+            raise UndeclaredSetting(
+                f"{type(self).__name__}.{name} is read, but the artifact that is being made does "
+                "not declare it; add it to the reads of the artifact's origin"
+            )
+        return value
+
+
 class Limit(NamedTuple):
     """What holds of a value, and how an error says so."""
 
@@ -75,7 +110,7 @@ POP_TYPE = Limit(lambda value: value in (16, 32), "16 or 32")
 
 
 @dataclass(frozen=True)
-class Data:
+class Data(Section):
     """Which recordings."""
 
     source: str = "simulated"
@@ -89,7 +124,7 @@ class Data:
 
 
 @dataclass(frozen=True)
-class Input:
+class Input(Section):
     """What the network that goes to the chip is shown."""
 
     kind: Annotated[str, one_of("image", "events")] = "image"
@@ -108,7 +143,7 @@ class Input:
 
 
 @dataclass(frozen=True)
-class SkinSize:
+class SkinSize(Section):
     """The array of taxels."""
 
     rows: Annotated[int, SIDE] = 0
@@ -119,7 +154,7 @@ class SkinSize:
 
 
 @dataclass(frozen=True)
-class Image:
+class Image(Section):
     """How events become a tactile image; see :mod:`pipeline.inputs.images`."""
 
     aggregation: Annotated[str, one_of(*AGGREGATIONS)] = "count"
@@ -133,7 +168,7 @@ class Image:
 
 
 @dataclass(frozen=True)
-class SplitShares:
+class SplitShares(Section):
     """Which samples are for what."""
 
     test_fraction: Annotated[float, INSIDE_0_1] = paper.TEST_FRACTION
@@ -143,7 +178,7 @@ class SplitShares:
 
 
 @dataclass(frozen=True)
-class CNN:
+class CNN(Section):
     """The convolutional network and its training (paper, Section 3.2.1)."""
 
     architecture: str = "10x10-6c4-24c3-10o"
@@ -161,7 +196,7 @@ class CNN:
 
 
 @dataclass(frozen=True)
-class SNN:
+class SNN(Section):
     """Training with rate-based LIF neurons (paper, Section 3.2.2)."""
 
     recipe: Annotated[str, one_of(*RECIPES)] = "loihi"
@@ -200,7 +235,7 @@ class SNN:
 
 
 @dataclass(frozen=True)
-class EventTraining:
+class EventTraining(Section):
     """The spiking network that is trained on events; see :mod:`pipeline.training.events`."""
 
     architecture: str = "10x10x2-24c4s3-64-10o"
@@ -219,7 +254,7 @@ class EventTraining:
 
 
 @dataclass(frozen=True)
-class Slayer:
+class Slayer(Section):
     """Training on the events themselves (paper, Section 3.2.3)."""
 
     architecture: str = "10x10x2-6c2-24c3-10o"
@@ -250,7 +285,7 @@ class Slayer:
 
 
 @dataclass(frozen=True)
-class Deployment:
+class Deployment(Section):
     """How the spiking network is laid out; see :mod:`deploy.network.spec`."""
 
     first_layer: Annotated[str, one_of("chip", "host")] = "chip"
@@ -272,7 +307,7 @@ class Deployment:
 
 
 @dataclass(frozen=True)
-class Showing:
+class Showing(Section):
     """How samples are shown; see :class:`deploy.network.spec.Presentation`."""
 
     steps: Annotated[int, STEPS_OR_NONE] = 0
@@ -287,7 +322,7 @@ class Showing:
 
 
 @dataclass(frozen=True)
-class Check:
+class Check(Section):
     """The check that every target answers."""
 
     samples: Annotated[int, SAMPLES] = paper.CHECK_SAMPLES
@@ -295,7 +330,7 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(Section):
     """All settings of an experiment."""
 
     seed: Annotated[int, SEED] = 0
@@ -340,7 +375,7 @@ class Settings:
         confidence : float, optional
             See :class:`deploy.network.spec.Presentation`.
         """
-        shown = {**vars(self.presentation), "steps": self.steps, "confidence": confidence}
+        shown = {**asdict(self.presentation), "steps": self.steps, "confidence": confidence}
         return Presentation(**(shown | {"readout_start": 0} if self.on_events else shown))
 
     @property
@@ -365,6 +400,21 @@ class Settings:
     def on_events(self) -> bool:
         """Whether the chip is shown events, not images."""
         return self.input.kind == "events"
+
+    def value(self, name: str):
+        """The value of a setting by its dotted name, such as ``"cnn.epochs"``."""
+        return functools.reduce(getattr, name.split("."), self)
+
+    def only(self, names) -> Settings:
+        """These settings without all others: to read one of those raises `UndeclaredSetting`.
+
+        Parameters
+        ----------
+        names : iterable of str
+            Dotted names.  :data:`PATHS` stay readable too.
+        """
+        kept = {*names, *PATHS}
+        return _narrowed(self, kept, "")
 
     def to_json(self) -> dict:
         """As plain values."""
@@ -558,6 +608,26 @@ def _short(value):
     except ValueError:
         return "a number of thousands of digits"
     return text if len(text) <= 80 else text[:77] + "..."
+
+
+def _narrowed(section, kept, prefix):
+    """A copy of a section whose values that are not in ``kept`` may not be read."""
+    copy = object.__new__(type(section))
+    for name, value in object.__getattribute__(section, "__dict__").items():
+        if isinstance(value, Section):
+            value = _narrowed(value, kept, f"{prefix}{name}.")
+        elif prefix + name not in kept:
+            value = _HIDDEN
+        object.__setattr__(copy, name, value)
+    return copy
+
+
+def names_in(section: str) -> tuple:
+    """Dotted names of the settings of a section, or the name itself if it is a setting's."""
+    value = functools.reduce(getattr, section.split("."), Settings())
+    if not isinstance(value, Section):
+        return (section,)
+    return tuple(name for name, _, _ in _entries(value, f"{section}."))
 
 
 def _entries(settings, prefix=""):

@@ -52,6 +52,10 @@ VERBS = {
         "Do what is missing up to the emulator, and print what each stage loses.",
         "stages.ladder",
     ),
+    "status": (
+        "Show each artifact of a run: current, outdated and why, or missing.",
+        "status.status",
+    ),
     "compare": (
         "Set runs side by side: settings, accuracy of each stage, operations, cores, time to "
         "decide.",

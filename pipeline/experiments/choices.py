@@ -14,15 +14,18 @@ NengoLoihi's (100 Hz, samples shown without a gap between them, the first layer 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+import json
+from dataclasses import asdict, dataclass, field
+from hashlib import sha256
 
 import numpy as np
 
 from deploy.network.chip import LOIHI
 from deploy.tables import aligned
 from deploy.targets.registry import answer
+from pipeline.artifacts import Origin
 from pipeline.experiments.resampling import estimate
-from pipeline.experiments.study import Findings, SplitJob, Workers, measure_splits
+from pipeline.experiments.study import Experiment, Findings, Task, Workers, measure_splits
 from pipeline.paper import points_lost
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings
@@ -104,19 +107,26 @@ read in the last four fifths of the steps.  ``host layer``: the first convolutio
 def measure_choices(
     folder: RunFolder, settings: Settings, splits: int, workers: Workers, say
 ) -> Findings:
-    """Measure what is not there yet; see :func:`pipeline.experiments.study.measure_splits`."""
-    depends_on = SCHEMA, [asdict(choice) for choice in CHOICES]
-    return measure_splits(
-        "conversion", measure, summarise, folder, settings, splits, workers, say, depends_on
-    )
+    """Measure what is not current; see :func:`pipeline.experiments.study.measure_splits`."""
+    experiment = Experiment("conversion", measure, summarise, result_origin)
+    return measure_splits(experiment, folder, settings, splits, workers, say)
 
 
-def measure(job: SplitJob) -> dict:
+def result_origin(settings: Settings, dataset: Origin, subject: str = "") -> Origin:
+    """What the result of a split is made from."""
+    cnn = ["image", "cnn.architecture", "cnn.epochs", "cnn.batch_size", "cnn.learning_rate"]
+    reads = ["input.kind", *cnn, "snn", "deployment", "presentation"]
+    choices = json.dumps([asdict(choice) for choice in CHOICES])
+    contents = {"schema": SCHEMA, "choices": sha256(choices.encode()).hexdigest()}
+    return Origin.of(settings, reads, [dataset], contents)
+
+
+def measure(task: Task) -> dict:
     """Train a split's networks and let them answer under every choice.
 
     Parameters
     ----------
-    job : SplitJob
+    task : Task
 
     Returns
     -------
@@ -124,43 +134,37 @@ def measure(job: SplitJob) -> dict:
         ``seed``, ``n_train``, ``n_test``, the accuracies ``rate`` of the rate-based networks by
         maximum rate, and ``choices``, in the order of :data:`CHOICES`.
     """
-    from pipeline.training.stacked import train_rate_networks  # TensorFlow, where it is needed
+    from pipeline.training.networks import train_rate_network  # TensorFlow, where it is needed
 
-    settings, seed = job.settings, job.seed
-    dataset = job.dataset()
-    data, parts = (dataset.inputs, dataset.labels), [dataset.split.train]
+    settings, dataset = task.settings, task.dataset()
     shown, labels = dataset.part("test")
     weights, rates = {}, {}
     for max_rate in sorted({choice.max_rate for choice in CHOICES}):
-        (net,) = train_rate_networks(_trained_as(settings, max_rate), data, parts, [seed])
+        recipe = _trained_as(settings, max_rate)
+        net = train_rate_network(recipe, dataset.part("train"), task.seed)
         weights[max_rate] = net.weights
         rates[str(max_rate)] = float(np.mean(net.logits(shown).argmax(1) == labels))
+    found = [
+        _predictions(choice, settings, weights[choice.max_rate], dataset) for choice in CHOICES
+    ]
     return {
-        "seed": seed,
+        "seed": task.seed,
         "n_train": len(dataset.split.train),
         "n_test": len(labels),
         "rate": rates,
-        "choices": [
-            float(
-                np.mean(
-                    _predictions(choice, settings, weights[choice.max_rate], dataset, seed)
-                    == labels
-                )
-            )
-            for choice in CHOICES
-        ],
+        "choices": [float(np.mean(predictions == labels)) for predictions in found],
     }
 
 
-def _predictions(choice, settings, weights, dataset, seed):
+def _predictions(choice, settings, weights, dataset):
     from pipeline.run.conversion import deployed
     from pipeline.training import nengodl
 
-    chosen = replace(choice.apply(settings), seed=seed)
+    chosen = choice.apply(settings)
     shown, _ = dataset.part("test")
     if choice.row == "loihi":
         spec = deployed(chosen, weights, {}, dataset.part("train"))
-        return answer(spec, shown, "fast", seed).predictions
+        return answer(spec, shown, "fast", chosen.seed).predictions
     steps = chosen.steps
     if choice.smoothed:
         return smoothed(nengodl.run(chosen, weights, shown, steps)).argmax(1)

@@ -9,9 +9,19 @@ from __future__ import annotations
 import numpy as np
 
 from deploy.files import write_json
-from pipeline.experiments.study import Findings, SplitJob, Workers, measure_splits, of_splits
+from pipeline.artifacts import Origin
+from pipeline.experiments.study import (
+    Experiment,
+    Findings,
+    Task,
+    Workers,
+    measure_splits,
+    summary_of_splits,
+)
 from pipeline.paper import TABLE2
+from pipeline.run import stages
 from pipeline.run.folder import RunFolder
+from pipeline.run.origins import cnn_origin
 from pipeline.settings import Settings
 from pipeline.skin.parameters import CALIBRATION
 
@@ -43,24 +53,25 @@ def measure_difficulty(
     UserError, CheckFailed
         As in :func:`pipeline.experiments.study.measure_splits`.
     """
-    return measure_splits(
-        "difficulty", measure, summarise, folder, settings, splits, workers, say, (SCHEMA,)
-    )
+    experiment = Experiment("difficulty", measure, summarise, result_origin)
+    return measure_splits(experiment, folder, settings, splits, workers, say)
 
 
-def measure(job: SplitJob) -> dict:
+def result_origin(settings: Settings, dataset: Origin, subject: str = "") -> Origin:
+    """What the result of a split is made from."""
+    return Origin.of(settings, uses=[cnn_origin(settings, dataset)], contents={"schema": SCHEMA})
+
+
+def measure(task: Task) -> dict:
     """Test accuracy of the CNN on a random split (paper, Section 3.2)."""
-    from pipeline.training.networks import train_cnn  # TensorFlow, in the process that needs it
-
-    dataset = job.dataset()
-    cnn = train_cnn(job.settings, dataset.part("train"), job.seed)
-    images, labels = dataset.part("test")
+    dataset = task.dataset()
+    metrics = stages.train(task.networks, task.settings, dataset, lambda line: None)
     return {
         "schema": SCHEMA,
-        "seed": job.seed,
+        "seed": task.seed,
         "n_train": len(dataset.split.train),
-        "n_test": len(labels),
-        "accuracy": float(np.mean(cnn.logits(images).argmax(1) == labels)),
+        "n_test": metrics["n_test"],
+        "accuracy": metrics["accuracy"]["test"],
     }
 
 
@@ -69,7 +80,7 @@ def summarise(results, simulated: bool) -> dict:
     accuracies = [result["accuracy"] for result in results]
     return {
         "schema": SCHEMA,
-        **of_splits(results, simulated),
+        **summary_of_splits(results, simulated),
         "accuracies": accuracies,
         "mean": float(np.mean(accuracies)),
         "sd": float(np.std(accuracies, ddof=1)) if len(accuracies) > 1 else None,

@@ -7,7 +7,7 @@ recipe, and all are judged on the same test samples by the target fast.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,13 +15,17 @@ from deploy.check.intervals import mcnemar, wilson_interval
 from deploy.network.decision import share_of_time
 from deploy.tables import aligned, p_text
 from deploy.targets.registry import answer
+from pipeline.artifacts import Origin
 from pipeline.experiments.resampling import estimate
-from pipeline.experiments.study import Findings, SplitJob, Workers, measure_splits
-from pipeline.inputs.dataset import Dataset, inputs_of
+from pipeline.experiments.study import Experiment, Findings, Task, Workers, measure_splits
+from pipeline.inputs.dataset import Dataset
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.steps import EventTable
 from pipeline.recordings.variants import VARIANTS, durations_ns, vary
+from pipeline.run import stages
 from pipeline.run.folder import RunFolder
+from pipeline.run.history import read_history
+from pipeline.run.origins import events_origin, trained_origin
 from pipeline.settings import Settings
 
 SCHEMA = "stmnist-time/1"
@@ -32,38 +36,10 @@ MEANS = ("operations", "spikes_in", "merged", "share", "accuracy_by_itself", "ag
 """What is told as a mean over seeds; see :func:`measure`."""
 
 
-@dataclass(frozen=True)
-class VariantJob(SplitJob):
-    """A variant of the events to train and judge on a random split.
-
-    Attributes
-    ----------
-    variant : str
-        Of :data:`pipeline.recordings.variants.VARIANTS`.
-    """
-
-    variant: str
-
-    @property
-    def name(self) -> str:
-        """What a failure is called by."""
-        return f"{self.variant} of seed {self.seed}"
-
-    def dataset(self) -> Dataset:
-        """The samples with this split, of the variant.
-
-        Recordings of counts last as long as the median training sample.
-        """
-        dataset = super().dataset()
-        lasts = float(np.median(durations_ns(dataset.recordings)[dataset.split.train]))
-        varied = vary(dataset.recordings, self.variant, self.seed, lasts)
-        return replace(dataset, recordings=varied, inputs=inputs_of(varied, self.settings))
-
-
 def measure_events(
     folder: RunFolder, settings: Settings, seeds: int, workers: Workers, say
 ) -> Findings:
-    """Measure what is not there yet of all variants and seeds, and write the summary.
+    """Measure what is not current of all variants and seeds, and write the summary.
 
     Parameters
     ----------
@@ -81,52 +57,66 @@ def measure_events(
     UserError, CheckFailed
         As in :func:`pipeline.experiments.study.measure_splits`.
     """
-    return measure_splits(
-        "events", measure, summarise, folder, settings, seeds, workers, say, (SCHEMA,), _variants_of
-    )
+    experiment = Experiment("events", measure, summarise, result_origin, tuple(VARIANTS))
+    return measure_splits(experiment, folder, settings, seeds, workers, say)
 
 
-def _variants_of(settings, seed, source_sha256, folder, stamp):
-    return [
-        VariantJob(
-            settings, seed, source_sha256, folder / f"{variant}-{seed:02d}.json", stamp(variant),
-            variant,
-        )
-        for variant in VARIANTS
-    ]  # fmt: skip
+def result_origin(settings: Settings, dataset: Origin, subject: str) -> Origin:
+    """What the result of a variant (``subject``) on a split is made from."""
+    trained = trained_origin(settings, _of_variant(dataset, subject))
+    reads = ["deployment.pop_type", "presentation"]
+    return Origin.of(settings, reads, [trained], {"schema": SCHEMA})
 
 
-def measure(job: VariantJob) -> dict:
+def _of_variant(dataset, variant):
+    """The origin of a data set whose events were changed."""
+    return replace(dataset, contents={**dataset.contents, "variant": variant})
+
+
+def dataset_of_variant(dataset: Dataset, variant: str, seed: int) -> Dataset:
+    """A data set with its events changed.
+
+    Recordings that are reduced to counts last as long as the median training sample.
+    """
+    lasts = float(np.median(durations_ns(dataset.recordings)[dataset.split.train]))
+    varied = vary(dataset.recordings, variant, seed, lasts)
+    origin = _of_variant(dataset.origin, variant)
+    return Dataset(varied, dataset.split, origin, dataset.settings)
+
+
+def measure(task: Task) -> dict:
     """Train on a variant with one seed, and judge on its whole test split.
 
     Parameters
     ----------
-    job : VariantJob
+    task : Task
 
     Returns
     -------
     dict
         Of the chip (the target fast): ``predictions`` beside the ``labels``, at the end; mean
         synaptic ``operations`` as multiples of the paper's CNN's multiply-accumulates;
-        ``accuracy_by_itself`` and mean ``share`` of the writing where it decides by itself.
+        ``accuracy_by_itself`` and mean ``share`` of the recording with early decisions.
         ``trained``: accuracy of the network as it was trained, ``agreement``: share of samples to
         which both answer the same.  ``spikes_in``: mean spikes shown of a sample, ``merged``:
         share of all events that are one spike with another.
     """
-    from pipeline.run.event_training import train_for_chip  # TensorFlow, where it is needed
+    from pipeline.run.event_training import trained_network  # TensorFlow, where it is needed
 
     begun = time.perf_counter()
-    settings, seed, dataset = job.settings, job.seed, job.dataset()
-    checkpoint = job.path.with_suffix(".npz")
-    trained, spec = train_for_chip(settings, dataset, seed, checkpoint)
+    settings, seed = task.settings, task.seed
+    dataset = dataset_of_variant(task.dataset(), task.subject, seed)
+    task.trained(dataset)
+    folder = task.networks.network("snn", events_origin(settings, dataset.origin))
+    spec = stages.spec_of(task.networks, settings, dataset, {})
     shown, labels = dataset.part("test")
-    expected = trained.answers(shown)
+    expected = trained_network(settings, stages.read_weights(folder, settings)).answers(shown)
     found = answer(spec, shown, "fast", seed)
     by_itself = found.decisions[np.arange(len(labels)), found.stopped_at - 1]
     meant = expected.outputs[:, -1].argmax(-1)
-    result = {
+    return {
         "schema": SCHEMA,
-        "variant": job.variant,
+        "variant": task.subject,
         "seed": seed,
         "n_train": len(dataset.split.train),
         "n_test": len(labels),
@@ -140,11 +130,9 @@ def measure(job: VariantJob) -> dict:
         "accuracy_by_itself": float(np.mean(by_itself == labels)),
         "agreement": float(np.mean(found.predictions == meant)),
         "trained": float(np.mean(meant == labels)),
-        "history": trained.history,
+        "history": read_history(folder / "history.csv"),
         "seconds": time.perf_counter() - begun,
     }
-    checkpoint.unlink(missing_ok=True)
-    return result
 
 
 def summarise(results, simulated: bool) -> dict:

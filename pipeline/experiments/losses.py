@@ -15,11 +15,20 @@ import numpy as np
 from deploy.network.operations import multiply_accumulates
 from deploy.tables import aligned
 from deploy.targets.registry import answer
+from pipeline.artifacts import Origin
 from pipeline.experiments.resampling import estimate
-from pipeline.experiments.study import Findings, SplitJob, Workers, measure_splits, of_splits
-from pipeline.inputs.dataset import inputs_of
+from pipeline.experiments.study import (
+    Experiment,
+    Findings,
+    Task,
+    Workers,
+    measure_splits,
+    summary_of_splits,
+)
 from pipeline.paper import CNN_MACS, points_lost
+from pipeline.run import stages
 from pipeline.run.folder import RunFolder
+from pipeline.run.origins import cnn_origin, events_origin, rates_origin, trained_origin
 from pipeline.settings import Settings
 
 SCHEMA = "stmnist-losses/2"
@@ -35,7 +44,7 @@ PAPERS = {"spiking-lif": "ann-snn", "chip-100": "loihi"}
 def measure_losses(
     folder: RunFolder, settings: Settings, seeds: int, workers: Workers, say
 ) -> Findings:
-    """Measure what is not there yet; see :func:`pipeline.experiments.study.measure_splits`.
+    """Measure what is not current; see :func:`pipeline.experiments.study.measure_splits`.
 
     Raises
     ------
@@ -44,17 +53,23 @@ def measure_losses(
     """
     for steps in () if settings.on_events else STEPS:
         settings.with_values({"presentation": {"steps": steps}}, "benchmark losses")
-    return measure_splits(
-        "losses", measure, summarise, folder, settings, seeds, workers, say, (SCHEMA,)
-    )
+    experiment = Experiment("losses", measure, summarise, result_origin)
+    return measure_splits(experiment, folder, settings, seeds, workers, say)
 
 
-def measure(job: SplitJob) -> dict:
+def result_origin(settings: Settings, dataset: Origin, subject: str = "") -> Origin:
+    """What the result of a split is made from."""
+    cnn = ["image", "cnn.architecture", "cnn.epochs", "cnn.batch_size", "cnn.learning_rate"]
+    reads = [*cnn, "deployment", "presentation"]
+    return Origin.of(settings, reads, [trained_origin(settings, dataset)], {"schema": SCHEMA})
+
+
+def measure(task: Task) -> dict:
     """Train and test everything for one seed.
 
     Parameters
     ----------
-    job : SplitJob
+    task : Task
 
     Returns
     -------
@@ -64,13 +79,14 @@ def measure(job: SplitJob) -> dict:
         CNN's multiply-accumulates.
     """
     begun = time.perf_counter()
-    dataset, kind = job.dataset(), job.settings.input.kind
+    dataset, kind = task.dataset(), task.settings.input.kind
     labels = dataset.part("test")[1]
-    networks, chips, cnn_operations = (_on_events if kind == "events" else _on_images)(job, dataset)
+    measured = _on_events if kind == "events" else _on_images
+    networks, chips, cnn_operations = measured(task, dataset)
     found = {**networks, **{stage: responses.predictions for stage, responses in chips.items()}}
     return {
         "schema": SCHEMA,
-        "seed": job.seed,
+        "seed": task.seed,
         "n_train": len(dataset.split.train),
         "n_test": len(labels),
         "accuracy": {stage: float(np.mean(p == labels)) for stage, p in found.items()},
@@ -90,55 +106,61 @@ def measure(job: SplitJob) -> dict:
     }
 
 
-def _on_images(job, dataset):
-    """Predictions of each network, responses of each chip, operations of the CNN."""
-    from pipeline.run.conversion import deployed
-    from pipeline.training import nengodl  # TensorFlow, in the process that needs it
-    from pipeline.training import networks as training
+def _on_images(task, dataset):
+    """Predictions of the networks, responses of the chip by its stage, the CNN's operations."""
+    from pipeline.training import nengodl, networks  # TensorFlow, in the process that needs it
 
-    settings, seed = job.settings, job.seed
-    train, shown = dataset.part("train"), dataset.part("test")[0]
-    found, cnn = _cnns(settings, train, shown, seed)
-    rate = training.train_rate_network(settings, train, seed, cnn.weights)
-    found["rate-lif"] = rate.logits(shown).argmax(1)
-    found["spiking-lif"] = nengodl.predict(
-        replace(settings, seed=seed), rate.weights, shown, max(STEPS)
+    settings, shown = task.settings, dataset.part("test")[0]
+    task.trained(dataset)
+    found = _cnns(task, dataset, settings)
+    cnn = cnn_origin(settings, dataset.origin)
+    weights = stages.read_weights(
+        task.networks.network("snn", rates_origin(settings, cnn)), settings
     )
-    spec = deployed(settings, rate.weights, {}, train)
+    found["rate-lif"] = networks.TrainedRates(settings, weights).logits(shown).argmax(1)
+    found["spiking-lif"] = nengodl.predict(settings, weights, shown, max(STEPS))
+    spec = stages.spec_of(task.networks, settings, dataset, {})
     chips = {
-        f"chip-{steps}": answer(spec.with_presentation(steps=steps), shown, "fast", seed)
+        f"chip-{steps}": answer(spec.with_presentation(steps=steps), shown, "fast", task.seed)
         for steps in STEPS
     }
     return found, chips, sum(multiply_accumulates(spec).values())
 
 
-def _on_events(job, dataset):
+def _on_events(task, dataset):
     """The same of the network on events, and of the CNNs on the images of the same samples."""
-    from pipeline.run.event_training import train_for_chip
+    from pipeline.run.event_training import trained_network
 
-    settings, split = job.settings, dataset.split
+    settings = task.settings
+    # The CNNs' training makes TensorFlow compute in one thread, which changes the last digits of
+    # what this process trains after it.  So the network on events comes first.
+    task.trained(dataset)
     on_images = replace(settings, input=replace(settings.input, kind="image"))
-    images = inputs_of(dataset.recordings, on_images)
-    train = images[split.train], dataset.labels[split.train]
-    checkpoint = job.path.with_suffix(".npz")
-    # First: from the CNNs' training on TensorFlow computes in one thread, to other last digits.
-    trained, spec = train_for_chip(settings, dataset, job.seed, checkpoint)
-    found, _ = _cnns(on_images, train, images[split.test], job.seed)
+    found = _cnns(task, dataset.seen_by(on_images), on_images)
+    network = events_origin(settings, dataset.origin)
+    weights = stages.read_weights(task.networks.network("snn", network), settings)
+    trained = trained_network(settings, weights)
     shown = dataset.part("test")[0]
     found["trained"] = trained.logits(shown).argmax(1)
-    chips = {"chip": answer(spec, shown, "fast", job.seed)}
-    checkpoint.unlink(missing_ok=True)
-    return found, chips, CNN_MACS
+    spec = stages.spec_of(task.networks, settings, dataset, {})
+    return found, {"chip": answer(spec, shown, "fast", task.seed)}, CNN_MACS
 
 
-def _cnns(settings, train, shown, seed):
-    """Predictions of both CNNs, and the one of the paper's recipe."""
-    from pipeline.training import networks as training
+def _cnns(task, dataset, settings):
+    """Predictions of both CNNs on the test images."""
+    from pipeline.training import networks
 
-    paper = training.train_cnn(settings, train, seed)
-    annealed = training.train_cnn(settings, train, seed, recipe=training.RECIPES["loihi"])
-    nets = zip(CNNS, (paper, annealed), strict=True)
-    return {stage: net.logits(shown).argmax(1) for stage, net in nets}, paper
+    stages.train(task.networks, settings, dataset, lambda line: None)
+    origin = cnn_origin(settings, dataset.origin)
+    weights = stages.read_weights(task.networks.network("cnn", origin), settings)
+    paper = networks.TrainedCNN(settings, weights)
+    recipe = networks.RECIPES["loihi"]
+    annealed = networks.train_cnn(settings, dataset.part("train"), task.seed, recipe=recipe)
+    shown = dataset.part("test")[0]
+    return {
+        stage: network.logits(shown).argmax(1)
+        for stage, network in zip(CNNS, (paper, annealed), strict=True)
+    }
 
 
 def summarise(results, simulated: bool) -> dict:
@@ -171,7 +193,7 @@ def summarise(results, simulated: bool) -> dict:
 
     return {
         "schema": SCHEMA,
-        **of_splits(results, simulated),
+        **summary_of_splits(results, simulated),
         "accuracy": over_seeds("accuracy"),
         "stronger_cnn": stronger,
         "loss": {

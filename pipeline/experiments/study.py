@@ -1,30 +1,33 @@
-"""Jobs over splits, seeds and points: each done once, kept, and gone on with where they stopped.
+"""Experiments: many results of the same kind, each made once, kept, and found again.
 
-A job is a value of its experiment's own; what is done with it is a function of a module, so that
-processes of this machine and workers of a Dask cluster can do it.
+A :class:`Task` is one result that is to be measured: an artifact with its origin.  Tasks that train
+the same networks go into one group, which one process does in order; groups are shared among
+processes of this machine or workers of a Dask cluster.  Each result is written as soon as it is
+there, so that an interrupted experiment continues with the tasks that are left.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
 from deploy import __version__
 from deploy.errors import CheckFailed, UserError
 from deploy.files import write_json
-from pipeline.inputs.dataset import Dataset
+from pipeline.artifacts import Artifact, Origin
+from pipeline.inputs.dataset import Dataset, dataset_origin, recordings_fit
 from pipeline.inputs.library import recordings_of
-from pipeline.jobs import Failure, run_jobs
-from pipeline.progress import progress
-from pipeline.run.folder import RunFolder, read_stamped, stamp_of
+from pipeline.jobs import Failure, attempt, run_jobs
+from pipeline.progress import hidden, progress
+from pipeline.run import stages
+from pipeline.run.folder import NetworkLibrary, RunFolder
 from pipeline.settings import Settings
 
 
 @dataclass(frozen=True)
 class Workers:
-    """Who does the jobs.
+    """Who does the tasks.
 
     Attributes
     ----------
@@ -40,7 +43,7 @@ class Workers:
 
 @dataclass(frozen=True)
 class Findings:
-    """What came out of an experiment.
+    """What an experiment found.
 
     Attributes
     ----------
@@ -54,143 +57,287 @@ class Findings:
     failed: str = ""
 
 
-def study(
-    label: str,
-    measure: Callable,
-    jobs,
-    workers: Workers,
-    say: Callable,
-    kept: Callable | None = None,
-    keep: Callable | None = None,
-    size: Callable = lambda job: 1,
-) -> list:
-    """Do the jobs that are not done yet; one that fails does not stop the others.
+@dataclass(frozen=True)
+class Task:
+    """One result to measure.
+
+    Attributes
+    ----------
+    artifact : Artifact
+        Where the result is kept.
+    origin : Origin
+        What it is made from.
+    settings : Settings
+        Those of the origin, and no others.
+    recordings : str
+        SHA-256 of the recordings.
+    networks : NetworkLibrary
+        Where its trained networks are kept.
+    split : str
+        Kind of its split, see :data:`pipeline.inputs.dataset.KINDS`.
+    subject : str
+        What is measured on the split, such as the name of a model; empty if there is one only.
+    """
+
+    artifact: Artifact
+    origin: Origin
+    settings: Settings
+    recordings: str
+    networks: NetworkLibrary
+    split: str = "random"
+    subject: str = ""
+
+    @property
+    def name(self) -> str:
+        """The artifact's name."""
+        return self.artifact.name
+
+    @property
+    def seed(self) -> int:
+        """Of the split and of the trainings on it."""
+        return self.settings.seed
+
+    def dataset(self) -> Dataset:
+        """The samples with the task's split.
+
+        Raises
+        ------
+        UserError
+            The recordings here are not those that the experiment was begun with.
+        """
+        return _dataset_of(self.settings, self.recordings, self.split)
+
+    def trained(self, dataset: Dataset, settings: Settings | None = None) -> dict:
+        """Train what the bundle of a run with these settings is made from, unless it is kept.
+
+        Parameters
+        ----------
+        dataset : Dataset
+        settings : Settings, optional
+            Default: the task's own.
+
+        Returns
+        -------
+        dict
+            Metrics of the network that is deployed.
+        """
+        settings = settings or self.settings
+        with hidden():
+            if settings.on_events:
+                return stages.train_on_events(self.networks, settings, dataset, _silent)
+            stages.train(self.networks, settings, dataset, _silent)
+            return stages.train_rates(self.networks, settings, dataset, _silent)
+
+
+def study(label: str, measure: Callable, groups, workers: Workers, say: Callable) -> dict:
+    """Measure what is not current; a task that fails does not stop the others.
 
     Parameters
     ----------
     label : str
         Of the progress bar.
     measure : callable
-        Of a module, from a job to its result.
-    jobs : sequence
-        Values that can be pickled.
+        Of a module, from a :class:`Task` to its result, a dict.
+    groups : sequence of sequence of Task
+        Those of a group are measured one after the other in one process.
     workers : Workers
     say : callable
-        Called with the details of each failure, and with what the jobs wait for.
-    kept : callable, optional
-        From a job to its result of an earlier time, or None; see :func:`read_kept`.
-    keep : callable, optional
-        Called with a job and its result as soon as it is there; see :func:`write_kept`.
-    size : callable, optional
-        From a job to how far it brings the progress bar.
+        Called with the details of each failure, with what the tasks wait for, and with why results
+        are measured again.
 
     Returns
     -------
-    list
-        The result of each job, or a :class:`pipeline.jobs.Failure`.
+    dict
+        By task name: its result, or a :class:`pipeline.jobs.Failure`.
 
     Raises
     ------
     UserError
         There is no scheduler at the address, or Dask is not installed.
     """
-    results = [kept(job) if kept else None for job in jobs]
-    todo = [(number, job) for number, job in enumerate(jobs) if results[number] is None]
-    with progress(label, sum(size(job) for _, job in todo)) as advance:
+    results, left, reasons = {}, [], {}
+    for group in groups:
+        todo = []
+        for task in group:
+            state = task.artifact.state(task.origin)
+            if state.is_current:
+                results[task.name] = state.record
+                continue
+            todo.append(task)
+            if state.because:
+                reasons.setdefault(state.reasons(), []).append(task.name)
+        if todo:
+            left.append(tuple(todo))
+    for reason, names in reasons.items():
+        say(f"{label}: measuring {_listed(names)} again: {reason}")
+    with progress(label, sum(map(len, left))) as advance:
         work = partial(_work, measure, __version__)
-        for (number, job), result in run_jobs(
-            work, todo, workers.processes, workers.scheduler, say
-        ):
-            results[number] = result
-            if isinstance(result, Failure):
-                if result.mistake is None:
+        for group, found in run_jobs(work, left, workers.processes, workers.scheduler, say):
+            if isinstance(found, Failure):  # of the process, not of a task
+                found = [found] * len(group)
+            for task, result in zip(group, found, strict=True):
+                if not isinstance(result, Failure):
+                    result = _kept(task, result)
+                elif result.mistake is None:
                     say(result.details)
-            elif keep is not None:
-                keep(job, result)
-            advance(size(job))
-    failures = [result for result in results if isinstance(result, Failure)]
+                results[task.name] = result
+            advance(len(group))
+    failures = [result for result in results.values() if isinstance(result, Failure)]
     for mistake in sorted({f.details for f in failures if f.mistake is not None}):
         say(mistake)
     return results
 
 
-def _work(measure, version, numbered):
+def _work(measure, version, group):
+    """Measure the tasks of a group, where they are done; results and failures."""
     if version != __version__:
         raise UserError(f"the worker has version {__version__} of this package, not {version}")
-    return measure(numbered[1])
+    found = []
+    for task in group:
+        result = attempt(measure, task)
+        if not isinstance(result, Failure):
+            _kept(task, result)
+        found.append(result)
+    return found
 
 
-def read_kept(job) -> dict | None:
-    """The result of a job that has a ``path`` and a ``stamp``, if it is there and not outdated."""
-    return read_stamped(job.path, job.stamp)
+def _kept(task, result):
+    """Write a result, unless a worker that sees the same folder has; return it."""
+    state = task.artifact.state(task.origin)
+    return state.record if state.is_current else task.artifact.write(task.origin, result)
 
 
-def write_kept(job, result: dict):
-    """Keep a job's result for :func:`read_kept`."""
-    write_json(job.path, {"made_from": job.stamp, **result})
+def _listed(names):
+    return names[0] if len(names) == 1 else f"{len(names)} results"
 
 
-def dataset_for(settings: Settings, source_sha256: str) -> Dataset:
-    """The samples of a job, where it is done.
+_LOADED = {}
+
+
+def _dataset_of(settings, recordings, split):
+    """A data set, which the tasks of a group have in common."""
+    key = dataset_origin(settings, recordings, split).key
+    if key not in _LOADED:
+        _LOADED.clear()
+        dataset = Dataset.of(settings, kind=split)
+        if dataset.recordings.source.sha256 != recordings:
+            raise UserError(f"{settings.data.source}: the worker has other recordings there")
+        _LOADED[key] = dataset
+    return _LOADED[key].seen_by(settings)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What is measured on each of several splits.
+
+    Attributes
+    ----------
+    name : str
+        Of the summary's file.
+    measure : callable
+        From a :class:`Task` to a dict with ``seed``, ``n_train`` and ``n_test``.
+    summarise : callable
+        From those dicts and whether the recordings are simulated to a dict.
+    origin : callable
+        ``origin(settings, dataset_origin, subject) -> Origin`` of a result.
+    subjects : tuple of str
+        What is measured on each split.
+    """
+
+    name: str
+    measure: Callable
+    summarise: Callable
+    origin: Callable
+    subjects: tuple = ("",)
+
+
+def on_split(settings: Settings, seed: int) -> Settings:
+    """The settings of an experiment's split: with a seed of its own, without a validation part."""
+    split = replace(settings.split, validation_fraction=0.0)
+    return replace(settings, seed=seed, split=split)
+
+
+def measure_splits(
+    experiment: Experiment,
+    folder: RunFolder,
+    settings: Settings,
+    splits: int,
+    workers: Workers,
+    say: Callable,
+) -> Findings:
+    """Measure an experiment on random splits, and write the summary of all.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    folder : RunFolder
+        Of the results, locked.
+    settings : Settings
+    splits : int
+        How many, with the seeds from the settings' own on.
+    workers, say
+        As in :func:`study`.
 
     Raises
     ------
     UserError
-        The recordings there are not those that the experiment was begun with.
+        The recordings cannot be read.
+    CheckFailed
+        Everything failed.
     """
-    dataset = Dataset.of(settings)
-    if dataset.recordings.source.sha256 != source_sha256:
-        raise UserError(f"{settings.data.source}: the worker has other recordings there")
-    return dataset
+    recordings = recordings_of(settings, workers.processes)
+    recordings_fit(recordings, settings)
+    folder.save_settings(settings)
+    tasks = [
+        split_task(experiment, folder, on_split(settings, seed), recordings.source.sha256, subject)
+        for seed in range(settings.seed, settings.seed + splits)
+        for subject in experiment.subjects
+    ]
+    results = study(experiment.name, experiment.measure, [[t] for t in tasks], workers, say)
+    failed = [name for name, result in results.items() if isinstance(result, Failure)]
+    whole = [results[task.name] for task in tasks if task.name not in failed]
+    if not whole:
+        raise CheckFailed("all of it failed; see above")
+    summary = experiment.summarise(whole, recordings.source.simulated)
+    summary["source_sha256"] = recordings.source.sha256
+    write_json(folder.path / f"{experiment.name}.json", summary)
+    return Findings(
+        summary, f"{', '.join(failed)} failed; the same command tries again" if failed else ""
+    )
 
 
-@dataclass(frozen=True)
-class SplitJob:
-    """A random split to measure.
-
-    Attributes
-    ----------
-    settings : Settings
-    seed : int
-        Of the split and its trainings.
-    source_sha256 : str
-        Of the recordings that the settings name.
-    path : Path
-        Of the result.
-    stamp : str
-        Hash of all that it depends on.
-    """
-
-    settings: Settings
-    seed: int
-    source_sha256: str
-    path: Path
-    stamp: str
-
-    @property
-    def name(self) -> str:
-        """What a failure is called by."""
-        return f"split {self.seed}"
-
-    def dataset(self) -> Dataset:
-        """The samples with this split; see :func:`dataset_for`."""
-        dataset = dataset_for(self.settings, self.source_sha256)
-        return dataset.divided(self.seed, self.settings.split.test_fraction)
+def split_task(
+    experiment: Experiment, folder: RunFolder, settings: Settings, recordings: str, subject: str
+) -> Task:
+    """What is measured of a subject on a split; the settings are those of :func:`on_split`."""
+    seed = settings.seed
+    name = f"{subject} of seed {seed}" if subject else f"split {seed}"
+    file = f"{subject or 'split'}-{seed:02d}.json"
+    origin = experiment.origin(settings, dataset_origin(settings, recordings), subject)
+    root = folder.path.absolute()  # a worker may have been started in another folder
+    return Task(
+        artifact=Artifact(name, root / file),
+        origin=origin,
+        settings=origin.view(settings),
+        recordings=recordings,
+        networks=NetworkLibrary(root / "networks"),
+        subject=subject,
+    )
 
 
-def one_a_split(settings, seed, source_sha256, folder, stamp) -> list:
-    """The jobs of a seed where there is one; ``stamp(*more)`` hashes what it depends on."""
-    return [SplitJob(settings, seed, source_sha256, folder / f"split-{seed:02d}.json", stamp())]
-
-
-def of_splits(results, simulated: bool) -> dict:
-    """What a summary says of its splits: ``simulated``, ``seeds``, samples trained and tested on.
+def summary_of_splits(results, simulated: bool) -> dict:
+    """What every summary says of its splits.
 
     Parameters
     ----------
     results : sequence of dict
         One a split, with ``seed``, ``n_train`` and ``n_test``.
     simulated : bool
+
+    Returns
+    -------
+    dict
+        ``simulated``, ``seeds``, and the numbers of training and test samples.
     """
     return {
         "simulated": simulated,
@@ -200,66 +347,5 @@ def of_splits(results, simulated: bool) -> dict:
     }
 
 
-def measure_splits(
-    name: str,
-    measure: Callable,
-    summarise: Callable,
-    folder: RunFolder,
-    settings: Settings,
-    splits: int,
-    workers: Workers,
-    say: Callable,
-    depends_on=(),
-    jobs_of: Callable = one_a_split,
-) -> Findings:
-    """Measure the random splits that are not there yet, and write the summary of all.
-
-    Parameters
-    ----------
-    name : str
-        Of the summary's file.
-    measure : callable
-        From a :class:`SplitJob` to a dict.
-    summarise : callable
-        From those dicts and whether the recordings are simulated to a dict.
-    folder : RunFolder
-        Of the results, locked.
-    settings : Settings
-    splits : int
-        How many, from the settings' own seed on.
-    workers, say
-        As in :func:`study`.
-    depends_on : tuple
-        Plain values that the results depend on besides recordings and settings.
-    jobs_of : callable
-        The jobs of a seed, see :func:`one_a_split`.
-
-    Raises
-    ------
-    UserError
-        The recordings cannot be read.
-    CheckFailed
-        Everything failed.
-    """
-    source = recordings_of(settings, workers.processes).source
-    folder.save_settings(settings)
-    stamp = partial(stamp_of, __version__, source.sha256, asdict(settings), *depends_on)
-    root = folder.path.absolute()  # where a worker keeps its checkpoint too
-    jobs = [
-        job
-        for seed in range(settings.seed, settings.seed + splits)
-        for job in jobs_of(settings, seed, source.sha256, root, stamp)
-    ]
-    results = study(name, measure, jobs, workers, say, read_kept, write_kept)
-    whole = [result for result in results if not isinstance(result, Failure)]
-    if not whole:
-        raise CheckFailed("all of it failed; see above")
-    summary = summarise(whole, source.simulated)
-    summary["source_sha256"] = source.sha256
-    write_json(folder.path / f"{name}.json", summary)
-    failed = [
-        job.name for job, result in zip(jobs, results, strict=True) if isinstance(result, Failure)
-    ]
-    return Findings(
-        summary, f"{', '.join(failed)} failed; the same command tries again" if failed else ""
-    )
+def _silent(line):
+    """Of many trainings at a time the progress bar says enough."""

@@ -11,27 +11,32 @@ import functools
 import itertools
 import re
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from deploy import __version__
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
-from deploy.files import read_json, replacing, write_json
+from deploy.files import replacing, write_json
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
-from pipeline.experiments.study import Findings, Workers, read_kept, study, write_kept
+from pipeline.artifacts import Artifact, Origin
+from pipeline.experiments.study import Findings, Task, Workers, study
 from pipeline.experiments.sweep_text import sweep_csv
-from pipeline.inputs.dataset import Dataset
+from pipeline.inputs.dataset import Dataset, dataset_origin, recordings_fit
 from pipeline.jobs import Failure
 from pipeline.paper import CNN_MACS
 from pipeline.progress import hidden
+from pipeline.recordings.events import Recordings
 from pipeline.run import stages
-from pipeline.run.folder import DELETE_ITS_FOLDER, RunFolder, stamp_of
-from pipeline.run.stages.stamps import cnn_stamp, trained_stamp
+from pipeline.run.folder import NetworkLibrary, RunFolder
+from pipeline.run.origins import bundle_origin, cnn_origin, events_origin, rates_origin
+from pipeline.run.stages.training import cnn_artifact, events_artifact, rates_artifact
 from pipeline.settings import Settings, parse_assignments, put
+
+TARGET = "fast"
+"""What judges; its answers are those of NengoLoihi's emulator."""
 
 POINT_SCHEMA = "stmnist-sweep-point/3"
 SCHEMA = "stmnist-sweep/2"
@@ -54,61 +59,36 @@ SAMPLES_APART = ("seed", "data", "split", "check")
 
 
 @dataclass(frozen=True)
+class SweepTask(Task):
+    """A training or a point of a sweep; its samples have no test split."""
+
+    def dataset(self) -> Dataset:
+        """The samples, without the test split."""
+        return without_test(super().dataset())
+
+
+@dataclass(frozen=True)
 class Point:
     """A combination of settings.
 
     Attributes
     ----------
-    folder : Path
-        Of the sweep.
     settings : Settings
     changes : tuple of (str, value)
         What the grid gave to each of its settings.
-    stamp : str
-        Hash of all that its result depends on.
-    cnn, snn : str
-        Hashes of what its networks' trainings depend on; on events there is no CNN.
+    cnn : SweepTask or None
+        Its CNN; there is none on events.
+    network : SweepTask
+        The network that is trained for the chip.
+    judged : SweepTask
+        Its result.
     """
 
-    folder: Path
     settings: Settings
     changes: tuple
-    stamp: str
-    cnn: str
-    snn: str
-
-    @property
-    def networks(self) -> Networks:
-        """Where its trained networks are."""
-        return Networks(self.folder, self.cnn, self.snn)
-
-    @property
-    def path(self) -> Path:
-        """Where its result is."""
-        return self.folder / "points" / f"{self.stamp[:16]}.json"
-
-
-@dataclass(frozen=True)
-class Networks(RunFolder):
-    """A run's folder whose networks many points share.
-
-    Attributes
-    ----------
-    cnn_stamp, snn_stamp : str
-    """
-
-    cnn_stamp: str
-    snn_stamp: str
-
-    @property
-    def cnn(self) -> Path:
-        """Weights, history and metrics of the CNN."""
-        return self.path / "cnn" / self.cnn_stamp[:16]
-
-    @property
-    def snn(self) -> Path:
-        """Weights, history and metrics of the network for the chip."""
-        return self.path / "snn" / self.snn_stamp[:16]
+    cnn: SweepTask | None
+    network: SweepTask
+    judged: SweepTask
 
 
 def base_settings(settings: Settings) -> Settings:
@@ -117,7 +97,7 @@ def base_settings(settings: Settings) -> Settings:
     return settings.with_values({"split": {"validation_fraction": fraction}}, "sweep")
 
 
-def points_of(folder: Path, base: Settings, grid) -> list:
+def points_of(folder: Path, base: Settings, grid, recordings: Recordings) -> list:
     """Every combination of the grid's values.
 
     Parameters
@@ -129,6 +109,8 @@ def points_of(folder: Path, base: Settings, grid) -> list:
     grid : sequence of str
         Such as ``"presentation.steps=50,100"`` or ``"snn.max_rates=[100,150],[150,150]"``; a single
         number stands for a list of one.
+    recordings : Recordings
+        That the settings ask for.
 
     Returns
     -------
@@ -146,25 +128,42 @@ def points_of(folder: Path, base: Settings, grid) -> list:
         raise UserError("--grid: a setting is given twice; write all its values in one")
     points = []
     for combination in itertools.product(*axes):
-        settings, changes = base, []
         values: dict = {}
         for name, value in combination:
             put(values, name, value, "--grid")
-            changes.append((name, value))
         settings = base.with_values(values, "--grid")
-        dataset = dataset_of(settings)
-        source = dataset.recordings.source.sha256
-        points.append(
-            Point(
-                folder=folder,
-                settings=settings,
-                changes=tuple(changes),
-                stamp=stamp_of(__version__, POINT_SCHEMA, source, asdict(settings)),
-                cnn=cnn_stamp(settings, dataset),
-                snn=trained_stamp(settings, dataset),
-            )
-        )
+        recordings_fit(recordings, settings)
+        points.append(_point(folder, settings, combination, recordings.source.sha256))
     return points
+
+
+def _point(folder, settings, changes, recordings):
+    """A point with what is made for it: its networks, which others may share, and its result."""
+    networks = NetworkLibrary(folder / "networks")
+    dataset = _without_test_origin(dataset_origin(settings, recordings))
+
+    def task(artifact, origin):
+        return SweepTask(artifact, origin, origin.view(settings), recordings, networks)
+
+    cnn = None
+    if settings.on_events:
+        origin = events_origin(settings, dataset)
+        network = task(events_artifact(networks, origin), origin)
+    else:
+        origin = cnn_origin(settings, dataset)
+        cnn = task(cnn_artifact(networks, origin), origin)
+        origin = rates_origin(settings, origin)
+        network = task(rates_artifact(networks, origin), origin)
+    origin = result_origin(settings, dataset)
+    key = origin.key[:16]
+    judged = task(Artifact(f"point {key}", folder / "points" / f"{key}.json"), origin)
+    return Point(settings, tuple(changes), cnn, network, judged)
+
+
+def result_origin(settings: Settings, dataset: Origin) -> Origin:
+    """What a point's result is made from."""
+    contents = {"schema": POINT_SCHEMA, "target": TARGET}
+    return Origin.of(settings, uses=[bundle_origin(settings, dataset)], contents=contents)
 
 
 def _axis(entry, base):
@@ -194,54 +193,42 @@ def _setting(settings, name):
     return functools.reduce(lambda part, key: getattr(part, key, None), name.split("."), settings)
 
 
-def dataset_of(settings: Settings, jobs: int = 1, warn=None) -> Dataset:
-    """The samples of a sweep: as for a run, but without a test split.
+def without_test(dataset: Dataset) -> Dataset:
+    """A data set without its test split.
 
-    Parameters
-    ----------
-    settings, jobs, warn
-        As in :meth:`pipeline.inputs.dataset.Dataset.of`.
+    Raises
+    ------
+    UserError
+        There are too few samples for a validation part.
     """
-    # What does not tell in the samples is left out, so that points share them.
-    shown = Settings()
-    if settings.on_events:
-        shown = replace(shown, presentation=settings.presentation)
-    dataset = _dataset_of(
-        replace(
-            shown,
-            **{name: getattr(settings, name) for name in ("seed", "data", "input", "skin")},
-            **{name: getattr(settings, name) for name in ("image", "split", "cnn", "events")},
-        ),
-        jobs,
-        warn,
-    )
     if not len(dataset.split.validation):
         raise UserError(
-            f"{settings.data.source}: too few samples for a validation part of "
-            f"{settings.split.validation_fraction:g}; give more data"
+            f"{dataset.settings.data.source}: too few samples for a validation part; give more data"
         )
-    return dataset
+    split = replace(dataset.split, test=dataset.split.test[:0])
+    return replace(dataset, split=split, origin=_without_test_origin(dataset.origin))
 
 
-@functools.lru_cache(maxsize=4)
-def _dataset_of(settings, jobs, warn):
-    dataset = Dataset.of(settings, jobs, warn)
-    return replace(dataset, split=replace(dataset.split, test=dataset.split.test[:0]))
+def _without_test_origin(dataset):
+    return replace(dataset, contents={**dataset.contents, "samples": "without the test split"})
 
 
-def train_cnn(point: Point) -> dict:
-    """Train a point's CNN, unless it is there."""
+def train_network(task: SweepTask) -> dict:
+    """Train a network that points share; return the record of its artifact.
+
+    A worker that does not see the folder trains what the network starts from too.
+    """
+    settings, dataset, networks = task.settings, task.dataset(), task.networks
     with hidden():
-        return stages.train(point.networks, point.settings, _samples(point), _silent)
+        if settings.on_events:
+            return stages.train_event_network(networks, settings, dataset, _silent)
+        metrics = stages.train(networks, settings, dataset, _silent)
+        if task.artifact.name.startswith("cnn"):
+            return metrics
+        return stages.train_rates(networks, settings, dataset, _silent)
 
 
-def train_networks(point: Point):
-    """Train a point's networks, unless they are there; a worker may not see who trained its CNN."""
-    with hidden():
-        stages.train_all(point.networks, point.settings, _samples(point), _silent)
-
-
-def judge(point: Point) -> dict:
+def judge(task: SweepTask) -> dict:
     """Show the validation samples to a point's network on the fast emulator.
 
     Returns
@@ -250,29 +237,31 @@ def judge(point: Point) -> dict:
         ``accuracy`` with its interval; of an inference the mean ``operations`` (synaptic), the same
         as ``operations_per_mac`` relative to the multiply-accumulates of the paper's CNN, and
         ``spikes`` by layer; ``cores``; ``decided_at_median``; the accuracies of the CNN (None on
-        events) and the network as it was trained on the same samples.
+        events) and of the trained network on the same samples.
     """
-    train_networks(point)
     begun = time.perf_counter()
-    settings, networks = point.settings, point.networks
-    dataset = _samples(point)
+    settings, dataset = task.settings, task.dataset()
+    trained = task.trained(dataset)
+    cnn_accuracy = None
+    if not settings.on_events:
+        with hidden():
+            cnn = stages.train(task.networks, settings, dataset, _silent)
+        cnn_accuracy = cnn["accuracy"]["validation"]
     inputs, labels = dataset.part("validation")
-    spec = stages.spec_of(networks, settings, dataset, {})
-    responses = answer(spec, inputs, "fast", settings.seed)
+    spec = stages.spec_of(task.networks, settings, dataset, {})
+    responses = answer(spec, inputs, TARGET, settings.seed)
     right = responses.predictions == labels
     operations = float(sum(counts.mean() for counts in responses.operations.values()))
     return {
         "schema": POINT_SCHEMA,
-        "made_from": point.stamp,
-        "changes": dict(point.changes),
         "simulated": dataset.recordings.source.simulated,
-        "target": "fast",
+        "target": TARGET,
         "n_samples": len(labels),
         "steps": settings.steps,
         "accuracy": float(right.mean()),
         "accuracy_ci95": list(wilson_interval(int(right.sum()), len(labels))),
-        "cnn_accuracy": None if settings.on_events else _validated(networks.cnn),
-        "trained_accuracy": _validated(networks.snn),
+        "cnn_accuracy": cnn_accuracy,
+        "trained_accuracy": trained["accuracy"]["validation"],
         "operations": operations,
         "operations_per_mac": operations / CNN_MACS,
         "cores": len(make_plan(spec).to_json()["cores"]),
@@ -280,11 +269,6 @@ def judge(point: Point) -> dict:
         "decided_at_median": float(np.median(responses.decided_at)),
         "seconds": time.perf_counter() - begun,
     }
-
-
-def _validated(folder):
-    """Accuracy on the validation samples, as the training measured it."""
-    return read_json(folder / "metrics.json", DELETE_ITS_FOLDER)["accuracy"]["validation"]
 
 
 def pareto_front(costs) -> np.ndarray:
@@ -305,22 +289,23 @@ def pareto_front(costs) -> np.ndarray:
     return ~np.any(no_worse & better, axis=0)
 
 
-def summarise(points, results, errors) -> dict:
+def summarise(points, results) -> dict:
     """Put the points together, the most accurate first, the failed ones last.
 
     Parameters
     ----------
     points : list of Point
-    results : dict of str to dict
-        From :func:`judge`, by the point's stamp.
-    errors : dict of str to str
-        Of the points that have none.
+    results : list of dict or Failure
+        From :func:`judge`, one a point.
     """
-    # A result may stem from another grid, in which other settings were varied.
+    both = list(zip(points, results, strict=True))
     done = [
-        {**results[point.stamp], "changes": dict(point.changes)}
-        for point in points
-        if point.stamp in results
+        {
+            **{key: value for key, value in result.items() if key != "made_from"},
+            "changes": dict(point.changes),
+        }
+        for point, result in both
+        if not isinstance(result, Failure)
     ]
     costs = [(-r["accuracy"], r["operations"], r["cores"], r["steps"]) for r in done]
     for result, on_front in zip(done, pareto_front(costs) if done else (), strict=True):
@@ -333,9 +318,9 @@ def summarise(points, results, errors) -> dict:
         "names": [name for name, _ in points[0].changes],
         "points": done,
         "failed": [
-            {"changes": dict(point.changes), "error": errors[point.stamp]}
-            for point in points
-            if point.stamp in errors
+            {"changes": dict(point.changes), "error": result.error}
+            for point, result in both
+            if isinstance(result, Failure)
         ],
     }
 
@@ -359,47 +344,47 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
         As in :func:`points_of`, or the recordings cannot be read or are too few.
     """
     base = base_settings(settings)
-    dataset_of(base, workers.processes, say)
+    dataset = without_test(Dataset.of(base, workers.processes, say))
     grid = grid or (EVENTS_GRID if settings.on_events else DEFAULT_GRID)
-    points = points_of(folder.path.absolute(), base, grid)
+    points = points_of(folder.path.absolute(), base, grid, dataset.recordings)
     folder.save_settings(base)
-    results, errors = _measure(points, workers, say)
-    summary = summarise(points, results, errors)
+    results = _measure(points, workers, say)
+    failed = sum(isinstance(result, Failure) for result in results)
+    summary = summarise(points, results)
     write_json(folder.path / "sweep.json", summary)
     with replacing(folder.path / "sweep.csv", "w") as file:
         file.write(sweep_csv(summary))
-    failed = f"{len(errors)} of {len(points)} points failed; the same command tries them again"
-    return Findings(summary, failed if errors else "")
+    message = f"{failed} of {len(points)} points failed; the same command tries them again"
+    return Findings(summary, message if failed else "")
 
 
 def _measure(points, workers, say):
-    """Results and errors by stamp: trainings that points share first, then the points."""
-    results = {p.stamp: kept for p in points if (kept := read_kept(p)) is not None}
-    errors = {}
-    images = [point for point in points if not point.settings.on_events]
-    for label, function, among, key, keep in (
-        ("train cnn", train_cnn, images, lambda point: point.cnn, None),
-        ("train for the chip", train_networks, points, lambda point: point.snn, None),
-        ("judge", judge, points, lambda point: point.stamp, write_kept),
-    ):
-        left = [p for p in among if p.stamp not in results and p.stamp not in errors]
-        waiting = {key(point): point for point in left}
-        answers = study(label, function, waiting.values(), workers, say, keep=keep)
-        for what, answer_ in zip(waiting, answers, strict=True):
-            if isinstance(answer_, Failure):
-                errors.update({p.stamp: answer_.error for p in left if key(p) == what})
-            elif keep is not None:
-                results[what] = answer_
-    return results, errors
+    """Results or failures of the points, after the trainings that they share."""
+    left = [p for p in points if not p.judged.artifact.state(p.judged.origin).is_current]
+    phases = (
+        ("train cnn", train_network, [p.cnn for p in left if p.cnn is not None]),
+        ("train for the chip", train_network, [p.network for p in left]),
+    )
+    lost = {}
+    for label, function, tasks in phases:
+        shared = {task.origin.key: replace(task, artifact=_named(task)) for task in tasks}
+        found = study(label, function, [[task] for task in shared.values()], workers, say)
+        lost |= {name: result for name, result in found.items() if isinstance(result, Failure)}
+    failed = {
+        point.judged.name: lost[name]
+        for point in points
+        for name in (_named(task).name for task in (point.cnn, point.network) if task is not None)
+        if name in lost
+    }
+    whole = [[point.judged] for point in points if point.judged.name not in failed]
+    found = study("judge", judge, whole, workers, say) | failed
+    return [found[point.judged.name] for point in points]
 
 
-def _samples(point):
-    """The samples of a point, where it is judged."""
-    dataset = dataset_of(point.settings)
-    if cnn_stamp(point.settings, dataset) != point.cnn:
-        raise UserError(f"{point.settings.data.source}: the worker has other recordings there")
-    return dataset
+def _named(task):
+    """The artifact of a training, with a name that tells it from others in the same sweep."""
+    return replace(task.artifact, name=f"{task.artifact.name} {task.origin.key[:16]}")
 
 
 def _silent(line):
-    """Of many trainings at a time the progress bar says enough; the metrics are kept."""
+    """Of many trainings at a time the progress bar says enough."""

@@ -7,19 +7,16 @@ import numpy as np
 from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.tables import aligned, p_text
-from pipeline.experiments import table2_splits
 from pipeline.experiments.resampling import estimate
 from pipeline.experiments.study import Findings, Workers, study
 from pipeline.experiments.table2_splits import (
     LOIHI_TARGET,
     MODELS,
     Benchmark,
-    plan,
-    read_split,
-    splits_there,
-    write_splits,
+    measure,
+    settings_of,
 )
-from pipeline.inputs.dataset import KINDS, split_of
+from pipeline.inputs.dataset import KINDS, recordings_fit, split_of
 from pipeline.inputs.library import recordings_of
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.jobs import Failure
@@ -83,28 +80,18 @@ def measure_table(
         raise UserError(
             f"{settings.data.source}: {error}; change --kind, check.samples or the data"
         ) from error
+    for model in models:
+        if model != "slayer":  # whose architecture is compared with its frames
+            recordings_fit(recordings, settings_of(settings, model))
     folder.save_settings(settings)
     benchmark = Benchmark(
         *(settings, recordings.source.sha256, folder.path.absolute(), kinds, splits, models)
     )
-    batches = plan(benchmark, splits if workers.scheduler else workers.processes)
-    results = study(
-        "table 2",
-        table2_splits.measure,
-        batches,
-        workers,
-        say,
-        keep=write_splits,
-        size=lambda batch: len(batch.indices),
-    )
-    failures = [
-        (batch, result)
-        for batch, result in zip(batches, results, strict=True)
-        if isinstance(result, Failure)
-    ]
+    results = study("table 2", measure, benchmark.groups(), workers, say)
+    failures = {name: found for name, found in results.items() if isinstance(found, Failure)}
     table = summarise(benchmark, failures)
     write_json(folder.path / "table2.json", table)
-    failed = f"{len(failures)} of {len(batches)} jobs failed; the same command tries them again"
+    failed = f"{len(failures)} of {len(results)} results failed; the same command tries them again"
     return Findings(table, failed if failures else "")
 
 
@@ -119,14 +106,14 @@ def _kinds(kind, recordings):
     raise UserError(f"--kind {kind!r}: must be random, writers or both")
 
 
-def summarise(benchmark: Benchmark, failures=()) -> dict:
-    """Put the table together from all results that are there, asked for this time or earlier.
+def summarise(benchmark: Benchmark, failures=None) -> dict:
+    """Put the table together from all results that are current, of this time or earlier.
 
     Parameters
     ----------
     benchmark : Benchmark
-    failures : sequence of (Batch, Failure)
-        Of this run.
+    failures : dict of str to Failure, optional
+        By the name of the result.
 
     Returns
     -------
@@ -134,15 +121,7 @@ def summarise(benchmark: Benchmark, failures=()) -> dict:
         Plain values: ``simulated``, ``splits`` (asked for this time), ``rows`` (those of random
         splits, the paper's protocol), ``writer_rows``, ``comparisons``, ``failures``.
     """
-    results = {
-        (kind, name): [
-            result
-            for index in splits_there(benchmark.folder, kind, name)
-            if (result := read_split(benchmark, kind, index, name)) is not None
-        ]
-        for kind in KINDS
-        for name in MODELS
-    }
+    results = {(kind, name): benchmark.results(kind, name) for kind in KINDS for name in MODELS}
 
     def rows(kind):
         asked = benchmark.models if kind in benchmark.kinds else ()
@@ -170,10 +149,7 @@ def summarise(benchmark: Benchmark, failures=()) -> dict:
             if (comparison := _compare(kind, a, b, results)) is not None
         ],
         "failures": [
-            {"split": job.kind, "index": index, "models": missing, "error": failure.error}
-            for job, failure in failures
-            for index in job.indices
-            if (missing := [m for m in job.models if m not in _answered(results, job.kind, index)])
+            {"result": name, "error": failure.error} for name, failure in (failures or {}).items()
         ],
     }
 
@@ -204,15 +180,6 @@ def _row(name, results):
 def _mean(results, size):
     """Mean of a number of samples over splits, which differ in it where writers are apart."""
     return float(np.mean([result[size] for result in results])) if results else None
-
-
-def _answered(results, kind, index):
-    """Models that have a result of the split."""
-    return {
-        model
-        for (of_kind, model), group in results.items()
-        if of_kind == kind and any(result["index"] == index for result in group)
-    }
 
 
 def _compare(kind, a, b, results):
@@ -271,10 +238,7 @@ def table_text(table: dict) -> str:
         f"{table['check_samples']} test samples a split."
     )
     for failure in table["failures"]:
-        lines.append(
-            f"FAILED: split {failure['split']} {failure['index']}, "
-            f"{', '.join(failure['models'])}: {failure['error']}"
-        )
+        lines.append(f"FAILED: {failure['result']}: {failure['error']}")
     return "\n".join(lines)
 
 

@@ -1,37 +1,40 @@
-"""The models of the paper's Table 2 on one split: training, answers, and where they are kept.
+"""The models of the paper's Table 2 on one split: what a result is made from, and its measurement.
 
-One job is several splits for the models on tactile images, whose networks are so small that they
-train faster together than one after another; one split for the network on events, which takes
-minutes; and one for SLAYER, which takes a hundred times as long.  Each answer of a model to a split
-is a file, so that a benchmark that was interrupted goes on with the splits that are missing.
+A result of a model on a split is an artifact of its own, so that a benchmark that was interrupted
+continues with the results that are missing.  The models of a split share its trained networks.
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from deploy import __version__
 from deploy.errors import UserError
-from deploy.files import write_json
 from deploy.targets.registry import answer
 from models.architecture import parse
-from pipeline.experiments.study import dataset_for
+from pipeline.artifacts import Artifact, Origin
+from pipeline.experiments.study import Task, on_split
+from pipeline.inputs.dataset import dataset_origin
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.paper import TABLE2
-from pipeline.run.folder import read_stamped, stamp_of
-from pipeline.run.history import write_history
+from pipeline.run import stages
+from pipeline.run.folder import NetworkLibrary
+from pipeline.run.history import read_history
+from pipeline.run.origins import (
+    bundle_origin,
+    cnn_origin,
+    events_origin,
+    rates_origin,
+    threshold_origin,
+)
 from pipeline.settings import Settings
 
 SCHEMA = "stmnist-table2-split/1"
 LOIHI_TARGET = "fast"
 """What stands in for the chip; its answers are those of NengoLoihi's emulator, bit for bit."""
-
-TOGETHER = 5
-"""Splits of a job at most: more of them train no faster, and an interruption loses more."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,7 @@ MODELS = {
 }
 
 ON_EVENTS = ("events", "events-loihi")
-"""Of one training on the skin's own events."""
+"""Models of the network trained on events."""
 
 SLOW = (*ON_EVENTS, "slayer")
 """Models that are not run unless asked for."""
@@ -104,65 +107,86 @@ class Benchmark:
     splits: int
     models: tuple
 
+    def groups(self) -> list:
+        """The results asked for; those of a group share trained networks.
 
-@dataclass(frozen=True)
-class Batch:
-    """What one process does at a time.
+        Returns
+        -------
+        list of list of Task
+            Models on images first, then on events, then SLAYER, which takes longest.
+        """
+        groups = []
+        images = tuple(name for name in MODELS if name not in SLOW)
+        for together in (images, ON_EVENTS, ("slayer",)):
+            asked = [name for name in together if name in self.models]
+            for kind in self.kinds:
+                groups += [
+                    [self.task(kind, index, name) for name in asked]
+                    for index in range(self.splits)
+                    if asked
+                ]
+        return groups
 
-    Attributes
-    ----------
-    benchmark : Benchmark
-    kind : str
-    indices : tuple of int
-        Numbers of the splits.
-    models : tuple of str
-    """
+    def task(self, kind: str, index: int, model: str) -> Task:
+        """The result of a model on a split."""
+        settings = on_split(self.settings, self.settings.seed + index)
+        settings = settings_of(settings, model)
+        origin = result_origin(settings, dataset_origin(settings, self.source_sha256, kind), model)
+        path = split_path(self.folder, kind, index, model)
+        return Task(
+            artifact=Artifact(f"{model}, {kind} split {index}", path),
+            origin=origin,
+            settings=origin.view(settings),
+            recordings=self.source_sha256,
+            networks=NetworkLibrary(self.folder / "networks"),
+            split=kind,
+            subject=model,
+        )
 
-    benchmark: Benchmark
-    kind: str
-    indices: tuple
-    models: tuple
+    def results(self, kind: str, model: str) -> list:
+        """The results of a model that are current, asked for this time or at an earlier one."""
+        found = []
+        for index in splits_there(self.folder, kind, model):
+            task = self.task(kind, index, model)
+            state = task.artifact.state(task.origin)
+            if state.is_current:
+                found.append({**state.record, "index": index})
+        return found
 
-    @property
-    def seeds(self) -> list:
-        """Of each split, its training and its choice of samples."""
-        return [self.benchmark.settings.seed + index for index in self.indices]
+
+def settings_of(settings: Settings, model: str) -> Settings:
+    """The settings of a split with the input and the recipe of a model."""
+    kind = "events" if model in ON_EVENTS else "image"
+    settings = replace(settings, input=replace(settings.input, kind=kind))
+    if recipe := MODELS[model].recipe:
+        settings = replace(settings, snn=replace(settings.snn, recipe=recipe))
+    return settings
 
 
-def plan(benchmark: Benchmark, processes: int = 1) -> list:
-    """Jobs whose results are not there yet: on images, on events, SLAYER's last.
+def result_origin(settings: Settings, dataset: Origin, model: str) -> Origin:
+    """What the result of a model on a split is made from.
 
     Parameters
     ----------
-    benchmark : Benchmark
-    processes : int
-        That the splits of one kind are shared among; as many as splits for one split a job.
-
-    Returns
-    -------
-    list of Batch
+    settings : Settings
+        From :func:`settings_of`.
+    dataset : Origin
+    model : str
     """
-    jobs, apart = [], {ON_EVENTS: [], ("slayer",): []}
-    for kind in benchmark.kinds:
-        groups = {}
-        for index in range(benchmark.splits):
-            missing = [
-                name
-                for name in benchmark.models
-                if read_split(benchmark, kind, index, name) is None
-            ]
-            for together, batches in apart.items():
-                if alone := tuple(name for name in missing if name in together):
-                    batches.append(Batch(benchmark, kind, (index,), alone))
-            if rest := tuple(name for name in missing if name not in SLOW):
-                groups.setdefault(rest, []).append(index)
-        for models, indices in groups.items():
-            size = min(TOGETHER, -(-len(indices) // processes))
-            jobs += [
-                Batch(benchmark, kind, tuple(indices[start : start + size]), models)
-                for start in range(0, len(indices), size)
-            ]
-    return jobs + [batch for batches in apart.values() for batch in batches]
+    schema = {"schema": SCHEMA}
+    if model == "slayer":
+        return Origin.of(settings, ["slayer"], [dataset], schema)
+    if model.endswith("loihi"):
+        contents = {**schema, "target": LOIHI_TARGET}
+        return Origin.of(settings, uses=[bundle_origin(settings, dataset)], contents=contents)
+    if model == "events":
+        trained = threshold_origin(settings, events_origin(settings, dataset))
+        return Origin.of(settings, uses=[trained], contents=schema)
+    cnn = cnn_origin(settings, dataset)
+    if model == "cnn":
+        return Origin.of(settings, uses=[cnn], contents=schema)
+    reads = ["deployment.synapse", "presentation.steps", "presentation.readout_start"]
+    return Origin.of(settings, reads, [rates_origin(settings, cnn)], schema)
 
 
 def split_path(folder: Path, kind: str, index: int, model: str) -> Path:
@@ -171,135 +195,85 @@ def split_path(folder: Path, kind: str, index: int, model: str) -> Path:
 
 
 def splits_there(folder: Path, kind: str, model: str) -> list:
-    """Numbers of the splits that have a result of a model, of whatever settings."""
+    """Numbers of the splits that have a result of a model, current or not."""
     paths = (Path(folder) / "splits").glob(f"{kind}-*/{model}.json")
     return sorted(int(path.parent.name.rsplit("-", 1)[1]) for path in paths)
 
 
-def read_split(benchmark: Benchmark, kind: str, index: int, model: str) -> dict | None:
-    """The result of a model on a split, or None if it is missing or of other settings."""
-    path = split_path(benchmark.folder, kind, index, model)
-    return read_stamped(path, stamp(benchmark, model))
-
-
-def write_splits(batch: Batch, results: list):
-    """Write what :func:`measure` returned, and each training's learning curve beside it."""
-    for result in results:
-        path = split_path(batch.benchmark.folder, batch.kind, result["index"], result["model"])
-        write_history(path.with_suffix(".csv"), result["history"])
-        write_json(path, result)
-
-
-def measure(batch: Batch) -> list:
-    """Train and test the models of a batch on its splits.
-
-    Each result is written as soon as it is there, so that an interruption loses little.
+def measure(task: Task) -> dict:
+    """Train and test a model on a split.
 
     Returns
     -------
-    list of dict
-        One a model and split; for :func:`write_splits` where a worker has not the same disk.
+    dict
+        ``accuracy`` on ``n_test`` samples, their numbers (``samples``), ``labels`` and
+        ``predictions``, the training's ``history`` and ``seconds``.
     """
-    work, kind = _measure_on_images, "image"
-    if batch.models == ("slayer",):
-        work = _measure_slayer
-    elif set(batch.models) <= set(ON_EVENTS):
-        work, kind = _measure_on_events, "events"
-    settings = batch.benchmark.settings
-    settings = replace(settings, input=replace(settings.input, kind=kind))
-    batch = replace(batch, benchmark=replace(batch.benchmark, settings=settings))
-    dataset = dataset_for(settings, batch.benchmark.source_sha256)
-    fraction = settings.split.test_fraction
-    divided = [dataset.divided(seed, fraction, batch.kind) for seed in batch.seeds]
-    results = []
-    for position, *rest in work(batch, divided):
-        results.append(_result(batch, divided[position], position, *rest))
-        write_splits(batch, results[-1:])
-    return results
+    begun = time.perf_counter()
+    dataset, model = task.dataset(), task.subject
+    if model == "slayer":
+        shown, predictions, history = _slayer(task, dataset)
+    else:
+        shown, predictions, history = _on_chip_or_before(task, dataset)
+    labels, source = dataset.labels[shown], dataset.recordings.source
+    return {
+        "schema": SCHEMA,
+        "model": model,
+        "split": task.split,
+        "seed": task.seed,
+        "simulated": source.simulated,
+        "source_sha256": source.sha256,
+        "n_train": len(dataset.split.train),
+        "n_test": len(shown),
+        "accuracy": float(np.mean(predictions == labels)),
+        "samples": [int(i) for i in shown],
+        "labels": [int(label) for label in labels],
+        "predictions": [int(label) for label in predictions],
+        "history": history,
+        "seconds": time.perf_counter() - begun,
+    }
 
 
-def _measure_on_images(batch, divided):
-    from pipeline.training import stacked  # TensorFlow, in the process that needs it
+def _on_chip_or_before(task, dataset):
+    """Samples shown, predictions and training history of a model that a run has too."""
+    settings, model, test = task.settings, task.subject, dataset.split.test
+    if model == "cnn":
+        stages.train(task.networks, settings, dataset, _silent)
+        network = cnn_origin(settings, dataset.origin)
+        folder = task.networks.network("cnn", network)
+    else:
+        task.trained(dataset)
+        if settings.on_events:
+            network = events_origin(settings, dataset.origin)
+        else:
+            network = rates_origin(settings, cnn_origin(settings, dataset.origin))
+        folder = task.networks.network("snn", network)
+    history = read_history(folder / "history.csv")
+    if model.endswith("loihi"):
+        shown = draw_check_samples(test, settings.check.samples, settings.seed)
+        spec = stages.spec_of(task.networks, settings, dataset, {})
+        answers = answer(spec, dataset.inputs[shown], LOIHI_TARGET, settings.seed)
+        return shown, answers.predictions, history
+    weights = stages.read_weights(folder, settings)
+    images = dataset.inputs[test]
+    if model == "cnn":
+        from pipeline.training.networks import TrainedCNN  # TensorFlow, where it is needed
 
-    settings, count = batch.benchmark.settings, len(divided)
-    data = divided[0].inputs, divided[0].labels
-    parts = [dataset.split.train for dataset in divided]
-    recipes = {MODELS[name].recipe for name in batch.models}
-    cnns = [None] * count
-    if recipes & {None, "loihi"}:
-        begun = time.perf_counter()
-        cnns = stacked.train_cnns(settings, data, parts, batch.seeds)
-        seconds = (time.perf_counter() - begun) / count
-    if "cnn" in batch.models:
-        for position, (dataset, cnn) in enumerate(zip(divided, cnns, strict=True)):
-            predictions = cnn.logits(dataset.part("test")[0]).argmax(1)
-            yield position, "cnn", dataset.split.test, predictions, cnn.history, seconds
-    for recipe in ("paper", "loihi"):
-        names = [name for name in batch.models if MODELS[name].recipe == recipe]
-        if not names:
-            continue
-        of_recipe = replace(settings, snn=replace(settings.snn, recipe=recipe))
-        begun = time.perf_counter()
-        nets = stacked.train_rate_networks(
-            of_recipe, data, parts, batch.seeds, [cnn and cnn.weights for cnn in cnns]
-        )
-        trained = (time.perf_counter() - begun) / count
-        for position, (dataset, net) in enumerate(zip(divided, nets, strict=True)):
-            for name in names:
-                begun = time.perf_counter()
-                answers = _spiking_answers if name.endswith("ann-snn") else _loihi_answers
-                seed = batch.seeds[position]
-                shown, predictions = answers(of_recipe, net.weights, dataset, seed)
-                seconds = trained + time.perf_counter() - begun
-                yield position, name, shown, predictions, net.history, seconds
+        return test, TrainedCNN(settings, weights).logits(images).argmax(1), history
+    if model == "events":
+        from pipeline.run.event_training import trained_network
 
-
-def _spiking_answers(settings, weights, dataset, seed):
-    """All test samples, by NengoDL with spiking neurons."""
+        return test, trained_network(settings, weights).logits(images).argmax(1), history
     from pipeline.training import nengodl
 
-    settings = replace(settings, seed=seed)
-    shown = dataset.part("test")[0]
-    return dataset.split.test, nengodl.predict(settings, weights, shown, settings.steps)
+    return test, nengodl.predict(settings, weights, images, settings.steps), history
 
 
-def _loihi_answers(settings, weights, dataset, seed):
-    """As many test samples as the check has, by what stands in for the chip."""
-    from pipeline.run.conversion import deployed
-
-    shown = draw_check_samples(dataset.split.test, settings.check.samples, seed)
-    spec = deployed(settings, weights, {}, dataset.part("train"))
-    return shown, answer(spec, dataset.inputs[shown], LOIHI_TARGET, seed).predictions
-
-
-def _measure_on_events(batch, divided):
-    from pipeline.run.event_training import train_for_chip
-
-    settings = batch.benchmark.settings
-    for position, (dataset, index) in enumerate(zip(divided, batch.indices, strict=True)):
-        seed, test = batch.seeds[position], dataset.split.test
-        path = split_path(batch.benchmark.folder, batch.kind, index, "events")
-        checkpoint = path.with_suffix(".npz")
-        begun = time.perf_counter()
-        net, spec = train_for_chip(settings, dataset, seed, checkpoint)
-        trained = time.perf_counter() - begun
-        for name in batch.models:
-            begun = time.perf_counter()
-            if name == "events":
-                shown, predictions = test, net.logits(dataset.inputs[test]).argmax(1)
-            else:
-                shown = draw_check_samples(test, settings.check.samples, seed)
-                predictions = answer(spec, dataset.inputs[shown], LOIHI_TARGET, seed).predictions
-            seconds = trained + time.perf_counter() - begun
-            yield position, name, shown, predictions, net.history, seconds
-        checkpoint.unlink(missing_ok=True)
-
-
-def _measure_slayer(batch, divided):
+def _slayer(task, dataset):
     from pipeline.inputs.frames import bin_events
     from pipeline.training.slayer import train_slayer
 
-    slayer, recordings = batch.benchmark.settings.slayer, divided[0].recordings
+    slayer, recordings = task.settings.slayer, dataset.recordings
     frames = bin_events(recordings, slayer.bins)
     architecture, classes = parse(slayer.architecture), len(recordings.sensor.classes)
     if (architecture.input_shape, architecture.outputs) != (frames.shape[2:], classes):
@@ -308,68 +282,19 @@ def _measure_slayer(batch, divided):
             f"{recordings.source.name}: 'slayer.architecture' must be for {size}, a channel for "
             f"each polarity, and {classes} classes, not {slayer.architecture}"
         )
-    for position, (dataset, index) in enumerate(zip(divided, batch.indices, strict=True)):
-        path = split_path(batch.benchmark.folder, batch.kind, index, "slayer")
-        trained = train_slayer(
-            slayer,
-            frames,
-            recordings.labels,
-            dataset.split.train,
-            dataset.split.test,
-            batch.seeds[position],
-            path.with_suffix(".npz"),
-            duration_s=recordings.sensor.duration_s,
-        )
-        seconds = sum(row["seconds"] for row in trained.history)
-        predictions = trained.counts.argmax(1)
-        yield position, "slayer", dataset.split.test, predictions, trained.history, seconds
+    checkpoint = task.artifact.record.with_suffix(".npz")
+    trained = train_slayer(
+        slayer,
+        frames,
+        recordings.labels,
+        dataset.split.train,
+        dataset.split.test,
+        task.seed,
+        checkpoint,
+        duration_s=recordings.sensor.duration_s,
+    )
+    return dataset.split.test, trained.counts.argmax(1), trained.history
 
 
-def _result(batch, dataset, position, model, shown, predictions, history, seconds):
-    labels, source = dataset.labels[shown], dataset.recordings.source
-    return {
-        "schema": SCHEMA,
-        "model": model,
-        "split": batch.kind,
-        "index": batch.indices[position],
-        "seed": batch.seeds[position],
-        "simulated": source.simulated,
-        "source_sha256": source.sha256,
-        "made_from": stamp(batch.benchmark, model),
-        "n_train": len(dataset.split.train),
-        "n_test": len(shown),
-        "accuracy": float(np.mean(predictions == labels)),
-        "samples": [int(i) for i in shown],
-        "labels": [int(digit) for digit in labels],
-        "predictions": [int(digit) for digit in predictions],
-        "history": history,
-        "seconds": seconds,
-    }
-
-
-def stamp(benchmark: Benchmark, model: str) -> str:
-    """Hash of all that a model's result depends on, and of nothing else."""
-    settings = benchmark.settings
-    common = (__version__, benchmark.source_sha256, settings.seed, settings.split.test_fraction)
-    if model == "slayer":
-        return stamp_of(*common, asdict(settings.slayer))
-    if model in ON_EVENTS:
-        shown = settings.input  # whose kind is of the run, and images' by default
-        parts = [
-            (shown.step, shown.refractory),
-            asdict(settings.events),
-            asdict(settings.presentation),
-        ]
-        if model == "events-loihi":
-            parts.append(settings.deployment.pop_type)
-    else:
-        parts = [asdict(settings.image), asdict(settings.cnn)]
-    if MODELS[model].recipe:
-        parts += [
-            {**asdict(settings.snn), "recipe": MODELS[model].recipe},
-            asdict(settings.deployment),
-            asdict(settings.presentation),
-        ]
-    if model.endswith("loihi"):
-        parts += [asdict(settings.check), LOIHI_TARGET]
-    return stamp_of(*common, *parts)
+def _silent(line):
+    """The progress bar says enough."""

@@ -11,14 +11,13 @@ import numpy as np
 from deploy.tables import aligned
 from models.cnn import get_weights
 from models.keras2 import tf
-from models.together import Stack
 from pipeline.inputs.dataset import Dataset
 from pipeline.progress import progress
 from pipeline.settings import Settings
 from pipeline.training import nengodl
-from pipeline.training.networks import build_rate_network, make_deterministic, optimizer, snn_recipe
+from pipeline.training.networks import build_rate_network, epochs_of, make_deterministic, snn_recipe
 
-WAYS = ("nengodl", "keras", "together")
+WAYS = ("nengodl", "keras", "ours")
 
 
 def measure_simulated(samples: int, networks: int, rounds: int, jobs: int = 1) -> dict:
@@ -40,7 +39,7 @@ def measure_simulated(samples: int, networks: int, rounds: int, jobs: int = 1) -
 
 
 def measure(settings: Settings, data, networks: int = 5, rounds: int = 3, advance=None) -> dict:
-    """Time epochs of NengoDL's fit, of Keras's fit, and of the networks trained together.
+    """Time epochs of NengoDL's fit, of Keras's fit, and of this project's.
 
     The ways take turns, so that whatever else the machine does meets all of them.  Building and
     compiling (the first epoch) is left out of the epochs' times and told separately.
@@ -51,7 +50,7 @@ def measure(settings: Settings, data, networks: int = 5, rounds: int = 3, advanc
     data : (images, labels)
         Training samples, the same for every network.
     networks : int
-        The first two ways train them one after the other.
+        That are trained one after the other.
     rounds : int
         Epochs that are timed.
     advance : callable, optional
@@ -70,7 +69,7 @@ def measure(settings: Settings, data, networks: int = 5, rounds: int = 3, advanc
         turns = {
             "nengodl": _nengodl_turn(settings, data, networks, recipe, simulators),
             "keras": _keras_turn(settings, data, networks, recipe),
-            "together": _together_turn(settings, data, networks, recipe),
+            "ours": _our_turn(settings, data, networks, recipe, rounds),
         }
         for number in range(rounds + 1):
             for way in WAYS:
@@ -97,7 +96,7 @@ def speed_text(result: dict) -> str:
     titles = {
         "nengodl": "NengoDL's fit, one by one",
         "keras": "Keras's fit, one by one",
-        "together": "stacked, all at once",
+        "ours": "ours, one by one",
     }
     rows = [["way", "seconds", "times as fast"]]
     for way in WAYS:
@@ -137,7 +136,10 @@ def _keras_turn(settings, data, networks, recipe):
     ]
 
 
-def _together_turn(settings, data, networks, recipe):
-    stack = Stack(_models(settings, networks), data, optimizer(recipe, len(data[0])))
-    parts, seeds = [np.arange(len(data[0]))] * networks, list(range(networks))
-    return lambda: stack.train_epoch(parts, seeds, 0, recipe.batch_size)
+def _our_turn(settings, data, networks, recipe, rounds):
+    recipe = replace(recipe, epochs=rounds + 1)
+    trainings = [
+        epochs_of(model, recipe, data, seed)
+        for seed, model in enumerate(_models(settings, networks))
+    ]
+    return lambda: [next(training) for training in trainings]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from hashlib import sha256
 
 import numpy as np
 
 from deploy.errors import UserError
+from pipeline.artifacts import Origin
 from pipeline.inputs.images import tactile_images
 from pipeline.inputs.library import recordings_of
 from pipeline.inputs.splits import Split, random_split, writer_split
@@ -25,28 +26,38 @@ AT_ONCE = 500
 MOST_LOST = 0.1
 """Share of the events that may be lost to steps that are too long before a line says so."""
 
+SPLIT_READS = ("seed", "split")
+"""Settings that a split depends on."""
+
+ARRAYS = "arrays"
+"""Where :meth:`Dataset.of_arrays` keeps the images that take the place of recordings."""
+
 TOO_SMALL = "ask for fewer (SAMPLES, or check.samples) or give more data"
 """What to do where there are too few samples."""
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """Recordings with what networks are shown of them, loaded, divided and made in one place.
+    """Recordings, divided, with what networks are shown of them: loaded and made in one place.
 
     Attributes
     ----------
     recordings : Recordings
-    inputs : ndarray, shape (n_samples, ...)
-        See :func:`inputs_of`.
     split : Split
+    origin : Origin
+        What the recordings and their split were made from.
+    settings : Settings
+        How :attr:`inputs` are made; see :meth:`seen_by`.
     """
 
     recordings: Recordings
-    inputs: np.ndarray
     split: Split
+    origin: Origin
+    settings: Settings
+    _made: dict = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
-    def of(cls, settings: Settings, jobs: int = 1, warn=None) -> Dataset:
+    def of(cls, settings: Settings, jobs: int = 1, warn=None, kind: str = "random") -> Dataset:
         """The recordings that settings ask for, divided by the settings' own seed.
 
         Parameters
@@ -56,17 +67,19 @@ class Dataset:
             Processes for recordings that are not in the cache.
         warn : callable, optional
             Called with one line for each file that was left out.
+        kind : str
+            Of the split, one of :data:`KINDS`.
 
         Raises
         ------
         UserError
-            The source cannot be read, is too small for the split, has a class with a single
-            recording, or the architecture is for another sensor.
+            The source cannot be read, is too small for the split, or has a class with a single
+            recording.
         """
         recordings = recordings_of(settings, jobs, warn)
-        split = _checked_split(recordings, settings)
-        recordings_fit(recordings, settings)
-        return cls(recordings, inputs_of(recordings, settings), split)
+        split = _checked_split(recordings, settings, kind)
+        origin = dataset_origin(settings, recordings.source.sha256, kind)
+        return cls(recordings, split, origin, settings)
 
     @classmethod
     def of_arrays(
@@ -124,10 +137,27 @@ class Dataset:
             taxels=TaxelMap.grid(rows, columns),
             sensor=Sensor(rows, columns, classes=tuple(map(str, classes))),
         )
-        return cls(recordings, images, _checked_split(recordings, settings))
+        split = _checked_split(recordings, settings)
+        origin = Origin.of(settings, SPLIT_READS, contents={"arrays": content.hexdigest()})
+        return cls(recordings, split, origin, settings, {ARRAYS: images})
 
     def __len__(self):
         return len(self.recordings)
+
+    @property
+    def inputs(self) -> np.ndarray:
+        """What networks are shown of each recording; see :func:`inputs_of`."""
+        if self.is_of_arrays:
+            return self._made[ARRAYS]
+        key = _what_is_shown(self.settings)
+        if key not in self._made:
+            self._made.clear()  # frames of events take a quarter of a gigabyte
+            self._made[key] = inputs_of(self.recordings, self.settings)
+        return self._made[key]
+
+    def seen_by(self, view: Settings) -> Dataset:
+        """The same samples, whose inputs are made with (and only with) the settings of a view."""
+        return replace(self, settings=view)
 
     @property
     def labels(self) -> np.ndarray:
@@ -137,16 +167,39 @@ class Dataset:
     @property
     def is_of_arrays(self) -> bool:
         """Whether there are images only; see :meth:`of_arrays`."""
-        return not len(self.recordings.events) and len(self) > 0 and self.inputs.ndim == 4
+        return ARRAYS in self._made
 
     def part(self, name: str):
         """(inputs, labels) of ``"train"``, ``"validation"`` (None if empty) or ``"test"``."""
         index = getattr(self.split, name)
         return (self.inputs[index], self.labels[index]) if len(index) else None
 
-    def divided(self, seed: int, test_fraction: float, kind: str = "random") -> Dataset:
-        """The same samples with another split, without a validation part; see :func:`split_of`."""
-        return replace(self, split=split_of(self.recordings, seed, test_fraction, kind=kind))
+
+def dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "random") -> Origin:
+    """What recordings and their split are made from.
+
+    Parameters
+    ----------
+    settings : Settings
+    recordings_sha256 : str
+        Hash of the recordings' content.
+    kind : str
+        Of the split, one of :data:`KINDS`.
+    """
+    reads = [*SPLIT_READS, "data.skip_bad", "skin"]
+    if settings.data.source == SIMULATED:
+        reads += ["data.simulation_seed", "data.samples_per_digit"]
+    contents = {"recordings": recordings_sha256}
+    if kind != "random":
+        contents["split"] = kind
+    return Origin.of(settings, reads, contents=contents)
+
+
+def _what_is_shown(settings):
+    """What of the settings :func:`inputs_of` depends on."""
+    if settings.on_events:
+        return settings.input.step, settings.input.refractory, settings.steps
+    return settings.image.aggregation, settings.image.normalisation
 
 
 def images_fit(images: np.ndarray, settings: Settings):
@@ -183,11 +236,13 @@ def recordings_fit(recordings: Recordings, settings: Settings):
     check_fits(settings, sensor.rows, sensor.columns, classes, settings.data.source)
 
 
-def _checked_split(recordings, settings):
+def _checked_split(recordings, settings, kind="random"):
     """The settings' own split of recordings that are enough for it."""
     source, parts = settings.data.source, settings.split
     try:
-        split = split_of(recordings, settings.seed, parts.test_fraction, parts.validation_fraction)
+        split = split_of(
+            recordings, settings.seed, parts.test_fraction, parts.validation_fraction, kind
+        )
     except ValueError as error:
         raise UserError(f"{source}: {error}; {TOO_SMALL}") from error
     if problem := too_small(recordings):

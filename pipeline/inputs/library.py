@@ -68,8 +68,34 @@ def recordings_of(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
     )
 
 
+def content_of(settings: Settings) -> str:
+    """The hash of the recordings that settings ask for, without loading them.
+
+    Returns
+    -------
+    str
+        What ``source.sha256`` of :func:`recordings_of` is.
+
+    Raises
+    ------
+    UserError
+        The source is not there or cannot be read.
+    """
+    data, skin = settings.data, settings.skin
+    if data.source == SIMULATED:
+        size = (skin.rows or GRID, skin.columns or GRID)
+        counts = _counts(data.samples_per_digit)
+        return source_of(data.simulation_seed, counts, size=size).sha256
+    archive.list_source(data.source)
+    return _hash_of(Path(data.source))
+
+
+def _counts(samples_per_digit):
+    return [samples_per_digit] * 10 if samples_per_digit else list(SAMPLES_PER_DIGIT)
+
+
 def _simulated(seed, samples_per_digit, jobs, size, traces):
-    counts = [samples_per_digit] * 10 if samples_per_digit else list(SAMPLES_PER_DIGIT)
+    counts = _counts(samples_per_digit)
     key = cache.key_of("simulated", source_of(seed, counts, traces=traces, size=size).sha256)
     recordings = cache.load(key)
     if recordings is None:
@@ -81,15 +107,24 @@ def _simulated(seed, samples_per_digit, jobs, size, traces):
 
 def _imported(path, skip_bad, jobs, warn, rows, columns):
     archive.list_source(path)  # a wrong path or a damaged zip is said before anything is hashed
+    sha256 = _hash_of(path)
+    # What was imported with bad files left out must not pass for a clean import later.
+    key = cache.key_of("imported", path.name, sha256, skip_bad, rows, columns)
+    recordings = cache.load(key)
+    if recordings is None:
+        recordings = archive.read_source(path, jobs, skip_bad, progress, rows, columns)
+        cache.store(key, recordings)
+    if warn is not None:
+        for line in archive.left_out_lines(path, recordings):
+            warn(line)
+    return recordings
+
+
+def _hash_of(path):
+    """The content hash of a source, which is not read again if nothing about it has changed."""
     fingerprint = archive.fingerprint(path)
     sha256 = cache.recall(fingerprint)
     if sha256 is None:
         sha256 = archive.content_hash(path)
         cache.remember(fingerprint, sha256)
-    # What was imported with bad files left out must not pass for a clean import later.
-    key = cache.key_of("imported", path.name, sha256, skip_bad, rows, columns)
-    recordings = cache.load(key)
-    if recordings is None:
-        recordings = archive.read_source(path, jobs, skip_bad, progress, warn, rows, columns)
-        cache.store(key, recordings)
-    return recordings
+    return sha256

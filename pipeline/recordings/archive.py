@@ -153,8 +153,8 @@ def _empty_classes(recordings, files, folders):
 
 
 def read_source(
-    path, jobs: int = 2, skip_bad: bool = False, progress=None, warn=None, rows=0, columns=0
-):
+    path, jobs: int = 2, skip_bad: bool = False, progress=None, rows=0, columns=0
+) -> Recordings:
     """Read every recording of a zip or folder, in parallel.
 
     Parameters
@@ -163,11 +163,9 @@ def read_source(
     jobs : int
         Processes.
     skip_bad : bool
-        Go on without the files that are refused.
+        Go on without the files that are refused; they are in ``source.left_out``.
     progress : callable, optional
         ``progress(label, total)``, a context manager that yields ``advance(n)``.
-    warn : callable, optional
-        Called with one line for each file that was left out.
     rows, columns : int
         Of the sensor; 0 for as found: see :mod:`pipeline.recordings.sensors`.
 
@@ -212,11 +210,6 @@ def read_source(
             f"{path}: {len(refused)} of {len(refused) + len(read)} files refused: {lines}"
             f"{_and_more(refused)}; mend them, or leave them out with --skip-bad"
         )
-    if warn is not None:
-        for name, reason in _first(refused):
-            warn(f"{path}: left out {_short(name)}: {reason}")
-        if len(refused) > LISTED:
-            warn(f"{path}: left out {len(refused) - LISTED} more")
     if not read:
         raise UserError(f"{path}: no recording in it can be read")
     return collect(
@@ -229,10 +222,28 @@ def read_source(
             sha256=content_hash(listing.path),
             simulated=any(recording.simulated for recording in read),
             written=all(getattr(recording, "written", None) for recording in read),
+            left_out=tuple(f"{_short(name)}: {reason}" for name, reason in refused),
         ),
         taxels=settled.taxels,
         sensor=settled.sensor,
     )
+
+
+def left_out_lines(path, recordings: Recordings) -> list:
+    """What the user is told of the files that were left out of a source, a line each.
+
+    Parameters
+    ----------
+    path : path-like
+        Of the source.
+    recordings : Recordings
+        From :func:`read_source`, now or at an earlier time.
+    """
+    left_out = recordings.source.left_out
+    lines = [f"{path}: left out {line}" for line in left_out[:LISTED]]
+    if len(left_out) > LISTED:
+        lines.append(f"{path}: left out {len(left_out) - LISTED} more")
+    return lines
 
 
 def write_zip(path, recordings: Recordings, progress=None):

@@ -20,7 +20,7 @@ from pipeline.recordings.events import (
     TaxelMap,
 )
 
-FORMAT = 2
+FORMAT = 3
 """Raise it with any change of what is stored or of how recordings are read."""
 
 LARGEST = 1 << 34
@@ -55,6 +55,7 @@ def store(key: str, recordings: Recordings):
         source=np.array([source.name, source.sha256]),
         simulated=np.array(source.simulated),
         written=np.array(source.written),
+        left_out=np.array(source.left_out, dtype=str),
         size=np.array([sensor.rows, sensor.columns, sensor.polarities]),
         duration_s=np.array(sensor.duration_s),
         classes=np.array(sensor.classes, dtype=str),
@@ -83,7 +84,11 @@ def load(key: str) -> Recordings | None:
             ids=tuple(arrays["ids"].tolist()),
             writers=arrays["writers"],
             source=Source(
-                name, sha256, bool(arrays["simulated"]), bool(arrays.get("written", False))
+                name,
+                sha256,
+                bool(arrays["simulated"]),
+                bool(arrays["written"]),
+                tuple(arrays["left_out"].tolist()),
             ),
             taxels=TaxelMap(arrays["x"], arrays["y"]),
             sensor=Sensor(

@@ -105,12 +105,15 @@ class Source:
         True if the recordings were not made on a real skin.
     written : bool
         True if, all the same, real hands wrote every one of them.
+    left_out : tuple of str
+        The files that could not be read and were left out, each with the reason.
     """
 
     name: str
     sha256: str
     simulated: bool
     written: bool = False
+    left_out: tuple = ()
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ def facts_of(recordings: Recordings) -> dict:
         "simulated": source.simulated,
         "written": source.written,
         "samples": len(recordings),
+        "files_left_out": len(source.left_out),
         "samples_per_class": dict(zip(sensor.classes, counts, strict=True)),
         "sensor": {
             "rows": sensor.rows,

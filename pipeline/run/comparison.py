@@ -16,9 +16,10 @@ from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
 from deploy.tables import aligned, p_text
 from deploy.targets.registry import TARGETS
+from pipeline.artifacts import DELETE_IT
 from pipeline.paper import CNN_MACS
 from pipeline.run.answers import REFERENCES
-from pipeline.run.folder import DELETE_IT, RunFolder
+from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings, read_settings
 
 SCHEMA = "stmnist-runs/1"
@@ -103,7 +104,7 @@ def _read_run(path, whole):
     bundle = read_bundle(folder.bundle)
     results, stale = {}, []
     for stage in ORDER:
-        file = folder.whole_check(stage) if whole else folder.check(stage)
+        file = folder.check(stage, whole)
         if file.exists():
             result = read_result(file, DELETE_IT)
             if result["bundle"] == bundle.id:

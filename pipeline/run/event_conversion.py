@@ -9,10 +9,10 @@ from deploy.network.decision import Judge
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import EventFrames
 from models.architecture import parse
-from models.spiking import SpikingNetwork, on_loihi
+from models.spiking import on_loihi
 from pipeline.run.conversion import geometry
 from pipeline.settings import Settings
-from pipeline.training.events import EventRecipe
+from pipeline.training.events import EventRecipe, network_of
 
 
 def deployed_on_events(
@@ -57,8 +57,7 @@ def spec_of_events(
     NetworkSpec
     """
     architecture = parse(recipe.architecture)
-    network = SpikingNetwork(architecture)
-    network.set_weights(weights)
+    network = network_of(recipe, weights)
     integers, layers = network.integers(), []
     for folded in architecture.folded[:-1]:
         chip = on_loihi(integers[folded.name], LOIHI.dt)

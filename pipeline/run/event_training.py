@@ -1,4 +1,4 @@
-"""Training on events and choosing when to decide: of a run, or of a split of an experiment."""
+"""Training a network on events, and choosing the confidence at which it decides."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from deploy.network.decision import Threshold
 from pipeline.inputs.dataset import Dataset
 from pipeline.inputs.splits import hold_out
 from pipeline.recordings.steps import EventTable
-from pipeline.run.event_conversion import deployed_on_events
 from pipeline.settings import Settings
+from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.events import EventRecipe, TrainedOnEvents, train_events
+
+__all__ = ["Apart", "Checkpoint", "choose", "set_apart", "train", "trained_network"]
 
 
 class Apart(NamedTuple):
@@ -49,7 +51,11 @@ def set_apart(dataset: Dataset, seed: int) -> Apart:
 
 
 def train(
-    settings: Settings, samples: Apart, seed: int, checkpoint=None, advance=None
+    settings: Settings,
+    samples: Apart,
+    seed: int,
+    checkpoint: Checkpoint | None = None,
+    advance=None,
 ) -> TrainedOnEvents:
     """Train on the samples to learn from.
 
@@ -71,26 +77,6 @@ def choose(settings: Settings, samples: Apart, trained: TrainedOnEvents, seed: i
     return trained.threshold(table, labels, held, settings.steps, seed)
 
 
-def train_for_chip(settings: Settings, dataset: Dataset, seed: int, checkpoint=None) -> tuple:
-    """Train on events as a run does, and describe the network that is deployed.
-
-    Parameters
-    ----------
-    settings : Settings
-        With ``input.kind = "events"``.
-    dataset : Dataset
-        Of them.
-    seed : int
-        Of the training, and of which samples are held back.
-    checkpoint : path-like, optional
-        As in :func:`pipeline.training.events.train_events`.
-
-    Returns
-    -------
-    TrainedOnEvents
-    deploy.network.spec.NetworkSpec
-    """
-    samples = set_apart(dataset, seed)
-    trained = train(settings, samples, seed, checkpoint)
-    chosen = choose(settings, samples, trained, seed)
-    return trained, deployed_on_events(settings, trained.weights, chosen.confidence, {})
+def trained_network(settings: Settings, weights: dict) -> TrainedOnEvents:
+    """The network that was trained with some settings."""
+    return TrainedOnEvents(EventRecipe.of(settings), weights)

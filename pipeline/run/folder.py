@@ -1,15 +1,14 @@
-"""A run's folder: where each artifact is, what it was made from, and who is writing to it."""
+"""A run's folder: where each artifact is, and who is writing to it."""
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 from deploy.errors import UserError
-from deploy.files import lock, read_json
+from deploy.files import lock
+from pipeline.artifacts import Artifact, Library, Origin
 from pipeline.settings import Settings, read_settings, write_settings
 
 FILES = {
@@ -19,9 +18,8 @@ FILES = {
 """Ends of names that nobody gives to a folder: a file that is not there must not become one."""
 
 
-DELETE_IT = "delete it and run the command again"
 DELETE_ITS_FOLDER = "delete its folder and run the command again"
-"""What to do about a damaged file of a run."""
+"""What to do about a damaged file of a network."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +67,30 @@ class RunFolder:
         """The loss ladder."""
         return self.path / "ladder.json"
 
-    def check(self, stage: str) -> Path:
-        """Result of a target or stage on the check's samples."""
-        return self.path / "checks" / f"{stage}.json"
+    def check(self, stage: str, whole: bool = False) -> Path:
+        """Result of a target or stage on the check's samples, or on the whole test split."""
+        folder = self.path / "checks"
+        return (folder / "whole" if whole else folder) / f"{stage}.json"
+
+    def network(self, name: str, origin: Origin) -> Path:
+        """Folder of a trained network, ``"cnn"`` or ``"snn"``, or of its ``"threshold"``.
+
+        A run has one of each, whatever its origin.
+        """
+        return self.cnn if name == "cnn" else self.snn
+
+    @property
+    def artifacts(self) -> dict:
+        """The artifacts whose place does not depend on settings, by name."""
+        return {
+            "dataset": Artifact("dataset", self.dataset),
+            "bundle": Artifact(
+                "bundle",
+                self.bundle / "network.json",
+                (self.bundle / "MANIFEST.json",),
+                _recorded_in_bundle,
+            ),
+        }
 
     @property
     def whole_ladder(self) -> Path:
@@ -82,10 +101,6 @@ class RunFolder:
     def confusion(self) -> Path:
         """Confusion matrix of each stage on the whole test split."""
         return self.path / "confusion.png"
-
-    def whole_check(self, stage: str) -> Path:
-        """Result of a target or stage on the whole test split."""
-        return self.path / "checks" / "whole" / f"{stage}.json"
 
     def resolve_settings(self, base: Path | None, changes: dict) -> Settings:
         """Settings of this run: those of its folder or of a file, with changes.
@@ -151,22 +166,16 @@ class RunFolder:
             yield
 
 
-def stamp_of(*parts) -> str:
-    """Hash of plain values that an artifact is made from."""
-    text = json.dumps(parts, sort_keys=True, default=list)
-    return hashlib.sha256(text.encode()).hexdigest()
+@dataclass(frozen=True)
+class NetworkLibrary(Library):
+    """Trained networks of many settings side by side; stands where stages expect a run's folder."""
+
+    def network(self, name: str, origin: Origin) -> Path:
+        """Folder of a trained network or threshold of an origin."""
+        return self.folder(name, origin)
 
 
-def is_current(metrics: Path, stamp: str, *artifacts: Path) -> bool:
-    """True if the artifacts are there and ``metrics`` says that they were made from ``stamp``."""
-    if not metrics.exists() or not all(path.exists() for path in artifacts):
-        return False
-    return read_json(metrics, DELETE_IT).get("made_from") == stamp
-
-
-def read_stamped(path: Path, stamp: str) -> dict | None:
-    """A result written with ``made_from``, or None if it is missing or of another stamp."""
-    if not path.exists():
-        return None
-    result = read_json(path, DELETE_IT)
-    return result if result.get("made_from") == stamp else None
+def _recorded_in_bundle(network):
+    """What ``network.json`` says of its origin; that of an earlier version says something else."""
+    provenance = network.get("provenance")
+    return provenance.get("made_from") if isinstance(provenance, dict) else None

@@ -9,14 +9,15 @@ import numpy as np
 
 from deploy.check.bundle import Bundle
 from deploy.check.results import compare_results, read_result
-from deploy.files import read_json, write_json
 from deploy.tables import aligned, p_text
 from deploy.targets.registry import TARGETS
+from pipeline.artifacts import Artifact
 from pipeline.progress import progress
 from pipeline.run import stages
 from pipeline.run.answers import REFERENCES
 from pipeline.run.diagnosis import layers_json, layers_text, least_faithful
-from pipeline.run.folder import DELETE_IT, RunFolder
+from pipeline.run.folder import RunFolder
+from pipeline.run.origins import ladder_origin
 from pipeline.settings import Settings
 
 BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
@@ -84,23 +85,26 @@ def measure_ladder(
     results = stages.answer_all(run, settings, bundle, asked, jobs, say, whole)
     # A board's result is a row of its own if it is there and of this bundle.
     for board in () if whole else map(run.check, BOARDS):
-        if board.exists() and read_result(board)["bundle"] == bundle.id:
-            results.append(read_result(board))
-    path = run.whole_ladder if whole else run.ladder
-    layers = _layers(run, path, settings, bundle)
+        if board.exists() and (result := read_result(board))["bundle"] == bundle.id:
+            results.append(result)
+    artifact, origin = ladder_artifact(run, whole), ladder_origin(results)
+    state = artifact.state(origin)
+    if state.is_current:
+        return state.record
+    layers = _layers(run, settings, bundle)
     table = ladder_json(results, layers, left_out, dataset.recordings.sensor.classes)
-    write_json(path, table)
-    return table
+    return artifact.write(origin, table)
 
 
-def _layers(run: RunFolder, path, settings: Settings, bundle: Bundle) -> list:
-    """How faithful each layer is on the bundle's samples; from an earlier ladder if it has that."""
+def ladder_artifact(run: RunFolder, whole: bool = False) -> Artifact:
+    """The loss ladder on the check's samples, or on the whole test split."""
+    return Artifact("ladder-whole", run.whole_ladder) if whole else Artifact("ladder", run.ladder)
+
+
+def _layers(run: RunFolder, settings: Settings, bundle: Bundle) -> list:
+    """How faithful each layer is on the bundle's samples; None for a network on events."""
     if settings.on_events:
-        return None  # no network of rates that the chip's rates could be held against
-    if path.exists():
-        earlier = read_json(path, DELETE_IT)
-        if earlier.get("bundle") == bundle.id and earlier.get("layers"):
-            return earlier["layers"]
+        return None  # there is no rate-based network to compare the chip's rates with
     from pipeline.training.networks import TrainedRates  # TensorFlow, where it is needed
 
     images = bundle.checks.inputs

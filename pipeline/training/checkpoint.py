@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,30 @@ from deploy.files import read_arrays, write_arrays
 REMEDY = "delete it to train from the start"
 
 
-def train_epochs(train, epochs: int, state: dict, run: str, checkpoint=None, watch=None,
-                 advance=None) -> list:  # fmt: skip
+@dataclass(frozen=True)
+class Checkpoint:
+    """Where the state of a training is kept after each epoch.
+
+    Attributes
+    ----------
+    path : Path
+    key : str
+        Identifies the training, such as the key of the origin of the network that is trained.  A
+        checkpoint with another key is overwritten.
+    """
+
+    path: Path
+    key: str
+
+
+def train_epochs(
+    train,
+    epochs: int,
+    state: dict,
+    checkpoint: Checkpoint | None = None,
+    watch=None,
+    advance=None,
+) -> list:
     """Train, and keep the state after each epoch.
 
     Parameters
@@ -25,11 +48,9 @@ def train_epochs(train, epochs: int, state: dict, run: str, checkpoint=None, wat
     epochs : int
     state : dict of str to tf.Variable
         All that the next epoch depends on.
-    run : str
-        What must be the same for a checkpoint to be of this training.
-    checkpoint : path-like, optional
-        Of this training, as long or longer, it is gone on with, and ends as it would have without
-        the interruption; any other is overwritten.
+    checkpoint : Checkpoint, optional
+        If there is one of this training, the training continues from it and ends as it would have
+        without the interruption.
     watch : callable, optional
         ``watch() -> dict``, more about the epoch, on samples that are not trained on.
     advance : callable, optional
@@ -46,7 +67,7 @@ def train_epochs(train, epochs: int, state: dict, run: str, checkpoint=None, wat
     UserError
         The checkpoint is damaged.
     """
-    history = [] if checkpoint is None else _taken_up(Path(checkpoint), run, state, epochs)
+    history = [] if checkpoint is None else _resumed(checkpoint, state, epochs)
     if advance is not None and history:
         advance(len(history), _note(history))
     for epoch in range(len(history), epochs):
@@ -55,20 +76,22 @@ def train_epochs(train, epochs: int, state: dict, run: str, checkpoint=None, wat
         history.append(row | (watch() if watch else {}))
         if checkpoint is not None:
             arrays = {name: variable.numpy() for name, variable in state.items()}
-            told = {"run": np.array(run), "history": np.array(json.dumps(history))}
-            write_arrays(checkpoint, **told, **arrays)
+            text = {"key": checkpoint.key, "history": json.dumps(history)}
+            texts = {name: np.array(value) for name, value in text.items()}
+            write_arrays(checkpoint.path, **texts, **arrays)
         if advance is not None:
             advance(1, _note(history))
     return history
 
 
-def _taken_up(path, run, state, epochs):
-    """The history of an earlier session, whose state the variables are given."""
+def _resumed(checkpoint, state, epochs):
+    """The history of an earlier session; the variables get its state."""
+    path = checkpoint.path
     if not path.exists():
         return []
     kept = read_arrays(path, REMEDY)
     try:
-        if str(kept["run"]) != run:
+        if "key" not in kept or str(kept["key"]) != checkpoint.key:
             return []
         history = json.loads(str(kept["history"]))
         if len(history) > epochs:

@@ -12,8 +12,6 @@ softmax a confidence; the third, on the mean of a batch, keeps the network withi
 from __future__ import annotations
 
 import functools
-import json
-import zlib
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
@@ -27,7 +25,7 @@ from models.spiking import Neuron, SpikingNetwork, operations
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.steps import EventTable, spike_frames
 from pipeline.settings import EventTraining, Input, Settings
-from pipeline.training.checkpoint import train_epochs
+from pipeline.training.checkpoint import Checkpoint, train_epochs
 from pipeline.training.judge import train_judge
 from pipeline.training.networks import make_deterministic
 
@@ -201,7 +199,7 @@ def train_events(
     train,
     seed: int,
     validation=(),
-    checkpoint=None,
+    checkpoint: Checkpoint | None = None,
     advance=None,
 ) -> TrainedOnEvents:
     """Train a network on events.
@@ -218,9 +216,9 @@ def train_events(
         seed, same machine: same weights.
     validation : ndarray of int, optional
         Indices of samples that are only watched.
-    checkpoint : path-like, optional
-        The state after each epoch is kept there; a run that was interrupted goes on from it and
-        ends as it would have without the interruption.
+    checkpoint : Checkpoint, optional
+        Where the state after each epoch is kept; a training that was interrupted continues from it
+        and ends as it would have without the interruption.
     advance : callable, optional
         ``advance(1, note)`` after each epoch, those of an earlier session included.
 
@@ -237,12 +235,10 @@ def train_events(
     if not len(train):
         raise UserError("no training sample has an event; give other recordings")
     trainer = _Trainer(recipe, table, np.asarray(labels), train, seed)
-    run = _identity(recipe, table, labels, train, validation, seed)
     history = train_epochs(
         trainer.epoch,
         recipe.epochs,
         trainer.state,
-        run,
         checkpoint,
         (lambda: trainer.watch(validation)) if len(validation) else None,
         advance,
@@ -267,8 +263,7 @@ def answer_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> A
     -------
     Answers
     """
-    network = SpikingNetwork(parse(recipe.architecture), _neuron(recipe))
-    network.set_weights(weights)
+    network = network_of(recipe, weights)
     run, values, parts = _compiled(recipe, tf.float64), _now(network.variables_by_name), []
     for start in range(0, len(frames), 100):
         part = frames[start : start + 100]
@@ -281,6 +276,13 @@ def answer_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> A
     outputs, costs, *spikes = (np.concatenate(column) for column in zip(*parts, strict=True))
     named = {n: s.astype(np.int32) for n, s in zip(network.names, spikes, strict=True)}
     return Answers(outputs.astype(np.float32), costs, named, last_steps(frames))
+
+
+def network_of(recipe: EventRecipe, weights: dict) -> SpikingNetwork:
+    """The network of a recipe, with its neuron parameters, and trained weights."""
+    network = SpikingNetwork(parse(recipe.architecture), _neuron(recipe))
+    network.set_weights(weights)
+    return network
 
 
 def arriving(outputs, recipe: EventRecipe) -> np.ndarray:
@@ -564,11 +566,3 @@ class _Trainer:
 def _padded(last_step):
     """Steps of a batch whose last event is in ``last_step``."""
     return int(-(-(last_step + 1 + TAIL) // LENGTHS) * LENGTHS)
-
-
-def _identity(recipe, table, labels, train, validation, seed):
-    """What must be the same for a checkpoint to be of this run."""
-    columns = (table.time_ms, table.row, table.column, table.polarity, table.offsets)
-    parts = (*columns, *(np.asarray(part, np.int64) for part in (labels, train, validation)))
-    sums = [zlib.crc32(np.ascontiguousarray(part).view(np.uint8)) for part in parts]
-    return json.dumps([asdict(recipe), seed, sums])

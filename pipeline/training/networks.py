@@ -331,10 +331,6 @@ def _best_shift(neurons, activations):
 def fit(model, recipe: Recipe, data, seed: int, validation=None, advance=None) -> list:
     """Train a model that puts out logits with sparse categorical cross-entropy.
 
-    An epoch is one call of a compiled loop over its batches, or a few where the noise is much:
-    Keras's own ``fit`` returns to Python between them, which costs these small networks as much
-    time as their arithmetic.
-
     Parameters
     ----------
     model : tf.keras.Model
@@ -342,8 +338,7 @@ def fit(model, recipe: Recipe, data, seed: int, validation=None, advance=None) -
     recipe : Recipe
     data, validation : (images, labels)
     seed : int
-        Of the noise, and of the order of the samples: that of a network trained with others, see
-        :mod:`models.together`.
+        Of the order of the samples, and of the noise.
     advance : callable, optional
         ``advance(1, note)`` after each epoch.
 
@@ -352,25 +347,42 @@ def fit(model, recipe: Recipe, data, seed: int, validation=None, advance=None) -
     list of dict
         The history, one row an epoch.
     """
+    history = []
+    for row in epochs_of(model, recipe, data, seed):
+        history.append({"epoch": len(history) + 1, **row})
+        if validation is not None:
+            history[-1] |= _judged(predict(model, validation[0]), validation[1])
+        if advance is not None:
+            advance(1, f"accuracy {row['accuracy']:.3f}")
+    return history
+
+
+def epochs_of(model, recipe: Recipe, data, seed: int):
+    """Train a model as :func:`fit` does, an epoch for each value that is asked for.
+
+    An epoch is one call of a compiled loop over its batches, or a few where the noise is much:
+    Keras's own ``fit`` returns to Python between them, which costs these small networks as much
+    time as their arithmetic.
+
+    Yields
+    ------
+    dict
+        ``loss`` and ``accuracy`` of the epoch.
+    """
     images, labels = tf.constant(data[0], tf.float32), tf.constant(data[1], tf.int32)
-    rule = optimizer(recipe, len(data[0]))
+    count = len(data[0])
+    rule = optimizer(recipe, count)
     rule.build(model.trainable_variables)
-    history, count = [], len(data[0])
     train_on = _compiled_batches(model, rule, images, labels, recipe.batch_size)
     samples = _ahead(_samples(model, count, recipe, seed))
-    for epoch in range(recipe.epochs):
+    for _ in range(recipe.epochs):
         sums, shown = tf.zeros(2), 0
         while shown < count:
             order, noise = next(samples)
             sums += train_on(order, noise)
             shown += len(order)
         loss, right = (float(n) / count for n in sums.numpy())
-        history.append({"epoch": epoch + 1, "loss": loss, "accuracy": right})
-        if validation is not None:
-            history[-1] |= _judged(predict(model, validation[0]), validation[1])
-        if advance is not None:
-            advance(1, f"accuracy {right:.3f}")
-    return history
+        yield {"loss": loss, "accuracy": right}
 
 
 def _compiled_batches(model, rule, images, labels, batch_size):

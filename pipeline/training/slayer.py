@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from models.keras2 import tf
 from models.slayer import SlayerNetwork, SpikeResponse, spike_count_loss, spike_counts
 from pipeline.paper import DURATION_S
 from pipeline.settings import Slayer
-from pipeline.training.checkpoint import train_epochs
+from pipeline.training.checkpoint import Checkpoint, train_epochs
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,10 @@ def train_slayer(
         The checkpoint is damaged.
     """
     trainer = _Trainer(settings, frames, labels, seed, duration_s)
-    run = _identity(settings, labels, train, test, seed, duration_s)
+    kept = None
+    if checkpoint is not None:
+        key = _identity(settings, labels, train, test, seed, duration_s)
+        kept = Checkpoint(Path(checkpoint), key)
 
     def watch():
         right = trainer.count(test).argmax(1) == labels[test]
@@ -86,8 +90,7 @@ def train_slayer(
         lambda epoch: trainer.epoch(train, epoch),
         settings.epochs,
         trainer.state,
-        run,
-        checkpoint,
+        kept,
         watch,
         advance,
     )

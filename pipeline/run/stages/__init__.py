@@ -5,9 +5,11 @@ from pipeline.run.stages.bundling import convert, make_bundle, on_test_split, sp
 from pipeline.run.stages.opening import open_dataset
 from pipeline.run.stages.own_model import read_model, settings_of_model
 from pipeline.run.stages.training import (
+    choose_threshold,
     read_weights,
     train,
     train_all,
+    train_event_network,
     train_on_events,
     train_rates,
 )
@@ -15,6 +17,7 @@ from pipeline.run.stages.training import (
 __all__ = [
     "answer",
     "answer_all",
+    "choose_threshold",
     "convert",
     "make_bundle",
     "on_test_split",
@@ -25,6 +28,7 @@ __all__ = [
     "spec_of",
     "train",
     "train_all",
+    "train_event_network",
     "train_on_events",
     "train_rates",
 ]

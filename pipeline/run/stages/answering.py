@@ -1,4 +1,4 @@
-"""What each network and target answers of a bundle, asked unless it is known already."""
+"""Answers of networks and targets to a bundle's samples, asked for unless they are current."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ from deploy.check.results import read_result
 from deploy.check.run import answered, open_check, run_check
 from deploy.files import write_json
 from deploy.targets.registry import TARGETS
+from pipeline.artifacts import DELETE_IT, Artifact
 from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import hidden, progress
 from pipeline.run.answers import REFERENCES, reference_result
-from pipeline.run.folder import DELETE_IT, RunFolder
+from pipeline.run.folder import RunFolder
+from pipeline.run.origins import check_origin, recorded_in_check
 from pipeline.run.stages.training import read_weights
 from pipeline.settings import Settings
 
@@ -34,15 +36,19 @@ def answer(
     whole : bool
         The samples are those of :func:`on_test_split`.
     """
-    path = run.whole_check(stage) if whole else run.check(stage)
-    if _answers(path, bundle):
+    artifact = check_artifact(run, stage, whole)
+    path, state = artifact.record, artifact.state(check_origin(settings, bundle.id))
+    if state.is_current:
         say(f"{stage}: up to date ({path})")
         return read_result(path, DELETE_IT)
+    if (line := state.announcement("answering")) is not None:
+        say(line)
     with progress(f"check {stage}", len(bundle.checks)) as advance:
         if stage not in REFERENCES[settings.input.kind]:
             return run_check(bundle, stage, path, settings.seed, advance)
-        weights = read_weights(run.cnn if stage == "cnn" else run.snn, settings)
-        result = reference_result(stage, settings, weights, bundle, advance)
+        view = _view(settings, bundle)
+        weights = read_weights(run.cnn if stage == "cnn" else run.snn, view)
+        result = reference_result(stage, view, weights, bundle, advance)
         write_json(path, result)
         return result
 
@@ -79,9 +85,11 @@ def answer_all(
         A target failed; those that did not are kept.
     """
     networks = REFERENCES[settings.input.kind]
-    paths = {stage: run.whole_check(stage) if whole else run.check(stage) for stage in asked}
+    origin = check_origin(settings, bundle.id)
+    artifacts = {stage: check_artifact(run, stage, whole) for stage in asked}
+    states = {stage: artifact.state(origin) for stage, artifact in artifacts.items()}
     results = {}
-    targets = [s for s in asked if s not in networks and not _answers(paths[s], bundle)]
+    targets = [s for s in asked if s not in networks and not states[s].is_current]
     if jobs > 1 and any(TARGETS[name].slow for name in targets):
         here = [stage for stage in asked if stage not in targets]
         with progress("check", len(asked) * len(bundle.checks)) as advance:
@@ -92,12 +100,20 @@ def answer_all(
                         results[stage] = answer(run, settings, bundle, stage, say, whole)
                     advance(len(bundle.checks), stage)
 
-            wanted = {name: paths[name] for name in targets}
+            for name in targets:
+                if (line := states[name].announcement("answering")) is not None:
+                    say(line)
+            wanted = {name: artifacts[name].record for name in targets}
             results |= _shared(bundle, wanted, settings.seed, jobs, advance, answer_here)
     for stage in asked:
         if stage not in results:
             results[stage] = answer(run, settings, bundle, stage, say, whole)
     return [results[stage] for stage in asked]
+
+
+def _view(settings, bundle):
+    """The settings that an answer may depend on: those that the bundle was made from."""
+    return settings.only(bundle.spec.provenance["made_from"]["settings"])
 
 
 def _shared(bundle, paths, seed, jobs, advance, meanwhile):
@@ -129,6 +145,7 @@ def _answered(work):
     return list(answered(work))
 
 
-def _answers(path, bundle):
-    """True if there is a result of this bundle."""
-    return path.exists() and read_result(path, DELETE_IT)["bundle"] == bundle.id
+def check_artifact(run: RunFolder, stage: str, whole: bool = False) -> Artifact:
+    """The result of a network or target on a bundle's samples, or on the whole test split."""
+    name = f"checks/whole/{stage}" if whole else f"checks/{stage}"
+    return Artifact(name, run.check(stage, whole), made_from=recorded_in_check)

@@ -6,14 +6,19 @@ from dataclasses import asdict, replace
 
 from deploy import __version__
 from deploy.check.bundle import Bundle, CheckSet, read_bundle, write_bundle
-from deploy.files import read_json
 from deploy.network.spec import NetworkSpec
 from pipeline.inputs.dataset import Dataset
 from pipeline.inputs.splits import draw_check_samples
-from pipeline.run.folder import DELETE_ITS_FOLDER, RunFolder, stamp_of
+from pipeline.run.folder import RunFolder
+from pipeline.run.origins import (
+    bundle_origin,
+    cnn_origin,
+    events_origin,
+    rates_origin,
+    threshold_origin,
+)
 from pipeline.run.stages.opening import open_dataset
-from pipeline.run.stages.stamps import trained_stamp
-from pipeline.run.stages.training import read_weights, train_all
+from pipeline.run.stages.training import Place, read_weights, threshold_artifact, train_all
 from pipeline.settings import Settings
 
 
@@ -30,57 +35,58 @@ def make_bundle(
 
 
 def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> Bundle:
-    """Write the bundle with the samples of its check.
+    """Write the bundle with the samples of its check, unless it is current.
 
     Returns
     -------
     Bundle
-        The one that is there, if it is up to date.
     """
-    on_events = settings.on_events
-    stamp = stamp_of(
-        trained_stamp(settings, dataset),
-        asdict(settings.deployment),
-        asdict(settings.presentation),
-        asdict(settings.check),
-    )
-    if run.bundle.exists():
-        bundle = read_bundle(run.bundle)
-        if bundle.spec.provenance.get("made_from") == stamp:
-            say(f"bundle: up to date ({run.bundle})")
-            return bundle
-    if not on_events:
-        read_weights(run.cnn, settings)  # damaged ones are found now, not once the bundle is there
-    chosen = draw_check_samples(dataset.split.test, settings.check.samples, settings.seed)
-    recordings = dataset.recordings
+    origin = bundle_origin(settings, dataset.origin)
+    state = run.artifacts["bundle"].state(origin)
+    if state.is_current:
+        say(f"bundle: up to date ({run.bundle})")
+        return read_bundle(run.bundle)
+    if (line := state.announcement("writing")) is not None:
+        say(line)
+    view = origin.view(settings)
+    seen = dataset.seen_by(view)
+    if not view.on_events:
+        # A damaged CNN is found now, not when its answers are compared.
+        read_weights(run.cnn, view)
+    chosen = draw_check_samples(seen.split.test, view.check.samples, view.seed)
+    source = seen.recordings.source
     provenance = {
-        "made_from": stamp,
-        "source": recordings.source.name,
-        "source_sha256": recordings.source.sha256,
-        "simulated": recordings.source.simulated,
-        "classes": list(recordings.sensor.classes),
-        "seed": settings.seed,
-        "recipe": "events" if on_events else settings.snn.recipe,
-        "image": asdict(settings.image),
+        "made_from": origin.to_json(),
+        "source": source.name,
+        "source_sha256": source.sha256,
+        "simulated": source.simulated,
+        "classes": list(seen.recordings.sensor.classes),
+        "seed": view.seed,
+        "recipe": "events" if view.on_events else view.snn.recipe,
+        "image": asdict(view.image),
         "package": __version__,
     }
-    spec = spec_of(run, settings, dataset, provenance)
-    bundle = write_bundle(run.bundle, spec, _check_set(settings, dataset, chosen))
+    spec = spec_of(run, view, seen, provenance)
+    bundle = write_bundle(run.bundle, spec, _check_set(view, seen, chosen))
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
     return bundle
 
 
-def spec_of(run: RunFolder, settings: Settings, dataset: Dataset, provenance: dict) -> NetworkSpec:
-    """The network that was trained in a run, as the chip gets it."""
-    weights = read_weights(run.snn, settings)
-    if not settings.on_events:
-        from pipeline.run.conversion import deployed
+def spec_of(place: Place, settings: Settings, dataset: Dataset, provenance: dict) -> NetworkSpec:
+    """The trained network of a run or library, as the chip gets it."""
+    if settings.on_events:
+        from pipeline.run.event_conversion import deployed_on_events
 
-        return deployed(settings, weights, provenance, dataset.part("train"))
-    from pipeline.run.event_conversion import deployed_on_events
+        network = events_origin(settings, dataset.origin)
+        origin = threshold_origin(settings, network)
+        chosen = threshold_artifact(place, origin).state(origin).record["decides_by_itself"]
+        weights = read_weights(place.network("snn", network), settings)
+        return deployed_on_events(settings, weights, chosen["confidence"], provenance)
+    from pipeline.run.conversion import deployed
 
-    early = read_json(run.snn / "metrics.json", DELETE_ITS_FOLDER)["decides_by_itself"]
-    return deployed_on_events(settings, weights, early["confidence"], provenance)
+    network = rates_origin(settings, cnn_origin(settings, dataset.origin))
+    weights = read_weights(place.network("snn", network), settings)
+    return deployed(settings, weights, provenance, dataset.part("train"))
 
 
 def on_test_split(settings: Settings, dataset: Dataset, bundle: Bundle) -> Bundle:

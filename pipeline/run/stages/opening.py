@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from deploy.errors import UserError
-from deploy.files import write_json
 from pipeline.inputs.dataset import (
     TOO_SMALL,
     Dataset,
@@ -54,8 +53,7 @@ def open_dataset(
             f"{settings.data.source}: other settings than the arrays were taken with; give "
             f"'data.source' {dataset.recordings.source.name!r}"
         )
-    else:
-        recordings_fit(dataset.recordings, settings)
+    recordings_fit(dataset.recordings, settings)
     recordings, split = dataset.recordings, dataset.split
     if check:
         try:
@@ -71,15 +69,10 @@ def open_dataset(
         for line in _notes(run, settings, recordings):
             warn(line)
     run.save_settings(settings)
-    write_json(
-        run.dataset,
-        {
-            **facts_of(recordings),
-            "train": len(split.train),
-            "validation": len(split.validation),
-            "test": len(split.test),
-        },
-    )
+    artifact = run.artifacts["dataset"]
+    if not artifact.state(dataset.origin).is_current:
+        sizes = {part: len(getattr(split, part)) for part in ("train", "validation", "test")}
+        artifact.write(dataset.origin, {**facts_of(recordings), **sizes})
     return dataset
 
 

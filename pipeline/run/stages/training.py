@@ -1,4 +1,4 @@
-"""The networks of a run, trained unless they are there already."""
+"""The networks of a run, trained unless they are current."""
 
 from __future__ import annotations
 
@@ -10,102 +10,178 @@ import numpy as np
 
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
-from deploy.files import read_arrays, read_json, write_arrays, write_json
+from deploy.files import read_arrays, write_arrays
 from deploy.network.decision import Judge
 from models.architecture import parse
+from pipeline.artifacts import Artifact, Origin
 from pipeline.inputs.dataset import Dataset
 from pipeline.progress import progress
 from pipeline.run.answers import training_versions
 from pipeline.run.diagnosis import activity, fastest_rate, training_lines
-from pipeline.run.folder import DELETE_ITS_FOLDER, RunFolder, is_current
+from pipeline.run.folder import DELETE_ITS_FOLDER, NetworkLibrary, RunFolder
 from pipeline.run.history import write_history
+from pipeline.run.origins import cnn_origin, events_origin, rates_origin, threshold_origin
 from pipeline.run.stages.own_model import take_over
-from pipeline.run.stages.stamps import cnn_stamp, events_stamp, snn_stamp
 from pipeline.settings import Settings
 from pipeline.training.threads import one_thread_each
 
+Place = RunFolder | NetworkLibrary
+"""Where trained networks are kept."""
 
-def train_all(run: RunFolder, settings: Settings, dataset: Dataset, say=print):
-    """Train what the bundle is made from, unless it is there already."""
+
+def train_all(place: Place, settings: Settings, dataset: Dataset, say=print):
+    """Train what the bundle is made from, unless it is current."""
     if settings.on_events:
-        train_on_events(run, settings, dataset, say)
+        train_on_events(place, settings, dataset, say)
     else:
-        train(run, settings, dataset, say)
-        train_rates(run, settings, dataset, say)
+        train(place, settings, dataset, say)
+        train_rates(place, settings, dataset, say)
 
 
-def train(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> dict:
-    """Train the CNN, or read the user's own, unless it is there already; return its metrics."""
-    one_thread_each()  # of a run on images all that follows in this process, trained before or not
-    stamp = cnn_stamp(settings, dataset)
-    if done := _done("cnn", run.cnn, stamp, say):
+def train(place: Place, settings: Settings, dataset: Dataset, say=print) -> dict:
+    """Train the CNN, or read the user's own, unless it is current; return its metrics."""
+    one_thread_each()
+    origin = cnn_origin(settings, dataset.origin)
+    artifact = cnn_artifact(place, origin)
+    if (done := _current(artifact, origin, say)) is not None:
         return done
+    view = origin.view(settings)
+    seen = dataset.seen_by(view)
     if settings.cnn.model:
-        taken, notes = take_over(settings, dataset)
+        trained, notes = take_over(view, seen)
         for note in notes:
             say(f"cnn: {note}")
-        return _train("cnn", run.cnn, stamp, 0, lambda advance: taken, dataset, say)
-    from pipeline.training.networks import train_cnn  # TensorFlow: seconds that _done can spare
+        seconds = 0.0
+    else:
+        from pipeline.training.networks import train_cnn  # TensorFlow takes seconds to import
 
-    def train_it(advance):
-        data, watched = dataset.part("train"), dataset.part("validation")
-        return train_cnn(settings, data, settings.seed, watched, advance)
+        data, watched = seen.part("train"), seen.part("validation")
+        with _timed("cnn", view.cnn.epochs) as timed:
+            trained = train_cnn(view, data, view.seed, watched, timed.advance)
+        seconds = timed.seconds
+    _write_network(artifact.record.parent, trained)
+    metrics = _metrics(trained, seen, seconds)
+    _say_accuracy("cnn", metrics, say)
+    return artifact.write(origin, metrics)
 
-    return _train("cnn", run.cnn, stamp, settings.cnn.epochs, train_it, dataset, say)
 
-
-def train_rates(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> dict:
-    """Train the rate-based LIF network, unless it is there already; return its metrics."""
-    stamp = snn_stamp(settings, dataset)
-    if done := _done("rate-lif", run.snn, stamp, say):
+def train_rates(place: Place, settings: Settings, dataset: Dataset, say=print) -> dict:
+    """Train the rate-based LIF network, unless it is current; return its metrics."""
+    one_thread_each()
+    cnn = cnn_origin(settings, dataset.origin)
+    origin = rates_origin(settings, cnn)
+    artifact = rates_artifact(place, origin)
+    if (done := _current(artifact, origin, say)) is not None:
         return done
     from pipeline.training.networks import snn_recipe, train_rate_network
 
-    start, data = read_weights(run.cnn, settings), dataset.part("train")
-
-    def train_it(advance):
-        watched = dataset.part("validation")
-        return train_rate_network(settings, data, settings.seed, start, watched, advance)
-
-    def neurons_of(trained):
-        return {"neurons": _neurons(settings, trained, data[0])}
-
-    epochs = snn_recipe(settings.snn).epochs
-    metrics = _train("rate-lif", run.snn, stamp, epochs, train_it, dataset, say, neurons_of)
+    view = origin.view(settings)
+    seen = dataset.seen_by(view)
+    start = read_weights(place.network("cnn", cnn), view)
+    data, watched = seen.part("train"), seen.part("validation")
+    with _timed("rate-lif", snn_recipe(view.snn).epochs) as timed:
+        trained = train_rate_network(view, data, view.seed, start, watched, timed.advance)
+    _write_network(artifact.record.parent, trained)
+    metrics = _metrics(trained, seen, timed.seconds)
+    metrics["neurons"] = _neurons(view, trained, data[0])
+    _say_accuracy("rate-lif", metrics, say)
     for line in training_lines(metrics["neurons"]):
         say(f"rate-lif: {line}")
-    return metrics
+    return artifact.write(origin, metrics)
 
 
-def train_on_events(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> dict:
-    """Train the spiking network on events, unless it is there already; return its metrics.
+def train_on_events(place: Place, settings: Settings, dataset: Dataset, say=print) -> dict:
+    """Train the network on events and choose its threshold, unless they are current.
 
-    An interrupted training goes on after its last whole epoch.
+    Returns
+    -------
+    dict
+        The metrics of :func:`choose_threshold`.
     """
-    stamp = events_stamp(settings, dataset)
-    if done := _done("events", run.snn, stamp, say):
+    train_event_network(place, settings, dataset, say)
+    return choose_threshold(place, settings, dataset, say)
+
+
+def train_event_network(place: Place, settings: Settings, dataset: Dataset, say=print) -> dict:
+    """Train the network on events, unless it is current; return the record of its training.
+
+    An interrupted training continues after its last completed epoch.
+    """
+    origin = events_origin(settings, dataset.origin)
+    artifact = events_artifact(place, origin)
+    if (done := _current(artifact, origin, say)) is not None:
         return done
-    from pipeline.run import event_training  # TensorFlow: seconds that _done can spare
+    from pipeline.run import event_training  # TensorFlow takes seconds to import
 
-    samples = event_training.set_apart(dataset, settings.seed)
-    checkpoint = run.snn / "checkpoint.npz"
+    view = origin.view(settings)
+    samples = event_training.set_apart(dataset.seen_by(view), view.seed)
+    folder = artifact.record.parent
+    checkpoint = event_training.Checkpoint(folder / "checkpoint.npz", origin.key)
+    with _timed("events", view.events.epochs) as timed:
+        trained = event_training.train(view, samples, view.seed, checkpoint, timed.advance)
+    _write_network(folder, trained)
+    training = {"epochs": len(trained.history), "seconds": timed.seconds}
+    written = artifact.write(origin, {**training, "versions": training_versions()})
+    checkpoint.path.unlink(missing_ok=True)
+    return written
 
-    def train_it(advance):
-        return event_training.train(settings, samples, settings.seed, checkpoint, advance)
 
-    def decision_of(trained):
-        chosen = event_training.choose(settings, samples, trained, settings.seed)
-        return {"decides_by_itself": {**chosen._asdict(), "samples": len(samples.held)}}
+def choose_threshold(place: Place, settings: Settings, dataset: Dataset, say=print) -> dict:
+    """Choose the confidence at which the network on events decides, and measure its accuracy.
 
-    epochs = settings.events.epochs
-    metrics = _train("events", run.snn, stamp, epochs, train_it, dataset, say, decision_of)
-    checkpoint.unlink(missing_ok=True)
-    chosen = metrics["decides_by_itself"]
+    Both depend on the presentation, which the training does not, and are kept apart from it.
+
+    Returns
+    -------
+    dict
+        ``accuracy`` by part of the split, and ``decides_by_itself``.
+    """
+    trained_from = events_origin(settings, dataset.origin)
+    origin = threshold_origin(settings, trained_from)
+    artifact = threshold_artifact(place, origin)
+    if (done := _current(artifact, origin, say, "choosing")) is not None:
+        return done
+    from pipeline.run import event_training
+
+    view = origin.view(settings)
+    seen = dataset.seen_by(view)
+    folder = place.network("snn", trained_from)
+    trained = event_training.trained_network(view, read_weights(folder, view))
+    samples = event_training.set_apart(seen, view.seed)
+    chosen = event_training.choose(view, samples, trained, view.seed)
+    training = events_artifact(place, trained_from).state(trained_from).record
+    metrics = _metrics(trained, seen, training["seconds"])
+    metrics["epochs"] = training["epochs"]
+    metrics["decides_by_itself"] = {**chosen._asdict(), "samples": len(samples.held)}
+    _say_accuracy("events", metrics, say)
     say(
-        f"events: decides by itself at a confidence of {chosen['confidence']:.4f}, after "
-        f"{chosen['share']:.0%} of the writing on {chosen['samples']} held-out samples"
+        f"threshold: the network decides at a confidence of {chosen.confidence:.4f}, after "
+        f"{chosen.share:.0%} of a recording on {len(samples.held)} held-out samples"
     )
-    return metrics
+    return artifact.write(origin, metrics)
+
+
+def cnn_artifact(place: Place, origin: Origin) -> Artifact:
+    """Weights, history and metrics of the CNN."""
+    folder = place.network("cnn", origin)
+    return Artifact("cnn", folder / "metrics.json", (folder / "weights.npz",))
+
+
+def rates_artifact(place: Place, origin: Origin) -> Artifact:
+    """Weights, history and metrics of the rate-based network."""
+    folder = place.network("snn", origin)
+    return Artifact("rate-lif", folder / "metrics.json", (folder / "weights.npz",))
+
+
+def events_artifact(place: Place, origin: Origin) -> Artifact:
+    """Weights and history of the network trained on events."""
+    folder = place.network("snn", origin)
+    return Artifact("events", folder / "training.json", (folder / "weights.npz",))
+
+
+def threshold_artifact(place: Place, origin: Origin) -> Artifact:
+    """Threshold and accuracy of the network trained on events."""
+    return Artifact("threshold", place.network("threshold", origin) / "metrics.json")
 
 
 def read_weights(folder: Path, settings: Settings) -> dict:
@@ -130,49 +206,69 @@ def read_weights(folder: Path, settings: Settings) -> dict:
     return weights
 
 
-def _done(name, folder, stamp, say):
-    """The metrics of a network that was trained from the same, or None."""
-    path = folder / "metrics.json"
-    if not is_current(path, stamp, folder / "weights.npz"):
-        return None
-    say(f"{name}: up to date ({folder})")
-    return read_json(path, DELETE_ITS_FOLDER)
+def _current(artifact, origin, say, action="training"):
+    """The record of an artifact that is current; None, after saying why, if it must be made."""
+    state = artifact.state(origin)
+    if state.is_current:
+        say(f"{artifact.name}: up to date ({artifact.record.parent})")
+        return state.record
+    if (line := state.announcement(action)) is not None:
+        say(line)
+    return None
 
 
-def _train(name, folder, stamp, epochs, train_it, dataset, say, more=lambda trained: {}):
-    """Train, judge and write a network; return its metrics, with ``more`` of the network."""
-    begun = time.perf_counter()
-    with progress(f"train {name}", epochs) as advance:
-        trained = train_it(advance)
-    seconds = time.perf_counter() - begun
+class _timed:
+    """A progress bar for a training, and how long the training took."""
+
+    def __init__(self, name, epochs):
+        self._bar = progress(f"train {name}", epochs)
+
+    def __enter__(self):
+        self._begun = time.perf_counter()
+        self.advance = self._bar.__enter__()
+        return self
+
+    def __exit__(self, *error):
+        self.seconds = time.perf_counter() - self._begun
+        return self._bar.__exit__(*error)
+
+
+def _write_network(folder, trained):
+    """Write weights and history; the records go first, since they say that the rest is there."""
+    for record in ("metrics.json", "training.json"):
+        (folder / record).unlink(missing_ok=True)
+    write_arrays(folder / "weights.npz", **trained.weights)
+    write_history(folder / "history.csv", trained.history)
+
+
+def _metrics(trained, dataset, seconds):
+    """Accuracy of a network on each part of the split."""
     right = np.argmax(trained.logits(dataset.inputs), axis=1) == dataset.labels
     parts = {part: getattr(dataset.split, part) for part in ("train", "validation", "test")}
     accuracy = {part: float(right[index].mean()) for part, index in parts.items() if len(index)}
-    judge = list(accuracy)[-1]  # where settings are being chosen there is no test split
-    n_judged = len(parts[judge])
-    interval = wilson_interval(int(right[parts[judge]].sum()), n_judged)
-    metrics = {
-        "made_from": stamp,
+    part = list(accuracy)[-1]  # without a test split, as in a sweep, the validation samples
+    n_samples = len(parts[part])
+    return {
         "simulated": dataset.recordings.source.simulated,
         "accuracy": accuracy,
-        f"{judge}_accuracy_ci95": list(interval),
-        f"n_{judge}": n_judged,
+        f"{part}_accuracy_ci95": list(wilson_interval(int(right[parts[part]].sum()), n_samples)),
+        f"n_{part}": n_samples,
         "epochs": len(trained.history),
         "seconds": seconds,
-        **more(trained),
         "versions": training_versions(),
     }
-    # The metrics come last: they say that the rest is there.
-    (folder / "metrics.json").unlink(missing_ok=True)
-    write_arrays(folder / "weights.npz", **trained.weights)
-    write_history(folder / "history.csv", trained.history)
-    write_json(folder / "metrics.json", metrics)
-    say(f"{name}: {judge} accuracy {accuracy[judge]:.3f} on {n_judged} samples, {seconds:.0f} s")
-    return metrics
+
+
+def _say_accuracy(name, metrics, say):
+    part = list(metrics["accuracy"])[-1]
+    say(
+        f"{name}: {part} accuracy {metrics['accuracy'][part]:.3f} on {metrics[f'n_{part}']} "
+        f"samples, {metrics['seconds']:.0f} s"
+    )
 
 
 def _neurons(settings, trained, inputs):
-    """Shares of silent and saturated neurons of each convolution on the training samples."""
+    """Shares of silent and saturated neurons of each layer on the training samples."""
     fastest = fastest_rate(settings.snn.tau_ref)
     outputs = trained.activations(inputs)
     return {
