@@ -26,7 +26,10 @@ def run(
         Optional[Path],  # noqa: UP045
         typer.Option(help="The result (default: checks/TARGET.json beside the bundle)."),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed given to the simulator.")] = 0,
+    seed: Annotated[
+        Optional[int],  # noqa: UP045
+        typer.Option(help="Seed given to the simulator (default: that of the bundle's run)."),
+    ] = None,
     board: Annotated[
         Optional[str],  # noqa: UP045
         typer.Option(help="Name of a board (default: the cluster's choice).", **BOARD),
@@ -66,6 +69,9 @@ def run(
         energy=energy,
     )
     opened = read_bundle(bundle)
+    options.warn_if_outdated(bundle)
+    if seed is None:
+        seed = opened.spec.provenance.get("seed", 0)
     path = out or opened.path.absolute().parent / "checks" / f"{target}.json"
     with progress(f"check {target}", len(opened.checks)) as advance:
         result = run_check(opened, target, path, seed, advance, chosen)
@@ -87,5 +93,6 @@ def compare_checks(
 ):
     """Set two results side by side: agreement, McNemar's test, the first samples that differ."""
     comparison = compare_results(read_result(a), read_result(b))
+    options.warn_if_outdated(a, b)
     options.tell(comparison.to_json(), lambda _: comparison_text(comparison), as_json)
     enforce(comparison, max_disagreements, max_accuracy_drop)

@@ -15,6 +15,7 @@ from pipeline.commands import options
 from pipeline.live.network import about, fits_the_page, network_of_bundle, network_of_run
 from pipeline.run import stages
 from pipeline.run.folder import RunFolder
+from pipeline.run.status import outdated_note
 from pipeline.skin import parameters
 
 PORT = 8765
@@ -56,6 +57,9 @@ def live(
     with closing(Keeper(record)) as keeper, closing(listen(port)) as listening:
         bundle, image = _network(run, data, kind, seed, settings, set_, jobs)
         fits_the_page(bundle)
+        note = outdated_note(bundle.path)
+        if note is not None:
+            options.say(note)
 
         def make_decider():
             from pipeline.live.deciding import decider_of  # Nengo: a second that the page can spare
@@ -68,7 +72,7 @@ def live(
                 threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
         try:
-            page = Live(make_decider, keeper, parameters.load(), about(bundle, record))
+            page = Live(make_decider, keeper, parameters.load(), about(bundle, record, note))
             Server(page, listening, opened).run()
         finally:
             options.say(f"live: ended; {len(keeper)} recordings are kept in {record}")

@@ -121,6 +121,15 @@ def say(line: str):
     print(line, file=sys.stderr)
 
 
+def warn_if_outdated(*paths: Path):
+    """Say which of these bundles and check results of a run are outdated, and why."""
+    from pipeline.run.status import outdated_note  # imports all that a run is made with
+
+    for path in paths:
+        if (note := outdated_note(path)) is not None:
+            say(note)
+
+
 def tell(value, as_text, as_json: bool):
     """Print an answer, as JSON or as ``as_text`` makes of it."""
     print(json.dumps(value, indent=2) if as_json else as_text(value))

@@ -15,7 +15,7 @@ NengoLoihi's (100 Hz, samples shown without a gap between them, the first layer 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from hashlib import sha256
 
 import numpy as np
@@ -61,13 +61,16 @@ class Choice:
 
     def apply(self, settings: Settings) -> Settings:
         """The settings with this choice."""
-        return _trained_as(settings, self.max_rate).with_values(self.changes, self.title)
+        changed = {
+            section: replace(getattr(settings, section), **values)
+            for section, values in self.changes.items()
+        }
+        return replace(_trained_as(settings, self.max_rate), **changed)
 
 
 def _trained_as(settings, max_rate):
     """The settings with the paper's recipe and a maximum rate."""
-    snn = {"recipe": "paper", "max_rates": [max_rate]}
-    return settings.with_values({"snn": snn}, "benchmark conversion")
+    return replace(settings, snn=replace(settings.snn, recipe="paper", max_rates=(max_rate,)))
 
 
 def _shown(steps, **more):

@@ -22,7 +22,7 @@ from pipeline.inputs.splits import draw_check_samples
 from pipeline.paper import TABLE2
 from pipeline.run import stages
 from pipeline.run.folder import NetworkLibrary
-from pipeline.run.history import read_history
+from pipeline.run.history import read_history, write_history
 from pipeline.run.origins import (
     bundle_origin,
     cnn_origin,
@@ -293,6 +293,7 @@ def _slayer(task, dataset):
         checkpoint,
         duration_s=recordings.sensor.duration_s,
     )
+    write_history(checkpoint.with_suffix(".csv"), trained.history)
     return dataset.split.test, trained.counts.argmax(1), trained.history
 
 

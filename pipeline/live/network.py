@@ -65,11 +65,20 @@ def fits_the_page(bundle: Bundle):
         )
 
 
-def about(bundle: Bundle, folder) -> dict:
-    """What the page says of its network, and of the folder in which recordings are kept."""
+def about(bundle: Bundle, folder, outdated: str | None = None) -> dict:
+    """What the page says of its network, and of the folder in which recordings are kept.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    folder : path-like
+    outdated : str, optional
+        Why the bundle is outdated, if it is.
+    """
     return {
         "folder": str(folder),
         "architecture": bundle.spec.architecture,
+        "outdated": outdated,
         "bundle": bundle.id[:12],
         "trained_on": bundle.spec.provenance.get("source", "recordings of unknown origin"),
         "simulated": bool(bundle.spec.provenance.get("simulated", False)),

@@ -19,6 +19,7 @@ from pipeline.report.replay import replay
 from pipeline.run.folder import RunFolder
 from pipeline.run.history import read_history
 from pipeline.run.ladder import ladder_stages
+from pipeline.run.status import outdated, status_of
 from pipeline.settings import read_settings
 
 REMEDY = "delete it and make it again"
@@ -92,6 +93,7 @@ def gather(
         plan=make_plan(bundle.spec).to_json(),
         replays=replays,
         beside=beside and _beside(beside, bundle, settings),
+        outdated=outdated(status_of(folder, settings)),
     )
 
 

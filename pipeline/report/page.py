@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 
 import numpy as np
@@ -61,6 +61,8 @@ class Inputs:
         Spikes of the samples that are shown, by their index in the check.
     beside : dict or None
         Check result of another run on the same recordings, which answers at the end of the writing.
+    outdated : dict of str to str
+        Artifacts that the settings would make otherwise now, with the reasons.
     """
 
     settings: Settings
@@ -75,6 +77,7 @@ class Inputs:
     plan: dict | None
     replays: dict
     beside: dict | None = None
+    outdated: dict = field(default_factory=dict)
 
 
 def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
@@ -126,6 +129,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         matrices=_confusions(inputs),
         stories=_stories(inputs),
         energy=_energy(inputs),
+        outdated=inputs.outdated,
         activity=_activity(inputs),
         versions={k: v for result in inputs.results for k, v in result["versions"].items()},
     )

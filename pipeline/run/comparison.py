@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import string
 import textwrap
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from deploy.check.bundle import read_bundle
@@ -20,6 +20,7 @@ from pipeline.artifacts import DELETE_IT
 from pipeline.paper import CNN_MACS
 from pipeline.run.answers import REFERENCES
 from pipeline.run.folder import RunFolder
+from pipeline.run.status import outdated, status_of
 from pipeline.settings import Settings, read_settings
 
 SCHEMA = "stmnist-runs/1"
@@ -55,6 +56,8 @@ class Run:
         Check results of the bundle, by stage.
     stale : tuple of str
         Stages whose results are of an earlier bundle, and are left out.
+    outdated : dict of str to str
+        Artifacts that the run's settings would make otherwise now, with the reasons.
     """
 
     name: str
@@ -64,6 +67,7 @@ class Run:
     chips: int
     results: dict
     stale: tuple = ()
+    outdated: dict = field(default_factory=dict)
 
 
 def read_runs(paths, whole: bool = False) -> list:
@@ -126,6 +130,7 @@ def _read_run(path, whole):
         chips=plan.chips,
         results=results,
         stale=tuple(stale),
+        outdated=outdated(status_of(folder)),
     )
 
 
@@ -150,7 +155,12 @@ def compare_runs(runs) -> dict:
     return {
         "schema": SCHEMA,
         "runs": [
-            {"name": run.name, **inference(run), "results_of_an_earlier_bundle": list(run.stale)}
+            {
+                "name": run.name,
+                **inference(run),
+                "results_of_an_earlier_bundle": list(run.stale),
+                "outdated": run.outdated,
+            }
             for run in runs
         ],
         "settings": [
@@ -278,6 +288,13 @@ def runs_text(compared: dict, width: int = WIDTH) -> str:
     for letter, run in zip(letters, runs, strict=True):
         if stale := run["results_of_an_earlier_bundle"]:
             note = f"{letter}: left out, of an earlier bundle: {', '.join(stale)}"
+            lines += ["", *textwrap.wrap(note, width, break_on_hyphens=False)]
+        if run["outdated"]:
+            reasons = "; ".join(dict.fromkeys(run["outdated"].values()))
+            note = (
+                f"{letter}: OUTDATED, these results are not of the settings above: {reasons}; "
+                f"'stmnist ladder {run['name']}' makes them again"
+            )
             lines += ["", *textwrap.wrap(note, width, break_on_hyphens=False)]
     return "\n".join(lines)
 

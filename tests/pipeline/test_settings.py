@@ -7,9 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deploy.errors import UserError
-from deploy.files import write_json
 from deploy.network.spec import Presentation
-from pipeline.run.folder import RunFolder, is_current, stamp_of
+from pipeline.run.folder import RunFolder
 from pipeline.settings import (
     Settings,
     describe,
@@ -158,19 +157,6 @@ def test_settings_come_from_folder_file_and_command_line_in_this_order(tmp_path)
     resolved = run.resolve_settings(tmp_path / "base.toml", {"seed": 4})
     assert (resolved.seed, resolved.cnn.epochs) == (4, 9)
     assert run.resolve_settings(None, {}).cnn.epochs == 7  # until they are saved
-
-
-def test_a_stage_is_current_only_with_its_files_and_its_stamp(tmp_path):
-    stamp = stamp_of("data", 1, {"a": (1, 2)})
-    assert stamp == stamp_of("data", 1, {"a": [1, 2]})
-    assert stamp != stamp_of("data", 1, {"a": [1, 3]})
-    metrics, weights = tmp_path / "metrics.json", tmp_path / "weights.npz"
-    assert not is_current(metrics, stamp, weights)
-    write_json(metrics, {"made_from": stamp})
-    assert not is_current(metrics, stamp, weights)
-    weights.write_bytes(b"")
-    assert is_current(metrics, stamp, weights)
-    assert not is_current(metrics, "other", weights)
 
 
 def test_every_setting_is_listed_with_its_meaning():

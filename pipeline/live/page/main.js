@@ -121,7 +121,8 @@ link.on("hello", (about) => {
   const hands = about.simulated
     ? `${about.trained_on}: it has seen simulated hands only, and is less often right with real ones`
     : about.trained_on;
-  $("trained").textContent = `Network ${about.architecture}, trained on ${hands}.`;
+  $("trained").textContent = `Network ${about.architecture}, trained on ${hands}.`
+    + (about.outdated ? ` ${about.outdated}.` : "");
   $("each").max = about.most_each;
 });
 

@@ -84,11 +84,11 @@ TINY = (
 def test_trainings_are_done_once_and_failed_ones_tried_again(tmp_path, monkeypatch, capsys):
     asked = []
 
-    def measure(job):
-        asked.append((job.variant, job.seed))
-        if job.variant == "even" and len(asked) <= 10:
+    def measure(task):
+        asked.append((task.subject, task.seed))
+        if task.subject == "even" and len(asked) <= 10:
             raise ArithmeticError("out of order")
-        return result(job.variant, job.seed, [1, 0])
+        return result(task.subject, task.seed, [1, 0])
 
     monkeypatch.setattr(events, "measure", measure)
     command = ("benchmark", "events", "--out", tmp_path / "out", "--seeds", "2", *TINY)

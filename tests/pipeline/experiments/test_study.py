@@ -1,91 +1,91 @@
 """The benchmarks over splits: measured once, kept, gone on with; a failure is said."""
 
 import json
-from dataclasses import dataclass, replace
-from pathlib import Path
 
 import pytest
 
 from deploy.errors import UserError
 from deploy.files import read_json
 from pipeline import jobs
+from pipeline.artifacts import Artifact, Origin
 from pipeline.experiments import choices as conversion_choices
 from pipeline.experiments import difficulty, losses
-from pipeline.experiments.study import Workers, _work, read_kept, study, write_kept
+from pipeline.experiments.study import Task, Workers, _work, study
+from pipeline.run.folder import NetworkLibrary
+from pipeline.settings import Settings
 from tests.command import call
 
 
-@dataclass(frozen=True)
-class Half:
-    """A job: half a number, kept in a file."""
-
-    number: int
-    folder: Path
-    stamp: str = "0"
-
-    @property
-    def path(self):
-        return self.folder / f"{self.number}.json"
+def half(number, folder, content="0"):
+    """A task: half a number, kept in a file."""
+    origin = Origin(contents={"version": content})
+    artifact = Artifact(str(number), folder / f"{number}.json")
+    settings = Settings().only(["seed"])
+    return Task(artifact, origin, settings, "", NetworkLibrary(folder), subject=str(number))
 
 
-def halve(job):
-    if job.number % 2:
-        raise ArithmeticError(f"{job.number} is odd")
-    return {"half": job.number // 2}
+def halve(task):
+    number = int(task.subject)
+    if number % 2:
+        raise ArithmeticError(f"{number} is odd")
+    return {"half": number // 2}
 
 
-def test_a_study_keeps_its_results_and_goes_on(tmp_path):
-    jobs, said = [Half(number, tmp_path) for number in (4, 3, 8)], []
-    found = study("halves", halve, jobs, Workers(1), said.append, read_kept, write_kept)
-    assert (found[0], found[2]) == ({"half": 2}, {"half": 4})
-    assert found[1].error == "ArithmeticError: 3 is odd"
+def test_a_study_keeps_its_results_and_continues(tmp_path):
+    tasks, said = [half(number, tmp_path) for number in (4, 3, 8)], []
+    found = study("halves", halve, [tasks[:2], tasks[2:]], Workers(1), said.append)
+    assert (found["4"]["half"], found["8"]["half"]) == (2, 4)
+    assert found["3"].error == "ArithmeticError: 3 is odd"
     assert len(said) == 1
     assert "3 is odd" in said[0]
-    assert read_json(jobs[0].path, "") == {"made_from": "0", "half": 2}
-    assert not jobs[1].path.exists()
+    kept = read_json(tasks[0].artifact.record, "")
+    assert kept == {"made_from": tasks[0].origin.to_json(), "half": 2}
+    assert not tasks[1].artifact.record.exists()
 
     asked = []
 
-    def truncate(job):
-        asked.append(job)
-        return {"half": job.number // 2}
+    def truncate(task):
+        asked.append(task)
+        return {"half": int(task.subject) // 2}
 
-    found = study("halves", truncate, jobs, Workers(1), said.append, read_kept, write_kept)
-    assert asked == [jobs[1]]
-    assert [result["half"] for result in found] == [2, 1, 4]
+    found = study("halves", truncate, [tasks], Workers(1), said.append)
+    assert asked == [tasks[1]]
+    assert [found[str(number)]["half"] for number in (4, 3, 8)] == [2, 1, 4]
     asked.clear()
-    outdated = [replace(jobs[0], stamp="1")]
-    study("halves", truncate, outdated, Workers(1), said.append, read_kept)
+    said.clear()
+    outdated = [half(4, tmp_path, "1")]
+    study("halves", truncate, [outdated], Workers(1), said.append)
     assert asked == outdated
+    assert "version changed from 0 to 1" in said[0]
 
 
 def test_a_mistake_of_the_users_is_said_as_it_is(tmp_path):
-    jobs, said = [Half(number, tmp_path) for number in (2, 4, 6)], []
+    tasks, said = [half(number, tmp_path) for number in (2, 4, 6)], []
 
-    def refuse(job):
+    def refuse(task):
         raise UserError("snn.tau_rc: 0; " + "give a longer one " * 20)
 
-    found = study("halves", refuse, jobs, Workers(1), said.append)
-    assert said == [found[0].details] == [found[2].details]
+    found = study("halves", refuse, [tasks], Workers(1), said.append)
+    assert said == [found["2"].details] == [found["6"].details]
     assert said[0].endswith("give a longer one ")
     assert "Traceback" not in said[0]
 
 
 def test_a_study_on_a_cluster(tmp_path):
     distributed = pytest.importorskip("distributed")
-    jobs, said = [Half(number, tmp_path) for number in (4, 3)], []
+    tasks, said = [half(number, tmp_path) for number in (4, 3)], []
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
     ) as cluster:
         workers = Workers(scheduler=cluster.scheduler_address)
-        found = study("halves", halve, jobs, workers, said.append, read_kept, write_kept)
-    assert read_json(jobs[0].path, "")["half"] == 2
-    assert found[1].error == "ArithmeticError: 3 is odd"
+        found = study("halves", halve, [[task] for task in tasks], workers, said.append)
+    assert read_json(tasks[0].artifact.record, "")["half"] == 2
+    assert found["3"].error == "ArithmeticError: 3 is odd"
 
 
 def test_a_worker_of_another_version_is_found_out(tmp_path):
     with pytest.raises(UserError, match=r"not 0\.0\.0"):
-        _work(halve, "0.0.0", (0, Half(4, tmp_path)))
+        _work(halve, "0.0.0", [half(4, tmp_path)])
 
 
 @pytest.mark.parametrize(
@@ -191,8 +191,12 @@ def test_splits_are_measured_once_and_failed_ones_tried_again(
     assert json.loads(captured.out)["seeds"] == [7]
     assert "lost" in captured.err
     assert "split 8 failed; the same command tries again" in captured.err
-    assert call(*command, "--set", "cnn.epochs=2") == 1  # what depends on other settings is redone
-    assert asked == [7, 8, 8, 7, 8]
+    assert call(*command, "--set", "slayer.epochs=2") == 1  # which nothing here depends on
+    assert asked == [7, 8, 8, 8]
+    capsys.readouterr()
+    assert call(*command, "--set", "cnn.epochs=2") == 1
+    assert asked == [7, 8, 8, 8, 7, 8]
+    assert "cnn.epochs changed from 1 to 2" in capsys.readouterr().err
 
 
 def test_an_output_read_too_late_is_said_before_anything_is_trained(tmp_path, capsys):

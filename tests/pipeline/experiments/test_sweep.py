@@ -4,7 +4,6 @@ import csv
 import io
 import json
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +16,10 @@ from deploy.errors import UserError
 from deploy.files import read_json
 from pipeline.experiments import sweep
 from pipeline.experiments.sweep_text import short_names, sweep_csv, sweep_text
-from pipeline.inputs.dataset import Dataset
+from pipeline.inputs.dataset import Dataset, dataset_origin
+from pipeline.inputs.library import recordings_of
+from pipeline.jobs import Failure
+from pipeline.run.origins import events_origin, threshold_origin
 from pipeline.settings import Settings, read_settings
 from tests.command import call
 
@@ -26,31 +28,52 @@ SMALL = Settings().with_values(
 )
 
 
+def points_of(folder, grid, base=SMALL):
+    return sweep.points_of(folder, base, grid, recordings_of(base))
+
+
+def keys(tasks):
+    return {task.origin.key for task in tasks}
+
+
 def changes(points):
     return [dict(point.changes) for point in points]
 
 
 def test_every_combination_of_the_grid(tmp_path):
     grid = ["presentation.steps=30, 50", "snn.max_rates=[100,150],[200],120"]
-    points = sweep.points_of(tmp_path, SMALL, grid)
+    points = points_of(tmp_path, grid)
     assert len(points) == 6
     assert changes(points)[0] == {"presentation.steps": 30, "snn.max_rates": [100, 150]}
     assert changes(points)[-1] == {"presentation.steps": 50, "snn.max_rates": [120]}
     assert points[-1].settings.snn.max_rates == (120.0,)
     assert points[-1].settings.presentation.steps == 50
-    assert len({point.stamp for point in points}) == 6
-    assert len({point.path for point in points}) == 6
+    assert len(keys(point.judged for point in points)) == 6
+    assert len({point.judged.artifact.record for point in points}) == 6
 
 
 def test_only_what_matters_to_a_training_makes_another_one(tmp_path):
     grid = ["presentation.steps=30,50", "deployment.synapse=0.005,0.01", "snn.spike_penalty=0,0.1"]
-    points = sweep.points_of(tmp_path, SMALL, grid)
-    assert len({point.cnn for point in points}) == 1
-    free = {p.snn for p in points if not p.settings.snn.spike_penalty}
-    priced = {p.snn for p in points if p.settings.snn.spike_penalty}
+    points = points_of(tmp_path, grid)
+    assert len(keys(point.cnn for point in points)) == 1
+    free = keys(p.network for p in points if not p.settings.snn.spike_penalty)
+    priced = keys(p.network for p in points if p.settings.snn.spike_penalty)
     assert (len(free), len(priced)) == (1, 1)
     assert not free & priced
-    assert len({point.networks.snn for point in points}) == 2
+    assert len({point.network.artifact.record for point in points}) == 2
+
+
+def test_the_threshold_on_events_is_not_shared_by_points_of_other_steps(tmp_path):
+    """Training does not depend on the presentation; the confidence that decides does."""
+    base = SMALL.with_values({"input": {"kind": "events"}})
+    one, two = points_of(tmp_path, ["presentation.steps=40,200"], base)
+    assert one.network.origin == two.network.origin
+    dataset = dataset_origin(base, "0")
+    thresholds = [
+        threshold_origin(point.settings, events_origin(point.settings, dataset))
+        for point in (one, two)
+    ]
+    assert thresholds[0] != thresholds[1]
 
 
 @pytest.mark.parametrize(
@@ -68,12 +91,12 @@ def test_only_what_matters_to_a_training_makes_another_one(tmp_path):
 )
 def test_a_wrong_grid_is_refused_before_anything_is_trained(tmp_path, entry, problem):
     with pytest.raises(UserError, match=problem):
-        sweep.points_of(tmp_path, SMALL, [entry])
+        points_of(tmp_path, [entry])
 
 
 def test_a_setting_given_twice_is_refused(tmp_path):
     with pytest.raises(UserError, match="given twice"):
-        sweep.points_of(tmp_path, SMALL, ["presentation.steps=30", "presentation.steps=50"])
+        points_of(tmp_path, ["presentation.steps=30", "presentation.steps=50"])
 
 
 @pytest.mark.parametrize(
@@ -82,20 +105,20 @@ def test_a_setting_given_twice_is_refused(tmp_path):
 )
 def test_a_section_given_a_value_is_refused(tmp_path, grid):
     with pytest.raises(UserError, match=r"--grid: 'cnn(\.epochs)?' has a value"):
-        sweep.points_of(tmp_path, SMALL, grid)
+        points_of(tmp_path, grid)
 
 
 def test_the_default_grid_is_a_grid(tmp_path):
-    points = sweep.points_of(tmp_path, SMALL, sweep.DEFAULT_GRID)
+    points = points_of(tmp_path, sweep.DEFAULT_GRID)
     assert len(points) == 16
-    assert len({point.snn for point in points}) == 4
+    assert len(keys(point.network for point in points)) == 4
 
 
 def test_there_is_always_a_validation_part_and_never_a_test_part():
     assert sweep.base_settings(Settings()).split.validation_fraction == sweep.VALIDATION
     assert sweep.base_settings(SMALL).split.validation_fraction == 0.25
-    dataset = sweep.dataset_of(SMALL)
     whole = Dataset.of(SMALL)
+    dataset = sweep.without_test(whole)
     assert len(dataset.split.test) == 0
     assert len(dataset.split.validation) == 24  # of 96 that are not for testing
     assert not set(dataset.split.train) & set(whole.split.test)
@@ -134,14 +157,13 @@ def test_names_are_short_where_that_says_enough():
     assert short_names(["snn.epochs", "cnn.epochs"])["snn.epochs"] == "snn.epochs"
 
 
-def point(stamp, steps, synapse):
+def point(steps, synapse):
     changed = (("presentation.steps", steps), ("deployment.synapse", synapse))
-    return sweep.Point(Path("x"), Settings(), changed, stamp, "cnn", "snn")
+    return sweep.Point(Settings(), changed, None, None, None)
 
 
 def result(accuracy, operations, steps, synapse):
     return {
-        "changes": {"presentation.steps": steps, "deployment.synapse": synapse},
         "simulated": True,
         "n_samples": 100,
         "steps": steps,
@@ -156,17 +178,17 @@ def result(accuracy, operations, steps, synapse):
     }
 
 
-POINTS = [point("a", 30, 0.005), point("b", 50, 0.005), point("c", 30, 0.01), point("d", 50, 0.01)]
-RESULTS = {
-    "a": result(0.7, 800, 30, 0.005),
-    "b": result(0.8, 1500, 50, 0.005),
-    "c": result(0.7, 900, 30, 0.01),  # a is as good for less
-}
-ERRORS = {"d": "ValueError: no good"}
+POINTS = [point(30, 0.005), point(50, 0.005), point(30, 0.01), point(50, 0.01)]
+RESULTS = [
+    result(0.7, 800, 30, 0.005),
+    result(0.8, 1500, 50, 0.005),
+    result(0.7, 900, 30, 0.01),  # the first is as good for less
+    Failure("ValueError: no good", ""),
+]
 
 
 def test_the_table():
-    text = sweep_text(sweep.summarise(POINTS, RESULTS, ERRORS))
+    text = sweep_text(sweep.summarise(POINTS, RESULTS))
     lines = text.splitlines()
     assert lines[0] == "3 points, each on the same 100 simulated validation samples"
     assert " ".join(lines[2].split()) == (
@@ -181,7 +203,7 @@ def test_the_table():
 
 
 def test_the_csv():
-    summary = sweep.summarise(POINTS, RESULTS, ERRORS)
+    summary = sweep.summarise(POINTS, RESULTS)
     rows = list(csv.DictReader(io.StringIO(sweep_csv(summary))))
     assert [row["pareto"] for row in rows] == ["True", "True", "False", ""]
     assert [float(row["operations"]) for row in rows[:3]] == [1500, 800, 900]
@@ -194,7 +216,7 @@ def test_the_csv():
 
 
 def test_a_sweep_in_which_everything_failed():
-    summary = sweep.summarise(POINTS[3:], {}, ERRORS)
+    summary = sweep.summarise(POINTS[3:], RESULTS[3:])
     assert summary["points"] == []
     assert sweep_text(summary).startswith("failed: ")
     assert len(sweep_csv(summary).splitlines()) == 2
@@ -225,8 +247,8 @@ def test_a_small_sweep(tiny_sweep):
     points = summary["points"]
     assert summary["failed"] == []
     assert (len(points), len(list((tiny_sweep / "points").iterdir()))) == (4, 4)
-    assert len(list((tiny_sweep / "cnn").iterdir())) == 1
-    assert len(list((tiny_sweep / "snn").iterdir())) == 2
+    assert len(list((tiny_sweep / "networks" / "cnn").iterdir())) == 1
+    assert len(list((tiny_sweep / "networks" / "snn").iterdir())) == 2
     assert all(p["simulated"] is True for p in points)
     assert {p["n_samples"] for p in points} == {48}  # 15 % of 320
     assert any(p["pareto"] for p in points)
@@ -244,7 +266,7 @@ def test_a_small_sweep(tiny_sweep):
 
 
 def test_its_networks_were_never_shown_the_test_split(tiny_sweep):
-    for path in tiny_sweep.glob("*nn/*/metrics.json"):
+    for path in tiny_sweep.glob("networks/*nn/*/metrics.json"):
         metrics = read_json(path, "")
         assert set(metrics["accuracy"]) == {"train", "validation"}
         assert metrics["n_validation"] == 48
@@ -258,7 +280,10 @@ def test_a_sweep_is_resumed(tiny_sweep, tmp_path, capsys):
     lost, *kept = sorted((folder / "points").iterdir())
     expected = read_json(lost, "")
     lost.unlink()
-    before = {path: path.stat().st_mtime_ns for path in [*kept, *folder.glob("*nn/*/weights.npz")]}
+    before = {
+        path: path.stat().st_mtime_ns
+        for path in [*kept, *folder.glob("networks/*nn/*/weights.npz")]
+    }
     assert call("sweep", folder, "--jobs", 1, *GRID, "--json") == 0
     assert {path: path.stat().st_mtime_ns for path in before} == before
     again = read_json(lost, "")
@@ -302,7 +327,7 @@ def test_a_sweep_on_events(tmp_path, capsys):
     assert (sizes[3]["cores"], sizes[2]["cores"]) == (2, 1)
     for p in points:
         assert (p["n_samples"], p["cnn_accuracy"]) == (48, None)
-    assert not (folder / "cnn").exists()
+    assert not (folder / "networks" / "cnn").exists()
     assert imread(folder / "pareto.png")[..., :3].std() > 0.05
 
 
@@ -315,10 +340,10 @@ def test_architectures_of_another_skin_are_swept(tmp_path):
     base = sweep.base_settings(Settings().with_values(changes, "here"))
     grid = ["cnn.architecture=8x8-4c3-10o,8x8-6c3s2-10o"]
     with pytest.raises(UserError, match="8x8"):
-        sweep.points_of(tmp_path, base, ["cnn.architecture=10x10-4c3-10o"])
-    one, two = sweep.points_of(tmp_path, base, grid)
-    assert one.cnn != two.cnn
-    assert sweep.dataset_of(one.settings).inputs.shape[1:3] == (8, 8)
+        points_of(tmp_path, ["cnn.architecture=10x10-4c3-10o"], base)
+    one, two = points_of(tmp_path, grid, base)
+    assert one.cnn.origin != two.cnn.origin
+    assert Dataset.of(one.settings).inputs.shape[1:3] == (8, 8)
 
 
 def test_a_wrong_grid_is_one_line_and_leaves_nothing(tmp_path, capsys):

@@ -8,6 +8,7 @@ from deploy.errors import UserError
 from deploy.files import write_json
 from pipeline.commands import main as cli
 from pipeline.commands.benchmark import BY_DEFAULT
+from pipeline.experiments import table2 as table2_command
 from pipeline.experiments import table2_splits as table2
 from pipeline.experiments.table2 import summarise, table_text
 from pipeline.experiments.table2_splits import MODELS
@@ -31,9 +32,8 @@ def store(benchmark, model, index, right, samples=None, kind="random"):
     result = {
         "model": model,
         "split": kind,
-        "index": index,
         "simulated": True,
-        "made_from": table2.stamp(benchmark, model),
+        "made_from": benchmark.task(kind, index, model).origin.to_json(),
         "n_train": 4 * len(right),
         "n_test": len(right),
         "accuracy": float(right.mean()),
@@ -45,43 +45,18 @@ def store(benchmark, model, index, right, samples=None, kind="random"):
     write_json(table2.split_path(benchmark.folder, kind, index, model), result)
 
 
-def test_what_is_missing_is_planned(benchmark):
-    everything = ("cnn", "ann-snn", "loihi")
-    jobs = table2.plan(benchmark)
-    assert [(j.indices, j.models) for j in jobs] == [((0, 1, 2), everything)]
-    jobs = table2.plan(benchmark, processes=2)
-    assert [(j.indices, j.models) for j in jobs] == [((0, 1), everything), ((2,), everything)]
-    assert jobs[1].seeds == [Settings().seed + 2]
-    for model in ("cnn", "ann-snn", "loihi"):
-        store(benchmark, model, 0, [1, 0])
-    store(benchmark, "cnn", 2, [1, 0])
-    assert [(j.indices, j.models) for j in table2.plan(benchmark)] == [
-        ((1,), everything),
-        ((2,), ("ann-snn", "loihi")),
-    ]
-
-
-def test_slayer_comes_last_in_jobs_of_its_own(benchmark):
-    both = replace(benchmark, models=("cnn", "slayer"), kinds=("random", "writers"), splits=1)
-    assert [(j.kind, j.models) for j in table2.plan(both)] == [
-        ("random", ("cnn",)),
-        ("writers", ("cnn",)),
-        ("random", ("slayer",)),
-        ("writers", ("slayer",)),
-    ]
-
-
-def test_both_rows_on_events_are_of_one_training_a_split(benchmark):
-    models = ("cnn", "slayer", "events", "events-loihi")
-    asked = replace(benchmark, models=models, splits=2)
-    store(benchmark, "events", 1, [1, 0])
-    assert [(j.indices, j.models) for j in table2.plan(asked)] == [
-        ((0, 1), ("cnn",)),
-        ((0,), ("events", "events-loihi")),
-        ((1,), ("events-loihi",)),
-        ((0,), ("slayer",)),
-        ((1,), ("slayer",)),
-    ]
+def test_models_that_share_a_training_are_a_group(benchmark):
+    models = ("cnn", "slayer", "loihi", "events", "events-loihi")
+    asked = replace(benchmark, models=models, kinds=("random", "writers"), splits=2)
+    groups = asked.groups()
+    assert [[task.subject for task in group] for group in groups] == (
+        4 * [["cnn", "loihi"]] + 4 * [["events", "events-loihi"]] + 4 * [["slayer"]]
+    )
+    assert [(group[0].split, group[0].seed) for group in groups[:4]] == [
+        ("random", 0), ("random", 1), ("writers", 0), ("writers", 1)
+    ]  # fmt: skip
+    names = [task.name for group in groups for task in group]
+    assert len(set(names)) == len(names)
 
 
 @pytest.mark.parametrize(
@@ -90,27 +65,33 @@ def test_both_rows_on_events_are_of_one_training_a_split(benchmark):
         ("cnn", {"epochs": 3}, {"cnn", "ann-snn", "loihi"}),
         ("snn", {"epochs": 3}, {"ann-snn", "loihi"}),
         ("check", {"samples": 50}, {"loihi", "events-loihi"}),
-        ("deployment", {"input_rate": 400.0}, {"ann-snn", "loihi"}),
-        ("presentation", {"gap": 3}, {"ann-snn", "loihi", "events", "events-loihi"}),
+        ("deployment", {"input_rate": 400.0}, {"loihi"}),
+        ("deployment", {"synapse": 0.01}, {"ann-snn", "loihi"}),
+        ("presentation", {"gap": 3}, {"loihi", "events-loihi"}),
+        ("presentation", {"steps": 50}, {"ann-snn", "loihi", "events", "events-loihi"}),
         ("input", {"refractory": 20}, {"events", "events-loihi"}),
         ("input", {"kind": "events"}, set()),
         ("events", {"epochs": 3}, {"events", "events-loihi"}),
         ("slayer", {"epochs": 3}, {"slayer"}),
-        ("image", {"aggregation": "signed"}, {"cnn", "ann-snn", "loihi"}),
+        ("image", {"aggregation": "signed"}, {"cnn", "ann-snn", "loihi", "events-loihi"}),
     ],
 )
 def test_a_setting_redoes_what_depends_on_it(benchmark, section, change, redone):
     settings = Settings().with_values({section: change}, "test")
     other = replace(benchmark, settings=settings)
     models = ("cnn", "ann-snn", "loihi", "slayer", "events", "events-loihi")
-    assert {m for m in models if table2.stamp(other, m) != table2.stamp(benchmark, m)} == redone
+
+    def origins(of):
+        return {model: of.task("random", 0, model).origin for model in models}
+
+    before, after = origins(benchmark), origins(other)
+    assert {model for model in models if before[model] != after[model]} == redone
 
 
 def test_other_recordings_redo_everything(benchmark):
     store(benchmark, "cnn", 0, [1, 0])
-    assert table2.read_split(benchmark, "random", 0, "cnn") is not None
-    other = replace(benchmark, source_sha256="1" * 64)
-    assert table2.read_split(other, "random", 0, "cnn") is None
+    assert len(benchmark.results("random", "cnn")) == 1
+    assert replace(benchmark, source_sha256="1" * 64).results("random", "cnn") == []
 
 
 def test_the_table_by_hand(benchmark):
@@ -163,13 +144,11 @@ def test_the_same_answers_differ_by_nothing(benchmark):
 def test_a_failed_split_is_reported_and_not_counted(benchmark):
     store(benchmark, "cnn", 0, [1, 0])
     store(benchmark, "cnn", 1, [1, 1])
-    job = table2.Batch(benchmark, "random", (2,), ("cnn",))
-    table = summarise(benchmark, [(job, Failure("MemoryError: no message", ""))])
+    name = benchmark.task("random", 2, "cnn").name
+    table = summarise(benchmark, {name: Failure("MemoryError: no message", "")})
     assert table["rows"][0]["per_split"] == [0.5, 1.0]
-    assert table["failures"] == [
-        {"split": "random", "index": 2, "models": ["cnn"], "error": "MemoryError: no message"}
-    ]
-    assert "FAILED: split random 2, cnn: MemoryError" in table_text(table)
+    assert table["failures"] == [{"result": name, "error": "MemoryError: no message"}]
+    assert f"{name}: MemoryError" in table_text(table)
 
 
 def test_results_of_earlier_commands_stay_in_the_table(benchmark):
@@ -189,9 +168,9 @@ def test_results_of_earlier_commands_stay_in_the_table(benchmark):
 
 def test_a_worker_with_other_recordings_is_found_out(benchmark):
     data = replace(Settings().data, samples_per_digit=2)
-    (batch,) = table2.plan(replace(benchmark, settings=replace(Settings(), data=data)))
+    other = replace(benchmark, settings=replace(Settings(), data=data))
     with pytest.raises(UserError, match="other recordings"):
-        table2.measure(batch)
+        table2.measure(other.task("random", 0, "cnn"))
 
 
 def test_a_row_that_was_not_run_says_so(benchmark):
@@ -236,16 +215,16 @@ def test_the_command_runs_resumes_and_prints(tmp_path, monkeypatch, capsys):
     lost = out / "splits/random-00/cnn.json"
     result, asked = json.loads(lost.read_text()), []
 
-    def again(batch):
-        asked.append((batch.indices, batch.models))
-        return [result]
+    def again(task):
+        asked.append((task.seed, task.subject))
+        return result
 
-    monkeypatch.setattr(table2, "measure", again)
+    monkeypatch.setattr(table2_command, "measure", again)
     before = (out / "splits/random-00/ann-snn.json").stat().st_mtime_ns
     lost.unlink()
     status, said = run(capsys, "--out", str(out), "--models", models, "--json", *SMALL)
     assert status == 0, said.err
-    assert asked == [((0,), ("cnn",))]
+    assert asked == [(0, "cnn")]
     assert json.loads(said.out) == json.loads((out / "table2.json").read_text())
     assert [row["per_split"] for row in json.loads(said.out)["rows"]] == [
         row["per_split"] for row in table["rows"]
@@ -264,7 +243,7 @@ def test_the_rows_on_events(tmp_path, monkeypatch, capsys):
     assert [row["model"] for row in table["rows"]] == ["events", "events-loihi"]
     assert [row["n_test"] for row in table["rows"]] == [24, 5]
     assert [(c["a"], c["b"]) for c in table["comparisons"]] == [("events", "events-loihi")]
-    assert not (out / "splits/random-00/events.npz").exists()
+    assert not list(out.rglob("checkpoint.npz"))
 
 
 def test_what_takes_long_is_only_run_if_asked_for():
@@ -272,14 +251,14 @@ def test_what_takes_long_is_only_run_if_asked_for():
 
 
 def test_a_failing_split_ends_with_status_1(tmp_path, monkeypatch, capsys):
-    def fail(job):
+    def fail(task):
         raise RuntimeError("the disk is on fire")
 
     monkeypatch.setenv("STMNIST_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(table2, "measure", fail)
+    monkeypatch.setattr(table2_command, "measure", fail)
     status, said = run(capsys, "--out", str(tmp_path / "out"), "--models", "cnn", *SMALL)
     assert status == 1
-    assert "1 of 1 jobs failed" in said.err
+    assert "1 of 1 results failed" in said.err
     assert "the disk is on fire" in said.out
 
 

@@ -10,7 +10,6 @@ import pytest
 from models.cnn import activations
 from pipeline.settings import Settings, write_settings
 from pipeline.training import networks as training
-from pipeline.training.stacked import train_cnns
 from tests.command import LEAVE_GARBAGE, users_environment
 from tests.untraced import untraced
 
@@ -176,19 +175,6 @@ def test_the_prices_add_up_to_the_operations():
     seconds = 0.1
     assert conv1.sum() == pytest.approx(32400 * 100 * seconds / operations, rel=1e-5)
     assert conv2.sum() == pytest.approx(6000 * 50 * seconds / operations, rel=1e-5)
-
-
-def test_a_network_trained_alone_is_that_trained_among_others():
-    """Same order of samples, same steps; the stack does its sums in another order."""
-    rng = np.random.default_rng(0)
-    images = rng.uniform(size=(70, 10, 10, 1)).astype(np.float32)
-    labels = rng.integers(0, 10, 70)
-    chosen = Settings().with_values({"cnn": {"epochs": 2}}, "test")
-    alone = training.train_cnn(chosen, (images, labels), seed=3)
-    (among,) = train_cnns(chosen, (images, labels), [np.arange(70)], [3])
-    for name, array in alone.weights.items():
-        np.testing.assert_allclose(array, among.weights[name], atol=1e-4)
-    assert alone.history[-1]["loss"] == pytest.approx(among.history[-1]["loss"], abs=1e-4)
 
 
 def test_validation_samples_are_watched_and_not_trained_on():

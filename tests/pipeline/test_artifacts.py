@@ -1,0 +1,159 @@
+"""Artifacts: what they record, what makes them outdated, and that no dependency is forgotten."""
+
+import pickle
+from dataclasses import asdict, replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deploy.files import read_json, write_json
+from pipeline.artifacts import Artifact, Library, Origin
+from pipeline.inputs.dataset import dataset_origin
+from pipeline.run import origins
+from pipeline.settings import PATHS, Settings, UndeclaredSetting
+
+SETTINGS = Settings()
+
+
+def changed(name, value):
+    section, _, entry = name.partition(".")
+    return SETTINGS.with_values({section: {entry: value}} if entry else {section: value})
+
+
+def test_an_artifact_is_missing_then_current_then_outdated(tmp_path):
+    origin = Origin.of(SETTINGS, ["cnn.epochs", "image"], contents={"recordings": "ab"})
+    artifact = Artifact("cnn", tmp_path / "metrics.json", (tmp_path / "weights.npz",))
+    assert artifact.state(origin).state == "missing"
+    artifact.write(origin, {"accuracy": 0.5})
+    assert artifact.state(origin).state == "missing"  # without its weights
+    artifact.files[0].write_bytes(b"")
+    state = artifact.state(origin)
+    assert state.is_current
+    assert state.record["accuracy"] == 0.5
+    assert state.announcement("training") is None
+    later = Origin.of(changed("cnn.epochs", 2), ["cnn.epochs", "image"], contents=origin.contents)
+    state = artifact.state(later)
+    assert (state.state, state.to_json()["because"]) == ("outdated", ["cnn.epochs: 20 -> 2"])
+    assert "cnn.epochs" in state.announcement("training")
+
+
+def test_a_record_of_an_earlier_version_is_outdated_and_says_so(tmp_path):
+    artifact = Artifact("cnn", tmp_path / "metrics.json")
+    for old in ({"made_from": "0123abcd"}, {}):
+        write_json(artifact.record, old)
+        (reason,) = artifact.state(Origin.of(SETTINGS, ["seed"])).to_json()["because"]
+        assert "earlier version" in reason
+
+
+def test_contents_settings_that_come_and_settings_that_go_are_told():
+    before = Origin.of(SETTINGS, ["cnn.epochs", "seed"], contents={"recordings": "a" * 64})
+    now = Origin.of(SETTINGS, ["cnn.model_sha256", "seed"], contents={"recordings": "b" * 64})
+    told = [str(change) for change in now.changes_since(before.to_json())]
+    assert told == [
+        'cnn.model_sha256: unused -> ""',
+        "cnn.epochs: 20 -> unused",
+        "recordings: aaaaaaaaaaaa -> bbbbbbbbbbbb",
+    ]
+
+
+def test_an_origin_is_read_back_as_it_was_written(tmp_path):
+    origin = Origin.of(SETTINGS, ["snn", "deployment", "data.skip_bad"])
+    write_json(tmp_path / "x.json", {"made_from": origin.to_json()})
+    assert origin.changes_since(read_json(tmp_path / "x.json", "")["made_from"]) == ()
+
+
+def test_an_artifact_depends_on_all_that_it_uses():
+    below = Origin.of(SETTINGS, ["cnn"], contents={"recordings": "ab"})
+    above = Origin.of(SETTINGS, ["snn"], [below])
+    assert above.settings.keys() >= below.settings.keys()
+    assert above.contents["recordings"] == "ab"
+    assert above.key != Origin.of(SETTINGS, ["snn"]).key
+    with pytest.raises(ValueError, match=r"cnn\.epochs"):
+        Origin.of(changed("cnn.epochs", 3), ["cnn"], [below])
+
+
+def test_a_setting_that_is_not_declared_cannot_be_read():
+    origin = Origin.of(SETTINGS, ["cnn.epochs", "image", "seed"])
+    view = origin.view(SETTINGS)
+    for seen in (view, pickle.loads(pickle.dumps(view))):  # as a worker gets it
+        assert (seen.seed, seen.cnn.epochs, seen.image) == (0, 20, SETTINGS.image)
+        for read in (
+            lambda s: s.cnn.batch_size,
+            lambda s: s.snn.recipe,
+            lambda s: s.on_events,
+            lambda s: s.steps,
+            lambda s: s.stimulus,
+            lambda s: s.presented(),
+            lambda s: asdict(s.cnn),
+            lambda s: s.flat(),
+            lambda s: replace(s, cnn=replace(s.cnn, epochs=3)),
+            lambda s: s == SETTINGS,
+        ):
+            with pytest.raises(UndeclaredSetting):
+                read(seen)
+    assert SETTINGS.cnn.batch_size == 32  # the settings themselves stay whole
+
+
+@given(st.sets(st.sampled_from(sorted(SETTINGS.flat()))))
+def test_a_view_holds_the_declared_settings_and_paths(names):
+    view = SETTINGS.only(names)
+    for name, value in SETTINGS.flat().items():
+        if name in names or name in PATHS:
+            assert view.value(name) == value
+        else:
+            with pytest.raises(UndeclaredSetting):
+                view.value(name)
+
+
+def test_no_path_is_part_of_an_origin():
+    here = changed("data.source", "/here/x.zip").with_values({"cnn": {"model": "/here/m.keras"}})
+    there = changed("data.source", "/there/x.zip").with_values({"cnn": {"model": "/there/m.keras"}})
+    for make in (origins.bundle_origin, origins.trained_origin):
+        one, two = (make(s, dataset_origin(s, "ab")) for s in (here, there))
+        assert one == two
+
+
+def test_variants_lie_side_by_side(tmp_path):
+    library = Library(tmp_path)
+    one, two = (Origin.of(changed("cnn.epochs", n), ["cnn"]) for n in (1, 2))
+    assert library.folder("cnn", one) != library.folder("cnn", two)
+    assert library.folder("cnn", one) == library.folder("cnn", one)
+
+
+DEPENDS = {
+    # setting: what is made again, of a run on images and of one on events
+    ("cnn.epochs", 3): ("cnn rates bundle", ""),
+    ("snn.noise", 0.2): ("rates bundle", ""),
+    ("deployment.synapse", 0.01): ("bundle", ""),
+    ("presentation.steps", 60): ("bundle", "threshold bundle"),
+    ("presentation.gap", 3): ("bundle", "bundle"),
+    ("check.samples", 50): ("bundle", "bundle"),
+    ("input.refractory", 20.0): ("", "events threshold bundle"),
+    ("events.epochs", 3): ("", "events threshold bundle"),
+    ("slayer.epochs", 3): ("", ""),
+    ("image.aggregation", "signed"): ("cnn rates bundle", "bundle"),
+    ("split.test_fraction", 0.3): ("dataset cnn rates bundle", "dataset events threshold bundle"),
+    ("data.samples_per_digit", 9): ("dataset cnn rates bundle", "dataset events threshold bundle"),
+    ("seed", 1): ("dataset cnn rates bundle", "dataset events threshold bundle"),
+}
+
+
+@pytest.mark.parametrize(("setting", "remade"), DEPENDS.items())
+def test_a_setting_remakes_what_depends_on_it_and_nothing_else(setting, remade):
+    name, value = setting
+    for kind, expected in zip(("image", "events"), remade, strict=True):
+        found = []
+        for settings in (SETTINGS, changed(name, value)):
+            settings = replace(settings, input=replace(settings.input, kind=kind))
+            dataset = dataset_origin(settings, "ab")
+            made = {"dataset": dataset, "bundle": origins.bundle_origin(settings, dataset)}
+            if kind == "image":
+                made["cnn"] = origins.cnn_origin(settings, dataset)
+                made["rates"] = origins.rates_origin(settings, made["cnn"])
+            else:
+                made["events"] = origins.events_origin(settings, dataset)
+                made["threshold"] = origins.threshold_origin(settings, made["events"])
+            found.append(made)
+        one, two = found
+        assert {name for name in one if one[name] != two[name]} == set(expected.split())
