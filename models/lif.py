@@ -28,6 +28,9 @@ from models.keras2 import as_written, tf
 DT = LOIHI.dt
 """Time step in seconds."""
 
+LEAST_EXCESS = 1e-12
+"""Below it an excess over the threshold counts as this, which keeps its logarithm finite."""
+
 DECAY_LEVELS = LOIHI.decay_levels
 """Largest decay of a compartment."""
 
@@ -112,11 +115,31 @@ class RateLIF(tf.keras.layers.Layer):
 
     @as_written
     def rates(self, inputs):
-        """Rates relative to ``max_rate``."""
-        smooth = self._rate(self.smoothing * tf.math.softplus(self.gain * inputs / self.smoothing))
-        exact = tf.where(inputs > 0, self._rate(self.gain * inputs), 0.0)
-        # The value of the exact rate with the gradient of the smooth one.
-        return smooth + tf.stop_gradient(exact - smooth)
+        """Rates relative to ``max_rate``, with the gradient of the smoothed rate.
+
+        With the smoothed excess x = smoothing * softplus(gain z / smoothing) and the interval
+        T(x) = shortest_interval + tau_rc log(1 + 1/x), the smoothed rate 1 / (T(x) max_rate) has
+
+            d rate / dz = gain sigmoid(gain z / smoothing) tau_rc / (x (x + 1) T(x)^2 max_rate).
+
+        It is written out because TensorFlow's own differentiation computes the smoothed rate, which
+        nothing else needs, in the forward pass too.
+        """
+
+        @tf.custom_gradient
+        def rates(z):
+            exact = tf.where(z > 0, 1 / (self._interval(self.gain * z) * self.max_rate), 0.0)
+
+            def gradient(upstream):
+                scaled = self.gain * z / self.smoothing
+                excess = tf.maximum(self.smoothing * tf.math.softplus(scaled), LEAST_EXCESS)
+                steepness = self.gain * self.tau_rc / self.max_rate * tf.sigmoid(scaled)
+                interval = self._interval(excess)
+                return upstream * steepness / (excess * (excess + 1) * tf.square(interval))
+
+            return exact, gradient
+
+        return rates(inputs)
 
     @as_written
     def cost(self, rates):
@@ -124,6 +147,7 @@ class RateLIF(tf.keras.layers.Layer):
         dimensions = len(self.spike_costs.shape)
         return tf.reduce_sum(rates * self.spike_costs, axis=tuple(range(-dimensions, 0)))
 
-    def _rate(self, excess):
-        rise = self.tau_rc * tf.math.log1p(1 / tf.maximum(excess, 1e-12))
-        return 1 / ((self.shortest_interval + rise) * self.max_rate)
+    def _interval(self, excess):
+        """Seconds between spikes at a current that exceeds the threshold by ``excess``."""
+        rise = tf.math.log1p(1 / tf.maximum(excess, LEAST_EXCESS))
+        return self.shortest_interval + self.tau_rc * rise

@@ -14,18 +14,24 @@ BIAS_BITS = LOIHI.bias_bits
 """Bits of the mantissa of a bias current."""
 
 
-def eight_bits(weights):
-    """Round weights to 8 bits with one scale for all of them; the gradient passes unchanged.
+def straight_through(rounding, values):
+    """Values after a rounding function, with the gradient that they would have without it."""
+    return values + tf.stop_gradient(rounding(values) - values)
+
+
+def weight_scale(weights):
+    """What one level of an 8-bit weight stands for, without a gradient; a scalar tensor.
 
     NengoLoihi scales the weights of a block so that the largest fills 8 bits
     (``discretize_weights``).
-
-    Parameters
-    ----------
-    weights : tensor
     """
-    scale = tf.maximum(tf.reduce_max(tf.abs(weights)), 1e-12) / WEIGHT_LEVELS
-    return weights + tf.stop_gradient(tf.round(weights / scale) * scale - weights)
+    return tf.stop_gradient(tf.maximum(tf.reduce_max(tf.abs(weights)), 1e-12) / WEIGHT_LEVELS)
+
+
+def eight_bits(weights):
+    """Round weights to 8 bits with one scale for all of them; the gradient passes unchanged."""
+    scale = weight_scale(weights)
+    return straight_through(lambda values: tf.round(values / scale) * scale, weights)
 
 
 def twelve_bits(bias):
@@ -35,7 +41,7 @@ def twelve_bits(bias):
     """
     magnitude = tf.maximum(tf.abs(bias), 1e-12)
     unit = tf.pow(2.0, tf.math.ceil(tf.math.log(magnitude) / np.log(2.0)) - BIAS_BITS)
-    return bias + tf.stop_gradient(tf.round(bias / unit) * unit - bias)
+    return straight_through(lambda values: tf.round(values / unit) * unit, bias)
 
 
 @as_written

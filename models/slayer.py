@@ -39,6 +39,7 @@ import numpy as np
 
 from models.architecture import Architecture
 from models.keras2 import tf
+from models.time_steps import scan, weighted_sums
 
 
 @dataclass(frozen=True)
@@ -152,7 +153,7 @@ def _respond(spikes, neuron):
         q = decay * (q + p)
         return (decay * p + spikes[t], q), (gain * q,)
 
-    return _scan(step, spikes, traces=2, outputs=1)[0]
+    return scan(step, spikes, _zeros(spikes, 2), outputs=1)[0]
 
 
 @_compiled
@@ -168,7 +169,7 @@ def _fire(current, neuron):
         spikes = tf.cast(potential >= neuron.theta, current.dtype)
         return (decay_s * p + spikes, q, decay_r * p_r + spikes, q_r), (gain_s * q, potential)
 
-    return _scan(step, current, traces=4, outputs=2)
+    return scan(step, current, _zeros(current, 4), outputs=2)
 
 
 @_compiled
@@ -182,24 +183,12 @@ def _assign_credit(error, potential, neuron):
         rho = neuron.scale_rho / tau * tf.exp(-tf.abs(potential[t] - neuron.theta) / tau)
         return (decay * p + error[t], q), (rho * (gain * q),)
 
-    return _scan(step, error, traces=2, outputs=1, backwards=True)[0]
+    return scan(step, error, _zeros(error, 2), outputs=1, backwards=True)[0]
 
 
-def _scan(step, like, traces, outputs, backwards=False):
-    """Run ``step(t, traces) -> traces, outputs`` over time; traces start at zero."""
-    steps = like.shape[0]
-    zeros = tuple(tf.zeros_like(like[0]) for _ in range(traces))
-    arrays = tuple(tf.TensorArray(like.dtype, steps) for _ in range(outputs))
-
-    def body(i, traces, arrays):
-        t = steps - 1 - i if backwards else i
-        traces, values = step(t, traces)
-        arrays = tuple(a.write(t, value) for a, value in zip(arrays, values, strict=True))
-        return i + 1, traces, arrays
-
-    loop = (tf.constant(0), zeros, arrays)
-    *_, arrays = tf.while_loop(lambda i, *_: i < steps, body, loop, maximum_iterations=steps)
-    return tuple(a.stack() for a in arrays)
+def _zeros(like, count):
+    """Traces before the first step."""
+    return tuple(tf.zeros_like(like[0]) for _ in range(count))
 
 
 def spike_count_loss(response, potential, desired, neuron: SpikeResponse):
@@ -306,7 +295,7 @@ class SlayerNetwork(tf.Module):
             if layer.kind == "pool":
                 response = _averaged(response, layer.size)
                 continue
-            results.append(fire(_weigh(response, next(kernels), layer), self.neuron))
+            results.append(fire(weighted_sums(layer, next(kernels), response), self.neuron))
             response = results[-1][0]
         return results
 
@@ -317,14 +306,3 @@ def _averaged(response, size):
     frames = tf.reshape(response, (-1, *response.shape[2:]))
     mean = tf.nn.avg_pool2d(frames, size, size, "VALID")
     return tf.reshape(mean, (steps, samples, *mean.shape[1:]))
-
-
-def _weigh(response, kernel, layer):
-    """W a for all steps and samples at once."""
-    steps, samples = response.shape[0], tf.shape(response)[1]
-    if len(kernel.shape) == 2:
-        current = tf.matmul(tf.reshape(response, (-1, kernel.shape[0])), kernel)
-        return tf.reshape(current, (steps, samples, kernel.shape[1]))
-    frames = tf.reshape(response, (-1, *response.shape[2:]))
-    current = tf.nn.conv2d(frames, kernel, strides=layer.stride, padding=layer.padding.upper())
-    return tf.reshape(current, (steps, samples, *current.shape[1:]))

@@ -46,6 +46,8 @@ import numpy as np
 from deploy.network.chip import LOIHI
 from models.architecture import Architecture
 from models.keras2 import quiet_compiler, tf
+from models.quantised import straight_through, weight_scale
+from models.time_steps import scan, weighted_sums
 
 WEIGHT_LEVELS = LOIHI.weight_levels
 """Largest magnitude of an 8-bit weight that may have either sign."""
@@ -232,7 +234,7 @@ class SpikingNetwork(tf.Module):
         layers = zip(self.names, self.architecture.layers, self.architecture.shapes, strict=False)
         for index, (name, layer, before) in enumerate(layers):
             parameters = self._on_chip(name, values, dtype)
-            current = _weigh(layer, before, parameters["kernel"], signal)
+            current = weighted_sums(layer, parameters["kernel"], signal)
             current = tf.reshape(current, (steps, samples, self.architecture.neurons[name]))
             spread = _spread(parameters, current.shape[2])
             spikes.append(fire(current, *(spread[part] for part in _PARTS), beta=self.neuron.beta))
@@ -248,18 +250,20 @@ class SpikingNetwork(tf.Module):
             tf.cast(values[f"{name}.{part}"], dtype)
             for part in ("kernel", "bias", "tau_u", "tau_v")
         )
-        scale = tf.stop_gradient(tf.maximum(tf.reduce_max(tf.abs(kernel)), 1e-9) / WEIGHT_LEVELS)
+        scale = weight_scale(kernel)
         threshold = THRESHOLD_UNIT * tf.round(WEIGHT_UNIT / THRESHOLD_UNIT / scale)
         threshold = tf.clip_by_value(threshold, THRESHOLD_UNIT, MAX_THRESHOLD)
         keep_u, keep_v = (
-            tf.clip_by_value(_through(tf.round, DECAY_UNIT * tf.sigmoid(tau)), 2, DECAY_UNIT - 1)
+            tf.clip_by_value(
+                straight_through(tf.round, DECAY_UNIT * tf.sigmoid(tau)), 2, DECAY_UNIT - 1
+            )
             for tau in (tau_u, tau_v)
         )
         cap = tf.stop_gradient(BIAS_CAP * (1 - keep_v / DECAY_UNIT))
         capped = bias + tf.stop_gradient(tf.minimum(bias, cap) - bias)
         return {
-            "kernel": WEIGHT_UNIT * _through(tf.round, kernel / scale),
-            "bias": _through(_twelve_bits, capped * threshold),
+            "kernel": WEIGHT_UNIT * straight_through(tf.round, kernel / scale),
+            "bias": straight_through(_twelve_bits, capped * threshold),
             "threshold": threshold,
             "floor": -_power_of_two(1 - self.neuron.floor * threshold) + 1,
             "keep_u": keep_u,
@@ -312,7 +316,8 @@ class SpikingNetwork(tf.Module):
         for (name, layer, before), signal in zip(layers, senders, strict=False):
             chip = self._on_chip(name, values, tf.float64)
             signal = tf.reshape(signal, (*signal.shape[:2], *before))
-            q = tf.reshape(_weigh(layer, before, chip["kernel"], signal), (*signal.shape[:2], -1))
+            q = weighted_sums(layer, chip["kernel"], signal)
+            q = tf.reshape(q, (*signal.shape[:2], -1))
             spread = _spread(chip, q.shape[2])
             _, u, _ = _run(q, *(spread[part] for part in _PARTS))
             both = tf.abs(u + spread["bias"])
@@ -401,7 +406,7 @@ def _run(current, keep_u, keep_v, bias, threshold, floor):
         return (u, tf.where(v > threshold, tf.zeros_like(v), v)), (u, v)
 
     v = tf.zeros_like(current[0]) + rest
-    u, v = _scan(step, current, (tf.zeros_like(v), v), outputs=2)
+    u, v = scan(step, current, (tf.zeros_like(v), v), outputs=2)
     return tf.cast(v > threshold, current.dtype), u, v
 
 
@@ -420,7 +425,7 @@ def _run_back(error, spikes, v, beta, keep_u, keep_v, bias, threshold, floor):
         return (to_u, to_v), (to_u, to_v)
 
     nothing = tf.zeros_like(error[0])
-    return _scan(step, error, (nothing, nothing), outputs=2, backwards=True)
+    return scan(step, error, (nothing, nothing), outputs=2, backwards=True)
 
 
 def _rest(keep_v, bias):
@@ -432,43 +437,15 @@ def _rest(keep_v, bias):
     return tf.sign(bias) * (lower + 1)
 
 
-def _scan(step, like, state, outputs, backwards=False):
-    """Run ``step(t, state) -> state, outputs`` over time."""
-    steps = tf.shape(like)[0]
-    arrays = tuple(tf.TensorArray(like.dtype, steps) for _ in range(outputs))
-
-    def body(i, state, arrays):
-        t = steps - 1 - i if backwards else i
-        state, values = step(t, state)
-        return i + 1, state, tuple(a.write(t, x) for a, x in zip(arrays, values, strict=True))
-
-    loop = (tf.constant(0), state, arrays)
-    *_, arrays = tf.while_loop(lambda i, *_: i < steps, body, loop, maximum_iterations=steps)
-    return tuple(a.stack() for a in arrays)
-
-
 def _decay(x, keep):
     """trunc(x keep / 4096)."""
     return tf.cast(tf.cast(x * (keep / DECAY_UNIT), tf.int32), x.dtype)
-
-
-def _weigh(layer, before, kernel, signal):
-    """W s for all steps and samples at once, shape (steps * samples, ...)."""
-    if layer.kind == "dense":
-        return tf.matmul(tf.reshape(signal, (-1, kernel.shape[0])), kernel)
-    frames = tf.reshape(signal, (-1, *before))
-    return tf.nn.conv2d(frames, kernel, layer.stride, layer.padding.upper())
 
 
 def _spread(parameters, neurons):
     """The parameters with the bias of every neuron instead of every channel."""
     bias = parameters["bias"]
     return {**parameters, "bias": tf.tile(bias, [neurons // bias.shape[0]])}
-
-
-def _through(rounding, x):
-    """The value rounded, the gradient as if it were not."""
-    return x + tf.stop_gradient(rounding(x) - x)
 
 
 def _twelve_bits(bias):

@@ -84,3 +84,24 @@ def test_the_gradient_is_finite_and_never_negative(on_chip):
     assert np.isfinite(gradient).all()
     assert (gradient >= 0).all()
     assert gradient[np.argmin(np.abs(z - 0.01))] > 0.1  # alive at the threshold
+
+
+@pytest.mark.parametrize("on_chip", [False, True])
+def test_the_gradient_is_that_of_the_smoothed_rate(on_chip):
+    """Against TensorFlow's own differentiation of the equation in double precision."""
+    layer = RateLIF(RATE, on_chip=on_chip)
+    z = np.concatenate([np.linspace(-0.5, 2, 101), [0.0, 1e-6]])
+
+    def smoothed(z):
+        excess = layer.smoothing * tf.math.softplus(layer.gain * z / layer.smoothing)
+        interval = layer.shortest_interval + layer.tau_rc * tf.math.log1p(1 / excess)
+        return 1 / (interval * layer.max_rate)
+
+    gradients = []
+    for function, dtype in ((layer.rates, tf.float32), (smoothed, tf.float64)):
+        points = tf.constant(z, dtype)
+        with tf.GradientTape() as tape:
+            tape.watch(points)
+            values = function(points)
+        gradients.append(tape.gradient(values, points).numpy())
+    np.testing.assert_allclose(*gradients, rtol=2e-4, atol=1e-6)

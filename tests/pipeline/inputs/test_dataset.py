@@ -9,7 +9,7 @@ from pipeline.inputs.images import tactile_images
 from pipeline.inputs.splits import random_split, writer_split
 from pipeline.run.folder import RunFolder
 from pipeline.run.stages import open_dataset
-from pipeline.settings import Settings
+from pipeline.settings import Settings, UndeclaredSetting
 from tests.pipeline.handmade import archive, good_members, recordings
 
 SMALL = Settings().with_values(
@@ -37,15 +37,24 @@ def test_the_split_is_of_the_settings_seed_and_fractions(dataset):
         np.testing.assert_array_equal(labels, dataset.labels[index])
 
 
-def test_another_split_of_the_same_samples_has_no_validation_part(dataset):
-    by_seed = dataset.divided(5, 0.2)
-    np.testing.assert_array_equal(by_seed.split.test, random_split(60, 5).test)
-    assert by_seed.part("validation") is None
-    assert by_seed.inputs is dataset.inputs
-    by_writer = dataset.divided(5, 0.2, "writers")
-    np.testing.assert_array_equal(
-        by_writer.split.test, writer_split(dataset.recordings.writers, 5).test
-    )
+def test_a_split_by_writers_is_another_data_set(dataset):
+    settings = dataset.settings
+    by_writer = Dataset.of(settings, kind="writers")
+    expected = writer_split(dataset.recordings.writers, settings.seed).test
+    np.testing.assert_array_equal(by_writer.split.test, expected)
+    assert by_writer.part("validation") is None
+    assert by_writer.origin != dataset.origin
+
+
+def test_inputs_are_made_with_the_settings_of_a_view_and_no_others(dataset):
+    settings = dataset.settings
+    image = ("input.kind", "image.aggregation", "image.normalisation")
+    seen = dataset.seen_by(settings.only(image))
+    assert seen.inputs is dataset.inputs
+    signed = settings.with_values({"image": {"aggregation": "signed"}})
+    assert not np.array_equal(dataset.seen_by(signed.only(image)).inputs, dataset.inputs)
+    with pytest.raises(UndeclaredSetting):
+        _ = dataset.seen_by(settings.only(["input.kind"])).inputs
 
 
 def test_writers_that_are_not_known_are_refused():

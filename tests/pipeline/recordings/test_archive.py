@@ -10,6 +10,7 @@ from pipeline.recordings.archive import (
     _read_chunks,
     content_hash,
     fingerprint,
+    left_out_lines,
     list_source,
     read_source,
     write_zip,
@@ -99,8 +100,8 @@ def test_the_others_are_read_when_told_to(tmp_path):
     good = good_members()
     archive(tmp_path / "st.zip", {**good, **{name: bad[0] for name, bad in BAD_MEMBERS.items()}})
     archive(tmp_path / "good.zip", good)
-    lines = []
-    read = read_source(tmp_path / "st.zip", jobs=1, skip_bad=True, warn=lines.append)
+    read = read_source(tmp_path / "st.zip", jobs=1, skip_bad=True)
+    lines = read.source.left_out
     assert_same(read, read_source(tmp_path / "good.zip", jobs=1), source=False)
     assert len(lines) == len(BAD_MEMBERS)
     for name, (_, reason) in BAD_MEMBERS.items():
@@ -111,9 +112,9 @@ def test_a_bad_lookup_table_is_named(tmp_path):
     archive(tmp_path / "st.zip", {**good_members(), "LUT.mat": mat5(LUT=np.ones((100, 2)))})
     with pytest.raises(UserError, match=r"LUT\.mat X and Y are not 100 different positions"):
         read_source(tmp_path / "st.zip", jobs=1)
-    lines = []
-    assert len(read_source(tmp_path / "st.zip", 1, skip_bad=True, warn=lines.append)) == 10
-    assert "LUT.mat" in lines[0]
+    read = read_source(tmp_path / "st.zip", 1, skip_bad=True)
+    assert len(read) == 10
+    assert "LUT.mat" in read.source.left_out[0]
 
 
 def test_an_encrypted_member(tmp_path):
@@ -249,8 +250,9 @@ def test_ten_bad_names_are_listed_and_the_rest_counted(tmp_path):
     with pytest.raises(UserError, match=r"300 of 310 files refused.*and 290 more; mend") as error:
         read_source(path, jobs=1)
     assert len(str(error.value)) < 3000
-    warned = []
-    assert len(read_source(path, jobs=1, skip_bad=True, warn=warned.append)) == 10
+    read = read_source(path, jobs=1, skip_bad=True)
+    assert (len(read), len(read.source.left_out)) == (10, 300)
+    warned = left_out_lines(path, read)
     assert len(warned) == 11
     assert warned[-1].endswith("left out 290 more")
 

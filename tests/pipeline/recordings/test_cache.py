@@ -5,6 +5,7 @@ from deploy.errors import UserError
 from pipeline.inputs import library as sources
 from pipeline.recordings import archive, cache
 from pipeline.recordings.events import TaxelMap
+from pipeline.recordings.facts import facts_of
 from tests.pipeline.handmade import GOOD, assert_same, good_members, recordings
 from tests.pipeline.handmade import archive as write_archive
 
@@ -36,7 +37,7 @@ def test_a_damaged_file_is_named_with_a_remedy(own, damage):
     if damage == "cut":
         path.write_bytes(content[: len(content) // 2])
     elif damage == "flipped":
-        content[len(content) // 4] ^= 0xFF
+        content[content.index(recordings(GOOD).offsets.tobytes())] ^= 0xFF
         path.write_bytes(content)
     elif damage == "text":
         path.write_text("not an archive")
@@ -77,7 +78,13 @@ def test_other_content_under_the_same_name_is_read_anew(own, tmp_path):
 def test_an_import_with_files_left_out_does_not_pass_for_a_clean_one(own, tmp_path):
     path = tmp_path / "st.zip"
     write_archive(path, {**good_members(), "3/bad.mat": b"bad"})
-    assert len(sources.load_recordings(str(path), skip_bad=True, jobs=1)) == 10
+    for _ in range(2):  # read, then from the cache
+        lines = []
+        read = sources.load_recordings(str(path), skip_bad=True, jobs=1, warn=lines.append)
+        assert len(read) == 10
+        assert len(lines) == 1
+        assert "3/bad.mat" in lines[0]
+        assert facts_of(read)["files_left_out"] == 1
     with pytest.raises(UserError, match=r"3/bad\.mat"):
         sources.load_recordings(str(path), jobs=1)
 

@@ -9,9 +9,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from deploy.errors import UserError
-from pipeline.inputs.dataset import Dataset
+from pipeline.inputs.dataset import Dataset, recordings_fit
 from pipeline.inputs.images import aggregate
-from pipeline.inputs.library import load_recordings
+from pipeline.inputs.library import load_recordings, recordings_of
 from pipeline.recordings.archive import read_source
 from pipeline.recordings.eventfile import read_events
 from pipeline.recordings.events import Sensor, TaxelMap
@@ -206,10 +206,8 @@ def test_another_number_of_taxels_than_the_others(tmp_path):
     archive(tmp_path / "s.zip", {**members, "a/odd.mat": mat5(spiketrain=array_of(25))})
     with pytest.raises(UserError, match=r"1 of 7 files.*a/odd\.mat has 26 rows, not 17 as most"):
         read_source(tmp_path / "s.zip", jobs=1)
-    lines = []
-    read = read_source(tmp_path / "s.zip", jobs=1, skip_bad=True, warn=lines.append)
-    assert len(read) == 6
-    assert len(lines) == 1
+    read = read_source(tmp_path / "s.zip", jobs=1, skip_bad=True)
+    assert (len(read), len(read.source.left_out)) == (6, 1)
 
 
 def test_coordinates_outside_are_refused_by_name(tmp_path):
@@ -300,8 +298,9 @@ def test_a_data_set_of_another_sensor(tmp_path):
 def test_an_architecture_for_another_sensor(tmp_path):
     archive(tmp_path / "g.zip", gestures(per_class=10))
     expected = r"tactile image of 16x12 and 5 classes, such as 16x12-6c4-5o, not 10x10-6c4-10o"
+    settings = settings_for(tmp_path / "g.zip", "10x10-6c4-10o")
     with pytest.raises(UserError, match=expected):
-        Dataset.of(settings_for(tmp_path / "g.zip", "10x10-6c4-10o"))
+        recordings_fit(recordings_of(settings), settings)
 
 
 def test_a_class_with_one_recording(tmp_path):

@@ -13,7 +13,7 @@ from models.spiking import Neuron, SpikingNetwork
 from pipeline.recordings.steps import EventTable
 from pipeline.run.event_conversion import spec_of_events
 from pipeline.settings import Settings
-from pipeline.training.events import EventRecipe, answer_frames
+from pipeline.training.events import EventRecipe, answer_frames, network_of
 
 STEPS, GAP = 40, 60
 
@@ -75,6 +75,21 @@ def test_every_spike_is_that_of_the_trained_network(architecture, target):
         spec, {"input": frames.sum(1).reshape(len(table), -1), **expected.spikes}
     )
     np.testing.assert_allclose(np.stack(list(counted.values()), 1), expected.operations)
+
+
+def test_the_lower_voltage_bound_that_was_trained_is_deployed():
+    architecture = "10x10x2-4c4s3-8-10o"
+    presentation = Presentation(steps=STEPS, gap=0, readout_start=0, stream_length=1)
+    for floor in (-1.0, -2.0):
+        recipe = EventRecipe(architecture=architecture, floor=floor)
+        weights = trained_like(architecture)
+        spec = spec_of_events(recipe, weights, presentation, {})
+        integers = network_of(recipe, weights).integers()
+        for layer in spec.layers[:-1]:
+            trained = integers[layer.name]
+            expected = trained.floor / trained.threshold
+            assert layer.neurons.min_voltage == pytest.approx(expected, rel=1e-3)
+            assert floor - 0.5 < expected < floor / 2
 
 
 def test_the_judge_decides_on_the_chip_as_in_training():
