@@ -62,6 +62,7 @@ FLOORS = {
     "pipeline": [
         {"jobs", "paper", "progress", "temporary"},
         {"settings"},
+        {"artifacts"},
         {"recordings"},
         {"skin"},
         {"inputs", "training"},

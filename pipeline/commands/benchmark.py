@@ -16,7 +16,6 @@ from pipeline.experiments.losses import losses_text, measure_losses
 from pipeline.experiments.study import Workers
 from pipeline.experiments.table2 import measure_table, table_text
 from pipeline.experiments.table2_splits import MODELS, SLOW
-from pipeline.live.latency import latency_text, measure_latency
 
 BY_DEFAULT = tuple(name for name in MODELS if name not in SLOW)
 OUT = typer.Option(help="Folder of the results; splits that are there are not run again.")
@@ -132,22 +131,6 @@ def events(
     options.conclude(found, events_text, as_json)
 
 
-def training(
-    networks: Annotated[int, typer.Option(help="Networks to train.", min=1)] = 5,
-    rounds: Annotated[int, typer.Option(help="Epochs that are timed.", min=1)] = 3,
-    samples: Annotated[
-        int, typer.Option(help="Simulated recordings of each digit; 0 for 6,953 in all.", min=0)
-    ] = 0,
-    jobs: options.Jobs = 2,
-    as_json: options.Json = False,
-):
-    """Time the training of the rate-based network: NengoDL's fit, Keras's, several at once."""
-    from pipeline.experiments.training_speed import measure_simulated, speed_text
-
-    result = measure_simulated(samples, networks, rounds, jobs)
-    options.tell(result, speed_text, as_json)
-
-
 def emulator(
     bundle: options.Bundle = Path("runs/default/bundle"),
     samples: Annotated[
@@ -169,20 +152,6 @@ def emulator(
     options.tell(result, emulator_speed.speed_text, as_json)
     if not result["identical"]:
         raise CheckFailed("the target fast and NengoLoihi's emulator do not give the same spikes")
-
-
-def live(
-    run: options.Run = Path("runs/default"),
-    digits: Annotated[int, typer.Option(help="Digits to write.", min=1)] = 20,
-    seed: Annotated[int, typer.Option(help="Seed of the simulated hands.", min=0)] = 0,
-    as_json: options.Json = False,
-):
-    """Measure in Chromium how soon a decision is on the screen: simulated hands at their own pace.
-
-    Counted is each decision that new events led to, from the last of them to the frame that shows
-    it.  Needs Chromium and Playwright, and a machine with nothing else to do.
-    """
-    options.tell(measure_latency(run, digits, seed), latency_text, as_json)
 
 
 def _names(models):

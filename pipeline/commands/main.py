@@ -69,12 +69,10 @@ VERBS = {
         "The paper's Table 2, what conversion costs and time is worth, and speed.",
         {
             "table2": "benchmark.table2",
-            "training": "benchmark.training",
             "conversion": "benchmark.conversion",
             "emulator": "benchmark.emulator",
             "losses": "benchmark.losses",
             "events": "benchmark.events",
-            "live": "benchmark.live",
         },
     ),
     "sweep": (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -153,8 +154,9 @@ def status_text(run: RunFolder, found) -> str:
         lines.append("")
         for reason in dict.fromkeys(reasons.values()):
             names = [name for name, because in reasons.items() if because == reason]
-            lines.append(f"outdated, because {reason}:")
-            lines.append(f"  {', '.join(names)}")
+            lines += textwrap.wrap(f"outdated, because {reason}:", WIDTH, break_on_hyphens=False)
+            indent = {"initial_indent": "  ", "subsequent_indent": "  "}
+            lines += textwrap.wrap(", ".join(names), WIDTH, break_on_hyphens=False, **indent)
         lines.append(f"'stmnist ladder {run.path}' makes again what is outdated")
     return "\n".join(lines)
 

@@ -278,17 +278,3 @@ def test_mistakes_end_with_status_2(arguments, message, tmp_path, monkeypatch, c
     assert status == 2
     assert message in said.err
     assert "Traceback" not in said.err
-
-
-@pytest.mark.slow
-def test_the_training_speed_is_told(capsys):
-    """Figures as they come; that they are good is for a quiet machine to say."""
-    with untraced(), pytest.raises(SystemExit) as stop:
-        cli.main(
-            "benchmark training --networks 1 --rounds 1 --samples 12 --jobs 1 --json".split()  # noqa: SIM905
-        )
-    assert stop.value.code == 0
-    result = json.loads(capsys.readouterr().out)
-    assert result["ratio_to_nengodl"]["nengodl"] == 1
-    assert all(seconds > 0 for seconds in result["seconds_per_epoch"].values())
-    assert result["samples"] == 96

@@ -24,10 +24,10 @@ from tests.pipeline.live.conftest import served
 
 pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
 
-from pipeline.live import robot
 from pipeline.live.keeping import Keeper
 from pipeline.live.server import PAGE
 from pipeline.live.session import Session
+from tests import robot
 
 P = parameters.load()
 STEP_S = 1 / 500

@@ -1,14 +1,12 @@
 """How soon a decision is on the screen: the hands, and the measurement from end to end."""
 
-import json
 import shutil
 
 import numpy as np
 import pytest
 
-from pipeline.live import robot
-from pipeline.live.latency import hands, latency_text
-from tests.command import call
+from tests import robot
+from tools.live_latency import hands, latency_text, measure_latency
 
 
 def test_hands_are_drawn_from_the_seed():
@@ -27,11 +25,10 @@ def test_what_was_measured_in_a_line():
 
 
 @pytest.mark.skipif(not any(map(shutil.which, robot.BROWSERS)), reason="no Chromium here")
-def test_one_digit_from_end_to_end(tiny_run, capsys):
+def test_one_digit_from_end_to_end(tiny_run):
     for module in ("uvicorn", "playwright"):
         pytest.importorskip(module, reason=f"{module} is not installed")
-    assert call("benchmark", "live", tiny_run, "--digits", 1, "--json") == 0
-    measured = json.loads(capsys.readouterr().out)
+    measured = measure_latency(tiny_run, 1)
     assert 0 < measured["median_ms"] <= measured["ninetieth_percentile_ms"]
     assert measured["decisions"] > 0
     assert measured["digits"] == 1

@@ -1,18 +1,23 @@
-"""How soon a decision is on the screen: simulated hands write on the page in a real Chromium."""
+"""How soon a decision is on the screen: simulated hands write on the page in a real Chromium.
 
-from __future__ import annotations
+``python -m tools.live_latency runs/default`` needs Chromium, Playwright, and a machine with nothing
+else to do.
+"""
 
 import contextlib
 import subprocess
 import sys
 import tempfile
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import typer
 
 from deploy.errors import UserError
-from pipeline.live import robot
 from pipeline.progress import progress
 from pipeline.skin import handwriting, parameters, simulate
+from tests import robot
 
 SIZE = {"width": 1280, "height": 1000}
 AFTER_MS = 300
@@ -101,3 +106,19 @@ def _served(run):
                 yield line[1]
             finally:
                 server.terminate()
+
+
+def main(
+    run: Annotated[Path, typer.Argument(help="The run's folder.")] = Path("runs/default"),
+    digits: Annotated[int, typer.Option(help="Digits to write.", min=1)] = 20,
+    seed: Annotated[int, typer.Option(help="Seed of the simulated hands.", min=0)] = 0,
+):
+    """Measure in Chromium how soon a decision is on the screen, with simulated hands.
+
+    Each decision counts that new events led to, from the last of them to the frame that shows it.
+    """
+    print(latency_text(measure_latency(run, digits, seed)))
+
+
+if __name__ == "__main__":
+    typer.run(main)

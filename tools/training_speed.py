@@ -1,12 +1,15 @@
-"""How fast the rate-based network of the paper's recipe trains, in three ways, in one process."""
+"""How fast the rate-based network of the paper's recipe trains, in three ways, in one process.
 
-from __future__ import annotations
+``python -m tools.training_speed``
+"""
 
 import contextlib
 import time
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
+import typer
 
 from deploy.tables import aligned
 from models.cnn import get_weights
@@ -143,3 +146,18 @@ def _our_turn(settings, data, networks, recipe, rounds):
         for seed, model in enumerate(_models(settings, networks))
     ]
     return lambda: [next(training) for training in trainings]
+
+
+def main(
+    networks: Annotated[int, typer.Option(help="Networks to train.", min=1)] = 5,
+    rounds: Annotated[int, typer.Option(help="Epochs that are timed.", min=1)] = 3,
+    samples: Annotated[
+        int, typer.Option(help="Simulated recordings of each digit; 0 for 6,953 in all.", min=0)
+    ] = 0,
+):
+    """Time the training of the rate-based network: NengoDL's fit, Keras's, and this project's."""
+    print(speed_text(measure_simulated(samples, networks, rounds)))
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 from deploy.errors import UserError
-from pipeline.live import robot
+from tests import robot
 
 pytest.importorskip("playwright", reason="playwright is not installed")
 
