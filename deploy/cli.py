@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from . import __version__, interrupts
-from .check.bundle import RESULTS, read_bundle
+from .check.bundle import read_bundle, result_beside
 from .check.results import compare_results, enforce, read_result
 from .check.run import run_check
 from .check.text import comparison_text, summary
@@ -102,7 +102,7 @@ def _check(options):
     given = {name: getattr(options, name) for name in vars(BoardOptions())}
     chosen = options_for(options.target, **given)
     bundle = read_bundle(options.bundle)
-    out = options.out or options.bundle / RESULTS / f"{options.target}.json"
+    out = options.out or result_beside(options.bundle, options.target)
     total, done = len(bundle.checks), 0
 
     def advance(n):

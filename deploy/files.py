@@ -1,12 +1,14 @@
 """Files: written whole or not at all, hashed, and never executed on reading."""
 
 import contextlib
+import errno
 import fcntl
 import hashlib
 import json
 import os
 import re
 import shutil
+import stat
 import tempfile
 import time
 import zipfile
@@ -21,6 +23,8 @@ from .errors import UserError
 @contextlib.contextmanager
 def replacing(path, mode="wb"):
     """Open a temporary file beside ``path`` that takes its place when the block succeeds.
+
+    A symbolic link at ``path`` is itself replaced; the file that it points to is not touched.
 
     Parameters
     ----------
@@ -55,7 +59,7 @@ def replacing(path, mode="wb"):
             yield file
             file.flush()
             # mkstemp makes files that only their owner can read.
-            os.chmod(temporary, 0o666 & ~_umask())
+            os.fchmod(handle, 0o666 & ~_umask())
             os.replace(temporary, str(path))  # before it is closed, so that it is always locked
             temporary = None
     except OSError as error:
@@ -100,7 +104,7 @@ def remove_abandoned(folder, prefix):
             with contextlib.suppress(OSError):
                 if time.time() - entry.stat(follow_symlinks=False).st_mtime < ABANDONED_S:
                     continue
-                handle = os.open(entry.path, os.O_RDONLY | os.O_NOFOLLOW)
+                handle = os.open(entry.path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
                 try:
                     _take(handle)  # whose owner lives holds it
                     if entry.is_dir(follow_symlinks=False):
@@ -117,24 +121,153 @@ def _umask():
     return mask
 
 
-def lock(file, taken: str):
-    """Lock an open file against other processes until it is closed.
+def open_own(path):
+    """Open a file of this program's own for reading and appending; make it if it is not there.
 
     Parameters
     ----------
-    file : file object
+    path : path-like
+
+    Returns
+    -------
+    file object
+        Binary and without a buffer.  What is in the file stays.
+
+    Raises
+    ------
+    OSError
+        The file cannot be opened.  A symbolic link is not followed, and a file that has a second
+        name, a pipe or a device is refused: the content could be somebody else's.
+    """
+    flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    try:
+        handle = os.open(str(path), flags, 0o666)
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            message = "a symbolic link, which is not written through"
+            raise OSError(errno.ELOOP, message, str(path)) from error
+        raise
+    about = os.fstat(handle)
+    if not stat.S_ISREG(about.st_mode) or about.st_nlink > 1:
+        os.close(handle)
+        raise OSError(errno.EPERM, "not a file of its own", str(path))
+    return os.fdopen(handle, "a+b", buffering=0)
+
+
+@contextlib.contextmanager
+def locked(path, taken: str):
+    """Lock a file of this program's own against other processes while the block runs.
+
+    Parameters
+    ----------
+    path : path-like
+        Is made if it is not there; see :func:`open_own`.
     taken : str
         The error's line if another process holds the lock.
+
+    Yields
+    ------
+    file object
 
     Raises
     ------
     UserError
-        Another process does.
+        Another process holds the lock.
+    OSError
+        The file cannot be opened.
     """
+    while True:
+        with open_own(path) as file:
+            try:
+                _take(file)
+            except OSError:
+                raise UserError(taken) from None
+            # Its last owner may have removed the file between the two calls above.
+            if is_at(file, path):
+                yield file
+                return
+
+
+def is_at(file, path) -> bool:
+    """Whether an open file is still the one at ``path``: a lock on a deleted file is no lock."""
     try:
-        _take(file)
+        there = os.stat(str(path), follow_symlinks=False)
     except OSError:
-        raise UserError(taken) from None
+        return False
+    return os.path.samestat(os.fstat(file.fileno()), there)
+
+
+@contextlib.contextmanager
+def locked_folder(folder, taken: str):
+    """Lock a folder through its file ``.lock``, which is there while the block runs.
+
+    Parameters
+    ----------
+    folder : path-like
+        Is made if it is not there, and removed at the end, with the parent folders that were made
+        for it, if nothing was put into it.
+    taken : str
+        As for :func:`locked`.
+
+    Yields
+    ------
+    file object
+        Of the lock, for :func:`is_at`.
+
+    Raises
+    ------
+    UserError
+        Another process holds the lock.
+    OSError
+        The folder or its ``.lock`` cannot be made.
+    """
+    folder = Path(folder)
+    made = [each for each in (folder, *folder.parents) if not each.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / ".lock"
+    with locked(path, taken) as file:
+        try:
+            yield file
+        finally:
+            with contextlib.suppress(OSError):
+                if is_at(file, path):
+                    path.unlink()
+                    for each in made:
+                        each.rmdir()  # fails if the folder holds anything, as it should
+
+
+def refuse_linked_folder(folder):
+    """Refuse a folder that is a symbolic link.
+
+    What is written there would be written elsewhere, over files that this program never made.
+
+    Raises
+    ------
+    UserError
+    """
+    if os.path.islink(str(folder)):
+        raise UserError(
+            f"{folder}: is a symbolic link to another folder, which is not written through; "
+            "put a folder or nothing in its place"
+        )
+
+
+def refuse_linked_folders(root):
+    """Refuse a folder in which another one, at any depth, is a symbolic link.
+
+    Parameters
+    ----------
+    root : path-like
+        May be a link itself: the user has named it.
+
+    Raises
+    ------
+    UserError
+        Names the link.
+    """
+    for above, folders, _ in os.walk(str(root)):
+        for name in folders:
+            refuse_linked_folder(os.path.join(above, name))
 
 
 def write_json(path, value):

@@ -30,6 +30,7 @@ from ..files import (
     claim,
     read_arrays,
     read_json,
+    refuse_linked_folder,
     remove_abandoned,
     replacing,
     sha256_of,
@@ -137,6 +138,25 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
         os.close(handle)
         shutil.rmtree(str(temporary), ignore_errors=True)
     return read_bundle(path)
+
+
+def result_beside(folder, target: str) -> Path:
+    """Where a check's result goes if nothing else is said: into ``checks`` of a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        The run, or the bundle where it was copied from its run.
+    target : str
+
+    Raises
+    ------
+    UserError
+        ``checks`` is a symbolic link: the result would be written elsewhere.
+    """
+    path = Path(folder) / RESULTS / f"{target}.json"
+    refuse_linked_folder(path.parent)
+    return path
 
 
 def _exchange(new, path):

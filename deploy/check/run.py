@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Iterator, Optional
 
 from ..errors import UserError
-from ..files import lock, write_json
+from ..files import locked, open_own, write_json
 from ..network.responses import Responses
 from ..network.spec import NetworkSpec
 from ..network.stream import streams_of
@@ -121,7 +121,7 @@ def answered(work: Work) -> Iterator[dict]:
         if responses.notes:
             record["notes"] = responses.notes
         begun = now
-        with _disk_errors(work.saved), open(str(work.saved), "ab", buffering=0) as file:
+        with _disk_errors(work.saved), open_own(work.saved) as file:
             _write_now(file, "\n" + json.dumps(record))
         yield record
 
@@ -217,17 +217,16 @@ def open_check(
     if out.exists() and not out.is_file():  # said now, not when the answers are there
         raise UserError(f"{out}: cannot write (not a file); choose another --out")
     saved = out.with_name("." + out.name + ".partial")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        # closed by "with" below; what is not UTF-8 is a damaged line, see _resume
-        file = open(str(saved), "a+", encoding="utf-8", errors="replace")  # noqa: SIM115
-    except OSError as error:
-        raise UserError(f"{out}: cannot write ({error.strerror}); choose another --out") from error
     check = {"bundle": bundle.id, "target": target, "seed": seed, "versions": versions()}
-    with file:
-        lock(
-            file, f"{out}: another process is writing this result; wait for it or use another --out"
-        )
+    taken = f"{out}: another process is writing this result; wait for it or use another --out"
+    with contextlib.ExitStack() as stack:
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            file = stack.enter_context(locked(saved, taken))
+        except OSError as error:
+            raise UserError(
+                f"{out}: cannot write ({saved.name}: {error.strerror}); choose another --out"
+            ) from error
         with _disk_errors(saved):
             done = _resume(file, check, _streams(bundle))
         yield OpenCheck(bundle, check, out, saved, done, advance, options)
@@ -275,12 +274,13 @@ def _write_now(file, text):
 def _resume(file, check, streams):
     """The records of a check that a partial file holds, by their first sample; none: empty it.
 
-    Lines may be of another check, or damaged: each is judged by itself.
+    Lines may be of another check, or damaged: each is judged by itself.  What is not UTF-8 is a
+    damaged line.
     """
     lengths = {part.start: part.stop - part.start for part in streams}
     file.seek(0)
     done = {}
-    for line in file.read().split("\n"):
+    for line in file.read().decode("utf-8", "replace").split("\n"):
         try:
             record = json.loads(line)
         except (ValueError, RecursionError):

@@ -7,7 +7,7 @@ from typing import Annotated, Optional
 
 import typer
 
-from deploy.check.bundle import read_bundle
+from deploy.check.bundle import read_bundle, result_beside
 from deploy.check.results import compare_results, enforce, read_result
 from deploy.check.run import run_check
 from deploy.check.text import comparison_text, summary
@@ -72,7 +72,7 @@ def run(
     options.warn_if_outdated(bundle)
     if seed is None:
         seed = opened.spec.provenance.get("seed", 0)
-    path = out or opened.path.absolute().parent / "checks" / f"{target}.json"
+    path = out or result_beside(opened.path.absolute().parent, target)
     with progress(f"check {target}", len(opened.checks)) as advance:
         result = run_check(opened, target, path, seed, advance, chosen)
     options.tell(result, lambda value: f"{summary(value)}\nwritten to {path}", as_json)

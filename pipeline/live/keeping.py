@@ -6,6 +6,7 @@ has been written is only ever read from those names, so that nothing else can be
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import threading
@@ -16,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.files import lock, replacing
+from deploy.files import locked_folder, refuse_linked_folders, replacing
 from pipeline.recordings.events import DIGITS, TaxelMap
 from pipeline.recordings.matfile import MatRecording, lookup_table_bytes, recording_bytes
 
@@ -56,23 +57,20 @@ class Keeper:
 
     def __init__(self, folder):
         self.folder = Path(folder)
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            self._lock = (self.folder / ".lock").open("w")
-        except OSError as error:
-            raise UserError(
-                f"{self.folder}: cannot keep recordings there ({error.strerror}); "
-                "choose another folder with --record"
-            ) from error
-        try:
-            lock(
-                self._lock,
-                f"{self.folder}: another 'stmnist live' keeps recordings there; "
-                "end it, or choose another folder with --record",
-            )
-        except UserError:
-            self._lock.close()
-            raise
+        taken = (
+            f"{self.folder}: another 'stmnist live' keeps recordings there; "
+            "end it, or choose another folder with --record"
+        )
+        with contextlib.ExitStack() as stack:
+            try:
+                stack.enter_context(locked_folder(self.folder, taken))
+            except OSError as error:
+                raise UserError(
+                    f"{self.folder}: cannot keep recordings there ({error.strerror}); "
+                    "choose another folder with --record"
+                ) from error
+            refuse_linked_folders(self.folder)
+            self._lock = stack.pop_all()
         self._guard = threading.Lock()
         self._kept = sorted(_list(self.folder), key=lambda kept: (kept.writer, kept.number))
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deploy.errors import UserError
-from deploy.files import lock
+from deploy.files import locked_folder, refuse_linked_folders
 from pipeline.artifacts import Artifact, Library, Origin
 from pipeline.settings import Settings, read_settings, write_settings
 
@@ -143,26 +143,27 @@ class RunFolder:
         Raises
         ------
         UserError
-            One is; or the name is a file's and no folder of that name is there.
+            One is; the name is a file's and no folder of that name is there; or a folder in it is a
+            symbolic link.
         """
         if self.path.suffix.lower() in FILES and not self.path.is_dir():
             raise UserError(
                 f"{self.path}: named like a file, and no folder of that name is there; "
                 "RUN is a folder, such as runs/default"
             )
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-            file = (self.path / ".lock").open("w")
-        except OSError as error:
-            raise UserError(
-                f"{self.path}: cannot write ({error.strerror}); choose another RUN"
-            ) from error
-        with file:
-            lock(
-                file,
-                f"{self.path}: another process is working in this run; "
-                "wait for it or choose another RUN",
-            )
+        taken = (
+            f"{self.path}: another process is working in this run; "
+            "wait for it or choose another RUN"
+        )
+        with contextlib.ExitStack() as stack:
+            try:
+                stack.enter_context(locked_folder(self.path, taken))
+            except OSError as error:
+                raise UserError(
+                    f"{error.filename or self.path / '.lock'}: cannot write ({error.strerror}); "
+                    "choose another RUN"
+                ) from error
+            refuse_linked_folders(self.path)
             yield
 
 

@@ -128,13 +128,14 @@ def _shard(cases, kinds, options, folder, base, log):
             rng = generator(options, "inputs", case)
             which = given[int(rng.integers(0, len(given)))]
             outcome = bounded.run(inputs.make(kinds[case], rng, place, which), place)
+            finding = outcome.finding or inputs.harmed(place)
             record = {
-                "case": case, "kind": kinds[case], "finding": outcome.finding,
+                "case": case, "kind": kinds[case], "finding": finding,
                 "seconds": outcome.seconds, "memory": outcome.memory, "status": outcome.status,
             }  # fmt: skip
             print(json.dumps(record), file=file, flush=True)
-            if outcome.finding:
-                _say(options, "inputs", case, kinds[case], [outcome.finding])
+            if finding:
+                _say(options, "inputs", case, kinds[case], [finding])
             if options.case is not None:
                 print(f"status {outcome.status}\n{outcome.out}{outcome.err}kept in {place}")
             else:

@@ -4,6 +4,7 @@ import csv
 import hashlib
 import io
 import json
+import os
 import shutil
 import struct
 import zipfile
@@ -19,8 +20,8 @@ from deploy.files import read_arrays, read_json
 from . import damage
 
 SHARES = {
-    "mat5": 0.3, "mat73": 0.15, "zip": 0.1, "bundle": 0.22, "settings": 0.13, "result": 0.06,
-    "run": 0.04,
+    "mat5": 0.3, "mat73": 0.12, "zip": 0.1, "bundle": 0.22, "settings": 0.13, "result": 0.06,
+    "run": 0.04, "links": 0.03,
 }  # fmt: skip
 """Of each kind in a campaign."""
 
@@ -340,7 +341,50 @@ def _history(rng, path):
     return text.getvalue().encode()
 
 
+ELSEWHERE = b"somebody else's"
+"""Content of a file that no command may change."""
+
+
+def links(rng, folder, base):
+    """A run in which something that is written is a link to a file or folder elsewhere."""
+    run, precious = folder / "run", folder / "elsewhere" / "precious"
+    shutil.copytree(base.run, run)
+    (folder / "cache").symlink_to(base.run.parent / "cache")
+    precious.parent.mkdir()
+    precious.write_bytes(ELSEWHERE)
+    made = sorted(path for path in run.rglob("*") if path.name != "experiment.toml")
+    saved = [run / "checks" / f".{target}.json.partial" for target in ("fast", "nengo")]
+    path = [run / ".lock", *saved, *made][int(rng.integers(0, 3 + len(made)))]
+    if rng.random() < 0.5:
+        path = [run / ".lock", *saved][int(rng.integers(0, 3))]
+    target = precious.parent if path.is_dir() else precious
+    if path.is_dir():
+        shutil.rmtree(path)
+    path.unlink(missing_ok=True)
+    if target.is_file() and rng.random() < 0.3:
+        os.link(target, path)
+    else:
+        path.symlink_to(target)
+    verbs = [
+        ["check", "run", run / "bundle", "--target", "fast"],
+        ["check", "run", run / "bundle", "--target", "nengo"],
+        ["ladder", run, "--jobs", 1],
+        ["report", run],
+        ["deploy", "export", run / "bundle", "--format", "lava", "--out", path],
+    ]
+    return verbs[int(rng.integers(0, len(verbs)))]
+
+
+def harmed(folder):
+    """What a command did to the file elsewhere that it must leave alone, or None."""
+    precious = folder / "elsewhere"
+    if not precious.is_dir():
+        return None
+    there = {path.name: path.read_bytes() for path in precious.iterdir()}
+    return None if there == {"precious": ELSEWHERE} else f"wrote through a link: {there}"
+
+
 KINDS = {
     "mat5": mat5, "mat73": mat73, "zip": zipped, "bundle": bundle, "settings": settings,
-    "result": result, "run": run_folder,
+    "result": result, "run": run_folder, "links": links,
 }  # fmt: skip

@@ -111,3 +111,11 @@ def test_a_report_of_another_minute_is_the_same(tmp_path):
         (tmp_path / "report.html").write_text(f"report of 2026-11-22 {minute} UTC: {accuracy}")
         prints.append(breaks.fingerprint(tmp_path))
     assert prints[0] == prints[1] != prints[2]
+
+
+def test_what_was_written_through_a_link_is_found(base, tmp_path):
+    inputs.links(np.random.default_rng(0), tmp_path, base)
+    assert inputs.harmed(tmp_path) is None
+    (tmp_path / "elsewhere" / "precious").write_bytes(b"")
+    assert "wrote through a link" in inputs.harmed(tmp_path)
+    assert inputs.harmed(tmp_path / "run") is None

@@ -1,0 +1,150 @@
+"""Nothing is written through a symbolic link: SECURITY.md's promise, for every file of a run."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from deploy.errors import UserError
+from deploy.files import is_at, locked, locked_folder, replacing
+from pipeline.live.keeping import Keeper
+from pipeline.run.folder import RunFolder
+
+from .command import call
+from .conftest import TINY
+from .deploy.checks import partial
+
+CONTENT = b"somebody else's\n"
+
+
+@pytest.fixture
+def elsewhere(tmp_path):
+    """A file outside the run, which nothing may change."""
+    path = tmp_path / "elsewhere" / "precious"
+    path.parent.mkdir()
+    path.write_bytes(CONTENT)
+    yield path
+    assert path.read_bytes() == CONTENT
+    assert [each.name for each in path.parent.iterdir()] == ["precious"]
+
+
+@pytest.fixture
+def run(tiny_run, tmp_path):
+    """A copy of the small run, to be attacked."""
+    return shutil.copytree(tiny_run, tmp_path / "run")
+
+
+def refused(capsys, *arguments):
+    """The one line with which a command is refused."""
+    capsys.readouterr()
+    assert call(*arguments) == 2
+    err = capsys.readouterr().err.splitlines()
+    assert len(err) == 1
+    return err[0]
+
+
+@pytest.mark.parametrize("hard", [False, True])
+def test_a_lock_that_is_a_link(run, elsewhere, hard, capsys):
+    (os.link if hard else os.symlink)(elsewhere, run / ".lock")
+    assert str(run / ".lock") in refused(capsys, "ladder", run)
+
+
+def test_a_lock_that_is_a_link_to_nothing(run, elsewhere, capsys):
+    (run / ".lock").symlink_to(elsewhere.parent / "new")
+    assert str(run / ".lock") in refused(capsys, "ladder", run)
+
+
+def test_a_lock_of_recordings_that_is_a_link(tmp_path, elsewhere):
+    (tmp_path / "written").mkdir()
+    (tmp_path / "written" / ".lock").symlink_to(elsewhere)
+    with pytest.raises(UserError, match="symbolic link"):
+        Keeper(tmp_path / "written")
+
+
+@pytest.mark.parametrize("hard", [False, True])
+def test_the_streams_of_a_check_are_not_saved_through_a_link(run, elsewhere, hard, capsys):
+    saved = partial(run / "checks" / "fast.json")
+    (os.link if hard else os.symlink)(elsewhere, saved)
+    line = refused(capsys, "check", "run", run / "bundle", "--target", "fast")
+    assert saved.name in line
+    assert not (run / "checks" / "fast.json").exists()
+
+
+def test_a_folder_of_a_run_that_is_a_link(run, elsewhere, capsys):
+    shutil.rmtree(run / "checks")
+    (run / "checks").symlink_to(elsewhere.parent)
+    for arguments in (["ladder", run], ["check", "run", run / "bundle", "--target", "fast"]):
+        assert str(run / "checks") in refused(capsys, *arguments)
+
+
+def test_every_file_of_a_run_is_written_in_the_place_of_a_link(tiny_run, run, elsewhere):
+    """Each file of a finished run is a link; a run with other settings writes all of them anew."""
+    made = [path for path in run.rglob("*") if path.is_file()]
+    assert len(made) > 10
+    for path in made:
+        path.unlink()
+        path.symlink_to(elsewhere)
+    (run / "experiment.toml").unlink()  # is read first
+    shutil.rmtree(run / "bundle")
+    for name in ("cnn", "snn"):
+        for path in (run / name).iterdir():  # so are metrics, and refused as damaged
+            path.unlink()
+            path.symlink_to(elsewhere.parent / "nothing there")
+    for path in [*run.glob("*.json"), *(run / "checks").iterdir()]:
+        path.unlink()
+        path.symlink_to(elsewhere.parent / "nothing there")
+    assert call("ladder", run, *TINY) == 0
+    written = {path.relative_to(run) for path in run.rglob("*") if path.is_file()}
+    assert written >= {path.relative_to(run) for path in made}
+    assert not any(path.is_symlink() for path in run.rglob("*"))
+
+
+def test_a_file_is_replaced_and_not_written_through(tmp_path, elsewhere):
+    (tmp_path / "a.json").symlink_to(elsewhere)
+    with replacing(tmp_path / "a.json") as file:
+        file.write(b"new")
+    assert (tmp_path / "a.json").read_bytes() == b"new"
+    assert not (tmp_path / "a.json").is_symlink()
+
+
+@pytest.mark.parametrize("kind", ["fifo", "folder"])
+def test_a_lock_that_is_no_file(tmp_path, kind):
+    path = tmp_path / ".lock"
+    os.mkfifo(path) if kind == "fifo" else path.mkdir()
+    with pytest.raises(OSError, match=r"\.lock"), locked(path, "taken"):
+        pass
+
+
+def test_a_locked_folder_has_one_owner_and_leaves_nothing(tmp_path):
+    folder = tmp_path / "a" / "b"
+    with locked_folder(folder, "taken"):
+        with pytest.raises(UserError, match="taken"), locked_folder(folder, "taken"):
+            pass
+        assert [path.name for path in folder.iterdir()] == [".lock"]
+    assert not list(tmp_path.iterdir())
+    with locked_folder(folder, "taken"):
+        (folder / "made").write_text("")
+    assert [path.name for path in folder.iterdir()] == ["made"]
+
+
+def test_a_lock_that_its_owner_has_just_removed_is_taken_anew(tmp_path, monkeypatch):
+    """Between the opening of the file and the locking of it."""
+    path, removed = tmp_path / ".lock", []
+
+    def take(file):
+        if not removed:
+            removed.append(path.unlink())
+
+    monkeypatch.setattr("deploy.files._take", take)
+    with locked(path, "taken") as file:
+        assert is_at(file, path)
+    assert removed
+
+
+def test_a_run_that_is_refused_leaves_nothing(tmp_path, capsys):
+    line = refused(capsys, "train", tmp_path / "run", "--data", tmp_path / "nothing.zip")
+    assert "nothing.zip" in line
+    assert not list(Path(tmp_path).iterdir())
+    with RunFolder(tmp_path / "run").locked():
+        assert (tmp_path / "run" / ".lock").exists()
