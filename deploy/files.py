@@ -47,10 +47,43 @@ def replacing(path, mode="wb"):
     path = Path(path)
     if path.exists() and not path.is_file():  # /dev/null would be gone
         raise UserError(f"{path}: cannot write (not a file); choose another name")
+    with _written_beside(path, "." + path.name + ".", mode, os.replace) as file:
+        yield file
+
+
+@contextlib.contextmanager
+def creating(path, prefix):
+    """Open a temporary file beside ``path`` that gets this name if nothing else has it by then.
+
+    Parameters
+    ----------
+    path : path-like
+        The file to write.  Missing parent folders are made.
+    prefix : str
+        Of the temporary file's name.  What a killed process left under it goes with the next call.
+
+    Yields
+    ------
+    file object
+        Open for writing bytes.  On any exception it is removed.
+
+    Raises
+    ------
+    FileExistsError
+        Something is at ``path``; it stays as it was.
+    UserError
+        The folder or file cannot be written.
+    """
+    with _written_beside(Path(path), prefix, "wb", _name_exclusively) as file:
+        yield file
+
+
+@contextlib.contextmanager
+def _written_beside(path, prefix, mode, rename):
+    """A temporary file that ``rename(temporary, path)`` makes permanent when the block succeeds."""
     temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        prefix = "." + path.name + "."
         remove_abandoned(path.parent, prefix)
         handle, temporary = tempfile.mkstemp(dir=str(path.parent), prefix=prefix)
         options = {} if "b" in mode else {"encoding": "utf-8", "newline": "\n"}
@@ -60,8 +93,10 @@ def replacing(path, mode="wb"):
             file.flush()
             # mkstemp makes files that only their owner can read.
             os.fchmod(handle, 0o666 & ~_umask())
-            os.replace(temporary, str(path))  # before it is closed, so that it is always locked
+            rename(temporary, str(path))  # before it is closed, so that it is always locked
             temporary = None
+    except _NameTaken as error:
+        raise FileExistsError(errno.EEXIST, "something has this name", str(path)) from error
     except OSError as error:
         raise UserError(
             f"{path}: cannot write ({error.strerror or error}); "
@@ -71,6 +106,26 @@ def replacing(path, mode="wb"):
         if temporary is not None:
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
+
+
+class _NameTaken(Exception):
+    """A file cannot be created, because its name is taken."""
+
+
+def _name_exclusively(temporary, path):
+    """Rename a file, but never over another one, which :func:`os.rename` would do."""
+    try:
+        try:
+            os.link(temporary, path, follow_symlinks=False)
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without links: the name is reserved by an empty file
+            os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW))
+            os.replace(temporary, path)
+            return
+    except FileExistsError as error:
+        raise _NameTaken from error
+    os.unlink(temporary)
 
 
 ABANDONED_S = 0.5

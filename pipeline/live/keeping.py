@@ -1,7 +1,8 @@
 """Recordings that people wrote, in a folder laid out as published, safe as soon as they are there.
 
 ``FOLDER/<digit>/w<writer>-<number>.mat``: the number counts up over all digits of a writer.  What
-has been written is only ever read from those names, so that nothing else can be lost or go stale.
+has been written is only ever read from those names, so that nothing else can be lost or go stale;
+no name is ever written to twice.
 """
 
 from __future__ import annotations
@@ -17,14 +18,24 @@ from pathlib import Path
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.files import locked_folder, refuse_linked_folders, replacing
+from deploy.files import (
+    creating,
+    is_at,
+    locked_folder,
+    refuse_linked_folders,
+    remove_abandoned,
+)
 from pipeline.recordings.events import DIGITS, TaxelMap
 from pipeline.recordings.matfile import MatRecording, lookup_table_bytes, recording_bytes
 
 WRITERS = 1000
-"""Writers that a folder can tell apart."""
+"""Writers are numbered from 1 to one less than this."""
 
-_NAME = re.compile(r"w(\d{3,})-(\d{4,})\.mat")
+TEMPORARY = ".recording."
+"""Start of the name of a recording that is being written.  It is the same for all of them, so that
+what a killed process left is found whatever its number was."""
+
+_NAME = re.compile(r"w([0-9]{3})-([0-9]{4,9})\.mat")
 
 
 @dataclass(frozen=True)
@@ -57,26 +68,55 @@ class Keeper:
 
     def __init__(self, folder):
         self.folder = Path(folder)
+        self._guard = threading.Lock()
+        self._held = contextlib.ExitStack()
+        self._lock = None
+        self._hold()
+        for digit in DIGITS:
+            remove_abandoned(self.folder / digit, TEMPORARY)
+        self.look()
+
+    def _hold(self):
+        """Hold the folder's lock.  The one that was taken may have been deleted with the folder."""
+        if self._lock is not None and is_at(self._lock, self.folder / ".lock"):
+            return
+        self._lock = None
+        self._held.close()
         taken = (
             f"{self.folder}: another 'stmnist live' keeps recordings there; "
             "end it, or choose another folder with --record"
         )
         with contextlib.ExitStack() as stack:
             try:
-                stack.enter_context(locked_folder(self.folder, taken))
+                lock = stack.enter_context(locked_folder(self.folder, taken))
             except OSError as error:
                 raise UserError(
                     f"{self.folder}: cannot keep recordings there ({error.strerror}); "
                     "choose another folder with --record"
                 ) from error
             refuse_linked_folders(self.folder)
-            self._lock = stack.pop_all()
-        self._guard = threading.Lock()
-        self._kept = sorted(_list(self.folder), key=lambda kept: (kept.writer, kept.number))
+            self._held, self._lock = stack.pop_all(), lock
+
+    def look(self):
+        """See which recordings are in the folder.
+
+        Raises
+        ------
+        UserError
+            It cannot be read.
+        """
+        try:
+            found = _list(self.folder)
+        except OSError as error:
+            raise UserError(
+                f"{self.folder}: cannot be read ({error.strerror}); check its permissions"
+            ) from error
+        self._kept = sorted(found, key=lambda kept: (kept.writer, kept.number))
 
     def close(self):
         """Let another process have the folder."""
-        self._lock.close()
+        self._lock = None
+        self._held.close()
 
     def __len__(self):
         return len(self._kept)
@@ -100,13 +140,22 @@ class Keeper:
             It could not be written; nothing has been.
         """
         with self._guard:
+            self._hold()
+            self.look()
             table = self.folder / "LUT.mat"
             if not table.exists():
-                _write(table, lookup_table_bytes(TaxelMap()))
-            numbers = [k.number for k in self._kept if k.writer == recording.writer]
-            kept = Kept(digit, recording.writer, max(numbers, default=0) + 1)
-            _write(self.folder / kept.name, recording_bytes(recording))
-            self._kept.append(kept)
+                with contextlib.suppress(FileExistsError):
+                    _create(table, lookup_table_bytes(TaxelMap()))
+            content = recording_bytes(recording)
+            mine = [kept.number for kept in self._kept if kept.writer == recording.writer]
+            kept = Kept(digit, recording.writer, max(mine, default=0) + 1)
+            while True:  # until a name is free: others may put files here
+                try:
+                    _create(self.folder / kept.name, content)
+                    break
+                except FileExistsError:
+                    kept = Kept(digit, recording.writer, kept.number + 1)
+            self.look()
             return kept
 
     def undo(self, writer: int) -> Kept | None:
@@ -118,6 +167,8 @@ class Keeper:
             It could not be removed.
         """
         with self._guard:
+            self._hold()
+            self.look()
             mine = [kept for kept in self._kept if kept.writer == writer]
             if not mine:
                 return None
@@ -128,7 +179,7 @@ class Keeper:
                 raise UserError(
                     f"{self.folder / last.name}: cannot be removed ({error.strerror})"
                 ) from error
-            self._kept.remove(last)
+            self.look()
             return last
 
 
@@ -160,20 +211,40 @@ def asked_next(counts, each: int, seed) -> int | None:
 
 
 def _list(folder):
+    """The recordings in a folder; files of other names are nobody's business here."""
+    found = []
     for digit in DIGITS:
-        if (folder / digit).is_dir():
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
             for name in os.listdir(folder / digit):
-                if match := _NAME.fullmatch(name):
-                    yield Kept(int(digit), int(match[1]), int(match[2]))
+                match = _NAME.fullmatch(name)
+                if match and int(match[1]) > 0:
+                    found.append(Kept(int(digit), int(match[1]), int(match[2])))
+    return found
 
 
-def _write(path, content):
-    with replacing(path) as file:
+def _create(path, content):
+    """Write a file that was not there, and wait until it is on the disk with its name.
+
+    Raises
+    ------
+    FileExistsError
+        Something of that name is there.
+    UserError
+        It could not be written; it is not there.
+    """
+    with creating(path, TEMPORARY) as file:
         file.write(content)
         file.flush()
         os.fsync(file.fileno())
-    folder = os.open(path.parent, os.O_RDONLY)
     try:
-        os.fsync(folder)  # the new name too
-    finally:
-        os.close(folder)
+        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(folder)  # the new name too
+        finally:
+            os.close(folder)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            path.unlink()
+        raise UserError(
+            f"{path}: cannot write ({error.strerror}); check the disk and label the digit again"
+        ) from error

@@ -12,6 +12,7 @@ import concurrent.futures
 import contextlib
 import itertools
 import json
+import logging
 import secrets
 import socket
 import threading
@@ -26,6 +27,12 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from deploy.errors import UserError
+from pipeline.live.connections import (
+    Strangers,
+    is_own_error,
+    protocol_of,
+    say_when_files_run_out,
+)
 from pipeline.live.keeping import Keeper
 from pipeline.live.session import EACH, LONGEST_S, PAUSE_S, BadMessage, Session, problem
 
@@ -38,6 +45,9 @@ APART_S = 0.012
 
 PAGES = 8
 """Pages that may be open at a time."""
+
+WAITING = 128
+"""Connections that wait to be accepted."""
 
 PAGE = Path(__file__).with_name("page")
 _KINDS = {
@@ -136,11 +146,14 @@ class Live:
         self._pages, self._numbers = 0, itertools.count(1)
         self._thread = concurrent.futures.ThreadPoolExecutor(1, "network")
         self._decider = None
+        self._files = {file.name: file for file in PAGE.iterdir() if file.suffix in _KINDS}
+        self.strangers = Strangers()
         self.token = secrets.token_urlsafe(18)
 
     @contextlib.asynccontextmanager
     async def lifespan(self, app):
         """Make the network ready while the page is already there."""
+        say_when_files_run_out(asyncio.get_running_loop())
         work = asyncio.get_running_loop().run_in_executor(self._thread, self._make_decider)
         self._decider = asyncio.ensure_future(work)
         try:
@@ -162,14 +175,16 @@ class Live:
 
     def _knows(self, connection):
         token = connection.path_params["token"]
-        return secrets.compare_digest(token.encode(), self.token.encode())
+        if not secrets.compare_digest(token.encode(), self.token.encode()):
+            return False
+        self.strangers.left(connection.client)
+        return True
 
     async def _page(self, request: Request):
         if not self._knows(request):
             return _missing()
-        name = request.path_params.get("name", "index.html")
-        file = PAGE / name
-        if file.suffix not in _KINDS or file.name != name or not file.is_file():
+        file = self._files.get(request.path_params.get("name", "index.html"))
+        if file is None:
             return _missing()
         return Response(file.read_bytes(), media_type=_KINDS[file.suffix])
 
@@ -273,7 +288,7 @@ def listen(port: int) -> socket.socket:
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((HOST, port))
-        listening.listen(128)
+        listening.listen(WAITING)
     except OSError as error:
         listening.close()
         raise UserError(
@@ -288,6 +303,7 @@ class Server(uvicorn.Server):
 
     def __init__(self, live: Live, listening: socket.socket, when_listening=None):
         self._listening, self._when_listening = listening, when_listening
+        self.strangers = live.strangers
         port = listening.getsockname()[1]
         self.url = f"http://{HOST}:{port}/{live.token}/"
         self.listens = threading.Event()
@@ -296,20 +312,25 @@ class Server(uvicorn.Server):
                 live.app(port),
                 log_level="error",
                 access_log=False,
+                http=protocol_of(live.strangers),
                 ws="websockets-sansio",
                 ws_max_size=LARGEST,
                 ws_ping_interval=None,  # a page that sleeps is no page that has gone
                 ws_per_message_deflate=False,  # to oneself, and every millisecond counts
                 server_header=False,
                 timeout_graceful_shutdown=1,
-                limit_concurrency=64,
+                # asyncio accepts as many at once before it looks at any: the strangers' limit would
+                # come too late, and where no file is left asyncio tries, and complains, as often.
+                backlog=1,
             )
         )
+        logging.getLogger("uvicorn.error").addFilter(is_own_error)
 
     async def startup(self, sockets=None):
         """See uvicorn."""
         await super().startup(sockets)
         if self.started:
+            self._listening.listen(WAITING)
             self.listens.set()
             if self._when_listening is not None:
                 self._when_listening(self.url)

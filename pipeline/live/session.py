@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from deploy.errors import UserError
+from deploy.errors import UserError, line_of
 from pipeline.live.deciding import Answer, Decider
 from pipeline.live.keeping import WRITERS, Keeper, asked_next
 from pipeline.recordings.events import Events
@@ -46,6 +46,10 @@ machine is busy and its way is still to come."""
 POINTS = 512
 """Points that a message may hold."""
 
+SKIN_RATE = 2.0
+"""Seconds of the skin that are simulated for a page in each second, on average: a hand needs one.
+At once it may be the whole of the longest recording."""
+
 EACH = 1000
 """Recordings of each digit that a session may ask for."""
 
@@ -56,33 +60,43 @@ class BadMessage(ValueError):
 
 @dataclass
 class Allowance:
-    """So many a second, and at once no more than a second's worth.
+    """So many a second on average.
 
     Attributes
     ----------
     per_second : float
+    at_once : float, optional
+        That may be taken in one moment; default: a second's worth.
     left : float
+        Negative for a debt.
     at_s : float
         When ``left`` was right.
     """
 
     per_second: float
+    at_once: float | None = None
     left: float = field(init=False)
     at_s: float = -math.inf
 
     def __post_init__(self):
-        self.left = self.per_second
+        if self.at_once is None:
+            self.at_once = self.per_second
+        self.left = self.at_once
 
     def take(self, n: int, now_s: float) -> bool:
         """Whether ``n`` more are allowed; if so they count."""
         if now_s > self.at_s:
-            since = min(now_s - self.at_s, 1.0)
-            self.left = min(self.left + since * self.per_second, self.per_second)
+            since = now_s - self.at_s
+            self.left = min(self.left + since * self.per_second, self.at_once)
             self.at_s = now_s
         if n > self.left:
             return False
         self.left -= n
         return True
+
+    def charge(self, n: float):
+        """Count what was taken without asking; :meth:`take` refuses until the debt is gone."""
+        self.left -= n
 
 
 class OpenRecording:
@@ -168,6 +182,8 @@ class Session:
         self.writer = 1
         self.recording = None
         self._messages, self._points, self._strokes = (Allowance(n) for n in (400, 6000, 25))
+        self._skin = Allowance(SKIN_RATE, at_once=LONGEST_S)
+        self._requests = Allowance(10)
         self._complained_s = -math.inf
 
     def begin(self, decider: Decider):
@@ -226,12 +242,17 @@ class Session:
         handler = _HANDLERS.get(kind) if isinstance(kind, str) else None
         if handler is None:
             raise BadMessage("of no known type")
+        # What reads or writes the folder is pressed by a hand, and takes longer than a point.
+        if kind not in ("pen", "clear") and not self._requests.take(1, now_s):
+            return [problem("too many requests at a time; wait a moment and try again")]
         try:
             return handler(self, message, now_s)
         except OverflowError as error:
             raise BadMessage("a number is out of range") from error
         except UserError as error:
             return [problem(str(error))]
+        except OSError as error:  # of a disk, in whatever way it fails
+            return [problem(line_of(error))]
 
     def ask(self):
         """What the network is to answer next: a function for another thread, or None.
@@ -264,7 +285,8 @@ class Session:
         for *_, touches in points:
             lands += touches and not down
             down = touches
-        if not (self._points.take(len(points), now_s) and self._strokes.take(lands, now_s)):
+        allowed = self._points.take(len(points), now_s) and self._strokes.take(lands, now_s)
+        if not (allowed and self._skin.take(0, now_s)):
             return self._too_fast(now_s)
         replies = []
         for point in points:
@@ -274,7 +296,7 @@ class Session:
             if self.recording is not None and not self.recording.kept:
                 self.recording.point(*point)
         if self.recording is not None and not self.recording.kept:
-            replies.append(self._events(self.recording.advance(now_ms)))
+            replies.append(self._passed(self.recording.advance, now_ms))
         return replies
 
     def _is_new(self, page_ms):
@@ -291,8 +313,12 @@ class Session:
         deciding = self._decider.begin()
         self.recording = OpenRecording(self._recordings, seed, page_ms, deciding, self._p)
 
-    def _events(self, events):
+    def _passed(self, advance, *until):
+        """Let time pass on the skin, which counts: the message with the events of it."""
         recording = self.recording
+        begun_s = recording.writing.time_s
+        events = advance(*until)
+        self._skin.charge(recording.writing.time_s - begun_s)
         return {
             "type": "events",
             "recording": recording.number,
@@ -314,7 +340,7 @@ class Session:
         if recording is None or recording.kept:
             return [problem("nothing is written; write a digit first, then say what it was")]
         recording.lift()
-        replies = [self._events(recording.finish())]
+        replies = [self._passed(recording.finish)]
         events = recording.writing.events
         if len(events) == 0:
             return [*replies, problem("no taxel has felt anything; write with more pressure")]
@@ -348,15 +374,28 @@ class Session:
     def _who(self, message, now_s):
         number = message.get("number")
         if number is None:
-            number = max([self.writer, *self._keeper.writers]) + 1
+            number = self._new_writer()
         elif type(number) is not int or not 1 <= number < WRITERS:
             raise BadMessage(f"number: not from 1 to {WRITERS - 1}")
         handedness = message.get("handedness", "")
         if handedness not in ("", "left", "right"):
             raise BadMessage("handedness: neither left nor right nor empty")
         each = _whole(message, "each", 0, EACH)
-        self.writer, self._handedness, self._each = min(number, WRITERS - 1), handedness, each
+        self.writer, self._handedness, self._each = number, handedness, each
         return [self.state()]
+
+    def _new_writer(self):
+        """A number above all others while there is one, then the lowest that is free."""
+        self._keeper.look()
+        known = {self.writer, *self._keeper.writers}
+        numbers = [max(known) + 1, *range(1, WRITERS)]
+        free = next((n for n in numbers if n < WRITERS and n not in known), None)
+        if free is None:
+            raise UserError(
+                f"{self._keeper.folder}: has recordings of {len(known)} writers, which is as many "
+                "as it can tell apart; choose another folder with --record"
+            )
+        return free
 
     def _too_fast(self, now_s):
         if self.recording is not None and not self.recording.kept:

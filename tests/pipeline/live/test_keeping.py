@@ -2,6 +2,8 @@
 
 import errno
 import os
+import shutil
+import stat
 from collections import Counter
 
 import numpy as np
@@ -54,9 +56,12 @@ def test_the_folder_is_a_source_of_recordings_with_writers(keeper):
 
 def test_another_keeper_goes_on_where_one_was_killed(keeper):
     keeper.save(3, recording())
-    (keeper.folder / "3" / ".w001-0002.mat.abc").write_bytes(b"half a file")
+    half = keeper.folder / "3" / ".recording.abcd1234"
+    half.write_bytes(b"half a file")
+    os.utime(half, (0, 0))
     keeper.close()
     later = Keeper(keeper.folder)
+    assert not half.exists()
     assert len(later) == 1
     assert later.save(3, recording()).name == "3/w001-0002.mat"
     assert len(read_source(keeper.folder, jobs=1)) == 2
@@ -98,6 +103,89 @@ def test_a_full_disk_leaves_nothing_half(keeper, monkeypatch):
     assert len(keeper) == 1
     assert sorted(p.name for p in (keeper.folder / "2").iterdir()) == []
     assert keeper.save(2, recording()).number == 2
+
+
+@pytest.mark.parametrize("removable", [True, False])
+def test_a_folder_whose_names_cannot_be_made_safe(keeper, monkeypatch, removable):
+    """The name is there and may be lost: that is an error, and what is on the disk decides."""
+    keeper.save(1, recording())
+    sync, unlink = os.fsync, os.unlink
+
+    def broken(descriptor):
+        if stat.S_ISDIR(os.fstat(descriptor).st_mode):
+            raise OSError(errno.EIO, "Input/output error")
+        sync(descriptor)
+
+    def kept(path, *arguments, **options):
+        if str(path).endswith(".mat") and not removable:
+            raise OSError(errno.EIO, "Input/output error")
+        unlink(path, *arguments, **options)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", broken)
+        patched.setattr(os, "unlink", kept)
+        with pytest.raises(UserError, match="Input/output error"):
+            keeper.save(2, recording())
+    assert keeper.save(2, recording()).number == (2 if removable else 3)
+    assert len(keeper) == (2 if removable else 3)
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_a_file_that_was_put_there_is_not_replaced(keeper, monkeypatch, links):
+    """Even one that comes in the last moment, and on a disk that has no links."""
+    keeper.save(1, recording())
+    look = Keeper.look
+    taken = keeper.folder / "1" / "w001-0002.mat"
+
+    def too_early(keeper):
+        look(keeper)
+        if not taken.exists():
+            taken.write_text("mine")
+
+    def refuse(*arguments, **options):
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(Keeper, "look", too_early)
+    if not links:
+        monkeypatch.setattr(os, "link", refuse)
+    assert keeper.save(1, recording()).name == "1/w001-0003.mat"
+    assert taken.read_text() == "mine"
+    assert sorted(p.name for p in (keeper.folder / "1").iterdir()) == [
+        f"w001-000{n}.mat" for n in (1, 2, 3)
+    ]
+
+
+def test_a_file_that_was_put_there_before_counts(keeper):
+    keeper.save(1, recording())
+    (keeper.folder / "3").mkdir()
+    (keeper.folder / "3" / "w001-0041.mat").write_text("mine")
+    assert keeper.save(1, recording()).number == 42
+    assert (keeper.folder / "3" / "w001-0041.mat").read_text() == "mine"
+
+
+def test_a_lock_on_a_deleted_folder_is_no_lock(keeper):
+    keeper.save(1, recording())
+    shutil.rmtree(keeper.folder)
+    assert keeper.save(1, recording()).number == 1  # taken anew
+    shutil.rmtree(keeper.folder)
+    other = Keeper(keeper.folder)
+    other.save(1, recording())
+    for change in (lambda: keeper.save(1, recording()), lambda: keeper.undo(1)):
+        with pytest.raises(UserError, match="another 'stmnist live'"):
+            change()
+    other.close()
+    assert keeper.save(1, recording()).number == 2
+
+
+@pytest.mark.parametrize(
+    "name", ["w1000-0001.mat", "w001-\u0661\u0661\u0661\u0661.mat", "w000-0001.mat", "w001-1.mat"]
+)
+def test_names_that_are_not_ours_do_not_count(keeper, name):
+    (keeper.folder / "1").mkdir()
+    (keeper.folder / "1" / name).write_text("mine")
+    keeper.look()
+    assert (len(keeper), keeper.writers) == (0, [])
+    assert keeper.save(1, recording()).name == "1/w001-0001.mat"
 
 
 def test_all_digits_are_asked_for_as_often_as_wanted_in_a_random_order():

@@ -1,5 +1,6 @@
 """Who may talk to the server, and what it says to whom; without a browser."""
 
+import errno
 import http.client
 import json
 import socket
@@ -17,6 +18,7 @@ pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
 sync_client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
 from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 
+from pipeline.live.connections import STRANGERS  # noqa: E402
 from pipeline.live.server import LARGEST, PAGES, listen  # noqa: E402
 
 
@@ -282,3 +284,96 @@ def test_a_network_that_cannot_be_made_ready_is_said_on_the_page(tmp_path):
 
     with served(tmp_path / "kept", broken) as server, connect(server) as page:
         assert "no readout" in read_until(page, "problem")[-1]["text"]
+
+
+def idle(server, n):
+    """Connections that say nothing, and which of them the server has closed."""
+    there = [socket.create_connection(("127.0.0.1", parts(server)[0])) for _ in range(n)]
+
+    def closed(connection):
+        connection.setblocking(False)
+        try:
+            return connection.recv(1) == b""
+        except BlockingIOError:
+            return False
+        except ConnectionResetError:
+            return True
+
+    return there, closed
+
+
+def test_silent_connections_leave_the_page_its_place(server):
+    there, closed = idle(server, 3 * STRANGERS)
+    try:
+        assert get(server)[0] == 200
+        assert is_well(server)
+        assert sum(map(closed, there)) >= 2 * STRANGERS
+    finally:
+        for connection in there:
+            connection.close()
+
+
+def test_a_connection_that_shows_no_token_is_closed_in_time(server):
+    server.strangers._seconds = 0.01
+    port, _ = parts(server)
+    with socket.create_connection(("127.0.0.1", port), timeout=120) as silent:
+        assert silent.recv(1) == b""
+    with socket.create_connection(("127.0.0.1", port), timeout=120) as slow:
+        slow.send(b"GET ")
+        assert slow.recv(1) == b""
+
+
+def test_a_page_stays_connected_though_it_says_nothing(server):
+    with connect(server) as page:
+        read_until(page, "ready")
+        assert len(server.strangers) == 0
+        there, _ = idle(server, 2 * STRANGERS)
+        assert get(server)[0] == 200
+        write(page)
+        assert read_until(page, "answer")
+        for connection in there:
+            connection.close()
+
+
+def test_files_that_run_out_are_one_line_and_not_a_traceback_each():
+    from pipeline.live.connections import QUIET_S, say_when_files_run_out
+
+    class Loop:
+        now, said, others = 0.0, (), 0
+
+        def set_exception_handler(self, handler):
+            self.handle = handler
+
+        def time(self):
+            return self.now
+
+        def default_exception_handler(self, context):
+            self.others += 1
+
+    loop, said = Loop(), []
+    say_when_files_run_out(loop, said.append)
+    for moment in (0.0, 1.0, 2.0, QUIET_S + 0.1):
+        loop.now = moment
+        loop.handle(loop, {"exception": OSError(errno.EMFILE, "Too many open files")})
+    assert len(said) == 2
+    assert "Too many open files" in said[0]
+    loop.handle(loop, {"exception": ValueError()})
+    assert loop.others == 1
+
+
+def test_odd_requests_are_refused_without_a_word_on_the_terminal(server, capfd):
+    port, own = parts(server)
+    for name in ("x" * 300, "%ff", "%00", "a/../index.html"):
+        assert get(server, own + name)[0] == 404
+    with socket.create_connection(("127.0.0.1", port), timeout=120) as raw:
+        raw.send(
+            f"GET {own}pen HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
+            "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode()
+        )
+        assert b"101" in raw.recv(4096)
+        raw.send(b"\x81\x82\0\0\0\0\xff\xfe")  # a frame of text that is not UTF-8
+        while raw.recv(4096):
+            pass
+    assert is_well(server)
+    assert "Traceback" not in capfd.readouterr().err

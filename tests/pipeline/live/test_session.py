@@ -8,7 +8,14 @@ import tracemalloc
 import pytest
 
 from pipeline.live.keeping import Keeper
-from pipeline.live.session import LONGEST_S, Allowance, BadMessage, Session
+from pipeline.live.session import (
+    LONGEST_S,
+    SKIN_RATE,
+    Allowance,
+    BadMessage,
+    OpenRecording,
+    Session,
+)
 from pipeline.recordings.matfile import read_recording
 from pipeline.skin import parameters
 from tests.pipeline.live.conftest import Parrot, stroke
@@ -248,3 +255,75 @@ def test_an_hour_of_writing_keeps_nothing_in_memory(session):
     grown = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
     assert grown < 16_000  # 800 bytes a stroke; a recording alone takes more than that
+
+
+def test_a_new_writer_has_a_number_of_their_own(session, keeper):
+    def number():
+        return of(say(session, {"type": "writer", "number": None, "each": 0}), "writer")[0][
+            "number"
+        ]
+
+    (keeper.folder / "3").mkdir()
+    (keeper.folder / "3" / "w007-0001.mat").write_text("")
+    assert number() == 8
+    (keeper.folder / "3" / "w999-0001.mat").write_text("")
+    assert number() == 1  # the one before has written nothing
+    (keeper.folder / "3" / "w001-0001.mat").write_text("")
+    assert number() == 2
+    for writer in range(1, 1000):
+        (keeper.folder / "3" / f"w{writer:03d}-0001.mat").write_text("")
+    refused = say(session, {"type": "writer", "number": None, "each": 0})
+    assert "another folder with --record" in of(refused, "problem")[0]["text"]
+
+
+def test_a_disk_that_fails_is_said_and_the_digit_can_be_kept_again(session, keeper, monkeypatch):
+    written(session)
+
+    def fails(folder):
+        raise OSError(5, "Input/output error", str(folder))
+
+    with monkeypatch.context() as patched:
+        patched.setattr("pipeline.live.keeping._list", fails)
+        text = of(say(session, {"type": "label", "digit": 1}), "problem")[0]["text"]
+        assert "Input/output error" in text
+        patched.setattr(Keeper, "save", lambda keeper, *given: fails("disk"))
+        assert "disk: " in of(say(session, {"type": "label", "digit": 1}), "problem")[0]["text"]
+    assert of(say(session, {"type": "label", "digit": 1}), "saved")
+
+
+def test_a_clock_that_leaps_simulates_no_more_than_a_hand_needs(session, monkeypatch):
+    """25 messages a second, each with a stroke of half a minute: four minutes of skin a second."""
+    simulated = []
+    advance = OpenRecording.advance
+
+    def counted(recording, page_ms):
+        begun = recording.writing.time_s
+        events = advance(recording, page_ms)
+        simulated.append(recording.writing.time_s - begun)
+        return events
+
+    monkeypatch.setattr(OpenRecording, "advance", counted)
+    replies = []
+    for n in range(250):
+        t = 30_000.0 * (n + 1)
+        points = [[t, 4.0, 4.0, 0.5, 1], [t + 29_000, 4.0, 5.0, 0.5, 1], [t + 29_001, 4, 5, 0.5, 0]]
+        message = json.dumps({"type": "pen", "now": t + 29_500, "points": points})
+        replies += session.handle(message, n * 0.04)
+    assert sum(simulated) <= 2 * LONGEST_S + SKIN_RATE * 10
+    assert of(replies, "problem")
+    session.handle(json.dumps({"type": "clear"}), 20.0)
+    later = Clock()
+    later.now_s = 30.0  # an honest hand is welcome afterwards
+    for message in stroke(start_ms=9e6):
+        say(session, message, later)
+    assert of(say(session, {"type": "label", "digit": 1}, later), "saved")
+
+
+def test_a_hand_that_writes_all_the_time_is_never_too_fast(session):
+    for n in range(40):
+        assert not of(written(session, start_ms=600.0 * n, seconds=0.3), "problem")
+
+
+def test_requests_that_come_faster_than_a_hand_are_refused(session):
+    asks = [session.handle('{"type": "undo"}', 1.0)[0]["text"] for _ in range(30)]
+    assert sum("too many requests" in text for text in asks) == 20

@@ -1,0 +1,112 @@
+"""Connections that have not shown the token: they may be few, and not for long.
+
+Any program of the machine can connect to the port, and hold the connection without a word.  Here
+such a connection is closed after a while, or when too many newer ones have come; so the page always
+finds a place, and the server never runs out of files.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import sys
+
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+STRANGERS = 32
+"""Connections without the token at a time: many times what a browser opens for a page, and a small
+part of the files that a process may have open."""
+
+STRANGER_S = 5.0
+"""Until a connection must have shown the token; a page does so in milliseconds."""
+
+QUIET_S = 60.0
+"""From one line about files that have run out to the next."""
+
+
+class Strangers:
+    """The connections that have not shown the token yet, the oldest first.
+
+    Parameters
+    ----------
+    most : int
+    seconds : float
+    """
+
+    def __init__(self, most: int = STRANGERS, seconds: float = STRANGER_S):
+        self._most, self._seconds = most, seconds
+        self._there = {}  # transport and timer of each address
+
+    def __len__(self):
+        return len(self._there)
+
+    def arrived(self, transport):
+        """A connection has been made; the oldest is closed if there are too many."""
+        address = _address(transport.get_extra_info("peername"))
+        self.left(address)
+        if len(self._there) >= self._most:
+            self._close(next(iter(self._there)))
+        timer = asyncio.get_running_loop().call_later(self._seconds, self._close, address)
+        self._there[address] = transport, timer
+
+    def left(self, address):
+        """A connection is closed, or has shown the token."""
+        _, timer = self._there.pop(_address(address), (None, None))
+        if timer is not None:
+            timer.cancel()
+
+    def _close(self, address):
+        transport, _ = self._there[address]
+        self.left(address)
+        transport.abort()
+
+
+def _address(pair):
+    return tuple(pair)[:2] if pair else None
+
+
+def protocol_of(strangers: Strangers):
+    """Uvicorn's protocol, which tells of each connection that is made or lost."""
+
+    class Protocol(H11Protocol):
+        def connection_made(self, transport):
+            super().connection_made(transport)
+            strangers.arrived(transport)
+
+        def connection_lost(self, exc):
+            super().connection_lost(exc)
+            strangers.left(self.client)
+
+    return Protocol
+
+
+def say_when_files_run_out(loop, say=None):
+    """Turn asyncio's traceback for each connection that finds no file into a line a minute.
+
+    Parameters
+    ----------
+    loop : asyncio.AbstractEventLoop
+    say : callable, optional
+        Takes the line; default: standard error.
+    """
+    say = say or (lambda line: print(line, file=sys.stderr))
+    said_s = -QUIET_S
+
+    def handle(loop, context):
+        nonlocal said_s
+        error = context.get("exception")
+        if not isinstance(error, OSError) or error.errno not in (errno.EMFILE, errno.ENFILE):
+            loop.default_exception_handler(context)
+        elif loop.time() >= said_s + QUIET_S:
+            said_s = loop.time()
+            say(
+                f"live: a connection has to wait ({error.strerror}); "
+                "close other programs, or raise the limit with 'ulimit -n'"
+            )
+
+    loop.set_exception_handler(handle)
+
+
+def is_own_error(record) -> bool:
+    """A filter of the log: text that is not UTF-8 is a mistake of the sender, no traceback."""
+    return not (record.exc_info and isinstance(record.exc_info[1], UnicodeDecodeError))
