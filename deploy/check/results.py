@@ -339,6 +339,39 @@ def compare_results(a: dict, b: dict) -> Comparison:
     )
 
 
+SIGNIFICANT = 0.01
+"""McNemar's p below which a lower accuracy is no chance."""
+
+
+def loss_text(reference: dict, result: dict) -> Optional[str]:
+    """A line where a target is significantly less accurate than the network it was made from.
+
+    Parameters
+    ----------
+    reference : dict
+        The trained network's answers to the same samples.
+    result : dict
+
+    Returns
+    -------
+    str or None
+        None where the difference may be chance, or there is none.
+
+    Raises
+    ------
+    UserError
+        They are of different bundles or of different samples.
+    """
+    compared = compare_results(reference, result)
+    if compared.accuracy_drop <= 0 or compared.p_value >= SIGNIFICANT:
+        return None
+    own, found = compared.accuracies
+    return (
+        f"{result['target']} is significantly less accurate than {reference['target']} on the same "
+        f"samples: {found:.3f}, not {own:.3f} (McNemar p = {compared.p_value:.2g})"
+    )
+
+
 def enforce(
     comparison: Comparison,
     max_disagreements: Optional[int] = None,

@@ -125,10 +125,10 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
     start, limit = spec.presentation.readout_start, spec.presentation.confidence
     scores = _running_means(spec, output)
     decisions = np.full(output.shape[:2], -1)
-    decisions[:, start:] = np.argmax(_settled(scores), axis=2)
+    decisions[:, start:] = np.argmax(settled(scores, score_unit(spec)), axis=2)
     stopped = None
     if limit is not None:
-        stopped = start + 1 + decide(_sums(scores), limit, spec.judge, start)[0]
+        stopped = start + 1 + decide(_sums(spec, scores), limit, spec.judge, start)[0]
     return Responses(
         scores=scores[:, -1],
         decisions=decisions,
@@ -151,12 +151,12 @@ def running_sums(spec: NetworkSpec, output: np.ndarray) -> np.ndarray:
     ndarray, shape (n_samples, steps - readout_start, n_classes)
         Sums of the readout from ``readout_start`` on.
     """
-    return _sums(_running_means(spec, output))
+    return _sums(spec, _running_means(spec, output))
 
 
-def _sums(means):
+def _sums(spec, means):
     """What was added up, from its mean at each step."""
-    return _settled(means * np.arange(1, means.shape[1] + 1)[:, None])
+    return settled(means * np.arange(1, means.shape[1] + 1)[:, None], score_unit(spec))
 
 
 def _running_means(spec, output):
@@ -166,12 +166,35 @@ def _running_means(spec, output):
     return np.cumsum(window, axis=1) / np.arange(1, window.shape[1] + 1)[:, None] + bias
 
 
-def _settled(scores):
+def score_unit(spec: NetworkSpec) -> float:
+    """What scores are rounded in, a power of ten: 1, or of the readout's scale where that is odd.
+
+    A network answers the same when its readout's weights and biases are all multiplied by 1e-25.
+    """
+    readout = spec.layers[-1]
+    largest = max(np.abs(readout.weights).max(initial=0), np.abs(readout.bias).max(initial=0))
+    if readout.neurons is not None or largest == 0 or 1e-3 <= largest <= 1e3:
+        return 1.0
+    return 10.0 ** float(np.floor(np.log10(largest)))
+
+
+def settled(scores: np.ndarray, unit: float = 1.0) -> np.ndarray:
     """Round away the last bits, so that equal scores tie alike on every target.
 
     Targets add the same spikes in another order; a tie must not be broken by that.
+
+    Parameters
+    ----------
+    scores : ndarray
+    unit : float
+        See :func:`score_unit`.
+
+    Returns
+    -------
+    ndarray
+        Rounded to a thousand-millionth of the unit.
     """
-    return np.round(scores, 9)
+    return np.round(scores / unit, 9) * unit
 
 
 def join(parts) -> Responses:

@@ -11,11 +11,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Dict, List, Tuple
 
-import nengo
-
 from ..errors import UserError
 from ..network.build import build
 from ..network.chip import LOIHI
+from ..network.discretisation import BUILD_ERRORS, cannot_build
 from ..network.loihi_import import nengo_loihi
 from ..network.spec import DT, NetworkSpec
 from ..tables import aligned
@@ -150,7 +149,8 @@ def make_plan(spec: NetworkSpec, chips: int = 1) -> Plan:
             f"the network: {len(cores)} cores need {needed} chips, {needed - chips} more than the "
             f"{chips} asked for; ask for more with --chips, or use larger blocks"
         )
-    return Plan(cores, needed, problems, [line for core in cores for line in _warnings(core)])
+    warnings = [*_lost_weights(spec, cores), *(line for core in cores for line in _warnings(core))]
+    return Plan(cores, needed, problems, warnings)
 
 
 def require_fit(spec: NetworkSpec, chips: int = 1) -> Plan:
@@ -175,8 +175,8 @@ def _blocks(spec):
     model.validation_level = nengo_loihi.builder.builder.ValidationLevel.NONE  # we count ourselves
     try:
         model.build(built.network, precompute=True)
-    except (nengo.exceptions.NengoException, AssertionError) as error:
-        raise UserError(f"NengoLoihi cannot build this network: {error}") from error
+    except BUILD_ERRORS as error:
+        raise cannot_build(built.network, error) from error
     blocks = {}
     for ensemble in built.network.all_ensembles:
         if built.network.config[ensemble].on_chip and ensemble in model.objs:
@@ -266,6 +266,18 @@ def _pop16_problems(placed):
                     f"layer {layer}, part {part}: pop_type 16 needs a number of filters that is a "
                     "multiple of 4; use pop_type 32, or other filters"
                 )
+
+
+def _lost_weights(spec, cores):
+    """Layers of whose weights nothing is left in the chip's integers."""
+    for layer in spec.layers:
+        parts = [core for core in cores if core.layer == layer.name]
+        if parts and layer.weights.any() and not any(core.worst_input for core in parts):
+            yield (
+                f"layer {layer.name}: all its weights become 0 in the chip's integers, the largest "
+                f"is {abs(layer.weights).max():.3g}; scale the network so that its neurons' "
+                "thresholds are about 1"
+            )
 
 
 def _warnings(core):

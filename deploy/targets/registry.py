@@ -12,6 +12,7 @@ import nengo
 
 from ..errors import UserError
 from ..network.build import build
+from ..network.discretisation import BUILD_ERRORS, cannot_build
 from ..network.loihi_import import nengo_loihi
 from ..network.responses import Responses, join, respond
 from ..network.spec import NetworkSpec
@@ -186,14 +187,8 @@ def _loihi_simulator(network, target):
     try:
         # The target is always passed: left out, NengoLoihi takes hardware where NxSDK is installed.
         return nengo_loihi.Simulator(network, target=target, precompute=True)
-    except (nengo.exceptions.BuildError, nengo.exceptions.ValidationError) as error:
-        raise UserError(f"NengoLoihi cannot build this network: {error}") from error
-    except AttributeError as error:
-        # NengoLoihi trips over its own message where pop_type 16 meets filters not in fours.
-        raise UserError(
-            f"NengoLoihi cannot build this network ({error}); what does not fit a core is said by "
-            "'stmnist deploy plan'"
-        ) from error
+    except BUILD_ERRORS as error:
+        raise cannot_build(network, error) from error
 
 
 def _run(spec: NetworkSpec, streams: Iterable, seed, simulator) -> Iterator[Responses]:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Annotated, Optional
 
 import typer
 
 from deploy.check.bundle import read_bundle, result_beside
-from deploy.check.results import compare_results, enforce, read_result
+from deploy.check.results import compare_results, enforce, loss_text, read_result
 from deploy.check.run import run_check
 from deploy.check.text import comparison_text, summary
+from deploy.errors import UserError
 from deploy.targets.board import BoardOptions
 from deploy.targets.registry import TARGETS, options_for
 from pipeline.commands import options
 from pipeline.progress import progress
+from pipeline.run.answers import REFERENCES
 
 BOARD = {"rich_help_panel": "Target loihi"}
 
@@ -76,6 +79,18 @@ def run(
     with progress(f"check {target}", len(opened.checks)) as advance:
         result = run_check(opened, target, path, seed, advance, chosen)
     options.tell(result, lambda value: f"{summary(value)}\nwritten to {path}", as_json)
+    if loss := _loss(opened, result):
+        options.say(f"check: {loss}")
+
+
+def _loss(bundle, result):
+    """What is lost against the network that the bundle was made from, where its answers are."""
+    for first, *_ in REFERENCES.values():
+        with contextlib.suppress(UserError):  # none there, or damaged: then there is nothing to say
+            reference = read_result(bundle.path.absolute().parent / "checks" / f"{first}.json")
+            if reference["bundle"] == bundle.id:
+                return loss_text(reference, result)
+    return None
 
 
 def compare_checks(

@@ -13,7 +13,7 @@ import numpy as np
 
 from deploy.check.bundle import Bundle
 from deploy.network.decision import confidence
-from deploy.network.responses import read_output, running_sums
+from deploy.network.responses import read_output, running_sums, score_unit, settled
 from deploy.network.stimulus import EventFrames
 from deploy.targets.fast.emulation import Emulation, compile_spec
 from pipeline.inputs.images import tactile_images
@@ -36,17 +36,20 @@ class Answer:
         (`numpy.packbits`).
     sure : bool
         Whether the confidence is one at which the network decides by itself, before the end.
+    unit : float
+        See :func:`deploy.network.responses.score_unit`.
     """
 
     scores: np.ndarray
     confidence: np.ndarray
     spikes: dict
     sure: bool = False
+    unit: float = 1.0
 
     @property
     def decision(self) -> int:
         """The digit with the highest score."""
-        return int(np.argmax(np.round(self.scores, 9)))
+        return int(np.argmax(settled(self.scores, self.unit)))
 
 
 @dataclass(frozen=True)
@@ -132,7 +135,7 @@ class _Fast:
         if shown.confidence is not None:
             sums = running_sums(spec, output)[0]
             reached = confidence(sums, spec.judge, shown.readout_start)[-1] >= shown.confidence
-        return Answer(scores, odds / odds.sum(), spikes, bool(reached))
+        return Answer(scores, odds / odds.sum(), spikes, bool(reached), score_unit(spec))
 
     def _logits(self, scores, steps):
         """What the softmax was taken of when the network was trained."""

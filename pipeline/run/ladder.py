@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from deploy.check.bundle import Bundle
-from deploy.check.results import compare_results, read_result
+from deploy.check.results import compare_results, loss_text, read_result
 from deploy.tables import aligned, p_text
 from deploy.targets.registry import TARGETS
 from pipeline.artifacts import Artifact
@@ -226,6 +226,7 @@ def ladder_json(results, layers=None, left_out=(), classes=None) -> dict:
         "while_written": results[-1].get("while_written"),
         "layers": layers,
         "least_faithful_layer": layers and least_faithful(layers),
+        "losses": [text for result in results[1:] if (text := loss_text(first, result))],
     }
 
 
@@ -301,6 +302,7 @@ def ladder_text(ladder: dict, limit: float = 1.0) -> str:
         lines.append(f"left out: {', '.join(ladder['left_out'])} (minutes each; add --slow)")
     if ladder.get("while_written"):
         lines.append(early_text(ladder["while_written"], last))
+    lines += ladder.get("losses", [])
     losing = losing_stages(ladder, limit)
     for a, b, points in losing:
         lines.append(f"{b} loses {points:.1f} points on {a}, more than {limit:g}")

@@ -272,12 +272,21 @@ def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
     """
     scaled, before = dict(weights), 1.0
     for name, output in TrainedCNN(settings, weights).activations(images).items():
-        scale = max(float(np.percentile(output, PERCENTILE)), 1e-6)
-        scaled[f"{name}.kernel"] = weights[f"{name}.kernel"] * before / scale
+        scale = _reach(output)
+        scaled[f"{name}.kernel"] = weights[f"{name}.kernel"] * (before / scale)
         scaled[f"{name}.bias"] = weights[f"{name}.bias"] / scale
         before = scale
     scaled["output.kernel"] = weights["output.kernel"] * before
     return scaled
+
+
+def _reach(activations) -> float:
+    """What a layer's activations reach, whatever their scale; 1 for a layer that is silent.
+
+    Of activations that are nearly all 0 it is the largest one.
+    """
+    reach = float(np.percentile(activations, PERCENTILE)) or float(np.max(activations, initial=0))
+    return reach or 1.0
 
 
 def fit_to_rates(settings: Settings, weights: dict, images) -> dict:
@@ -303,11 +312,11 @@ def fit_to_rates(settings: Settings, weights: dict, images) -> dict:
     snn, fitted, before = settings.snn, dict(weights), 1.0
     outputs = TrainedCNN(settings, weights).activations(images)
     for index, (name, output) in enumerate(outputs.items()):
-        scale = max(float(np.percentile(output, PERCENTILE)), 1e-6)
+        scale = _reach(output)
         neurons = RateLIF(snn.max_rate(index), snn.tau_rc, snn.tau_ref, on_chip=snn.is_on_chip)
         shift, factor = _best_shift(neurons, output[output > 0] / scale)
         kernel, bias = weights[f"{name}.kernel"], weights[f"{name}.bias"]
-        fitted[f"{name}.kernel"] = kernel * before / scale * (1 + shift)
+        fitted[f"{name}.kernel"] = kernel * (before / scale * (1 + shift))
         fitted[f"{name}.bias"] = bias / scale * (1 + shift) - shift
         before = scale * factor
     fitted["output.kernel"] = weights["output.kernel"] * before

@@ -9,19 +9,22 @@ import shutil
 import struct
 import zipfile
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import h5py
 import numpy as np
 import scipy.io
 
+from deploy import limits
+from deploy.check.bundle import CheckSet, write_bundle
 from deploy.files import read_arrays, read_json
 
+from ..deploy.fast_networks import random_spec
 from . import damage
 
 SHARES = {
-    "mat5": 0.3, "mat73": 0.12, "zip": 0.1, "bundle": 0.22, "settings": 0.13, "result": 0.06,
-    "run": 0.04, "links": 0.03,
+    "mat5": 0.25, "mat73": 0.12, "zip": 0.1, "bundle": 0.22, "settings": 0.13, "result": 0.06,
+    "run": 0.04, "links": 0.03, "network": 0.05,
 }  # fmt: skip
 """Of each kind in a campaign."""
 
@@ -266,9 +269,39 @@ def bundle(rng, folder, base):
         ["check", "run", path, "--target", "fast", "--out", folder / "fast.json"],
         ["deploy", "plan", path],
         ["deploy", "export", path, "--format", "lava", "--out", folder / "lava.npz"],
-        ["check", "run", path, "--target", "nengo", "--out", folder / "nengo.json"],
-    ]
-    return verbs[int(rng.choice([0, 0, 0, 0, 1, 1, 2, 3]))]
+        *(["check", "run", path, "--target", target, "--out", folder / f"{target}.json"]
+          for target in ("nengo", "simreal", "emulator")),
+    ]  # fmt: skip
+    return verbs[int(rng.choice([0, 0, 0, 0, 1, 1, 2, 3, 4, 5]))]
+
+
+def network(rng, folder, base):
+    """A bundle of any network that can be described, of any scale, on every target."""
+    spec = random_spec(int(rng.integers(0, 10**6)))
+    layers = list(spec.layers)
+    if rng.random() < 0.6:
+        index, factor = int(rng.integers(0, len(layers))), 10.0 ** rng.uniform(-30, 8)
+        limit = limits.MAGNITUDE
+        layers[index] = replace(
+            layers[index],
+            weights=np.clip(layers[index].weights * factor, -limit, limit),
+            bias=np.clip(layers[index].bias * 10.0 ** rng.uniform(-3, 3), -limit, limit),
+        )
+    stimulus = spec.stimulus
+    if hasattr(stimulus, "max_rate") and rng.random() < 0.3:
+        stimulus = replace(stimulus, max_rate=float(10.0 ** rng.uniform(-3, 3)))
+    spec = replace(spec, layers=tuple(layers), stimulus=stimulus)
+    shape = spec.stimulus.sample_shape(spec.input_shape, spec.presentation.steps)
+    inputs = rng.random((3, *shape)) * (rng.random((3, *shape)) < 0.7)
+    if not spec.stimulus.held:
+        inputs = (inputs > 0.6).astype(np.uint8)
+    checks = CheckSet(inputs, rng.integers(0, spec.layers[-1].size, 3), ("a", "b", "c"), 0)
+    path = folder / "bundle"
+    write_bundle(path, spec, checks)
+    verbs = [["deploy", "plan", path]]
+    verbs += [["check", "run", path, "--target", target, "--out", folder / f"{target}.json"]
+              for target in ("nengo", "simreal", "emulator", "fast")]  # fmt: skip
+    return verbs[int(rng.integers(0, len(verbs)))]
 
 
 def rehash(path):
@@ -387,4 +420,5 @@ def harmed(folder):
 KINDS = {
     "mat5": mat5, "mat73": mat73, "zip": zipped, "bundle": bundle, "settings": settings,
     "result": result, "run": run_folder, "links": links,
+    "network": network,
 }  # fmt: skip

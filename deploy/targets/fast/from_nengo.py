@@ -17,9 +17,9 @@ from nengo.builder.neurons import SimNeurons
 from nengo.builder.processes import SimProcess
 from nengo.builder.transforms import ConvInc
 
-from ...errors import UserError
 from ...network.build import EvenSpikes, Relay
 from ...network.chip import LOIHI
+from ...network.discretisation import BUILD_ERRORS, cannot_build
 from ...network.loihi_import import nengo_loihi
 from .arrays import Network
 from .from_loihi import cannot, chip_arrays
@@ -101,10 +101,8 @@ def compile_network(network, source, output, dt=LOIHI.dt) -> Program:
         model = nengo_loihi.builder.Model(dt=float(dt))
         # precompute=None: NengoLoihi finds out by itself whether the host waits for the chip.
         model.build(network, precompute=None, discretize=True)
-    except (nengo.exceptions.NengoException, AssertionError, AttributeError) as error:
-        # Some of its limits are assertions, one of whose messages is itself mistaken.
-        problem = str(error) or "one of its internal limits is not met"
-        raise UserError(f"NengoLoihi cannot build this network: {problem}") from error
+    except BUILD_ERRORS as error:
+        raise cannot_build(network, error) from error
     finally:
         source.output = showing
     _refuse_what_is_not_feed_forward(model)

@@ -18,6 +18,10 @@ LEAST_KNOWN = 0.15
 three layers with Keras's first weights the best had gone 0.06 of it by luck, on ten classes."""
 
 
+SPREAD = (1e-3, 1e4)
+"""From the least to the largest logit of a sample, in networks whose logits mean something."""
+
+
 def read_model(path: Path) -> tuple:
     """A user's Keras model, and the SHA-256 of its file.
 
@@ -89,8 +93,9 @@ def take_over(settings: Settings, dataset: Dataset) -> tuple:
         raise UserError(f"{path}: has changed; give it again with 'stmnist convert RUN --model'")
     from pipeline.training.networks import TrainedCNN
 
-    taken = TrainedCNN(settings, model.weights)
     images, labels = dataset.part("train")
+    weights, scale = _usual_scale(settings, model.weights, images)
+    taken = TrainedCNN(settings, weights)
     right = int((taken.logits(images).argmax(1) == labels).sum())
     likeliest = np.bincount(labels).max() / len(labels)
     if wilson_interval(right, len(labels))[0] <= likeliest + LEAST_KNOWN * (1 - likeliest):
@@ -100,4 +105,27 @@ def take_over(settings: Settings, dataset: Dataset) -> tuple:
             "trained, trained on other inputs than tactile images as [image] in the settings makes "
             "them, or with the classes in another order"
         )
-    return taken, model.notes
+    return (taken, model.notes) if scale == 1 else (taken, (*model.notes, _scale_note(scale)))
+
+
+def _usual_scale(settings, weights, images) -> tuple:
+    """The weights with logits of a usual size, and what their output layer was multiplied by.
+
+    The largest logit stays the largest.  The factor is a power of two, by which nothing is rounded.
+    """
+    from pipeline.training.networks import TrainedCNN
+
+    logits = TrainedCNN(settings, weights).logits(images).astype(float)
+    spread = float(np.median(logits.max(axis=1) - logits.min(axis=1)))
+    if not np.isfinite(spread) or spread == 0 or SPREAD[0] <= spread <= SPREAD[1]:
+        return weights, 1.0
+    scale = 2.0 ** float(-np.round(np.log2(spread)))
+    output = {name: weights[name] * np.float64(scale) for name in ("output.kernel", "output.bias")}
+    return weights | {name: array.astype(np.float32) for name, array in output.items()}, scale
+
+
+def _scale_note(scale):
+    return (
+        f"its output layer is multiplied by {scale:.3g}: its logits are of a size that no softmax "
+        "was trained with; the largest stays the largest"
+    )

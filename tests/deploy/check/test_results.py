@@ -5,7 +5,7 @@ import json
 import pytest
 
 from deploy import cli
-from deploy.check.results import compare_results, read_result
+from deploy.check.results import compare_results, loss_text, read_result
 from deploy.errors import UserError
 from deploy.files import write_json
 from tests.command import call
@@ -152,3 +152,13 @@ def test_other_bundles_are_refused_with_status_2(run, pair, tmp_path, capsys):
 def test_the_comparison_for_a_program(pair, capsys):
     assert call("check", "compare", *pair, "--json") == 0
     assert json.loads(capsys.readouterr().out)["n_disagreements"] == 2
+
+
+def test_a_loss_that_is_no_chance_is_said():
+    many = tuple(range(10)) * 4
+    trained = result(many, many, target="cnn")
+    assert loss_text(trained, result(many, many, target="fast")) is None
+    assert loss_text(trained, result((1, *many[1:]), many, target="fast")) is None
+    line = loss_text(trained, result((0,) * 40, many, target="fast"))
+    assert "fast is significantly less accurate than cnn" in line
+    assert "0.100, not 1.000" in line

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -66,6 +68,21 @@ def test_equal_scores_tie_alike_whatever_the_order_of_adding():
     output[0, :, 4] -= spec.layers[-1].bias[4]
     output[0, :, 2] -= spec.layers[-1].bias[2]
     assert read_output(spec, output, spikes_of(spec, 1)).predictions.tolist() == [2]
+
+
+@pytest.mark.parametrize("factor", [1e-25, 1e-9, 1e9])
+def test_a_readout_of_another_scale_decides_alike(factor):
+    """Scores that were rounded to 9 decimals tied at 0."""
+    spec = small_spec(steps=30, readout_start=0)
+    output = np.random.default_rng(0).normal(size=(20, 30, 10))
+    readout = spec.layers[-1]
+    scaled = replace(readout, weights=readout.weights * factor, bias=readout.bias * factor)
+    found = read_output(
+        replace(spec, layers=(*spec.layers[:-1], scaled)), output * factor, spikes_of(spec, 20)
+    )
+    expected = read_output(spec, output, spikes_of(spec, 20))
+    np.testing.assert_array_equal(found.decisions, expected.decisions)
+    assert len(set(found.predictions)) > 3
 
 
 def test_what_is_shown_at_each_step():

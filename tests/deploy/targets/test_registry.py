@@ -1,5 +1,6 @@
 """Each target on small networks: the presentation to the letter, and near what was meant."""
 
+import re
 from dataclasses import replace
 
 import nengo
@@ -10,7 +11,9 @@ from deploy.errors import UserError
 from deploy.network.build import build
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import ImageCurrent, ImageSpikes
+from deploy.preflight.plan import make_plan, require_fit
 from deploy.targets.registry import _loihi_simulator, answer, target_named
+from tests.deploy.fast_networks import random_spec
 from tests.deploy.networks import conv, paper_spec, random_checks, readout, small_spec
 
 EXACT = ("nengo", "simreal", "emulator")
@@ -151,13 +154,52 @@ def test_what_nengo_loihi_cannot_build_is_one_error():
         answer(spec, np.zeros((1, 6, 6, 1)), "emulator")
 
 
+CHIPS = ("emulator", "fast")
+"""The targets with the chip's integers that run anywhere."""
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        replace(small_spec(), stimulus=ImageSpikes(max_rate=1e-3)),
+        *map(random_spec, (77006, 77017, 77045)),
+    ],
+    ids=["max_rate", "77006", "77017", "77045"],
+)
+def test_what_no_integers_can_hold_is_refused_alike(spec):
+    """A spike of 1,000 makes weights beside which the threshold is 0: an AssertionError of one."""
+    shape = spec.stimulus.sample_shape(spec.input_shape, spec.presentation.steps)
+    lines = set()
+    for run in (
+        *(lambda target=target: answer(spec, np.zeros((1, *shape)), target) for target in CHIPS),
+        lambda: make_plan(spec),
+        lambda: require_fit(spec),  # asked before a board is looked for
+    ):
+        with pytest.raises(UserError) as refused:
+            run()
+        lines.add(str(refused.value))
+    assert len(lines) == 1
+    line = lines.pop()
+    assert re.search(r"layer (conv|dense|output)\d?: no scale", line)
+    assert "a threshold of 17 bits" in line
+
+
+def test_weights_that_the_integers_cannot_hold_are_said():
+    """NengoLoihi takes what is below 1e-8 for 0."""
+    spec = small_spec()
+    first = replace(spec.layers[0], weights=spec.layers[0].weights * 1e-15)
+    tiny = replace(spec, layers=(first, *spec.layers[1:]))
+    assert not any("become 0" in line for line in make_plan(spec).warnings)
+    assert any("conv1" in line and "become 0" in line for line in make_plan(tiny).warnings)
+
+
 def test_population_axons_of_16_bits_and_filters_not_in_fours():
     spec = paper_spec()
     first = replace(spec.layers[0], pop_type=16)
-    with pytest.raises(UserError, match="NengoLoihi cannot build this network"):
-        answer(
-            replace(spec, layers=(first, *spec.layers[1:])), np.zeros((1, 10, 10, 1)), "emulator"
-        )
+    spec = replace(spec, layers=(first, *spec.layers[1:]))
+    for target in CHIPS:
+        with pytest.raises(UserError, match="NengoLoihi cannot build this network"):
+            answer(spec, np.zeros((1, 10, 10, 1)), target)
 
 
 def test_an_unknown_target_is_named_with_the_known_ones():

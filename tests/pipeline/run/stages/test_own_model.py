@@ -203,3 +203,47 @@ def test_a_file_that_has_changed_since(files, tmp_path, capsys):
 
     with pytest.raises(UserError, match=r"model\.keras: has changed; give it again"):
         stages.train(RunFolder(folder), settings, Dataset.of(settings), lambda line: None)
+
+
+@pytest.mark.parametrize(
+    "factors",
+    [
+        {"conv1": 1e-20, "conv2": 1e20},
+        {"conv1": 1e15, "conv2": 1e-15},
+        {"output": 1e-25},
+        {"output": 1e15},
+    ],
+)
+def test_the_scale_of_a_layer_does_not_matter(run, files, dataset, tmp_path, factors):
+    """Each is the same function, or the same but for a factor of all its logits."""
+    from models.own import read_own_model
+    from pipeline.run.conversion import to_spec
+    from pipeline.run.stages import own_model
+    from pipeline.training.networks import TrainedRates, fit_to_rates, scale_to_unit
+
+    settings = read_settings(run / "experiment.toml")
+    whole = read_own_model(files / "good.keras")
+    weights, total = dict(whole.weights), 1.0
+    for name in ("conv1", "conv2", "output"):
+        factor = factors.get(name, 1.0)
+        total *= factor
+        weights[f"{name}.kernel"] = (weights[f"{name}.kernel"] * np.float64(factor)).astype("f4")
+        weights[f"{name}.bias"] = (weights[f"{name}.bias"] * np.float64(total)).astype("f4")
+    images = dataset.part("train")[0]
+    usual, _ = own_model._usual_scale(settings, weights, images)
+    expected = fit_to_rates(settings, whole.weights, images)
+    found = fit_to_rates(settings, usual, images)
+    wanted = TrainedRates(settings, expected).logits(images[:200])
+    logits = TrainedRates(settings, found).logits(images[:200])
+    np.testing.assert_array_equal(logits.argmax(1), wanted.argmax(1))
+    assert 1e-3 < np.ptp(logits, axis=1).mean() < 1e4
+    for name, array in scale_to_unit(settings, usual, images).items():
+        assert np.isfinite(array).all(), name
+    samples = dataset.part("test")[0][:20]
+    from deploy.targets.registry import answer
+
+    spec = to_spec(settings, found, {})
+    same = to_spec(settings, expected, {})
+    np.testing.assert_array_equal(
+        answer(spec, samples, "fast").predictions, answer(same, samples, "fast").predictions
+    )

@@ -1,0 +1,71 @@
+"""Why NengoLoihi cannot put a network into the chip's integers, in a sentence.
+
+NengoLoihi gives a block one scale, by which its largest weight becomes 255, and asserts, mostly
+without a word, that threshold and bias fit beside it.
+"""
+
+from __future__ import annotations
+
+import nengo
+
+from ..errors import UserError
+from .chip import LOIHI
+from .loihi_import import nengo_loihi
+
+BUILD_ERRORS = (nengo.exceptions.NengoException, AssertionError, AttributeError, OverflowError)
+"""What NengoLoihi raises for a network that it cannot build: some of its limits are assertions, and
+one of their messages is itself mistaken (an AttributeError, where pop_type 16 meets filters that
+are no multiple of 4)."""
+
+HOLDS = "weights of 8 bits, a threshold of 17 bits times 64, a bias of 12 bits times up to 128"
+
+
+def cannot_build(network: nengo.Network, error: Exception) -> UserError:
+    """The error of every target for a network that NengoLoihi cannot build.
+
+    Parameters
+    ----------
+    network : nengo.Network
+    error : Exception
+        What NengoLoihi raised, one of `BUILD_ERRORS`.
+
+    Returns
+    -------
+    UserError
+        Names the layer and the limit where the chip's integers are the reason.
+    """
+    problem = _unfit_layer(network) or str(error)
+    if not problem or isinstance(error, AttributeError):
+        problem = f"{problem or 'one of its internal limits is not met'}; 'stmnist deploy plan' "
+        problem += "says what does not fit a core"
+    return UserError(f"NengoLoihi cannot build this network: {problem}")
+
+
+def _unfit_layer(network):
+    """What does not fit the integers, or None if that is not the reason."""
+    model = nengo_loihi.builder.Model(dt=LOIHI.dt)
+    model.validation_level = nengo_loihi.builder.builder.ValidationLevel.NONE
+    try:
+        model.build(network, precompute=None, discretize=False)
+    except BUILD_ERRORS:
+        return None
+    labels = {
+        block: ensemble.label
+        for ensemble in network.all_ensembles
+        if ensemble in model.params and ensemble.neurons in model.objs
+        for block in model.objs[ensemble.neurons]["in"]
+    }
+    for block in model.blocks:
+        compartment = block.compartment
+        weight = max((float(synapse.max_abs_weight()) for synapse in block.synapses), default=0.0)
+        threshold, bias = float(compartment.vth.min()), float(abs(compartment.bias).max())
+        try:
+            nengo_loihi.builder.discretize.discretize_block(block)
+        except BUILD_ERRORS:
+            return (
+                f"layer {labels.get(block, block.label)}: no scale puts its numbers into the "
+                f"chip's integers ({HOLDS}): its largest weight, times the size of the spikes that "
+                f"arrive, is {weight:.3g}, its threshold {threshold:.3g}, its largest bias "
+                f"{bias:.3g}; bring them closer together"
+            )
+    return None
