@@ -4,12 +4,14 @@ import sys
 
 from .interrupts import end_at_once, raised
 from .requirements import complaint
+from .terminal import prepare, remark
 
 if __name__ == "__main__":
     end_at_once("deploy")
+    prepare()
     problem = complaint()
     if problem is not None:
-        print("deploy: " + problem, file=sys.stderr)
+        remark("deploy: " + problem)
         sys.exit(2)
     from .cli import main
 

@@ -12,10 +12,11 @@ from .check.bundle import read_bundle, result_beside
 from .check.results import compare_results, enforce, read_result
 from .check.run import run_check
 from .check.text import comparison_text, summary
-from .errors import CheckFailed, UserError, drop_unwritable, line_of, one_line
+from .errors import CheckFailed, UserError, line_of, one_line
 from .preflight.plan import make_plan, plan_text
 from .targets.board import BoardOptions, nxsdk_version
 from .targets.registry import TARGETS, options_for
+from .terminal import drop_unwritable, prepare, remark, show
 
 
 def main(arguments=None) -> int:
@@ -26,6 +27,7 @@ def main(arguments=None) -> int:
     int
         0 done, 1 a check failed, 2 wrong usage or bad input, 130 interrupted.
     """
+    prepare()
     try:
         options = _parser().parse_args(arguments)
         options.run(options)
@@ -44,7 +46,7 @@ def main(arguments=None) -> int:
 
 
 def _say(message, status):
-    print("deploy: " + one_line(message), file=sys.stderr)
+    remark("deploy: " + one_line(message))
     return status
 
 
@@ -88,7 +90,7 @@ def _parser():
     plan.add_argument("--json", action="store_true", help="for a program to read")
     plan.set_defaults(run=_plan)
     board = verbs.add_parser("board", help="say whether this host can drive a board")
-    board.set_defaults(run=lambda _: print(f"NxSDK {nxsdk_version()}: target loihi can be used"))
+    board.set_defaults(run=lambda _: show(f"NxSDK {nxsdk_version()}: target loihi can be used"))
     pair = verbs.add_parser("compare", help="set two results side by side")
     pair.add_argument("a", type=Path)
     pair.add_argument("b", type=Path)
@@ -114,18 +116,18 @@ def _check(options):
     result = run_check(bundle, options.target, out, options.seed, advance, chosen)
     if sys.stderr.isatty():
         print(file=sys.stderr)
-    print(summary(result))
-    print(f"written to {out}")
+    show(summary(result))
+    show(f"written to {out}")
 
 
 def _plan(options):
     plan = make_plan(read_bundle(options.bundle).spec, options.chips)
-    print(json.dumps(plan.to_json(), indent=2) if options.json else plan_text(plan))
+    show(json.dumps(plan.to_json(), indent=2) if options.json else plan_text(plan))
     if plan.problems:
         raise UserError("the network does not fit: " + plan.problems[0])
 
 
 def _compare(options):
     comparison = compare_results(read_result(options.a), read_result(options.b))
-    print(comparison_text(comparison))
+    show(comparison_text(comparison))
     enforce(comparison, options.max_disagreements, options.max_accuracy_drop)

@@ -1,7 +1,6 @@
 """The ways in which a command ends without success, and the one line that each has."""
 
-import os
-import sys
+from .terminal import printable
 
 LONGEST = 2400
 """Characters of an error's line; one file's content must not fill the screen."""
@@ -13,8 +12,7 @@ def one_line(message) -> str:
     A file's name or content may hold line ends, and what a terminal would obey; of a message that
     is too long the middle is left out, for the remedy is at the end.
     """
-    line = " ".join(str(message).split())
-    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+    line = printable(" ".join(str(message).split()))
     if len(line) > LONGEST:
         line = line[: LONGEST * 3 // 4] + " ... " + line[-LONGEST // 4 :]
     return line
@@ -44,14 +42,3 @@ def line_of(error) -> str:
         where = f"{error.filename}: " if error.filename else ""
         return f"{where}{error.strerror or error}; check the path and its permissions"
     return str(error)
-
-
-def drop_unwritable():
-    """Drop what was printed and cannot be written, its reader gone or the disk full.
-
-    Python would try it again at its end, and complain.
-    """
-    try:
-        sys.stdout.flush()
-    except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import List, Sequence
 
+from .terminal import printable
+
 
 def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> List[str]:
     """Lines of a table whose columns stand below each other.
@@ -11,10 +13,11 @@ def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> List[str]:
     Parameters
     ----------
     rows : sequence of sequence of str
-        The heads first.
+        The heads first.  What a terminal would obey is escaped.
     left : int
         How many columns are flush left; the others are flush right.
     """
+    rows = [[printable(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(*rows)]
     return [
         "  ".join(

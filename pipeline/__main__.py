@@ -6,6 +6,7 @@ import sys
 import threading
 
 from deploy import interrupts
+from deploy.terminal import prepare, remark
 
 QUIET = "ignore:resource_tracker:UserWarning"
 """joblib's process that tidies up after workers tells of what an interruption left to it, after the
@@ -30,11 +31,12 @@ def hear_threads():
 def main():
     """Import the command with what its verb needs, up to a second, and run it."""
     interrupts.end_at_once("stmnist")
+    prepare()
     try:
         os.getcwd()
     except OSError as error:  # libraries ask for it while they are imported
         where = "stmnist: the folder that it was started in"
-        print(f"{where}: {error.strerror}; change to one that is there", file=sys.stderr)
+        remark(f"{where}: {error.strerror}; change to one that is there")
         sys.exit(2)
     hear_threads()
     filters = os.environ.get("PYTHONWARNINGS")

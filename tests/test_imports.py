@@ -74,6 +74,7 @@ FLOORS = {
         {"__main__"},
     ],
     "deploy": [
+        {"terminal"},
         {"errors", "interrupts", "limits", "tables", "requirements"},
         {"files"},
         {"network"},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ..tables import aligned
+from ..terminal import printable
 from .results import Comparison
 
 
@@ -16,12 +17,14 @@ def summary(result: dict) -> str:
     """
     low, high = result["accuracy_ci95"]
     spikes = ", ".join(
-        f"{name} {count / result['n_samples']:.0f}" for name, count in result["spikes"].items()
+        f"{printable(name)} {count / result['n_samples']:.0f}"
+        for name, count in result["spikes"].items()
     )
     operations = sum(result["synaptic_operations"].values()) / result["n_samples"]
     macs = sum(result["multiply_accumulates"].values())
     return (
-        f"{result['target']}: accuracy {result['accuracy']:.3f} (95 % interval {low:.3f} to "
+        f"{printable(result['target'])}: "
+        f"accuracy {result['accuracy']:.3f} (95 % interval {low:.3f} to "
         f"{high:.3f}) on {result['n_samples']} {_kind(result)}samples of "
         f"{result['steps_per_sample']} steps\nspikes a sample: {spikes}\n"
         f"synaptic operations a sample: {operations:.0f}, {operations / macs:.2f} times the "
@@ -73,7 +76,7 @@ def comparison_text(comparison: Comparison, shown: int = 10) -> str:
     shown : int
         How many of those samples.
     """
-    (a, b), differ = comparison.targets, comparison.disagreements
+    (a, b), differ = map(printable, comparison.targets), comparison.disagreements
     lines = [
         f"{a} {comparison.accuracies[0]:.3f}, {b} {comparison.accuracies[1]:.3f}, "
         f"drop {comparison.accuracy_drop:+.3f}",

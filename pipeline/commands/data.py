@@ -9,6 +9,7 @@ import typer
 
 from deploy import limits
 from deploy.errors import UserError
+from deploy.terminal import show
 from pipeline.commands import options
 from pipeline.inputs.library import load_recordings
 from pipeline.progress import progress
@@ -69,7 +70,7 @@ def export(
     if out.suffix != ".zip":
         raise UserError(f"{out}: the name must end in .zip")
     n = export_zip(out, folder, progress)
-    print(f"{n} recordings written to {out}")
+    show(f"{n} recordings written to {out}")
 
 
 def inspect(
@@ -182,7 +183,7 @@ def plot(
         draw = drawn.recording if what == "recording" else drawn.events_by_taxel
         figure = draw(recordings, _index_of(recordings, sample))
     figures.save(figure, out)
-    print(out)
+    show(out)
 
 
 def _index_of(recordings, name):

@@ -18,6 +18,7 @@ from deploy.files import write_arrays
 from deploy.network.nir import input_spikes, write_nir
 from deploy.preflight.plan import make_plan, plan_text
 from deploy.targets.lava import write_lava
+from deploy.terminal import show
 from pipeline.commands import options
 
 
@@ -46,11 +47,11 @@ def plan(
         value = made.to_json()
         value["firing_rates"] = rates
         value["warnings"] = value["warnings"] + rate_warnings(rates)
-        print(json.dumps(value, indent=2))
+        show(json.dumps(value, indent=2))
     else:
-        print(plan_text(made))
+        show(plan_text(made))
         if rates:
-            print(rates_text(rates, len(images)))
+            show(rates_text(rates, len(images)))
     if figure is not None:
         from pipeline.report import figures  # imports Matplotlib
         from pipeline.report.figures.placement import placement_figure
@@ -81,14 +82,14 @@ def export(
         if inputs is not None:
             raise UserError("--inputs is for NIR: a file for Lava holds the input spikes itself")
         write_lava(out, opened.spec, opened.checks.inputs)
-        print(f"written to {out}, with the input spikes of {len(opened.checks)} samples")
+        show(f"written to {out}, with the input spikes of {len(opened.checks)} samples")
         return
     write_nir(out, opened.spec)
-    print(f"written to {out}")
+    show(f"written to {out}")
     if inputs is not None:
         checks = opened.checks
         write_arrays(inputs, spikes=input_spikes(opened.spec, checks.inputs), labels=checks.labels)
-        print(f"input spikes of {len(checks)} samples written to {inputs}")
+        show(f"input spikes of {len(checks)} samples written to {inputs}")
 
 
 def energy(

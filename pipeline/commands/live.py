@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from deploy.errors import UserError
+from deploy.terminal import show
 from pipeline.commands import options
 from pipeline.live.network import about, fits_the_page, network_of_bundle, network_of_run
 from pipeline.run import stages
@@ -67,7 +68,7 @@ def live(
             return decider_of(bundle, image)
 
         def opened(url):
-            print(f"live: {url}", flush=True)
+            show(f"live: {url}", flush=True)
             if not no_browser:  # in a thread: some browsers return when they are closed
                 threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 

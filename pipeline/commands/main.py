@@ -14,7 +14,8 @@ from typer.core import TyperCommand, TyperGroup
 from typer.models import OptionInfo
 
 from deploy import __version__, interrupts
-from deploy.errors import CheckFailed, UserError, drop_unwritable, line_of, one_line
+from deploy.errors import CheckFailed, UserError, line_of, one_line
+from deploy.terminal import drop_unwritable, prepare, remark, show
 from models.architecture import NotationError
 
 # Typer brings its own copy of Click from some version on: these are the classes that it raises.
@@ -179,7 +180,7 @@ def root(
 ):
     """From event-based touch to a spiking network on Loihi."""
     if version:
-        print(__version__)
+        show(__version__)
         raise typer.Exit
 
 
@@ -214,6 +215,7 @@ def main(arguments=None):
 
     Exit status 0: done; 1: a check failed; 2: wrong usage or bad input; 130: interrupted.
     """
+    prepare()
     try:
         status = command_line()(args=arguments, prog_name="stmnist", standalone_mode=False)
         if status == interrupts.STATUS:  # Typer turns an interruption into this status
@@ -243,5 +245,5 @@ def main(arguments=None):
 
 
 def _say(message, status):
-    print("stmnist: " + one_line(message), file=sys.stderr)
+    remark("stmnist: " + one_line(message))
     return status

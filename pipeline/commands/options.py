@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import json
-import sys
 from pathlib import Path
 from typing import Annotated, Optional
 
 import typer
 
 from deploy.errors import CheckFailed
+from deploy.terminal import remark, show
 from pipeline.run.folder import RunFolder
 from pipeline.settings import SIMULATED, parse_assignments, put
 
@@ -118,7 +118,7 @@ def merged(first: dict, second: dict) -> dict:
 
 def say(line: str):
     """What happens goes to standard error, answers to standard output."""
-    print(line, file=sys.stderr)
+    remark(line)
 
 
 def warn_if_outdated(*paths: Path):
@@ -132,7 +132,7 @@ def warn_if_outdated(*paths: Path):
 
 def tell(value, as_text, as_json: bool):
     """Print an answer, as JSON or as ``as_text`` makes of it."""
-    print(json.dumps(value, indent=2) if as_json else as_text(value))
+    show(json.dumps(value, indent=2) if as_json else as_text(value))
 
 
 def conclude(findings, as_text, as_json: bool):

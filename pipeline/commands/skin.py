@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from deploy.errors import CheckFailed
+from deploy.terminal import show
 from pipeline.commands import options
 from pipeline.commands.data import SimulationSeed
 from pipeline.experiments import difficulty as difficulty_
@@ -46,8 +47,8 @@ def calibrate(
         recordings = simulate(seed, jobs=jobs, advance=advance, parameters=fitted)
     cells = calibration.cells(table1.table(recordings))
     past = [cell for cell in cells if cell.strain > 1]
-    print(calibration.cells_text(cells[:8]))
-    print(f"seed {seed}: {len(cells) - len(past)} of {len(cells)} cells within their limits")
+    show(calibration.cells_text(cells[:8]))
+    show(f"seed {seed}: {len(cells) - len(past)} of {len(cells)} cells within their limits")
     if past:
         raise CheckFailed(f"{len(past)} cells of Table 1 are past their limits")
 

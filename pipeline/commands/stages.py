@@ -8,6 +8,7 @@ from typing import Annotated, Optional
 import typer
 
 from deploy.errors import UserError
+from deploy.terminal import show
 from pipeline.commands import options
 from pipeline.run import stages
 from pipeline.run.answers import REFERENCES
@@ -111,4 +112,4 @@ def ladder(
         limit = 1.0 if whole else 3.0
     options.tell(table, lambda ladder: "\n" + ladder_text(ladder, limit), as_json)
     if whole and not as_json:
-        print(f"confusion matrices: {folder.confusion}")
+        show(f"confusion matrices: {folder.confusion}")

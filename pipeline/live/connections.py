@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import sys
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from deploy.terminal import remark
 
 STRANGERS = 32
 """Connections without the token at a time: many times what a browser opens for a page, and a small
@@ -89,7 +90,7 @@ def say_when_files_run_out(loop, say=None):
     say : callable, optional
         Takes the line; default: standard error.
     """
-    say = say or (lambda line: print(line, file=sys.stderr))
+    say = say or remark
     said_s = -QUIET_S
 
     def handle(loop, context):

@@ -23,6 +23,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from deploy.errors import UserError
 from deploy.files import replacing, sha256_of
+from deploy.terminal import printable
 from pipeline.jobs import results_of
 from pipeline.recordings import sensors
 from pipeline.recordings.eventfile import read_events
@@ -490,4 +491,5 @@ def _and_more(refused):
 
 
 def _short(name):
+    name = printable(name)
     return name if len(name) <= LONGEST_NAME else f"...{name[3 - LONGEST_NAME :]}"

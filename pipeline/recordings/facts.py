@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from deploy.errors import UserError
+from deploy.terminal import printable
 from pipeline.recordings.archive import read_file
 from pipeline.recordings.eventfile import EventRecording
 from pipeline.recordings.events import DIGITS, Recordings, Sensor, expand_bursts
@@ -54,11 +55,11 @@ def recordings_text(facts: dict, sensor: Sensor) -> str:
     if facts["written"]:
         kind = "recordings, written by hand on the simulated skin,"
     of_each = facts.get("samples_per_digit") or ", ".join(
-        f"{name} {count}" for name, count in facts["samples_per_class"].items()
+        f"{printable(name)} {count}" for name, count in facts["samples_per_class"].items()
     )
     of_what = "digit" if "samples_per_digit" in facts else "class"
     text = (
-        f"{facts['samples']} {kind} in {facts['source']}; of each {of_what}: {of_each}\n"
+        f"{facts['samples']} {kind} in {printable(facts['source'])}; of each {of_what}: {of_each}\n"
         f"{facts['events']} physical events in {facts['columns']} columns"
     )
     if sensor != Sensor():
@@ -112,9 +113,9 @@ def file_text(name: str, facts: dict) -> str:
     """:func:`facts_of_file` in a line."""
     kind = " (simulated)" if facts["simulated"] else ""
     if facts.get("source") == "written":
-        kind = f" (written by hand on the simulated skin, {facts['time']})"
+        kind = f" (written by hand on the simulated skin, {printable(facts['time'])})"
     return (
-        f"{name}{kind}: {facts['columns']} columns, {facts['events']} physical events "
+        f"{printable(name)}{kind}: {facts['columns']} columns, {facts['events']} physical events "
         f"({facts['on']} ON, {facts['off']} OFF) of {facts['taxels']} taxels, "
         f"{facts['t_first_s']:.4f} s to {facts['t_last_s']:.4f} s"
     )

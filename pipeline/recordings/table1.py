@@ -8,6 +8,7 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.tables import aligned
+from deploy.terminal import printable
 from pipeline.paper import SAMPLES_PER_DIGIT, TABLE1
 from pipeline.recordings.events import DIGITS
 
@@ -129,7 +130,7 @@ def table1_text(recordings, against_paper: bool = False) -> str:
     """The table as text; parameters as in :func:`table1_json`."""
     _check(recordings, against_paper)
     ours = table(recordings)
-    name = recordings.source.name
+    name = printable(recordings.source.name)
     if recordings.source.simulated and "simulated" not in name:
         name += " (simulated)"
     rows = [["", *(recordings.sensor.classes[digit] for digit in ours)]]

@@ -122,19 +122,19 @@ def _metrics(path):
 
 def _results(folder, bundle, kind):
     """The check results of this bundle, in the order of the ladder."""
-    results = [
-        result
+    results = {
+        stage: result
         for stage in ladder_stages(kind)
         if folder.check(stage).exists()
         and (result := read_result(folder.check(stage)))["bundle"] == bundle.id
-    ]
-    for result in results:
+    }
+    for stage, result in results.items():
         whole = all(name in result for name in ("anytime_accuracy", "decided_at_median"))
         whole = whole and [sample["id"] for sample in result["samples"]] == list(bundle.checks.ids)
         whole = whole and result["spikes"].keys() <= set(bundle.spec.spiking_layers)
-        if not whole:
+        if not whole or result["target"] != stage:
             raise UserError(
-                f"{folder.check(result['target'])}: not of the bundle's samples and layers; "
+                f"{folder.check(stage)}: not of this stage, the bundle's samples and its layers; "
                 f"delete it and run 'stmnist ladder {folder.path}' again"
             )
     if not results:
@@ -142,7 +142,7 @@ def _results(folder, bundle, kind):
             f"{folder.path / 'checks'}: no check result of the bundle that is there; "
             f"run 'stmnist ladder {folder.path}' first"
         )
-    return results
+    return list(results.values())
 
 
 def _read_benchmark(folder, recordings, say):

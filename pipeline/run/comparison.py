@@ -16,6 +16,7 @@ from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
 from deploy.tables import aligned, p_text
 from deploy.targets.registry import TARGETS
+from deploy.terminal import printable
 from pipeline.artifacts import DELETE_IT
 from pipeline.paper import CNN_MACS
 from pipeline.run.answers import REFERENCES
@@ -281,13 +282,15 @@ def runs_text(compared: dict, width: int = WIDTH) -> str:
     """
     runs = compared["runs"]
     letters = string.ascii_uppercase[: len(runs)]
-    lines = [f"{letter}  {run['name']}" for letter, run in zip(letters, runs, strict=True)]
+    lines = [
+        f"{letter}  {printable(run['name'])}" for letter, run in zip(letters, runs, strict=True)
+    ]
     lines += ["", *_settings_lines(compared, letters, width)]
     lines += ["", *_accuracy_lines(compared, letters)]
     lines += ["", *_inference_lines(runs, letters, width)]
     for letter, run in zip(letters, runs, strict=True):
         if stale := run["results_of_an_earlier_bundle"]:
-            note = f"{letter}: left out, of an earlier bundle: {', '.join(stale)}"
+            note = f"{letter}: left out, of an earlier bundle: {', '.join(map(printable, stale))}"
             lines += ["", *textwrap.wrap(note, width, break_on_hyphens=False)]
         if run["outdated"]:
             reasons = "; ".join(dict.fromkeys(run["outdated"].values()))
@@ -295,7 +298,7 @@ def runs_text(compared: dict, width: int = WIDTH) -> str:
                 f"{letter}: OUTDATED, these results are not of the settings above: {reasons}; "
                 f"'stmnist ladder {run['name']}' makes them again"
             )
-            lines += ["", *textwrap.wrap(note, width, break_on_hyphens=False)]
+            lines += ["", *textwrap.wrap(printable(note), width, break_on_hyphens=False)]
     return "\n".join(lines)
 
 

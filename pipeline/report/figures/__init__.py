@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from pathlib import Path
 
 from deploy.errors import UserError
@@ -41,6 +42,9 @@ def save(figure, path: Path, dpi: int = 120):
         It cannot be drawn in that format, or written there.
     """
     buffer = io.BytesIO()
-    figure.savefig(buffer, format=format_of(path), dpi=dpi)
+    with warnings.catch_warnings():
+        # A class may have a name in any script; what the font lacks is drawn as a box.
+        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from")
+        figure.savefig(buffer, format=format_of(path), dpi=dpi)
     with replacing(path) as file:
         file.write(buffer.getvalue())
