@@ -176,6 +176,31 @@ def _umask():
     return mask
 
 
+def open_regular(path, mode="rb", **options):
+    """Open a file for reading, but never wait for one: a pipe without a writer has no end.
+
+    Parameters
+    ----------
+    path : path-like
+    mode, **options
+        As of :func:`open`.
+
+    Raises
+    ------
+    OSError
+        It cannot be opened, or is a pipe.
+    """
+
+    def opener(name, flags):
+        handle = os.open(name, flags | os.O_NONBLOCK | os.O_NOCTTY)
+        if stat.S_ISFIFO(os.fstat(handle).st_mode):
+            os.close(handle)
+            raise OSError(errno.EINVAL, "a pipe, not a file", name)
+        return handle
+
+    return open(str(path), mode, opener=opener, **options)
+
+
 def open_own(path):
     """Open a file of this program's own for reading and appending; make it if it is not there.
 
@@ -347,7 +372,7 @@ def read_json(path, remedy):
         The file is missing, unreadable, or not a JSON object.
     """
     try:
-        with open(str(path), "rb") as file:
+        with open_regular(path) as file:
             content = file.read(limits.TEXT_BYTES + 1)
         if len(content) > limits.TEXT_BYTES:
             raise UserError(f"{path}: larger than any file of this kind; {remedy}")
@@ -391,7 +416,7 @@ def read_arrays(path, remedy, most=limits.ARRAY_BYTES):
         The file is missing, damaged, too large, or holds anything but plain arrays.
     """
     try:
-        with np.load(str(path), allow_pickle=False) as archive:
+        with open_regular(path) as file, np.load(file, allow_pickle=False) as archive:
             if sum(member.file_size for member in archive.zip.infolist()) > most:
                 raise UserError(f"{path}: arrays of more than {most >> 20} MB; {remedy}")
             arrays = {name: archive[name] for name in archive.files}
@@ -411,7 +436,7 @@ def read_arrays(path, remedy, most=limits.ARRAY_BYTES):
 def sha256_of(path):
     """Hexadecimal SHA-256 of a file's content."""
     digest = hashlib.sha256()
-    with open(str(path), "rb") as file:
+    with open_regular(path) as file:
         for block in iter(lambda: file.read(1 << 20), b""):
             digest.update(block)
     return digest.hexdigest()

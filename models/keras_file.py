@@ -25,6 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
+from deploy.files import open_regular
 from models.hdf5 import h5py
 
 MAX_FILE = 256 * 2**20
@@ -209,7 +210,7 @@ def _content(path):
     try:
         if path.is_dir():
             raise ModelFileError(f"{path}: a folder, not a Keras model file; {REMEDY}")
-        with open(path, "rb") as file:
+        with open_regular(path) as file:
             content = file.read(MAX_FILE + 1)
     except OSError as error:
         reason = error.strerror or error

@@ -15,12 +15,11 @@ import textwrap
 import tomllib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
-from pathlib import Path
 from typing import Annotated, NamedTuple, get_type_hints
 
 from deploy import limits
 from deploy.errors import UserError
-from deploy.files import replacing
+from deploy.files import open_regular, replacing
 from deploy.network.spec import Presentation
 from deploy.network.stimulus import EventFrames, ImageCurrent, ImageSpikes, Stimulus
 from deploy.tables import aligned
@@ -434,7 +433,7 @@ def read_settings(path) -> Settings:
         It cannot be read, is not TOML, or has an unknown or wrong setting.
     """
     try:
-        with Path(path).open("rb") as file:
+        with open_regular(path) as file:
             content = file.read(limits.SETTINGS_BYTES + 1)
         if len(content) > limits.SETTINGS_BYTES:
             raise UserError(f"{path}: larger than any file of settings; mend or delete it")

@@ -213,3 +213,30 @@ def test_a_folder_that_has_vanished(tmp_path):
     )  # fmt: skip
     assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
     assert done.stderr.startswith("stmnist: the folder that it was started in: ")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["data", "inspect", "{pipe}.mat"],
+        ["data", "import", "{pipe}"],
+        ["data", "simulate", "--out", "{pipe}.zip", "--handwriting", "{pipe}"],
+        ["check", "compare", "{pipe}", "{pipe}"],
+        ["train", "{run}", "--settings", "{pipe}"],
+        ["convert", "{run}", "--model", "{pipe}.keras"],
+        ["check", "run", "{bundle}", "--target", "fast"],
+    ],
+)
+def test_a_pipe_without_a_writer_is_not_waited_for(refused, tmp_path, arguments):
+    bundle = tmp_path / "bundle"
+    bundle.mkdir()
+    for path in (
+        tmp_path / "a",
+        tmp_path / "a.mat",
+        tmp_path / "a.keras",
+        bundle / "MANIFEST.json",
+    ):
+        os.mkfifo(path)
+    names = {"pipe": tmp_path / "a", "run": tmp_path / "run", "bundle": bundle}
+    line = refused(*(argument.format(**names) for argument in arguments))
+    assert "a pipe, not a file" in line

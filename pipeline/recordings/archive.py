@@ -12,6 +12,7 @@ import functools
 import hashlib
 import json
 import lzma
+import warnings
 import zipfile
 import zlib
 from collections import Counter
@@ -22,10 +23,11 @@ from joblib import delayed
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from deploy.errors import UserError
-from deploy.files import replacing, sha256_of
+from deploy.files import open_regular, replacing, sha256_of
 from deploy.terminal import printable
 from pipeline.jobs import results_of
 from pipeline.recordings import sensors
+from pipeline.recordings.budget import MOST_FILES, Spent
 from pipeline.recordings.eventfile import read_events
 from pipeline.recordings.events import DIGITS, Recordings, Source, TaxelMap, collect
 from pipeline.recordings.mat5 import LARGEST
@@ -49,6 +51,9 @@ LISTED = 10
 
 LONGEST_NAME = 120
 """Characters of a name in a message."""
+
+LONGEST_PART = 255
+"""Characters of the name of a file or folder."""
 
 READ_ERRORS = (
     *(OSError, EOFError, RuntimeError, ValueError, KeyError, zipfile.BadZipFile),
@@ -96,6 +101,8 @@ def list_source(path) -> Listing:
             problem = "its path leaves the archive"
         elif problem is None and name in seen:
             problem = "is in the archive twice"
+        elif problem is None and max(map(len, member.parts), default=0) > LONGEST_PART:
+            problem = f"has a name in its path longer than the {LONGEST_PART} of any folder"
         seen.add(name)
         hidden = member.name.startswith(".") or "__MACOSX" in member.parts
         if hidden or member.suffix.lower() not in SUFFIXES:
@@ -118,6 +125,11 @@ def list_source(path) -> Listing:
     kinds = {PurePosixPath(name).suffix.lower() for name, _ in recordings}
     if len(kinds) > 1:
         raise UserError(f"{path}: holds both .mat and .npz recordings; keep one kind")
+    if len(recordings) > MOST_FILES:
+        raise UserError(
+            f"{path}: holds {len(recordings):,} recordings, more than {MOST_FILES:,}; give a part "
+            "of it"
+        )
     recordings.sort(key=lambda entry: (sensors.class_order(entry[1]), entry[0]))
     return Listing(path, tuple(recordings), min(tables, default=None), tuple(refused))
 
@@ -187,9 +199,16 @@ def read_source(
         for start in range(0, len(listing.recordings), CHUNK)
     ]
     work = _read_chunks(listing.path, [[name for name, _ in chunk] for chunk in chunks], jobs)
-    with _shown(progress, "import", len(listing.recordings)) as advance:
+    spent = Spent()
+    with contextlib.closing(work), _shown(progress, "import", len(listing.recordings)) as advance:
         for chunk, results in zip(chunks, work, strict=True):
-            for (name, of_class), result in zip(chunk, results, strict=True):
+            for (name, of_class), (result, size) in zip(chunk, results, strict=True):
+                spent.add(result, size)
+                if spent.too_much:
+                    raise UserError(
+                        f"{path}: holds {spent.too_much}; give a part of it, such as fewer "
+                        "recordings of each class"
+                    )
                 if isinstance(result, str):
                     refused.append((name, result))
                 else:
@@ -378,11 +397,14 @@ def _everything(path: Path):
                 files.append((name, None))
             elif entry.is_dir():
                 folders.append(name)
+            elif not entry.name.startswith("."):
+                problem = "is a link to nothing" if entry.is_symlink() else "is no file"
+                files.append((name, problem))
         return files, folders
     if not path.exists():
         raise UserError(f"{path}: no such file or folder; give the ST-MNIST zip or its folder")
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_regular(path) as file, zipfile.ZipFile(file) as archive:
             members = archive.infolist()
     except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, ValueError) as error:
         raise UserError(
@@ -401,12 +423,12 @@ class _Reader:
 
     def __init__(self, path: Path):
         self.folder = path if path.is_dir() else None
-        self.archive = None if self.folder else zipfile.ZipFile(path)
+        self.archive = None if self.folder else zipfile.ZipFile(open_regular(path))
 
     def read(self, name) -> bytes:
         try:
             if self.folder:
-                with (self.folder / name).open("rb") as file:
+                with open_regular(self.folder / name) as file:
                     return read_limited(file)
             member = self.archive.getinfo(name)
             if member.file_size > LARGEST:
@@ -444,6 +466,11 @@ def _read_chunks(path, chunks, jobs):
         # Nothing tells whose file it was: those that are left are read with more care.
         for names in chunks[done:]:
             yield _read_carefully(path, names)
+    finally:
+        with warnings.catch_warnings():
+            # Where the caller gives up, so are the tasks that are left.
+            warnings.filterwarnings("ignore", message=r"\d+ tasks (which were|have been)")
+            work.close()
 
 
 def _read_carefully(path, names):
@@ -452,7 +479,7 @@ def _read_carefully(path, names):
         return next(results_of([delayed(_read_members)(path, names)], 2))
     except TerminatedWorkerError:
         if len(names) == 1:
-            return ["ends the process that reads it; damaged, or the memory is too small"]
+            return [("ends the process that reads it; damaged, or the memory is too small", 0)]
         half = len(names) // 2
         return _read_carefully(path, names[:half]) + _read_carefully(path, names[half:])
 
@@ -470,15 +497,24 @@ def read_file(name: str, content: bytes):
 
 
 def _read_members(path, names):
-    """Read some members; a reason takes the place of a recording that is refused."""
-    reader, results = _reader(path), []
+    """Read some members: each recording, or the reason to refuse it, and its size in bytes.
+
+    Once there is more than a source may hold nothing is read any more: the caller will see.
+    """
+    reader, results, spent = _reader(path), [], Spent()
     for name in names:
+        content = b""
         try:
-            results.append(read_file(name, reader.read(name)))
+            if spent.too_much:
+                raise BadRecording("was not read")
+            content = reader.read(name)
+            result = read_file(name, content)
         except BadRecording as error:
-            results.append(str(error))
+            result = str(error)
         except MemoryError:
-            results.append("takes more memory than there is")
+            result = "takes more memory than there is"
+        results.append((result, len(content)))
+        spent.add(*results[-1])
     return results
 
 

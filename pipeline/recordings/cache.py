@@ -19,6 +19,7 @@ from pipeline.recordings.events import (
     Source,
     TaxelMap,
 )
+from pipeline.recordings.stored import problem_with
 
 FORMAT = 3
 """Raise it with any change of what is stored or of how recordings are read."""
@@ -76,6 +77,8 @@ def load(key: str) -> Recordings | None:
     remedy = "delete it and run the command again to make it anew"
     arrays = read_arrays(path, remedy, LARGEST)
     try:
+        if problem := problem_with(arrays):
+            raise UserError(f"{path}: damaged cache ({problem}); {remedy}")
         name, sha256 = (str(text) for text in arrays["source"])
         recordings = Recordings(
             events=Events(*(arrays[column] for column in EVENT_DTYPES)),
@@ -97,13 +100,8 @@ def load(key: str) -> Recordings | None:
                 tuple(arrays["classes"].tolist()),
             ),
         )
-        n = len(recordings)
-        whole = recordings.offsets[-1] == len(recordings.events)
-        whole = whole and len(recordings.ids) == len(recordings.offsets) - 1 == n
     except (KeyError, ValueError, TypeError, IndexError) as error:
         raise UserError(f"{path}: damaged cache ({error}); {remedy}") from error
-    if not whole:
-        raise UserError(f"{path}: damaged cache; {remedy}")
     return recordings
 
 

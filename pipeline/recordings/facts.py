@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from deploy.errors import UserError
+from deploy.files import open_regular
 from deploy.terminal import printable
 from pipeline.recordings.archive import read_file
 from pipeline.recordings.eventfile import EventRecording
@@ -76,7 +77,7 @@ def facts_of_file(path: Path) -> dict:
         The file cannot be read, or is no recording.
     """
     try:
-        with path.open("rb") as opened:
+        with open_regular(path) as opened:
             recording = read_file(path.name, read_limited(opened))
     except OSError as error:
         raise UserError(f"{path}: cannot read ({error.strerror}); check the path") from error

@@ -44,8 +44,13 @@ class Settled:
 
 def class_order(name: str):
     """Key that sorts names as people do: 2 before 10."""
-    parts = re.split(r"(\d+)", name)
-    return [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts], name
+    parts = re.split(r"([0-9]+)", name)
+    # The longer of two numbers is the larger one; int() refuses those of thousands of digits.
+    numbers = [part.lstrip("0") if part[:1] in DIGITS else "" for part in parts]
+    return [
+        (part[:1] in DIGITS, len(number), number, part)
+        for part, number in zip(parts, numbers, strict=True)
+    ], name
 
 
 def settle(path, read, lookup: TaxelMap | None = None, rows: int = 0, columns: int = 0) -> Settled:

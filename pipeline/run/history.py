@@ -9,7 +9,7 @@ from pathlib import Path
 
 from deploy import limits
 from deploy.errors import UserError
-from deploy.files import replacing
+from deploy.files import open_regular, replacing
 
 REMEDY = "delete it and make it again"
 
@@ -42,7 +42,7 @@ def read_history(path) -> list:
         It cannot be read, or is not a table of numbers with an accuracy of at least one epoch.
     """
     try:
-        with open(path, newline="", encoding="utf-8") as file:
+        with open_regular(path, "r", newline="", encoding="utf-8") as file:
             text = file.read(limits.SETTINGS_BYTES * 16)
         rows = [
             {key: float(value) for key, value in row.items()}

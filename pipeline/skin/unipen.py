@@ -16,8 +16,12 @@ import numpy as np
 import scipy
 
 from deploy.errors import UserError
+from deploy.files import open_regular
 from pipeline.settings import LARGEST
 from pipeline.skin.handwriting import Motion, on_skin
+
+MOST_TEXT = 1 << 26
+"""Characters that are read of a file; a thousand writers take a tenth of it."""
 
 _SEGMENT = re.compile(r'\.SEGMENT\s+\S+\s+(\S+)\s+\S+\s+"(.*)"')
 
@@ -58,7 +62,8 @@ def read(path) -> tuple:
     """
     path = Path(path)
     try:
-        lines = path.read_text("utf-8", errors="replace").splitlines()
+        with open_regular(path, "r", encoding="utf-8", errors="replace") as file:
+            lines = file.read(MOST_TEXT).splitlines()
     except OSError as error:
         raise UserError(
             f"{path}: cannot read ({error.strerror or error}); give a UNIPEN file"

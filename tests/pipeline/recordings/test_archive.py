@@ -1,3 +1,4 @@
+import os
 import zipfile
 from dataclasses import replace
 
@@ -8,6 +9,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 from deploy.errors import UserError
 from pipeline.recordings.archive import (
     _read_chunks,
+    _read_members,
     content_hash,
     fingerprint,
     left_out_lines,
@@ -15,8 +17,10 @@ from pipeline.recordings.archive import (
     read_source,
     write_zip,
 )
+from pipeline.recordings.budget import Spent
 from pipeline.recordings.events import TaxelMap
 from pipeline.recordings.matfile import lookup_table_bytes
+from pipeline.recordings.sensors import class_order
 from pipeline.skin.simulate import simulate
 from tests.pipeline import deadly
 from tests.pipeline.handmade import (
@@ -295,3 +299,80 @@ def test_a_file_that_ends_its_worker_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr("pipeline.recordings.archive._read_members", deadly.read_members)
     with pytest.raises(UserError, match=r"1 of 11 files refused: 5/deadly.mat ends the process"):
         read_source(path, jobs=2)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize(
+    ("limit", "value", "said"),
+    [("MOST_EVENTS", 30, "more than 30 events"), ("MOST_BYTES", 20_000, "more than 20,000 bytes")],
+)
+def test_a_source_that_holds_too_much_is_refused(tmp_path, monkeypatch, limit, value, said, jobs):
+    """20 recordings of a few events each: each is within all limits."""
+    monkeypatch.setattr(f"pipeline.recordings.budget.{limit}", value)
+    archive(tmp_path / "st.zip", good_members(2))
+    with pytest.raises(UserError, match=rf"st\.zip: holds {said} .*give a part of it"):
+        read_source(tmp_path / "st.zip", jobs=jobs)
+
+
+def test_nothing_more_is_read_of_a_source_that_holds_too_much(tmp_path, monkeypatch):
+    monkeypatch.setattr("pipeline.recordings.budget.MOST_EVENTS", 5)
+    archive(tmp_path / "st.zip", good_members(2))
+    names = [name for name, _ in list_source(tmp_path / "st.zip").recordings]
+    read = [result for result, _ in _read_members(tmp_path / "st.zip", names)]
+    assert sum(not isinstance(result, str) for result in read) < 5
+    assert read[-1] == "was not read"
+
+
+def test_refused_files_count_as_what_they_may_have_been():
+    spent = Spent()
+    spent.add("is damaged", 1000)
+    assert spent.bytes == 1_032_000
+    spent.add("is damaged", 10**9)
+    assert spent.bytes < 200_000_000
+
+
+def test_more_files_than_any_source_has(tmp_path, monkeypatch):
+    monkeypatch.setattr("pipeline.recordings.archive.MOST_FILES", 19)
+    archive(tmp_path / "st.zip", good_members(2))
+    with pytest.raises(UserError, match="holds 20 recordings, more than 19"):
+        list_source(tmp_path / "st.zip")
+
+
+def test_a_class_of_thousands_of_digits_is_one_line(tmp_path):
+    archive(tmp_path / "st.zip", {**good_members(2), f"{'7' * 5000}/a.mat": mat5(x=1.0)})
+    with pytest.raises(UserError, match="has a name in its path longer than the 255"):
+        read_source(tmp_path / "st.zip", jobs=1)
+
+
+def test_classes_are_in_the_order_of_their_numbers():
+    names = ["10", "9", "a10", "a9", "007", "7", "8" * 5000, "9" * 4999, "\u0663"]
+    assert sorted(names, key=class_order) == [
+        *("007", "7", "9", "10", "9" * 4999, "8" * 5000, "a9", "a10", "\u0663"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda path: path.symlink_to("nowhere"), "is a link to nothing"),
+        (os.mkfifo, "is no file"),
+    ],
+)
+@pytest.mark.parametrize("name", ["3/x.mat", "11", "3/x"])
+def test_what_is_in_a_folder_and_is_no_file_is_said(tmp_path, make, said, name):
+    """A link to a disk that is not there would be a class that is missing."""
+    for member, content in good_members(2, root="").items():
+        (tmp_path / "data" / member).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "data" / member).write_bytes(content)
+    (tmp_path / "data" / ".#lock").symlink_to("nowhere")  # as editors make them
+    assert len(read_source(tmp_path / "data", jobs=1)) == 20
+    make(tmp_path / "data" / name)
+    with pytest.raises(UserError, match=f"1 of 21 files refused: .*{name} {said}"):
+        read_source(tmp_path / "data", jobs=1)
+
+
+@pytest.mark.parametrize("read", [read_source, list_source])
+def test_a_pipe_is_not_waited_for(tmp_path, read):
+    os.mkfifo(tmp_path / "st.zip")
+    with pytest.raises(UserError, match=r"st\.zip: not a zip archive.*a pipe, not a file"):
+        read(tmp_path / "st.zip")

@@ -55,6 +55,61 @@ def test_a_damaged_file_is_named_with_a_remedy(own, damage):
         cache.load("key")
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("labels", np.array([-1, 4])),
+        ("labels", np.array([3, 10])),
+        ("labels", np.array([2.5, 4])),
+        ("labels", np.array([3])),
+        ("taxel", 100),
+        ("taxel", -1),
+        ("polarity", 7),
+        ("polarity", 0),
+        ("columns", 0),
+        ("time_ns", -1),
+        ("time_ns", 10**18),
+        ("offsets", np.array([0, -1, 8])),
+        ("offsets", np.array([0, 9, 8])),
+        ("offsets", np.array([1, 4, 8])),
+        ("offsets", np.array([0.0, 4, 8])),
+        ("x", np.full(100, 10)),
+        ("x", np.full(99, 1)),
+        ("y", np.full(100, -1)),
+        ("size", np.array([0, 10, 2])),
+        ("size", np.array([10, 10])),
+        ("duration_s", np.array(np.nan)),
+        ("classes", np.array(["0"] * 10)),
+        ("classes", np.arange(10)),
+        ("writers", np.array([-2, 0])),
+        ("ids", np.array(["a"])),
+    ],
+)
+def test_values_that_no_import_gives_are_refused(own, name, value):
+    cache.store("key", recordings(GOOD, GOOD, labels=[3, 4]))
+    (path,) = own.glob("recordings-*")
+    with np.load(path) as file:
+        arrays = dict(file)
+    assert arrays["offsets"].tolist() == [0, 4, 8]
+    if np.ndim(value) == 0 and name not in ("duration_s",):  # of one event
+        column = arrays[name].astype(np.int64)
+        column[2] = value
+        value = column
+    np.savez(path, **{**arrays, name: value})
+    with pytest.raises(UserError, match=f"{path.name}: damaged cache .*delete it"):
+        cache.load("key")
+
+
+def test_events_out_of_order_are_refused(own):
+    cache.store("key", recordings(GOOD, GOOD, labels=[3, 4]))
+    (path,) = own.glob("recordings-*")
+    with np.load(path) as file:
+        arrays = dict(file)
+    np.savez(path, **{**arrays, "time_ns": arrays["time_ns"][[1, 0, 2, 3, 4, 5, 6, 7]]})
+    with pytest.raises(UserError, match="not in order"):
+        cache.load("key")
+
+
 def test_the_second_start_reads_the_cache(own, tmp_path, monkeypatch):
     write_archive(tmp_path / "st.zip", good_members(2))
     first = sources.load_recordings(str(tmp_path / "st.zip"), jobs=1)

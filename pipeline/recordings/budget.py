@@ -1,0 +1,64 @@
+"""How much a whole source of recordings may hold, so that none takes all time and memory.
+
+Each file is bounded by itself (:mod:`pipeline.recordings.mat5`); a thousand of them are not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pipeline.recordings.mat5 import LARGEST
+
+MOST_EVENTS = 25_000_000
+"""Events of a source.  The published recordings have 20 million columns, and a quarter as many
+events; a million events take 42 MB and half a second."""
+
+MOST_BYTES = 24_000_000_000
+"""Bytes of a source's recordings as they are unpacked, a thousand million of which take a second.
+The published ones have 16 thousand million."""
+
+MOST_FILES = 100_000
+"""Recordings of a source."""
+
+UNPACKED = 1032
+"""A file that zlib packed is at most so many times as large when it is unpacked."""
+
+
+@dataclass
+class Spent:
+    """What has been read of a source.
+
+    Attributes
+    ----------
+    events, bytes : int
+    """
+
+    events: int = 0
+    bytes: int = 0
+
+    def add(self, recording, size: int = 0):
+        """Count a recording, or one that was refused.
+
+        Parameters
+        ----------
+        recording : MatRecording, EventRecording or str
+        size : int
+            Bytes of the file of one that was refused: how far it was unpacked nobody knows.
+        """
+        if isinstance(recording, str):
+            self.bytes += min(UNPACKED * size, LARGEST)
+        elif hasattr(recording, "n_taxels"):  # a matrix with a row for each taxel
+            self.events += len(recording.events)
+            self.bytes += 8 * (recording.n_taxels + 1) * int(recording.events.columns.sum())
+        else:
+            self.events += len(recording.polarity)
+            self.bytes += 32 * len(recording.polarity)
+
+    @property
+    def too_much(self) -> str | None:
+        """What there is too much of, or None."""
+        if self.events > MOST_EVENTS:
+            return f"more than {MOST_EVENTS:,} events in all"
+        if self.bytes > MOST_BYTES:
+            return f"more than {MOST_BYTES:,} bytes in all, unpacked"
+        return None
