@@ -9,7 +9,7 @@ from pathlib import Path
 
 from . import __version__, interrupts
 from .check.bundle import read_bundle, result_beside
-from .check.results import compare_results, enforce, read_result
+from .check.results import compare_results, enforce, read_result, require_limits
 from .check.run import run_check
 from .check.text import comparison_text, summary
 from .errors import CheckFailed, UserError, line_of, one_line
@@ -128,6 +128,7 @@ def _plan(options):
 
 
 def _compare(options):
+    require_limits(options.max_disagreements, options.max_accuracy_drop)
     comparison = compare_results(read_result(options.a), read_result(options.b))
     show(comparison_text(comparison))
     enforce(comparison, options.max_disagreements, options.max_accuracy_drop)

@@ -372,6 +372,23 @@ def loss_text(reference: dict, result: dict) -> Optional[str]:
     )
 
 
+def require_limits(
+    max_disagreements: Optional[int] = None, max_accuracy_drop: Optional[float] = None
+):
+    """Refuse limits of a comparison that limit nothing.
+
+    Raises
+    ------
+    UserError
+        One is negative, or no number up to 1 where it is a share: any drop would be "not more" than
+        NaN.
+    """
+    if max_disagreements is not None and max_disagreements < 0:
+        raise UserError(f"--max-disagreements {max_disagreements}: must be at least 0")
+    if max_accuracy_drop is not None and not 0 <= max_accuracy_drop <= 1:
+        raise UserError(f"--max-accuracy-drop {max_accuracy_drop:g}: must be from 0 to 1")
+
+
 def enforce(
     comparison: Comparison,
     max_disagreements: Optional[int] = None,
@@ -390,7 +407,10 @@ def enforce(
     ------
     CheckFailed
         Naming the limit and what was found.
+    UserError
+        See :func:`require_limits`.
     """
+    require_limits(max_disagreements, max_accuracy_drop)
     count = len(comparison.disagreements)
     if max_disagreements is not None and count > max_disagreements:
         raise CheckFailed(f"{count} disagreements, more than the {max_disagreements} allowed")

@@ -9,7 +9,7 @@ from typing import Annotated, Optional
 import typer
 
 from deploy.check.bundle import read_bundle, result_beside
-from deploy.check.results import compare_results, enforce, loss_text, read_result
+from deploy.check.results import compare_results, enforce, loss_text, read_result, require_limits
 from deploy.check.run import run_check
 from deploy.check.text import comparison_text, summary
 from deploy.errors import UserError
@@ -107,6 +107,7 @@ def compare_checks(
     as_json: options.Json = False,
 ):
     """Set two results side by side: agreement, McNemar's test, the first samples that differ."""
+    require_limits(max_disagreements, max_accuracy_drop)
     comparison = compare_results(read_result(a), read_result(b))
     options.warn_if_outdated(a, b)
     options.tell(comparison.to_json(), lambda _: comparison_text(comparison), as_json)

@@ -128,6 +128,11 @@ def run(request):
         (["--max-accuracy-drop", 0.25], 0, ""),
         (["--max-accuracy-drop", 0.2], 1, "accuracy drops by 0.2500, more than the 0.2 allowed"),
         (["--max-disagreements", "few"], 2, "--max-disagreements"),
+        (["--max-disagreements", -1], 2, "must be at least 0"),
+        *(
+            ([f"--max-accuracy-drop={limit}"], 2, "must be from 0 to 1")
+            for limit in ("nan", "inf", "-inf", "1.5", "-0.1")
+        ),
     ],
 )
 def test_limits_and_exit_status(run, pair, capsys, options, status, message):
