@@ -25,6 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
+from deploy.children import PARENT, end_with_named_parent
 from deploy.files import open_regular
 from models.hdf5 import h5py
 
@@ -128,7 +129,12 @@ def read_model_file(path) -> SavedModel:
             input=content,
             capture_output=True,
             timeout=MAX_SECONDS,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": _search_path()},
+            env={
+                **os.environ,
+                "OPENBLAS_NUM_THREADS": "1",
+                "PYTHONPATH": _search_path(),
+                PARENT: str(os.getpid()),
+            },
         )
     except subprocess.TimeoutExpired as error:
         problem = f"could not be read in {MAX_SECONDS} s, seems damaged"
@@ -148,6 +154,7 @@ def read_model_file(path) -> SavedModel:
 
 def _answer_as_a_process():
     """Read a file's content from standard input; write what is in it, as .npz, to the output."""
+    end_with_named_parent()
     with contextlib.suppress(ImportError):
         import resource  # not on Windows
 

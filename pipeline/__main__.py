@@ -5,7 +5,7 @@ import os
 import sys
 import threading
 
-from deploy import interrupts
+from deploy import children, interrupts
 from deploy.terminal import prepare, remark
 
 QUIET = "ignore:resource_tracker:UserWarning"
@@ -32,6 +32,7 @@ def main():
     """Import the command with what its verb needs, up to a second, and run it."""
     interrupts.end_at_once("stmnist")
     prepare()
+    children.end_with_named_parent()
     try:
         os.getcwd()
     except OSError as error:  # libraries ask for it while they are imported

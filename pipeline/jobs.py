@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import multiprocessing.resource_tracker
+import os
 import signal
 import sys
 import traceback
@@ -15,6 +16,7 @@ from joblib import Parallel, delayed
 from joblib.externals.loky.backend import resource_tracker
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
+from deploy.children import end_with
 from deploy.errors import UserError
 
 MESSAGE_LENGTH = 160
@@ -135,7 +137,7 @@ def results_of(calls, processes: int, in_order: bool = True):
         Whether results come in the order of the calls or of their ends.
     """
     order = "generator" if in_order else "generator_unordered"
-    parallel = Parallel(processes, return_as=order, **(_bound() if processes != 1 else {}))
+    parallel = Parallel(processes, return_as=order, **(_beginning() if processes != 1 else {}))
     if processes != 1:
         for tracker in (resource_tracker, multiprocessing.resource_tracker):
             tracker.ensure_running()  # started later they would unblock again
@@ -160,9 +162,13 @@ def _in_processes(function, jobs, processes, meanwhile):
             yield job, _alone(function, job)
 
 
-def _bound():
-    """Options by which workers of a process that uses ``stmnist`` bind its packages first too."""
-    return {"initializer": sys.modules["stmnist"].bind} if "stmnist" in sys.modules else {}
+def _beginning():
+    """Options by which workers end with this process.
+
+    Those of a process that uses ``stmnist`` bind its packages first.
+    """
+    begin = sys.modules["stmnist"]._begin_worker if "stmnist" in sys.modules else end_with
+    return {"initializer": begin, "initargs": (os.getpid(),)}
 
 
 def _alone(function, job):

@@ -83,6 +83,12 @@ def bind():
             spec.loader.exec_module(module)
 
 
+def _begin_worker(parent):
+    """What a worker of a process that uses this package does first."""
+    bind()
+    importlib.import_module("deploy.children").end_with(parent)
+
+
 def _is(module, file):
     found = getattr(module, "__file__", None)
     return found is not None and os.path.realpath(found) == os.path.realpath(file)

@@ -74,7 +74,7 @@ FLOORS = {
         {"__main__"},
     ],
     "deploy": [
-        {"terminal"},
+        {"children", "terminal"},
         {"errors", "interrupts", "limits", "tables", "requirements"},
         {"files"},
         {"network"},

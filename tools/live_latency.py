@@ -5,6 +5,7 @@ else to do.
 """
 
 import contextlib
+import os
 import subprocess
 import sys
 import tempfile
@@ -14,6 +15,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from deploy.children import PARENT
 from deploy.errors import UserError
 from pipeline.progress import progress
 from pipeline.skin import handwriting, parameters, simulate
@@ -98,7 +100,10 @@ def _served(run):
     with tempfile.TemporaryDirectory() as kept:
         command = [sys.executable, "-m", "pipeline", "live", str(run), "--no-browser"]
         command += ["--port", "0", "--record", kept]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        environment = {**os.environ, PARENT: str(os.getpid())}
+        with subprocess.Popen(
+            command, stdout=subprocess.PIPE, text=True, env=environment
+        ) as server:
             try:
                 line = server.stdout.readline().split()
                 if not line:
