@@ -301,7 +301,8 @@ def summarise(points, results) -> dict:
     both = list(zip(points, results, strict=True))
     done = [
         {
-            **{key: value for key, value in result.items() if key != "made_from"},
+            # One that was read again has its entries in another order than one of this session.
+            **{key: result[key] for key in sorted(result) if key != "made_from"},
             "changes": dict(point.changes),
         }
         for point, result in both

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from deploy.errors import UserError
 from deploy.files import replacing
+from deploy.terminal import printable
 
 FORMATS = ("png", "svg", "pdf")
 
@@ -24,6 +25,11 @@ def format_of(path: Path) -> str:
     if kind not in FORMATS:
         raise UserError(f"{path}: not a picture that can be drawn; use .png, .svg or .pdf")
     return kind
+
+
+def plain(name: str) -> str:
+    """A name as Matplotlib draws it: two dollars are no formula."""
+    return printable(name).replace("$", r"\$")
 
 
 def save(figure, path: Path, dpi: int = 120):

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from matplotlib.figure import Figure
 
+from pipeline.report.figures import plain
 from pipeline.report.matrix import confusion_shares, names_beside
 
 
@@ -53,7 +54,7 @@ def _matrix(axes, counts, names=None):
                 weight="bold" if label == prediction else "normal",
             )
     classes = range(len(counts))
-    names = names_beside(names, len(counts))
+    names = [plain(name) for name in names_beside(names, len(counts))]
     axes.set_xticks(classes, names, rotation=90 if max(map(len, names)) > 2 else 0)
     axes.set_yticks(classes, names)
     axes.tick_params(length=0)

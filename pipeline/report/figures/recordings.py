@@ -11,6 +11,7 @@ from pipeline.recordings.events import (
     Recordings,
     TaxelMap,
 )
+from pipeline.report.figures import plain
 
 ON, OFF = "red", "black"
 """Colours of the paper's Figure 4."""
@@ -112,7 +113,9 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
     for row, digit in zip(panels, digits, strict=True):
         pool = np.flatnonzero(recordings.labels == digit)
         chosen = np.sort(rng.choice(pool, min(per_digit, len(pool)), replace=False))
-        row[0].set_ylabel(recordings.sensor.classes[digit], rotation=0, labelpad=8, va="center")
+        row[0].set_ylabel(
+            plain(recordings.sensor.classes[digit]), rotation=0, labelpad=8, va="center"
+        )
         for axes in row[len(chosen) :]:
             axes.set_visible(False)
         for axes, index in zip(row, chosen, strict=False):
@@ -136,14 +139,14 @@ def _show(axes, image):
 
 
 def _source(recordings):
-    name = recordings.source.name
+    name = plain(recordings.source.name)
     if recordings.source.simulated and "simulated" not in name:
         return f"{name}, simulated"
     return name
 
 
 def _title(recordings, index):
-    name = recordings.ids[index]
+    name = plain(recordings.ids[index])
     classes = recordings.sensor.classes
-    of = f"{'digit' if classes == DIGITS else 'class'} {classes[recordings.labels[index]]}"
+    of = f"{'digit' if classes == DIGITS else 'class'} {plain(classes[recordings.labels[index]])}"
     return f"{of}, sample {name} ({_source(recordings)})"

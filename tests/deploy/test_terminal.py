@@ -1,0 +1,159 @@
+"""What is printed: escaped, in any encoding, to streams that may be closed or full."""
+
+import contextlib
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from deploy.files import read_json, write_json
+from deploy.tables import aligned
+from deploy.terminal import printable, remark, show
+from tests.command import ROOT, call, environment
+from tests.pipeline.handmade import archive, good_members
+
+OBEYED = "\x1b[2J\x1b]0;mine\x07\u202e\r\nx"
+
+
+def test_what_a_terminal_would_obey_is_escaped(capsys):
+    assert printable("é\u4e2d a\x1b[2J\n") == "é\u4e2d a\\x1b[2J\\n"
+    show(f"one {OBEYED[:4]}\ntwo")
+    remark("three \x07")
+    assert capsys.readouterr() == ("one \\x1b[2J\ntwo\n", "three \\x07\n")
+    assert aligned([["name", "n"], ["a\nb\x1b", "1"]]) == ["name      n", "a\\nb\\x1b  1"]
+
+
+def controls(text):
+    """Characters that a terminal obeys, but for the ends of lines."""
+    return [c for c in text if not c.isprintable() and c != "\n"]
+
+
+@pytest.mark.parametrize("as_json", [[], ["--json"]])
+def test_class_names_and_sources(tmp_path, capsys, as_json):
+    members = {
+        name.replace("data_submission/3/", f"data_submission/{OBEYED}/"): content
+        for name, content in good_members(2).items()
+    }
+    path = tmp_path / "st\x1b[2J.zip"
+    archive(path, members)
+    for verb in (["import", path], ["stats", "--data", path]):
+        assert call("data", *verb, "--jobs", 1, *as_json) == 0
+    out, err = capsys.readouterr()
+    assert controls(out + err) == []
+    assert "mine" in out
+
+
+def test_targets_and_names_of_runs(tiny_run, tmp_path, capsys):
+    import shutil
+
+    runs = [shutil.copytree(tiny_run, tmp_path / name) for name in ("a\x1b[2J", "b")]
+    for name in ("nengo", "fast"):
+        path = runs[0] / "checks" / f"{name}.json"
+        write_json(path, {**read_json(runs[0] / "checks" / "nengo.json", ""), "target": OBEYED})
+    pair = [runs[0] / "checks" / f"{name}.json" for name in ("nengo", "emulator")]
+    assert call("check", "compare", *pair) == 0
+    assert call("compare", *runs) in (0, 2)
+    assert call("report", runs[0]) == 2
+    out, err = capsys.readouterr()
+    assert controls(out + err) == []
+    assert "checks/nengo.json: not of this stage" in err
+
+
+def run(*arguments, closed=(), **options):
+    """The command as a process, with standard streams closed from its start."""
+
+    def close():
+        for number in closed:
+            os.close(number)
+
+    return subprocess.run(
+        [sys.executable, "-m", "pipeline", *map(str, arguments)],
+        cwd=ROOT,
+        preexec_fn=close,
+        timeout=300,
+        check=False,
+        **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": environment(), **options},
+    )
+
+
+@pytest.fixture
+def pair(tmp_path):
+    """Two results that can be compared."""
+    from tests.deploy.check.test_results import result
+
+    write_json(tmp_path / "a.json", result())
+    write_json(tmp_path / "b.json", result((0, 2, 2, 1), target="fast"))
+    return tmp_path / "a.json", tmp_path / "b.json"
+
+
+@pytest.mark.parametrize("closed", [(1,), (2,), (0, 1, 2)])
+def test_closed_streams(pair, closed):
+    done = run("check", "compare", *pair, "--max-disagreements", 1, closed=closed)
+    assert done.returncode == 1
+    assert b"Traceback" not in done.stderr
+    assert run("check", "compare", *pair, closed=closed).returncode == 0
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
+def test_full_streams(pair):
+    with open("/dev/full", "wb") as full:
+        assert run("check", "compare", *pair, stderr=full).returncode == 0
+        limit = ["--max-disagreements", 1]
+        assert run("check", "compare", *pair, *limit, stderr=full).returncode == 1
+        assert run("check", "compare", *pair, "--x", stderr=full, stdout=full).returncode == 2
+        done = run("check", "compare", *pair, stdout=full)
+    assert done.returncode == 2
+    assert b"No space left" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_file_is_never_opened_as_a_standard_stream(tmp_path):
+    """With standard error closed, the first file of a run would get its number."""
+    code = (
+        "import os; os.close(1); os.close(2)\n"
+        "from deploy.terminal import prepare; prepare()\n"
+        f"file = open({str(tmp_path / 'a')!r}, 'w')\n"
+        "os._exit(0 if file.fileno() > 2 else 1)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
+
+
+def test_names_that_the_terminal_cannot_write(tmp_path):
+    members = {
+        name.replace("data_submission/3/", "data_submission/\u4e2d\u6587/"): content
+        for name, content in good_members(2).items()
+    }
+    archive(tmp_path / "st.zip", members)
+    plain = environment(
+        PYTHONIOENCODING="ascii", STMNIST_CACHE=str(tmp_path / "cache"), PYTHONUTF8="0"
+    )
+    done = run("data", "import", tmp_path / "st.zip", "--jobs", 1, env=plain)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert rb"\u4e2d\u6587 2" in done.stdout
+
+
+@pytest.mark.parametrize("width", ["0", "-1", "999999999", "x", "\u0661\u0661"])
+def test_widths_that_no_terminal_has(monkeypatch, capsys, width):
+    monkeypatch.setenv("COLUMNS", width)
+    with contextlib.suppress(SystemExit):
+        call("check", "compare", "--help")
+    out = capsys.readouterr().out
+    assert "Set two results side by side" in out
+    assert len(out) < 10_000
+
+
+def test_names_in_figures(tmp_path, recwarn):
+    """A font lacks most scripts, and two dollars are no formula."""
+    from matplotlib.figure import Figure
+
+    from pipeline.report import figures
+    from pipeline.report.figures.confusion import confusion_figure
+
+    row = {"stage": "cnn", "accuracy": 0.5, "confusion": np.eye(2, dtype=int).tolist()}
+    ladder = {"rows": [row], "simulated": True, "n_samples": 2}
+    figure = confusion_figure({**ladder, "classes": ["\u4e2d\u6587", r"$\frac$"]})
+    assert isinstance(figure, Figure)
+    figures.save(figure, tmp_path / "a.png", dpi=50)
+    assert [str(w.message) for w in recwarn.list if "Glyph" in str(w.message)] == []
