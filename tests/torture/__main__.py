@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from . import bounded, breaks, inputs
+from . import bounded, breaks, connections, inputs
 
-PARTS = ("inputs", "kills", "interruptions", "disks")
+PARTS = ("inputs", "kills", "interruptions", "disks", "orphans", "connections")
 
 
 def main():
@@ -32,7 +32,7 @@ def main():
     for part in PARTS:
         count = getattr(options, part)
         if count and options.part in (None, part):
-            run = run_inputs if part == "inputs" else run_breaks
+            run = {"inputs": run_inputs, "connections": run_connections}.get(part, run_breaks)
             findings = run(part, count, options, folder / part, base, counts)
             found += findings
     for part, kinds in sorted(_by_part(counts).items()):
@@ -51,6 +51,8 @@ def _parsed():
     parser.add_argument("--kills", type=int, default=60)
     parser.add_argument("--interruptions", type=int, default=60)
     parser.add_argument("--disks", type=int, default=12, help="full, read-only, two at once")
+    parser.add_argument("--orphans", type=int, default=180, help="signals to a command alone")
+    parser.add_argument("--connections", type=int, default=20, help="attacks on the live page")
     parser.add_argument("--part", choices=PARTS, help="only this")
     parser.add_argument("--case", type=int, help="only this case of the part; its files are kept")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
@@ -127,8 +129,16 @@ def _shard(cases, kinds, options, folder, base, log):
             place.mkdir(parents=True)
             rng = generator(options, "inputs", case)
             which = given[int(rng.integers(0, len(given)))]
-            outcome = bounded.run(inputs.make(kinds[case], rng, place, which), place)
+            arguments = inputs.make(kinds[case], rng, place, which)
+            outcome = bounded.run(arguments, place)
             finding = outcome.finding or inputs.harmed(place)
+            if finding is None and (
+                streams := bounded.streams_of(
+                    np.random.default_rng([options.seed, len(PARTS), case])
+                )
+            ):
+                again = bounded.run(arguments, place, streams=streams)
+                finding = bounded.changed_by(streams, outcome, again)
             record = {
                 "case": case, "kind": kinds[case], "finding": finding,
                 "seconds": outcome.seconds, "memory": outcome.memory, "status": outcome.status,
@@ -188,6 +198,10 @@ def run_breaks(part, count, options, folder, base, counts):
             else:
                 findings = breaks.two_at_once(command, rng, place, base, whole[command.name])
             stops, kind = 1, f"{kind} {command.name}"
+        elif part == "orphans":
+            how = breaks.SIGNALS[number % len(breaks.SIGNALS)]
+            findings = breaks.orphaned(command, rng, place, base, whole[command.name], how)
+            stops, kind = 1, f"{how.name} {command.name}"
         else:
             how = {"kills": "kill", "interruptions": "interrupt"}[part]
             stops, findings = breaks.broken(
@@ -218,6 +232,21 @@ def run_breaks(part, count, options, folder, base, counts):
                 if findings and not findings[0].endswith("left out"):
                     found.append(findings)
                     _say(options, part, case, kind, findings)
+    return found
+
+
+def run_connections(part, count, options, folder, base, counts):
+    """Attacks on the live page, one after the other: each has the machine to itself."""
+    found = []
+    for case in [options.case] if options.case is not None else range(count):
+        place = folder / str(case)
+        findings = connections.attacked(generator(options, part, case), place, base)
+        counts[part, "attacks"] += 1
+        if findings:
+            found.append(findings)
+            _say(options, part, case, "connections", findings)
+        if options.case is None:
+            shutil.rmtree(place, ignore_errors=True)
     return found
 
 

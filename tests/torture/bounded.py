@@ -64,7 +64,27 @@ class Outcome:
         return None
 
 
-def run(arguments, folder, seconds=SECONDS):
+CLOSED, FULL = "closed", "full"
+
+
+def streams_of(rng) -> dict:
+    """For one case in eight, which of the standard streams are closed or full; else empty."""
+    if rng.random() > 0.125:
+        return {}
+    return {int(rng.integers(1, 3)): str(rng.choice([CLOSED, FULL]))}
+
+
+def changed_by(streams, before, after):
+    """What is wrong with a command whose streams were closed or full, beside what it was before."""
+    allowed = {before.status, 2} if streams.get(1) == FULL else {before.status}
+    if after.status not in allowed:
+        return f"status {after.status}, not {before.status}, with {streams}"
+    if "Traceback" in after.err:
+        return f"a traceback with {streams}: {after.err.strip().splitlines()[-1][:200]}"
+    return None
+
+
+def run(arguments, folder, seconds=SECONDS, streams=None):
     """Call the command in a fork of this process, which has imported it already.
 
     Parameters
@@ -75,6 +95,8 @@ def run(arguments, folder, seconds=SECONDS):
         Where it works; its output, temporary files and cache are there too.
     seconds : float
         After these and some grace it is killed.
+    streams : dict of int to str, optional
+        Of standard output (1) and error (2): `CLOSED` or `FULL`.
 
     Returns
     -------
@@ -84,7 +106,7 @@ def run(arguments, folder, seconds=SECONDS):
     begun = time.monotonic()
     child = os.fork()
     if child == 0:
-        _become(arguments, folder, out, err)
+        _become(arguments, folder, out, err, streams or {})
     try:
         status, usage = _wait(child, begun + seconds + 2)
     except BaseException:  # an interruption of the campaign: the child does not outlive it
@@ -99,16 +121,25 @@ def run(arguments, folder, seconds=SECONDS):
     )
 
 
-def _become(arguments, folder, out, err):
+def _become(arguments, folder, out, err, streams):
     """Never returns."""
     status = 70
     try:
         os.setsid()
         for path, number in ((os.devnull, 0), (out, 1), (err, 2)):
             flags = os.O_RDONLY if number == 0 else os.O_WRONLY | os.O_CREAT | os.O_TRUNC
+            if streams.get(number) == FULL:
+                path, flags = "/dev/full", os.O_WRONLY
             os.dup2(os.open(str(path), flags), number)
-        sys.stdout = os.fdopen(1, "w", closefd=False)
-        sys.stderr = os.fdopen(2, "w", closefd=False)
+        # As Python itself has them: None for what was closed before it started.
+        sys.stdout = sys.__stdout__ = os.fdopen(1, "w", closefd=False)
+        sys.stderr = sys.__stderr__ = os.fdopen(2, "w", closefd=False)
+        if streams.get(1) == CLOSED:
+            os.close(1)
+            sys.stdout = sys.__stdout__ = None
+        if streams.get(2) == CLOSED:
+            os.close(2)
+            sys.stderr = sys.__stderr__ = None
         resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         os.chdir(folder)
@@ -125,9 +156,9 @@ def _become(arguments, folder, out, err):
             traceback.print_exc()
             status = 1
     finally:
-        with contextlib.suppress(Exception):
-            sys.stdout.flush()
-            sys.stderr.flush()
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(Exception):
+                stream.flush()
         os._exit(status)
 
 

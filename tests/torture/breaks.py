@@ -166,7 +166,7 @@ def fingerprint(folder):
 def _plain(path, folder):
     content = path.read_bytes()
     if path.suffix == ".json":
-        return json.dumps(_timeless(json.loads(content)), sort_keys=True).encode()
+        return json.dumps(_timeless(json.loads(content))).encode()  # the order of its keys too
     if path.suffix == ".npz":
         with zipfile.ZipFile(path) as archive:
             return b"".join(archive.read(name) for name in sorted(archive.namelist()))
@@ -294,6 +294,53 @@ def _interrupted(process, folder, moment):
         yield f"{len(err.splitlines())} lines after Ctrl-C: {err[-300:]!r}"
     elif not err.splitlines()[-1].startswith("stmnist: interrupted"):
         yield f"ends with {err.splitlines()[-1]!r} after Ctrl-C"
+
+
+LINGER = 10
+"""Seconds within which whatever a command started has ended after it."""
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
+
+
+def orphaned(command, rng, folder, base, expected, how):
+    """Signal a command alone, at a random moment; nothing that it started may outlive it.
+
+    Returns
+    -------
+    list of str
+        What was wrong.
+    """
+    prepare(command, folder, base)
+    moment = float(rng.uniform(0, expected.seconds * 1.1))
+    process = start(command, folder)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(moment)
+    process.send_signal(how)
+    findings = []
+    try:
+        process.wait(GRACE)
+    except subprocess.TimeoutExpired:
+        findings.append(f"after {moment:.3f} s: does not end after {how.name}")
+    else:
+        end = time.monotonic() + LINGER
+        while (left := _of_session(process.pid)) and time.monotonic() < end:
+            time.sleep(0.05)
+        if left:
+            findings.append(f"after {moment:.3f} s and {how.name}: leaves {'; '.join(left)}")
+    finish(process, 0.1)
+    return findings
+
+
+def _of_session(session):
+    """What runs in a session, as a line each; ended processes that nobody has waited for do not."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            fields = (path / "stat").read_text().rpartition(")")[2].split()
+            if int(fields[3]) == session and fields[0] not in "ZX":
+                words = (path / "cmdline").read_bytes().split(b"\0")
+                found.append(f"{path.name} {b' '.join(words).decode(errors='replace')[:100]}")
+    return found
 
 
 def full_disk(command, rng, folder, base, expected):

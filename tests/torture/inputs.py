@@ -23,8 +23,9 @@ from ..deploy.fast_networks import random_spec
 from . import damage
 
 SHARES = {
-    "mat5": 0.25, "mat73": 0.12, "zip": 0.1, "bundle": 0.22, "settings": 0.13, "result": 0.06,
+    "mat5": 0.2, "mat73": 0.105, "zip": 0.1, "bundle": 0.22, "settings": 0.13, "result": 0.06,
     "run": 0.04, "links": 0.03, "network": 0.05,
+    "cache": 0.03, "pipe": 0.03, "source": 0.005,
 }  # fmt: skip
 """Of each kind in a campaign."""
 
@@ -374,6 +375,60 @@ def _history(rng, path):
     return text.getvalue().encode()
 
 
+def cache(rng, folder, base):
+    """Recordings in the cache, damaged or with other values, and a command that uses them."""
+    run = folder / "run"
+    shutil.copytree(base.run, run)
+    shutil.copytree(base.run.parent / "cache", folder / "cache")
+    paths = sorted((folder / "cache").glob("recordings-*.npz"))
+    path = paths[int(rng.integers(0, len(paths)))]
+    if rng.random() < 0.2:
+        path.write_bytes(damage.some_bytes(rng, path.read_bytes()))
+    else:
+        given = damage.arrays(rng, read_arrays(path, ""))
+        with zipfile.ZipFile(path, "w") as archive:
+            for key, array in given.items():
+                with archive.open(key + ".npy", "w") as stream:
+                    np.lib.format.write_array(stream, np.asarray(array), allow_pickle=True)
+    return ["report", run]
+
+
+def source(rng, folder, base):
+    """A zip of recordings each of which is within all limits, and all together may not be."""
+    path, events = folder / "st.zip", int(rng.choice([10, 10**5, 10**6, 5 * 10**6]))
+    one = io.BytesIO()
+    zeros = np.zeros(events, np.uint8)
+    np.savez_compressed(one, x=zeros, y=zeros, t=np.linspace(0, 2, events, dtype=np.float32),
+                        p=zeros + np.int8(1))  # fmt: skip
+    with zipfile.ZipFile(path, "w") as archive:
+        for digit in range(10):
+            for index in range(int(rng.choice([2, 4, 20]))):
+                archive.writestr(f"{digit}/{index}.npz", one.getvalue())
+    return ["data", "import", path, "--jobs", 1]
+
+
+def pipe(rng, folder, base):
+    """A pipe, a link to nothing or a device where a file belongs."""
+    path = folder / str(rng.choice(["a.mat", "a.npz", "a.zip", "a.json", "a.keras", "a.toml"]))
+    way = int(rng.integers(0, 4))
+    if way == 0:
+        os.mkfifo(path)
+    elif way < 3:
+        path.symlink_to(["nowhere", "/dev/zero"][way - 1])
+    else:
+        path.mkdir()
+    data = folder / "data" / "3"
+    data.mkdir(parents=True)
+    (data / "a.mat").symlink_to(path)
+    verbs = [
+        ["data", "inspect", path], ["data", "import", path], ["data", "import", folder / "data"],
+        ["check", "compare", path, path], ["train", folder / "run", "--settings", path],
+        ["convert", folder / "run", "--model", path],
+        ["deploy", "energy", base.run / "bundle", path],
+    ]  # fmt: skip
+    return verbs[int(rng.integers(0, len(verbs)))]
+
+
 ELSEWHERE = b"somebody else's"
 """Content of a file that no command may change."""
 
@@ -420,5 +475,5 @@ def harmed(folder):
 KINDS = {
     "mat5": mat5, "mat73": mat73, "zip": zipped, "bundle": bundle, "settings": settings,
     "result": result, "run": run_folder, "links": links,
-    "network": network,
+    "network": network, "cache": cache, "pipe": pipe, "source": source,
 }  # fmt: skip

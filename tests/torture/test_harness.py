@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.command import process_of
 from tests.deploy.networks import bundle_at
 from tests.torture import bounded, breaks, damage, inputs
 
@@ -26,7 +27,7 @@ def contents(folder):
     return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
-@pytest.mark.parametrize("kind", sorted(set(inputs.KINDS) - {"run", "mat73"}))
+@pytest.mark.parametrize("kind", sorted(set(inputs.KINDS) - {"run", "cache", "mat73", "source"}))
 def test_a_case_is_the_same_again(kind, base, tmp_path):
     """HDF5 writes the time of day into its files; what is in them is the same."""
     for case in range(4):
@@ -45,9 +46,9 @@ def test_a_case_is_the_same_again(kind, base, tmp_path):
 def test_a_campaign_has_of_every_kind():
     kinds = inputs.plan(200)
     assert len(kinds) == 200
-    assert {kind: kinds.count(kind) > 5 for kind in inputs.SHARES} == dict.fromkeys(
-        inputs.SHARES, True
-    )
+    least = {kind: 1 if kind == "source" else 5 for kind in inputs.SHARES}
+    assert {kind: kinds.count(kind) >= n for kind, n in least.items()} == dict.fromkeys(least, True)
+    assert sum(inputs.SHARES.values()) == pytest.approx(1)
 
 
 def test_damaged_bytes_are_other_bytes():
@@ -119,3 +120,41 @@ def test_what_was_written_through_a_link_is_found(base, tmp_path):
     (tmp_path / "elsewhere" / "precious").write_bytes(b"")
     assert "wrote through a link" in inputs.harmed(tmp_path)
     assert inputs.harmed(tmp_path / "run") is None
+
+
+@pytest.mark.parametrize(
+    ("streams", "ended", "found"),
+    [
+        ({1: "closed"}, outcome(1), None),
+        ({1: "closed"}, outcome(0), "status 0, not 1"),
+        ({1: "full"}, outcome(2), None),
+        ({2: "full"}, outcome(2), "status 2, not 1"),
+        ({2: "closed"}, outcome(1, "Traceback (most recent call last):\nOSError"), "a traceback"),
+    ],
+)
+def test_what_a_closed_or_full_stream_must_not_change(streams, ended, found):
+    changed = bounded.changed_by(streams, outcome(1), ended)
+    assert (changed is None) if found is None else (found in changed)
+
+
+def test_streams_of_a_command_are_closed_and_full(tmp_path):
+    (tmp_path / "a.mat").write_bytes(b"hello")
+    for streams in ({1: "closed"}, {2: "closed"}, {1: "full"}, {2: "full"}):
+        ended = bounded.run(["data", "inspect", tmp_path / "a.mat"], tmp_path, 300, streams)
+        assert ended.status == 2
+        assert ("is not a MAT file" in ended.err) == (2 not in streams)
+
+
+def test_what_outlives_a_command_is_named():
+    with process_of("-c", "import time; time.sleep(600)", stdout=-1) as process:
+        (line,) = breaks._of_session(process.pid)
+        assert f"{process.pid} " in line
+    assert breaks._of_session(process.pid) == []
+
+
+def test_the_order_of_keys_counts(tmp_path):
+    prints = []
+    for text in ('{"a": 1, "b": 2}', '{"b": 2, "a": 1}'):
+        (tmp_path / "a.json").write_text(text)
+        prints.append(breaks.fingerprint(tmp_path))
+    assert prints[0] != prints[1]

@@ -1,0 +1,207 @@
+"""Programs of the machine that hold, flood or abuse the connections of ``stmnist live``."""
+
+import contextlib
+import json
+import os
+import resource
+import signal
+import socket
+import subprocess
+import sys
+import time
+from urllib.parse import urlsplit
+
+from ..command import ROOT
+
+FILES = 256
+"""Files that the server may have open."""
+
+PATIENCE = 5.0
+"""Seconds within which the page must be there, and a stroke be answered."""
+
+SHARE = 0.6
+"""Of a core, at most, while only silent connections are there."""
+
+
+def attacked(rng, folder, base):
+    """Serve a finished run, attack the server in some ways, and look whether the page works.
+
+    Returns
+    -------
+    list of str
+        What was wrong.
+    """
+    from websockets.sync.client import connect
+
+    folder.mkdir(parents=True)
+    with _served(folder, base) as (server, url):
+        port, path = urlsplit(url).port, urlsplit(url).path
+        held, findings = [], []
+        address = f"ws://127.0.0.1:{port}{path}pen"
+        try:
+            with connect(address, proxy=None) as page:
+                _until(page, "ready", 120)
+                for _ in range(int(rng.integers(1, 4))):
+                    attack = ATTACKS[int(rng.integers(0, len(ATTACKS)))]
+                    held += attack(rng, port, path) or []
+                begun, used = time.monotonic(), _cpu(server)
+                _get(port, path)
+                page.send(json.dumps({"type": "writer", "number": 7, "each": 0}))
+                _until(page, "writer", PATIENCE)
+                seconds = time.monotonic() - begun
+                if seconds > PATIENCE:
+                    findings.append(f"the page took {seconds:.1f} s")
+                with connect(address, proxy=None, open_timeout=PATIENCE) as other:
+                    _until(other, "ready", PATIENCE)
+                time.sleep(2)
+                if (share := (_cpu(server) - used) / (time.monotonic() - begun)) > SHARE:
+                    findings.append(f"takes {share:.0%} of a core")
+        except (OSError, TimeoutError, AssertionError, ValueError) as error:
+            findings.append(f"the page does not work: {type(error).__name__}: {error}")
+        except Exception as error:  # those of websockets
+            findings.append(f"the page was cut off: {type(error).__name__}: {error}")
+        finally:
+            for connection in held:
+                with contextlib.suppress(Exception):
+                    connection.close()
+        server.send_signal(signal.SIGINT)
+        try:
+            status = server.wait(30)
+        except subprocess.TimeoutExpired:
+            return [*findings, "does not end after Ctrl-C"]
+    err = (folder / ".err").read_text(errors="replace")
+    if status != 130:
+        findings.append(f"status {status} after Ctrl-C")
+    if "Traceback" in err:
+        findings.append(
+            f"{err.count('Traceback')} tracebacks: {err.strip().splitlines()[-1][:200]}"
+        )
+    if len(err) > 5000:
+        findings.append(f"{len(err)} characters on standard error")
+    return findings
+
+
+@contextlib.contextmanager
+def _served(folder, base):
+    """The server as a process with few files, and the address that it prints."""
+    with open(folder / ".err", "w") as err:
+        server = subprocess.Popen(
+            [sys.executable, "-m", "pipeline", "live", str(base / "run"), "--port", "0",
+             "--no-browser", "--record", str(folder / "written")],
+            cwd=folder,
+            env={**os.environ, "PYTHONPATH": str(ROOT), "STMNIST_CACHE": str(base / "cache")},
+            stdout=subprocess.PIPE,
+            stderr=err,
+            text=True,
+            start_new_session=True,
+            preexec_fn=_limited,
+        )  # fmt: skip
+    try:
+        line = server.stdout.readline().split()
+        assert line, "the server did not start: " + (folder / ".err").read_text()[-300:]
+        yield server, line[1]
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(server.pid, signal.SIGKILL)
+        server.wait()
+        server.stdout.close()
+
+
+def _limited():
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (FILES, FILES))
+
+
+def _cpu(server):
+    """Seconds of processor time that a process has taken."""
+    with open(f"/proc/{server.pid}/stat") as file:
+        fields = file.read().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _get(port, path):
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as page:
+        page.sendall(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
+        assert page.recv(4096).startswith(b"HTTP/1.1 200"), "the page is not served"
+
+
+def _until(page, kind, seconds):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if json.loads(page.recv(timeout=max(end - time.monotonic(), 0.01)))["type"] == kind:
+            return
+    raise TimeoutError(f"no {kind} in {seconds:g} s")
+
+
+def _connections(port, n):
+    made = []
+    for _ in range(n):
+        with contextlib.suppress(OSError):
+            made.append(socket.create_connection(("127.0.0.1", port), timeout=PATIENCE))
+    return made
+
+
+def silent(rng, port, path):
+    """Connections that say nothing, more than there are files."""
+    return _connections(port, int(rng.integers(50, 2 * FILES)))
+
+
+def slow(rng, port, path):
+    """Requests that never come to an end."""
+    made = _connections(port, int(rng.integers(10, FILES)))
+    for connection in made:
+        with contextlib.suppress(OSError):
+            connection.send(b"GET /x HTTP/1.1\r\nHost: 127.0.0.1"[: int(rng.integers(1, 30))])
+    return made
+
+
+def garbage(rng, port, path):
+    """What is no request, and requests of other things than the page."""
+    made = _connections(port, 20)
+    for connection in made:
+        words = [
+            rng.bytes(int(rng.integers(1, 2000))),
+            f"GET {path}{'x' * 300} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode(),
+            f"GET {path}%ff%00 HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode(),
+            f"POST {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nContent-Length: 9\r\n\r\n".encode(),
+        ]
+        with contextlib.suppress(OSError):
+            connection.send(words[int(rng.integers(0, len(words)))])
+    return made
+
+
+def frames(rng, port, path):
+    """A page that sends frames of random bytes."""
+    made = _connections(port, 3)
+    for connection in made:
+        with contextlib.suppress(OSError):
+            connection.send(
+                f"GET {path}pen HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
+                "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+                "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode()
+            )
+            content = rng.bytes(int(rng.integers(0, 120)))
+            connection.send(b"\x81" + bytes([0x80 | len(content)]) + bytes(4) + content)
+    return made
+
+
+def leaping(rng, port, path):
+    """Pages that do not read, and whose clocks leap with every message."""
+    from websockets.sync.client import connect
+
+    made, step = [], float(rng.choice([30.0, 3000.0, 30_000.0]))
+    for _ in range(6):
+        page = connect(f"ws://127.0.0.1:{port}{path}pen", proxy=None, max_queue=1)
+        made.append(page)
+        for n in range(60):
+            t = step * (n + 1)
+            points = [[t, 4.0, 4.0, 0.5, 1], [t + step / 2, 4.0, 5.0, 0.5, 1]]
+            if n % 2:
+                points.append([t + step / 2 + 1, 4.0, 5.0, 0.5, 0])
+            message = json.dumps({"type": "pen", "now": t + step * 0.9, "points": points})
+            with contextlib.suppress(Exception):
+                page.send(message)
+    return made
+
+
+ATTACKS = (silent, slow, garbage, frames, leaping)
