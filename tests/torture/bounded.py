@@ -128,9 +128,9 @@ def _become(arguments, folder, out, err, streams):
         os.setsid()
         for path, number in ((os.devnull, 0), (out, 1), (err, 2)):
             flags = os.O_RDONLY if number == 0 else os.O_WRONLY | os.O_CREAT | os.O_TRUNC
-            if streams.get(number) == FULL:
-                path, flags = "/dev/full", os.O_WRONLY
             os.dup2(os.open(str(path), flags), number)
+            if streams.get(number) == FULL:
+                os.dup2(os.open("/dev/full", os.O_WRONLY), number)
         # As Python itself has them: None for what was closed before it started.
         sys.stdout = sys.__stdout__ = os.fdopen(1, "w", closefd=False)
         sys.stderr = sys.__stderr__ = os.fdopen(2, "w", closefd=False)
