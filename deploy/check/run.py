@@ -211,7 +211,7 @@ def open_check(
         As :func:`run_check`.
     """
     target_named(target)
-    if not 0 <= seed < 2**31:
+    if type(seed) is not int or not 0 <= seed < 2**31:  # a bundle may say anything
         raise UserError(f"seed {seed}: must be from 0 to {2**31 - 1}")
     out = Path(out)
     if out.exists() and not out.is_file():  # said now, not when the answers are there

@@ -35,6 +35,7 @@ TEMPORARY = ".recording."
 """Start of the name of a recording that is being written.  It is the same for all of them, so that
 what a killed process left is found whatever its number was."""
 
+_EARLIER = re.compile(r"\.w[0-9]+-[0-9]+\.mat\.")
 _NAME = re.compile(r"w([0-9]{3})-([0-9]{4,9})\.mat")
 
 
@@ -72,9 +73,18 @@ class Keeper:
         self._held = contextlib.ExitStack()
         self._lock = None
         self._hold()
-        for digit in DIGITS:
-            remove_abandoned(self.folder / digit, TEMPORARY)
+        self._remove_abandoned()
         self.look()
+
+    def _remove_abandoned(self):
+        """Remove what a killed process left, of an earlier version too."""
+        for digit in DIGITS:
+            prefixes = {TEMPORARY}
+            with contextlib.suppress(OSError):
+                names = os.listdir(self.folder / digit)
+                prefixes |= {found[0] for name in names if (found := _EARLIER.match(name))}
+            for prefix in prefixes:
+                remove_abandoned(self.folder / digit, prefix)
 
     def _hold(self):
         """Hold the folder's lock.  The one that was taken may have been deleted with the folder."""

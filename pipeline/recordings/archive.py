@@ -204,11 +204,7 @@ def read_source(
         for chunk, results in zip(chunks, work, strict=True):
             for (name, of_class), (result, size) in zip(chunk, results, strict=True):
                 spent.add(result, size)
-                if spent.too_much:
-                    raise UserError(
-                        f"{path}: holds {spent.too_much}; give a part of it, such as fewer "
-                        "recordings of each class"
-                    )
+                _refuse_too_much(path, spent)
                 if isinstance(result, str):
                     refused.append((name, result))
                 else:
@@ -499,14 +495,15 @@ def read_file(name: str, content: bytes):
 def _read_members(path, names):
     """Read some members: each recording, or the reason to refuse it, and its size in bytes.
 
-    Once there is more than a source may hold nothing is read any more: the caller will see.
+    Raises
+    ------
+    UserError
+        They alone hold more than a source may.
     """
     reader, results, spent = _reader(path), [], Spent()
     for name in names:
         content = b""
         try:
-            if spent.too_much:
-                raise BadRecording("was not read")
             content = reader.read(name)
             result = read_file(name, content)
         except BadRecording as error:
@@ -515,7 +512,16 @@ def _read_members(path, names):
             result = "takes more memory than there is"
         results.append((result, len(content)))
         spent.add(*results[-1])
+        _refuse_too_much(path, spent)
     return results
+
+
+def _refuse_too_much(path, spent):
+    if spent.too_much:
+        raise UserError(
+            f"{path}: holds {spent.too_much}; give a part of it, such as fewer recordings of each "
+            "class"
+        )
 
 
 def _first(refused):

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 from pipeline.recordings.mat5 import LARGEST
 
-MOST_EVENTS = 25_000_000
+MOST_EVENTS = 22_000_000
 """Events of a source.  The published recordings have 20 million columns, and a quarter as many
-events; a million events take 42 MB and half a second."""
+events; a million events take up to 75 MB and a tenth of a second."""
 
 MOST_BYTES = 24_000_000_000
 """Bytes of a source's recordings as they are unpacked, a thousand million of which take a second.

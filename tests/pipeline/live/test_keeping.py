@@ -56,12 +56,13 @@ def test_the_folder_is_a_source_of_recordings_with_writers(keeper):
 
 def test_another_keeper_goes_on_where_one_was_killed(keeper):
     keeper.save(3, recording())
-    half = keeper.folder / "3" / ".recording.abcd1234"
-    half.write_bytes(b"half a file")
-    os.utime(half, (0, 0))
+    for name in (".recording.abcd1234", ".w001-0044.mat.abcd1234"):
+        half = keeper.folder / "3" / name
+        half.write_bytes(b"half a file")
+        os.utime(half, (0, 0))
     keeper.close()
     later = Keeper(keeper.folder)
-    assert not half.exists()
+    assert [path.name for path in (keeper.folder / "3").iterdir()] == ["w001-0001.mat"]
     assert len(later) == 1
     assert later.save(3, recording()).name == "3/w001-0002.mat"
     assert len(read_source(keeper.folder, jobs=1)) == 2
