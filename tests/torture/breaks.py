@@ -299,10 +299,13 @@ def _interrupted(process, folder, moment):
 LINGER = 10
 """Seconds within which whatever a command started has ended after it."""
 
+LONG_ENOUGH = 30
+"""Seconds in which a command has started all of its processes."""
+
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 
 
-def orphaned(command, rng, folder, base, expected, how):
+def orphaned(command, rng, folder, base, how):
     """Signal a command alone, at a random moment; nothing that it started may outlive it.
 
     Returns
@@ -311,7 +314,7 @@ def orphaned(command, rng, folder, base, expected, how):
         What was wrong.
     """
     prepare(command, folder, base)
-    moment = float(rng.uniform(0, expected.seconds * 1.1))
+    moment = float(rng.uniform(0, LONG_ENOUGH))
     process = start(command, folder)
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(moment)
