@@ -44,8 +44,12 @@ def prepare():
             os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, which is this one
     if sys.stdout is None:
         sys.stdout = sys.__stdout__ = open(1, "w", closefd=False)  # noqa: SIM115
-    if sys.stderr is None or sys.stderr is sys.__stderr__:
-        sys.stderr = sys.__stderr__ = _StandardError(open(2, "wb", closefd=False))  # noqa: SIM115
+    if sys.stderr is None or (
+        type(sys.stderr) is io.TextIOWrapper and sys.stderr is sys.__stderr__
+    ):
+        encoding = getattr(sys.stderr, "encoding", None)
+        buffer = open(2, "wb", closefd=False)  # noqa: SIM115
+        sys.stderr = sys.__stderr__ = _StandardError(buffer, encoding)
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(AttributeError, io.UnsupportedOperation):
             stream.reconfigure(errors="backslashreplace")
@@ -70,8 +74,8 @@ def drop_unwritable():
 class _StandardError(io.TextIOWrapper):
     """Standard error that nobody has to read: what cannot be written is dropped."""
 
-    def __init__(self, buffer):
-        super().__init__(buffer, errors="backslashreplace", line_buffering=True)
+    def __init__(self, buffer, encoding):
+        super().__init__(buffer, encoding, errors="backslashreplace", line_buffering=True)
 
     def write(self, text):
         try:

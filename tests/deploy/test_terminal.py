@@ -132,6 +132,9 @@ def test_names_that_the_terminal_cannot_write(tmp_path):
     done = run("data", "import", tmp_path / "st.zip", "--jobs", 1, env=plain)
     assert (done.returncode, done.stderr) == (0, b"")
     assert rb"\u4e2d\u6587 2" in done.stdout
+    done = run("data", "import", tmp_path / "\u4e2d\u6587.zip", env=plain)
+    assert done.returncode == 2
+    assert rb"\u4e2d\u6587.zip: no such file" in done.stderr
 
 
 @pytest.mark.parametrize("width", ["0", "-1", "999999999", "x", "\u0661\u0661"])
