@@ -69,7 +69,7 @@ test-pythons:  ## Run the tests on each of Python 3.11 to 3.13 that this machine
 	  .venv-$$version/bin/python -m pytest $(ON_ALL_CORES) $(TESTS) || exit; \
 	done
 
-torture: setup  ## Damaged input, kills, interruptions, full disks: half an hour (TORTURE: options)
+torture: setup  ## Damaged input, kills, orphans, full disks, attacks: an hour (TORTURE: options)
 	@$(BIN)/python -m tests.torture $(TORTURE)
 
 lint: setup  ## Check style

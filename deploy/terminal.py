@@ -18,7 +18,10 @@ million it takes 20 s."""
 
 def printable(text) -> str:
     """Text in one line, in which whatever a terminal would obey, line ends too, is escaped."""
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(text))
+    text = str(text)
+    if text.isprintable():  # as nearly all is, however long
+        return text
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def show(text="", flush=False):
