@@ -39,7 +39,7 @@ def attacked(rng, folder, base):
         held, findings = [], []
         address = f"ws://127.0.0.1:{port}{path}pen"
         try:
-            with connect(address, proxy=None) as page:
+            with connect(address, proxy=None, ping_interval=None) as page:
                 _until(page, "ready", 120)
                 for _ in range(int(rng.integers(1, 4))):
                     attack = ATTACKS[int(rng.integers(0, len(ATTACKS)))]
@@ -191,7 +191,9 @@ def leaping(rng, port, path):
 
     made, step = [], float(rng.choice([30.0, 3000.0, 30_000.0]))
     for _ in range(6):
-        page = connect(f"ws://127.0.0.1:{port}{path}pen", proxy=None, max_queue=1)
+        page = connect(
+            f"ws://127.0.0.1:{port}{path}pen", proxy=None, max_queue=1, ping_interval=None
+        )
         made.append(page)
         for n in range(60):
             t = step * (n + 1)
