@@ -100,8 +100,8 @@ def ladder(
     as_json: options.Json = False,
 ):
     """Do what is missing up to the emulator, and print what each stage loses."""
-    if limit is not None and not 0 <= limit <= 100:  # nothing is more than NaN
-        raise UserError(f"--limit {limit:g}: must be from 0 to 100 points")
+    if limit is not None and not -100 <= limit <= 100:  # nothing is more than NaN
+        raise UserError(f"--limit {limit:g}: must be from -100 to 100 points")
     given = (data, seed, samples, steps, settings, set_, kind)
     with options.opened(run, *given) as (folder, resolved):
         table = measure_ladder(folder, resolved, jobs, whole, slow, options.say)
