@@ -1,5 +1,6 @@
 """What is printed: escaped, in any encoding, to streams that may be closed or full."""
 
+import ast
 import contextlib
 import os
 import subprocess
@@ -160,3 +161,16 @@ def test_names_in_figures(tmp_path, recwarn):
     assert isinstance(figure, Figure)
     figures.save(figure, tmp_path / "a.png", dpi=50)
     assert [str(w.message) for w in recwarn.list if "Glyph" in str(w.message)] == []
+
+
+def test_nothing_is_printed_past_the_escaping():
+    """A name from a file could come with it; Numba's line holds none."""
+    found = [
+        path.relative_to(ROOT).as_posix()
+        for package in ("deploy", "models", "pipeline")
+        for path in sorted((ROOT / package).rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and getattr(node.func, "id", None) == "print"
+    ]
+    assert set(found) == {"deploy/terminal.py", "deploy/targets/fast/kernel_numba.py",
+                          "deploy/cli.py"}  # fmt: skip
