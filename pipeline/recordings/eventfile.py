@@ -1,9 +1,9 @@
 """One recording, one ``.npz`` file: the events of any event-based sensor as four arrays.
 
-``x`` and ``y`` are the taxel's row and column, whole numbers from 0 (as X and Y of the paper less
-one: x from the top, y from the left), ``t`` the time in seconds, ``p`` the polarity, 1 or -1; each
-array has one entry an event, in any order of time.  Nothing in a file is executed: only plain
-arrays of numbers are read, and no more than a recording can have.
+``x`` is the taxel's column, counted from the left, and ``y`` its row, counted from the top, whole
+numbers from 0 as event cameras have them; ``t`` is the time in seconds, ``p`` the polarity, 1 or
+-1.  Each array has one entry an event, in any order of time.  Nothing in a file is executed: only
+plain arrays of numbers are read, and no more than a recording can have.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class EventRecording:
     Attributes
     ----------
     x, y : ndarrays of int64, shape (n,)
-        Row and column, from 0.
+        Column and row, from 0.
     time_ns : ndarray of int64, shape (n,)
     polarity : ndarray of int8, shape (n,)
     """
@@ -45,7 +45,7 @@ class EventRecording:
 
     def events(self, rows: int) -> Events:
         """With taxels counted as :meth:`pipeline.recordings.events.TaxelMap.grid` does."""
-        taxel = self.x + rows * self.y
+        taxel = self.y + rows * self.x
         return Events(self.time_ns, taxel, self.polarity, np.ones(len(taxel)))
 
 

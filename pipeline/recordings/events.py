@@ -122,14 +122,14 @@ class TaxelMap:
 
     Attributes
     ----------
-    x : ndarray of int, shape (n_taxels,)
-        Row of the tactile image, from the top.  The paper's X is this plus one.
-    y : ndarray of int, shape (n_taxels,)
-        Column of the tactile image, from the left.  The paper's Y is this plus one.
+    row : ndarray of int, shape (n_taxels,)
+        Row of the tactile image, from the top.  X in the paper is this plus one.
+    column : ndarray of int, shape (n_taxels,)
+        Column of the tactile image, from the left.  Y in the paper is this plus one.
     """
 
-    x: np.ndarray = field(default_factory=lambda: np.arange(N_TAXELS) % GRID)
-    y: np.ndarray = field(default_factory=lambda: np.arange(N_TAXELS) // GRID)
+    row: np.ndarray = field(default_factory=lambda: np.arange(N_TAXELS) % GRID)
+    column: np.ndarray = field(default_factory=lambda: np.arange(N_TAXELS) // GRID)
 
     @classmethod
     def grid(cls, rows: int, columns: int) -> TaxelMap:
@@ -138,7 +138,7 @@ class TaxelMap:
         return cls(taxels % rows, taxels // rows)
 
     def __len__(self):
-        return len(self.x)
+        return len(self.row)
 
 
 @dataclass(frozen=True)

@@ -85,7 +85,7 @@ def facts_of_file(path: Path) -> dict:
         ) from error
     events = recording.events
     if isinstance(recording, EventRecording):
-        events = events(int(recording.x.max()) + 1)
+        events = events(int(recording.y.max()) + 1)
     times, _, _ = expand_bursts(events)
     facts = {
         "simulated": recording.simulated,

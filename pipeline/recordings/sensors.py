@@ -68,17 +68,17 @@ def settle(path, read, lookup: TaxelMap | None = None, rows: int = 0, columns: i
         Rows and columns cannot be known, or are fewer than the look-up table has.
     """
     if lookup is not None:
-        for what, given, found in (("rows", rows, lookup.x), ("columns", columns, lookup.y)):
+        for what, given, found in (("rows", rows, lookup.row), ("columns", columns, lookup.column)):
             if given and given <= found.max():
                 raise UserError(
                     f"{path}: LUT.mat has coordinates outside the {given} {what} asked for; "
                     f"give at least {found.max() + 1}, or 0 for as many as there are"
                 )
-        rows, columns = rows or int(lookup.x.max()) + 1, columns or int(lookup.y.max()) + 1
+        rows, columns = rows or int(lookup.row.max()) + 1, columns or int(lookup.column.max()) + 1
     of_events = any(isinstance(recording, EventRecording) for _, _, recording in read)
     settled = _from_coordinates if of_events else _from_addresses
     taxels, kept, refused = settled(path, read, lookup, rows, columns)
-    rows, columns = rows or int(taxels.x.max()) + 1, columns or int(taxels.y.max()) + 1
+    rows, columns = rows or int(taxels.row.max()) + 1, columns or int(taxels.column.max()) + 1
     names = {name for _, name, _ in kept}
     is_full = len(taxels) == N_TAXELS and rows == columns == GRID
     is_published = not of_events and is_full and names <= set(DIGITS)
@@ -106,15 +106,15 @@ def _from_coordinates(path, read, lookup, rows, columns):
     """Of files with the row and column of each event."""
     kept, refused = [], []
     for file, name, recording in read:
-        for what, places, given in (("x", recording.x, rows), ("y", recording.y, columns)):
+        for what, places, given in (("y", recording.y, rows), ("x", recording.x, columns)):
             if given and places.max() >= given:
-                of_what = "rows" if what == "x" else "columns"
+                of_what = "rows" if what == "y" else "columns"
                 refused.append((file, f"has {what} = {places.max()}, outside {given} {of_what}"))
                 break
         else:
             kept.append((file, name, recording))
-    rows = rows or max((int(r.x.max()) + 1 for _, _, r in kept), default=1)
-    columns = columns or max((int(r.y.max()) + 1 for _, _, r in kept), default=1)
+    rows = rows or max((int(r.y.max()) + 1 for _, _, r in kept), default=1)
+    columns = columns or max((int(r.x.max()) + 1 for _, _, r in kept), default=1)
     return TaxelMap.grid(rows, columns), [(f, n, r.events(rows)) for f, n, r in kept], refused
 
 

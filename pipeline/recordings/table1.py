@@ -38,7 +38,7 @@ def per_sample(recordings) -> dict:
         "off_physical": np.bincount(sample, ~is_on, n),
     }
     empty = total == 0
-    for axis, where in (("x", recordings.taxels.x), ("y", recordings.taxels.y)):
+    for axis, where in (("x", recordings.taxels.row), ("y", recordings.taxels.column)):
         place = where[events.taxel] + 1.0
         low, high = np.full(n, np.inf), np.full(n, -np.inf)
         np.minimum.at(low, sample, place)

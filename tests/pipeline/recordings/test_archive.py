@@ -70,17 +70,17 @@ def test_digit_folders_at_any_depth_in_zip_and_folder(tmp_path, root):
 
 @pytest.mark.parametrize("where", ["LUT.mat", "data_submission/LUT.mat", "x/y/lut.MAT"])
 def test_the_lookup_table_is_taken_from_wherever_it_is(tmp_path, where):
-    table = TaxelMap(x=np.arange(100) // 10, y=np.arange(100) % 10)
+    table = TaxelMap(row=np.arange(100) // 10, column=np.arange(100) % 10)
     archive(tmp_path / "st.zip", {**good_members(), where: lookup_table_bytes(table)})
     read = read_source(tmp_path / "st.zip", jobs=1)
-    np.testing.assert_array_equal(read.taxels.x, table.x)
+    np.testing.assert_array_equal(read.taxels.row, table.row)
     assert len(read) == 10
 
 
 def test_without_a_lookup_table_the_documented_reading_holds(tmp_path):
     archive(tmp_path / "st.zip", good_members())
     taxels = read_source(tmp_path / "st.zip", jobs=1).taxels
-    assert (taxels.x[37], taxels.y[37]) == (7, 3)
+    assert (taxels.row[37], taxels.column[37]) == (7, 3)
 
 
 def test_all_bad_files_are_listed_with_their_reasons(tmp_path):
@@ -192,7 +192,7 @@ def test_the_number_of_processes_changes_nothing(tmp_path):
 
 def test_simulated_recordings_come_back_identically(tmp_path):
     recordings = simulate(seed=3, samples_per_digit=[3] * 10, jobs=1)
-    turned = TaxelMap(x=np.arange(100) // 10, y=np.arange(100) % 10)
+    turned = TaxelMap(row=np.arange(100) // 10, column=np.arange(100) % 10)
     recordings = replace(recordings, taxels=turned)
     write_zip(tmp_path / "st.zip", recordings)
     read = read_source(tmp_path / "st.zip", jobs=1)

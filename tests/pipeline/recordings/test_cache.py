@@ -17,7 +17,7 @@ def own(tmp_path, monkeypatch):
 
 
 def test_round_trip(own):
-    table = TaxelMap(x=np.arange(100) // 10, y=np.arange(100) % 10)
+    table = TaxelMap(row=np.arange(100) // 10, column=np.arange(100) % 10)
     stored = recordings(GOOD, [], GOOD[1:3], labels=[3, 1, 4], taxels=table)
     assert cache.load("key") is None
     cache.store("key", stored)

@@ -32,8 +32,8 @@ def npz(x, y, t, p, **options) -> bytes:
 
 def gesture(rng, rows=16, columns=12, n=30) -> bytes:
     return npz(
-        rng.integers(0, rows, n),
         rng.integers(0, columns, n),
+        rng.integers(0, rows, n),
         np.sort(rng.uniform(0.1, 1.34, n)),
         rng.choice([-1, 1], n),
     )
@@ -65,7 +65,7 @@ def test_event_files_in_folders_of_any_names(tmp_path):
 
 
 def test_coordinates_come_out_where_they_went_in(tmp_path):
-    content = npz([3, 0, 3], [1, 4, 1], [0.5, 0.1, 0.2], [1, -1, 1])
+    content = npz([1, 4, 1], [3, 0, 3], [0.5, 0.1, 0.2], [1, -1, 1])
     archive(tmp_path / "g.zip", {"a/0.npz": content, "b/0.npz": content})
     read = read_source(tmp_path / "g.zip", jobs=1)
     np.testing.assert_array_equal(read[0].time_ns, [100_000_000, 200_000_000, 500_000_000])
@@ -82,7 +82,7 @@ def test_coordinates_come_out_where_they_went_in(tmp_path):
 def test_an_event_file_is_read_as_it_was_written(rows, columns, seed):
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 50))
-    x, y = rng.integers(0, rows, n), rng.integers(0, columns, n)
+    x, y = rng.integers(0, columns, n), rng.integers(0, rows, n)
     t, p = rng.permutation(n) * 1e-6, rng.choice([-1, 1], n)
     read = read_events(npz(x.astype(np.uint8), y.astype(float), t, p.astype(np.int8)))
     order = np.argsort(t)
@@ -92,8 +92,8 @@ def test_an_event_file_is_read_as_it_was_written(rows, columns, seed):
     np.testing.assert_array_equal(read.polarity, p[order])
     taxels = TaxelMap.grid(rows, columns)
     taxel = read.events(rows).taxel
-    np.testing.assert_array_equal(taxels.x[taxel], x[order])
-    np.testing.assert_array_equal(taxels.y[taxel], y[order])
+    np.testing.assert_array_equal(taxels.column[taxel], x[order])
+    np.testing.assert_array_equal(taxels.row[taxel], y[order])
 
 
 GOOD = {"x": [0, 1], "y": [0, 2], "t": [0.1, 0.2], "p": [1, -1]}
@@ -166,10 +166,10 @@ def test_the_published_layout_with_another_number_of_taxels(tmp_path):
     archive(tmp_path / "s.zip", members)
     read = read_source(tmp_path / "s.zip", jobs=1)
     assert read.sensor == Sensor(6, 6, 2, pytest.approx(0.4), ("hard", "soft"))
-    assert (read.taxels.x[7], read.taxels.y[7]) == (1, 1)
+    assert (read.taxels.row[7], read.taxels.column[7]) == (1, 1)
     given = read_source(tmp_path / "s.zip", jobs=1, rows=4, columns=9)
     assert (given.sensor.rows, given.sensor.columns) == (4, 9)
-    assert (given.taxels.x[7], given.taxels.y[7]) == (3, 1)
+    assert (given.taxels.row[7], given.taxels.column[7]) == (3, 1)
     assert read_source(tmp_path / "s.zip", jobs=1, columns=9).sensor.rows == 4
 
 
@@ -212,7 +212,7 @@ def test_another_number_of_taxels_than_the_others(tmp_path):
 
 def test_coordinates_outside_are_refused_by_name(tmp_path):
     archive(tmp_path / "g.zip", gestures())
-    with pytest.raises(UserError, match=r"circle/0\.npz has x = 15, outside 8 rows"):
+    with pytest.raises(UserError, match=r"circle/0\.npz has y = 15, outside 8 rows"):
         read_source(tmp_path / "g.zip", jobs=1, rows=8)
 
 
