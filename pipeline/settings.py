@@ -121,6 +121,11 @@ class Data(Section):
     """Simulated recordings of each digit; 0 for the published numbers, 6,953 in all."""
     skip_bad: bool = False
     """Leave out files that cannot be read instead of stopping."""
+    time_unit: Annotated[str, one_of("", "s", "ms", "us", "ns")] = ""
+    """Of the times in files of events (not .mat): s, ms, us or ns; empty: told from how long the
+    recordings last."""
+    downsample: Annotated[int, between(1, 64)] = 1
+    """Side of the square of pixels that becomes one taxel, of files of events; 1 for all pixels."""
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -15,6 +16,7 @@ from pipeline.progress import progress
 from pipeline.recordings.archive import export_zip, write_zip
 from pipeline.recordings.events import GRID
 from pipeline.recordings.facts import facts_of_file, facts_with_events, file_text, recordings_text
+from pipeline.recordings.sensors import Reading
 from pipeline.recordings.table1 import table1_json, table1_text
 from pipeline.settings import SIMULATED
 from pipeline.skin import unipen
@@ -33,12 +35,43 @@ PerDigit = Annotated[
         parser=options.between(0, limits.SAMPLES),
     ),
 ]
+
+
+class Unit(StrEnum):
+    """Of times in files of events."""
+
+    found = "as-found"
+    s = "s"
+    ms = "ms"
+    us = "us"
+    ns = "ns"
+
+    @property
+    def setting(self) -> str:
+        """As ``data.time_unit`` has it."""
+        return "" if self is Unit.found else self.value
+
+
 Side = Annotated[int, typer.Option(help="Of taxels, 2 to 256.", parser=options.between(2, 256))]
 SideOrFound = Annotated[
     int,
     typer.Option(
         help="Of taxels; 0: as found, or ten of the simulated skin.",
         parser=options.between(0, 256),
+    ),
+]
+TimeUnit = Annotated[
+    Unit,
+    typer.Option(
+        help="Of times in files of events: s, ms, us or ns; as-found: told from their lengths.",
+        metavar="UNIT",
+    ),
+]
+Downsample = Annotated[
+    int,
+    typer.Option(
+        help="Files of events: side of the square of pixels that becomes one taxel.",
+        parser=options.between(1, 64),
     ),
 ]
 
@@ -50,15 +83,18 @@ def import_(
     ] = False,
     rows: SideOrFound = 0,
     columns: SideOrFound = 0,
+    time_unit: TimeUnit = Unit.found,
+    downsample: Downsample = 1,
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
     """Read recordings once and keep them in the cache, so that the next start is quick."""
+    reading = Reading(rows, columns, time_unit.setting, downsample)
     recordings = load_recordings(
-        source, skip_bad=skip_bad, jobs=jobs, warn=options.say, rows=rows, columns=columns
+        source, skip_bad=skip_bad, jobs=jobs, warn=options.say, reading=reading
     )
     facts = facts_with_events(recordings)
-    options.tell(facts, lambda facts: recordings_text(facts, recordings.sensor), as_json)
+    options.tell(facts, lambda facts: recordings_text(facts, recordings), as_json)
 
 
 def export(
@@ -73,11 +109,13 @@ def export(
 
 
 def inspect(
-    file: Annotated[Path, typer.Argument(help="One recording, a .mat or .npz file.")],
+    file: Annotated[Path, typer.Argument(help="One recording: .mat, or a file of events.")],
+    time_unit: TimeUnit = Unit.found,
     as_json: options.Json = False,
 ):
     """Print one recording's facts."""
-    options.tell(facts_of_file(file), lambda facts: file_text(file.name, facts), as_json)
+    facts = facts_of_file(file, time_unit.setting)
+    options.tell(facts, lambda facts: file_text(file.name, facts), as_json)
 
 
 def simulate_(
@@ -105,8 +143,7 @@ def simulate_(
     recordings = load_recordings(
         *(SIMULATED, seed, samples_per_digit),
         jobs=jobs,
-        rows=rows,
-        columns=columns,
+        reading=Reading(rows, columns),
         traces=traces,
     )
     write_zip(out, recordings, progress)
@@ -130,6 +167,8 @@ def stats(
     ] = False,
     rows: SideOrFound = 0,
     columns: SideOrFound = 0,
+    time_unit: TimeUnit = Unit.found,
+    downsample: Downsample = 1,
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
@@ -138,7 +177,8 @@ def stats(
     Events are counted as the paper does, one for each column of a file; physical events count each
     burst of columns once.
     """
-    recordings = load_recordings(data, seed, jobs=jobs, rows=rows, columns=columns)
+    reading = Reading(rows, columns, time_unit.setting, downsample)
+    recordings = load_recordings(data, seed, jobs=jobs, reading=reading)
     value = table1_json(recordings, against_paper)
     options.tell(value, lambda _: table1_text(recordings, against_paper), as_json)
 
@@ -155,6 +195,8 @@ def plot(
     per_digit: Annotated[int, typer.Option(help="Samples of each digit on a sheet.", min=1)] = 16,
     rows: SideOrFound = 0,
     columns: SideOrFound = 0,
+    time_unit: TimeUnit = Unit.found,
+    downsample: Downsample = 1,
     jobs: options.Jobs = 2,
 ):
     """Draw recordings as the paper does.
@@ -173,7 +215,8 @@ def plot(
     if what not in FIGURES:
         raise UserError(f"{what!r} is no figure; choose one of {', '.join(FIGURES)}")
     figures.format_of(out)  # said before the recordings are read
-    recordings = load_recordings(data, seed, jobs=jobs, rows=rows, columns=columns)
+    reading = Reading(rows, columns, time_unit.setting, downsample)
+    recordings = load_recordings(data, seed, jobs=jobs, reading=reading)
     if what == "layout":
         figure = drawn.layout(recordings.taxels)
     elif what == "sheet":

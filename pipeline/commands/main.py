@@ -14,7 +14,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.models import OptionInfo
 
 from deploy import __version__, interrupts
-from deploy.errors import CheckFailed, UserError, drop_unwritable, line_of, one_line
+from deploy.errors import CheckFailed, SeveralErrors, UserError, drop_unwritable, line_of, one_line
 from models.architecture import NotationError
 
 # Typer brings its own copy of Click from some version on: these are the classes that it raises.
@@ -229,6 +229,9 @@ def main(arguments=None):
         status = _say(error.format_message(), 2)
     except CheckFailed as error:
         status = _say(str(error), 1)
+    except SeveralErrors as error:
+        for line in error.lines:
+            status = _say(line, 2)
     except (UserError, NotationError) as error:
         status = _say(str(error), 2)
     except (BrokenPipeError, SystemExit) as end:

@@ -20,7 +20,7 @@ from pipeline.recordings.events import (
     TaxelMap,
 )
 
-FORMAT = 3
+FORMAT = 4
 """Raise it with any change of what is stored or of how recordings are read."""
 
 LARGEST = 1 << 34
@@ -52,7 +52,7 @@ def store(key: str, recordings: Recordings):
         writers=recordings.writers,
         row=recordings.taxels.row,
         column=recordings.taxels.column,
-        source=np.array([source.name, source.sha256]),
+        source=np.array([source.name, source.sha256, source.time_unit]),
         simulated=np.array(source.simulated),
         written=np.array(source.written),
         left_out=np.array(source.left_out, dtype=str),
@@ -76,7 +76,7 @@ def load(key: str) -> Recordings | None:
     remedy = "delete it and run the command again to make it anew"
     arrays = read_arrays(path, remedy, LARGEST)
     try:
-        name, sha256 = (str(text) for text in arrays["source"])
+        name, sha256, time_unit = (str(text) for text in arrays["source"])
         recordings = Recordings(
             events=Events(*(arrays[column] for column in EVENT_DTYPES)),
             offsets=arrays["offsets"],
@@ -89,6 +89,7 @@ def load(key: str) -> Recordings | None:
                 bool(arrays["simulated"]),
                 bool(arrays["written"]),
                 tuple(arrays["left_out"].tolist()),
+                time_unit,
             ),
             taxels=TaxelMap(arrays["row"], arrays["column"]),
             sensor=Sensor(

@@ -107,6 +107,8 @@ class Source:
         True if, all the same, real hands wrote every one of them.
     left_out : tuple of str
         The files that could not be read and were left out, each with the reason.
+    time_unit : str
+        In which the times of files of events were read, such as ``"us"``; empty of others.
     """
 
     name: str
@@ -114,6 +116,7 @@ class Source:
     simulated: bool
     written: bool = False
     left_out: tuple = ()
+    time_unit: str = ""
 
 
 @dataclass(frozen=True)

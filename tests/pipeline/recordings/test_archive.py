@@ -90,8 +90,7 @@ def test_all_bad_files_are_listed_with_their_reasons(tmp_path):
         read_source(tmp_path / "st.zip", jobs=1)
     message = str(caught.value)
     for name, (_, reason) in BAD_MEMBERS.items():
-        assert name in message
-        assert reason in message
+        assert any(name in line and reason in line for line in caught.value.lines)
     assert f"{len(BAD_MEMBERS)} of {len(members)} files refused" in message
     assert "--skip-bad" in message
 
@@ -243,13 +242,15 @@ def test_a_member_that_says_it_is_huge_is_not_read(tmp_path, monkeypatch):
         read_source(path, jobs=1)
 
 
-def test_ten_bad_names_are_listed_and_the_rest_counted(tmp_path):
+def test_files_refused_for_one_reason_are_one_line(tmp_path):
     path = tmp_path / "st.zip"
     bad = {f"3/{'n' * 500}{i:03d}.mat": b"x" for i in range(300)}
     archive(path, {**good_members(), **bad})
-    with pytest.raises(UserError, match=r"300 of 310 files refused.*and 290 more; mend") as error:
+    with pytest.raises(
+        UserError, match=r"300 of 310 files refused: .*, 297 more\).*; mend"
+    ) as error:
         read_source(path, jobs=1)
-    assert len(str(error.value)) < 3000
+    assert len(error.value.lines[0]) < 1000
     read = read_source(path, jobs=1, skip_bad=True)
     assert (len(read), len(read.source.left_out)) == (10, 300)
     warned = left_out_lines(path, read)
