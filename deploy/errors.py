@@ -37,8 +37,8 @@ class SeveralErrors(UserError):
     """
 
     def __init__(self, lines):
-        super().__init__("; ".join(lines))
         self.lines = tuple(lines)
+        super().__init__("; ".join(self.lines))
 
 
 class CheckFailed(Exception):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import time
@@ -223,7 +224,9 @@ def open_check(
         file = open(str(saved), "a+", encoding="utf-8", errors="replace")  # noqa: SIM115
     except OSError as error:
         raise UserError(f"{out}: cannot write ({error.strerror}); choose another --out") from error
+    shown = hashlib.sha256("\n".join(bundle.checks.ids).encode()).hexdigest()
     check = {"bundle": bundle.id, "target": target, "seed": seed, "versions": versions()}
+    check["samples"] = shown  # other recordings may have been put in the place of the bundle's
     with file:
         lock(
             file, f"{out}: another process is writing this result; wait for it or use another --out"

@@ -227,7 +227,8 @@ def read_source(
     if problems:
         names = sorted({name for _, name in listing.recordings}, key=sensors.class_order)
         labels = [names.index(name) for _, name in listing.recordings]
-        if problem := sensors.too_few(labels, names):
+        is_own = settled.sensor.classes != DIGITS
+        if is_own and labels and (problem := sensors.too_few(labels, names)):
             problems.append(f"{path}: {problem}")
         raise SeveralErrors(problems)
     if not read:

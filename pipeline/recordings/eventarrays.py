@@ -15,16 +15,17 @@ import numpy as np
 
 from pipeline.recordings.events import Events
 from pipeline.recordings.matfile import BadRecording
+from pipeline.recordings.timeunits import UNITS
 
 ARRAYS = ("x", "y", "t", "p")
 
 NAMES = {
     "x": ("x", "column", "col"),
     "y": ("y", "row"),
-    "t": ("t", "time", "timestamp", "ts"),
+    "t": ("t", "time", "timestamp", "ts", "t_s", "t_ms", "t_us", "t_ns"),
     "p": ("p", "polarity", "pol", "on"),
 }
-"""Names of fields and of columns that stand for each of them, in any case."""
+"""Names of fields and of columns that stand for each of them, in any case; one may say the unit."""
 
 MAX_EVENTS = 5_000_000
 """Events of one recording."""
@@ -51,6 +52,10 @@ class EventRecording:
         One of :data:`pipeline.recordings.timeunits.UNITS`; empty where nothing says which.
     size : (int, int) or None
         Rows and columns of the sensor, where the file says.
+    simulated : bool
+        True if the file says of itself that it is simulated.
+    writer : int
+        Who made it if the file says, from 0; else -1.
     """
 
     x: np.ndarray
@@ -59,8 +64,8 @@ class EventRecording:
     polarity: np.ndarray
     unit: str = ""
     size: tuple | None = None
-    simulated = False
-    writer = -1
+    simulated: bool = False
+    writer: int = -1
 
     def events(self, rows: int, time_ns: np.ndarray) -> Events:
         """With taxels counted as :meth:`pipeline.recordings.events.TaxelMap.grid` does.
@@ -94,7 +99,8 @@ def recording_of(events, unit: str = "") -> EventRecording:
         numbers; coordinates that are no whole numbers from 0; times that are NaN or negative;
         polarities of three kinds.
     """
-    arrays = {name: np.asarray(array) for name, array in _named(events).items()}
+    named, said = _named(events)
+    arrays = {name: np.asarray(array) for name, array in named.items()}
     for name, array in arrays.items():
         if array.ndim != 1 or array.dtype.kind not in "fiub" or array.dtype.itemsize > 8:
             raise BadRecording(f"{name!r} is not a row of numbers")
@@ -119,7 +125,7 @@ def recording_of(events, unit: str = "") -> EventRecording:
         *(np.asarray(places, np.int64)[order] for places in (x, y)),
         time=t[order],
         polarity=_polarity(p)[order],
-        unit=unit,
+        unit=said or unit,
     )
 
 
@@ -154,19 +160,20 @@ def _polarity(p):
 
 
 def _named(events):
-    """The four arrays by name, whatever form events have."""
-    if isinstance(events, dict):
-        return by_name(events)
+    """The four arrays by name, whatever form events have; and the unit of time if they say it."""
     if isinstance(events, np.ndarray) and events.dtype.names:
         if events.ndim != 1:
             raise BadRecording(f"is a structured array of {events.ndim} dimensions, not one")
-        return by_name({name: events[name] for name in events.dtype.names})
+        events = {name: events[name] for name in events.dtype.names}
+    if isinstance(events, dict):
+        said = {str(name).lower().partition("t_")[2] for name in events} & set(UNITS)
+        return by_name(events), said.pop() if len(said) == 1 else ""
     is_four = isinstance(events, (tuple, list)) and len(events) == 4
     if is_four and all(np.ndim(part) == 1 for part in events):
-        return dict(zip(ARRAYS, events, strict=True))
+        return dict(zip(ARRAYS, events, strict=True)), ""
     rows = np.asarray(events)
     if rows.ndim == 2 and rows.shape[1] == 4:
-        return dict(zip(_order_of(rows), rows.T, strict=True))
+        return dict(zip(_order_of(rows), rows.T, strict=True)), ""
     raise BadRecording(
         f"is an array of shape {rows.shape}, not four arrays x, y, t, p, a structured array or "
         "rows of four numbers"

@@ -16,23 +16,25 @@ from __future__ import annotations
 import io
 import zipfile
 import zlib
+from dataclasses import replace
 from pathlib import PurePosixPath
 
 import numpy as np
 
 from pipeline.recordings.camerafile import CAMERA_SUFFIXES, read_camera
 from pipeline.recordings.eventarrays import (
-    ARRAYS,
     MAX_EVENTS,
     NAMES,
     EventRecording,
-    by_name,
     recording_of,
 )
 from pipeline.recordings.matfile import BadRecording
 
 SUFFIXES = (".npz", ".npy", ".csv", ".bin", ".aedat", *CAMERA_SUFFIXES)
 """Ends of the names of files of events."""
+
+MOST_ARRAYS = 16
+"""Of a .npz file."""
 
 LARGEST_EVENT = 64
 """Bytes of an event in an array: eight fields of eight bytes."""
@@ -61,7 +63,9 @@ def read_events(content: bytes, name: str = "recording.npz") -> EventRecording:
         return recording_of(_nmnist(content), "us")
     if suffix == ".aedat":
         return recording_of(_aedat3(content), "us")
-    return recording_of({".npz": _npz, ".npy": _npy, ".csv": _csv}[suffix](content))
+    if suffix == ".npz":
+        return _npz(content)
+    return recording_of({".npy": _npy, ".csv": _csv}[suffix](content))
 
 
 def _nmnist(content):
@@ -138,20 +142,30 @@ def _csv(content):
         return table
     if len(words) != table.shape[1]:
         raise BadRecording(f"has {table.shape[1]} columns below {len(words)} names")
-    return by_name(dict(zip(words, table.T, strict=True)))
+    return dict(zip(words, table.T, strict=True))
 
 
 def _npz(content):
-    """The four arrays by name, or the one array that there is."""
-    members = _members(content)
-    named = {name.removesuffix(".npy"): name for name in members}
-    if any(name in named for name in ARRAYS) or len(members) != 1:
-        for name in ARRAYS:
-            if name not in named:
-                raise BadRecording(f"has no array {name!r}; expected x, y, t and p")
-        return {name: _array(_member(content, named[name]), name) for name in ARRAYS}
-    (name,) = members
-    return _array(_member(content, name), name.removesuffix(".npy"))
+    """The four arrays by name, or the one array that there is; and what is said beside them."""
+    arrays = {
+        name.removesuffix(".npy"): _array(_member(content, name), name.removesuffix(".npy"))
+        for name in _members(content)
+    }
+    about = {name: arrays.pop(name) for name in ("simulated", "writer") if name in arrays}
+    (only,) = arrays.values() if len(arrays) == 1 else (arrays,)
+    read = recording_of(only)
+    return replace(
+        read,
+        simulated=bool(np.any(about.get("simulated", False))),
+        writer=_writer(about.get("writer")),
+    )
+
+
+def _writer(said):
+    """A number from 0, or -1 for anything else."""
+    whole = said is not None and said.size == 1 and said.dtype.kind in "iu"
+    number = int(said.ravel()[0]) if whole else -1
+    return number if 0 <= number < 2**31 else -1
 
 
 def _npy(content):
@@ -161,11 +175,14 @@ def _npy(content):
 def _members(content):
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            return [name for name in archive.namelist() if name.endswith(".npy")]
+            names = [name for name in archive.namelist() if name.endswith(".npy")]
     except zipfile.BadZipFile as error:
         raise BadRecording("is not a .npz file, or damaged") from error
     except Exception as error:  # a damaged list of members fails in its own ways
         raise BadRecording(f"is a damaged .npz file ({type(error).__name__})") from error
+    if not 1 <= len(names) <= MOST_ARRAYS:
+        raise BadRecording(f"has {len(names)} arrays, not x, y, t and p")
+    return names
 
 
 def _member(content, name):
@@ -198,7 +215,7 @@ def _array(content, name):
         }[version]
         shape, columns_first, dtype = read_header(data)
         kinds = {dtype[field].kind for field in dtype.names} if dtype.names else {dtype.kind}
-        if not kinds <= set("fiub") or dtype.itemsize > LARGEST_EVENT or len(shape) not in (1, 2):
+        if not kinds <= set("fiub") or dtype.itemsize > LARGEST_EVENT or len(shape) > 2:
             raise BadRecording(f"{name!r} is not a row of numbers")
         values = np.frombuffer(data.read(), dtype)
         if len(values) != np.prod(shape, dtype=object):
