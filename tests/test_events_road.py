@@ -103,7 +103,10 @@ def test_plan_energy_and_report(run_on_events, tmp_path, capsys):
     assert "steps of 100 ms" in text
     assert "steps of 1 ms" not in text
     early = read_result(run_on_events / "checks" / "emulator.json")["while_written"]["by_itself"]
-    assert f"after {early['share_of_writing_mean']:.1%} of the writing".replace("%", " %") in text
+    waits = f"waits for the end of each recording: {early['accuracy']:.1%} right"
+    decides = f"after {early['share_of_writing_mean']:.1%} of the writing"
+    said = waits if early["confidence"] == 1 else decides
+    assert said.replace("%", " %") in text
 
 
 def test_the_report_shows_a_run_of_images_beside_it(run_on_events, tmp_path, capsys):

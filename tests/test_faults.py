@@ -88,7 +88,7 @@ def test_more_samples_than_the_test_split_has(refused, run):
 @pytest.mark.parametrize(
     ("option", "said"),
     [
-        ("cnn.epoch=3", "unknown setting 'cnn.epoch'; known here: "),
+        ("cnn.epoch=3", "unknown setting 'cnn.epoch', did you mean 'cnn.epochs'?; known here: "),
         ("cnn.epochs=many", "'cnn.epochs' must be a whole number"),
         ("cnn=3", "'cnn' is a section"),
         ("epochs", "expected section.name=value"),

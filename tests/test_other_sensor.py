@@ -73,8 +73,8 @@ def test_names_in_the_report_and_the_figure(run):
     page = (run / "report.html").read_text(encoding="utf-8")
     for name in NAMES:
         assert f"<span>{name}</span>" in page  # bars of the scores
-        assert f'rotate(-90)">{name}</text>' in page  # above the confusion matrix
-        assert f"<th>{name}</th>" in page
+        assert f"</b> {name}</th>" in page  # beside the confusion matrix
+        assert f"<td>{name}</td>" in page
     assert "ten digits" not in page
     ticks = confusion_figure(read_json(run / "ladder.json", "")).axes[0].get_yticklabels()
     assert tuple(tick.get_text() for tick in ticks) == NAMES

@@ -1,6 +1,8 @@
 """A folder of a user's own recordings: ladder, report and checks without any option."""
 
 import json
+import re
+from html import escape
 
 import numpy as np
 import pytest
@@ -11,6 +13,10 @@ from deploy.files import read_json
 from pipeline.recordings.own import write_recordings
 from tests.command import call
 from tests.own_sensor import CLASSES, gestures, write_folder
+from tests.pipeline.report.test_page import BROWSER, browse
+
+SCHEMES = {"light": "preferredColorScheme=1", "dark": "preferredColorScheme=0"}
+"""Chromium's switch for each."""
 
 QUICK = {
     "image": ("--set", "cnn.epochs=6", "--set", "snn.epochs=2"),
@@ -108,7 +114,60 @@ def test_a_run_stands_for_its_bundle(folder, tmp_path, monkeypatch, verb, capsys
     assert call(group, name, folder / "image", *options) == 0
 
 
+@pytest.mark.parametrize("verb", [
+    ("settings",), ("settings", "image"), ("data", "stats", "--data", "own"),
+    ("deploy", "plan", "image"), ("deploy", "energy", "image"), ("compare", "image", "events"),
+])  # fmt: skip
+def test_tables_fit_80_columns(folder, monkeypatch, verb, capsys):
+    monkeypatch.chdir(folder)
+    assert call(*verb) == 0
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
+
+
 def test_a_run_without_a_bundle_is_told_what_to_do(tmp_path, capsys):
     (tmp_path / "experiment.toml").write_text("")
     assert call("deploy", "plan", tmp_path) == 2
     assert "stmnist convert" in capsys.readouterr().err
+
+
+def test_the_report_has_the_user_s_words(folder):
+    for kind in QUICK:
+        assert call("report", folder / kind) == 0
+        page = (folder / kind / "report.html").read_text(encoding="utf-8")
+        for name in CLASSES:
+            assert name in page
+        for word in ("digit", "Table 1", "Table 2", "ST-MNIST", "of the writing"):
+            assert word not in page
+        assert f"<title>own: {folder / kind}</title>" in page
+        assert page.count('<details class="sample"') >= 8
+        assert page.index(">wrong</b>") < page.index(">right</b>")
+        assert page.count('class="confusion"') == 2
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium here (Debian: apt install chromium)")
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [390, 1280, 1920])
+def test_a_browser_shows_the_report_at_every_width(folder, tmp_path, width, scheme):
+    """Nothing is wider than the page; the names of the classes are no smaller than 10 pixels."""
+    report = folder / "image" / "report.html"
+    if not report.exists():
+        assert call("report", folder / "image") == 0
+    wrapper = tmp_path / "wrapper.html"
+    wrapper.write_text(
+        f'<iframe style="width: {width}px; height: 900px; border: 0; color-scheme: {scheme}" '
+        f'srcdoc="{escape(report.read_text(encoding="utf-8"))}" onload="'
+        "const page = this.contentDocument.documentElement;"
+        "const names = [...page.querySelectorAll('.confusion tbody th')];"
+        "const size = Math.min(...names.map(n => parseFloat(getComputedStyle(n).fontSize)));"
+        "const cut = names.filter(n => n.scrollWidth > n.clientWidth + 1).length;"
+        "const style = getComputedStyle(page.querySelector('body'));"
+        "document.title = [page.scrollWidth, size, cut, style.backgroundColor].join('|')"
+        '"></iframe>'
+    )
+    page, log = browse(wrapper, "--dump-dom", f"--blink-settings={SCHEMES[scheme]}")
+    content, size, cut, paper = re.search(r"<title>([^<]+)</title>", page)[1].split("|")
+    assert "CONSOLE" not in log
+    assert int(content) == width
+    assert float(size) >= 10
+    assert int(cut) == 0
+    assert (paper == "rgb(255, 255, 255)") == (scheme == "light")

@@ -25,7 +25,10 @@ BOARD = {"rich_help_panel": "Target loihi"}
 
 def run(
     bundle: options.Bundle,
-    target: Annotated[str, typer.Option(help=f"One of {', '.join(TARGETS)}.")],
+    target: Annotated[
+        str,
+        typer.Option(help=f"One of {', '.join(TARGETS)}.", autocompletion=lambda: list(TARGETS)),
+    ],
     out: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option(help="The result (default: checks/TARGET.json beside the bundle)."),

@@ -187,11 +187,16 @@ FIGURES = ("recording", "events", "layout", "sheet")
 
 
 def plot(
-    what: Annotated[str, typer.Argument(help=f"One of {', '.join(FIGURES)}.")],
+    what: Annotated[
+        str,
+        typer.Argument(help=f"One of {', '.join(FIGURES)}.", autocompletion=lambda: list(FIGURES)),
+    ],
     out: Annotated[Path, typer.Option(help="The picture to write: .png, .pdf or .svg.")],
     data: Source = SIMULATED,
     seed: SimulationSeed = 0,
-    sample: Annotated[str, typer.Option(help="Id of a recording, such as 8/0000.")] = "8/0000",
+    sample: Annotated[
+        str, typer.Option(help="Id of a recording, such as 8/0000 (default: the first one).")
+    ] = "",
     per_digit: Annotated[int, typer.Option(help="Samples of each digit on a sheet.", min=1)] = 16,
     rows: SideOrFound = 0,
     columns: SideOrFound = 0,
@@ -229,6 +234,8 @@ def plot(
 
 
 def _index_of(recordings, name):
+    if not name:
+        return 0
     if name in recordings.ids:
         return recordings.ids.index(name)
     raise UserError(f"no recording {name!r}; ids are like {recordings.ids[0]!r}")

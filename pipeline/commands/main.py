@@ -224,6 +224,7 @@ def main(arguments=None):
     except UsageError as error:
         context = error.ctx.command_path if error.ctx else "stmnist"
         problem = error.format_message().rstrip(".") or "a command is missing"
+        problem += _setting_of(getattr(error, "option_name", None), arguments)
         status = _say(f"{problem} (see '{context} --help')", 2)
     except ClickException as error:
         status = _say(error.format_message(), 2)
@@ -243,6 +244,24 @@ def main(arguments=None):
         status = _say(line_of(error), 2)
     drop_unwritable()
     sys.exit(status or 0)
+
+
+def _setting_of(option, arguments):
+    """What to write instead of an option that is no option but a setting's name, if one is."""
+    if not option:
+        return ""
+    from pipeline.settings import Settings
+
+    last = option.lstrip("-").replace("-", "_")
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    prefer = "events." if "events" in words else "cnn."
+    names = [name for name in Settings().flat() if name.rpartition(".")[2] == last]
+    if not names:
+        return ""
+    name = next((name for name in names if name.startswith(prefer)), names[0])
+    index = words.index(option) + 1 if option in words else len(words)
+    value = words[index] if index < len(words) and not words[index].startswith("-") else "..."
+    return f"; settings are given as --set {name}={value}"
 
 
 def _say(message, status):

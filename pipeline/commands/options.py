@@ -41,7 +41,11 @@ Data = Annotated[
 Seed = Annotated[Optional[int], typer.Option(help="Seed of split, training and samples.")]  # noqa: UP045
 Input = Annotated[
     Optional[str],  # noqa: UP045
-    typer.Option("--input", help="What the chip is shown: 'image' or 'events'."),
+    typer.Option(
+        "--input",
+        help="What the chip is shown: 'image' or 'events'.",
+        autocompletion=lambda: ["image", "events"],
+    ),
 ]
 Samples = Annotated[Optional[int], typer.Option(help="Samples of the check.")]  # noqa: UP045
 Steps = Annotated[Optional[int], typer.Option(help="Steps that a sample is shown.")]  # noqa: UP045
