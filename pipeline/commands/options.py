@@ -142,7 +142,7 @@ def fit_recordings(jobs: int, check: bool = True):
         from pipeline.inputs.library import recordings_of
         from pipeline.run.fitting import chosen_text, fitted, new_run_text
 
-        recordings = recordings_of(settings, jobs, say)
+        recordings = recordings_of(settings, jobs)  # what is left out is told when they are used
         is_new = not folder.experiment.exists()
         try:
             chosen = fitted(settings, jobs, None, recordings, check)
