@@ -124,6 +124,27 @@ def test_tables_fit_80_columns(folder, monkeypatch, verb, capsys):
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
 
 
+@pytest.mark.parametrize("kind", QUICK)
+def test_an_animation_of_a_sample(folder, tmp_path, monkeypatch, kind):
+    from PIL import Image
+
+    from pipeline.report.figures import animation
+
+    monkeypatch.setattr(animation, "FRAMES", 4)
+    monkeypatch.setattr(animation, "STILL", 1)
+    assert call("animate", folder / kind, "--out", tmp_path / "a.gif") == 0
+    with Image.open(tmp_path / "a.gif") as picture:
+        assert picture.n_frames >= 4  # equal ones are joined
+        frames = []
+        for number in range(picture.n_frames):
+            picture.seek(number)
+            frames.append(picture.convert("L").tobytes())
+    assert len(set(frames)) >= 4
+    assert call("animate", folder / kind, "--out", tmp_path / "a.txt") == 2
+    assert call("animate", folder / kind, "--out", tmp_path / "b.gif", "--sample", "x/1") == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]
+
+
 def test_a_run_without_a_bundle_is_told_what_to_do(tmp_path, capsys):
     (tmp_path / "experiment.toml").write_text("")
     assert call("deploy", "plan", tmp_path) == 2

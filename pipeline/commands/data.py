@@ -21,7 +21,7 @@ from pipeline.recordings.table1 import table1_json, table1_text
 from pipeline.settings import SIMULATED
 from pipeline.skin import unipen
 
-Source = Annotated[str, typer.Option("--data", help="ST-MNIST zip or folder, or 'simulated'.")]
+Source = Annotated[str, typer.Option("--data", help="Zip or folder of recordings, or 'simulated'.")]
 SimulationSeed = Annotated[
     int,
     typer.Option(

@@ -83,6 +83,10 @@ VERBS = {
         "Write the run as one self-contained HTML file, with whatever has been measured so far.",
         "report.report",
     ),
+    "animate": (
+        "Write a sample of a run as an animation: events, image, probabilities over time.",
+        "report.animate",
+    ),
     "live": (
         "Write digits in the browser, watch the network decide, keep what was written.",
         "live.live",

@@ -36,7 +36,7 @@ Run = Annotated[Path, typer.Argument(help="The run's folder, such as runs/defaul
 Bundle = Annotated[Path, typer.Argument(help="The bundle's folder, or its run's.")]
 Data = Annotated[
     Optional[str],  # noqa: UP045 - Typer reads the annotation at run time
-    typer.Option(help="ST-MNIST zip or folder, or 'simulated' (default: the run's own)."),
+    typer.Option(help="Zip or folder of recordings, or 'simulated' (default: the run's own)."),
 ]
 Seed = Annotated[Optional[int], typer.Option(help="Seed of split, training and samples.")]  # noqa: UP045
 Input = Annotated[
@@ -104,8 +104,9 @@ def opened(
         A file or value is wrong, or another process is working in the folder.
     """
     folder = RunFolder(path)
-    refuse_other_folders(path)
-    _ask_about_a_similar_name(path, data)
+    refuse_other_folders(path, of_results=fit is None)
+    if fit is not None:
+        _ask_about_a_similar_name(path, data)
     with nothing_left_of_a_failure(path), folder.locked():
         changes = merged(changes or {}, parse_assignments(assignments or []))
         if data is not None and data != SIMULATED:
