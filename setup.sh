@@ -73,5 +73,5 @@ install() { # only what needs no compiler; what pip said of a failure in one lin
 # NengoDL comes as source, and its build asks for a setuptools that fails on Python 3.12 and later:
 # it is built with the one that is pinned here.
 install setuptools wheel
-install --no-build-isolation -e '.[dev,fast,nir,cluster,live]'
+install --no-build-isolation -e '.[dev,fast,nir,cluster,live,cameras]'
 echo "$(version_of "$venv/bin/python") $pins" >"$venv/installed"

@@ -25,6 +25,20 @@ class UserError(Exception):
     """
 
 
+class SeveralErrors(UserError):
+    """Mistakes that are reported together: a clear line for each kind.
+
+    Parameters
+    ----------
+    lines : sequence of str
+        At least one.
+    """
+
+    def __init__(self, lines):
+        self.lines = tuple(lines)
+        super().__init__("; ".join(self.lines))
+
+
 class CheckFailed(Exception):
     """A check was carried out and did not pass: exit status 1."""
 

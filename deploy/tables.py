@@ -28,6 +28,40 @@ def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> List[str]:
     ]
 
 
+WIDTH = 80
+"""Columns of a terminal that a table may take."""
+
+
+def in_blocks(rows: Sequence[Sequence[str]], left: int = 1, width: int = WIDTH) -> List[str]:
+    """As :func:`aligned`, but a table that is too wide is cut into blocks of columns.
+
+    Each block begins with the columns that are flush left; there is an empty line between them.
+
+    Parameters
+    ----------
+    rows, left
+        As in :func:`aligned`.
+    width : int
+        Characters that a line may have.
+    """
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    blocks: List[List[int]] = [[]]
+    used = 0
+    stem = sum(widths[:left]) + 2 * (left - 1)
+    for column in range(left, len(widths)):
+        if blocks[-1] and used + 2 + widths[column] > width:
+            blocks.append([])
+        if not blocks[-1]:
+            used = stem
+        blocks[-1].append(column)
+        used += 2 + widths[column]
+    lines: List[str] = []
+    for block in blocks:
+        chosen = [*range(left), *block]
+        lines += ([""] if lines else []) + aligned([[row[i] for i in chosen] for row in rows], left)
+    return lines
+
+
 def p_text(p_value: float) -> str:
     """A p-value to three decimals; what would be 0 then is below 0.001."""
     return "< 0.001" if p_value < 0.001 else f"{p_value:.3f}"

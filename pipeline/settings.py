@@ -6,6 +6,7 @@ A run keeps its own in ``experiment.toml``; ``stmnist settings`` lists them with
 from __future__ import annotations
 
 import ast
+import difflib
 import functools
 import inspect
 import itertools
@@ -22,7 +23,6 @@ from deploy.errors import UserError
 from deploy.files import open_regular, replacing
 from deploy.network.spec import Presentation
 from deploy.network.stimulus import EventFrames, ImageCurrent, ImageSpikes, Stimulus
-from deploy.tables import aligned
 from models.architecture import NotationError, parse
 from pipeline import paper
 
@@ -120,6 +120,11 @@ class Data(Section):
     """Simulated recordings of each digit; 0 for the published numbers, 6,953 in all."""
     skip_bad: bool = False
     """Leave out files that cannot be read instead of stopping."""
+    time_unit: Annotated[str, one_of("", "s", "ms", "us", "ns")] = ""
+    """Of the times in files of events (not .mat): s, ms, us or ns; empty: told from how long the
+    recordings last."""
+    downsample: Annotated[int, between(1, 64)] = 1
+    """Side of the square of pixels that becomes one taxel, of files of events; 1 for all pixels."""
 
 
 @dataclass(frozen=True)
@@ -423,6 +428,22 @@ class Settings(Section):
         """Values by their dotted names, as ``--set`` takes them."""
         return {name: getattr(section, entry) for name, section, entry in _entries(self)}
 
+    def relevant(self) -> dict:
+        """As :meth:`flat`, without what a run with these settings does not read."""
+        unread = ("slayer.",)
+        if self.on_events:
+            unread += ("cnn.", "snn.", "image.", "deployment.", "presentation.readout_start")
+        else:
+            unread += ("events.", "input.step", "input.refractory")
+        if self.data.source == SIMULATED:
+            unread += ("data.skip_bad", "data.time_unit", "data.downsample")
+        else:
+            unread += ("data.simulation_seed", "data.samples_per_digit")
+        values = {k: v for k, v in self.flat().items() if not k.startswith(unread)}
+        if self.on_events:
+            values["deployment.pop_type"] = self.deployment.pop_type
+        return values
+
 
 def read_settings(path) -> Settings:
     """Read ``experiment.toml``.
@@ -471,23 +492,26 @@ def describe(settings: Settings) -> list:
     ]
 
 
-def settings_text(described: list, width: int = 96) -> str:
-    """What :func:`describe` gives, as a table; a star marks what is not the default."""
-    rows = [["", "setting", "value", "default"]]
+def settings_text(described: list, width: int = 80) -> str:
+    """What :func:`describe` gives, as a list; a star marks what is not the default."""
+    lines = []
     for row in described:
-        star = "" if row["value"] == row["default"] else "*"
-        rows.append([star, row["name"], _toml(row["value"]), _toml(row["default"])])
-    heads, *lines = aligned(rows, left=4)
-    text = [heads]
-    for line, row in zip(lines, described, strict=True):
-        text += [
-            line,
-            *(
-                f"      {part}"
-                for part in textwrap.wrap(row["meaning"], width - 6, break_on_hyphens=False)
-            ),
+        value, default = _toml(row["value"]), _toml(row["default"])
+        star, otherwise = ("*", f"  (default {default})") if value != default else (" ", "")
+        lines.append(_middle_cut(f"{star} {row['name']} = {value}{otherwise}", width))
+        lines += [
+            f"      {part}"
+            for part in textwrap.wrap(row["meaning"], width - 6, break_on_hyphens=False)
         ]
-    return "\n".join(text)
+    return "\n".join(lines)
+
+
+def _middle_cut(line, width):
+    """A line without its middle where it is too long: a path's end tells more than its middle."""
+    if len(line) <= width:
+        return line
+    half = (width - 3) // 2
+    return f"{line[: width - 3 - half]}...{line[-half:]}"
 
 
 def parse_assignments(assignments) -> dict:
@@ -557,7 +581,8 @@ def _changed(settings, changes, origin, prefix):
         full = prefix + name
         if name not in known:
             raise UserError(
-                f"{origin}: unknown setting {_short(full)}; known here: {', '.join(sorted(known))}"
+                f"{origin}: unknown setting {_short(full)}{_meant(name, known, prefix)}; "
+                f"known here: {', '.join(sorted(known))}"
             )
         default = known[name]
         if hasattr(default, "__dataclass_fields__"):
@@ -570,6 +595,12 @@ def _changed(settings, changes, origin, prefix):
         return replace(settings, **values)
     except ValueError as error:
         raise UserError(f"{origin}: {error}") from error
+
+
+def _meant(name, known, prefix):
+    """A question for a name that is nearly another's."""
+    near = difflib.get_close_matches(str(name), known, n=1)
+    return f", did you mean {prefix + near[0]!r}?" if near else ""
 
 
 def _coerced(value, default, origin, name):

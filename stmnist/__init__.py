@@ -37,6 +37,7 @@ _PLACES = {
     "pipeline.inputs.dataset": ("Dataset",),
     "pipeline.inputs.splits": ("draw_check_samples",),
     "pipeline.progress": ("progress",),
+    "pipeline.recordings.own": ("write_recordings",),
     "pipeline.report.figures.confusion": ("confusion_figure",),
     "pipeline.report.figures.placement": ("placement_figure",),
     "pipeline.run": ("stages",),

@@ -20,6 +20,7 @@ TINY = (
     *("--input", "events", "--set", "data.samples_per_digit=40", "--set", "events.epochs=2"),
     *("--set", "events.architecture=10x10x2-4c4s3-16-10o"),
     *("--set", "input.step=100", "--set", "input.refractory=100"),
+    *("--set", "split.validation_fraction=0.4"),  # enough to choose a confidence on
     *("--steps", "24", "--samples", "12"),
 )
 
@@ -77,7 +78,7 @@ def test_the_result_says_when_each_sample_was_decided(run_on_events):
 def test_the_confidence_was_chosen_on_samples_that_were_not_trained_on(run_on_events):
     metrics = read_json(run_on_events / "snn" / "metrics.json", "")
     dataset = read_json(run_on_events / "dataset.json", "")
-    assert metrics["decides_by_itself"]["samples"] == round(0.1 * dataset["train"])
+    assert metrics["decides_by_itself"]["samples"] == dataset["validation"] == 128
 
 
 def test_nothing_is_done_twice_and_no_checkpoint_is_left(run_on_events, capsys):
@@ -102,7 +103,10 @@ def test_plan_energy_and_report(run_on_events, tmp_path, capsys):
     assert "steps of 100 ms" in text
     assert "steps of 1 ms" not in text
     early = read_result(run_on_events / "checks" / "emulator.json")["while_written"]["by_itself"]
-    assert f"after {early['share_of_writing_mean']:.1%} of the writing".replace("%", " %") in text
+    waits = f"waits for the end of each recording: {early['accuracy']:.1%} right"
+    decides = f"after {early['share_of_writing_mean']:.1%} of the writing"
+    said = waits if early["confidence"] == 1 else decides
+    assert said.replace("%", " %") in text
 
 
 def test_the_report_shows_a_run_of_images_beside_it(run_on_events, tmp_path, capsys):

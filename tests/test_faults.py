@@ -88,7 +88,7 @@ def test_more_samples_than_the_test_split_has(refused, run):
 @pytest.mark.parametrize(
     ("option", "said"),
     [
-        ("cnn.epoch=3", "unknown setting 'cnn.epoch'; known here: "),
+        ("cnn.epoch=3", "unknown setting 'cnn.epoch', did you mean 'cnn.epochs'?; known here: "),
         ("cnn.epochs=many", "'cnn.epochs' must be a whole number"),
         ("cnn=3", "'cnn' is a section"),
         ("epochs", "expected section.name=value"),
@@ -160,12 +160,15 @@ def test_a_corrupt_cache(refused, tmp_path, monkeypatch):
     assert str(source) in refused(*command)
 
 
-def test_every_bad_recording_is_in_the_one_line(refused, tmp_path):
+def test_every_kind_of_bad_recording_has_a_line(tmp_path, capsys):
     archive(tmp_path / "st.zip", {**good_members(), "3/a.mat": b"x", "4/b.mat": b""})
-    line = refused("data", "import", tmp_path / "st.zip", "--jobs", 1)
-    assert "3/a.mat is not a MAT file" in line
-    assert "4/b.mat is an empty file" in line
-    assert "--skip-bad" in line
+    assert call("data", "import", tmp_path / "st.zip", "--jobs", 1) == 2
+    first, *lines = capsys.readouterr().err.splitlines()
+    assert "2 of 12 files refused" in first
+    assert "--skip-bad" in first
+    assert len(lines) == 2
+    assert any("3/a.mat is not a MAT file" in line for line in lines)
+    assert any("4/b.mat is an empty file" in line for line in lines)
 
 
 def test_skipping_them_lists_them_and_goes_on(tmp_path, capsys):
@@ -180,8 +183,9 @@ def test_skipping_them_lists_them_and_goes_on(tmp_path, capsys):
 
 def test_too_little_data(refused, tmp_path):
     archive(tmp_path / "st.zip", good_members(2))
-    line = refused("convert", tmp_path / "run", "--data", tmp_path / "st.zip", "--jobs", 1)
-    assert "200 samples asked for, the test split has 4" in line
+    given = ("--data", tmp_path / "st.zip", "--samples", 150, "--jobs", 1)
+    line = refused("convert", tmp_path / "run", *given)
+    assert "150 samples asked for, the test split has 4" in line
     assert not (tmp_path / "run" / "experiment.toml").exists()
 
 

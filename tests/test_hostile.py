@@ -150,13 +150,14 @@ def test_training_needs_no_samples_for_a_check_and_keeps_its_data(tmp_path, caps
     assert call("train", run.path, "--data", tmp_path / "small.zip", *options) == 0
     assert read_settings(run.experiment).data.source == str(tmp_path / "small.zip")
     capsys.readouterr()
-    assert call("ladder", run.path, "--jobs", 1) == 2
-    assert "200 samples asked for, the test split has 6" in capsys.readouterr().err
+    assert call("ladder", run.path, "--samples", 150, "--jobs", 1) == 2
+    assert "150 samples asked for, the test split has 6" in capsys.readouterr().err
 
 
 def test_a_refused_ladder_says_that_its_data_was_not_kept(refused, tmp_path):
     archive(tmp_path / "small.zip", good_members(3))
-    line = refused("ladder", tmp_path / "run", "--data", tmp_path / "small.zip", "--jobs", 1)
+    given = ("--data", tmp_path / "small.zip", "--samples", 150, "--jobs", 1)
+    line = refused("ladder", tmp_path / "run", *given)
     assert "name the data (--data) in the next command too" in line
 
 

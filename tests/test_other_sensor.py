@@ -17,15 +17,15 @@ ROWS, COLUMNS = 16, 12
 def gesture(kind, rng):
     """A stroke over the skin as a `.npz` of x, y, t, p."""
     along = np.sort(rng.uniform(0, 1, 60))
-    x, y = {
+    y, x = {
         "circle": (8 + 5 * np.cos(2 * np.pi * along), 6 + 4 * np.sin(2 * np.pi * along)),
         "line 2": (15 * along, 2 + 0 * along),
         "line 10": (15 * along, 10 + 0 * along),
         "wave": (8 + 6 * np.sin(4 * np.pi * along), 11 * along),
         "zig-zag": (4 + 8 * (along * 4 % 1), 11 * along),
     }[kind]
-    x, y = (np.clip(np.rint(a + rng.normal(0, 0.5, 60)), 0, n - 1).astype(int)
-            for a, n in ((x, ROWS), (y, COLUMNS)))  # fmt: skip
+    y, x = (np.clip(np.rint(a + rng.normal(0, 0.5, 60)), 0, n - 1).astype(int)
+            for a, n in ((y, ROWS), (x, COLUMNS)))  # fmt: skip
     buffer = io.BytesIO()
     np.savez(buffer, x=x, y=y, t=0.2 + along, p=rng.choice([-1, 1], 60))
     return buffer.getvalue()
@@ -73,8 +73,8 @@ def test_names_in_the_report_and_the_figure(run):
     page = (run / "report.html").read_text(encoding="utf-8")
     for name in NAMES:
         assert f"<span>{name}</span>" in page  # bars of the scores
-        assert f'rotate(-90)">{name}</text>' in page  # above the confusion matrix
-        assert f"<th>{name}</th>" in page
+        assert f"</b> {name}</th>" in page  # beside the confusion matrix
+        assert f"<td>{name}</td>" in page
     assert "ten digits" not in page
     ticks = confusion_figure(read_json(run / "ladder.json", "")).axes[0].get_yticklabels()
     assert tuple(tick.get_text() for tick in ticks) == NAMES

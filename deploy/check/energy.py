@@ -198,9 +198,10 @@ def estimate_text(value: EnergyEstimate) -> str:
         [
             "ESTIMATE of the energy of one inference, from published energies per operation",
             *aligned(rows, left=2),
-            "Loihi: synaptic operations x 27.1 pJ + neuron updates x 81 pJ (Davies et al. 2018)",
-            "CNN: (multiply-accumulates + neurons) x 8.6 nJ on a CPU, 0.3 nJ on a GPU "
-            "(Degnan et al. 2016)",
+            "Loihi: synaptic operations x 27.1 pJ + neuron updates x 81 pJ",
+            "  (Davies et al. 2018)",
+            "CNN: (multiply-accumulates + neurons) x 8.6 nJ on a CPU, 0.3 nJ on a GPU",
+            "  (Degnan et al. 2016)",
             "left out: idle power, host, spikes to and from the chip, memory traffic",
             f"latency: shown for {value.latency_seconds * 1000:.0f} ms, decided after "
             f"{value.decided_seconds * 1000:.0f} ms (median), "

@@ -145,7 +145,7 @@ def rates_text(summary: Dict[str, dict], n_samples: int) -> str:
     for name, layer in summary.items():
         apart = f" (next rate {layer['step_at_p99']:.0%} lower)" if "coarse" in layer else ""
         lines.append(
-            f"  {name}: {layer['silent']:.0%} silent; where one fires: "
+            f"  {name}: {layer['silent']:.0%} silent; where one fires:\n    "
             f"mean {layer['mean_hz']:.0f} Hz, 99 % below {layer['p99_hz']:.0f} Hz{apart}, "
             f"at most {layer['max_hz']:.0f} Hz"
         )

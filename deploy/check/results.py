@@ -222,6 +222,17 @@ def _is_by_itself(value):
     )
 
 
+def _is_part(value):
+    """True for what is said of the samples of a class or of a writer."""
+    return (
+        isinstance(value, dict)
+        and _is_count(value.get("n"))
+        and is_share(value.get("accuracy"))
+        and _are_shares(value.get("accuracy_ci95"))
+        and len(value["accuracy_ci95"]) == 2
+    )
+
+
 _FIELDS = {
     "bundle": _is_text,
     "target": _is_text,
@@ -238,11 +249,26 @@ _FIELDS = {
     "wall_seconds": lambda v: _is_number(v) and v >= 0,
     "versions": lambda v: isinstance(v, dict) and all(map(_is_text, v.values())),
     "while_written": _is_while_written,
+    "data": lambda v: (
+        isinstance(v, dict)
+        and all(_is_text(v.get(name)) for name in ("source", "sha256"))
+        and _is_count(v.get("recordings"))
+    ),
+    "classes": lambda v: isinstance(v, list) and all(map(_is_text, v)),
+    "confusion": lambda v: (
+        isinstance(v, list)
+        and all(
+            isinstance(row, list) and len(row) == len(v) and all(map(_is_count, row)) for row in v
+        )
+    ),
+    "per_class": lambda v: isinstance(v, list) and all(map(_is_part, v)),
+    "per_writer": lambda v: isinstance(v, list) and all(map(_is_part, v)),
 }
 """What is read from a result, and of what kind it must be."""
 
 _OPTIONAL = {
     "decided_at_median", "anytime_accuracy", "synaptic_operations", "versions", "while_written",
+    "data", "classes", "confusion", "per_class", "per_writer",
 }  # fmt: skip
 """What a comparison can do without."""
 
@@ -314,7 +340,7 @@ def compare_results(a: dict, b: dict) -> Comparison:
     UserError
         They are of different bundles or of different samples.
     """
-    if a["bundle"] != b["bundle"]:
+    if a["bundle"] != b["bundle"] and not _are_of_the_same_data(a, b):
         raise UserError(
             f"the results are of different bundles ({a['bundle'][:12]} and {b['bundle'][:12]}); "
             "run both checks on the same bundle"
@@ -387,6 +413,12 @@ def require_limits(
         raise UserError(f"--max-disagreements {max_disagreements}: must be at least 0")
     if max_accuracy_drop is not None and not 0 <= max_accuracy_drop <= 1:
         raise UserError(f"--max-accuracy-drop {max_accuracy_drop:g}: must be from 0 to 1")
+
+
+def _are_of_the_same_data(a, b):
+    """Whether two results are on the same recordings that are no bundle's own."""
+    of_a, of_b = (result.get("data") for result in (a, b))
+    return bool(of_a) and bool(of_b) and of_a["sha256"] == of_b["sha256"]
 
 
 def enforce(

@@ -34,6 +34,40 @@ def summary(result: dict) -> str:
     )
 
 
+def others_text(result: dict) -> str:
+    """A result on other recordings than the bundle's own: :func:`summary`, classes and writers."""
+    named = result["classes"]
+    short = {name: name if len(name) <= 40 else name[:26] + "…" + name[-13:] for name in named}
+    lines = [
+        f"on {result['n_samples']} of {result['data']['recordings']} recordings in "
+        f"{result['data']['source']}",
+        summary(result),
+    ]
+    tables = [
+        ("class", result["per_class"], "class"),
+        ("writer", result.get("per_writer"), "writer"),
+    ]
+    for head, rows, key in tables:
+        if rows:
+            cells = [[head, "n", "accuracy", "95 % interval"]]
+            for row in rows:
+                low, high = row["accuracy_ci95"]
+                name = short.get(row[key], str(row[key]))
+                cells.append(
+                    [name, str(row["n"]), f"{row['accuracy']:.3f}", f"{low:.3f} to {high:.3f}"]
+                )
+            lines += aligned(cells)
+    wrong = [
+        (count, named[label], named[prediction])
+        for label, counts in enumerate(result["confusion"])
+        for prediction, count in enumerate(counts)
+        if label != prediction and count
+    ]
+    for count, label, prediction in sorted(wrong, key=lambda entry: -entry[0])[:5]:
+        lines.append(f"{count} times {short[label]} was taken for {short[prediction]}")
+    return "\n".join(lines)
+
+
 def _hardware(result):
     """What only a board has to say, in lines of their own."""
     if "hardware" not in result:

@@ -17,7 +17,7 @@ from ..network.chip import LOIHI
 from ..network.discretisation import BUILD_ERRORS, cannot_build
 from ..network.loihi_import import nengo_loihi
 from ..network.spec import DT, NetworkSpec
-from ..tables import aligned
+from ..tables import in_blocks
 from .resources import (
     CURRENT_LIMIT,
     INPUT_LIMIT,
@@ -312,11 +312,11 @@ def plan_text(plan: Plan) -> str:
             f"{core.threshold / VOLTAGE_LIMIT:.0%}",
         ]
         rows.append(cells)
-    lines = aligned(rows, left=3)
+    lines = in_blocks(rows, left=3)
     lines.append(
-        f"{len(plan.cores)} cores on {plan.chips} chip(s); of each core's limits; 'at': chip.core; "
-        "'pop': type of the axons in\n'input', 'current': worst case that the weights allow, of "
-        "what wraps around; 'threshold': of the highest voltage"
+        f"{len(plan.cores)} cores on {plan.chips} chip(s); of each core's limits; "
+        "'at': chip.core;\n'pop': type of the axons in; 'input', 'current': worst case that the "
+        "weights\nallow, of what wraps around; 'threshold': of the highest voltage"
     )
     lines += [f"warning: {line}" for line in plan.warnings]
     lines += [f"does not fit: {line}" for line in plan.problems]

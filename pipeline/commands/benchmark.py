@@ -148,7 +148,7 @@ def emulator(
     """
     from pipeline.experiments import emulator_speed  # imports Nengo
 
-    result = emulator_speed.measure(read_bundle(bundle), samples, compare_only)
+    result = emulator_speed.measure(read_bundle(options.bundle_in(bundle)), samples, compare_only)
     options.tell(result, emulator_speed.speed_text, as_json)
     if not result["identical"]:
         raise CheckFailed("the target fast and NengoLoihi's emulator do not give the same spikes")

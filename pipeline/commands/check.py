@@ -8,23 +8,29 @@ from typing import Annotated, Optional
 
 import typer
 
+from deploy import limits
 from deploy.check.bundle import read_bundle, result_beside
 from deploy.check.results import compare_results, enforce, loss_text, read_result, require_limits
 from deploy.check.run import run_check
-from deploy.check.text import comparison_text, summary
+from deploy.check.text import comparison_text, others_text, summary
 from deploy.errors import UserError
+from deploy.files import write_json
 from deploy.targets.board import BoardOptions
 from deploy.targets.registry import TARGETS, options_for
 from pipeline.commands import options
 from pipeline.progress import progress
 from pipeline.run.answers import REFERENCES
+from pipeline.settings import Settings, read_settings
 
 BOARD = {"rich_help_panel": "Target loihi"}
 
 
 def run(
     bundle: options.Bundle,
-    target: Annotated[str, typer.Option(help=f"One of {', '.join(TARGETS)}.")],
+    target: Annotated[
+        str,
+        typer.Option(help=f"One of {', '.join(TARGETS)}.", autocompletion=lambda: list(TARGETS)),
+    ],
     out: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option(help="The result (default: checks/TARGET.json beside the bundle)."),
@@ -33,6 +39,21 @@ def run(
         Optional[int],  # noqa: UP045
         typer.Option(help="Seed given to the simulator (default: that of the bundle's run)."),
     ] = None,
+    data: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            help="Other recordings, zip or folder, in the place of the bundle's samples; sensor "
+            "and classes must be the same."
+        ),
+    ] = None,
+    samples: Annotated[
+        Optional[int],  # noqa: UP045
+        typer.Option(
+            help="With --data: how many, drawn at random; 0 for all (default: 200 at most).",
+            parser=options.between(0, limits.SAMPLES),
+        ),
+    ] = None,
+    jobs: options.Jobs = 2,
     board: Annotated[
         Optional[str],  # noqa: UP045
         typer.Option(help="Name of a board (default: the cluster's choice).", **BOARD),
@@ -71,10 +92,16 @@ def run(
         timeout=timeout,
         energy=energy,
     )
+    if samples is not None and data is None:
+        raise UserError("--samples: of other recordings only; name them with --data FILE")
+    bundle = options.bundle_in(bundle)
     opened = read_bundle(bundle)
     options.warn_if_outdated(bundle)
     if seed is None:
         seed = opened.spec.provenance.get("seed", 0)
+    if data is not None:
+        _on_others(opened, target, data, samples, seed, jobs, out, chosen, as_json)
+        return
     path = out or result_beside(opened.path.absolute().parent, target)
     with progress(f"check {target}", len(opened.checks)) as advance:
         result = run_check(opened, target, path, seed, advance, chosen)
@@ -91,6 +118,22 @@ def _loss(bundle, result):
             if reference["bundle"] == bundle.id:
                 return loss_text(reference, result)
     return None
+
+
+def _on_others(bundle, target, data, samples, seed, jobs, out, chosen, as_json):
+    """The check on other recordings than the bundle's own."""
+    from pipeline.run import elsewhere  # with what reads recordings
+
+    experiment = bundle.path.absolute().parent / "experiment.toml"
+    settings = read_settings(experiment) if experiment.exists() else Settings()
+    recordings = elsewhere.recordings_for(bundle, data, settings, jobs, options.say)
+    shown, indices = elsewhere.shown_instead(bundle, recordings, samples, seed, settings.image)
+    path = out or elsewhere.result_path(bundle, recordings, len(indices), target)
+    with progress(f"check {target}", len(indices)) as advance:
+        result = run_check(shown, target, path, seed, advance, chosen)
+    result = elsewhere.told_of(result, recordings, indices)
+    write_json(path, result)
+    options.tell(result, lambda value: f"{others_text(value)}\nwritten to {path}", as_json)
 
 
 def compare_checks(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -16,11 +17,12 @@ from pipeline.progress import progress
 from pipeline.recordings.archive import export_zip, write_zip
 from pipeline.recordings.events import GRID
 from pipeline.recordings.facts import facts_of_file, facts_with_events, file_text, recordings_text
+from pipeline.recordings.sensors import Reading
 from pipeline.recordings.table1 import table1_json, table1_text
 from pipeline.settings import SIMULATED
 from pipeline.skin import unipen
 
-Source = Annotated[str, typer.Option("--data", help="ST-MNIST zip or folder, or 'simulated'.")]
+Source = Annotated[str, typer.Option("--data", help="Zip or folder of recordings, or 'simulated'.")]
 SimulationSeed = Annotated[
     int,
     typer.Option(
@@ -34,12 +36,43 @@ PerDigit = Annotated[
         parser=options.between(0, limits.SAMPLES),
     ),
 ]
+
+
+class Unit(StrEnum):
+    """Of times in files of events."""
+
+    found = "as-found"
+    s = "s"
+    ms = "ms"
+    us = "us"
+    ns = "ns"
+
+    @property
+    def setting(self) -> str:
+        """As ``data.time_unit`` has it."""
+        return "" if self is Unit.found else self.value
+
+
 Side = Annotated[int, typer.Option(help="Of taxels, 2 to 256.", parser=options.between(2, 256))]
 SideOrFound = Annotated[
     int,
     typer.Option(
         help="Of taxels; 0: as found, or ten of the simulated skin.",
         parser=options.between(0, 256),
+    ),
+]
+TimeUnit = Annotated[
+    Unit,
+    typer.Option(
+        help="Of times in files of events: s, ms, us or ns; as-found: told from their lengths.",
+        metavar="UNIT",
+    ),
+]
+Downsample = Annotated[
+    int,
+    typer.Option(
+        help="Files of events: side of the square of pixels that becomes one taxel.",
+        parser=options.between(1, 64),
     ),
 ]
 
@@ -51,15 +84,18 @@ def import_(
     ] = False,
     rows: SideOrFound = 0,
     columns: SideOrFound = 0,
+    time_unit: TimeUnit = Unit.found,
+    downsample: Downsample = 1,
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
     """Read recordings once and keep them in the cache, so that the next start is quick."""
+    reading = Reading(rows, columns, time_unit.setting, downsample)
     recordings = load_recordings(
-        source, skip_bad=skip_bad, jobs=jobs, warn=options.say, rows=rows, columns=columns
+        source, skip_bad=skip_bad, jobs=jobs, warn=options.say, reading=reading
     )
     facts = facts_with_events(recordings)
-    options.tell(facts, lambda facts: recordings_text(facts, recordings.sensor), as_json)
+    options.tell(facts, lambda facts: recordings_text(facts, recordings), as_json)
 
 
 def export(
@@ -74,11 +110,13 @@ def export(
 
 
 def inspect(
-    file: Annotated[Path, typer.Argument(help="One recording, a .mat or .npz file.")],
+    file: Annotated[Path, typer.Argument(help="One recording: .mat, or a file of events.")],
+    time_unit: TimeUnit = Unit.found,
     as_json: options.Json = False,
 ):
     """Print one recording's facts."""
-    options.tell(facts_of_file(file), lambda facts: file_text(file.name, facts), as_json)
+    facts = facts_of_file(file, time_unit.setting)
+    options.tell(facts, lambda facts: file_text(file.name, facts), as_json)
 
 
 def simulate_(
@@ -106,8 +144,7 @@ def simulate_(
     recordings = load_recordings(
         *(SIMULATED, seed, samples_per_digit),
         jobs=jobs,
-        rows=rows,
-        columns=columns,
+        reading=Reading(rows, columns),
         traces=traces,
     )
     write_zip(out, recordings, progress)
@@ -131,6 +168,8 @@ def stats(
     ] = False,
     rows: SideOrFound = 0,
     columns: SideOrFound = 0,
+    time_unit: TimeUnit = Unit.found,
+    downsample: Downsample = 1,
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
@@ -139,7 +178,8 @@ def stats(
     Events are counted as the paper does, one for each column of a file; physical events count each
     burst of columns once.
     """
-    recordings = load_recordings(data, seed, jobs=jobs, rows=rows, columns=columns)
+    reading = Reading(rows, columns, time_unit.setting, downsample)
+    recordings = load_recordings(data, seed, jobs=jobs, reading=reading)
     value = table1_json(recordings, against_paper)
     options.tell(value, lambda _: table1_text(recordings, against_paper), as_json)
 
@@ -148,14 +188,21 @@ FIGURES = ("recording", "events", "layout", "sheet")
 
 
 def plot(
-    what: Annotated[str, typer.Argument(help=f"One of {', '.join(FIGURES)}.")],
+    what: Annotated[
+        str,
+        typer.Argument(help=f"One of {', '.join(FIGURES)}.", autocompletion=lambda: list(FIGURES)),
+    ],
     out: Annotated[Path, typer.Option(help="The picture to write: .png, .pdf or .svg.")],
     data: Source = SIMULATED,
     seed: SimulationSeed = 0,
-    sample: Annotated[str, typer.Option(help="Id of a recording, such as 8/0000.")] = "8/0000",
+    sample: Annotated[
+        str, typer.Option(help="Id of a recording, such as 8/0000 (default: the first one).")
+    ] = "",
     per_digit: Annotated[int, typer.Option(help="Samples of each digit on a sheet.", min=1)] = 16,
     rows: SideOrFound = 0,
     columns: SideOrFound = 0,
+    time_unit: TimeUnit = Unit.found,
+    downsample: Downsample = 1,
     jobs: options.Jobs = 2,
 ):
     """Draw recordings as the paper does.
@@ -174,7 +221,8 @@ def plot(
     if what not in FIGURES:
         raise UserError(f"{what!r} is no figure; choose one of {', '.join(FIGURES)}")
     figures.format_of(out)  # said before the recordings are read
-    recordings = load_recordings(data, seed, jobs=jobs, rows=rows, columns=columns)
+    reading = Reading(rows, columns, time_unit.setting, downsample)
+    recordings = load_recordings(data, seed, jobs=jobs, reading=reading)
     if what == "layout":
         figure = drawn.layout(recordings.taxels)
     elif what == "sheet":
@@ -187,6 +235,8 @@ def plot(
 
 
 def _index_of(recordings, name):
+    if not name:
+        return 0
     if name in recordings.ids:
         return recordings.ids.index(name)
     raise UserError(f"no recording {name!r}; ids are like {recordings.ids[0]!r}")

@@ -39,7 +39,7 @@ def plan(
     as_json: options.Json = False,
 ):
     """Say what the network takes of each core, and refuse one that will not fit (status 2)."""
-    opened = read_bundle(bundle)
+    opened = read_bundle(options.bundle_in(bundle))
     made = make_plan(opened.spec, chips)
     images = opened.checks.inputs[: opened.spec.presentation.stream_length]
     rates = chip_rates(opened.spec, images) if not made.problems else {}
@@ -77,7 +77,7 @@ def export(
     ] = None,
 ):
     """Export the network, so that it reaches other neuromorphic platforms."""
-    opened = read_bundle(bundle)
+    opened = read_bundle(options.bundle_in(bundle))
     if format is Format.lava:
         if inputs is not None:
             raise UserError("--inputs is for NIR: a file for Lava holds the input spikes itself")
@@ -101,7 +101,7 @@ def energy(
     as_json: options.Json = False,
 ):
     """Estimate the energy of an inference from the spikes that a check counted."""
-    opened = read_bundle(bundle)
+    opened = read_bundle(options.bundle_in(bundle))
     path = result or opened.path.absolute().parent / "checks" / "emulator.json"
     counted = read_result(path)
     if counted["bundle"] != opened.id:

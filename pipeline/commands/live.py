@@ -89,6 +89,8 @@ def _network(run, data, kind, seed, settings, set_, jobs):
         return found
     if not folder.bundle.exists():
         options.say(f"live: {run} has no network yet; training it first, about a minute")
-    with options.opened(run, data, seed, None, None, settings, set_, kind) as (folder, resolved):
+    given = (data, seed, None, None, settings, set_, kind)
+    fit = options.fit_recordings(jobs)
+    with options.opened(run, *given, fit=fit) as (folder, resolved):
         _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
     return bundle, resolved.image

@@ -14,7 +14,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.models import OptionInfo
 
 from deploy import __version__, interrupts
-from deploy.errors import CheckFailed, UserError, line_of, one_line
+from deploy.errors import CheckFailed, SeveralErrors, UserError, line_of, one_line
 from deploy.terminal import drop_unwritable, prepare, remark, show
 from models.architecture import NotationError
 
@@ -83,6 +83,10 @@ VERBS = {
     "report": (
         "Write the run as one self-contained HTML file, with whatever has been measured so far.",
         "report.report",
+    ),
+    "animate": (
+        "Write a sample of a run as an animation: events, image, probabilities over time.",
+        "report.animate",
     ),
     "live": (
         "Write digits in the browser, watch the network decide, keep what was written.",
@@ -226,11 +230,15 @@ def main(arguments=None):
     except UsageError as error:
         context = error.ctx.command_path if error.ctx else "stmnist"
         problem = error.format_message().rstrip(".") or "a command is missing"
+        problem += _setting_of(getattr(error, "option_name", None), arguments)
         status = _say(f"{problem} (see '{context} --help')", 2)
     except ClickException as error:
         status = _say(error.format_message(), 2)
     except CheckFailed as error:
         status = _say(str(error), 1)
+    except SeveralErrors as error:
+        for line in error.lines:
+            status = _say(line, 2)
     except (UserError, NotationError) as error:
         status = _say(str(error), 2)
     except (BrokenPipeError, SystemExit) as end:
@@ -242,6 +250,24 @@ def main(arguments=None):
         status = _say(line_of(error), 2)
     drop_unwritable()
     sys.exit(status or 0)
+
+
+def _setting_of(option, arguments):
+    """What to write instead of an option that is no option but a setting's name, if one is."""
+    if not option:
+        return ""
+    from pipeline.settings import Settings
+
+    last = option.lstrip("-").replace("-", "_")
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    prefer = "events." if "events" in words else "cnn."
+    names = [name for name in Settings().flat() if name.rpartition(".")[2] == last]
+    if not names:
+        return ""
+    name = next((name for name in names if name.startswith(prefer)), names[0])
+    index = words.index(option) + 1 if option in words else len(words)
+    value = words[index] if index < len(words) and not words[index].startswith("-") else "..."
+    return f"; settings are given as --set {name}={value}"
 
 
 def _say(message, status):

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import json
+import sys
 from pathlib import Path
 from typing import Annotated, Optional
 
 import typer
 
-from deploy.errors import CheckFailed
+from deploy.errors import CheckFailed, SeveralErrors, UserError
 from deploy.terminal import remark, show
 from pipeline.run.folder import RunFolder
+from pipeline.run.places import (
+    nothing_left_of_a_failure,
+    refuse_other_folders,
+    similar_run,
+)
 from pipeline.settings import SIMULATED, parse_assignments, put
 
 
@@ -28,15 +34,19 @@ def between(low: int, high: int):
 
 
 Run = Annotated[Path, typer.Argument(help="The run's folder, such as runs/default.")]
-Bundle = Annotated[Path, typer.Argument(help="The bundle's folder.")]
+Bundle = Annotated[Path, typer.Argument(help="The bundle's folder, or its run's.")]
 Data = Annotated[
     Optional[str],  # noqa: UP045 - Typer reads the annotation at run time
-    typer.Option(help="ST-MNIST zip or folder, or 'simulated' (default: the run's own)."),
+    typer.Option(help="Zip or folder of recordings, or 'simulated' (default: the run's own)."),
 ]
 Seed = Annotated[Optional[int], typer.Option(help="Seed of split, training and samples.")]  # noqa: UP045
 Input = Annotated[
     Optional[str],  # noqa: UP045
-    typer.Option("--input", help="What the chip is shown: 'image' or 'events'."),
+    typer.Option(
+        "--input",
+        help="What the chip is shown: 'image' or 'events'.",
+        autocompletion=lambda: ["image", "events"],
+    ),
 ]
 Samples = Annotated[Optional[int], typer.Option(help="Samples of the check.")]  # noqa: UP045
 Steps = Annotated[Optional[int], typer.Option(help="Steps that a sample is shown.")]  # noqa: UP045
@@ -70,6 +80,7 @@ def opened(
     assignments=None,
     kind=None,
     changes=None,
+    fit=None,
 ):
     """A folder for this process alone, with its settings and the options that were given.
 
@@ -80,6 +91,9 @@ def opened(
         What the options of the same names gave (``kind``: ``--input``), or None.
     changes : dict, optional
         Of settings, which the options go before.
+    fit : callable, optional
+        Makes settings that were left at their defaults fit the recordings; see
+        :func:`pipeline.run.fitting.fitted`.
 
     Yields
     ------
@@ -91,7 +105,10 @@ def opened(
         A file or value is wrong, or another process is working in the folder.
     """
     folder = RunFolder(path)
-    with folder.locked():
+    refuse_other_folders(path, of_results=fit is None)
+    if fit is not None:
+        _ask_about_a_similar_name(path, data)
+    with nothing_left_of_a_failure(path), folder.locked():
         changes = merged(changes or {}, parse_assignments(assignments or []))
         if data is not None and data != SIMULATED:
             data = str(Path(data).absolute())  # the run can be repeated from any folder
@@ -104,7 +121,76 @@ def opened(
         ):
             if value is not None:
                 put(changes, name, value, option)
-        yield folder, folder.resolve_settings(settings, changes)
+        resolved = folder.resolve_settings(settings, changes)
+        if fit is not None:
+            resolved = fit(folder, resolved)
+        yield folder, resolved
+
+
+def fit_recordings(jobs: int, check: bool = True):
+    """What :func:`opened` takes as ``fit``: of a new run it says first where its data come from.
+
+    Parameters
+    ----------
+    jobs : int
+        Processes, of recordings that are not in the cache.
+    check : bool
+        Whether samples of a check will be drawn.
+    """
+
+    def fit(folder, settings):
+        if settings.data.source == SIMULATED:
+            return settings
+        from pipeline.inputs.library import recordings_of
+        from pipeline.run.fitting import chosen_text, fitted, new_run_text
+
+        recordings = recordings_of(settings, jobs)  # what is left out is told when they are used
+        is_new = not folder.experiment.exists()
+        try:
+            chosen = fitted(settings, jobs, None, recordings, check)
+        except SeveralErrors as error:
+            if not is_new:
+                raise
+            remedy = "; nothing was kept: name the data (--data) in the next command too"
+            raise SeveralErrors([*error.lines[:-1], error.lines[-1] + remedy]) from error
+        if is_new:
+            say(new_run_text(folder.path, recordings))
+        for line in chosen_text(settings, chosen, recordings):
+            say(line)
+        return chosen
+
+    return fit
+
+
+def _ask_about_a_similar_name(path, data):
+    """Ask at a terminal whether a new run is meant where the name looks like that of another one.
+
+    Raises
+    ------
+    UserError
+        It is not.
+    """
+    if data is not None or not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return
+    meant = similar_run(path)
+    question = f"{path}: no such run; begin a new one on simulated recordings (and not {meant})?"
+    if meant is not None and not typer.confirm(question, err=True):
+        raise UserError(f"{path}: no such run; give {meant}")
+
+
+def bundle_in(path: Path) -> Path:
+    """The folder of the bundle that is named, by its own name or by that of its run.
+
+    Raises
+    ------
+    UserError
+        A run without a bundle.
+    """
+    if (path / "MANIFEST.json").exists() or not (path / "experiment.toml").exists():
+        return path
+    if not (path / "bundle").is_dir():
+        raise UserError(f"{path}: has no bundle yet; make it with 'stmnist convert {path}'")
+    return path / "bundle"
 
 
 def merged(first: dict, second: dict) -> dict:

@@ -7,11 +7,44 @@ from typing import Annotated, Optional
 
 import typer
 
+from deploy.check.bundle import read_bundle
+from deploy.errors import UserError
 from deploy.files import replacing
 from pipeline.commands import options
+from pipeline.progress import progress
 from pipeline.report.gather import gather
 from pipeline.report.page import render
 from pipeline.run.folder import RunFolder
+from pipeline.settings import read_settings
+
+
+def animate(
+    run: options.Run,
+    out: Annotated[Path, typer.Option(help="The file to write: .gif, or .mp4 with ffmpeg.")],
+    sample: Annotated[
+        str, typer.Option(help="Id of a sample of the check (default: the first one).")
+    ] = "",
+    jobs: options.Jobs = 2,
+):
+    """Write a sample of a run as an animation: events, image, probabilities over time."""
+    from pipeline.inputs.library import recordings_of
+    from pipeline.report.figures import animation
+
+    animation.writer_for(out)  # what the name ends in is told before anything is computed
+    bundle = read_bundle(options.bundle_in(run))
+    experiment = RunFolder(run).experiment
+    if not experiment.exists():
+        raise UserError(f"{run}: not a run's folder (it has no experiment.toml)")
+    recordings = recordings_of(read_settings(experiment), jobs, options.say)
+    if recordings.source.sha256 != bundle.spec.provenance.get("source_sha256"):
+        raise UserError(f"{run}: its bundle was made from other recordings; climb the ladder again")
+    ids = list(bundle.checks.ids)
+    if sample and sample not in ids:
+        raise UserError(f"{run}: no sample {sample!r} in its check; ids are like {ids[0]!r}")
+    index = ids.index(sample) if sample else 0
+    with progress("animate", animation.FRAMES + animation.STILL) as advance:
+        animation.animate(out, bundle, recordings, index, advance)
+    options.say(f"animation: {out}")
 
 
 def report(

@@ -26,7 +26,8 @@ def train(
 ):
     """Train the paper's CNN on tactile images, or with --input events the network on events."""
     given = (data, seed, None, None, settings, set_, kind)
-    with options.opened(run, *given) as (folder, resolved):
+    fit = options.fit_recordings(jobs, check=False)
+    with options.opened(run, *given, fit=fit) as (folder, resolved):
         dataset = stages.open_dataset(folder, resolved, jobs, options.say, check=False)
         if resolved.on_events:
             stages.train_on_events(folder, resolved, dataset, options.say)
@@ -63,7 +64,7 @@ def convert(
         raise UserError("--retrain: of a model of your own only; name it with --model FILE")
     changes = stages.settings_of_model(model, retrain) if model else {}
     given = (data, seed, samples, steps, settings, set_, kind, changes)
-    with options.opened(run, *given) as (folder, resolved):
+    with options.opened(run, *given, fit=options.fit_recordings(jobs)) as (folder, resolved):
         if model is not None and resolved.on_events:
             raise UserError(
                 "--model: of tactile images; leave out what sets input.kind to 'events'"
@@ -94,7 +95,7 @@ def ladder(
         Optional[float],  # noqa: UP045 - Typer reads the annotation at run time
         typer.Option(
             help="Points a stage may lose before its layers are shown (default: 1 with --whole, "
-            "else 3, since chance alone moves 200 samples by 2.5)."
+            "else 3, if it is more than chance explains)."
         ),
     ] = None,
     as_json: options.Json = False,
@@ -103,15 +104,15 @@ def ladder(
     if limit is not None and not -100 <= limit <= 100:  # nothing is more than NaN
         raise UserError(f"--limit {limit:g}: must be from -100 to 100 points")
     given = (data, seed, samples, steps, settings, set_, kind)
-    with options.opened(run, *given) as (folder, resolved):
+    with options.opened(run, *given, fit=options.fit_recordings(jobs)) as (folder, resolved):
         table = measure_ladder(folder, resolved, jobs, whole, slow, options.say)
         if whole:
             from pipeline.report import figures  # imports Matplotlib
             from pipeline.report.figures.confusion import confusion_figure
 
             figures.save(confusion_figure(table), folder.confusion, dpi=100)
-    if limit is None:
-        limit = 1.0 if whole else 3.0
-    options.tell(table, lambda ladder: "\n" + ladder_text(ladder, limit), as_json)
+    most = limit if limit is not None else 1.0 if whole else 3.0
+    given = limit is not None
+    options.tell(table, lambda ladder: "\n" + ladder_text(ladder, most, given), as_json)
     if whole and not as_json:
         show(f"confusion matrices: {folder.confusion}")

@@ -189,6 +189,8 @@ def dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "rand
     reads = [*SPLIT_READS, "data.skip_bad", "skin"]
     if settings.data.source == SIMULATED:
         reads += ["data.simulation_seed", "data.samples_per_digit"]
+    else:
+        reads += ["data.time_unit", "data.downsample"]
     contents = {"recordings": recordings_sha256}
     if kind != "random":
         contents["split"] = kind

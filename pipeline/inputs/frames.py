@@ -35,8 +35,8 @@ def bin_events(recordings: Recordings, bins: int = 200) -> np.ndarray:
     frames[
         recordings.sample_of_event[inside],
         time[inside],
-        taxels.x[taxel],
-        taxels.y[taxel],
+        taxels.row[taxel],
+        taxels.column[taxel],
         (events.polarity[inside] < 0).astype(np.int64),
     ] = 1
     return frames

@@ -35,7 +35,7 @@ def aggregate(recordings: Recordings, aggregation: str = "count") -> np.ndarray:
     Returns
     -------
     ndarray of float, shape (n_samples, rows, columns)
-        Indexed [sample, x, y]: x is the row from the top, y the column from the left.  Where there
+        Indexed [sample, row, column], rows from the top and columns from the left.  Where there
         is no taxel it is 0.
 
     Raises
@@ -58,7 +58,7 @@ def aggregate(recordings: Recordings, aggregation: str = "count") -> np.ndarray:
     cell = recordings.sample_of_event * len(taxels) + events.taxel
     total = np.bincount(cell, weights, minlength=len(recordings) * len(taxels))
     images = np.zeros((len(recordings), sensor.rows, sensor.columns))
-    images[:, taxels.x, taxels.y] = total.reshape(-1, len(taxels))
+    images[:, taxels.row, taxels.column] = total.reshape(-1, len(taxels))
     return images
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple, replace
 from pathlib import Path
 
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import progress
 from pipeline.recordings import archive, cache
 from pipeline.recordings.events import GRID, Recordings
+from pipeline.recordings.sensors import AS_FOUND, Reading
 from pipeline.settings import SIMULATED, Settings
 from pipeline.skin.simulate import simulate, source_of
 
@@ -19,8 +21,7 @@ def load_recordings(
     skip_bad: bool = False,
     jobs: int = 2,
     warn=None,
-    rows: int = 0,
-    columns: int = 0,
+    reading: Reading = AS_FOUND,
     traces=None,
 ) -> Recordings:
     """Recordings of a source, made or imported on first use and cached.
@@ -39,8 +40,8 @@ def load_recordings(
         Processes.
     warn : callable, optional
         Called with one line for each file that was left out.
-    rows, columns : int
-        Of the skin; 0 for ten where it is simulated, else for as found.
+    reading : pipeline.recordings.sensors.Reading
+        Rows and columns of the skin (0 for ten where it is simulated), and how files are read.
     traces : sequence of pipeline.skin.unipen.Trace, optional
         Recorded handwriting to press on the simulated skin instead of simulated hands.
 
@@ -54,17 +55,19 @@ def load_recordings(
         The source cannot be read, or the cache is damaged.
     """
     if source == SIMULATED:
-        size = (rows or GRID, columns or GRID)
+        size = (reading.rows or GRID, reading.columns or GRID)
         return _simulated(simulation_seed, samples_per_digit, jobs, size, traces)
-    return _imported(Path(source), skip_bad, jobs, warn, rows, columns)
+    return _imported(Path(source), skip_bad, jobs, warn, reading)
 
 
 def recordings_of(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
     """Recordings that settings ask for; see :func:`load_recordings`."""
-    data, skin = settings.data, settings.skin
+    data, reading = settings.data, Reading(settings.skin.rows, settings.skin.columns)
+    if data.source != SIMULATED:  # of which no file is read
+        reading = replace(reading, time_unit=data.time_unit, downsample=data.downsample)
     return load_recordings(
         *(data.source, data.simulation_seed, data.samples_per_digit, data.skip_bad),
-        *(jobs, warn, skin.rows, skin.columns),
+        *(jobs, warn, reading),
     )
 
 
@@ -105,14 +108,14 @@ def _simulated(seed, samples_per_digit, jobs, size, traces):
     return recordings
 
 
-def _imported(path, skip_bad, jobs, warn, rows, columns):
+def _imported(path, skip_bad, jobs, warn, reading):
     archive.list_source(path)  # a wrong path or a damaged zip is said before anything is hashed
     sha256 = _hash_of(path)
     # What was imported with bad files left out must not pass for a clean import later.
-    key = cache.key_of("imported", path.name, sha256, skip_bad, rows, columns)
+    key = cache.key_of("imported", path.name, sha256, skip_bad, *astuple(reading))
     recordings = cache.load(key)
     if recordings is None:
-        recordings = archive.read_source(path, jobs, skip_bad, progress, rows, columns)
+        recordings = archive.read_source(path, jobs, skip_bad, progress, reading)
         cache.store(key, recordings)
     if warn is not None:
         for line in archive.left_out_lines(path, recordings):

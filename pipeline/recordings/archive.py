@@ -12,6 +12,7 @@ import functools
 import hashlib
 import json
 import lzma
+import re
 import warnings
 import zipfile
 import zlib
@@ -22,12 +23,13 @@ from pathlib import Path, PurePosixPath
 from joblib import delayed
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-from deploy.errors import UserError
+from deploy.errors import SeveralErrors, UserError
 from deploy.files import open_regular, replacing, sha256_of
 from deploy.terminal import printable
 from pipeline.jobs import results_of
 from pipeline.recordings import sensors
 from pipeline.recordings.budget import MOST_FILES, Spent
+from pipeline.recordings.eventfile import SUFFIXES as EVENT_SUFFIXES
 from pipeline.recordings.eventfile import read_events
 from pipeline.recordings.events import DIGITS, Recordings, Source, TaxelMap, collect
 from pipeline.recordings.mat5 import LARGEST
@@ -42,12 +44,15 @@ from pipeline.recordings.matfile import (
 )
 
 LOOKUP_TABLE = "lut.mat"
-SUFFIXES = (".mat", ".npz")
+SUFFIXES = (".mat", *EVENT_SUFFIXES)
 CHUNK = 32
 """Files that a worker reads at a time: enough to hide the hand-over, few enough for the bar."""
 
 LISTED = 10
-"""Refused files that a message names."""
+"""Reasons, and files that were left out, that are told one by one."""
+
+NAMED = 3
+"""Refused files that a line names."""
 
 LONGEST_NAME = 120
 """Characters of a name in a message."""
@@ -115,16 +120,16 @@ def list_source(path) -> Listing:
             tables.append(name)
         else:
             recordings.append((name, member.parts[-2] if len(member.parts) >= 2 else ""))
-    recordings, strays = _of_classes(recordings)
+    recordings, strays = _of_classes(_of_main_kinds(recordings))
     refused += strays + _empty_classes(recordings, files, folders)
     if not recordings and not refused:
         raise UserError(
-            f"{path}: holds no recordings; expected a folder for each class with .mat or .npz "
-            "files, <digit>/*.mat in the ST-MNIST archive"
+            f"{path}: holds no recordings; expected a folder for each class with .mat, .npz or "
+            "other files of events, <digit>/*.mat in the ST-MNIST archive"
         )
-    kinds = {PurePosixPath(name).suffix.lower() for name, _ in recordings}
+    kinds = sorted({PurePosixPath(name).suffix.lower() for name, _ in recordings})
     if len(kinds) > 1:
-        raise UserError(f"{path}: holds both .mat and .npz recordings; keep one kind")
+        raise UserError(f"{path}: holds both {' and '.join(kinds)} recordings; keep one kind")
     if len(recordings) > MOST_FILES:
         raise UserError(
             f"{path}: holds {len(recordings):,} recordings, more than {MOST_FILES:,}; give a part "
@@ -132,6 +137,14 @@ def list_source(path) -> Listing:
         )
     recordings.sort(key=lambda entry: (sensors.class_order(entry[1]), entry[0]))
     return Listing(path, tuple(recordings), min(tables, default=None), tuple(refused))
+
+
+def _of_main_kinds(recordings):
+    """Without files of other formats where there are .mat or .npz files, such as a table."""
+    main = [
+        entry for entry in recordings if PurePosixPath(entry[0]).suffix.lower() in (".mat", ".npz")
+    ]
+    return main or recordings
 
 
 def _of_classes(recordings):
@@ -166,7 +179,11 @@ def _empty_classes(recordings, files, folders):
 
 
 def read_source(
-    path, jobs: int = 2, skip_bad: bool = False, progress=None, rows=0, columns=0
+    path,
+    jobs: int = 2,
+    skip_bad: bool = False,
+    progress=None,
+    reading: sensors.Reading = sensors.AS_FOUND,
 ) -> Recordings:
     """Read every recording of a zip or folder, in parallel.
 
@@ -179,8 +196,8 @@ def read_source(
         Go on without the files that are refused; they are in ``source.left_out``.
     progress : callable, optional
         ``progress(label, total)``, a context manager that yields ``advance(n)``.
-    rows, columns : int
-        Of the sensor; 0 for as found: see :mod:`pipeline.recordings.sensors`.
+    reading : pipeline.recordings.sensors.Reading
+        What is not to be found out.
 
     Returns
     -------
@@ -189,8 +206,8 @@ def read_source(
     Raises
     ------
     UserError
-        Rows and columns cannot be known; or, listing every refused file with its reason, unless
-        ``skip_bad``.
+        Rows, columns or the unit of time cannot be known; or, unless ``skip_bad``, with a line for
+        each reason for which files are refused.
     """
     listing = list_source(path)
     refused, read = list(listing.refused), []
@@ -216,16 +233,20 @@ def read_source(
             taxels = read_lookup_table(_reader(listing.path).read(listing.lookup_table))
         except BadRecording as error:
             refused.append((listing.lookup_table, str(error)))
-    settled = sensors.settle(path, read, taxels, rows, columns)
+    settled = sensors.settle(path, read, taxels, reading)
     refused += settled.refused
     dropped = {name for name, _ in settled.refused}
     read = [recording for name, _, recording in read if name not in dropped]
+    problems = [f"{path}: {problem}" for problem in settled.problems]
     if refused and not skip_bad:
-        lines = "; ".join(f"{_short(name)} {reason}" for name, reason in _first(refused))
-        raise UserError(
-            f"{path}: {len(refused)} of {len(refused) + len(read)} files refused: {lines}"
-            f"{_and_more(refused)}; mend them, or leave them out with --skip-bad"
-        )
+        problems += _refusals(path, refused, len(refused) + len(read))
+    if problems:
+        names = sorted({name for _, name in listing.recordings}, key=sensors.class_order)
+        labels = [names.index(name) for _, name in listing.recordings]
+        is_own = settled.sensor.classes != DIGITS
+        if is_own and labels and (problem := sensors.too_few(labels, names)):
+            problems.append(f"{path}: {problem}")
+        raise SeveralErrors(problems)
     if not read:
         raise UserError(f"{path}: no recording in it can be read")
     return collect(
@@ -239,6 +260,7 @@ def read_source(
             simulated=any(recording.simulated for recording in read),
             written=all(getattr(recording, "written", None) for recording in read),
             left_out=tuple(f"{_short(name)}: {reason}" for name, reason in refused),
+            time_unit=settled.time_unit,
         ),
         taxels=settled.taxels,
         sensor=settled.sensor,
@@ -330,11 +352,12 @@ def export_zip(path, folder, progress=None) -> int:
         try:
             if name is not None:
                 table = read_lookup_table(reader.read(name))
-            _add(archive, root / "LUT.mat", lookup_table_bytes(table))
+            if names[0].lower().endswith(".mat"):
+                _add(archive, root / "LUT.mat", lookup_table_bytes(table))
             for name, short in zip(names, _ids(names), strict=True):
-                content = reader.read(name)
-                read_recording(content)
-                _add(archive, root / f"{short.removesuffix('.mat')}.mat", content)
+                content, suffix = reader.read(name), PurePosixPath(name).suffix
+                read_file(name, content)
+                _add(archive, root / f"{short.removesuffix(suffix)}{suffix}", content)
                 advance(1)
         except BadRecording as error:
             raise UserError(f"{folder}: {name} {error}; move it away") from error
@@ -481,14 +504,14 @@ def _read_carefully(path, names):
 
 
 def read_file(name: str, content: bytes):
-    """A recording of any sensor: MatRecording, or EventRecording where the name ends in .npz.
+    """A recording of any sensor: MatRecording, or EventRecording of a file of events.
 
     Raises
     ------
     BadRecording
     """
-    if name.lower().endswith(".npz"):
-        return read_events(content)
+    if PurePosixPath(name).suffix.lower() in EVENT_SUFFIXES:
+        return read_events(content, name)
     return read_recording(content, n_taxels=None)
 
 
@@ -528,8 +551,28 @@ def _first(refused):
     return sorted(refused)[:LISTED]
 
 
-def _and_more(refused):
-    return f"; and {len(refused) - LISTED} more" if len(refused) > LISTED else ""
+def _refusals(path, refused, total):
+    """A line for each kind of reason: how many files, the first ones, and the reason of the first.
+
+    Where there are several kinds the line before them says what to do.
+    """
+    kinds = {}
+    for name, reason in sorted(refused):
+        kinds.setdefault(re.sub(r"'[^']*'|-?[\d.]+", "*", reason), []).append((name, reason))
+    lines = []
+    for files in list(kinds.values())[:LISTED]:
+        (name, reason), others = files[0], [_short(other) for other, _ in files[1:NAMED]]
+        if len(files) > NAMED:
+            others.append(f"{len(files) - NAMED} more")
+        also = f" (also {', '.join(others)})" if others else ""
+        lines.append(f"{len(files)} of {total} files refused: {_short(name)}{also} {reason}")
+    if len(kinds) > LISTED:
+        lines.append(f"and files refused for {len(kinds) - LISTED} more reasons")
+    remedy = "mend them, or leave them out with --skip-bad"
+    if len(lines) == 1:
+        return [f"{path}: {lines[0]}; {remedy}"]
+    head = f"{len(refused)} of {total} files refused, for {len(kinds)} reasons; {remedy}"
+    return [f"{path}: {line}" for line in (head, *lines)]
 
 
 def _short(name):

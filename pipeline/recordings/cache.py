@@ -21,7 +21,7 @@ from pipeline.recordings.events import (
 )
 from pipeline.recordings.stored import problem_with
 
-FORMAT = 3
+FORMAT = 4
 """Raise it with any change of what is stored or of how recordings are read."""
 
 LARGEST = 1 << 34
@@ -51,9 +51,9 @@ def store(key: str, recordings: Recordings):
         labels=recordings.labels,
         ids=np.array(recordings.ids, dtype=str),
         writers=recordings.writers,
-        x=recordings.taxels.x,
-        y=recordings.taxels.y,
-        source=np.array([source.name, source.sha256]),
+        row=recordings.taxels.row,
+        column=recordings.taxels.column,
+        source=np.array([source.name, source.sha256, source.time_unit]),
         simulated=np.array(source.simulated),
         written=np.array(source.written),
         left_out=np.array(source.left_out, dtype=str),
@@ -79,7 +79,7 @@ def load(key: str) -> Recordings | None:
     try:
         if problem := problem_with(arrays):
             raise UserError(f"{path}: damaged cache ({problem}); {remedy}")
-        name, sha256 = (str(text) for text in arrays["source"])
+        name, sha256, time_unit = (str(text) for text in arrays["source"])
         recordings = Recordings(
             events=Events(*(arrays[column] for column in EVENT_DTYPES)),
             offsets=arrays["offsets"],
@@ -92,8 +92,9 @@ def load(key: str) -> Recordings | None:
                 bool(arrays["simulated"]),
                 bool(arrays["written"]),
                 tuple(arrays["left_out"].tolist()),
+                time_unit,
             ),
-            taxels=TaxelMap(arrays["x"], arrays["y"]),
+            taxels=TaxelMap(arrays["row"], arrays["column"]),
             sensor=Sensor(
                 *(int(n) for n in arrays["size"]),
                 float(arrays["duration_s"]),

@@ -1,9 +1,14 @@
-"""One recording, one ``.npz`` file: the events of any event-based sensor as four arrays.
+"""One recording, one file of events: the formats, each turned into x, y, t and p.
 
-``x`` and ``y`` are the taxel's row and column, whole numbers from 0 (as X and Y of the paper less
-one: x from the top, y from the left), ``t`` the time in seconds, ``p`` the polarity, 1 or -1; each
-array has one entry an event, in any order of time.  Nothing in a file is executed: only plain
-arrays of numbers are read, and no more than a recording can have.
+``.npz``     four arrays x, y, t, p, or one array, structured or with rows of four numbers
+``.npy``     one such array
+``.csv``     a line an event, four columns, with their names in the first line or without
+``.bin``     the layout of N-MNIST: five bytes an event
+``.aedat``   AEDAT 3.1, the layout of DVS Gesture
+``.aedat4``, ``.raw``, ``.dat``   of iniVation's and Prophesee's cameras, read with faery
+
+What the arrays mean is in :mod:`pipeline.recordings.eventarrays`.  Nothing in a file is executed:
+only plain arrays of numbers are read, and no more than a recording can have.
 """
 
 from __future__ import annotations
@@ -11,125 +16,214 @@ from __future__ import annotations
 import io
 import zipfile
 import zlib
-from dataclasses import dataclass
+from dataclasses import replace
+from pathlib import PurePosixPath
 
 import numpy as np
 
-from pipeline.recordings.events import Events
-from pipeline.recordings.matfile import LATEST_S, MAX_SIDE, BadRecording
+from pipeline.recordings.camerafile import CAMERA_SUFFIXES, read_camera
+from pipeline.recordings.eventarrays import (
+    MAX_EVENTS,
+    NAMES,
+    EventRecording,
+    recording_of,
+)
+from pipeline.recordings.matfile import BadRecording
 
-ARRAYS = ("x", "y", "t", "p")
+SUFFIXES = (".npz", ".npy", ".csv", ".bin", ".aedat", *CAMERA_SUFFIXES)
+"""Ends of the names of files of events."""
 
-MAX_EVENTS = 5_000_000
-"""Events of one recording."""
+MOST_ARRAYS = 16
+"""Of a .npz file."""
 
-
-@dataclass(frozen=True)
-class EventRecording:
-    """What one file holds, in order of time.
-
-    Attributes
-    ----------
-    x, y : ndarrays of int64, shape (n,)
-        Row and column, from 0.
-    time_ns : ndarray of int64, shape (n,)
-    polarity : ndarray of int8, shape (n,)
-    """
-
-    x: np.ndarray
-    y: np.ndarray
-    time_ns: np.ndarray
-    polarity: np.ndarray
-    simulated = False
-    writer = -1
-
-    def events(self, rows: int) -> Events:
-        """With taxels counted as :meth:`pipeline.recordings.events.TaxelMap.grid` does."""
-        taxel = self.x + rows * self.y
-        return Events(self.time_ns, taxel, self.polarity, np.ones(len(taxel)))
+LARGEST_EVENT = 64
+"""Bytes of an event in an array: eight fields of eight bytes."""
 
 
-def read_events(content: bytes) -> EventRecording:
+def read_events(content: bytes, name: str = "recording.npz") -> EventRecording:
     """Read a recording.
 
     Parameters
     ----------
     content : bytes
-        Of a ``.npz`` file.
+        Of a file.
+    name : str
+        The file's name, whose end tells its format.
 
     Raises
     ------
     BadRecording
-        Not such a file; arrays that are missing, of different lengths, empty, or not of numbers;
-        coordinates that are no whole numbers from 0; times that are NaN, negative or not seconds;
-        polarities other than 1 and -1.
+        Not such a file, or what is in it is no recording: see
+        :func:`pipeline.recordings.eventarrays.recording_of`.
     """
-    arrays = {name: _array(content, name) for name in ARRAYS}
-    lengths = {len(array) for array in arrays.values()}
-    if len(lengths) != 1:
-        listed = ", ".join(f"{name} {len(array)}" for name, array in arrays.items())
-        raise BadRecording(f"has arrays of different lengths: {listed}")
-    if lengths == {0}:
+    suffix = PurePosixPath(name).suffix.lower()
+    if suffix in CAMERA_SUFFIXES:
+        return read_camera(content, suffix)
+    if suffix == ".bin":
+        return recording_of(_nmnist(content), "us")
+    if suffix == ".aedat":
+        return recording_of(_aedat3(content), "us")
+    if suffix == ".npz":
+        return _npz(content)
+    return recording_of({".npy": _npy, ".csv": _csv}[suffix](content))
+
+
+def _nmnist(content):
+    """Of N-MNIST (Orchard et al., 2015): x, y, and 24 bits of which the first is the polarity."""
+    if len(content) % 5:
+        raise BadRecording("is not a whole number of events of five bytes, as N-MNIST has them")
+    values = np.frombuffer(content, np.uint8).reshape(-1, 5).astype(np.int64)
+    time = (values[:, 2] & 0x7F) << 16 | values[:, 3] << 8 | values[:, 4]
+    return {"x": values[:, 0], "y": values[:, 1], "t": time, "p": values[:, 2] >> 7}
+
+
+AEDAT3_POLARITY = 1
+"""Kind of a packet with events of pixels."""
+
+
+def _aedat3(content):
+    """AEDAT 3.1: lines of a header, then packets; only those of pixels count.
+
+    A packet has 28 bytes of header (kind, source, bytes of an event, offset of its time, overflows
+    of the time, capacity, number of events, valid ones); an event of a pixel has four bytes (bit 0:
+    valid, bit 1: polarity, 15 bits y, 15 bits x) and four of the time in microseconds (iniVation's
+    specification of AEDAT 3.1).
+    """
+    if not content.startswith(b"#!AER-DAT3"):
+        raise BadRecording("is not an AEDAT 3.1 file")
+    end = content.find(b"#!END-HEADER\r\n")
+    if end < 0:
+        raise BadRecording("has a header without an end")
+    at, parts = end + len(b"#!END-HEADER\r\n"), []
+    while at < len(content):
+        if at + 28 > len(content):
+            raise BadRecording("is cut short")
+        kind = int.from_bytes(content[at : at + 2], "little")
+        size, _, overflow, _, number, _ = np.frombuffer(content, "<u4", 6, at + 4).tolist()
+        at += 28
+        if size < 1 or at + size * number > len(content):
+            raise BadRecording("is cut short")
+        if kind == AEDAT3_POLARITY and size == 8:
+            data, time = np.frombuffer(content, "<u4", 2 * number, at).reshape(-1, 2).T
+            valid = (data & 1) == 1
+            parts.append((data[valid], time[valid].astype(np.int64) + (overflow << 31)))
+        at += size * number
+    if not parts:
         raise BadRecording("is empty: no events")
-    x, y, t, p = (arrays[name] for name in ARRAYS)
-    if not np.isfinite(t).all():
-        raise BadRecording("has a time that is NaN or infinite")
-    if t.min() < 0:
-        raise BadRecording("has a negative time")
-    if t.max() > LATEST_S:
-        raise BadRecording(
-            f"times go up to {t.max():g}, not seconds up to {LATEST_S:g}; "
-            "in milliseconds or microseconds?"
+    data, time = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return {"x": data >> 17, "y": data >> 2 & 0x7FFF, "t": time, "p": data >> 1 & 1}
+
+
+def _csv(content):
+    """Columns by the names in the first line, or four columns of numbers."""
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BadRecording("is not text in UTF-8") from error
+    first = text.lstrip().partition("\n")[0]
+    separator = next((mark for mark in ",;\t" if mark in first), None)
+    words = [word.strip().strip('"').lower() for word in first.split(separator)]
+    known = {name for names in NAMES.values() for name in names}
+    has_names = any(word in known for word in words)
+    try:
+        table = np.loadtxt(
+            io.StringIO(text),
+            delimiter=separator,
+            skiprows=int(has_names),
+            ndmin=2,
+            max_rows=MAX_EVENTS + 1,
+            comments=None if has_names else "#",
         )
-    for name, places in (("x", x), ("y", y)):
-        outside = ~(places >= 0) | ~(places < MAX_SIDE) | (places != np.floor(places))
-        if outside.any():
-            raise BadRecording(
-                f"{name} has {places[outside][0]:g}, not whole numbers from 0 to {MAX_SIDE - 1}"
-            )
-    if not np.isin(p, (-1, 1)).all():
-        raise BadRecording(f"p has {p[~np.isin(p, (-1, 1))][0]:g}, not 1 (ON) or -1 (OFF)")
-    time_ns = np.rint(np.asarray(t, float) * 1e9).astype(np.int64)
-    order = np.argsort(time_ns, kind="stable")
-    return EventRecording(
-        *(np.asarray(a, np.int64)[order] for a in (x, y)),
-        time_ns[order],
-        np.asarray(p, np.int8)[order],
+    except ValueError as error:
+        raise BadRecording("has a line that is not numbers, as many as in the others") from error
+    if not len(table):
+        raise BadRecording("is empty: no events")
+    if not has_names:
+        return table
+    if len(words) != table.shape[1]:
+        raise BadRecording(f"has {table.shape[1]} columns below {len(words)} names")
+    return dict(zip(words, table.T, strict=True))
+
+
+def _npz(content):
+    """The four arrays by name, or the one array that there is; and what is said beside them."""
+    arrays = {
+        name.removesuffix(".npy"): _array(_member(content, name), name.removesuffix(".npy"))
+        for name in _members(content)
+    }
+    about = {name: arrays.pop(name) for name in ("simulated", "writer") if name in arrays}
+    (only,) = arrays.values() if len(arrays) == 1 else (arrays,)
+    read = recording_of(only)
+    return replace(
+        read,
+        simulated=bool(np.any(about.get("simulated", False))),
+        writer=_writer(about.get("writer")),
     )
 
 
-def _array(content, name):
-    """A one-dimensional array of numbers, its declared size held against the bytes there are."""
+def _writer(said):
+    """A number from 0, or -1 for anything else."""
+    whole = said is not None and said.size == 1 and said.dtype.kind in "iu"
+    number = int(said.ravel()[0]) if whole else -1
+    return number if 0 <= number < 2**31 else -1
+
+
+def _npy(content):
+    return _array(content, "the array")
+
+
+def _members(content):
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            member = archive.getinfo(f"{name}.npy")
-            if member.file_size > 8 * MAX_EVENTS + 4096:
-                raise BadRecording(f"{name!r} has more than {MAX_EVENTS} entries")
+            names = [name for name in archive.namelist() if name.endswith(".npy")]
+    except zipfile.BadZipFile as error:
+        raise BadRecording("is not a .npz file, or damaged") from error
+    except Exception as error:  # a damaged list of members fails in its own ways
+        raise BadRecording(f"is a damaged .npz file ({type(error).__name__})") from error
+    if not 1 <= len(names) <= MOST_ARRAYS:
+        raise BadRecording(f"has {len(names)} arrays, not x, y, t and p")
+    return names
+
+
+def _member(content, name):
+    """A member's bytes, unless it says that it has more than a recording can have."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            member = archive.getinfo(name)
+            if member.file_size > LARGEST_EVENT * MAX_EVENTS + 4096:
+                raise BadRecording(
+                    f"{name.removesuffix('.npy')!r} has more than {MAX_EVENTS} entries"
+                )
             with archive.open(member) as file:
-                data = io.BytesIO(file.read(member.file_size))
+                return file.read(member.file_size)
+    except BadRecording:
+        raise
+    except zipfile.BadZipFile as error:
+        raise BadRecording("is not a .npz file, or damaged") from error
+    except Exception as error:  # other packings fail in their own ways
+        raise BadRecording(f"is a damaged .npz file ({type(error).__name__})") from error
+
+
+def _array(content, name):
+    """An array of numbers, its declared size held against the bytes there are."""
+    data = io.BytesIO(content)
+    try:
         version = np.lib.format.read_magic(data)
         read_header = {
             (1, 0): np.lib.format.read_array_header_1_0,
             (2, 0): np.lib.format.read_array_header_2_0,
         }[version]
-        shape, _, dtype = read_header(data)
-        if dtype.kind not in "fiu" or dtype.itemsize > 8 or len(shape) != 1:
+        shape, columns_first, dtype = read_header(data)
+        kinds = {dtype[field].kind for field in dtype.names} if dtype.names else {dtype.kind}
+        if not kinds <= set("fiub") or dtype.itemsize > LARGEST_EVENT or len(shape) > 2:
             raise BadRecording(f"{name!r} is not a row of numbers")
         values = np.frombuffer(data.read(), dtype)
-        if len(values) != shape[0]:
+        if len(values) != np.prod(shape, dtype=object):
             raise BadRecording(f"{name!r} is damaged")
-        return values
+        return values.reshape(shape, order="F" if columns_first else "C")
     except BadRecording:
         raise
-    except KeyError as error:
-        if f"{name}.npy" in str(error):
-            raise BadRecording(f"has no array {name!r}; expected x, y, t and p") from error
-        raise BadRecording("is a damaged .npz file") from error
-    except zipfile.BadZipFile as error:
-        raise BadRecording("is not a .npz file, or damaged") from error
-    except (ValueError, TypeError, OSError, EOFError, zlib.error, RuntimeError) as error:
-        raise BadRecording("is a damaged .npz file") from error
-    except (NotImplementedError, SyntaxError, OverflowError, MemoryError) as error:
-        raise BadRecording("is a damaged .npz file") from error
-    except Exception as error:  # other packings fail in their own ways
-        raise BadRecording(f"is a damaged .npz file ({type(error).__name__})") from error
+    except (ValueError, TypeError, KeyError, OSError, EOFError, zlib.error) as error:
+        raise BadRecording(f"{name!r} is damaged") from error
+    except Exception as error:  # a crafted header fails in its own ways
+        raise BadRecording(f"{name!r} is damaged ({type(error).__name__})") from error

@@ -107,6 +107,8 @@ class Source:
         True if, all the same, real hands wrote every one of them.
     left_out : tuple of str
         The files that could not be read and were left out, each with the reason.
+    time_unit : str
+        In which the times of files of events were read, such as ``"us"``; empty of others.
     """
 
     name: str
@@ -114,6 +116,7 @@ class Source:
     simulated: bool
     written: bool = False
     left_out: tuple = ()
+    time_unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -122,14 +125,14 @@ class TaxelMap:
 
     Attributes
     ----------
-    x : ndarray of int, shape (n_taxels,)
-        Row of the tactile image, from the top.  The paper's X is this plus one.
-    y : ndarray of int, shape (n_taxels,)
-        Column of the tactile image, from the left.  The paper's Y is this plus one.
+    row : ndarray of int, shape (n_taxels,)
+        Row of the tactile image, from the top.  X in the paper is this plus one.
+    column : ndarray of int, shape (n_taxels,)
+        Column of the tactile image, from the left.  Y in the paper is this plus one.
     """
 
-    x: np.ndarray = field(default_factory=lambda: np.arange(N_TAXELS) % GRID)
-    y: np.ndarray = field(default_factory=lambda: np.arange(N_TAXELS) // GRID)
+    row: np.ndarray = field(default_factory=lambda: np.arange(N_TAXELS) % GRID)
+    column: np.ndarray = field(default_factory=lambda: np.arange(N_TAXELS) // GRID)
 
     @classmethod
     def grid(cls, rows: int, columns: int) -> TaxelMap:
@@ -138,7 +141,7 @@ class TaxelMap:
         return cls(taxels % rows, taxels // rows)
 
     def __len__(self):
-        return len(self.x)
+        return len(self.row)
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,10 @@ from deploy.errors import UserError
 from deploy.files import open_regular
 from deploy.terminal import printable
 from pipeline.recordings.archive import read_file
-from pipeline.recordings.eventfile import EventRecording
+from pipeline.recordings.eventarrays import EventRecording
 from pipeline.recordings.events import DIGITS, Recordings, Sensor, expand_bursts
 from pipeline.recordings.matfile import BadRecording, read_limited
+from pipeline.recordings.timeunits import UNIT_NAMES, recognised, to_ns
 
 
 def facts_of(recordings: Recordings) -> dict:
@@ -50,8 +51,29 @@ def facts_with_events(recordings: Recordings) -> dict:
     }
 
 
-def recordings_text(facts: dict, sensor: Sensor) -> str:
-    """:func:`facts_with_events` in a few lines."""
+def reading_text(recordings: Recordings) -> str:
+    """What was found in a source, in a line: numbers, sizes, how long recordings last, the unit."""
+    events, offsets, sensor = recordings.events, recordings.offsets, recordings.sensor
+    some = np.diff(offsets) > 0
+    first, last = (
+        events.time_ns[offsets[:-1][some]],
+        events.time_ns[np.maximum(offsets[1:][some] - 1, 0)],
+    )
+    lasts = (last - first) * 1e-9 if some.any() else np.zeros(1)
+    parts = [
+        f"{len(recordings)} recordings",
+        f"{sensor.rows} rows x {sensor.columns} columns",
+        f"{len(sensor.classes)} classes",
+        f"{lasts.min():.2g} to {lasts.max():.2g} s",
+    ]
+    if recordings.source.time_unit:
+        parts.append(f"times read as {UNIT_NAMES[recordings.source.time_unit]}")
+    return ", ".join(parts)
+
+
+def recordings_text(facts: dict, recordings: Recordings) -> str:
+    """:func:`facts_with_events` of recordings in a few lines."""
+    sensor = recordings.sensor
     kind = "simulated recordings" if facts["simulated"] else "recordings"
     if facts["written"]:
         kind = "recordings, written by hand on the simulated skin,"
@@ -59,17 +81,25 @@ def recordings_text(facts: dict, sensor: Sensor) -> str:
         f"{printable(name)} {count}" for name, count in facts["samples_per_class"].items()
     )
     of_what = "digit" if "samples_per_digit" in facts else "class"
-    text = (
-        f"{facts['samples']} {kind} in {printable(facts['source'])}; of each {of_what}: {of_each}\n"
-        f"{facts['events']} physical events in {facts['columns']} columns"
-    )
+    source = printable(facts["source"])
+    text = f"{facts['samples']} {kind} in {source}; of each {of_what}: {of_each}\n"
+    if facts["columns"] == facts["events"]:
+        text += f"{facts['events']} events"
+    else:
+        text += f"{facts['events']} physical events in {facts['columns']} columns"
     if sensor != Sensor():
-        text += f"\n{sensor}, up to {sensor.duration_s:g} s"
+        text += f"\n{reading_text(recordings)}"
     return text
 
 
-def facts_of_file(path: Path) -> dict:
+def facts_of_file(path: Path, time_unit: str = "") -> dict:
     """Counts and times of one recording: columns as in the file, the others physical events.
+
+    Parameters
+    ----------
+    path : Path
+    time_unit : str
+        Of a file of events; empty to be told from the times.
 
     Raises
     ------
@@ -83,11 +113,17 @@ def facts_of_file(path: Path) -> dict:
         raise UserError(f"{path}: cannot read ({error.strerror}); check the path") from error
     except BadRecording as error:
         raise UserError(
-            f"{path}: {error}; expected a recording as ST-MNIST has them, or a .npz of x, y, t, p"
+            f"{path}: {error}; expected a recording as ST-MNIST has them, or a file of events "
+            "x, y, t, p"
         ) from error
-    events = recording.events
+    events, found = recording.events, {}
     if isinstance(recording, EventRecording):
-        events = events(int(recording.x.max()) + 1)
+        unit = time_unit or recording.unit or recognised([recording.time])
+        if not unit:
+            raise UserError(f"{path}: its times are in no unit that fits; give --time-unit")
+        events = events(int(recording.y.max()) + 1, to_ns(recording.time, unit))
+        rows, columns = recording.size or (recording.y.max() + 1, recording.x.max() + 1)
+        found = {"sensor": {"rows": int(rows), "columns": int(columns)}, "time_unit": unit}
     times, _, _ = expand_bursts(events)
     facts = {
         "simulated": recording.simulated,
@@ -98,6 +134,7 @@ def facts_of_file(path: Path) -> dict:
         "t_first_s": float(times[0] * 1e-9),
         "t_last_s": float(times[-1] * 1e-9),
         "taxels": len(np.unique(events.taxel)),
+        **found,
     }
     if getattr(recording, "written", None) is None:
         return facts
@@ -115,6 +152,14 @@ def file_text(name: str, facts: dict) -> str:
     kind = " (simulated)" if facts["simulated"] else ""
     if facts.get("source") == "written":
         kind = f" (written by hand on the simulated skin, {printable(facts['time'])})"
+    if "time_unit" in facts:
+        sensor = facts["sensor"]
+        return (
+            f"{printable(name)}{kind}: {facts['events']} events ({facts['on']} ON, "
+            f"{facts['off']} OFF), {sensor['rows']} rows x {sensor['columns']} columns, "
+            f"{facts['t_first_s']:.4f} s to {facts['t_last_s']:.4f} s, times read as "
+            f"{UNIT_NAMES[facts['time_unit']]}"
+        )
     return (
         f"{printable(name)}{kind}: {facts['columns']} columns, {facts['events']} physical events "
         f"({facts['on']} ON, {facts['off']} OFF) of {facts['taxels']} taxels, "

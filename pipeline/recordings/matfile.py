@@ -348,7 +348,9 @@ def read_lookup_table(content: bytes) -> TaxelMap:
 def lookup_table_bytes(taxels: TaxelMap) -> bytes:
     """A lookup table as a MATLAB 5 file; inverse of :func:`read_lookup_table`."""
     address = np.arange(1, len(taxels) + 1)
-    return _mat_bytes({"LUT": np.stack([address, taxels.x + 1, taxels.y + 1], 1).astype(float)})
+    return _mat_bytes(
+        {"LUT": np.stack([address, taxels.row + 1, taxels.column + 1], 1).astype(float)}
+    )
 
 
 def _mat_bytes(variables):

@@ -10,13 +10,23 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from deploy.errors import UserError
-from pipeline.recordings.eventfile import EventRecording
+from pipeline.recordings.eventarrays import EventRecording
 from pipeline.recordings.events import DIGITS, GRID, N_TAXELS, Sensor, TaxelMap
+from pipeline.recordings.matfile import LATEST_S, MAX_SIDE
+from pipeline.recordings.timeunits import (
+    MIXED,
+    UNIT_NAMES,
+    UNITS,
+    recognised,
+    span_of,
+    strangers,
+    to_ns,
+)
 
 
 @dataclass(frozen=True)
@@ -33,6 +43,10 @@ class Settled:
     sensor : Sensor
     labels : list of int
         Of ``kept``.
+    problems : list of str
+        What is wrong with all of them together.
+    time_unit : str
+        In which the times of files of events were read.
     """
 
     kept: list
@@ -40,6 +54,8 @@ class Settled:
     taxels: TaxelMap
     sensor: Sensor
     labels: list
+    problems: list
+    time_unit: str
 
 
 def class_order(name: str):
@@ -53,7 +69,30 @@ def class_order(name: str):
     ], name
 
 
-def settle(path, read, lookup: TaxelMap | None = None, rows: int = 0, columns: int = 0) -> Settled:
+@dataclass(frozen=True)
+class Reading:
+    """What the user says of the files, where it is not to be found out.
+
+    Attributes
+    ----------
+    rows, columns : int
+        Of the sensor, after :attr:`downsample`; 0 for as found.
+    time_unit : str
+        Of files of events, one of :data:`pipeline.recordings.timeunits.UNITS`; empty for as found.
+    downsample : int
+        Side of the square of pixels of a file of events that becomes one taxel.
+    """
+
+    rows: int = 0
+    columns: int = 0
+    time_unit: str = ""
+    downsample: int = 1
+
+
+AS_FOUND = Reading()
+
+
+def settle(path, read, lookup: TaxelMap | None = None, reading: Reading = AS_FOUND) -> Settled:
     """Find out the sensor of recordings that were read one by one.
 
     Parameters
@@ -64,63 +103,183 @@ def settle(path, read, lookup: TaxelMap | None = None, rows: int = 0, columns: i
         Name of the file, class and content of each; all of the same kind.
     lookup : TaxelMap, optional
         Positions of the taxels.
-    rows, columns : int
-        As given by the user; 0 for as found.
+    reading : Reading
 
     Raises
     ------
     UserError
         Rows and columns cannot be known, or are fewer than the look-up table has.
     """
+    rows, columns = reading.rows, reading.columns
     if lookup is not None:
-        for what, given, found in (("rows", rows, lookup.x), ("columns", columns, lookup.y)):
+        for what, given, found in (("rows", rows, lookup.row), ("columns", columns, lookup.column)):
             if given and given <= found.max():
                 raise UserError(
                     f"{path}: LUT.mat has coordinates outside the {given} {what} asked for; "
                     f"give at least {found.max() + 1}, or 0 for as many as there are"
                 )
-        rows, columns = rows or int(lookup.x.max()) + 1, columns or int(lookup.y.max()) + 1
-    of_events = any(isinstance(recording, EventRecording) for _, _, recording in read)
-    settled = _from_coordinates if of_events else _from_addresses
-    taxels, kept, refused = settled(path, read, lookup, rows, columns)
-    rows, columns = rows or int(taxels.x.max()) + 1, columns or int(taxels.y.max()) + 1
+        rows, columns = rows or int(lookup.row.max()) + 1, columns or int(lookup.column.max()) + 1
+    if any(isinstance(recording, EventRecording) for _, _, recording in read):
+        return _of_camera(path, read, reading)
+    taxels, kept, refused = _from_addresses(path, read, lookup, rows, columns)
+    rows, columns = rows or int(taxels.row.max()) + 1, columns or int(taxels.column.max()) + 1
     names = {name for _, name, _ in kept}
     is_full = len(taxels) == N_TAXELS and rows == columns == GRID
-    is_published = not of_events and is_full and names <= set(DIGITS)
-    if is_published:
-        sensor = Sensor(rows, columns)
-    else:
-        everything = [events for _, _, events in kept]
-        sensor = Sensor(
-            rows,
-            columns,
-            polarities=1 if all((e.polarity > 0).all() for e in everything) else 2,
-            duration_s=_duration_s(max((int(e.time_ns[-1]) for e in everything), default=0)),
-            classes=tuple(sorted(names, key=class_order)),
-        )
+    if is_full and names <= set(DIGITS):
+        return _settled(kept, refused, taxels, Sensor(rows, columns))
+    return _settled(kept, refused, taxels, _sensor_of(kept, rows, columns))
+
+
+def _settled(kept, refused, taxels, sensor, problems=(), time_unit=""):
     return Settled(
         kept=[(name, events) for name, _, events in kept],
         refused=refused,
         taxels=taxels,
         sensor=sensor,
         labels=[sensor.classes.index(name) for _, name, _ in kept],
+        problems=list(problems),
+        time_unit=time_unit,
     )
 
 
-def _from_coordinates(path, read, lookup, rows, columns):
-    """Of files with the row and column of each event."""
-    kept, refused = [], []
-    for file, name, recording in read:
-        for what, places, given in (("x", recording.x, rows), ("y", recording.y, columns)):
+def _sensor_of(kept, rows, columns):
+    """The sensor with the polarities, the duration and the classes that are there."""
+    everything = [events for _, _, events in kept]
+    return Sensor(
+        rows,
+        columns,
+        polarities=1 if all((e.polarity > 0).all() for e in everything) else 2,
+        duration_s=_duration_s(max((int(e.time_ns[-1]) for e in everything), default=0)),
+        classes=tuple(sorted({name for _, name, _ in kept}, key=class_order)),
+    )
+
+
+def _of_camera(path, read, reading):
+    """Of files with the column and row of each event."""
+    side = reading.downsample
+    if side > 1:
+        read = [(f, n, replace(r, x=r.x // side, y=r.y // side)) for f, n, r in read]
+    refused, problems = [], []
+    unit = reading.time_unit or next((r.unit for _, _, r in read if r.unit), "")
+    if not unit:
+        unit = recognised([r.time for _, _, r in read])
+    if not unit:
+        problems.append(
+            f"{len(read)} of {len(read)}: their times are in no unit that fits recordings of up to "
+            f"{LATEST_S:g} s; say which it is ({GIVE_UNIT})"
+        )
+        unit = "s"
+    reasons = {read[i][0]: MIXED_UNITS for i in strangers([r.time for _, _, r in read])}
+    reasons |= _elsewhere(read, reading)
+    for file, _, recording in read:
+        if span_of(recording.time) * UNITS[unit] > LATEST_S and not problems:
+            longest = span_of(recording.time) * UNITS[unit]
+            reasons.setdefault(
+                file,
+                f"lasts {longest:.4g} s with its times as {UNIT_NAMES[unit]}, more than "
+                f"{LATEST_S:g} s; is it another unit ({GIVE_UNIT})?",
+            )
+    refused = list(reasons.items())
+    kept = [entry for entry in read if entry[0] not in reasons]
+    if _counts_from_1(kept) and not (reading.rows and reading.columns):
+        problems.append(
+            f"{len(kept)} of {len(kept)}: no event has x = 0 or y = 0; are they counted from 1? "
+            "Subtract 1, or say that this is the sensor's size: --set skin.rows=... "
+            "--set skin.columns=..."
+        )
+    sizes = [r.size for _, _, r in kept if r.size]
+    declared = (
+        [max(-(-size[axis] // side) for size in sizes) for axis in (0, 1)] if sizes else [1, 1]
+    )
+    rows = reading.rows or max([declared[0], *(int(r.y.max()) + 1 for _, _, r in kept)])
+    columns = reading.columns or max([declared[1], *(int(r.x.max()) + 1 for _, _, r in kept)])
+    if max(rows, columns) > MAX_SIDE:
+        needed = -(-max(rows, columns) // MAX_SIDE) * side
+        problems.append(
+            f"{len(kept)} of {len(kept)}: the sensor has {rows} rows and {columns} columns, more "
+            f"than {MAX_SIDE}; put squares of pixels together: --set data.downsample={needed}, of "
+            f"'stmnist data' --downsample {needed}"
+        )
+        rows, columns = min(rows, MAX_SIDE), min(columns, MAX_SIDE)
+    events = [(f, n, r.events(rows, to_ns(r.time, unit))) for f, n, r in kept]
+    taxels, sensor = TaxelMap.grid(rows, columns), _sensor_of(events, rows, columns)
+    return _settled(events, refused, taxels, sensor, problems, unit)
+
+
+GIVE_UNIT = "--time-unit of 'stmnist data', else --set data.time_unit=..."
+
+MIXED_UNITS = (
+    f"has times {MIXED} times as long or as short as most have; are they in another unit? "
+    "Write all of them in one"
+)
+
+
+def _elsewhere(read, reading):
+    """Files whose events cannot be of the same sensor as the others', each with the reason."""
+    reasons = {}
+    for file, _, recording in read:
+        for what, places, given in (
+            ("y", recording.y, reading.rows),
+            ("x", recording.x, reading.columns),
+        ):
             if given and places.max() >= given:
-                of_what = "rows" if what == "x" else "columns"
-                refused.append((file, f"has {what} = {places.max()}, outside {given} {of_what}"))
+                of_what = "rows" if what == "y" else "columns"
+                reasons[file] = f"has {what} = {places.max()}, outside {given} {of_what}"
                 break
-        else:
-            kept.append((file, name, recording))
-    rows = rows or max((int(r.x.max()) + 1 for _, _, r in kept), default=1)
-    columns = columns or max((int(r.y.max()) + 1 for _, _, r in kept), default=1)
-    return TaxelMap.grid(rows, columns), [(f, n, r.events(rows)) for f, n, r in kept], refused
+    sizes = Counter(r.size for _, _, r in read if r.size)
+    if len(sizes) > 1:
+        most = sizes.most_common(1)[0][0]
+        for file, _, recording in read:
+            if recording.size and recording.size != most:
+                found, usual = ("x".join(map(str, size)) for size in (recording.size, most))
+                reasons.setdefault(file, f"is of a sensor of {found}, not {usual} as most are")
+    elif not (reading.rows and reading.columns):
+        for index in _larger([(int(r.y.max()) + 1, int(r.x.max()) + 1) for _, _, r in read]):
+            reasons.setdefault(
+                read[index][0],
+                "has events far outside the rows and columns of the others: of another sensor? "
+                "Take it away, or say how large the sensor is (--rows, --columns of 'stmnist "
+                "data', else --set skin.rows=... --set skin.columns=...)",
+            )
+    return reasons
+
+
+def _larger(extents):
+    """Indices of recordings, fewer than half, that reach far past all others in both directions.
+
+    Where a sensor's recordings are sorted by how far they reach, no gap is wide.
+    """
+    if len(extents) < 4:
+        return []
+    extents = np.array(extents)
+    for axis in (0, 1):
+        order = np.sort(extents[:, axis])
+        gaps = order[1:] / order[:-1]
+        at = int(np.argmax(gaps))
+        few = len(order) - 1 - at
+        if gaps[at] < SIZE_GAP or order[at] < SMALLEST_SENSOR or 2 * few >= len(order):
+            continue
+        large = extents[:, axis] > order[at]
+        others = extents[~large].max(axis=0)
+        if (extents[large] >= SIZE_GAP * others).all():
+            return np.flatnonzero(large).tolist()
+    return []
+
+
+SIZE_GAP = 1.8
+"""Factor by which recordings of a larger sensor reach further than those of a smaller one."""
+
+SMALLEST_SENSOR = 6
+"""Rows or columns below which how far recordings reach tells nothing of a sensor."""
+
+
+def _counts_from_1(read):
+    """Whether no recording of some has an event in the first row or column."""
+    return (
+        len(read) > 1
+        and all(r.x.min() > 0 and r.y.min() > 0 for _, _, r in read)
+        and (min(r.x.min() for _, _, r in read) == 1 and min(r.y.min() for _, _, r in read) == 1)
+    )
 
 
 def _from_addresses(path, read, lookup, rows, columns):
@@ -153,12 +312,22 @@ def _duration_s(latest_ns):
 
 
 def too_small(recordings) -> str | None:
+    """What is wrong with the numbers of recordings in the classes; see :func:`too_few`."""
+    return too_few(recordings.labels, recordings.sensor.classes)
+
+
+def too_few(labels, classes) -> str | None:
     """What is wrong with the numbers of recordings in the classes, if anything.
 
     A class that has one recording can be trained or tested, not both.
+
+    Parameters
+    ----------
+    labels : sequence of int
+    classes : sequence of str
     """
-    counts = np.bincount(recordings.labels, minlength=len(recordings.sensor.classes))
-    single = [recordings.sensor.classes[i] for i in np.flatnonzero(counts == 1)]
+    counts = np.bincount(labels, minlength=len(classes))
+    single = [classes[i] for i in np.flatnonzero(counts == 1)]
     if single:
         listed = ", ".join(map(repr, single[:5])) + (", ..." if len(single) > 5 else "")
         return f"only one recording of {listed}; record more, or take the folder away"

@@ -43,8 +43,8 @@ class EventTable:
         first = events.time_ns[nearest] if len(events.time_ns) else np.zeros(len(recordings))
         return cls(
             time_ms=((events.time_ns - first[recordings.sample_of_event]) / 1e6).astype("f4"),
-            row=recordings.taxels.x[events.taxel].astype(np.uint8),
-            column=recordings.taxels.y[events.taxel].astype(np.uint8),
+            row=recordings.taxels.row[events.taxel].astype(np.uint8),
+            column=recordings.taxels.column[events.taxel].astype(np.uint8),
             polarity=(events.polarity < 0).astype(np.uint8),
             offsets=offsets,
             size=(recordings.sensor.rows, recordings.sensor.columns),

@@ -38,15 +38,15 @@ def problem_with(arrays: dict) -> str | None:
         return "classes that are not told apart"
     rows, columns, _ = size.tolist()
     n = len(ids)
-    places = arrays["x"].shape
-    if len(places) != 1 or places != arrays["y"].shape or not 1 <= places[0] <= MAX_TAXELS:
+    places = arrays["row"].shape
+    if len(places) != 1 or places != arrays["column"].shape or not 1 <= places[0] <= MAX_TAXELS:
         return "taxels without places"
     for name, least, most, shape in (
         ("labels", 0, len(classes) - 1, (n,)),
         ("writers", -1, None, (n,)),
         ("offsets", 0, None, (n + 1,)),
-        ("x", 0, rows - 1, places),
-        ("y", 0, columns - 1, places),
+        ("row", 0, rows - 1, places),
+        ("column", 0, columns - 1, places),
         ("taxel", 0, places[0] - 1, arrays["time_ns"].shape),
         ("polarity", -1, 1, arrays["time_ns"].shape),
         ("columns", 1, None, arrays["time_ns"].shape),

@@ -7,10 +7,11 @@ import math
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.tables import aligned
+from deploy.tables import in_blocks
 from deploy.terminal import printable
 from pipeline.paper import SAMPLES_PER_DIGIT, TABLE1
 from pipeline.recordings.events import DIGITS
+from pipeline.recordings.words import is_written, shortened_apart
 
 MEASURES = ("on", "off", "x_mean", "y_mean", "x_range", "y_range")
 """Rows of the table, in the paper's order."""
@@ -39,7 +40,7 @@ def per_sample(recordings) -> dict:
         "off_physical": np.bincount(sample, ~is_on, n),
     }
     empty = total == 0
-    for axis, where in (("x", recordings.taxels.x), ("y", recordings.taxels.y)):
+    for axis, where in (("x", recordings.taxels.row), ("y", recordings.taxels.column)):
         place = where[events.taxel] + 1.0
         low, high = np.full(n, np.inf), np.full(n, -np.inf)
         np.minimum.at(low, sample, place)
@@ -88,6 +89,17 @@ LABELS = {
 }
 
 
+OWN_LABELS = {
+    name: label.replace("X", "row").replace("Y", "column").replace("physical ", "")
+    for name, label in LABELS.items()
+    if name not in ("on", "off")
+}
+"""Of recordings other than the digits, whose places are not the paper's X and Y."""
+
+LONGEST_HEAD = 20
+"""Characters of a class's name above its column."""
+
+
 def _check(recordings, against_paper):
     if against_paper and recordings.sensor.classes != DIGITS:
         raise UserError("--against-paper: the paper's figures are of the digits; leave it out")
@@ -133,8 +145,9 @@ def table1_text(recordings, against_paper: bool = False) -> str:
     name = printable(recordings.source.name)
     if recordings.source.simulated and "simulated" not in name:
         name += " (simulated)"
-    rows = [["", *(recordings.sensor.classes[digit] for digit in ours)]]
-    for measure, label in LABELS.items():
+    classes = recordings.sensor.classes
+    rows = [["", *shortened_apart([classes[digit] for digit in ours], LONGEST_HEAD)]]
+    for measure, label in (LABELS if is_written(classes) else OWN_LABELS).items():
         decimals = 2 if measure[0] in "xy" else 0
         rows.append([label, *(_cell(row[measure], decimals) for row in ours.values())])
         if against_paper and measure in MEASURES:
@@ -144,7 +157,7 @@ def table1_text(recordings, against_paper: bool = False) -> str:
     rows.append(["samples", *(str(row["samples"]) for row in ours.values())])
     if against_paper:
         rows.append(["  paper", *(str(TABLE1[digit]["samples"]) for digit in ours)])
-    lines = [f"{name}, {len(recordings)} samples: mean (SD)", *aligned(rows)]
+    lines = [f"{name}, {len(recordings)} samples: mean (SD)", *in_blocks(rows)]
     if against_paper and not is_st_mnist(recordings):
         what = "simulated" if recordings.source.simulated else "others"
         lines.append(f"The paper's figures are those of ST-MNIST; these recordings are {what}.")

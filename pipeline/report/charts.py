@@ -12,8 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup, escape
 
-from pipeline.report.matrix import confusion_shares, names_beside
-
 WIDTH, HEIGHT = 360, 250
 LEFT, RIGHT, TOP, BOTTOM = 48, 14, 26, 40
 
@@ -36,7 +34,9 @@ class Series:
     intervals: tuple = ()
 
 
-def line_chart(series, x_label: str, y_label: str, y_range=None, description="") -> Markup:
+def line_chart(
+    series, x_label: str, y_label: str, y_range=None, description="", mark=None
+) -> Markup:
     """Lines over a common x axis; names belong into a legend beside it, see :func:`legend`.
 
     Parameters
@@ -46,6 +46,8 @@ def line_chart(series, x_label: str, y_label: str, y_range=None, description="")
     y_range : tuple of float, optional
     description : str
         Read out in place of the picture.
+    mark : float, optional
+        Where on the x axis an upright line stands.
     """
     x = np.concatenate([np.asarray(s.x, float) for s in series])
     y = np.concatenate([np.ravel([*s.y, *np.ravel(s.intervals)]) for s in series])
@@ -53,6 +55,9 @@ def line_chart(series, x_label: str, y_label: str, y_range=None, description="")
     low, high = y_range or (y.min(), y.max())
     y_axis = _Axis(low, high, HEIGHT - BOTTOM, TOP)
     marks = [_axes(x_axis, y_axis, x_label, y_label)]
+    if mark is not None:
+        at = x_axis(min(max(mark, x_axis.low), x_axis.high))
+        marks.append(_segment("reference", at, y_axis.start, at, y_axis.end))
     for number, s in enumerate(series, 1):
         points = _points(x_axis, y_axis, s.x, s.y)
         if s.intervals and len(s.x) > 1:
@@ -147,55 +152,6 @@ def raster(groups, extent: float, x_label: str, y_label: str, description="", ro
         )
         marks.append(f'<path class="event {name}" d="{path}"/>')
     return _svg(WIDTH, height, marks, description)
-
-
-def confusion(matrix, description="", names=None) -> Markup:
-    """A confusion matrix: row the class that was shown, column the answer, in counts.
-
-    Parameters
-    ----------
-    matrix : array_like of int, shape (classes, classes)
-    description : str
-    names : sequence of str, optional
-        Of the classes; default: numbers from 0.
-    """
-    matrix = np.asarray(matrix)
-    size, cell = len(matrix), 30
-    share = confusion_shares(matrix)
-    names = names_beside(names, size)
-    longest = max(map(len, names), default=1)
-    edge = 46 if longest <= 2 else 30 + 7 * longest  # some 7 units a letter
-    side = edge + size * cell
-    marks = []
-    for position, name in enumerate(names):
-        at = edge + (position + 0.5) * cell
-        if longest <= 2:
-            marks += [_text(at, 36, name, "middle"), _text(34, at + 4, name, "middle")]
-        else:
-            marks.append(
-                f'<text class="label" transform="translate({at + 4:.1f} {edge - 6}) rotate(-90)">'
-                f"{escape(name)}</text>"
-            )
-            marks.append(_text(edge - 6, at + 4, name, "end"))
-    marks.append(_text(edge + size * cell / 2, 14, "answer", "middle"))
-    marks.append(
-        '<text class="label" text-anchor="middle" '
-        f'transform="translate(14 {edge + size * cell / 2}) rotate(-90)">shown</text>'
-    )
-    for (row, column), count in np.ndenumerate(matrix):
-        x, y = edge + column * cell, edge + row * cell
-        # Counts stay readable on either; errors are few: a root makes one in a hundred visible.
-        kind, opacity = "on", 0.55 * share[row, column]
-        if row != column:
-            kind, opacity = "off", 0.75 * share[row, column] ** 0.5
-        marks.append(
-            f'<rect class="cell" x="{x}" y="{y}" width="{cell}" height="{cell}"/>'
-            f'<rect class="{kind}" x="{x}" y="{y}" width="{cell}" height="{cell}" '
-            f'fill-opacity="{opacity:.2f}"/>'
-        )
-        if count:
-            marks.append(_text(x + cell / 2, y + cell / 2 + 4, count, "middle", "count"))
-    return _svg(side, side, marks, description, "square")
 
 
 def legend(names) -> Markup:

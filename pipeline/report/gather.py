@@ -14,8 +14,10 @@ from deploy.preflight.plan import make_plan
 from pipeline.experiments.table2_splits import split_path
 from pipeline.inputs.library import recordings_of
 from pipeline.progress import progress
-from pipeline.report.page import Inputs, choose_samples, trained_title
+from pipeline.report.over_time import probabilities
+from pipeline.report.page import Inputs, browsed_samples, choose_samples, trained_title
 from pipeline.report.replay import replay
+from pipeline.run.elsewhere import FOLDER as OTHERS
 from pipeline.run.folder import RunFolder
 from pipeline.run.history import read_history
 from pipeline.run.ladder import ladder_stages
@@ -76,7 +78,9 @@ def gather(
         for index in chosen:
             replays[index] = replay(bundle, index, settings.seed)
             advance()
+    browsed = browsed_samples(results[-1]) if results[-1]["spikes"] else []
     return Inputs(
+        name=str(folder.path),
         settings=settings,
         recordings=recordings,
         bundle=bundle,
@@ -92,9 +96,18 @@ def gather(
         answers=answers,
         plan=make_plan(bundle.spec).to_json(),
         replays=replays,
+        over_time=probabilities(bundle, browsed, settings.seed) if browsed else {},
+        others=_others(folder, bundle),
         beside=beside and _beside(beside, bundle, settings),
         outdated=outdated(status_of(folder, settings)),
     )
+
+
+def _others(folder, bundle):
+    """Results of this bundle on other recordings; see :mod:`pipeline.run.elsewhere`."""
+    files = sorted((folder.path / "checks" / OTHERS).glob("*.json"))
+    results = [read_result(path, REMEDY) for path in files]
+    return [r for r in results if r["bundle"] == bundle.id and "per_class" in r and "data" in r]
 
 
 def _beside(folder, bundle, settings):

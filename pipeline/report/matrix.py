@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-LONGEST_NAME = 16
+from pipeline.recordings.words import shortened_apart
+
+LONGEST_NAME = 24
 """Characters of a class's name that a drawing of a confusion matrix has room for."""
 
 
@@ -27,5 +29,4 @@ def names_beside(names, classes: int) -> list:
     -------
     list of str
     """
-    names = names or map(str, range(classes))
-    return [name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…" for name in names]
+    return shortened_apart(list(names or map(str, range(classes))), LONGEST_NAME)

@@ -21,7 +21,11 @@ from pipeline.inputs.images import growing, normalise
 from pipeline.paper import TABLE1
 from pipeline.recordings import table1
 from pipeline.recordings.events import Recordings
+from pipeline.recordings.steps import EventTable
+from pipeline.recordings.words import is_written, recording_word
 from pipeline.report import charts
+from pipeline.report.matrix import confusion_shares
+from pipeline.report.over_time import final_probabilities
 from pipeline.run.answers import NETWORKS
 from pipeline.run.ladder import confusion_matrix, ladder_json, points_text
 from pipeline.settings import Settings
@@ -40,6 +44,8 @@ class Inputs:
 
     Attributes
     ----------
+    name : str
+        The run's folder.
     settings : Settings
     recordings : Recordings
     bundle : Bundle
@@ -60,11 +66,17 @@ class Inputs:
     replays : dict of int to Replay
         Spikes of the samples that are shown, by their index in the check.
     beside : dict or None
-        Check result of another run on the same recordings, which answers at the end of the writing.
+        Check result of another run on the same recordings, which answers at the end of a recording.
     outdated : dict of str to str
         Artifacts that the settings would make otherwise now, with the reasons.
+    over_time : dict of int to ndarray
+        Probabilities of the classes at each step of the samples of the browser; see
+        :mod:`pipeline.report.over_time`.
+    others : list of dict
+        Check results of the bundle on other recordings.
     """
 
+    name: str
     settings: Settings
     recordings: Recordings
     bundle: Bundle
@@ -78,6 +90,8 @@ class Inputs:
     replays: dict
     beside: dict | None = None
     outdated: dict = field(default_factory=dict)
+    over_time: dict = field(default_factory=dict)
+    others: list = field(default_factory=list)
 
 
 def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
@@ -109,9 +123,18 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         made=now.strftime("%Y-%m-%d %H:%M UTC"),
         package=__version__,
         settings=inputs.settings.flat(),
+        relevant=inputs.settings.relevant(),
         defaults=ZERO_MEANS,
         titles={name: model.title for name, model in MODELS.items()},
         other_settings=_other_settings(inputs),
+        name=inputs.name,
+        classes=inputs.recordings.sensor.classes,
+        of_digits=is_written(inputs.recordings.sensor.classes),
+        what=recording_word(inputs.recordings.sensor.classes),
+        summary=class_summary(inputs.recordings),
+        network=_network(inputs),
+        browser=_browser(inputs),
+        others=inputs.others,
         source=inputs.recordings.source,
         n_recordings=len(inputs.recordings),
         n_taxels=len(inputs.recordings.taxels),
@@ -150,6 +173,123 @@ def choose_samples(result: dict, stream_length: int) -> list:
         if candidates:
             chosen.append(min(candidates, key=lambda index: (index % stream_length, index)))
     return chosen
+
+
+BROWSED_WRONG, BROWSED_RIGHT = 16, 8
+"""Samples of the browser, at most."""
+
+
+def browsed_samples(result: dict) -> list:
+    """Indices of samples to look at one by one: the wrong answers first, then some right ones."""
+    right = [sample["label"] == sample["prediction"] for sample in result["samples"]]
+    wrong = [index for index, is_right in enumerate(right) if not is_right]
+    others = [index for index, is_right in enumerate(right) if is_right]
+    return wrong[:BROWSED_WRONG] + others[:BROWSED_RIGHT]
+
+
+def class_summary(recordings: Recordings) -> list:
+    """Of each class: its name, recordings, and means of events and of seconds a recording."""
+    events, n = recordings.events, len(recordings)
+    on = np.bincount(recordings.sample_of_event, events.polarity > 0, n)
+    off = np.bincount(recordings.sample_of_event, events.polarity <= 0, n)
+    lasts = EventTable.of(recordings).duration_ms / 1000 if len(events) else np.zeros(n)
+    return [
+        {
+            "name": name,
+            "n": int(mine.sum()),
+            "on": float(on[mine].mean()) if mine.any() else 0.0,
+            "off": float(off[mine].mean()) if mine.any() else 0.0,
+            "seconds": float(lasts[mine].mean()) if mine.any() else 0.0,
+        }
+        for label, name in enumerate(recordings.sensor.classes)
+        for mine in [recordings.labels == label]
+    ]
+
+
+def _network(inputs):
+    """The layers in the order in which a signal passes them: shape, neurons, cores."""
+    spec, plan = inputs.bundle.spec, inputs.plan
+    cores = [core["layer"] for core in plan["cores"]] if plan else []
+    shape = "x".join(map(str, spec.input_shape))
+    boxes = [{"name": "input", "shape": shape, "neurons": int(np.prod(spec.input_shape)),
+              "where": "host"}]  # fmt: skip
+    for layer in spec.layers:
+        n = cores.count(layer.name)
+        where = f"{n} core{'' if n == 1 else 's'}" if n else "host"
+        size = "x".join(map(str, np.atleast_1d(layer.shape)))
+        kind = f"{layer.kernel}x{layer.kernel} convolution" if layer.kind == "conv" else "dense"
+        boxes.append(
+            {"name": f"{layer.name}, {kind}", "shape": size, "where": where,
+             "neurons": layer.size if layer.neurons is not None else None}
+        )  # fmt: skip
+    return boxes
+
+
+def _browser(inputs):
+    """Samples one by one: image, events over time, probabilities over time, the decision."""
+    if not inputs.over_time:
+        return []
+    result, spec = inputs.results[-1], inputs.bundle.spec
+    classes, recordings = inputs.recordings.sensor.classes, inputs.recordings
+    position = {name: index for index, name in enumerate(recordings.ids)}
+    step_ms, start = 1000 * spec.stimulus.step_seconds, spec.presentation.readout_start
+    shown = []
+    for index, chances in inputs.over_time.items():
+        sample = result["samples"][index]
+        recording = position[sample["id"]]
+        decided = sample.get("stopped_at", sample["decided_at"])
+        top = list(np.argsort(-chances[-1], kind="stable")[:SHOWN_CLASSES])
+        if sample["label"] not in top:
+            top[-1] = sample["label"]
+        every = max(1, len(chances) // 100)
+        at = np.arange(start + 1, start + len(chances) + 1)[::every]
+        series = [
+            charts.Series(
+                classes[label], tuple(at * step_ms), tuple(chances[::every, label].round(4))
+            )
+            for label in top
+        ]
+        shown.append(
+            {
+                "id": sample["id"],
+                "right": sample["label"] == sample["prediction"],
+                "shown": classes[sample["label"]],
+                "answered": classes[sample["prediction"]],
+                "probability": float(chances[-1, sample["prediction"]]),
+                "decided_ms": decided * step_ms,
+                "image": _frames(inputs, recording, 1)[0]["chart"],
+                "events": _events_chart(recordings, recording),
+                "chances": charts.line_chart(
+                    series,
+                    "milliseconds since the sample was shown",
+                    "probability",
+                    (0.0, 1.0),
+                    f"Probability of the classes over time, sample {sample['id']}",
+                    mark=decided * step_ms,
+                ),
+                "legend": charts.legend([s.name for s in series]),
+            }
+        )
+    return shown
+
+
+SHOWN_CLASSES = 4
+"""Classes whose probability is drawn: the likeliest at the end, and the right one."""
+
+
+def _events_chart(recordings, recording):
+    events = recordings[recording]
+    return charts.raster(
+        [
+            (name, events.time_ns[mask] / 1e9, events.taxel[mask])
+            for name, mask in (("on", events.polarity > 0), ("off", events.polarity < 0))
+        ],
+        max(float(events.time_ns.max(initial=0)) / 1e9, 0.1),
+        "seconds",
+        "taxel",
+        f"Events of the {len(recordings.taxels)} taxels, ON and OFF",
+        len(recordings.taxels),
+    )
 
 
 def _named(stage):
@@ -286,7 +426,7 @@ def _while_written(inputs):
     while_written = result.get("while_written")
     if not while_written:
         return None
-    n = result["n_samples"]
+    n, what = result["n_samples"], recording_word(inputs.recordings.sensor.classes)
     series = [
         charts.Series(
             _title(result["target"]),
@@ -307,42 +447,45 @@ def _while_written(inputs):
     return {
         "chart": charts.line_chart(
             series,
-            "share of the writing, %",
+            f"share of the {what}, %",
             "accuracy",
-            description="Accuracy after each share of the writing, with 95 % intervals",
+            description=f"Accuracy after each share of the {what}, with 95 % intervals",
         ),
         "legend": charts.legend([s.name for s in series]),
         "target": _title(result["target"]),
-        "by_itself": while_written.get("by_itself"),
+        "by_itself": _early(while_written.get("by_itself")),
+        "waits": while_written.get("by_itself", {}).get("confidence") == 1,
         "end": result["accuracy"],
         "beside": inputs.beside,
     }
 
 
+def _early(by_itself):
+    """What deciding by itself brings, unless the network waits for the end of each recording."""
+    return by_itself if by_itself and by_itself["confidence"] < 1 else None
+
+
 def _learning_curves(histories):
+    """Of each network accuracy and loss, on training and on held-out samples, on one axis each."""
+    parts = {"": "training", "val_": "validation", "test_": "test, only watched"}
     curves = []
     for name, rows in histories.items():
-        columns = {
-            "accuracy": "training",
-            "val_accuracy": "validation",
-            "test_accuracy": "test, only watched",
-        }
-        series = [
-            charts.Series(
-                title, tuple(row["epoch"] for row in rows), tuple(row[column] for row in rows)
-            )
-            for column, title in columns.items()
-            if column in rows[0]
-        ]
-        curves.append(
-            {
-                "title": name,
-                "chart": charts.line_chart(
-                    series, "epoch", "accuracy", description=f"Learning curve of {name}"
-                ),
-                "legend": charts.legend([s.name for s in series]),
-            }
-        )
+        for measure in ("accuracy", "loss"):
+            series = [
+                charts.Series(
+                    title,
+                    tuple(row["epoch"] for row in rows),
+                    tuple(row[part + measure] for row in rows),
+                )
+                for part, title in parts.items()
+                if part + measure in rows[0]
+            ]
+            if series:
+                chart = charts.line_chart(
+                    series, "epoch", measure, description=f"Learning curve of {name}, {measure}"
+                )
+                legend = charts.legend([s.name for s in series])
+                curves.append({"title": f"{name}: {measure}", "chart": chart, "legend": legend})
     return curves
 
 
@@ -362,12 +505,52 @@ def _confusions(inputs):
         title = _title(result["target"])
         if not (result["target"] == "cnn" and "cnn" in inputs.answers):
             wanted[f"{title}, the check's {len(answers[0])} samples"] = answers
-    classes, matrices = inputs.recordings.sensor.classes, []
-    for title, (labels, predictions) in wanted.items():
-        matrix = confusion_matrix(labels, predictions, len(classes))
-        chart = charts.confusion(matrix, f"Confusions: {title}", classes)
-        matrices.append({"title": title, "chart": chart})
-    return matrices
+    classes = inputs.recordings.sensor.classes
+    return [
+        {"title": title, **confusion_cells(confusion_matrix(*answers, len(classes)), classes)}
+        for title, answers in wanted.items()
+    ]
+
+
+def confusion_cells(matrix, classes) -> dict:
+    """A confusion matrix for the page: cells to be shaded, or the commonest confusions.
+
+    Parameters
+    ----------
+    matrix : ndarray of int, shape (classes, classes)
+    classes : sequence of str
+
+    Returns
+    -------
+    dict
+        ``rows`` of (name, cells), each cell a count, the opacity of its shade in percent and its
+        kind; None of more classes than :data:`MOST_IN_A_MATRIX`.  ``common``: (count, shown,
+        answered) of the commonest confusions.
+    """
+    matrix = np.asarray(matrix)
+    shares = confusion_shares(matrix)
+    rows = None
+    if len(classes) <= MOST_IN_A_MATRIX:
+        rows = []
+        for label, name in enumerate(classes):
+            cells = []
+            for answer, count in enumerate(matrix[label].tolist()):
+                # Errors are few: a root makes one in a hundred visible.
+                share = shares[label, answer]
+                shade = 55 * share if label == answer else 75 * share**0.5
+                kind = "on" if label == answer else "off"
+                cells.append({"count": count, "shade": round(float(shade)), "kind": kind})
+            rows.append((name, cells))
+    wrong = [
+        (int(count), classes[label], classes[answer])
+        for (label, answer), count in np.ndenumerate(matrix)
+        if label != answer and count
+    ]
+    return {"rows": rows, "common": sorted(wrong, key=lambda entry: -entry[0])[:5]}
+
+
+MOST_IN_A_MATRIX = 20
+"""Classes of which a confusion matrix is drawn as one."""
 
 
 def _stories(inputs):
@@ -388,23 +571,10 @@ def _stories(inputs):
                 "answered": classes[sample["prediction"]],
                 "right": sample["label"] == sample["prediction"],
                 "frames": _frames(inputs, recording),
-                "events": charts.raster(
-                    [
-                        (name, events.time_ns[mask] / 1e9, events.taxel[mask])
-                        for name, mask in (
-                            ("on", events.polarity > 0),
-                            ("off", events.polarity < 0),
-                        )
-                    ],
-                    max(float(events.time_ns.max(initial=0)) / 1e9, 0.1),
-                    "seconds",
-                    "taxel",
-                    f"Events of the {len(inputs.recordings.taxels)} taxels, ON and OFF",
-                    len(inputs.recordings.taxels),
-                ),
+                "events": _events_chart(inputs.recordings, recording),
                 "n_events": len(events),
                 "layers": rasters,
-                "scores": _scores(sample, classes),
+                "scores": _scores(inputs.bundle.spec, sample, classes),
                 "target": _title(result["target"]),
             }
         )
@@ -426,12 +596,12 @@ def _layer_raster(layer, steps, neurons, replay, step):
     }
 
 
-def _frames(inputs, recording):
+def _frames(inputs, recording, number=FRAMES):
     """The tactile image as it grows, up to the last event."""
     recordings, image = inputs.recordings, inputs.settings.image
     whole = recordings[recording]
     end = int(whole.time_ns[-1]) + 1 if len(whole) else 1
-    ends = [end * number // FRAMES for number in range(1, FRAMES + 1)]
+    ends = [end * part // number for part in range(1, number + 1)]
     grown = growing(whole, recordings.taxels, ends, image.aggregation, recordings.sensor)
     frames = []
     for until, pixels in zip(ends, normalise(grown, image.normalisation), strict=True):
@@ -442,20 +612,22 @@ def _frames(inputs, recording):
     return frames
 
 
-def _scores(sample, classes):
-    """Bars of the classes' scores, longest for the largest."""
-    scores = np.asarray(sample["scores"])
-    spread = scores.max() - scores.min()
-    width = (scores - scores.min()) / (spread or 1.0)
+def _scores(spec, sample, classes):
+    """Bars of the classes' probabilities at the end, the likeliest first."""
+    chances = final_probabilities(spec, sample["scores"])
     return [
         {
-            "name": classes[position],
-            "score": float(score),
-            "width": float(100 * w),
-            "written": position == sample["label"],
+            "name": classes[label],
+            "score": float(chances[label]),
+            "width": float(100 * chances[label]),
+            "written": label == sample["label"],
         }
-        for position, (score, w) in enumerate(zip(scores, width, strict=True))
+        for label in np.argsort(-chances, kind="stable")[:MOST_BARS]
     ]
+
+
+MOST_BARS = 20
+"""Classes whose probability at the end is drawn as a bar."""
 
 
 def _energy(inputs):

@@ -152,6 +152,7 @@ def compare_runs(runs) -> dict:
         for a run without it) and ``differences``, one of every pair (see :func:`difference`).
     """
     flat = [run.settings.flat() for run in runs]
+    read = set().union(*(run.settings.relevant() for run in runs))
     found = [stage for stage in ORDER if sum(stage in run.results for run in runs) > 1]
     return {
         "schema": SCHEMA,
@@ -167,7 +168,7 @@ def compare_runs(runs) -> dict:
         "settings": [
             {"name": name, "values": [values[name] for values in flat]}
             for name in flat[0]
-            if any(values[name] != flat[0][name] for values in flat)
+            if name in read and any(values[name] != flat[0][name] for values in flat)
         ],
         "stages": [_stage(stage, runs) for stage in found],
     }

@@ -15,6 +15,8 @@ from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.events import EventRecipe, TrainedOnEvents, train_events
 
 __all__ = ["Apart", "Checkpoint", "choose", "set_apart", "train", "trained_network"]
+FEWEST_HELD = 100
+"""Samples on which a confidence may be chosen: of fewer, half a point is not even one sample."""
 
 
 class Apart(NamedTuple):
@@ -72,9 +74,14 @@ def train(
 
 
 def choose(settings: Settings, samples: Apart, trained: TrainedOnEvents, seed: int) -> Threshold:
-    """Choose the confidence at which the network decides by itself, on the samples held back."""
+    """Choose the confidence at which the network decides by itself, on the samples held back.
+
+    On fewer than :data:`FEWEST_HELD` none is chosen, and the network waits for the end of each
+    recording (a confidence of 1).
+    """
     table, labels, _, held = samples
-    return trained.threshold(table, labels, held, settings.steps, seed)
+    chosen = trained.threshold(table, labels, held, settings.steps, seed)
+    return chosen if len(held) >= FEWEST_HELD else chosen._replace(confidence=1.0, share=1.0)
 
 
 def trained_network(settings: Settings, weights: dict) -> TrainedOnEvents:

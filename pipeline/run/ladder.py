@@ -13,9 +13,12 @@ from deploy.tables import aligned, p_text
 from deploy.targets.registry import TARGETS
 from pipeline.artifacts import Artifact
 from pipeline.progress import progress
+from pipeline.recordings.events import DIGITS
+from pipeline.recordings.words import recording_word
 from pipeline.run import stages
 from pipeline.run.answers import REFERENCES
 from pipeline.run.diagnosis import layers_json, layers_text, least_faithful
+from pipeline.run.fitting import fitted
 from pipeline.run.folder import RunFolder
 from pipeline.run.origins import ladder_origin
 from pipeline.settings import Settings
@@ -25,6 +28,9 @@ BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
 
 SLOW = tuple(name for name, target in TARGETS.items() if target.slow and name != "emulator")
 """Of the ladder on the whole test split, those that take minutes."""
+
+SIGNIFICANT = 0.05
+"""McNemar's p below which a difference is taken for more than chance."""
 
 TRAINED = ("rate-lif", "trained")
 """What the bundle is made from; what is lost after it, the way to the chip has lost."""
@@ -75,6 +81,7 @@ def measure_ladder(
     dict
         See :func:`ladder_json`.
     """
+    settings = fitted(settings, jobs, say, dataset and dataset.recordings)
     dataset, bundle = stages.make_bundle(run, settings, jobs, say, dataset)
     asked = asked or ladder_stages(settings.input.kind, whole)
     left_out = ()
@@ -215,6 +222,7 @@ def ladder_json(results, layers=None, left_out=(), classes=None) -> dict:
     first = results[0]
     if classes is None:
         classes = map(str, range(len(first["samples"][0]["scores"])))
+    trained = next((result for result in results if result["target"] in TRAINED), None)
     return {
         "schema": "stmnist-ladder/1",
         "bundle": first["bundle"],
@@ -223,6 +231,7 @@ def ladder_json(results, layers=None, left_out=(), classes=None) -> dict:
         "classes": list(classes),
         "rows": [asdict(rung) for rung in climb(results)],
         "left_out": list(left_out),
+        "last_against_trained_p": trained and compare_results(trained, results[-1]).p_value,
         "while_written": results[-1].get("while_written"),
         "layers": layers,
         "least_faithful_layer": layers and least_faithful(layers),
@@ -230,7 +239,7 @@ def ladder_json(results, layers=None, left_out=(), classes=None) -> dict:
     }
 
 
-def early_text(value: dict, row: dict) -> str:
+def early_text(value: dict, row: dict, classes=DIGITS) -> str:
     """What deciding by itself costs and saves, in a line.
 
     Parameters
@@ -239,34 +248,44 @@ def early_text(value: dict, row: dict) -> str:
         ``while_written`` of a result.
     row : dict
         The ladder's row of that result.
+    classes : sequence of str
+        Their names.
     """
     early = value["by_itself"]
+    if early["confidence"] >= 1:
+        return f"{row['stage']} waits for the end of each recording before it decides"
     return (
         f"{row['stage']} decides by itself, at a confidence of {early['confidence']:.4f}: after "
-        f"{early['share_of_writing_mean']:.0%} of the writing on average, accuracy "
-        f"{early['accuracy']:.3f}, " + points_text(100 * (row["accuracy"] - early["accuracy"]))
+        f"{early['share_of_writing_mean']:.0%} of the {recording_word(classes)} on average, "
+        f"accuracy {early['accuracy']:.3f}, "
+        + points_text(100 * (row["accuracy"] - early["accuracy"]))
     )
 
 
-def losing_stages(ladder: dict, limit: float) -> list:
+def losing_stages(ladder: dict, limit: float, by_chance: bool = False) -> list:
     """What loses more than ``limit`` points after the trained network, as (from, to, points).
 
     That is the rate-based network, or the one trained on events.  Each stage against the one above
-    it, and the last one against the trained network.
+    it, and the last one against the trained network.  Losses that chance explains (McNemar's test,
+    p of :data:`SIGNIFICANT` or more) count only with ``by_chance``.
     """
     stages = [row["stage"] for row in ladder["rows"]]
     trained = next((index for index, name in enumerate(stages) if name in TRAINED), None)
     if trained is None:
         return []
     rows = ladder["rows"][trained:]
-    pairs = list(itertools.pairwise(rows))
+    pairs = [(a, b, b["mcnemar_p"]) for a, b in itertools.pairwise(rows)]
     if len(rows) > 2:
-        pairs.append((rows[0], rows[-1]))
-    drops = [(a["stage"], b["stage"], 100 * (a["accuracy"] - b["accuracy"])) for a, b in pairs]
+        pairs.append((rows[0], rows[-1], ladder.get("last_against_trained_p", 0.0)))
+    drops = [
+        (a["stage"], b["stage"], 100 * (a["accuracy"] - b["accuracy"]))
+        for a, b, p_value in pairs
+        if by_chance or p_value < SIGNIFICANT
+    ]
     return [(a, b, points) for a, b, points in drops if points > limit + 1e-9]
 
 
-def ladder_text(ladder: dict, limit: float = 1.0) -> str:
+def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> str:
     """The ladder as a table, with the layers under it where a stage loses too much.
 
     Parameters
@@ -275,15 +294,17 @@ def ladder_text(ladder: dict, limit: float = 1.0) -> str:
         From :func:`ladder_json`.
     limit : float
         Points that a stage after the rate-based network may lose.
+    by_chance : bool
+        Warn of losses that chance explains too.
     """
     what = "simulated samples" if ladder["simulated"] else "samples"
-    table = [["stage", "accuracy", "95 % interval", "drop", "disagree", "McNemar p"]]
+    table = [["stage", "accuracy", "95 % interval", "change", "disagree", "McNemar p"]]
     for row in ladder["rows"]:
         low, high = row["accuracy_ci95"]
         cells = [row["stage"], f"{row['accuracy']:.3f}", f"{low:.3f} to {high:.3f}", "", "", ""]
         if row["drop"] is not None:
             cells[3:] = [
-                f"{round(row['drop'], 3) + 0.0:+.3f}",  # "+ 0.0" turns -0.0 into 0.0
+                f"{0.0 - round(row['drop'], 3):+.3f}",  # a loss is negative, and nothing is +0.000
                 str(row["disagreements"]),
                 p_text(row["mcnemar_p"]),
             ]
@@ -301,9 +322,9 @@ def ladder_text(ladder: dict, limit: float = 1.0) -> str:
     if ladder["left_out"]:
         lines.append(f"left out: {', '.join(ladder['left_out'])} (minutes each; add --slow)")
     if ladder.get("while_written"):
-        lines.append(early_text(ladder["while_written"], last))
+        lines.append(early_text(ladder["while_written"], last, ladder["classes"]))
     lines += ladder.get("losses", [])
-    losing = losing_stages(ladder, limit)
+    losing = losing_stages(ladder, limit, by_chance)
     for a, b, points in losing:
         lines.append(f"{b} loses {points:.1f} points on {a}, more than {limit:g}")
     if losing and ladder["layers"]:

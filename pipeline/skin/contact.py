@@ -50,10 +50,11 @@ def press(motion, gain, least, rng, p, size=(GRID, GRID)):
     lands = landings(motion.force, LANDED * motion.force.max())
     jolts = strength(rng, p) * jolt(rng, len(lands), len(places))
     reach = (
-        rows.max(axis=0)[places.x] * columns.max(axis=0)[places.y] + jolts.max(axis=0, initial=0.0)
+        rows.max(axis=0)[places.row] * columns.max(axis=0)[places.column]
+        + jolts.max(axis=0, initial=0.0)
     ) * gain
     taxels = np.flatnonzero(reach > least)
-    felt = rows[:, places.x[taxels]] * columns[:, places.y[taxels]]
+    felt = rows[:, places.row[taxels]] * columns[:, places.column[taxels]]
     Shaking(gain[taxels], step, p).advance(felt, zip(lands, jolts[:, taxels], strict=True))
     speed = np.hypot(np.gradient(motion.down, step), np.gradient(motion.right, step))
     return taxels, felt, speed
@@ -173,7 +174,7 @@ def pressure(down, right, force, p, size=(GRID, GRID)) -> np.ndarray:
     """
     rows, columns = _spread(down, right, force, p, size)
     places = TaxelMap.grid(*size)
-    return rows[:, places.x] * columns[:, places.y]
+    return rows[:, places.row] * columns[:, places.column]
 
 
 def _spread(down, right, force, p, size):

@@ -210,7 +210,8 @@ def array_gain(rng, p, size=SIZE):
     taxels = TaxelMap.grid(*size)
     # As much from edge to edge as on the paper's array.
     down, right = (
-        GRID / n * (at - (n - 1) / 2) for at, n in zip((taxels.x, taxels.y), size, strict=True)
+        GRID / n * (at - (n - 1) / 2)
+        for at, n in zip((taxels.row, taxels.column), size, strict=True)
     )
     lean = p.lean[0] * down + p.lean[1] * right
     return np.exp(lean + p.gain * rng.standard_normal(len(taxels)))

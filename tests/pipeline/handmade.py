@@ -87,8 +87,8 @@ def assert_same(a, b, source=True):
         np.testing.assert_array_equal(getattr(a.events, name), getattr(b.events, name))
     for name in ("offsets", "labels", "writers"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
-    np.testing.assert_array_equal(a.taxels.x, b.taxels.x)
-    np.testing.assert_array_equal(a.taxels.y, b.taxels.y)
+    np.testing.assert_array_equal(a.taxels.row, b.taxels.row)
+    np.testing.assert_array_equal(a.taxels.column, b.taxels.column)
     assert a.ids == b.ids
     if source:
         assert a.source == b.source

@@ -10,6 +10,8 @@ const BY_ITSELF_MS = 1000;
 const LAYERS_MS = 60;
 const REMEMBERED = "stmnist-writer";
 
+history.scrollRestoration = "manual"; // a page that begins anew begins at the skin
+
 const link = new Link();
 let ready = null; // what the network is like, once it is ready
 let writer = null; // who writes, and what is asked for
@@ -109,6 +111,7 @@ $("session").addEventListener("submit", (event) => {
   event.preventDefault();
   tellWriter(Number($("each").value));
   clear();
+  scrollTo({ top: 0 }); // from the form, at the end of the page, to the skin
 });
 $("stop").addEventListener("click", () => tellWriter(0));
 $("writer").addEventListener("change", () => tellWriter(writer?.each ?? 0));
@@ -184,6 +187,7 @@ link.on("answer", (message) => {
 
 link.on("saved", (message) => {
   kept = true;
+  clearTimeout(byItself); // the last events of what is kept now came just before
   $("told").textContent = `Kept as a ${message.digit}: ${message.name}, ${message.events} events.`;
   complain(null);
 });

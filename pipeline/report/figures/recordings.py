@@ -66,13 +66,13 @@ def events_by_taxel(recordings: Recordings, index: int) -> Figure:
     figure = Figure(figsize=(11, 9), layout="constrained")
     axes = figure.subplots()
     # One cell a taxel: time runs from its left to its right, zero is its middle.
-    x = taxels.y[events.taxel] - 0.5 + events.time_ns * 1e-9 / recordings.sensor.duration_s
-    zero = taxels.x[events.taxel]
+    x = taxels.column[events.taxel] - 0.5 + events.time_ns * 1e-9 / recordings.sensor.duration_s
+    zero = taxels.row[events.taxel]
     for polarity, colour, label in ((1, ON, "ON, up"), (-1, OFF, "OFF, down")):
         mine = events.polarity == polarity
         tip = zero[mine] - 0.4 * polarity
         axes.vlines(x[mine], zero[mine], tip, colour, linewidth=0.6, label=label)
-    for taxel, (row, column) in enumerate(zip(taxels.x, taxels.y, strict=True)):
+    for taxel, (row, column) in enumerate(zip(taxels.row, taxels.column, strict=True)):
         axes.text(column - 0.47, row - 0.3, taxel + 1, fontsize=7, color="0.5")
     _cells(axes, recordings.sensor.rows, recordings.sensor.columns)
     until = f"{recordings.sensor.duration_s:g} s"
@@ -85,10 +85,10 @@ def layout(taxels: TaxelMap) -> Figure:
     """Where each taxel lies: address in bold, (X, Y) below it, 1-based (paper, Figure 1)."""
     figure = Figure(figsize=(7, 7), layout="constrained")
     axes = figure.subplots()
-    for taxel, (x, y) in enumerate(zip(taxels.x, taxels.y, strict=True)):
+    for taxel, (x, y) in enumerate(zip(taxels.row, taxels.column, strict=True)):
         axes.text(y, x - 0.12, taxel + 1, ha="center", va="center", weight="bold", fontsize=11)
         axes.text(y, x + 0.22, f"({x + 1},{y + 1})", ha="center", va="center", fontsize=8)
-    _cells(axes, int(taxels.x.max()) + 1, int(taxels.y.max()) + 1)
+    _cells(axes, int(taxels.row.max()) + 1, int(taxels.column.max()) + 1)
     axes.set(aspect="equal", title="Taxel addresses and (X, Y)")
     return figure
 

@@ -33,7 +33,7 @@ def test_events_by_hand():
 
 
 def test_the_lookup_table_decides_where_a_taxel_is():
-    transposed = TaxelMap(x=np.arange(100) // 10, y=np.arange(100) % 10)
+    transposed = TaxelMap(row=np.arange(100) // 10, column=np.arange(100) % 10)
     frames = bin_events(recordings([[0, 37, 1, 1]], taxels=transposed))
     assert frames[0, 0, 3, 7, 0] == 1
 

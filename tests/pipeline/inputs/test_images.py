@@ -27,7 +27,7 @@ def test_aggregations_by_hand(aggregation, at_37, at_90):
 
 
 def test_the_lookup_table_decides_where_a_taxel_is():
-    transposed = TaxelMap(x=np.arange(100) // 10, y=np.arange(100) % 10)
+    transposed = TaxelMap(row=np.arange(100) // 10, column=np.arange(100) % 10)
     image = aggregate(recordings(ROWS, taxels=transposed))[0]
     assert (image[3, 7], image[9, 0]) == (3, 1)
     assert image.sum() == 4

@@ -316,6 +316,7 @@ def test_a_session_asks_keeps_by_itself_and_goes_on_after_a_reload(page):
     page.fill("#each", "1")
     page.click("#start")
     page.wait_for_selector("#asking:not([hidden])")
+    until(page, "scrollY === 0")  # the form is at the end of the page
     asked = int(page.inner_text("#asked b"))
     robot.write(page, digit(asked))
     until(page, "document.querySelector('#saved').textContent === '1'")
@@ -330,6 +331,28 @@ def test_a_session_asks_keeps_by_itself_and_goes_on_after_a_reload(page):
     assert (kept.labels.tolist(), kept.writers.tolist()) == ([asked], [2])
     page.click("#stop")
     page.wait_for_selector("#asking", state="hidden")
+
+
+def test_keeping_by_itself_complains_of_nothing(page):
+    """It tried to keep each recording a second time, of which the server said that nothing was."""
+    page.fill("#each", "1")
+    page.click("#start")
+    page.wait_for_selector("#asking:not([hidden])")
+    for done in (1, 2, 3):
+        robot.write(page, digit(int(page.inner_text("#asked b"))))
+        until(page, f"document.querySelector('#progress').value === {done}")
+    assert messages(page, "problem") == []
+
+
+@pytest.mark.parametrize("size", [(1280, 800), (1920, 1080)])
+def test_decision_spikes_and_labels_are_on_one_screen(browser, server, size):
+    width, height = size
+    with page_of(browser, server, viewport={"width": width, "height": height}) as page:
+        for part in ("#skin", "#decision", "#layers canvas", "#label-9"):
+            box = page.locator(part).first.bounding_box()
+            assert box["y"] + box["height"] <= height, part
+        assert page.locator("main").bounding_box()["width"] >= 0.85 * width
+        assert page.evaluate("scrollY") == 0
 
 
 def test_a_finger_writes_on_a_phone_and_the_page_does_not_scroll(browser, server):

@@ -75,17 +75,17 @@ def test_digit_folders_at_any_depth_in_zip_and_folder(tmp_path, root):
 
 @pytest.mark.parametrize("where", ["LUT.mat", "data_submission/LUT.mat", "x/y/lut.MAT"])
 def test_the_lookup_table_is_taken_from_wherever_it_is(tmp_path, where):
-    table = TaxelMap(x=np.arange(100) // 10, y=np.arange(100) % 10)
+    table = TaxelMap(row=np.arange(100) // 10, column=np.arange(100) % 10)
     archive(tmp_path / "st.zip", {**good_members(), where: lookup_table_bytes(table)})
     read = read_source(tmp_path / "st.zip", jobs=1)
-    np.testing.assert_array_equal(read.taxels.x, table.x)
+    np.testing.assert_array_equal(read.taxels.row, table.row)
     assert len(read) == 10
 
 
 def test_without_a_lookup_table_the_documented_reading_holds(tmp_path):
     archive(tmp_path / "st.zip", good_members())
     taxels = read_source(tmp_path / "st.zip", jobs=1).taxels
-    assert (taxels.x[37], taxels.y[37]) == (7, 3)
+    assert (taxels.row[37], taxels.column[37]) == (7, 3)
 
 
 def test_all_bad_files_are_listed_with_their_reasons(tmp_path):
@@ -95,8 +95,7 @@ def test_all_bad_files_are_listed_with_their_reasons(tmp_path):
         read_source(tmp_path / "st.zip", jobs=1)
     message = str(caught.value)
     for name, (_, reason) in BAD_MEMBERS.items():
-        assert name in message
-        assert reason in message
+        assert any(name in line and reason in line for line in caught.value.lines)
     assert f"{len(BAD_MEMBERS)} of {len(members)} files refused" in message
     assert "--skip-bad" in message
 
@@ -197,7 +196,7 @@ def test_the_number_of_processes_changes_nothing(tmp_path):
 
 def test_simulated_recordings_come_back_identically(tmp_path):
     recordings = simulate(seed=3, samples_per_digit=[3] * 10, jobs=1)
-    turned = TaxelMap(x=np.arange(100) // 10, y=np.arange(100) % 10)
+    turned = TaxelMap(row=np.arange(100) // 10, column=np.arange(100) % 10)
     recordings = replace(recordings, taxels=turned)
     write_zip(tmp_path / "st.zip", recordings)
     read = read_source(tmp_path / "st.zip", jobs=1)
@@ -248,13 +247,15 @@ def test_a_member_that_says_it_is_huge_is_not_read(tmp_path, monkeypatch):
         read_source(path, jobs=1)
 
 
-def test_ten_bad_names_are_listed_and_the_rest_counted(tmp_path):
+def test_files_refused_for_one_reason_are_one_line(tmp_path):
     path = tmp_path / "st.zip"
     bad = {f"3/{'n' * 500}{i:03d}.mat": b"x" for i in range(300)}
     archive(path, {**good_members(), **bad})
-    with pytest.raises(UserError, match=r"300 of 310 files refused.*and 290 more; mend") as error:
+    with pytest.raises(
+        UserError, match=r"300 of 310 files refused: .*, 297 more\).*; mend"
+    ) as error:
         read_source(path, jobs=1)
-    assert len(str(error.value)) < 3000
+    assert len(error.value.lines[0]) < 1000
     read = read_source(path, jobs=1, skip_bad=True)
     assert (len(read), len(read.source.left_out)) == (10, 300)
     warned = left_out_lines(path, read)

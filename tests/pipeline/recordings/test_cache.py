@@ -17,7 +17,7 @@ def own(tmp_path, monkeypatch):
 
 
 def test_round_trip(own):
-    table = TaxelMap(x=np.arange(100) // 10, y=np.arange(100) % 10)
+    table = TaxelMap(row=np.arange(100) // 10, column=np.arange(100) % 10)
     stored = recordings(GOOD, [], GOOD[1:3], labels=[3, 1, 4], taxels=table)
     assert cache.load("key") is None
     cache.store("key", stored)
@@ -73,8 +73,8 @@ def test_a_damaged_file_is_named_with_a_remedy(own, damage):
         ("offsets", np.array([0, 9, 8])),
         ("offsets", np.array([1, 4, 8])),
         ("offsets", np.array([0.0, 4, 8])),
-        ("x", np.full(100, 10)),
-        ("x", np.full(99, 1)),
+        ("row", np.full(100, 10)),
+        ("row", np.full(99, 1)),
         ("y", np.full(100, -1)),
         ("size", np.array([0, 10, 2])),
         ("size", np.array([10, 10])),

@@ -247,16 +247,16 @@ X, Y = (ADDRESS - 1) // 10 + 1, (ADDRESS - 1) % 10 + 1
 @pytest.mark.parametrize("write", [mat5, mat73])
 def test_lookup_tables(write):
     two = read_lookup_table(write(LUT=np.stack([X, Y], 1)))
-    assert (two.x[17], two.y[17]) == (1, 7)
+    assert (two.row[17], two.column[17]) == (1, 7)
     shuffled = np.random.default_rng(0).permutation(100)
     three = read_lookup_table(write(any_name=np.stack([ADDRESS, X, Y], 1)[shuffled]))
-    np.testing.assert_array_equal(three.x, two.x)
-    np.testing.assert_array_equal(three.y, two.y)
+    np.testing.assert_array_equal(three.row, two.row)
+    np.testing.assert_array_equal(three.column, two.column)
 
 
 def test_the_transposed_table_gives_the_transposed_positions():
     table = read_lookup_table(mat5(LUT=np.stack([Y, X], 1)))
-    assert (table.x[17], table.y[17]) == (7, 1)
+    assert (table.row[17], table.column[17]) == (7, 1)
 
 
 @pytest.mark.parametrize(
@@ -281,10 +281,10 @@ def test_a_lookup_table_that_is_no_mat_file():
 
 
 def test_round_trip_of_a_lookup_table():
-    table = TaxelMap(x=np.arange(100) // 10, y=np.arange(100) % 10)
+    table = TaxelMap(row=np.arange(100) // 10, column=np.arange(100) % 10)
     read = read_lookup_table(lookup_table_bytes(table))
-    np.testing.assert_array_equal(read.x, table.x)
-    np.testing.assert_array_equal(read.y, table.y)
+    np.testing.assert_array_equal(read.row, table.row)
+    np.testing.assert_array_equal(read.column, table.column)
 
 
 def written(**values):

@@ -45,7 +45,7 @@ def test_a_recording_without_events_counts_but_has_no_place():
 
 
 def test_another_lookup_table():
-    turned = TaxelMap(x=TaxelMap().y, y=TaxelMap().x)
+    turned = TaxelMap(row=TaxelMap().column, column=TaxelMap().row)
     straight = table1.table(by_hand())[4]
     row = table1.table(replace(by_hand(), taxels=turned))[4]
     assert row["x_mean"] == straight["y_mean"]

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.report import charts
+from pipeline.report.page import confusion_cells
 
 
 def texts(svg):
@@ -67,17 +68,33 @@ def test_a_raster_has_a_stroke_for_each_spike():
     assert re.findall(r"M([\d.]+) ([\d.]+)", path) == [("48.0", "146.6"), ("197.0", "26.0")]
 
 
-def test_a_confusion_matrix_shows_its_counts():
+def test_a_mark_stands_where_it_belongs():
+    svg = charts.line_chart([charts.Series("a", (0, 10), (0.0, 1.0))], "x", "y", mark=5)
+    line = ElementTree.fromstring(svg).find(".//*[@class='reference']")
+    assert line.get("x1") == line.get("x2") == "197.0"
+
+
+def test_a_confusion_matrix_has_its_counts_and_the_whole_names():
     matrix = np.diag(np.arange(1, 11))
     matrix[3, 5] = 77
-    assert "77" in texts(charts.confusion(matrix))
+    names = [f"a gesture whose name has forty characters {n}" for n in range(10)]
+    drawn = confusion_cells(matrix, names)
+    assert [name for name, _ in drawn["rows"]] == names
+    cell = drawn["rows"][3][1][5]
+    assert (cell["count"], cell["kind"]) == (77, "off")
+    assert drawn["common"] == [(77, names[3], names[5])]
 
 
-def test_a_confusion_matrix_has_room_for_long_names():
-    shown = texts(charts.confusion(np.eye(2, dtype=int), names=["a", "rotating counterclockwise"]))
-    assert {"a", "rotating counte…"} <= set(shown)
+def test_hundreds_of_classes_are_not_drawn_as_a_matrix():
+    matrix = np.eye(300, dtype=int)
+    matrix[7, 9] = 2
+    drawn = confusion_cells(matrix, [str(n) for n in range(300)])
+    assert drawn["rows"] is None
+    assert drawn["common"] == [(2, "7", "9")]
 
 
 @pytest.mark.parametrize("matrix", [np.zeros((10, 10), int), np.ones((10, 10), int)])
 def test_confusions_of_nothing_and_of_everything(matrix):
-    ElementTree.fromstring(charts.confusion(matrix))
+    drawn = confusion_cells(matrix, list("0123456789"))
+    shades = [cell["shade"] for _, cells in drawn["rows"] for cell in cells]
+    assert 0 <= min(shades) <= max(shades) <= 75

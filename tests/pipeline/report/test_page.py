@@ -171,7 +171,7 @@ def browse(page, *arguments):
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium here (Debian: apt install chromium)")
-@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize("width", [390, 1280, 1920])
 def test_a_browser_shows_it_without_errors(html, tmp_path, width):
     """No console message, nothing wider than the page or to be scrolled, a picture not blank."""
     # In a frame, since the browser's own window is never narrower than 500 pixels.

@@ -46,10 +46,10 @@ def test_the_table():
     text = ladder_text(ladder_json([CNN, RATE, EMULATOR]))
     assert text.splitlines() == [
         "Loss ladder, 10 simulated samples, each stage on the same ones",
-        "stage     accuracy   95 % interval    drop  disagree  McNemar p",
+        "stage     accuracy   95 % interval  change  disagree  McNemar p",
         "cnn          0.900  0.100 to 0.900",
-        "rate-lif     0.600  0.100 to 0.900  +0.300         4      0.250",
-        "emulator     0.700  0.100 to 0.900  -0.100         1      1.000",
+        "rate-lif     0.600  0.100 to 0.900  -0.300         4      0.250",
+        "emulator     0.700  0.100 to 0.900  +0.100         1      1.000",
         "from cnn to emulator: 20.0 points lost",
     ]
 
@@ -81,9 +81,23 @@ def layer(name, correlation):
 LAYERS = [layer("conv1", 0.99), layer("conv2", 0.87), layer("conv3", 0.95)]
 
 
+def beyond_chance(ladder):
+    """As if there were many samples more of the same."""
+    for row in ladder["rows"][1:]:
+        row["mcnemar_p"] = 0.01
+    return {**ladder, "last_against_trained_p": 0.01}
+
+
+def test_a_loss_that_chance_explains_is_no_warning():
+    ladder = ladder_json([CNN, result("rate-lif", LABELS), EMULATOR], LAYERS)
+    assert ladder["last_against_trained_p"] == pytest.approx(0.25)
+    assert losing_stages(ladder, 1) == []
+    assert "loses" not in ladder_text(ladder, 1)
+
+
 def test_a_stage_that_loses_too_much_brings_the_layers():
     better = result("rate-lif", LABELS)
-    ladder = ladder_json([CNN, better, EMULATOR], LAYERS)
+    ladder = beyond_chance(ladder_json([CNN, better, EMULATOR], LAYERS))
     assert ladder["least_faithful_layer"] == "conv2"
     assert losing_stages(ladder, 1) == [("rate-lif", "emulator", pytest.approx(30))]
     text = ladder_text(ladder, 1)
@@ -97,7 +111,7 @@ def test_small_losses_that_add_up_are_too_much_together():
     rate = result("rate-lif", LABELS)
     nengo = result("nengo", [*LABELS[:9], 0])
     emulator = result("emulator", [*LABELS[:8], 0, 0])
-    ladder = ladder_json([CNN, rate, nengo, emulator], LAYERS)
+    ladder = beyond_chance(ladder_json([CNN, rate, nengo, emulator], LAYERS))
     assert losing_stages(ladder, 10) == [("rate-lif", "emulator", pytest.approx(20))]
     assert [b for _, b, _ in losing_stages(ladder, 5)] == ["nengo", "emulator", "emulator"]
 

@@ -147,8 +147,8 @@ def test_recorded_handwriting_is_pressed_on_the_skin():
     assert sorted(recordings.writers[1:]) == [4, 4, 9, 9]  # both before either comes twice
     lying, upright = recordings[0], recordings[1]
     taxels = recordings.taxels
-    assert np.ptp(taxels.y[lying.taxel]) > 4
-    rows = [np.average(taxels.x[upright.taxel[part]]) for part in np.array_split(
+    assert np.ptp(taxels.column[lying.taxel]) > 4
+    rows = [np.average(taxels.row[upright.taxel[part]]) for part in np.array_split(
         np.arange(len(upright)), 3)]  # fmt: skip
     assert rows[0] < rows[1] < rows[2]  # written downwards
     assert recordings.source.simulated

@@ -1,0 +1,54 @@
+"""Recordings of an event-based sensor of one's own: events and labels in, ladders and reports out.
+
+The recordings are made up here: four gestures on 9 rows of 12 taxels.  Put your own events and
+labels, or a data set of Tonic's, in their place.  Run it as a script (``python
+examples/own_sensor.py``); examples/own_sensor.ipynb is the same as a notebook.
+"""
+
+# %% The public names of this project
+import numpy as np
+
+from stmnist import RunFolder, Settings, ladder_text, measure_ladder, write_recordings
+
+CLASSES = ("swipe to the right", "swipe to the left", "swipe down", "circle")
+
+
+# %% Recordings: a pair (events, label) each; x is the column from the left, y the row from the top
+def gesture(label, rng, n=80):
+    """Made-up events of one gesture: x, y, t in microseconds, p (1 for ON, 0 for OFF)."""
+    along = np.sort(rng.uniform(0, 1, n))
+    x0, y0 = rng.normal(5.5, 0.8), rng.normal(4, 0.6)
+    x, y = (
+        (11 * along, y0 + 0 * along),
+        (11 - 11 * along, y0 + 0 * along),
+        (x0 + 0 * along, 8 * along),
+        (x0 + 4 * np.cos(2 * np.pi * along), y0 + 3 * np.sin(2 * np.pi * along)),
+    )[label]
+    x, y = (
+        np.clip(np.rint(place + rng.normal(0, 0.4, n)), 0, last).astype(int)
+        for place, last in ((x, 11), (y, 8))
+    )
+    return x, y, (1e6 * rng.uniform(0.4, 1.6) * along).astype(int), rng.integers(0, 2, n)
+
+
+rng = np.random.default_rng(0)
+recordings = [(gesture(label, rng), label) for label in range(4) for _ in range(75)]
+data = write_recordings("gestures.zip", recordings, CLASSES, "us", simulated=True)
+
+# %% A network on images of the events, and one on the events themselves
+for kind in ("image", "events"):
+    run = RunFolder(f"runs/gestures-{kind}")
+    settings = Settings().with_values(
+        {"data": {"source": str(data.absolute())}, "input": {"kind": kind}}
+    )
+    with run.locked():
+        ladder = measure_ladder(run, settings)
+    print(ladder_text(ladder))
+
+# %% What follows works on the runs' folders, here or on the command line:
+#
+#     stmnist report runs/gestures-events
+#     stmnist compare runs/gestures-image runs/gestures-events
+#     stmnist check run runs/gestures-events --target fast --data other-recordings.zip
+#
+# On images the two swipes along x look alike; the events' order tells them apart.

@@ -1,0 +1,124 @@
+"""Recordings from arrays of events, written as files that everything else reads."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Iterable, Sequence
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from deploy.errors import SeveralErrors, UserError
+from deploy.files import replacing
+from pipeline.recordings.eventarrays import recording_of
+from pipeline.recordings.matfile import BadRecording
+from pipeline.recordings.sensors import too_few
+from pipeline.recordings.timeunits import UNITS
+
+LISTED = 10
+"""Reasons that are told one by one."""
+
+
+def write_recordings(
+    path,
+    recordings: Iterable,
+    classes: Sequence[str] | None = None,
+    time_unit: str = "",
+    writers: Sequence[int] | None = None,
+    simulated: bool = False,
+) -> Path:
+    """Write events and labels as a zip that works wherever recordings are asked for.
+
+    Give its path as ``data.source`` in the settings, or as ``--data`` to a command.
+
+    Parameters
+    ----------
+    path : path-like
+        The zip; its name must end in ``.zip``.
+    recordings : iterable of (events, label)
+        Such as a data set of Tonic's, or ``zip(events, labels)``.  Events have any of the forms of
+        :func:`pipeline.recordings.eventarrays.recording_of`: x is the column from the left, y the
+        row from the top.  A label is a number from 0, or the name of a class.
+    classes : sequence of str, optional
+        Names of the labels 0, 1, ...; default: the ``classes`` of ``recordings`` if it has such,
+        else the labels themselves.
+    time_unit : str
+        Of the times: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; empty to be told, when the file is
+        read, from how long the recordings last.
+    writers : sequence of int, optional
+        Who made each recording, from 0.
+    simulated : bool
+        Whether the recordings are made up; every result repeats it.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    UserError
+        Events or labels that are none, with a line for each reason; a class with one recording.
+    """
+    path = Path(path)
+    if path.suffix != ".zip":
+        raise UserError(f"{path}: the name must end in .zip")
+    if time_unit and time_unit not in UNITS:
+        raise UserError(f"time_unit {time_unit!r}: choose one of {', '.join(UNITS)}")
+    if classes is None:
+        classes = getattr(recordings, "classes", None)
+    names, labels, problems = list(map(str, classes or ())), [], {}
+    with replacing(path) as file, zipfile.ZipFile(file, "w") as archive:
+        for index, (events, label) in enumerate(recordings):
+            try:
+                labels.append(_class_of(label, names, classes is not None))
+                writer = -1 if writers is None else int(writers[index])
+                content = _npz(recording_of(events), time_unit, writer, simulated)
+            except BadRecording as error:
+                problems.setdefault(str(error), []).append(index)
+                continue
+            member = PurePosixPath(names[labels[-1]]) / f"{index:06d}.npz"
+            archive.writestr(zipfile.ZipInfo(str(member), (1980, 1, 1, 0, 0, 0)), content)
+        lines = [
+            f"{path}: {len(where)} of {index + 1}: recording {where[0]} {reason}"
+            for reason, where in list(problems.items())[:LISTED]
+        ]
+        if problem := None if lines else too_few(labels, names) if labels else "no recordings":
+            lines.append(f"{path}: {problem}")
+        if lines:
+            raise SeveralErrors(lines)
+    return path
+
+
+def _class_of(label, names, fixed):
+    """The number of a label's class; a name that is new becomes one unless classes are given."""
+    is_number = isinstance(label, (int, np.integer)) and not isinstance(label, bool)
+    if fixed and is_number:
+        if not 0 <= label < len(names):
+            raise BadRecording(f"has the label {label}, not from 0 to {len(names) - 1}")
+        name = names[label]
+    else:
+        name = str(label)
+    parts = PurePosixPath(name).parts
+    if len(parts) != 1 or parts[0] in ("..", "/") or name.startswith(".") or not name.isprintable():
+        raise BadRecording(f"has the class {name!r}, which is no name of a folder")
+    if name not in names:
+        if fixed:
+            raise BadRecording(f"has the class {name!r}, which is none of those given")
+        names.append(name)
+    return names.index(name)
+
+
+def _npz(recording, time_unit, writer, simulated) -> bytes:
+    """A recording as a file; see :mod:`pipeline.recordings.eventfile`."""
+    arrays = {"x": recording.x.astype(np.uint16), "y": recording.y.astype(np.uint16)}
+    unit = recording.unit or time_unit
+    arrays[f"t_{unit}" if unit else "t"] = recording.time
+    arrays["p"] = recording.polarity
+    if writer >= 0:
+        arrays["writer"] = np.array(writer)
+    if simulated:
+        arrays["simulated"] = np.array(True)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    return buffer.getvalue()

@@ -1,0 +1,82 @@
+"""In which unit the times of recordings are: given, said by the file, or told from the numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.recordings.matfile import LATEST_S
+
+UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Seconds of each."""
+
+UNIT_NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
+
+SHORTEST_S = 0.02
+"""A recording of a gesture or a saccade lasts longer; so a unit in which most recordings were
+shorter is not theirs."""
+
+MIXED = 100
+"""Factor past which durations are not of one unit; units are 1,000 apart."""
+
+
+def span_of(time) -> float:
+    """From the first event to the last."""
+    return float(time[-1] - time[0])
+
+
+def recognised(times) -> str:
+    """The unit of recordings, told from how long they last.
+
+    Times with fractions are seconds if they are as short as recordings are.  Whole numbers are
+    taken for the longest unit in which the recordings last at most a minute.
+
+    Parameters
+    ----------
+    times : sequence of ndarray
+        Of each recording, in order.
+
+    Returns
+    -------
+    str
+        One of :data:`UNITS`, or empty if none fits.
+    """
+    spans = np.array([span_of(time) for time in times])
+    spans = spans[spans > 0]
+    if not len(spans):
+        return "s" if all(time[-1] <= LATEST_S for time in times) else ""
+    typical = float(np.median(spans))
+    whole = all(time.dtype.kind == "i" for time in times)
+    for unit, seconds in UNITS.items():
+        if unit == "s" and whole:
+            continue  # nobody counts events by the second
+        if SHORTEST_S <= typical * seconds <= LATEST_S:
+            return unit
+    return "s" if not whole and typical <= LATEST_S else ""
+
+
+def strangers(times) -> list:
+    """Indices of recordings whose times cannot be in the unit of the others.
+
+    Recordings with a single event have no duration, and are nobody's strangers.
+    """
+    spans = np.array([span_of(time) for time in times])
+    some = np.flatnonzero(spans > 0)
+    if len(some) < 2:
+        return []
+    typical = np.median(spans[some])
+    ratio = spans[some] / typical
+    return some[(ratio > MIXED) | (ratio < 1 / MIXED)].tolist()
+
+
+def to_ns(time: np.ndarray, unit: str) -> np.ndarray:
+    """Times in nanoseconds, from the first event where they are not from a recording's start.
+
+    A camera's clock runs from when it was switched on, or from 1970: times past the longest
+    recording are counted from the first event.
+    """
+    seconds = UNITS[unit]
+    if time[-1] * seconds > LATEST_S:
+        time = time - time[0]
+    if time.dtype.kind == "i":
+        return time * round(seconds * 1e9)
+    return np.rint(time * seconds * 1e9).astype(np.int64)

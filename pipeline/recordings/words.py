@@ -1,0 +1,44 @@
+"""What recordings and their classes are called: digits that are written, or a user's own."""
+
+from __future__ import annotations
+
+from pipeline.recordings.events import DIGITS
+
+
+def is_written(classes) -> bool:
+    """Whether the classes are the ten digits, which people write."""
+    return tuple(classes) == DIGITS
+
+
+def class_word(classes) -> str:
+    """``"digit"`` or ``"class"``."""
+    return "digit" if is_written(classes) else "class"
+
+
+def recording_word(classes) -> str:
+    """What lasts until a network decides: ``"writing"``, or ``"recording"``."""
+    return "writing" if is_written(classes) else "recording"
+
+
+def shortened(name: str, width: int) -> str:
+    """A name that fits so many characters: what is too long loses its middle.
+
+    Both ends stay, since names of one set often begin or end alike.
+    """
+    if len(name) <= width:
+        return name
+    head = (width - 1) * 2 // 3
+    return f"{name[:head]}…{name[len(name) - (width - 1 - head) :]}"
+
+
+def shortened_apart(names, width: int) -> list:
+    """Names of at most so many characters that are still different, in the same order.
+
+    Names that would become the same are numbered at their end.
+    """
+    short = [shortened(name, width) for name in names]
+    for index, name in enumerate(short):
+        if short.count(name) > 1:
+            number = f"~{index}"
+            short[index] = shortened(names[index], max(width - len(number), 1)) + number
+    return short

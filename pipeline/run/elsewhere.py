@@ -1,0 +1,176 @@
+"""A network's answers to recordings that it was not made from: another session, other people."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from deploy.check.bundle import Bundle, CheckSet
+from deploy.check.intervals import wilson_interval
+from deploy.errors import UserError
+from pipeline.inputs.images import tactile_images
+from pipeline.inputs.library import load_recordings
+from pipeline.inputs.splits import draw_check_samples
+from pipeline.paper import CHECK_SAMPLES
+from pipeline.recordings.events import Recordings
+from pipeline.recordings.sensors import Reading
+from pipeline.recordings.steps import EventTable
+from pipeline.run.ladder import confusion_matrix
+from pipeline.settings import Image, Settings
+
+FOLDER = "other"
+"""In a run's folder of results."""
+
+
+def recordings_for(
+    bundle: Bundle, source: str, settings: Settings, jobs: int = 1, warn=None
+) -> Recordings:
+    """Recordings for a bundle's network, with the labels that its outputs stand for.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    source : str
+        Path of a zip or folder.
+    settings : Settings
+        Of the bundle's run, by which files are read; the defaults where there is no run.
+    jobs : int
+        Processes.
+    warn : callable, optional
+        Called with a line about what should be known.
+
+    Raises
+    ------
+    UserError
+        They cannot be read, or are of another sensor or of other classes.
+    """
+    rows, columns = bundle.spec.input_shape[:2]
+    data = settings.data
+    reading = Reading(rows, columns, data.time_unit, data.downsample)
+    recordings = load_recordings(
+        source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading
+    )
+    sensor = recordings.sensor
+    if (sensor.rows, sensor.columns) != (rows, columns):
+        raise UserError(
+            f"{source}: of {sensor.rows} rows x {sensor.columns} columns, the network of "
+            f"{bundle.path} is for {rows} x {columns}"
+        )
+    known = list(map(str, bundle.spec.provenance.get("classes") or ()))
+    if not known:
+        known = [str(number) for number in range(bundle.spec.layers[-1].size)]
+    present = [sensor.classes[label] for label in np.unique(recordings.labels)]
+    unknown = [name for name in present if name not in known]
+    if unknown:
+        listed = ", ".join(map(repr, unknown[:5])) + (", ..." if len(unknown) > 5 else "")
+        raise UserError(
+            f"{source}: has classes that the network of {bundle.path} does not know: {listed}; it "
+            f"knows {', '.join(map(repr, known[:5]))}{', ...' if len(known) > 5 else ''}"
+        )
+    number = {name: index for index, name in enumerate(known)}
+    labels = np.array([number.get(name, -1) for name in sensor.classes])[recordings.labels]
+    if warn is not None and recordings.source.sha256 == bundle.spec.provenance.get("source_sha256"):
+        warn(
+            f"{source}: the network was trained on a part of these recordings; its accuracy on "
+            "them says little about others"
+        )
+    return replace(recordings, labels=labels, sensor=replace(sensor, classes=tuple(known)))
+
+
+def shown_instead(
+    bundle: Bundle, recordings: Recordings, samples: int | None, seed: int, image: Image
+) -> tuple:
+    """A bundle with other recordings as the samples of its check, and the indices of these.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    recordings : Recordings
+        From :func:`recordings_for`.
+    samples : int or None
+        How many, drawn at random; 0 for all, None for 200 at most.
+    seed : int
+        Of the draw.
+    image : Image
+        How events become images, where the bundle does not say.
+
+    Raises
+    ------
+    UserError
+        There are fewer recordings, or the network's input cannot show them.
+    """
+    n = len(recordings)
+    count = min(CHECK_SAMPLES, n) if samples is None else samples or n
+    try:
+        chosen = draw_check_samples(np.arange(n), count, seed)
+    except ValueError as error:
+        raise UserError(
+            f"{recordings.source.name}: {count} samples asked for, there are {n}"
+        ) from error
+    spec, stimulus = bundle.spec, bundle.spec.stimulus
+    if stimulus.held:
+        told = spec.provenance.get("image")
+        image = image if told is None else Image(**told)
+        inputs = tactile_images(recordings, image.aggregation, image.normalisation)[chosen]
+    else:
+        steps, table = spec.presentation.steps, EventTable.of(recordings)
+        frames = table.frames(chosen, 1000 * stimulus.step_seconds, steps, stimulus.rest)
+        inputs = np.moveaxis(frames, 0, 1)
+    if problem := stimulus.complaint(inputs, spec.input_shape, spec.presentation.steps):
+        raise UserError(f"{recordings.source.name}: {problem}")
+    ids = tuple(recordings.ids[index] for index in chosen)
+    checks = CheckSet(inputs, recordings.labels[chosen], ids, seed)
+    return replace(bundle, checks=checks), chosen
+
+
+def told_of(result: dict, recordings: Recordings, chosen: np.ndarray) -> dict:
+    """A check result with what it says of other recordings than the bundle's.
+
+    ``data`` says which they are; ``classes``, ``confusion`` (rows: labels, columns: predictions),
+    ``per_class`` and, where the recordings say who made them, ``per_writer`` say how right it was.
+
+    Parameters
+    ----------
+    result : dict
+        See :func:`deploy.check.results.result_of`.
+    recordings : Recordings
+    chosen : ndarray of int
+        Which of them were shown, in the order of the result's samples.
+    """
+    classes, source = recordings.sensor.classes, recordings.source
+    labels = np.array([sample["label"] for sample in result["samples"]])
+    predictions = np.array([sample["prediction"] for sample in result["samples"]])
+    writers = recordings.writers[chosen]
+    per_writer = {}
+    if (writers >= 0).all():
+        per_writer["per_writer"] = [
+            {"writer": int(writer), **_right(labels == predictions, writers == writer)}
+            for writer in np.unique(writers)
+        ]
+    return {
+        **result,
+        "simulated": source.simulated,
+        "data": {"source": source.name, "sha256": source.sha256, "recordings": len(recordings)},
+        "classes": list(classes),
+        "confusion": confusion_matrix(labels, predictions, len(classes)).tolist(),
+        "per_class": [
+            {"class": name, **_right(labels == predictions, labels == index)}
+            for index, name in enumerate(classes)
+            if (labels == index).any()
+        ],
+        **per_writer,
+    }
+
+
+def _right(right, mine):
+    count, n = int(right[mine].sum()), int(mine.sum())
+    return {"n": n, "accuracy": count / n, "accuracy_ci95": list(wilson_interval(count, n))}
+
+
+def result_path(bundle: Bundle, recordings: Recordings, samples: int, target: str) -> Path:
+    """Where such a result is kept: beside the bundle, a file for each set of recordings."""
+    name = "".join(c if c.isalnum() or c in "-_." else "-" for c in recordings.source.name)[:60]
+    file = f"{name}-{recordings.source.sha256[:8]}-{samples}-{target}.json"
+    return bundle.path.absolute().parent / "checks" / FOLDER / file

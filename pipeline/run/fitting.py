@@ -1,0 +1,228 @@
+"""Settings that were left at their defaults, made to fit recordings of one's own.
+
+The defaults are the paper's: its network, 200 samples, two seconds.  Where recordings of another
+sensor need others, and the user has not chosen, they are chosen here; what the user has chosen and
+does not fit is an error, and all errors are told together before anything is trained.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from deploy.errors import SeveralErrors, UserError
+from models.architecture import NotationError, parse
+from pipeline.inputs.dataset import TOO_SMALL, split_of
+from pipeline.inputs.library import recordings_of
+from pipeline.paper import CNN_MACS
+from pipeline.recordings.events import Recordings, Sensor
+from pipeline.recordings.facts import reading_text
+from pipeline.recordings.sensors import too_small
+from pipeline.recordings.steps import EventTable
+from pipeline.settings import SIMULATED, Settings, check_fits
+
+LARGEST_MAP = 14
+"""Rows and columns of the first convolution's output on images, at most, on average."""
+
+EVENT_MAP = 5
+"""The same of a network on events, whose first layer is as coarse in the default network."""
+
+FEWEST_STEPS, MOST_STEPS = 50, 400
+"""Steps for which events are shown; longer recordings get longer steps."""
+
+OPERATIONS_AN_EVENT = 1.5
+"""Synaptic operations that a network on events may take, in multiples of what its first layer takes
+to receive the events.  Of the default network on the built-in recordings it is about 1.3."""
+
+
+def fitted(
+    settings: Settings,
+    jobs: int = 1,
+    say=None,
+    recordings: Recordings | None = None,
+    check: bool = True,
+) -> Settings:
+    """Settings that fit the recordings which they name.
+
+    Chosen where the setting has its default: an architecture for the sensor and the classes, as
+    many check samples as the test split has, and of events the number and length of the steps and
+    the budget of operations.
+
+    Parameters
+    ----------
+    settings : Settings
+    jobs : int
+        Processes, of recordings that are not in the cache.
+    say : callable, optional
+        Called with a line about each thing that was chosen.
+    recordings : Recordings, optional
+        Those that the settings name, if they were read already.
+    check : bool
+        Whether samples of a check will be drawn.
+
+    Returns
+    -------
+    Settings
+        The same object where nothing was to be chosen; simulated recordings need nothing.
+
+    Raises
+    ------
+    SeveralErrors
+        With a line for each thing that cannot be done.
+    """
+    if settings.data.source == SIMULATED and recordings is None:
+        return settings
+    if recordings is None:
+        recordings = recordings_of(settings, jobs, say)
+    problems, changes = [], {}
+    _architecture(settings, recordings, changes)
+    if settings.on_events:
+        _presentation(settings, recordings, changes)
+    n_test = _test_samples(settings, recordings, problems)
+    if check and n_test:
+        if settings.check.samples > n_test and settings.check == Settings().check:
+            changes.setdefault("check", {})["samples"] = n_test
+        elif settings.check.samples > n_test:
+            problems.append(
+                f"{settings.check.samples} samples asked for, the test split has {n_test}; "
+                f"{TOO_SMALL}"
+            )
+    if problem := too_small(recordings):
+        problems.append(problem)
+    result = settings.with_values(changes, settings.data.source) if changes else settings
+    problems += _unfit(result, recordings)
+    if problems:
+        source = settings.data.source
+        raise SeveralErrors(
+            line if line.startswith((source, settings.cnn.model or source)) else f"{source}: {line}"
+            for line in problems
+        )
+    if say is not None:
+        for line in chosen_text(settings, result, recordings):
+            say(line)
+    return result
+
+
+def chosen_text(before: Settings, after: Settings, recordings: Recordings) -> list:
+    """What :func:`fitted` has chosen, a line for each thing that changes what is trained."""
+    lines, name = [], "events.architecture" if after.on_events else "cnn.architecture"
+    architecture, sensor = after.flat()[name], recordings.sensor
+    if architecture != before.flat()[name]:
+        lines.append(
+            f"{architecture}: chosen for {sensor.rows} rows x {sensor.columns} columns and "
+            f"{len(sensor.classes)} classes (another: --set {name}=...)"
+        )
+    if after.presentation != before.presentation:
+        lines.append(
+            f"{after.steps} steps of {after.input.step:g} ms: as long as the recordings last"
+        )
+    return lines
+
+
+def new_run_text(path, recordings: Recordings) -> str:
+    """The first line of a new run: where its recordings come from and what was found."""
+    return f"{path}: a new run, on {recordings.source.name}: {reading_text(recordings)}"
+
+
+def architecture_for(sensor: Sensor, on_events: bool) -> str:
+    """An architecture for a sensor and its classes, in the paper's notation.
+
+    The paper's layers where they fit; on larger sensors the first convolution has a stride, and on
+    sensors with too few rows or columns for a convolution there is a hidden dense layer.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    on_events : bool
+        For events, with a channel for each polarity.
+    """
+    rows, columns, classes = sensor.rows, sensor.columns, len(sensor.classes)
+    side, smallest = math.sqrt(rows * columns), min(rows, columns)
+    size, end = f"{rows}x{columns}{'x2' if on_events else ''}", f"{classes}o"
+    if on_events:
+        stride = max(3, math.floor(side / EVENT_MAP))
+        first = f"24c{stride + 1}s{stride}"
+        middle = [first, "64"] if smallest > stride else ["64"]
+    elif side <= LARGEST_MAP + 3:
+        middle = ["6c4", "24c3"] if smallest >= 6 else ["64"]
+    else:
+        stride = math.ceil((side - 4) / (LARGEST_MAP - 2))
+        first = f"6c{stride + 2}s{stride}"
+        middle = [first, "24c3"] if smallest >= stride + 2 + 2 * stride else ["64"]
+    return "-".join([size, *middle, end])
+
+
+def _architecture(settings, recordings, changes):
+    """Choose an architecture if the default does not fit and is what there is."""
+    section = "events" if settings.on_events else "cnn"
+    before = getattr(settings, section)
+    is_default = before.architecture == getattr(Settings(), section).architecture
+    if not is_default or (section == "cnn" and before.model):
+        return
+    sensor = recordings.sensor
+    shape = (sensor.rows, sensor.columns, 2 if settings.on_events else 1)
+    default = parse(before.architecture)
+    if default.input_shape == shape and default.outputs == len(sensor.classes):
+        return
+    chosen = architecture_for(sensor, settings.on_events)
+    changes[section] = {"architecture": chosen}
+    if section == "events" and before.budget == Settings().events.budget:
+        budget = OPERATIONS_AN_EVENT * _operations_of_input(chosen, recordings) / CNN_MACS
+        if budget > before.budget:
+            changes[section]["budget"] = float(min(round(budget, 1), 1000.0))
+    if section == "cnn" and len(settings.snn.max_rates) > len(parse(chosen).spiking):
+        changes["snn"] = {"max_rates": settings.snn.max_rates[:1]}
+
+
+def _operations_of_input(architecture, recordings):
+    """Synaptic operations of the first layer that a recording's events cause, on average."""
+    parsed = parse(architecture)
+    fan_out = np.mean(parsed.layers[0].fan_out(parsed.input_shape))
+    return len(recordings.events) / max(len(recordings), 1) * float(fan_out)
+
+
+def _presentation(settings, recordings, changes):
+    """Show events for as long as the recordings last, in steps of a length that allows it."""
+    default = Settings()
+    if settings.presentation.steps or recordings.sensor.duration_s == default_duration():
+        return
+    longest = float(EventTable.of(recordings).duration_ms.max(initial=0))
+    step = settings.input.step
+    untouched = replace(settings.input, kind=default.input.kind) == default.input
+    if untouched:  # nobody has chosen how long a step is
+        while longest >= step * MOST_STEPS:
+            step *= 2
+    steps = min(max(math.floor(longest / step) + 1, FEWEST_STEPS), MOST_STEPS)
+    changes["presentation"] = {"steps": steps}
+    if step != settings.input.step:
+        changes["input"] = {"step": min(step, 1000.0), "refractory": min(step, 1000.0)}
+
+
+def default_duration() -> float:
+    """Seconds that the published recordings last, for which the default steps are."""
+    return Sensor().duration_s
+
+
+def _test_samples(settings, recordings, problems):
+    """How many samples the test split has; none with a problem if there can be no split."""
+    shares = settings.split
+    try:
+        split = split_of(
+            recordings, settings.seed, shares.test_fraction, shares.validation_fraction
+        )
+    except ValueError as error:
+        problems.append(f"{error}; {TOO_SMALL}")
+        return 0
+    return len(split.test)
+
+
+def _unfit(settings, recordings):
+    """Why the network cannot be for these recordings or not on the chip."""
+    sensor, source = recordings.sensor, settings.data.source
+    try:
+        check_fits(settings, sensor.rows, sensor.columns, len(sensor.classes), source)
+    except (UserError, NotationError) as error:
+        return [str(error)]
+    return []

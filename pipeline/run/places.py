@@ -1,0 +1,65 @@
+"""Which folder may become a run, and what is left of one when a command fails."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+from pathlib import Path
+
+from deploy.errors import UserError
+
+LOCK = ".lock"
+
+
+def refuse_other_folders(path: Path, of_results: bool = False):
+    """Make sure that a folder is a run or can become one: new, empty, or with experiment.toml.
+
+    Parameters
+    ----------
+    path : Path
+    of_results : bool
+        Whether it is a benchmark's, which may hold results of an interrupted one: only a bundle is
+        refused.
+
+    Raises
+    ------
+    UserError
+        It is a bundle, or holds files that are no run's.
+    """
+    if not path.is_dir() or (path / "experiment.toml").exists():
+        return
+    held = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith("."))
+    if "MANIFEST.json" in held:
+        run = path.absolute().parent
+        meant = f"give its run, {path.parent}" if (run / "experiment.toml").exists() else ""
+        raise UserError(f"{path}: is a bundle, not a run; {meant or 'give another folder as RUN'}")
+    if held and not of_results:
+        raise UserError(
+            f"{path}: is no run (it has no experiment.toml) and not empty (it has {held[0]!r}); "
+            "give a new folder as RUN"
+        )
+
+
+@contextlib.contextmanager
+def nothing_left_of_a_failure(path: Path):
+    """Remove the folder of a run again if what is done in it fails before anything is kept."""
+    made = [folder for folder in (path, *path.parents) if not folder.exists()]
+    had_lock = (path / LOCK).exists()
+    try:
+        yield
+    except BaseException:
+        with contextlib.suppress(OSError):
+            if {entry.name for entry in path.iterdir()} <= {LOCK} and not had_lock:
+                (path / LOCK).unlink(missing_ok=True)
+            for folder in made:
+                folder.rmdir()  # an OSError if something is in it
+        raise
+
+
+def similar_run(path: Path) -> Path | None:
+    """A run beside a folder that is not there, whose name may be the one that was meant."""
+    if path.exists() or not path.parent.is_dir():
+        return None
+    names = [entry.parent.name for entry in path.parent.glob("*/experiment.toml")]
+    found = difflib.get_close_matches(path.name, names, n=1, cutoff=0.75)
+    return path.parent / found[0] if found else None

@@ -1,0 +1,88 @@
+"""Defaults that fit recordings of one's own, and everything that does not fit told at once."""
+
+import numpy as np
+import pytest
+
+from deploy.errors import SeveralErrors
+from models.architecture import parse
+from pipeline.inputs.library import load_recordings
+from pipeline.recordings.events import Sensor
+from pipeline.recordings.own import write_recordings
+from pipeline.run.fitting import architecture_for, fitted
+from pipeline.settings import Settings
+from tests.own_sensor import CLASSES, gestures, write_folder
+
+SIZES = [
+    (1, 2), (1, 12), (2, 2), (3, 64), (5, 5), (6, 6), (9, 12), (12, 9), (16, 16), (18, 18),
+    (34, 34), (12, 100), (7, 250), (128, 128), (256, 256), (100, 17), (17, 18), (64, 48),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("on_events", [False, True])
+@pytest.mark.parametrize("size", SIZES)
+def test_there_is_an_architecture_for_every_sensor(size, on_events):
+    for n in (2, 300):
+        sensor = Sensor(*size, classes=tuple(map(str, range(n))))
+        architecture = parse(architecture_for(sensor, on_events))
+        assert architecture.input_shape == (*size, 2 if on_events else 1)
+        assert architecture.outputs == n
+        assert len(architecture.layers) >= 2
+        assert max(np.prod(shape) for shape in architecture.shapes[1:]) <= 8192
+
+
+def test_the_paper_s_layers_where_they_fit():
+    assert architecture_for(Sensor(), False) == Settings().cnn.architecture
+    assert architecture_for(Sensor(9, 12, classes=CLASSES), False) == "9x12-6c4-24c3-4o"
+
+
+def settings_of(source, **changes):
+    return Settings().with_values({"data": {"source": str(source)}, **changes})
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    return write_folder(tmp_path_factory.mktemp("own") / "own", per_class=15)
+
+
+def test_images_of_a_sensor_of_one_s_own(own):
+    said = []
+    chosen = fitted(settings_of(own), say=said.append)
+    assert chosen.cnn.architecture == "9x12-6c4-24c3-4o"
+    assert chosen.check.samples == 12  # a fifth of sixty
+    assert fitted(chosen) == chosen
+    assert any("9x12-6c4-24c3-4o" in line for line in said)
+
+
+def test_events_of_a_sensor_of_one_s_own(own):
+    chosen = fitted(settings_of(own, input={"kind": "events"}))
+    assert chosen.events.architecture.startswith("9x12x2-")
+    assert chosen.input.step == 10
+    longest = load_recordings(str(own)).sensor.duration_s
+    assert 0.1 * 1000 < chosen.steps * 10 <= 1000 * longest + 10
+
+
+def test_long_recordings_get_long_steps(tmp_path):
+    slow = [((x, y, 20 * t, p), label) for (x, y, t, p), label in gestures(4)]
+    source = write_recordings(tmp_path / "slow.zip", slow, CLASSES)
+    chosen = fitted(settings_of(source, input={"kind": "events"}))
+    assert chosen.steps <= 400
+    assert chosen.steps * chosen.input.step >= 1000 * 20
+    given = settings_of(source, input={"kind": "events"}, presentation={"steps": 30})
+    assert fitted(given).steps == 30
+
+
+def test_what_was_chosen_stays_and_is_held_against_the_recordings(own):
+    wrong = settings_of(own, cnn={"architecture": "10x10-8c3-4o"}, check={"samples": 50})
+    with pytest.raises(SeveralErrors) as caught:
+        fitted(wrong)
+    lines = caught.value.lines
+    assert len(lines) == 2
+    assert any("50 samples asked for, the test split has 12" in line for line in lines)
+    assert any("9x12-8c3-4o" in line for line in lines)
+    right = settings_of(own, cnn={"architecture": "9x12-8c3-4o"}, check={"samples": 5})
+    assert fitted(right) == right
+
+
+def test_simulated_recordings_need_nothing():
+    settings = Settings()
+    assert fitted(settings) is settings

@@ -1,0 +1,45 @@
+"""A run is begun only where nothing else is, and a command that fails leaves nothing."""
+
+import pytest
+
+from pipeline.run.places import similar_run
+from tests.command import call
+
+
+def test_a_bundle_is_no_run(tmp_path, capsys):
+    bundle = tmp_path / "own" / "bundle"
+    bundle.mkdir(parents=True)
+    (bundle / "MANIFEST.json").write_text("{}")
+    (tmp_path / "own" / "experiment.toml").write_text("")
+    assert call("ladder", bundle) == 2
+    assert str(tmp_path / "own") in capsys.readouterr().err
+    assert [entry.name for entry in bundle.iterdir()] == ["MANIFEST.json"]
+
+
+def test_a_folder_of_other_things_is_no_run(tmp_path, capsys):
+    (tmp_path / "thesis.tex").write_text("")
+    assert call("ladder", tmp_path) == 2
+    assert "thesis.tex" in capsys.readouterr().err
+    assert [entry.name for entry in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize("arguments", [
+    ("--data", "nowhere.zip"), ("--set", "cnn.epoch=5"), ("--settings", "nothing.toml"),
+])  # fmt: skip
+def test_a_failed_command_leaves_no_folder(tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    assert call("ladder", tmp_path / "runs" / "new", *arguments) == 2
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "empty").mkdir()
+    assert call("ladder", tmp_path / "empty", *arguments) == 2
+    assert list((tmp_path / "empty").iterdir()) == []
+
+
+def test_a_similar_name(tmp_path):
+    (tmp_path / "default").mkdir()
+    assert similar_run(tmp_path / "defualt") is None
+    (tmp_path / "default" / "experiment.toml").write_text("")
+    assert similar_run(tmp_path / "defualt") == tmp_path / "default"
+    assert similar_run(tmp_path / "default") is None
+    assert similar_run(tmp_path / "gestures") is None
+    assert similar_run(tmp_path / "nowhere" / "default") is None

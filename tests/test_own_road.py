@@ -1,0 +1,194 @@
+"""A folder of a user's own recordings: ladder, report and checks without any option."""
+
+import json
+import re
+from html import escape
+
+import numpy as np
+import pytest
+
+from deploy.check.bundle import read_bundle
+from deploy.check.results import read_result
+from deploy.files import read_json
+from pipeline.recordings.own import write_recordings
+from tests.command import call
+from tests.own_sensor import CLASSES, gestures, write_folder
+from tests.pipeline.report.test_page import BROWSER, browse
+
+SCHEMES = {"light": "preferredColorScheme=1", "dark": "preferredColorScheme=0"}
+"""Chromium's switch for each."""
+
+QUICK = {
+    "image": ("--set", "cnn.epochs=6", "--set", "snn.epochs=2"),
+    "events": ("--input", "events", "--set", "events.epochs=3"),
+}
+"""What a user need not give: the test would take minutes without it."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("own")
+    write_folder(folder / "own", per_class=25)
+    people = write_recordings(
+        folder / "people.zip", gestures(6, seed=7), CLASSES, "s", writers=[i % 3 for i in range(24)]
+    )
+    assert people.exists()
+    for kind, quick in QUICK.items():
+        assert call("ladder", folder / kind, "--data", folder / "own", *quick) == 0
+    return folder
+
+
+@pytest.mark.parametrize("kind", QUICK)
+def test_the_ladder_has_the_user_s_classes_and_as_many_samples_as_there_are(folder, kind):
+    ladder = read_json(folder / kind / "ladder.json", "")
+    assert tuple(ladder["classes"]) == CLASSES
+    assert ladder["n_samples"] == 20
+    spec = read_bundle(folder / kind / "bundle").spec
+    assert spec.input_shape == (9, 12, 1 if kind == "image" else 2)
+
+
+def test_few_recordings_choose_no_early_decision(folder):
+    presentation = read_bundle(folder / "events" / "bundle").spec.presentation
+    assert presentation.confidence == 1
+    metrics = read_json(folder / "events" / "snn" / "metrics.json", "")
+    assert metrics["decides_by_itself"]["samples"] < 100
+
+
+@pytest.mark.parametrize("kind", QUICK)
+def test_other_recordings_are_answered_by_the_same_network(folder, kind, capsys):
+    run, out = folder / kind, folder / f"{kind}.json"
+    others = ("--target", "fast", "--data", folder / "people.zip", "--out", out)
+    assert call("check", "run", run, *others) == 0
+    said = capsys.readouterr().out
+    result = read_result(out)
+    assert result["n_samples"] == result["data"]["recordings"] == 24
+    assert tuple(result["classes"]) == CLASSES
+    assert np.sum(result["confusion"]) == 24
+    right = np.trace(result["confusion"])
+    assert result["accuracy"] == pytest.approx(right / 24)
+    assert [row["n"] for row in result["per_class"]] == [6, 6, 6, 6]
+    assert [row["n"] for row in result["per_writer"]] == [8, 8, 8]
+    assert sum(row["n"] * row["accuracy"] for row in result["per_writer"]) == pytest.approx(right)
+    assert "writer" in said
+    assert call("check", "run", run / "bundle", *others, "--samples", 5, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["n_samples"] == 5
+
+
+def test_where_such_results_are_kept(folder, capsys):
+    others = ("--target", "fast", "--data", folder / "people.zip")
+    assert call("check", "run", folder / "image", *others) == 0
+    (kept,) = (folder / "image" / "checks" / "other").glob("*.json")
+    assert read_result(kept)["target"] == "fast"
+    assert call("check", "run", folder / "events", *others) == 0
+    (other,) = (folder / "events" / "checks" / "other").glob("*.json")
+    assert call("check", "compare", kept, other) == 0  # two networks, the same recordings
+
+
+def test_the_own_recordings_are_said_to_be_known(folder, capsys):
+    out = folder / "own.json"
+    shown = ("--target", "fast", "--data", folder / "own", "--samples", 0, "--out", out)
+    assert call("check", "run", folder / "image", *shown) == 0
+    assert read_result(out)["n_samples"] == 100
+    assert "trained on" in capsys.readouterr().err
+
+
+def test_recordings_of_other_classes_or_sensors_are_refused(folder, tmp_path, capsys):
+    renamed = [(events, f"class {label}") for events, label in gestures(2)]
+    write_recordings(tmp_path / "renamed.zip", renamed)
+    larger = [((2 * x, y, t, p), label) for (x, y, t, p), label in gestures(2)]
+    write_recordings(tmp_path / "larger.zip", larger, CLASSES)
+    for name, reason in (("renamed.zip", "class 0"), ("larger.zip", "outside 12 columns")):
+        shown = ("--target", "fast", "--data", tmp_path / name)
+        assert call("check", "run", folder / "image", *shown) == 2
+        assert reason in capsys.readouterr().err
+    assert call("check", "run", folder / "image", "--target", "fast", "--samples", 5) == 2
+
+
+@pytest.mark.parametrize("verb", [
+    ("deploy", "plan", "--json"), ("deploy", "energy", "--json"),
+    ("deploy", "export", "--format", "lava", "--out", "network.npz"),
+])  # fmt: skip
+def test_a_run_stands_for_its_bundle(folder, tmp_path, monkeypatch, verb, capsys):
+    monkeypatch.chdir(tmp_path)
+    group, name, *options = verb
+    assert call(group, name, folder / "image", *options) == 0
+
+
+@pytest.mark.parametrize("verb", [
+    ("settings",), ("settings", "image"), ("data", "stats", "--data", "own"),
+    ("deploy", "plan", "image"), ("deploy", "energy", "image"), ("compare", "image", "events"),
+])  # fmt: skip
+def test_tables_fit_80_columns(folder, monkeypatch, verb, capsys):
+    monkeypatch.chdir(folder)
+    assert call(*verb) == 0
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
+
+
+@pytest.mark.parametrize("kind", QUICK)
+def test_an_animation_of_a_sample(folder, tmp_path, monkeypatch, kind):
+    from PIL import Image
+
+    from pipeline.report.figures import animation
+
+    monkeypatch.setattr(animation, "FRAMES", 4)
+    monkeypatch.setattr(animation, "STILL", 1)
+    assert call("animate", folder / kind, "--out", tmp_path / "a.gif") == 0
+    with Image.open(tmp_path / "a.gif") as picture:
+        assert picture.n_frames >= 4  # equal ones are joined
+        frames = []
+        for number in range(picture.n_frames):
+            picture.seek(number)
+            frames.append(picture.convert("L").tobytes())
+    assert len(set(frames)) >= 4
+    assert call("animate", folder / kind, "--out", tmp_path / "a.txt") == 2
+    assert call("animate", folder / kind, "--out", tmp_path / "b.gif", "--sample", "x/1") == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]
+
+
+def test_a_run_without_a_bundle_is_told_what_to_do(tmp_path, capsys):
+    (tmp_path / "experiment.toml").write_text("")
+    assert call("deploy", "plan", tmp_path) == 2
+    assert "stmnist convert" in capsys.readouterr().err
+
+
+def test_the_report_has_the_user_s_words(folder):
+    for kind in QUICK:
+        assert call("report", folder / kind) == 0
+        page = (folder / kind / "report.html").read_text(encoding="utf-8")
+        for name in CLASSES:
+            assert name in page
+        for word in ("digit", "Table 1", "Table 2", "ST-MNIST", "of the writing"):
+            assert word not in page
+        assert f"<title>own: {folder / kind}</title>" in page
+        assert page.count('<details class="sample"') >= 8
+        assert page.index(">wrong</b>") < page.index(">right</b>")
+        assert page.count('class="confusion"') == 2
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium here (Debian: apt install chromium)")
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [390, 1280, 1920])
+def test_a_browser_shows_the_report_at_every_width(folder, tmp_path, width, scheme):
+    """Nothing is wider than the page; the names of the classes are no smaller than 10 pixels."""
+    report = folder / "image" / "report.html"
+    if not report.exists():
+        assert call("report", folder / "image") == 0
+    wrapper = tmp_path / "wrapper.html"
+    wrapper.write_text(
+        f'<iframe style="width: {width}px; height: 900px; border: 0; color-scheme: {scheme}" '
+        f'srcdoc="{escape(report.read_text(encoding="utf-8"))}" onload="'
+        "const page = this.contentDocument.documentElement;"
+        "const names = [...page.querySelectorAll('.confusion tbody th')];"
+        "const size = Math.min(...names.map(n => parseFloat(getComputedStyle(n).fontSize)));"
+        "const cut = names.filter(n => n.scrollWidth > n.clientWidth + 1).length;"
+        "const style = getComputedStyle(page.querySelector('body'));"
+        "document.title = [page.scrollWidth, size, cut, style.backgroundColor].join('|')"
+        '"></iframe>'
+    )
+    page, log = browse(wrapper, "--dump-dom", f"--blink-settings={SCHEMES[scheme]}")
+    content, size, cut, paper = re.search(r"<title>([^<]+)</title>", page)[1].split("|")
+    assert "CONSOLE" not in log
+    assert int(content) == width
+    assert float(size) >= 10
+    assert int(cut) == 0
+    assert (paper == "rgb(255, 255, 255)") == (scheme == "light")

@@ -1,0 +1,62 @@
+"""examples/own_sensor runs as a user's own would; the notebook is the script, cell by cell."""
+
+import json
+import re
+import subprocess
+import sys
+
+import pytest
+
+from deploy.files import read_json
+from tests.command import ROOT, call, users_environment
+from tests.test_example import with_fewer
+
+SCRIPT = ROOT / "examples" / "own_sensor.py"
+NOTEBOOK = ROOT / "examples" / "own_sensor.ipynb"
+
+
+def cells():
+    """Source of the notebook's cells of code."""
+    notebook = json.loads(NOTEBOOK.read_text(encoding="utf-8"))
+    return ["".join(c["source"]) for c in notebook["cells"] if c["cell_type"] == "code"]
+
+
+def lines(code):
+    """Without marks of cells and empty lines."""
+    return [line for line in re.sub(r"(?m)^# %% ", "# ", code).splitlines() if line.strip()]
+
+
+def test_the_notebook_is_the_script():
+    _, _, code = SCRIPT.read_text(encoding="utf-8").split('"""', 2)
+    assert lines(code[: len(code)]) == lines("\n".join(cells()))
+
+
+@pytest.mark.slow
+def test_the_notebook_runs(tmp_path):
+    """With fewer epochs and recordings than it shows; then the commands that it names."""
+    code = with_fewer(
+        "\n\n".join(cells()),
+        {
+            "range(75)": "range(15)",
+            '"input": {"kind": kind}}': '"input": {"kind": kind}, "cnn": {"epochs": 3}, '
+            '"snn": {"epochs": 1}, "events": {"epochs": 2}}',
+        },
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env=users_environment(),
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("12 simulated samples") == 2
+    for kind, first in (("image", "cnn"), ("events", "trained")):
+        ladder = read_json(tmp_path / "runs" / f"gestures-{kind}" / "ladder.json", "")
+        assert ladder["rows"][0]["stage"] == first
+        assert ladder["classes"][0] == "circle"
+    runs = [tmp_path / "runs" / f"gestures-{kind}" for kind in ("image", "events")]
+    assert call("compare", *runs) == 0
+    assert call("report", runs[1]) == 0
+    others = ("--target", "fast", "--data", tmp_path / "gestures.zip", "--samples", 5)
+    assert call("check", "run", runs[1], *others) == 0
