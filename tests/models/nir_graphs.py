@@ -1,5 +1,7 @@
 """NIR graphs for tests, as the plain values that a file holds."""
 
+import itertools
+
 import numpy as np
 
 from models.nir_graph import _network
@@ -22,7 +24,7 @@ def tree_of(shape, *nodes, output=None):
         named[f"n{index}"] = {"type": kind, **values}
     named["output"] = {"type": "Output", "shape": np.array(output or [1])}
     names = list(named)
-    return {"type": "NIRGraph", "nodes": named, "edges": list(zip(names, names[1:]))}
+    return {"type": "NIRGraph", "nodes": named, "edges": list(itertools.pairwise(names))}
 
 
 def network_of(shape, *nodes):

@@ -241,7 +241,7 @@ def test_what_cannot_be_on_the_chip_is_named():
     with pytest.raises(NirError, match=r"'n1' \(LIF\).*one time constant"):
         layers_of(network_of((3,), affine(rng, 2, 3), two), 0.001)
     li = ("LI", {"tau": 0.01, "r": 1.0, "v_leak": 0.0})
-    with pytest.raises(NirError, match="'n0'.*second filter"):
+    with pytest.raises(NirError, match=r"'n0'.*second filter"):
         layers_of(network_of((3,), li, affine(rng, 2, 3), cuba_lif()), 0.001)
     with pytest.raises(NirError, match="shorter than the step"):
         layers_of(network_of((3,), affine(rng, 2, 3), lif(0.0005)), 0.001)
