@@ -20,6 +20,7 @@ from deploy.errors import UserError
 from deploy.files import replacing, sha256_of
 from deploy.network.chip import LOIHI
 from deploy.network.decision import choose_threshold, delayed
+from deploy.network.nir import DEPLOYED, deployed_network
 from deploy.network.responses import Responses, read_output
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes, Stimulus, last_steps
@@ -66,6 +67,8 @@ class Stepped:
             seconds = nir.step / 1000
         elif by_snntorch:
             seconds = SNNTORCH_STEP
+        elif DEPLOYED in network.metadata:
+            seconds = LOIHI.dt
         method = nir.method
         if method == "auto":
             method = "euler" if by_snntorch else "exact"
@@ -95,15 +98,51 @@ def settings_of_nir(path, step: float | None = None, kind: str | None = None) ->
     """
     path = Path(path)
     network = read_nir(path)
+    nir = {"file": str(path.absolute()), "sha256": sha256_of(path), "step": 0.0}
+    if (exported := exported_here(network, path)) is not None:
+        return {**_settings_of_export(exported), "nir": nir}
     kind = kind or _kind_of(path, network.input_shape)
     shown = {"kind": kind, "refractory": 0.0}
-    nir = {"file": str(path.absolute()), "sha256": sha256_of(path), "step": 0.0}
     if step is not None:
         if kind == "events":
             shown["step"] = step
         else:
             nir["step"] = step
     return {"input": shown, "nir": nir}
+
+
+def exported_here(network: NirNetwork, source="") -> NetworkSpec | None:
+    """The deployed network that a graph was exported from, or None of other graphs.
+
+    Raises
+    ------
+    UserError
+        It says that it was exported here, and its parts do not fit each other.
+    """
+    try:
+        nodes = {node.name: node.parameters for node in network.nodes}
+        return deployed_network(nodes, network.metadata)
+    except UserError as error:
+        raise UserError(f"{source}: {error}") from error
+
+
+def _settings_of_export(spec):
+    """Settings with which a network that was exported here is shown what it was made for."""
+    stimulus, shown = spec.stimulus, spec.presentation
+    changes = {
+        "presentation": {name: getattr(shown, name) for name in ("steps", "gap", "stream_length")},
+    }
+    if isinstance(stimulus, EventFrames):
+        step = round(1000 * stimulus.seconds, 9)
+        changes["input"] = {"kind": "events", "step": step, "refractory": stimulus.rest * step}
+        return changes
+    changes["input"] = {"kind": "image"}
+    changes["presentation"]["readout_start"] = shown.readout_start
+    changes["deployment"] = {"first_layer": "host" if stimulus.area is None else "chip"}
+    if isinstance(stimulus, ImageSpikes):
+        changes["deployment"]["input_rate"] = stimulus.max_rate
+        changes["deployment"]["input_phase"] = stimulus.initial_phase
+    return changes
 
 
 def _kind_of(path, shape):
@@ -163,9 +202,14 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
         raise UserError(f"{source}: has changed; {AGAIN}")
     fits(network, dataset, source)
     stepped = Stepped.of(settings, network)
-    layers = layers_of(network, stepped.seconds, stepped.method, _fed_shape(dataset))
-    for line in _notes(network, layers, stepped):
-        say(f"nir: {line}")
+    exported = exported_here(network, source)
+    if exported is None:
+        layers = layers_of(network, stepped.seconds, stepped.method, _fed_shape(dataset))
+        for line in _notes(network, layers, stepped):
+            say(f"nir: {line}")
+    else:
+        layers = exported.layers
+        say("nir: exported from a bundle; what NIR leaves out is taken from the file's metadata")
     part = "test" if len(dataset.split.test) else "validation"
     index = getattr(dataset.split, part)
     with progress("simulate nir", len(index)) as advance:
@@ -277,9 +321,13 @@ def _outputs(network, stepped, inputs, settings, advance=None):
     outputs, counts = [], []
     for start in range(0, len(inputs), AT_ONCE):
         part = inputs[start : start + AT_ONCE]
-        found = simulate(
-            network, graph_inputs(network, part, settings.steps), stepped.seconds, stepped.method
-        )
+        if DEPLOYED in network.metadata and isinstance(settings.stimulus, ImageSpikes):
+            # exported from a bundle, whose graph is for the input neurons' spikes
+            spikes = _input_spikes(settings.stimulus, part, settings.steps)
+            shown = graph_inputs(network, spikes.reshape(*spikes.shape[:2], *part.shape[1:]), 0)
+        else:
+            shown = graph_inputs(network, part, settings.steps)
+        found = simulate(network, shown, stepped.seconds, stepped.method)
         outputs.append(found.outputs.reshape(*found.outputs.shape[:2], -1))
         counts.append({n: _in_places(s.sum(1, dtype=np.int64)) for n, s in found.spikes.items()})
         if advance is not None:
@@ -381,13 +429,22 @@ def deployed_nir(
     """
     network = read_nir(kept_graph(folder))
     early = metrics["decides_by_itself"]
+    presentation = settings.presented(early and early["confidence"])
+    if (exported := exported_here(network, kept_graph(folder))) is not None:
+        fed = (settings.stimulus, dataset.inputs.shape[-3:])
+        if fed != (exported.stimulus, exported.input_shape):
+            raise UserError(
+                f"{settings.nir.file}: exported from a bundle that is fed otherwise than these "
+                f"settings say ({exported.stimulus}); {AGAIN}"
+            )
+        return replace(exported, presentation=presentation, provenance=provenance)
     rng = np.random.default_rng([settings.seed, 0x41B])
     some = np.sort(rng.permutation(dataset.split.train)[:CALIBRATED_ON])
     return spec_of_nir(
         network,
         Stepped.of(settings, network),
         settings.stimulus,
-        settings.presented(early and early["confidence"]),
+        presentation,
         dataset.inputs[some],
         provenance,
         settings.deployment.pop_type,

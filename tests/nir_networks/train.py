@@ -46,14 +46,19 @@ def snntorch_network(reset):
 def norse_network():
     import norse.torch as norse
 
-    def time(seconds):
-        return torch.tensor(1 / seconds)
-
+    # With parameters of the layers' shapes, since NIR's writer takes no scalars.
+    hidden = norse.LIFBoxParameters(
+        tau_mem_inv=torch.full((128,), 1 / 0.15), v_th=torch.ones(128), v_leak=torch.zeros(128),
+        alpha=torch.tensor(10.0),
+    )  # fmt: skip
+    readout = norse.LIBoxParameters(
+        tau_mem_inv=torch.full((10,), 1 / 0.2), v_leak=torch.zeros(10)
+    )
     return norse.SequentialState(
         torch.nn.Linear(200, 128),
-        norse.LIFBoxCell(norse.LIFBoxParameters(tau_mem_inv=time(0.15)), dt=STEP_S),
+        norse.LIFBoxCell(hidden, dt=STEP_S),
         torch.nn.Linear(128, 10),
-        norse.LIBoxCell(norse.LIBoxParameters(tau_mem_inv=time(0.2)), dt=STEP_S),
+        norse.LIBoxCell(readout, dt=STEP_S),
     )
 
 
