@@ -24,7 +24,6 @@ from __future__ import annotations
 import io
 import json
 from dataclasses import replace
-
 from typing import Optional
 
 import nengo
@@ -34,8 +33,8 @@ from .. import __version__
 from ..errors import UserError
 from ..files import replacing
 from .build import build
-from .geometry import windows
 from .decision import Judge
+from .geometry import windows
 from .spec import DT, Layer, NetworkSpec
 from .stream import show, streams_of
 

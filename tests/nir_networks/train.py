@@ -47,17 +47,20 @@ def norse_network():
     import norse.torch as norse
 
     # With parameters of the layers' shapes, since NIR's writer takes no scalars.
-    hidden = norse.LIFBoxParameters(
-        tau_mem_inv=torch.full((128,), 1 / 0.15), v_th=torch.ones(128), v_leak=torch.zeros(128),
-        alpha=torch.tensor(10.0),
-    )  # fmt: skip
-    readout = norse.LIBoxParameters(
-        tau_mem_inv=torch.full((10,), 1 / 0.2), v_leak=torch.zeros(10)
-    )
+    def neurons(*shape):
+        times = torch.full(shape, 1 / 0.15)
+        parameters = norse.LIFBoxParameters(
+            times, v_th=torch.ones(shape), v_leak=torch.zeros(shape), alpha=torch.tensor(10.0)
+        )
+        return norse.LIFBoxCell(parameters, dt=STEP_S)
+
+    readout = norse.LIBoxParameters(torch.full((10, 1, 1), 1 / 0.2), torch.zeros(10, 1, 1))
     return norse.SequentialState(
-        torch.nn.Linear(200, 128),
-        norse.LIFBoxCell(hidden, dt=STEP_S),
-        torch.nn.Linear(128, 10),
+        torch.nn.Conv2d(2, 24, 4, stride=3),
+        neurons(24, 3, 3),
+        torch.nn.Conv2d(24, 64, 3),
+        neurons(64, 1, 1),
+        torch.nn.Conv2d(64, 10, 1),
         norse.LIBoxCell(readout, dt=STEP_S),
     )
 
@@ -74,8 +77,6 @@ def begin(package, network):
 def run(package, network, frames):
     """Outputs at each step, (steps, samples, 10), layer by layer, each over all steps."""
     signal = frames.transpose(0, 1).float()
-    if package == "norse":
-        signal = signal.flatten(2)
     for layer in network:
         if isinstance(layer, (torch.nn.Linear, torch.nn.Conv2d, torch.nn.AvgPool2d)):
             flat = layer(signal.flatten(0, 1))
@@ -91,14 +92,15 @@ def run(package, network, frames):
         else:
             layer.mem = torch.zeros_like(signal[0])
             signal = torch.stack([layer(step) for step in signal])
-    return signal
+    return signal.flatten(2)
 
 
 def train(package, network, frames, labels, seed, epochs):
     torch.manual_seed(seed)
-    optimizer = torch.optim.Adam(network.parameters(), 2e-3)
+    rate = 1e-2 if package == "snntorch" else 2e-2
+    optimizer = torch.optim.Adam(network.parameters(), rate)
     batches = -(-len(frames) // 64)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 4e-3, epochs * batches)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, epochs * batches)
     for epoch in range(epochs):
         right = 0
         for batch in torch.randperm(len(frames)).split(64):
@@ -122,7 +124,9 @@ def export(package, network):
     from norse.torch.utils.export_nir import to_nir
 
     # The exporter writes dt / tau_mem_inv: with 1 the time constants are in seconds.
-    return to_nir(network, torch.zeros(200), dt=1.0)
+    graph = to_nir(network, torch.zeros(2, 10, 10), dt=1.0)
+    graph.infer_types()  # the exporter leaves the convolutions' shapes open
+    return graph
 
 
 def main(package, given, graph, answers, seed, epochs, reset="zero"):
