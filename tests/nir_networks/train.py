@@ -49,8 +49,9 @@ def norse_network():
     # With parameters of the layers' shapes, since NIR's writer takes no scalars.
     def neurons(*shape):
         times = torch.full(shape, 1 / 0.15)
+        # a spike's weight reaches the voltage times h / tau: a low threshold makes up for that
         parameters = norse.LIFBoxParameters(
-            times, v_th=torch.ones(shape), v_leak=torch.zeros(shape), alpha=torch.tensor(10.0)
+            times, v_th=torch.full(shape, 0.1), v_leak=torch.zeros(shape)
         )
         return norse.LIFBoxCell(parameters, dt=STEP_S)
 
@@ -65,12 +66,12 @@ def norse_network():
     )
 
 
-def begin(package, network):
+def begin(network):
     """Weights with which neurons spike before they are trained."""
     with torch.no_grad():
         for module in network.modules():
             if isinstance(module, (torch.nn.Linear, torch.nn.Conv2d)):
-                module.weight *= 2.0 if package == "snntorch" else 12.0
+                module.weight *= 2.0
                 module.bias.zero_()
 
 
@@ -97,16 +98,15 @@ def run(package, network, frames):
 
 def train(package, network, frames, labels, seed, epochs):
     torch.manual_seed(seed)
-    rate = 1e-2 if package == "snntorch" else 2e-2
-    optimizer = torch.optim.Adam(network.parameters(), rate)
+    optimizer = torch.optim.Adam(network.parameters(), 1e-2)
     batches = -(-len(frames) // 64)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, epochs * batches)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 1e-2, epochs * batches)
     for epoch in range(epochs):
         right = 0
         for batch in torch.randperm(len(frames)).split(64):
             outputs = run(package, network, frames[batch])
             # spikes are counted, voltages averaged; both over the whole recording
-            score = outputs.sum(0) * (0.3 if package == "snntorch" else 0.1)
+            score = outputs.sum(0) * 0.3
             loss = torch.nn.functional.cross_entropy(score, labels[batch])
             optimizer.zero_grad()
             loss.backward()
@@ -140,7 +140,7 @@ def main(package, given, graph, answers, seed, epochs, reset="zero"):
         labels = torch.from_numpy(file["labels"])
         parts = {name: torch.from_numpy(file[name]) for name in ("train", "test")}
     network = snntorch_network(reset) if package == "snntorch" else norse_network()
-    begin(package, network)
+    begin(network)
     learn, test = parts["train"], parts["test"]
     train(package, network, frames[learn], labels[learn], int(seed), int(epochs))
     with torch.no_grad():
