@@ -50,7 +50,6 @@ from models.integers import (
     DECAY_UNIT,
     MAX_THRESHOLD,
     THRESHOLD_UNIT,
-    WEIGHT_LEVELS,
     WEIGHT_UNIT,
     Integers,
 )
