@@ -1,9 +1,10 @@
 """Train a network in PyTorch and export it with its package's own exporter.
 
 ``python train.py snntorch|norse FRAMES.npz NETWORK.nir ANSWERS.npz SEED EPOCHS [RESET]``, in an
-environment with the packages of ``requirements.txt``; it knows nothing of this project but the file
-of frames, see ``frames.py``.  Into the answers go the test samples' ``predictions`` and, of the
-first 20 of them, the network's ``outputs`` at each step, shape (20, steps, 10).
+environment with the packages of ``tests/nir_reader/requirements.txt``; it knows nothing of this
+project but the file of frames, see ``frames.py``.  Into the answers go the test samples'
+``predictions`` and, of the first 20 of them, the network's ``outputs`` at each step, shape
+(20, steps, 10).
 
 The networks are small and plain.  That of snnTorch is like the one of its tutorial on ST-MNIST,
 two convolutions and a dense layer of leaky neurons whose output spikes are counted, with averaging
