@@ -40,6 +40,11 @@ CALIBRATED_ON = 48
 DECIDED_ON = 300
 """Training samples, at most, on which the confidence is chosen at which the network decides."""
 
+FROM_REST = {"gap": 0, "stream_length": 1}
+"""How an imported network is shown its samples unless the user says otherwise: each from rest, as
+it was trained.  After a gap neurons and readout have settled under their biases, which cost one
+network trained with Norse eight points."""
+
 AGAIN = "give it again with 'stmnist convert RUN --nir FILE'"
 
 
@@ -108,7 +113,7 @@ def settings_of_nir(path, step: float | None = None, kind: str | None = None) ->
             shown["step"] = step
         else:
             nir["step"] = step
-    return {"input": shown, "nir": nir}
+    return {"input": shown, "nir": nir, "presentation": FROM_REST}
 
 
 def exported_here(network: NirNetwork, source="") -> NetworkSpec | None:
