@@ -6,27 +6,22 @@ content tells, not its name.  Nothing in a file is executed: Keras does not take
 user's own are refused, and of HDF5 only plain arrays of floating-point numbers in the file itself
 are read (no links to other files, no external or virtual storage, no filters).
 
-The HDF5 library crashes on some damaged files (measured: one flipped byte in a few thousand), so
-that files are opened in a process of its own; run as a script, this module is that process.
+Files are opened in a process of their own (:mod:`models.apart`); run as a script, this module is
+that process.
 """
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
-import os
 import re
-import subprocess
-import sys
 import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from deploy.children import PARENT, end_with_named_parent
-from deploy.files import open_regular
+from models.apart import MAX_SECONDS, Crashed, TooSlow, answer_apart, content_of, read_apart
 from models.hdf5 import h5py
 
 MAX_FILE = 256 * 2**20
@@ -40,12 +35,6 @@ MAX_LAYERS = 500
 
 MAX_NUMBERS = 30_000_000
 """Numbers that are read from a file."""
-
-MAX_SECONDS = 60
-"""Seconds that reading a file may take; it takes less than one."""
-
-MAX_MEMORY = 2 * 2**30
-"""Bytes of memory that reading a file may take."""
 
 ARRAYS = {"Conv2D": "conv2d", "Dense": "dense", "BatchNormalization": "batch_normalization"}
 """Layers whose arrays are read, and what a ``.keras`` file calls the first of each, whatever the
@@ -124,56 +113,34 @@ def read_model_file(path) -> SavedModel:
     path = Path(path)
     content = _content(path)
     try:
-        done = subprocess.run(
-            [sys.executable, "-P", "-m", "models.keras_file"],
-            input=content,
-            capture_output=True,
-            timeout=MAX_SECONDS,
-            env={
-                **os.environ,
-                "OPENBLAS_NUM_THREADS": "1",
-                "PYTHONPATH": _search_path(),
-                PARENT: str(os.getpid()),
-            },
-        )
-    except subprocess.TimeoutExpired as error:
+        answer, arrays = read_apart("models.keras_file", content)
+    except TooSlow as error:
         problem = f"could not be read in {MAX_SECONDS} s, seems damaged"
         raise ModelFileError(f"{path}: {problem}; {REMEDY}") from error
-    if done.returncode:
-        raise ModelFileError(f"{path}: damaged; {REMEDY}")
-    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as arrays:
-        answer = json.loads(arrays["answer"].tobytes())
-        if "problem" in answer:
-            raise ModelFileError(f"{path}: {answer['problem']}")
-        layers = tuple(
-            SavedLayer(kind, name, config, tuple(arrays[array] for array in names))
-            for kind, name, config, names in answer["layers"]
-        )
+    except Crashed as error:
+        raise ModelFileError(f"{path}: damaged; {REMEDY}") from error
+    if "problem" in answer:
+        raise ModelFileError(f"{path}: {answer['problem']}")
+    layers = tuple(
+        SavedLayer(kind, name, config, tuple(arrays[array] for array in names))
+        for kind, name, config, names in answer["layers"]
+    )
     return SavedModel(tuple(answer["input_shape"]), layers)
 
 
-def _answer_as_a_process():
-    """Read a file's content from standard input; write what is in it, as .npz, to the output."""
-    end_with_named_parent()
-    with contextlib.suppress(ImportError):
-        import resource  # not on Windows
-
-        resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY, MAX_MEMORY))
+def _answer(content):
+    """What is in a file's content, as plain values and arrays."""
     arrays = {}
     try:
-        model = read_content(sys.stdin.buffer.read())
-        layers = []
-        for layer in model.layers:
-            names = [f"{len(arrays) + n}" for n in range(len(layer.arrays))]
-            arrays |= dict(zip(names, layer.arrays, strict=True))
-            layers.append([layer.kind, layer.name, layer.config, names])
-        answer = {"input_shape": model.input_shape, "layers": layers}
+        model = read_content(content)
     except ModelFileError as error:
-        answer = {"problem": str(error)}
-    text = np.frombuffer(json.dumps(answer).encode(), np.uint8)
-    buffer = io.BytesIO()
-    np.savez(buffer, answer=text, **arrays)
-    sys.stdout.buffer.write(buffer.getvalue())
+        return {"problem": str(error)}, {}
+    layers = []
+    for layer in model.layers:
+        names = [f"{len(arrays) + n}" for n in range(len(layer.arrays))]
+        arrays |= dict(zip(names, layer.arrays, strict=True))
+        layers.append([layer.kind, layer.name, layer.config, names])
+    return {"input_shape": model.input_shape, "layers": layers}, arrays
 
 
 def read_content(content: bytes) -> SavedModel:
@@ -207,25 +174,13 @@ def read_content(content: bytes) -> SavedModel:
         raise ModelFileError(f"damaged ({type(error).__name__}); {REMEDY}") from error
 
 
-def _search_path():
-    """Where Python finds this package first, wherever this process found it."""
-    here = str(Path(__file__).resolve().parents[1])
-    return os.pathsep.join(filter(None, [here, os.environ.get("PYTHONPATH")]))
-
-
 def _content(path):
+    if path.is_dir():
+        raise ModelFileError(f"{path}: a folder, not a Keras model file; {REMEDY}")
     try:
-        if path.is_dir():
-            raise ModelFileError(f"{path}: a folder, not a Keras model file; {REMEDY}")
-        with open_regular(path) as file:
-            content = file.read(MAX_FILE + 1)
-    except OSError as error:
-        reason = error.strerror or error
-        raise ModelFileError(f"{path}: cannot read ({reason}); check the path") from error
-    except ModelFileError:
-        raise
-    except ValueError as error:  # a zero byte in the name
-        raise ModelFileError(f"{str(path)!r}: cannot read ({error}); check the path") from error
+        content = content_of(path, MAX_FILE)
+    except ValueError as error:
+        raise ModelFileError(str(error)) from error
     if len(content) > MAX_FILE:
         raise ModelFileError(f"{path}: larger than {MAX_FILE >> 20} MiB, no network for a chip")
     return content
@@ -541,4 +496,4 @@ class _Budget:
 
 
 if __name__ == "__main__":
-    _answer_as_a_process()
+    answer_apart(_answer)

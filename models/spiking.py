@@ -45,22 +45,18 @@ import numpy as np
 
 from deploy.network.chip import LOIHI
 from models.architecture import Architecture
+from models.integers import (
+    BIAS_MANTISSA,
+    DECAY_UNIT,
+    MAX_THRESHOLD,
+    THRESHOLD_UNIT,
+    WEIGHT_UNIT,
+    Integers,
+)
 from models.keras2 import quiet_compiler, tf
 from models.quantised import straight_through, weight_scale
 from models.time_steps import scan, weighted_sums
 
-WEIGHT_LEVELS = LOIHI.weight_levels
-"""Largest magnitude of an 8-bit weight that may have either sign."""
-
-WEIGHT_UNIT = 128
-"""What a weight of 1 adds to q: NengoLoihi's weights at exponent 0 are even and shifted by 6."""
-
-THRESHOLD_UNIT = 64
-MAX_THRESHOLD = (2**17 - 2) * THRESHOLD_UNIT
-"""A unit below the chip's largest, where NengoLoihi's scaling can round past it and halves all."""
-
-DECAY_UNIT = LOIHI.decay_unit
-BIAS_MANTISSA = 2**LOIHI.bias_bits - 1
 BIAS_EXPONENTS = 7
 Q_BITS, U_BITS = LOIHI.input_bits, LOIHI.current_bits
 """Bits of the synaptic accumulator and of the current, without their signs."""
@@ -97,28 +93,6 @@ class Neuron:
     def __post_init__(self):
         if min(*self.tau_u, *self.tau_v, self.beta) <= 0 or self.floor > 0:
             raise ValueError("Neuron: time constants and beta must be above 0, the floor at most 0")
-
-
-@dataclass(frozen=True)
-class Integers:
-    """A layer as the chip has it.
-
-    Attributes
-    ----------
-    weights : ndarray of int32
-        Shape as of the kernel: (rows, columns, channels in, filters) or (inputs, units).
-    bias : ndarray of int32, shape (filters,) or (units,)
-    threshold, floor : int
-    keep_u, keep_v : int
-        What a step leaves of current and voltage, in 4096ths.
-    """
-
-    weights: np.ndarray
-    bias: np.ndarray
-    threshold: int
-    floor: int
-    keep_u: int
-    keep_v: int
 
 
 class SpikingNetwork(tf.Module):
@@ -473,68 +447,3 @@ def _logit(tau):
 def _steps(logit):
     """Time constant in steps, the inverse of `_logit`."""
     return 1 / np.log1p(np.exp(-np.asarray(logit, np.float64)))
-
-
-@dataclass(frozen=True)
-class OnLoihi:
-    """A layer in the terms of Nengo, from which NengoLoihi makes just the integers it came from.
-
-    Attributes
-    ----------
-    weights : ndarray of float
-        In the kernel's shape; for neurons whose spikes have the area of one step (``amplitude`` of
-        ``dt``) and a gain of 1.
-    bias : ndarray of float, shape (filters,) or (units,)
-    tau_s : float
-        Time constant in seconds of the low-pass on the layer's input; 0 for none.
-    tau_rc : float
-        Membrane time constant in seconds; ``tau_ref`` is 0.
-    min_voltage : float
-        In units of the threshold, which is 1.
-    """
-
-    weights: np.ndarray
-    bias: np.ndarray
-    tau_s: float
-    tau_rc: float
-    min_voltage: float
-
-
-def on_loihi(layer: Integers, dt: float) -> OnLoihi:
-    """What NengoLoihi must be given to come to these integers.
-
-    It makes decays of 12 bits from the time constants; scales a block's weights so that the largest
-    becomes 127.5, rounded to 127; and multiplies threshold and bias so that they keep their ratio
-    to weights that pass normalised filters, whose sum it estimates from the decays
-    (``builder/discretize.py``: ``discretize_compartment``, ``decay_magnitude``).  Here that is
-    undone.
-
-    Parameters
-    ----------
-    layer : Integers
-        Its largest weight is 127 or -127, unless all are 0.
-    dt : float
-        Time step in seconds of the Nengo model.
-    """
-    decay_u, decay_v = DECAY_UNIT - 1 - layer.keep_u, DECAY_UNIT - layer.keep_v
-    sum_u, sum_v = _sum_of_decays(layer.keep_u), _sum_of_decays(layer.keep_v)
-    share_u, share_v = (decay_u + 1) / (DECAY_UNIT - 1), decay_v / (DECAY_UNIT - 1)
-    per_unit = 255 / WEIGHT_LEVELS * THRESHOLD_UNIT * sum_u * sum_v / layer.threshold
-    return OnLoihi(
-        weights=layer.weights * per_unit,
-        bias=layer.bias * (sum_v / layer.threshold),
-        tau_s=0.0 if share_u == 1 else float(-dt / np.log1p(-share_u)),
-        tau_rc=float(-dt / np.log1p(-share_v)),
-        min_voltage=layer.floor / layer.threshold,
-    )
-
-
-def _sum_of_decays(keep):
-    """NengoLoihi's estimate of what 2^21 adds up to, relative to it, while it decays to nothing.
-
-    x(k+1) = floor(r x(k)), where rounding down takes 0.494 a step on average.
-    """
-    start, lost, r = 2.0**21, 0.494, keep / DECAY_UNIT
-    steps = -np.log1p(start * (1 - r) / lost) / np.log(r)
-    geometric = (1 - r ** (steps + 1)) / (1 - r)
-    return geometric - lost / ((1 - r) * start) * (steps + 1 - geometric)

@@ -50,7 +50,7 @@ class _Hidden:
 
 _HIDDEN = _Hidden()
 
-PATHS = ("data.source", "cnn.model")
+PATHS = ("data.source", "cnn.model", "nir.file")
 """Settings that say where a file lies.  They never count as part of what an artifact was made from,
 because the file's content does, and every artifact may read them."""
 
@@ -104,6 +104,9 @@ INSIDE_0_1 = Limit(lambda value: 0 < value < 1, "between 0 and 1")
 FROM_0_BELOW_1 = Limit(lambda value: 0 <= value < 1, "from 0 to below 1")
 RATE = Limit(lambda value: 0 < value <= 1000, "above 0, at most 1000")
 STEP = between(0.1, 1000, " milliseconds")
+STEP_OR_NONE = Limit(
+    lambda value: value == 0 or 1e-3 <= value <= 1e6, "0, or from 0.001 to 1000000 milliseconds"
+)
 SIDE = between(0, 256)
 POP_TYPE = Limit(lambda value: value in (16, 32), "16 or 32")
 
@@ -239,6 +242,24 @@ class SNN(Section):
 
 
 @dataclass(frozen=True)
+class NIR(Section):
+    """A NIR graph in the place of the trained network; see :mod:`pipeline.run.nir_conversion`."""
+
+    file: str = ""
+    """A NIR graph, such as networks trained in PyTorch are exported as; ``convert --nir`` sets
+    it, and an empty text goes back to networks trained here."""
+    sha256: str = ""
+    """Of that file's content."""
+    step: Annotated[float, STEP_OR_NONE] = 0.0
+    """Milliseconds of the graph's time in a step of the chip; 0: 0.1 where snnTorch's exporter
+    wrote the graph, otherwise as long as ``input.step``, or with images 1."""
+    method: Annotated[str, one_of("auto", "exact", "euler")] = "auto"
+    """How the graph's equations become steps: ``exact``, their own solution; ``euler``, forward
+    Euler steps, as Norse and snnTorch train; ``auto``, ``euler`` where snnTorch's exporter wrote
+    the graph, otherwise ``exact``."""
+
+
+@dataclass(frozen=True)
 class EventTraining(Section):
     """The spiking network that is trained on events; see :mod:`pipeline.training.events`."""
 
@@ -346,6 +367,7 @@ class Settings(Section):
     split: SplitShares = field(default_factory=SplitShares)
     cnn: CNN = field(default_factory=CNN)
     snn: SNN = field(default_factory=SNN)
+    nir: NIR = field(default_factory=NIR)
     events: EventTraining = field(default_factory=EventTraining)
     slayer: Slayer = field(default_factory=Slayer)
     deployment: Deployment = field(default_factory=Deployment)
@@ -404,6 +426,11 @@ class Settings(Section):
     def on_events(self) -> bool:
         """Whether the chip is shown events, not images."""
         return self.input.kind == "events"
+
+    @property
+    def network(self) -> str:
+        """What the network for the chip comes from: ``"nir"``, or the kind of the input."""
+        return "nir" if self.nir.file else self.input.kind
 
     def value(self, name: str):
         """The value of a setting by its dotted name, such as ``"cnn.epochs"``."""
@@ -732,6 +759,8 @@ def check_fits(s: Settings, rows: int, columns: int, classes: int, origin: str):
     UserError
         With the architecture that would be, but for the layers between.
     """
+    if s.nir.file:  # a graph is compared with the recordings when it is read
+        return
     if s.on_events:
         name, text, size = "events.architecture", s.events.architecture, f"{rows}x{columns}x2"
         what, shape = f"events of {rows}x{columns} taxels", (rows, columns, 2)

@@ -34,6 +34,8 @@ _PLACES = {
     "deploy.network.operations": ("multiply_accumulates",),
     "deploy.preflight.plan": ("make_plan", "plan_text"),
     "deploy.targets.registry": ("TARGETS", "answer"),
+    "models.nir_graph": ("read_nir",),
+    "models.nir_simulator": ("simulate",),
     "pipeline.inputs.dataset": ("Dataset",),
     "pipeline.inputs.splits": ("draw_check_samples",),
     "pipeline.progress": ("progress",),

@@ -14,12 +14,17 @@ agree.
 
 The input neurons are not in the graph: what goes in are their spikes, which
 :func:`input_spikes` gives.  Scores are the mean of the output from the readout's start on.
+
+What NIR leaves out stands in the graph's metadata as text, so that :func:`deployed_network` gets
+the deployed network back from the graph, with the weights and biases of the graph's nodes.
 """
 
 from __future__ import annotations
 
 import io
+import json
 from dataclasses import replace
+from typing import Optional
 
 import nengo
 import numpy as np
@@ -28,6 +33,7 @@ from .. import __version__
 from ..errors import UserError
 from ..files import replacing
 from .build import build
+from .decision import Judge
 from .geometry import windows
 from .spec import DT, Layer, NetworkSpec
 from .stream import show, streams_of
@@ -126,6 +132,64 @@ def input_spikes(spec: NetworkSpec, samples) -> np.ndarray:
     return np.moveaxis(spikes, -1, 2).astype(np.float32)
 
 
+DEPLOYED = "deployed"
+"""Entry of the metadata: the network's description as JSON, without its arrays."""
+
+
+def deployed_network(nodes: dict, metadata: dict) -> Optional[NetworkSpec]:
+    """The network that :func:`nir_graph` made a graph of; its inverse.
+
+    Parameters
+    ----------
+    nodes : dict of str to mapping
+        Values of each node by NIR's names.
+    metadata : dict
+        Of the graph.
+
+    Returns
+    -------
+    NetworkSpec or None
+        None for a graph that was not exported here, or before the metadata had this.
+
+    Raises
+    ------
+    UserError
+        The metadata says that it was, and does not fit the graph's nodes.
+    """
+    if not isinstance(metadata.get(DEPLOYED), str):
+        return None
+    try:
+        value = json.loads(metadata[DEPLOYED])
+        area = float(metadata["area"])
+        arrays = {
+            name: np.asarray(array) for name, array in metadata.items() if name in Judge.shapes(2)
+        }
+        for plain in value["layers"]:
+            node = nodes[f"{plain['name']}_weights"]
+            weights = np.asarray(node["weight"], float) / area
+            arrays[f"{plain['name']}.weights"] = _channels_last(weights, plain)
+            arrays[f"{plain['name']}.bias"] = np.asarray(node["bias"], float)
+            if plain["neurons"] is not None:
+                area = plain["neurons"]["amplitude"] / DT
+        return NetworkSpec.from_json(value, arrays)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, RecursionError) as error:
+        raise UserError(f"its metadata {DEPLOYED!r} does not fit its nodes ({error}); export the "
+                        "bundle again, or remove that entry") from error  # fmt: skip
+
+
+def _channels_last(weights, plain):
+    """Weights in the order of :class:`deploy.network.spec.Layer`, without what was added."""
+    if plain["kind"] == "conv":
+        side = plain["kernel"]
+        return weights.transpose(2, 3, 1, 0)[-side:, -side:]
+    shape, pool = plain["input_shape"], plain["pool"]
+    if len(shape) == 3:
+        shape = (shape[0] // pool, shape[1] // pool, shape[2])
+        by_channel = weights.reshape(len(weights), shape[2], shape[0], shape[1])
+        weights = np.moveaxis(by_channel, 1, -1).reshape(len(weights), -1)
+    return weights
+
+
 def _nir():
     try:
         import nir
@@ -200,6 +264,9 @@ def _metadata(spec):
         "architecture": spec.architecture,
         "dt": DT,
         "spike": "a pulse of height 1 that lasts one time step dt",
+        DEPLOYED: json.dumps(spec.to_json()),
+        "area": 1.0 if spec.stimulus.area is None else spec.stimulus.area / DT,
+        **({} if spec.judge is None else spec.judge.arrays()),
         "steps": shown.steps,
         "gap": shown.gap,
         "readout_start": shown.readout_start,

@@ -29,6 +29,11 @@ def train(
     fit = options.fit_recordings(jobs, check=False)
     with options.opened(run, *given, fit=fit) as (folder, resolved):
         dataset = stages.open_dataset(folder, resolved, jobs, options.say, check=False)
+        if resolved.nir.file:
+            raise UserError(
+                f"{run}: its network is the NIR graph {resolved.nir.file}, trained already; use "
+                "'stmnist convert', or go back with --set nir.file=''"
+            )
         if resolved.on_events:
             stages.train_on_events(folder, resolved, dataset, options.say)
         else:
@@ -50,6 +55,16 @@ def convert(
             help="A Keras model of your own (.keras or .h5) in the place of the CNN; read, not run."
         ),
     ] = None,
+    nir: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(
+            help="A NIR graph, as networks trained in PyTorch are exported; read, not run."
+        ),
+    ] = None,
+    step: Annotated[
+        Optional[float],  # noqa: UP045
+        typer.Option(help="With --nir: milliseconds that a step of the chip stands for."),
+    ] = None,
     retrain: Annotated[
         bool,
         typer.Option("--retrain", help="With --model: train it on with rate-based LIF neurons."),
@@ -59,10 +74,17 @@ def convert(
     """Train the network that spikes, on images or with --input events, and write the bundle.
 
     With --model: scale that model to the neurons' range, make it spike, write the bundle.
+    With --nir: turn the graph's neurons and weights into the chip's integers, write the bundle.
     """
     if retrain and model is None:
         raise UserError("--retrain: of a model of your own only; name it with --model FILE")
+    if model is not None and nir is not None:
+        raise UserError("--model and --nir: one network a run; name one of them")
+    if step is not None and nir is None:
+        raise UserError("--step: of a NIR graph only; name it with --nir FILE")
     changes = stages.settings_of_model(model, retrain) if model else {}
+    if nir is not None:
+        changes = stages.settings_of_nir(nir, step, kind)
     given = (data, seed, samples, steps, settings, set_, kind, changes)
     with options.opened(run, *given, fit=options.fit_recordings(jobs)) as (folder, resolved):
         if model is not None and resolved.on_events:
@@ -70,7 +92,7 @@ def convert(
                 "--model: of tactile images; leave out what sets input.kind to 'events'"
             )
         _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
-        for stage in REFERENCES[resolved.input.kind]:
+        for stage in REFERENCES[resolved.network]:
             stages.answer(folder, resolved, bundle, stage, options.say)
 
 

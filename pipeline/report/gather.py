@@ -52,7 +52,7 @@ def gather(
     """
     settings = read_settings(folder.experiment)
     bundle = read_bundle(folder.bundle)
-    results = _results(folder, bundle, settings.input.kind)
+    results = _results(folder, bundle, settings.network)
     recordings = recordings_of(settings, jobs)
     unknown = set(bundle.checks.ids) - set(recordings.ids)
     made_from = bundle.spec.provenance.get("source_sha256")

@@ -26,7 +26,7 @@ from pipeline.recordings.words import is_written, recording_word
 from pipeline.report import charts
 from pipeline.report.matrix import confusion_shares
 from pipeline.report.over_time import final_probabilities
-from pipeline.run.answers import NETWORKS
+from pipeline.run.answers import NETWORKS, REFERENCES
 from pipeline.run.ladder import confusion_matrix, ladder_json, points_text
 from pipeline.settings import Settings
 
@@ -305,7 +305,7 @@ def _title(stage):
 
 def trained_title(settings: Settings) -> str:
     """What the network is called that was trained for the chip."""
-    return NETWORKS["trained" if settings.input.kind == "events" else "rate-lif"][0]
+    return NETWORKS[REFERENCES[settings.network][1 if settings.network == "image" else 0]][0]
 
 
 def _other_settings(inputs):

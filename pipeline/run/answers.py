@@ -22,11 +22,16 @@ NETWORKS = {
         "Trained on events",
         "the spiking network as it was trained, each sample from rest",
     ),
+    "nir": ("NIR", "the graph as written, in floating point, each sample from rest"),
 }
 """Title and note of each network before the bundle; those after it are targets."""
 
-REFERENCES = {"image": ("cnn", "rate-lif", "spiking-lif"), "events": ("trained",)}
-"""Which of them there are, by the kind of input."""
+REFERENCES = {
+    "image": ("cnn", "rate-lif", "spiking-lif"),
+    "events": ("trained",),
+    "nir": ("nir",),
+}
+"""Which of them there are, by `Settings.network`."""
 
 
 def reference_result(

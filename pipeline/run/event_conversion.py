@@ -9,7 +9,7 @@ from deploy.network.decision import Judge
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import EventFrames
 from models.architecture import parse
-from models.spiking import on_loihi
+from models.integers import on_loihi
 from pipeline.run.conversion import geometry
 from pipeline.settings import Settings
 from pipeline.training.events import EventRecipe, network_of

@@ -83,7 +83,7 @@ def measure_ladder(
     """
     settings = fitted(settings, jobs, say, dataset and dataset.recordings)
     dataset, bundle = stages.make_bundle(run, settings, jobs, say, dataset)
-    asked = asked or ladder_stages(settings.input.kind, whole)
+    asked = asked or ladder_stages(settings.network, whole)
     left_out = ()
     if whole:
         bundle = stages.on_test_split(settings, dataset, bundle)
@@ -109,8 +109,8 @@ def ladder_artifact(run: RunFolder, whole: bool = False) -> Artifact:
 
 
 def _layers(run: RunFolder, settings: Settings, bundle: Bundle) -> list:
-    """How faithful each layer is on the bundle's samples; None for a network on events."""
-    if settings.on_events:
+    """How faithful each layer is on the bundle's samples; None without a rate-based network."""
+    if settings.network != "image":
         return None  # there is no rate-based network to compare the chip's rates with
     from pipeline.training.networks import TrainedRates  # TensorFlow, where it is needed
 

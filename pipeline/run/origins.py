@@ -41,8 +41,16 @@ def threshold_origin(settings: Settings, events: Origin) -> Origin:
     return Origin.of(settings, ["presentation.steps"], [events])
 
 
+def nir_origin(settings: Settings, dataset: Origin) -> Origin:
+    """Of a NIR graph that was taken over, with its accuracy and threshold."""
+    shown = ["presentation.steps"] if settings.on_events else ["presentation", "image"]
+    return Origin.of(settings, ["input", "nir.sha256", "nir.step", "nir.method", *shown], [dataset])
+
+
 def trained_origin(settings: Settings, dataset: Origin) -> Origin:
-    """Of what the bundle is made from: the rate-based network, or on events the threshold."""
+    """Of what the bundle is made from: rate-based network, threshold on events, or NIR graph."""
+    if settings.nir.file:
+        return nir_origin(settings, dataset)
     if settings.on_events:
         return threshold_origin(settings, events_origin(settings, dataset))
     return rates_origin(settings, cnn_origin(settings, dataset))

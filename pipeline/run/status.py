@@ -22,6 +22,7 @@ from pipeline.run.origins import (
     cnn_origin,
     events_origin,
     ladder_origin,
+    nir_origin,
     rates_origin,
     threshold_origin,
 )
@@ -29,6 +30,7 @@ from pipeline.run.stages.answering import check_artifact
 from pipeline.run.stages.training import (
     cnn_artifact,
     events_artifact,
+    nir_artifact,
     rates_artifact,
     threshold_artifact,
 )
@@ -177,6 +179,10 @@ def _dataset_origin(run, settings):
 
 
 def _networks(run, settings, dataset):
+    if settings.nir.file:
+        origin = nir_origin(settings, dataset)
+        state = nir_artifact(run, origin).state(origin)
+        return [Status(state, _accuracy(state.record), state.record.get("seconds"))]
     if settings.on_events:
         events = events_origin(settings, dataset)
         network = events_artifact(run, events).state(events)
@@ -199,7 +205,7 @@ def _accuracy(metrics):
 
 def _answers(run, settings, bundle, whole):
     """Checks and ladder, of the bundle's samples or of the whole test split."""
-    expected = ladder_stages(settings.input.kind, whole)
+    expected = ladder_stages(settings.network, whole)
     found, results = [], {}
     for stage in dict.fromkeys([*expected, *TARGETS]):
         artifact = check_artifact(run, stage, whole)

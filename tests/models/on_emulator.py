@@ -4,7 +4,7 @@ import nengo
 import numpy as np
 
 from deploy.network.loihi_import import nengo_loihi
-from models.spiking import on_loihi
+from models.integers import on_loihi
 
 DT = 0.001
 

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models import keras_file
+from models import apart, keras_file
 from models.architecture import parse
 from models.keras_file import SavedLayer, SavedModel
 from models.own import ModelFileError, as_architecture, read_own_model
@@ -505,7 +505,7 @@ def test_a_crash_of_the_reading_process_is_a_line(files, monkeypatch, tmp_path):
     package.mkdir()
     (package / "__init__.py").touch()
     (package / "keras_file.py").write_text("import os\nos.abort()\n")
-    monkeypatch.setattr(keras_file, "__file__", str(package / "keras_file.py"))
+    monkeypatch.setattr(apart, "__file__", str(package / "apart.py"))
     with pytest.raises(ModelFileError, match="damaged; save it anew"):
         read_own_model(files["keras3"] / "paper.keras")
 

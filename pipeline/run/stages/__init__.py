@@ -1,5 +1,6 @@
 """The stages of a run: each reads what the one before wrote, and is redone only if out of date."""
 
+from pipeline.run.nir_conversion import settings_of_nir
 from pipeline.run.stages.answering import answer, answer_all
 from pipeline.run.stages.bundling import convert, make_bundle, on_test_split, spec_of
 from pipeline.run.stages.opening import open_dataset
@@ -25,6 +26,7 @@ __all__ = [
     "read_model",
     "read_weights",
     "settings_of_model",
+    "settings_of_nir",
     "spec_of",
     "train",
     "train_all",

@@ -15,6 +15,7 @@ from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import hidden, progress
 from pipeline.run.answers import REFERENCES, reference_result
 from pipeline.run.folder import RunFolder
+from pipeline.run.nir_conversion import graph_result
 from pipeline.run.origins import check_origin, recorded_in_check
 from pipeline.run.stages.training import read_weights
 from pipeline.settings import Settings
@@ -44,9 +45,13 @@ def answer(
     if (line := state.announcement("answering")) is not None:
         say(line)
     with progress(f"check {stage}", len(bundle.checks)) as advance:
-        if stage not in REFERENCES[settings.input.kind]:
+        if stage not in REFERENCES[settings.network]:
             return run_check(bundle, stage, path, settings.seed, advance)
         view = _view(settings, bundle)
+        if stage == "nir":
+            result = graph_result(run, view, bundle, advance)
+            write_json(path, result)
+            return result
         weights = read_weights(run.cnn if stage == "cnn" else run.snn, view)
         result = reference_result(stage, view, weights, bundle, advance)
         write_json(path, result)
@@ -84,7 +89,7 @@ def answer_all(
     UserError
         A target failed; those that did not are kept.
     """
-    networks = REFERENCES[settings.input.kind]
+    networks = REFERENCES[settings.network]
     origin = check_origin(settings, bundle.id)
     artifacts = {stage: check_artifact(run, stage, whole) for stage in asked}
     states = {stage: artifact.state(origin) for stage, artifact in artifacts.items()}

@@ -10,15 +10,23 @@ from deploy.network.spec import NetworkSpec
 from pipeline.inputs.dataset import Dataset
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.run.folder import RunFolder
+from pipeline.run.nir_conversion import deployed_nir
 from pipeline.run.origins import (
     bundle_origin,
     cnn_origin,
     events_origin,
+    nir_origin,
     rates_origin,
     threshold_origin,
 )
 from pipeline.run.stages.opening import open_dataset
-from pipeline.run.stages.training import Place, read_weights, threshold_artifact, train_all
+from pipeline.run.stages.training import (
+    Place,
+    nir_artifact,
+    read_weights,
+    threshold_artifact,
+    train_all,
+)
 from pipeline.settings import Settings
 
 
@@ -50,7 +58,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         say(line)
     view = origin.view(settings)
     seen = dataset.seen_by(view)
-    if not view.on_events:
+    if view.network == "image":
         # A damaged CNN is found now, not when its answers are compared.
         read_weights(run.cnn, view)
     chosen = draw_check_samples(seen.split.test, view.check.samples, view.seed)
@@ -62,7 +70,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         "simulated": source.simulated,
         "classes": list(seen.recordings.sensor.classes),
         "seed": view.seed,
-        "recipe": "events" if view.on_events else view.snn.recipe,
+        "recipe": view.snn.recipe if view.network == "image" else view.network,
         "image": asdict(view.image),
         "package": __version__,
     }
@@ -74,6 +82,11 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
 
 def spec_of(place: Place, settings: Settings, dataset: Dataset, provenance: dict) -> NetworkSpec:
     """The trained network of a run or library, as the chip gets it."""
+    if settings.nir.file:
+        network = nir_origin(settings, dataset.origin)
+        metrics = nir_artifact(place, network).state(network).record
+        folder = place.network("snn", network)
+        return deployed_nir(folder, metrics, settings, dataset, provenance)
     if settings.on_events:
         from pipeline.run.event_conversion import deployed_on_events
 

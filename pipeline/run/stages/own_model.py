@@ -59,6 +59,7 @@ def settings_of_model(path: Path, retrain: bool = False) -> dict:
     rates = Settings().snn.max_rates[: max(len(model.architecture.spiking), 1)]
     return {
         "input": {"kind": "image"},
+        "nir": {"file": "", "sha256": ""},
         "cnn": {
             "model": str(path.absolute()),
             "model_sha256": sha256,

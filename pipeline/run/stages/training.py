@@ -16,11 +16,18 @@ from models.architecture import parse
 from pipeline.artifacts import Artifact, Origin
 from pipeline.inputs.dataset import Dataset
 from pipeline.progress import progress
+from pipeline.run import nir_conversion
 from pipeline.run.answers import training_versions
 from pipeline.run.diagnosis import activity, fastest_rate, training_lines
 from pipeline.run.folder import DELETE_ITS_FOLDER, NetworkLibrary, RunFolder
 from pipeline.run.history import write_history
-from pipeline.run.origins import cnn_origin, events_origin, rates_origin, threshold_origin
+from pipeline.run.origins import (
+    cnn_origin,
+    events_origin,
+    nir_origin,
+    rates_origin,
+    threshold_origin,
+)
 from pipeline.run.stages.own_model import take_over
 from pipeline.settings import Settings
 from pipeline.training.threads import one_thread_each
@@ -31,11 +38,25 @@ Place = RunFolder | NetworkLibrary
 
 def train_all(place: Place, settings: Settings, dataset: Dataset, say=print):
     """Train what the bundle is made from, unless it is current."""
-    if settings.on_events:
+    if settings.nir.file:
+        take_over_nir(place, settings, dataset, say)
+    elif settings.on_events:
         train_on_events(place, settings, dataset, say)
     else:
         train(place, settings, dataset, say)
         train_rates(place, settings, dataset, say)
+
+
+def take_over_nir(place: Place, settings: Settings, dataset: Dataset, say=print) -> dict:
+    """Make the user's NIR graph the run's network, unless it is current; return its metrics."""
+    origin = nir_origin(settings, dataset.origin)
+    artifact = nir_artifact(place, origin)
+    if (done := _current(artifact, origin, say, "reading")) is not None:
+        return done
+    view = origin.view(settings)
+    folder = artifact.record.parent
+    metrics = nir_conversion.take_over(folder, view, dataset.seen_by(view), say)
+    return artifact.write(origin, metrics)
 
 
 def train(place: Place, settings: Settings, dataset: Dataset, say=print) -> dict:
@@ -175,6 +196,12 @@ def cnn_artifact(place: Place, origin: Origin) -> Artifact:
     """Weights, history and metrics of the CNN."""
     folder = place.network("cnn", origin)
     return Artifact("cnn", folder / "metrics.json", (folder / "weights.npz",))
+
+
+def nir_artifact(place: Place, origin: Origin) -> Artifact:
+    """A copy of the NIR graph, and its metrics."""
+    folder = place.network("snn", origin)
+    return Artifact("nir", folder / "metrics.json", (nir_conversion.kept_graph(folder),))
 
 
 def rates_artifact(place: Place, origin: Origin) -> Artifact:

@@ -1,0 +1,518 @@
+"""NIR graphs: what of them can be used, checked node by node, as a chain of layers.
+
+Pedersen et al., "Neuromorphic intermediate representation: A unified instruction set for
+interoperable brain-inspired computing", Nature Communications 15, 8122 (2024), gives the nodes'
+equations; they stand with each node in :mod:`models.nir_simulator`.  Shapes are those of NIR and
+PyTorch: channels first.
+
+A graph can be used if it is a chain from one input to one output.  Graphs within the graph are
+opened.  Parameters of neurons may be given as one value, or as one a neuron.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from deploy import limits
+from models.nir_file import NirError, read_nir_file, shown
+
+__all__ = ["NirError", "NirNetwork", "Node", "read_nir"]
+
+SPIKING = ("IF", "LIF", "CubaLIF", "Threshold")
+"""Nodes whose output is spikes."""
+
+FILTERS = ("LI", "CubaLI")
+"""Nodes with a state whose output is not spikes."""
+
+MAX_NODES = 500
+
+SNNTORCH_STEP = 1e-4
+"""Seconds: the time step that snnTorch's exporter writes time constants for, whatever the network
+was trained on."""
+
+
+@dataclass(frozen=True)
+class Node:
+    """A node of a chain.
+
+    Attributes
+    ----------
+    name : str
+    kind : str
+        NIR's name of the node's class, such as ``"LIF"``.
+    input_shape, shape : tuple of int
+        Of what goes in and comes out; images as (channels, rows, columns).
+    parameters : dict
+        By NIR's names.  Those of neurons are arrays of the node's shape, weights and biases arrays
+        as NIR has them (a bias that is missing is zero), ``padding`` a pair (before, after) for
+        each dimension, ``stride``, ``dilation`` and ``kernel_size`` a number for each.
+    """
+
+    name: str
+    kind: str
+    input_shape: tuple
+    shape: tuple
+    parameters: dict = field(repr=False)
+
+    def __str__(self):
+        return f"node {shown(self.name)} ({self.kind})"
+
+    def __getitem__(self, name):
+        return self.parameters[name]
+
+
+@dataclass(frozen=True)
+class NirNetwork:
+    """A NIR graph that is a chain of nodes, read and checked.
+
+    Attributes
+    ----------
+    input_shape : tuple of int
+        Of what goes in at each step: (channels, rows, columns), or flat.
+    nodes : tuple of Node
+        In order, without input and output.
+    metadata : dict
+        Of the graph; nothing in it is checked.
+    """
+
+    input_shape: tuple
+    nodes: tuple
+    metadata: dict = field(default_factory=dict, repr=False)
+
+    @property
+    def outputs(self) -> int:
+        """Number of values that come out."""
+        return math.prod(self.nodes[-1].shape)
+
+    @property
+    def written_by_snntorch(self) -> bool:
+        """Whether the neurons' parameters are as snnTorch's exporter makes them.
+
+        snnTorch has no time: a neuron keeps a share beta of its potential a step.  Its exporter
+        writes tau = h / (1 - beta) and r = tau / h with h = 0.1 ms, so that a forward Euler step of
+        h gives the network's own step again.
+        """
+        neurons = [node for node in self.nodes if node.kind in ("LIF", "CubaLIF")]
+        pairs = [(node["r"], node["tau" if node.kind == "LIF" else "tau_mem"]) for node in neurons]
+        pairs += [(node["w_in"], node["tau_syn"]) for node in neurons if node.kind == "CubaLIF"]
+        return bool(pairs) and all(
+            np.allclose(gain * SNNTORCH_STEP, tau, rtol=1e-3, atol=0) for gain, tau in pairs
+        )
+
+
+def read_nir(source) -> NirNetwork:
+    """Read a NIR graph; nothing in it is executed.
+
+    Parameters
+    ----------
+    source : path-like or nir.NIRGraph
+        A file, or a graph in memory.
+
+    Returns
+    -------
+    NirNetwork
+
+    Raises
+    ------
+    NirError
+        It is no NIR graph, or one that cannot be used: not a chain, with unknown nodes, or with
+        shapes or values that do not fit.  One line that names the file, the node, and what to do.
+    """
+    if hasattr(source, "to_dict") and hasattr(source, "nodes"):
+        return _network(source.to_dict())
+    tree = read_nir_file(source)
+    try:
+        return _network(tree)
+    except NirError as error:
+        raise NirError(f"{source}: {error}") from error
+
+
+def _network(tree) -> NirNetwork:
+    nodes, edges = _opened(tree)
+    first, order = _chain(nodes, edges)
+    input_shape = shape = _input_shape(first, nodes[first], [nodes[name] for name in order])
+    chain = []
+    for name in order:
+        kind = _kind(nodes[name])
+        handler = _HANDLERS.get(kind)
+        if handler is None:
+            raise NirError(
+                f"node {shown(name)}: {shown(kind)} cannot be used; "
+                + _INSTEAD.get(kind, "use " + ", ".join(_HANDLERS))
+            )
+        reader = _Values(f"node {shown(name)} ({kind})", nodes[name])
+        after, parameters = handler(reader, shape)
+        if math.prod(after) > limits.NEURONS or math.prod(after) < 1:
+            reader.refuse(f"puts out {math.prod(after)} values, not 1 to {limits.NEURONS}")
+        chain.append(Node(name, kind, shape, after, parameters))
+        shape = after
+    if not any(node.kind in SPIKING for node in chain):
+        raise NirError(
+            "has no neurons that spike, which is what the chip has; put a LIF, CubaLIF or IF "
+            "between its layers"
+        )
+    metadata = tree.get("metadata")
+    return NirNetwork(input_shape, tuple(chain), metadata if isinstance(metadata, dict) else {})
+
+
+# --- the graph ------------------------------------------------------------------------------------
+
+
+def _opened(tree, prefix="", depth=0) -> tuple:
+    """Nodes by name and edges, those of graphs within the graph in their places."""
+    if depth > 5:
+        raise NirError("has graphs more than five deep; write it as one graph")
+    nodes, edges = tree.get("nodes"), tree.get("edges")
+    if not isinstance(nodes, dict) or not all(isinstance(n, dict) for n in nodes.values()):
+        raise NirError("is not a NIR graph: it has no nodes; write a nir.NIRGraph")
+    if len(nodes) > MAX_NODES:
+        raise NirError(f"has {len(nodes)} nodes, more than {MAX_NODES}, no network for a chip")
+    edges = [] if edges is None else np.asarray(edges, object).tolist()
+    if not all(isinstance(edge, (list, tuple)) and len(edge) == 2 for edge in edges):
+        raise NirError("is not a NIR graph: its edges are no pairs; write a nir.NIRGraph")
+    pairs = {(_text(a), _text(b)) for a, b in edges}
+    for name in {name for pair in pairs for name in pair} - nodes.keys():
+        raise NirError(f"an edge leads to {shown(prefix + name)}, which is no node; write it anew")
+    found, inside = {}, {}
+    for name, node in nodes.items():
+        if _kind(node) != "NIRGraph":
+            found[prefix + name] = node
+            continue
+        own, own_pairs = _opened(node, f"{prefix}{name}.", depth + 1)
+        ends = {}
+        for kind in ("Input", "Output"):
+            (ends[kind],) = _ends(own, kind, f"graph {shown(prefix + name)}: ")
+        inside[name] = ends
+        found |= own
+        pairs |= {("", pair) for pair in own_pairs}
+    resolved = set()
+    for a, b in pairs:
+        if a == "":
+            resolved.add(b)
+            continue
+        a = inside[a]["Output"] if a in inside else prefix + a
+        b = inside[b]["Input"] if b in inside else prefix + b
+        resolved.add((a, b))
+    for ends in inside.values():  # what only passes on is taken out
+        for end in ends.values():
+            before = [a for a, b in resolved if b == end]
+            after = [b for a, b in resolved if a == end]
+            resolved = {pair for pair in resolved if end not in pair}
+            resolved |= {(a, b) for a in before for b in after}
+            del found[end]
+    return found, resolved
+
+
+def _ends(nodes, kind, where=""):
+    names = [name for name, node in nodes.items() if _kind(node) == kind]
+    if len(names) != 1:
+        listed = f" ({', '.join(map(shown, names[:5]))})" if names else ""
+        raise NirError(
+            f"{where}has {len(names)} nodes of kind {kind}{listed}; a chain from one Input to one "
+            "Output can be used"
+        )
+    return names
+
+
+def _chain(nodes, edges) -> tuple:
+    """Name of the input, and the names between it and the output in order."""
+    (first,), (last,) = _ends(nodes, "Input"), _ends(nodes, "Output")
+    after = {name: sorted(b for a, b in edges if a == name) for name in nodes}
+    _refuse_recurrence(nodes, after)
+    order, name = [], first
+    while name != last:
+        if len(after[name]) != 1:
+            leads = " and ".join(map(shown, after[name][:3])) or "nothing"
+            raise NirError(
+                f"node {shown(name)} leads to {leads}; a chain of nodes without branches from "
+                "input to output can be used"
+            )
+        (name,) = after[name]
+        order.append(name)
+    order = order[:-1]
+    aside = sorted(nodes.keys() - {first, last, *order})
+    if aside:
+        raise NirError(
+            f"node {shown(aside[0])} is on a branch or leads nowhere; a chain of nodes without "
+            "branches from input to output can be used"
+        )
+    if not order:
+        raise NirError("has no nodes between input and output; write the trained network")
+    return first, order
+
+
+def _refuse_recurrence(nodes, after):
+    """Refuse a graph with a cycle, naming a layer of neurons in it."""
+    reach = {}
+    for name in nodes:
+        seen, left = set(), list(after[name])
+        while left:
+            place = left.pop()
+            if place not in seen:
+                seen.add(place)
+                left += after[place]
+        reach[name] = seen
+    inside = sorted(name for name in nodes if name in reach[name])
+    if inside:
+        kinds = {name: _kind(nodes[name]) for name in inside}
+        named = next((name for name in inside if kinds[name] in SPIKING), inside[0])
+        raise NirError(
+            f"node {shown(named)} ({kinds[named]}) is connected to itself"
+            + (f" through {shown(next(n for n in inside if n != named))}" if inside[1:] else "")
+            + "; no target runs recurrent layers: train a feed-forward network (in snnTorch Leaky "
+            "or Synaptic in the place of RLeaky or RSynaptic)"
+        )
+
+
+def _text(value) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def _kind(node) -> str:
+    return _text(node.get("type", "nothing"))
+
+
+def _input_shape(name, node, later) -> tuple:
+    """The shape of an input; a dimension of 1 in front of it, of samples, is left out."""
+    shape = node.get("shape")
+    if shape is None and isinstance(node.get("input_type"), dict):
+        shape = node["input_type"].get("input")
+    try:
+        shape = tuple(int(n) for n in np.asarray(shape).ravel())
+    except (TypeError, ValueError):
+        shape = ()
+    flat = _kind(later[0]) in ("Affine", "Linear") if later else False
+    if shape[:1] == (1,) and (len(shape) == 4 or (len(shape) == 2 and flat)):
+        shape = shape[1:]
+    if not 1 <= len(shape) <= 3 or min(shape) < 1 or math.prod(shape) > limits.NEURONS:
+        sizes = "x".join(map(str, shape[:6])) or "nothing"
+        raise NirError(
+            f"node {shown(name)} (Input): a shape of {sizes}; write the graph with a sample of "
+            "shape (channels, rows, columns) or (values,), without a dimension for samples"
+        )
+    return shape
+
+
+# --- the nodes ------------------------------------------------------------------------------------
+
+
+class _Values:
+    """Reads a node's values and refuses those that cannot be."""
+
+    def __init__(self, where, values):
+        self.where, self.values = where, values
+
+    def refuse(self, problem):
+        raise NirError(f"{self.where}: {problem}")
+
+    def array(self, name, default=None) -> np.ndarray:
+        """Finite numbers, float64."""
+        value = self.values.get(name)
+        if value is None:
+            value = default
+        if value is None:
+            self.refuse(f"has no {name}; write the graph anew with a current version of nir")
+        try:
+            array = np.asarray(value)
+            array = array.astype(float) if array.dtype.kind in "fiub" else None
+        except (TypeError, ValueError):
+            array = None
+        if array is None:
+            self.refuse(f"its {name} is no array of numbers; write the graph anew")
+        if not np.isfinite(array).all():
+            self.refuse(
+                f"its {name} has NaN or infinite values; train again, and keep decays below 1"
+            )
+        if np.abs(array).max(initial=0) > limits.MAGNITUDE:
+            self.refuse(f"its {name} has a value past {limits.MAGNITUDE:g}; scale it")
+        return array
+
+    def spread(self, name, shape, default=None) -> np.ndarray:
+        """One value for each neuron."""
+        array = self.array(name, default)
+        try:
+            return np.broadcast_to(array, shape).copy()
+        except ValueError:
+            if array.size == math.prod(shape):
+                return array.reshape(shape)
+            self.refuse(f"its {name} has shape {array.shape}, what comes in {shape}")
+
+    def positive(self, name, shape) -> np.ndarray:
+        """A time constant in seconds for each neuron."""
+        array = self.spread(name, shape)
+        if array.min() <= 0:
+            self.refuse(f"its {name} is not above 0; give time constants in seconds")
+        return array
+
+    def counts(self, name, dimensions, least=1, default=None) -> tuple:
+        """A whole number for each dimension."""
+        array = self.array(name, default).ravel()
+        array = np.repeat(array, dimensions) if array.size == 1 else array
+        good = array.size == dimensions and (array == np.rint(array)).all()
+        if not good or array.min() < least or array.max() > limits.NEURONS:
+            self.refuse(f"its {name} is not {dimensions} whole number(s) from {least} on")
+        return tuple(int(n) for n in array)
+
+    def image(self, shape, dimensions=2):
+        if len(shape) != dimensions + 1:
+            self.refuse(
+                f"reads {'rows and columns' if dimensions == 2 else 'a row'} of channels, and what "
+                f"comes in has shape {shape}; put it before the Flatten, or shape the input so"
+            )
+
+
+def _affine(values, shape):
+    weight = values.array("weight")
+    if weight.ndim != 2:
+        values.refuse(f"a weight of shape {weight.shape}; use (outputs, inputs)")
+    if len(shape) != 1 and math.prod(shape) == weight.shape[1]:
+        after_flat = math.prod(shape)
+        shape = (after_flat,)
+    if shape != (weight.shape[1],):
+        values.refuse(
+            f"for {weight.shape[1]} values, and {' x '.join(map(str, shape))} come in; put a "
+            "Flatten before it, or train it for that input"
+        )
+    bias = values.spread("bias", (weight.shape[0],), 0.0)
+    return (weight.shape[0],), {"weight": weight, "bias": bias}
+
+
+def _convolution(dimensions):
+    def handler(values, shape):
+        values.image(shape, dimensions)
+        weight = values.array("weight")
+        if weight.ndim != 2 + dimensions or min(weight.shape) < 1:
+            values.refuse(
+                f"a weight of shape {weight.shape}; use (filters, channels, "
+                + ("rows, columns)" if dimensions == 2 else "places)")
+            )
+        (groups,) = values.counts("groups", 1, default=1)
+        channels = weight.shape[1] * groups
+        if channels != shape[0] or weight.shape[0] % groups:
+            values.refuse(f"for {channels} channels in {groups} group(s), and {shape[0]} come in")
+        stride = values.counts("stride", dimensions, default=1)
+        dilation = values.counts("dilation", dimensions, default=1)
+        reach = [(k - 1) * d + 1 for k, d in zip(weight.shape[2:], dilation, strict=True)]
+        padding = _padding(values, dimensions, reach, stride)
+        sizes = [
+            (n + sum(pads) - r) // s + 1
+            for n, pads, r, s in zip(shape[1:], padding, reach, stride, strict=True)
+        ]
+        if min(sizes) < 1:
+            values.refuse("its kernel is larger than what comes in; use a smaller one, or padding")
+        parameters = {
+            "weight": weight,
+            "bias": values.spread("bias", (weight.shape[0],), 0.0),
+            "stride": stride,
+            "padding": padding,
+            "dilation": dilation,
+            "groups": groups,
+        }
+        return (weight.shape[0], *sizes), parameters
+
+    return handler
+
+
+def _padding(values, dimensions, reach, stride):
+    given = values.values.get("padding", 0)
+    if isinstance(given, (str, bytes)):
+        if _text(given) == "valid":
+            return ((0, 0),) * dimensions
+        if _text(given) != "same" or max(stride) > 1:
+            values.refuse(
+                f"padding {shown(_text(given))} with a stride of {max(stride)}; give the padding "
+                "as a number"
+            )
+        return tuple(((r - 1) // 2, (r - 1) - (r - 1) // 2) for r in reach)
+    return tuple((n, n) for n in values.counts("padding", dimensions, 0, default=0))
+
+
+def _pool(values, shape):
+    values.image(shape)
+    size = values.counts("kernel_size", 2)
+    stride = values.counts("stride", 2, default=size)
+    padding = _padding(values, 2, size, stride)
+    if any(2 * before > n for (before, _), n in zip(padding, size, strict=True)):
+        values.refuse("a padding of more than half of its windows; use less")
+    sizes = [
+        (n + sum(pads) - k) // s + 1
+        for n, pads, k, s in zip(shape[1:], padding, size, stride, strict=True)
+    ]
+    if min(sizes) < 1:
+        values.refuse("its windows are larger than what comes in; use smaller ones")
+    return (shape[0], *sizes), {"kernel_size": size, "stride": stride, "padding": padding}
+
+
+def _flatten(values, shape):
+    first, last = (
+        int(values.array(name, default)) for name, default in (("start_dim", 0), ("end_dim", -1))
+    )
+    declared = values.values.get("input_type")
+    if isinstance(declared, dict):
+        declared = declared.get("input")
+    if declared is not None and np.size(declared) == len(shape) + 1 and first > 0:
+        first -= 1  # counted with a dimension for samples in front
+    first, last = (n + len(shape) if n < 0 else n for n in (first, last))
+    if not 0 <= first < len(shape):
+        first = 0
+    last = min(max(last, first), len(shape) - 1)
+    flat = (*shape[:first], math.prod(shape[first : last + 1]), *shape[last + 1 :])
+    return flat, {}
+
+
+def _scale(values, shape):
+    return shape, {"scale": values.spread("scale", shape)}
+
+
+def _threshold(values, shape):
+    threshold = values.spread("threshold", shape)
+    if threshold.min() <= 0:
+        values.refuse("a threshold that is not above 0, at which it would spike in silence")
+    return shape, {"threshold": threshold}
+
+
+def _neurons(times, *, spikes, leak=True, weighs=False):
+    def handler(values, shape):
+        parameters = {name: values.positive(name, shape) for name in times}
+        parameters["r"] = values.spread("r", shape)
+        if leak:
+            parameters["v_leak"] = values.spread("v_leak", shape)
+        if weighs:
+            parameters["w_in"] = values.spread("w_in", shape, 1.0)
+        if spikes:
+            parameters["v_threshold"] = values.spread("v_threshold", shape)
+            parameters["v_reset"] = values.spread("v_reset", shape, 0.0)
+            if (parameters["v_threshold"] <= parameters["v_reset"]).any():
+                values.refuse("a v_threshold that is not above v_reset: it would never rest")
+        return shape, parameters
+
+    return handler
+
+
+_HANDLERS = {
+    "Affine": _affine,
+    "Linear": _affine,
+    "Conv1d": _convolution(1),
+    "Conv2d": _convolution(2),
+    "SumPool2d": _pool,
+    "AvgPool2d": _pool,
+    "Flatten": _flatten,
+    "Scale": _scale,
+    "Threshold": _threshold,
+    "IF": _neurons((), spikes=True, leak=False),
+    "LIF": _neurons(("tau",), spikes=True),
+    "LI": _neurons(("tau",), spikes=False),
+    "CubaLIF": _neurons(("tau_syn", "tau_mem"), spikes=True, weighs=True),
+    "CubaLI": _neurons(("tau_syn", "tau_mem"), spikes=False, weighs=True),
+}
+
+_INSTEAD = {
+    "Delay": "the chip's axons have no delays here; train without",
+    "I": "the chip has no integrator without a leak; use LI with a long time constant",
+    "Input": "a chain has one input",
+    "Output": "a chain has one output",
+}
+"""What could be used in the place of a node that cannot."""

@@ -1,0 +1,248 @@
+"""What a NIR graph does, in plain NumPy and double precision: the reference for its conversion.
+
+The nodes' equations (Pedersen et al. 2024, Table 1, and the docstrings of the package ``nir``); S
+is what comes in, which is held while a step of length h lasts:
+
+=========  =====================================================================================
+LI         tau dv/dt = (v_leak - v) + r S
+LIF        as LI; a spike where v > v_threshold, and v = v_reset there
+IF         dv/dt = r S; spike and reset as LIF
+CubaLI     tau_syn dI/dt = -I + w_in S,   tau_mem dv/dt = (v_leak - v) + r I
+CubaLIF    as CubaLI; spike and reset as LIF
+Threshold  a spike where S > threshold; no state
+=========  =====================================================================================
+
+NIR does not say how time is cut into steps, and networks are trained with one way or the other:
+
+``"exact"``
+    The equations' own solution from one step's end to the next; with b = exp(-h / tau),
+    v <- b v + (1 - b) (v_leak + r S).  Of current-based neurons, with a and b of tau_syn and
+    tau_mem and K = tau_syn (a - b) / (tau_syn - tau_mem), or h b / tau_mem where both are equal,
+    v <- b v + (1 - b) (v_leak + r w_in S) + r (I - w_in S) K, then I <- a I + (1 - a) w_in S.
+``"euler"``
+    Forward Euler steps, b = 1 - h / tau, with the current stepped before the voltage: as Norse and
+    snnTorch step.
+
+Spikes are looked for at the ends of steps, and have a height of 1 for one step.  Neurons begin at
+rest, v = v_leak and I = 0 (IF: v = v_reset).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.nir_graph import FILTERS, SPIKING, NirError, NirNetwork, Node
+
+METHODS = ("exact", "euler")
+
+AT_ONCE = 50
+"""Samples that are simulated together, which bounds the memory."""
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What a graph answers.
+
+    Attributes
+    ----------
+    outputs : ndarray, shape (n_samples, steps, ...)
+        Of the last node: spikes, 0 or 1, or values.
+    spikes : dict of str to ndarray of bool, shape (n_samples, steps, ...)
+        Of each node that spikes, by its name.
+    """
+
+    outputs: np.ndarray
+    spikes: dict
+
+
+def simulate(network: NirNetwork, inputs, step: float, method: str = "exact") -> Simulated:
+    """Run a graph on inputs, each sample from rest.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    inputs : array_like, shape (n_samples, steps, ...)
+        What comes in at each step, in the shape of ``network.input_shape``.
+    step : float
+        Length of a step in seconds.
+    method : str
+        One of :data:`METHODS`.
+
+    Raises
+    ------
+    NirError
+        A time constant is shorter than a step.
+    """
+    check_step(network, step)
+    inputs = np.asarray(inputs)
+    outputs, spikes = [], []
+    for start in range(0, len(inputs), AT_ONCE):
+        signal, found = inputs[start : start + AT_ONCE].astype(float), {}
+        for node in network.nodes:
+            signal = run_node(node, signal, step, method)
+            if node.kind in SPIKING:
+                found[node.name] = signal.astype(bool)
+        outputs.append(signal)
+        spikes.append(found)
+    names = [node.name for node in network.nodes if node.kind in SPIKING]
+    if not outputs:
+        raise ValueError("no samples to simulate")
+    return Simulated(
+        np.concatenate(outputs), {n: np.concatenate([part[n] for part in spikes]) for n in names}
+    )
+
+
+def check_step(network: NirNetwork, step: float):
+    """Refuse a step that is longer than a time constant.
+
+    Raises
+    ------
+    NirError
+        Naming the node.
+    """
+    for node in network.nodes:
+        for name in ("tau", "tau_syn", "tau_mem"):
+            if name in node.parameters:
+                shortest = float(node[name].min())
+                if shortest < step * (1 - 1e-6):
+                    raise NirError(
+                        f"{node}: a {name} of {shortest:.3g} s is shorter than the step of "
+                        f"{step:.3g} s; give a shorter one with --step (in milliseconds), or the "
+                        "step that the graph was written for with --set nir.step"
+                    )
+
+
+def run_node(node: Node, signal, step: float, method: str = "exact") -> np.ndarray:
+    """What a node makes of a signal over time, from rest.
+
+    Parameters
+    ----------
+    node : Node
+    signal : ndarray of float, shape (n_samples, steps, ...)
+        In the node's input shape.
+    step : float
+        Seconds.
+    method : str
+
+    Returns
+    -------
+    ndarray of float, shape (n_samples, steps, ...)
+        In the node's shape.
+    """
+    if node.kind == "Threshold":
+        return (signal > node["threshold"]).astype(float)
+    if node.kind in SPIKING + FILTERS:
+        return _over_time(node, signal, step, method)
+    lead = signal.shape[:2]
+    flat = signal.reshape(-1, *node.input_shape)
+    return _LINEAR[node.kind](node, flat).reshape(*lead, *node.shape)
+
+
+def apply(node: Node, signal) -> np.ndarray:
+    """What a node without a state makes of signals, shape (n, ...); biases are added.
+
+    Raises
+    ------
+    KeyError
+        The node has a state, or spikes.
+    """
+    return _LINEAR[node.kind](node, np.asarray(signal, float)).reshape(len(signal), *node.shape)
+
+
+def decay(tau, step: float, method: str) -> np.ndarray:
+    """The share that a step leaves of what decays with the time constant ``tau``."""
+    return np.exp(-step / tau) if method == "exact" else np.maximum(1 - step / tau, 0.0)
+
+
+def _over_time(node, signal, step, method):
+    if method not in METHODS:
+        raise ValueError(f"method {method!r} is not one of {', '.join(METHODS)}")
+    move = _moved(node, step, method)
+    rest = node["v_reset"] if node.kind == "IF" else node["v_leak"]
+    state = [np.broadcast_to(rest, (len(signal), *node.shape)).copy(), np.zeros(())]
+    result = np.empty((*signal.shape[:2], *node.shape))
+    for t in range(signal.shape[1]):
+        voltage, state[1] = move(*state, signal[:, t].reshape(len(signal), *node.shape))
+        if node.kind in SPIKING:
+            fired = voltage > node["v_threshold"]
+            voltage = np.where(fired, node["v_reset"], voltage)
+        result[:, t] = fired if node.kind in SPIKING else voltage
+        state[0] = voltage
+    return result
+
+
+def _moved(node, step, method):
+    """``move(v, I, S) -> v, I``: one step, before the reset."""
+    r = node["r"]
+    if node.kind == "IF":
+        return lambda v, i, s: (v + step * r * s, i)
+    leak = node["v_leak"]
+    if node.kind in ("LI", "LIF"):
+        b = decay(node["tau"], step, method)
+        return lambda v, i, s: (b * v + (1 - b) * (leak + r * s), i)
+    syn, mem, w = node["tau_syn"], node["tau_mem"], node["w_in"]
+    a, b = decay(syn, step, method), decay(mem, step, method)
+    if method == "euler":
+
+        def euler(v, i, s):
+            i = a * i + (1 - a) * w * s
+            return b * v + (1 - b) * (leak + r * i), i
+
+        return euler
+    same = np.isclose(syn, mem, rtol=1e-9, atol=0)
+    k = np.where(same, step * b / mem, syn * (a - b) / np.where(same, 1.0, syn - mem))
+
+    def exact(v, i, s):
+        v = b * v + (1 - b) * (leak + r * w * s) + r * (i - w * s) * k
+        return v, a * i + (1 - a) * w * s
+
+    return exact
+
+
+# --- nodes without a state, on signals of shape (n, ...) ------------------------------------------
+
+
+def _affine(node, signal):
+    return signal.reshape(len(signal), -1) @ node["weight"].T + node["bias"]
+
+
+def _convolution(node, signal):
+    weight = node["weight"]
+    dimensions, groups = weight.ndim - 2, node["groups"]
+    seen = _windows(signal, weight.shape[2:], node["stride"], node["padding"], node["dilation"])
+    parts = []
+    for group, kernel in enumerate(np.split(weight, groups)):
+        channels = slice(group * weight.shape[1], (group + 1) * weight.shape[1])
+        axes = (1, *range(2 + dimensions, 2 + 2 * dimensions))
+        of_kernel = tuple(range(1, 2 + dimensions))
+        parts.append(np.moveaxis(np.tensordot(seen[:, channels], kernel, (axes, of_kernel)), -1, 1))
+    return np.concatenate(parts, 1) + node["bias"].reshape(-1, *(1,) * dimensions)
+
+
+def _windows(signal, kernel, stride, padding, dilation):
+    """Views of windows, shape (n, channels, *places, *kernel)."""
+    n = len(kernel)
+    reach = [(k - 1) * d + 1 for k, d in zip(kernel, dilation, strict=True)]
+    padded = np.pad(signal, ((0, 0), (0, 0), *padding))
+    seen = np.lib.stride_tricks.sliding_window_view(padded, reach, tuple(range(2, 2 + n)))
+    steps = (*(slice(None, None, s) for s in stride), *(slice(None, None, d) for d in dilation))
+    return seen[(slice(None), slice(None), *steps)]
+
+
+def _pool(node, signal):
+    seen = _windows(signal, node["kernel_size"], node["stride"], node["padding"], (1, 1))
+    return seen.mean((-2, -1)) if node.kind == "AvgPool2d" else seen.sum((-2, -1))
+
+
+_LINEAR = {
+    "Affine": _affine,
+    "Linear": _affine,
+    "Conv1d": _convolution,
+    "Conv2d": _convolution,
+    "SumPool2d": _pool,
+    "AvgPool2d": _pool,
+    "Flatten": lambda node, signal: signal,
+    "Scale": lambda node, signal: signal * node["scale"],
+}

@@ -1,0 +1,578 @@
+"""A NIR graph, such as networks trained in PyTorch are exported as, in the place of our network.
+
+The run keeps a copy of the graph, ``snn/network.nir``; all that follows is made from it.
+"""
+
+from __future__ import annotations
+
+import shutil
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from deploy.check.bundle import Bundle
+from deploy.check.intervals import wilson_interval
+from deploy.check.results import result_of
+from deploy.check.run import records_of
+from deploy.errors import UserError
+from deploy.files import replacing, sha256_of
+from deploy.network.chip import LOIHI
+from deploy.network.decision import choose_threshold, delayed
+from deploy.network.nir import DEPLOYED, deployed_network
+from deploy.network.responses import Responses, read_output
+from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.stimulus import EventFrames, ImageSpikes, Stimulus, last_steps
+from models.integers import on_loihi
+from models.nir_graph import SNNTORCH_STEP, NirNetwork, read_nir
+from models.nir_layers import NirLayer, chosen, fired, layers_of
+from models.nir_simulator import AT_ONCE, simulate
+from pipeline.inputs.dataset import Dataset
+from pipeline.inputs.splits import hold_out
+from pipeline.progress import progress
+from pipeline.run.folder import RunFolder
+from pipeline.settings import Settings
+
+CALIBRATED_ON = 48
+"""Training samples on which the scales of the weights are chosen."""
+
+DECIDED_ON = 300
+"""Training samples, at most, on which the confidence is chosen at which the network decides."""
+
+FROM_REST = {"gap": 0, "stream_length": 1}
+"""How an imported network is shown its samples unless the user says otherwise: each from rest, as
+it was trained.  After a gap neurons and readout have settled under their biases, which cost one
+network trained with Norse eight points."""
+
+AGAIN = "give it again with 'stmnist convert RUN --nir FILE'"
+
+
+@dataclass(frozen=True)
+class Stepped:
+    """How a graph's time is cut into the chip's steps.
+
+    Attributes
+    ----------
+    seconds : float
+        Of the graph's time in a step.
+    method : str
+        One of :data:`models.nir_simulator.METHODS`.
+    """
+
+    seconds: float
+    method: str
+
+    @classmethod
+    def of(cls, settings: Settings, network: NirNetwork) -> Stepped:
+        """What the settings say, and where they say nothing what the graph shows."""
+        nir, by_snntorch = settings.nir, network.written_by_snntorch
+        seconds = settings.input.step / 1000 if settings.on_events else LOIHI.dt
+        if nir.step:
+            seconds = nir.step / 1000
+        elif by_snntorch:
+            seconds = SNNTORCH_STEP
+        elif DEPLOYED in network.metadata:
+            seconds = LOIHI.dt
+        method = nir.method
+        if method == "auto":
+            method = "euler" if by_snntorch else "exact"
+        return cls(seconds, method)
+
+    def __str__(self):
+        how = "Euler steps" if self.method == "euler" else "exact steps"
+        return f"{how} of {1000 * self.seconds:g} ms of the graph's time"
+
+
+def settings_of_nir(path, step: float | None = None, kind: str | None = None) -> dict:
+    """Changes of the settings that put a NIR graph in the place of the trained network.
+
+    Parameters
+    ----------
+    path : path-like
+    step : float, optional
+        Milliseconds that a step of the chip stands for.
+    kind : str, optional
+        ``"image"`` or ``"events"``; default: what the graph's input is for, two channels for
+        events and one for images.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, is no NIR graph, or one that cannot be used.
+    """
+    path = Path(path)
+    network = read_nir(path)
+    nir = {"file": str(path.absolute()), "sha256": sha256_of(path), "step": 0.0}
+    if (exported := exported_here(network, path)) is not None:
+        return {**_settings_of_export(exported), "nir": nir}
+    kind = kind or _kind_of(path, network.input_shape)
+    shown = {"kind": kind, "refractory": 0.0}
+    if step is not None:
+        if kind == "events":
+            shown["step"] = step
+        else:
+            nir["step"] = step
+    return {"input": shown, "nir": nir, "presentation": FROM_REST}
+
+
+def exported_here(network: NirNetwork, source="") -> NetworkSpec | None:
+    """The deployed network that a graph was exported from, or None of other graphs.
+
+    Raises
+    ------
+    UserError
+        It says that it was exported here, and its parts do not fit each other.
+    """
+    try:
+        nodes = {node.name: node.parameters for node in network.nodes}
+        return deployed_network(nodes, network.metadata)
+    except UserError as error:
+        raise UserError(f"{source}: {error}") from error
+
+
+def _settings_of_export(spec):
+    """Settings with which a network that was exported here is shown what it was made for."""
+    stimulus, shown = spec.stimulus, spec.presentation
+    changes = {
+        "presentation": {name: getattr(shown, name) for name in ("steps", "gap", "stream_length")},
+    }
+    if isinstance(stimulus, EventFrames):
+        step = round(1000 * stimulus.seconds, 9)
+        changes["input"] = {"kind": "events", "step": step, "refractory": stimulus.rest * step}
+        return changes
+    changes["input"] = {"kind": "image"}
+    changes["presentation"]["readout_start"] = shown.readout_start
+    changes["deployment"] = {"first_layer": "host" if stimulus.area is None else "chip"}
+    if isinstance(stimulus, ImageSpikes):
+        changes["deployment"]["input_rate"] = stimulus.max_rate
+        changes["deployment"]["input_phase"] = stimulus.initial_phase
+    return changes
+
+
+def _kind_of(path, shape):
+    """What an input of this shape is fed."""
+    if len(shape) == 3 and shape[0] in (1, 2):
+        return "image" if shape[0] == 1 else "events"
+    if len(shape) == 1:
+        for channels, kind in ((2, "events"), (1, "image")):
+            if (
+                shape[0] % channels == 0
+                and round((shape[0] / channels) ** 0.5) ** 2 * channels == (shape[0])
+            ):
+                return kind
+        raise UserError(
+            f"{path}: {shape[0]} inputs are neither a square array of taxels nor two of them; say "
+            "what the graph is fed with --input events or --input image"
+        )
+    raise UserError(
+        f"{path}: an input of {' x '.join(map(str, shape))}; the skin has two channels of events "
+        "(ON, OFF) or one of an image, (channels, rows, columns): train the network for those"
+    )
+
+
+# --- the stage ------------------------------------------------------------------------------------
+
+
+def kept_graph(folder: Path) -> Path:
+    """The run's copy of the graph, in the folder of its network."""
+    return folder / "network.nir"
+
+
+def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> dict:
+    """Keep a copy of the user's graph in a network's folder, and measure it.
+
+    Parameters
+    ----------
+    folder : Path
+    settings, dataset
+        With `settings.nir.file`.
+    say : callable
+
+    Returns
+    -------
+    dict
+        Its metrics, for the record.
+
+    Raises
+    ------
+    UserError
+        The file is another than the settings say, or for another sensor or other classes.
+    """
+    begun, source = time.perf_counter(), Path(settings.nir.file)
+    if not source.exists() and kept_graph(folder).exists():
+        source = kept_graph(folder)
+    network = read_nir(source)
+    if sha256_of(source) != settings.nir.sha256:
+        raise UserError(f"{source}: has changed; {AGAIN}")
+    fits(network, dataset, source)
+    stepped = Stepped.of(settings, network)
+    exported = exported_here(network, source)
+    if exported is None:
+        layers = layers_of(network, stepped.seconds, stepped.method, _fed_shape(dataset))
+        for line in _notes(network, layers, stepped):
+            say(f"nir: {line}")
+    else:
+        layers = exported.layers
+        say("nir: exported from a bundle; what NIR leaves out is taken from the file's metadata")
+    part = "test" if len(dataset.split.test) else "validation"
+    index = getattr(dataset.split, part)
+    with progress("simulate nir", len(index)) as advance:
+        answers = _outputs(network, stepped, dataset.inputs[index], settings, advance)[0]
+    start = 0 if settings.on_events else settings.presentation.readout_start
+    right = answers[:, start:].mean(1).argmax(1) == dataset.labels[index]
+    accuracy, interval = float(right.mean()), wilson_interval(int(right.sum()), len(right))
+    metrics = {
+        "simulated": dataset.recordings.source.simulated,
+        "accuracy": {part: accuracy},
+        f"{part}_accuracy_ci95": list(interval),
+        f"n_{part}": len(index),
+        "epochs": 0,
+        "step_seconds": stepped.seconds,
+        "method": stepped.method,
+        "decides_by_itself": _threshold(network, stepped, layers, settings, dataset),
+        "versions": {"numpy": np.__version__},
+    }
+    if source != kept_graph(folder):
+        for record in ("metrics.json", "training.json"):  # of what was there before
+            (folder / record).unlink(missing_ok=True)
+        with replacing(kept_graph(folder)) as file, open(source, "rb") as graph:
+            shutil.copyfileobj(graph, file)
+    metrics["seconds"] = time.perf_counter() - begun
+    say(
+        f"nir: {part} accuracy of the graph {accuracy:.3f} on {len(index)} samples, "
+        f"{metrics['seconds']:.0f} s"
+    )
+    likeliest = float(np.bincount(dataset.labels[index]).max() / len(index))
+    if interval[0] <= likeliest:
+        say(
+            "nir: hardly better than chance: never trained, trained on other inputs (channels are "
+            "ON and OFF, then rows from the top, then columns), in other steps (--step), or with "
+            "the classes in another order"
+        )
+    return metrics
+
+
+def fits(network: NirNetwork, dataset: Dataset, source):
+    """Refuse a graph for another sensor or other classes.
+
+    Raises
+    ------
+    UserError
+        Saying what it should be for.
+    """
+    rows, columns, channels = _fed_shape(dataset)
+    shape, classes = network.input_shape, len(dataset.recordings.sensor.classes)
+    if shape not in ((channels, rows, columns), (channels * rows * columns,)):
+        what = "events" if channels == 2 else "an image"
+        raise UserError(
+            f"{source}: for an input of {' x '.join(map(str, shape))}; {what} of {rows} x "
+            f"{columns} taxels is {channels} x {rows} x {columns}: train it for that, or give "
+            "recordings of its sensor (--data), or the other --input"
+        )
+    if network.outputs != classes:
+        raise UserError(
+            f"{source}: {network.nodes[-1]} puts out {network.outputs} values, and there are "
+            f"{classes} classes: train it for those, or give other recordings (--data)"
+        )
+
+
+def _fed_shape(dataset):
+    return dataset.inputs.shape[-3:]
+
+
+def _notes(network, layers, stepped):
+    """What a user should know of the conversion, a line each."""
+    by_snntorch = network.written_by_snntorch
+    yield str(stepped) + (", as snnTorch's exporter writes it" if by_snntorch else "")
+    if by_snntorch:
+        yield (
+            "a graph does not say how snnTorch resets: the chip resets to zero; train with "
+            "reset_mechanism='zero', resets by subtraction lose spikes"
+        )
+    for layer in layers:
+        windows = [n for n in network.nodes if n.name in layer.nodes and "Conv" in n.kind]
+        if layer.kind == "dense" and windows and len(windows[0].input_shape) > 1:
+            yield (
+                f"{layer}: its windows are not the chip's (square kernels, equal strides, no "
+                "padding or 'same'), so that it takes the memory of a dense layer"
+            )
+    for node in network.nodes:
+        if node.kind == "IF":
+            yield f"{node}: the chip's neurons leak, at least 1/4096 of the voltage a step"
+        if node.kind == "CubaLI":
+            yield f"{node}: only its longer time constant is kept"
+
+
+def _threshold(network, stepped, layers, settings, dataset):
+    """The confidence at which the network decides by itself, for networks on events."""
+    if not settings.on_events or network.outputs < 2:
+        return None
+    held = dataset.split.validation
+    if not len(held):
+        held = hold_out(dataset.split.train, settings.seed)[1]
+    held = held[:DECIDED_ON]
+    outputs = _outputs(network, stepped, dataset.inputs[held], settings)[0]
+    sums = delayed(np.cumsum(outputs, 1), len(layers))
+    found = choose_threshold(sums, dataset.labels[held], last_steps(dataset.inputs[held]))
+    return {**found._asdict(), "samples": len(held)}
+
+
+# --- the graph as written -------------------------------------------------------------------------
+
+
+def _outputs(network, stepped, inputs, settings, advance=None):
+    """Outputs (n_samples, steps, classes), and spikes (n_samples, neurons) of each node by name."""
+    outputs, counts = [], []
+    for start in range(0, len(inputs), AT_ONCE):
+        part = inputs[start : start + AT_ONCE]
+        if DEPLOYED in network.metadata and isinstance(settings.stimulus, ImageSpikes):
+            # exported from a bundle, whose graph is for the input neurons' spikes
+            spikes = _input_spikes(settings.stimulus, part, settings.steps)
+            shown = graph_inputs(network, spikes.reshape(*spikes.shape[:2], *part.shape[1:]), 0)
+        else:
+            shown = graph_inputs(network, part, settings.steps)
+        found = simulate(network, shown, stepped.seconds, stepped.method)
+        outputs.append(found.outputs.reshape(*found.outputs.shape[:2], -1))
+        counts.append({n: _in_places(s.sum(1, dtype=np.int64)) for n, s in found.spikes.items()})
+        if advance is not None:
+            advance(len(part))
+    joined = {name: np.concatenate([part[name] for part in counts]) for name in counts[0]}
+    return np.concatenate(outputs), joined
+
+
+def graph_inputs(network: NirNetwork, inputs, steps: int) -> np.ndarray:
+    """What a run's network is shown, as a graph takes it.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    inputs : ndarray
+        Images (n_samples, rows, columns, 1), which are held for ``steps`` steps, or frames of
+        events (n_samples, steps, rows, columns, 2).
+    steps : int
+
+    Returns
+    -------
+    ndarray, shape (n_samples, steps, ...)
+        Channels first, or flat.
+    """
+    if inputs.ndim == 4:
+        inputs = np.broadcast_to(inputs[:, None], (len(inputs), steps, *inputs.shape[1:]))
+    first = np.moveaxis(inputs, -1, 2)
+    return first.reshape(*first.shape[:2], *network.input_shape)
+
+
+def _in_places(values):
+    """(n, channels, rows, columns), or flat, in the chip's order and flat."""
+    moved = np.moveaxis(values, 1, -1) if values.ndim > 2 else values
+    return moved.reshape(len(values), -1)
+
+
+def graph_result(run: RunFolder, settings: Settings, bundle: Bundle, advance=None) -> dict:
+    """A check result of the graph as it is written, in floating point, each sample from rest.
+
+    Parameters
+    ----------
+    run, settings
+    bundle : Bundle
+    advance : callable, optional
+        Called with the number of samples done since the last call.
+
+    Returns
+    -------
+    dict
+        See :func:`deploy.check.results.result_of`.
+    """
+    begun, network, inputs = (
+        time.perf_counter(),
+        read_nir(kept_graph(run.snn)),
+        bundle.checks.inputs,
+    )
+    outputs, counts = _outputs(network, Stepped.of(settings, network), inputs, settings, advance)
+    responses = _responses(bundle.spec, network, inputs, outputs, counts)
+    samples = records_of(bundle.checks, responses)
+    extra = {"versions": {"numpy": np.__version__}}
+    seconds = time.perf_counter() - begun
+    return result_of(bundle, "nir", settings.seed, samples, seconds, extra)
+
+
+def _responses(spec, network, inputs, outputs, counts) -> Responses:
+    readout = spec.layers[-1]
+    if readout.neurons is None:
+        outputs = outputs - readout.bias  # which read_output adds
+    if spec.stimulus.held:  # a graph takes the image itself, not spikes
+        found = read_output(replace(spec, judge=None), outputs, {n: np.zeros((len(inputs), layer))
+                            for n, layer in _sizes(spec).items()})  # fmt: skip
+        return replace(found, spikes={}, operations={})
+    spikes = {"input": inputs.reshape(*inputs.shape[:2], -1).sum(1, dtype=np.int64)}
+    names = [name for name in spec.spiking_layers if name != "input"]
+    spikes |= dict(zip(names, counts.values(), strict=True))
+    return read_output(spec, outputs, spikes)
+
+
+def _sizes(spec):
+    sizes = {"input": int(np.prod(spec.input_shape))}
+    return sizes | {layer.name: layer.size for layer in spec.layers if layer.neurons}
+
+
+# --- the network for the chip ---------------------------------------------------------------------
+
+
+def deployed_nir(
+    folder: Path, metrics: dict, settings: Settings, dataset: Dataset, provenance: dict
+) -> NetworkSpec:
+    """Describe a run's graph as the chip gets it; see :func:`spec_of_nir`.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the network.
+    metrics : dict
+        As :func:`take_over` gives them.
+    settings, dataset, provenance
+    """
+    network = read_nir(kept_graph(folder))
+    early = metrics["decides_by_itself"]
+    presentation = settings.presented(early and early["confidence"])
+    if (exported := exported_here(network, kept_graph(folder))) is not None:
+        fed = (settings.stimulus, dataset.inputs.shape[-3:])
+        if fed != (exported.stimulus, exported.input_shape):
+            raise UserError(
+                f"{settings.nir.file}: exported from a bundle that is fed otherwise than these "
+                f"settings say ({exported.stimulus}); {AGAIN}"
+            )
+        return replace(exported, presentation=presentation, provenance=provenance)
+    rng = np.random.default_rng([settings.seed, 0x41B])
+    some = np.sort(rng.permutation(dataset.split.train)[:CALIBRATED_ON])
+    return spec_of_nir(
+        network,
+        Stepped.of(settings, network),
+        settings.stimulus,
+        presentation,
+        dataset.inputs[some],
+        provenance,
+        settings.deployment.pop_type,
+    )
+
+
+def spec_of_nir(
+    network: NirNetwork,
+    stepped: Stepped,
+    stimulus: Stimulus,
+    presentation: Presentation,
+    samples,
+    provenance: dict,
+    pop_type: int = 32,
+) -> NetworkSpec:
+    """Describe a NIR graph as the chip gets it; what is lost is in :mod:`models.nir_layers`.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    stepped : Stepped
+    stimulus : EventFrames or ImageSpikes
+    presentation : Presentation
+    samples : ndarray
+        Training samples, as the stimulus shows them, on which the scales of the weights are
+        chosen; their shape is that of what is fed in.
+    provenance : dict
+        Kept in the bundle.
+    pop_type : int
+        NengoLoihi's population axon type.
+    """
+    if not isinstance(stimulus, (EventFrames, ImageSpikes)):
+        raise UserError(
+            "'deployment.first_layer' must be chip for a NIR graph, whose neurons are all there"
+        )
+    samples = np.asarray(samples)
+    shape = samples.shape[-3:]
+    layers = layers_of(network, stepped.seconds, stepped.method, shape)
+    height = stimulus.area / LOIHI.dt  # of a spike of the input neurons, in the graph's units
+    signal = _input_spikes(stimulus, samples, presentation.steps)
+    made = []
+    for index, layer in enumerate(layers):
+        if not layer.spiking:
+            made.append(_readout(layer, pop_type))
+            continue
+        factor = height if index == 0 else 1.0
+        scaled = replace(layer, weights=layer.weights * factor)
+        made.append(_on_chip(scaled, chosen(scaled, signal), factor, pop_type))
+        signal = fired(scaled, signal)
+    return NetworkSpec(
+        architecture=notation(shape, layers),
+        input_shape=shape,
+        stimulus=stimulus,
+        layers=tuple(made),
+        presentation=presentation,
+        provenance=provenance,
+    )
+
+
+def _on_chip(layer: NirLayer, integers, height, pop_type) -> Layer:
+    chip = on_loihi(integers, LOIHI.dt)
+    weights = chip.weights * (layer.pool**2 / height)
+    return Layer(
+        placement="chip",
+        neurons=Neurons("lif", LOIHI.dt, chip.tau_rc, 0.0, chip.min_voltage),
+        synapse=chip.tau_s or None,
+        weights=weights if layer.kind == "conv" else weights.T,
+        bias=chip.bias,
+        **_geometry(layer, pop_type),
+    )
+
+
+def _readout(layer: NirLayer, pop_type) -> Layer:
+    synapse = -LOIHI.dt / np.log(layer.keep_u) if layer.keep_u > 0 else None
+    return Layer(
+        placement="host",
+        neurons=None,
+        synapse=synapse and float(synapse),
+        weights=layer.weights.T,
+        bias=layer.bias,
+        **_geometry(layer, pop_type),
+    )
+
+
+def _geometry(layer, pop_type):
+    return dict(
+        name=layer.name,
+        kind=layer.kind,
+        input_shape=layer.input_shape,
+        shape=layer.shape,
+        kernel=layer.weights.shape[0] if layer.kind == "conv" else 0,
+        block_shape=None,
+        pop_type=pop_type,
+        stride=layer.stride,
+        padding=layer.padding,
+        pool=layer.pool,
+    )
+
+
+def _input_spikes(stimulus, samples, steps):
+    """Spikes of the input neurons, 0 or 1, shape (n_samples, steps, values)."""
+    if isinstance(stimulus, EventFrames):
+        return samples.reshape(*samples.shape[:2], -1).astype(float)
+    added = samples.reshape(len(samples), -1) * (stimulus.max_rate * LOIHI.dt)
+    voltage = np.full(added.shape, stimulus.initial_phase)
+    spikes = np.empty((len(samples), steps, added.shape[1]))
+    for t in range(steps):
+        voltage += added
+        spikes[:, t] = voltage >= 1
+        voltage -= spikes[:, t]
+    return spikes
+
+
+def notation(shape, layers) -> str:
+    """The layers in the notation of architectures, such as ``10x10x2-12c4s2-64-10o``."""
+    parts = ["x".join(map(str, shape))]
+    for layer in layers:
+        if layer.pool > 1:
+            parts.append(f"{layer.pool}a")
+        if layer.kind == "conv":
+            text = f"{layer.shape[-1]}c{layer.weights.shape[0]}"
+            text += f"s{layer.stride}" if layer.stride > 1 else ""
+            parts.append(text + ("p" if layer.padding == "same" else ""))
+        else:
+            parts.append(f"{layer.size}{'o' if layer.name == 'output' else ''}")
+    return "-".join(parts)

@@ -1,0 +1,253 @@
+"""Graphs become layers of the chip: real numbers against the reference, integers against both."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from models.nir_graph import NirError
+from models.nir_layers import chosen, fired, layers_of, rounded
+from models.nir_simulator import METHODS, simulate
+from tests.models.nir_graphs import affine, conv, cuba_lif, lif, network_of, spikes
+
+
+def in_places(values):
+    """(n, steps, channels, rows, columns), or flat, in the chip's order and flat."""
+    moved = np.moveaxis(values, 2, -1) if values.ndim > 3 else values
+    return moved.reshape(*values.shape[:2], -1)
+
+
+def by_layers(network, inputs, step, method):
+    """Spikes of each layer of neurons and the readout's output, in real numbers."""
+    signal, found = in_places(inputs), []
+    for layer in layers_of(network, step, method):
+        if layer.spiking:
+            signal = fired(layer, signal)
+        else:
+            added, signal = signal @ layer.weights, np.zeros((*signal.shape[:2], layer.size))
+            state = np.zeros(layer.size)
+            for t in range(added.shape[1]):
+                state = layer.keep_u * state + (1 - layer.keep_u) * added[:, t]
+                signal[:, t] = state
+            signal = signal + layer.bias
+        found.append(signal)
+    return found
+
+
+def compare(network, inputs, step=0.001, method="exact"):
+    """Identical spikes in every layer; the readout within 1e-6."""
+    reference = simulate(network, inputs, step, method)
+    wanted = [in_places(values) for values in reference.spikes.values()]
+    got = by_layers(network, inputs, step, method)
+    n = len(wanted)
+    assert sum(int(w.sum()) for w in wanted) > 0
+    for layer, one, other in zip(layers_of(network, step, method), got, wanted, strict=False):
+        assert one.shape == other.shape
+        # a voltage within rounding of the threshold is what 64 bits cannot tell
+        np.testing.assert_array_equal(one, other, err_msg=str(layer))
+    if len(got) > n:
+        out = reference.outputs.reshape(got[-1].shape)
+        scale = max(float(np.abs(out).max()), 1e-9)
+        assert np.abs(got[-1] - out).max() / scale <= 1e-6
+    return got
+
+
+NEURONS = {
+    "LIF": lambda rng, n: lif(0.013, 3.0, v_threshold=rng.uniform(0.5, 1.5, n)),
+    "CubaLIF": lambda rng, n: cuba_lif(0.005, 0.02, 4.0, w_in=rng.uniform(0.5, 2, n)),
+    "IF": lambda rng, n: ("IF", {"r": 300.0, "v_threshold": rng.uniform(0.5, 1.5, n)}),
+    "Threshold": lambda rng, n: ("Threshold", {"threshold": rng.uniform(0.5, 1.5, n)}),
+}
+
+
+@pytest.mark.parametrize("kind", NEURONS)
+@pytest.mark.parametrize("method", METHODS)
+def test_every_kind_of_neuron_is_the_references(kind, method):
+    rng = np.random.default_rng(3)
+    network = network_of(
+        (12,), affine(rng, 9, 12), NEURONS[kind](rng, 9), affine(rng, 4, 9, bias=0.5)
+    )
+    inputs = spikes(rng, 3, 200, (12,))
+    if (kind, method) == ("CubaLIF", "exact"):
+        # the change of the current within a step is lost, not its sum
+        wanted = simulate(network, inputs, 0.001, method).spikes["n1"].sum(1)
+        got = by_layers(network, inputs, 0.001, method)[0].sum(1)
+        assert np.abs(got - wanted).max() <= 3
+        assert got.sum() == pytest.approx(wanted.sum(), rel=0.05)
+        return
+    compare(network, inputs, method=method)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_filters_before_neurons_and_at_the_end(method):
+    rng = np.random.default_rng(1)
+    li = ("LI", {"tau": 0.008, "r": 2.0, "v_leak": 0.0})
+    end = ("LI", {"tau": 0.05, "r": 3.0, "v_leak": 0.0})
+    network = network_of((10,), li, affine(rng, 8, 10), lif(0.02, 5.0), affine(rng, 3, 8), end)
+    layers = layers_of(network, 0.001, method)
+    assert [layer.name for layer in layers] == ["dense1", "output"]
+    compare(network, spikes(rng, 2, 200, (10,)), method=method)
+
+
+def test_leak_and_reset_voltages_and_biases_are_in_the_layers_bias():
+    rng = np.random.default_rng(1)
+    neuron = lif(0.02, 2.0, v_leak=-0.3, v_reset=-0.3, v_threshold=0.8)
+    network = network_of((10,), affine(rng, 8, 10, bias=0.3), neuron, affine(rng, 3, 8))
+    compare(network, spikes(rng, 2, 200, (10,), 0.3))
+
+
+WINDOWS = {
+    "valid": [conv(np.random.default_rng(0), 4, 2, 3, bias=0.2)],
+    "stride": [conv(np.random.default_rng(0), 4, 2, 3, stride=2)],
+    "same": [conv(np.random.default_rng(0), 4, 2, 3, padding=1)],
+    "same, by name": [conv(np.random.default_rng(0), 4, 2, 4, padding="same")],
+    "stride and padding": [conv(np.random.default_rng(0), 4, 2, 3, padding=1, stride=2)],
+    "groups": [conv(np.random.default_rng(0), 4, 1, 3, groups=2)],
+    "dilation": [conv(np.random.default_rng(0), 4, 2, 2, dilation=2)],
+    "averaging after": [
+        conv(np.random.default_rng(0), 4, 2, 3),
+        ("AvgPool2d", {"kernel_size": 2, "stride": 2, "padding": 0}),
+    ],
+    "sums before": [
+        ("SumPool2d", {"kernel_size": 2, "stride": 2, "padding": 0}),
+        conv(np.random.default_rng(0), 4, 2, 2),
+    ],
+    "scaled": [
+        ("Scale", {"scale": np.array([0.5, 2.0]).reshape(2, 1, 1)}),
+        conv(np.random.default_rng(0), 4, 2, 3),
+    ],
+    "averaging alone": [("AvgPool2d", {"kernel_size": 2, "stride": 2, "padding": 0})],
+    "nothing": [],
+}
+AS_MATRIX = {
+    "rectangular": [conv(np.random.default_rng(0), 4, 2, (2, 3))],
+    "two strides": [conv(np.random.default_rng(0), 4, 2, 3, stride=(1, 2))],
+    "other padding": [conv(np.random.default_rng(0), 4, 2, 5, padding=1)],
+    "overlapping": [
+        ("AvgPool2d", {"kernel_size": 3, "stride": 2, "padding": 1}),
+        conv(np.random.default_rng(0), 4, 2, 2),
+    ],
+    "two convolutions": [
+        conv(np.random.default_rng(0), 3, 2, 3),
+        conv(np.random.default_rng(1), 4, 3, 2),
+    ],
+    "scaled by place": [("Scale", {"scale": np.random.default_rng(0).random((2, 7, 8))})],
+}
+
+
+@pytest.mark.parametrize("name", [*WINDOWS, *AS_MATRIX])
+def test_windows(name):
+    """Convolutions and averages before neurons, then a convolution and a dense layer after them."""
+    rng = np.random.default_rng(5)
+    maps = {**WINDOWS, **AS_MATRIX}[name]
+    some = network_of((2, 7, 8), *maps, lif(0.02, 12.0))
+    channels, rows, columns = some.nodes[-1].shape
+    after = [conv(rng, 3, channels, 2), lif(0.01, 8.0), ("Flatten", {"start_dim": 0})]
+    size = 3 * (rows - 1) * (columns - 1)
+    network = network_of((2, 7, 8), *maps, lif(0.02, 12.0), *after, affine(rng, 4, size))
+    layers = layers_of(network, 0.001)
+    kind = "conv" if name in WINDOWS else "dense"
+    assert [layer.kind for layer in layers] == [kind, kind, "dense"]
+    compare(network, spikes(rng, 2, 60, (2, 7, 8), 0.2))
+
+
+def test_a_row_of_channels():
+    rng = np.random.default_rng(5)
+    row = ("Conv1d", {"weight": rng.normal(0, 1, (3, 2, 4)), "bias": np.zeros(3), "stride": 2,
+                      "padding": 1, "dilation": 1, "groups": 1})  # fmt: skip
+    network = network_of((2, 20), row, lif(0.02, 8.0), ("Flatten", {"start_dim": 0}),
+                         affine(rng, 4, 30))  # fmt: skip
+    assert network.nodes[0].shape == (3, 10)
+    compare(network, spikes(rng, 2, 60, (2, 20), 0.2))
+
+
+@st.composite
+def random_networks(draw):
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    shape = (draw(st.integers(1, 3)), draw(st.integers(4, 7)), draw(st.integers(4, 7)))
+    nodes, now = [], shape
+
+    def neuron():
+        r = draw(st.floats(4, 20))
+        if draw(st.booleans()):
+            return lif(draw(st.floats(0.002, 0.1)), r)
+        return cuba_lif(draw(st.floats(0.002, 0.05)), draw(st.floats(0.002, 0.1)), r)
+
+    for _ in range(draw(st.integers(0, 2))):
+        side = draw(st.integers(1, min(3, *now[1:])))
+        filters = draw(st.integers(1, 4))
+        stride, padding = draw(st.integers(1, 2)), draw(st.integers(0, side // 2))
+        nodes.append(conv(rng, filters, now[0], side, stride=stride, padding=padding))
+        now = network_of(shape, *nodes, lif()).nodes[-1].shape
+        if draw(st.booleans()) and min(now[1:]) >= 2:
+            nodes.append(("AvgPool2d", {"kernel_size": 2, "stride": 2, "padding": 0}))
+            now = (now[0], now[1] // 2, now[2] // 2)
+        nodes.append(neuron())
+    nodes.append(("Flatten", {"start_dim": 0}))
+    size = int(np.prod(now))
+    for _ in range(draw(st.integers(0 if len(nodes) > 1 else 1, 1))):
+        nodes += [affine(rng, 6, size), neuron()]
+        size = 6
+    nodes.append(affine(rng, 3, size))
+    return network_of(shape, *nodes), rng
+
+
+@given(random_networks())
+@settings(max_examples=30, deadline=None)
+def test_random_graphs_spike_as_the_reference(case):
+    network, rng = case
+    inputs = spikes(rng, 2, 200, network.input_shape, 0.15)
+    reference = simulate(network, inputs, 0.001, "euler")
+    got = by_layers(network, inputs, 0.001, "euler")
+    for one, other in zip(got, reference.spikes.values(), strict=False):
+        np.testing.assert_array_equal(one, in_places(other))
+    out = reference.outputs
+    assert np.abs(got[-1] - out).max() <= 1e-6 * max(np.abs(out).max(), 1e-9)
+
+
+def test_integers_by_hand():
+    """Weights 1 and -0.5 thresholds: 127 and -64 (63.5); the threshold is 128 x 127 = 64 x 254."""
+    network = network_of(
+        (2,), ("Linear", {"weight": np.array([[1.0, -0.5]])}), ("Threshold", {"threshold": 1.0})
+    )
+    (layer,) = layers_of(network, 0.001)
+    found = rounded(layer)
+    assert found.weights.T.tolist() == [[127, -64]]
+    assert (found.threshold, found.keep_u, found.keep_v, found.exponent) == (64 * 254, 1, 2, 0)
+    assert rounded(layer, 0.5).weights.T.tolist() == [[127, -127]]
+
+
+def test_the_scale_is_chosen_on_samples():
+    """A weight a hundred times the others that is never used must not cost them their bits."""
+    rng = np.random.default_rng(0)
+    weight = rng.normal(0, 0.02, (6, 20))
+    weight[0, 0] = 20.0
+    network = network_of((20,), ("Linear", {"weight": weight}), lif(0.05, 40.0))
+    (layer,) = layers_of(network, 0.001)
+    inputs = spikes(rng, 8, 200, (20,), 0.3)
+    inputs[:, :, 0] = 0
+    assert np.abs(rounded(layer).weights[1:]).max() < 5
+    wanted = fired(layer, inputs).sum(1).astype(int)
+
+    def error(integers):
+        return np.abs(fired(layer, inputs, integers).sum(1) - wanted).sum()
+
+    assert error(chosen(layer, inputs)) < error(rounded(layer))
+
+
+def test_what_cannot_be_on_the_chip_is_named():
+    rng = np.random.default_rng(0)
+    two = lif(np.array([0.01, 0.02]), 1.0)
+    with pytest.raises(NirError, match=r"'n1' \(LIF\).*one time constant"):
+        layers_of(network_of((3,), affine(rng, 2, 3), two), 0.001)
+    li = ("LI", {"tau": 0.01, "r": 1.0, "v_leak": 0.0})
+    with pytest.raises(NirError, match=r"'n0'.*second filter"):
+        layers_of(network_of((3,), li, affine(rng, 2, 3), cuba_lif()), 0.001)
+    with pytest.raises(NirError, match="shorter than the step"):
+        layers_of(network_of((3,), affine(rng, 2, 3), lif(0.0005)), 0.001)
+    nothing = ("Linear", {"weight": np.zeros((2, 3))})
+    with pytest.raises(NirError, match="all its weights are 0"):
+        rounded(layers_of(network_of((3,), nothing, lif()), 0.001)[0])
+    huge = ("Linear", {"weight": np.full((2, 3), 1e6)})
+    with pytest.raises(NirError, match="too large"):
+        rounded(layers_of(network_of((3,), huge, lif()), 0.001)[0])

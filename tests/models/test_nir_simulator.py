@@ -1,0 +1,105 @@
+"""The reference simulator against hand-worked steps and a solver of differential equations."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from models.nir_graph import NirError
+from models.nir_simulator import run_node, simulate
+from tests.models.nir_graphs import affine, conv, cuba_lif, lif, network_of
+
+H = 0.002
+
+
+def solved(rates, start, inputs):
+    """State at the end of each step; ``rates(state, s)`` with the input held in a step."""
+    states, state = [], np.array(start, float)
+    for s in inputs:
+        found = solve_ivp(lambda t, y, s=s: rates(y, s), (0, H), state, rtol=1e-11, atol=1e-13)
+        state = found.y[:, -1]
+        states.append(state)
+    return np.array(states)
+
+
+def filtered(kind, inputs, method="exact", **values):
+    network = network_of((1,), (kind, values), ("Threshold", {"threshold": 1e3}))
+    return run_node(network.nodes[0], inputs.reshape(1, -1, 1), H, method)[0, :, 0]
+
+
+@pytest.mark.parametrize("tau_syn", [0.004, 0.0100001, 0.01])
+def test_exact_steps_solve_the_equations(tau_syn):
+    s = np.random.default_rng(0).normal(0, 1, 40)
+    tau, r, leak, w = 0.01, 1.7, 0.2, 0.6
+    li = solved(lambda y, s: (leak - y + r * s) / tau, [leak], s)[:, 0]
+    np.testing.assert_allclose(filtered("LI", s, tau=tau, r=r, v_leak=leak), li, atol=1e-8)
+
+    def rates(y, s):
+        return [(leak - y[0] + r * y[1]) / tau, (-y[1] + w * s) / tau_syn]
+
+    cuba = solved(rates, [leak, 0], s)[:, 0]
+    got = filtered("CubaLI", s, tau_syn=tau_syn, tau_mem=tau, r=r, v_leak=leak, w_in=w)
+    np.testing.assert_allclose(got, cuba, atol=1e-8)
+
+
+def test_steps_by_hand():
+    """b = 1/2: v = 0.6, 0.9, 1.05 spikes and resets to 0.1, 0.65."""
+    tau = H / math.log(2)
+    network = network_of((1,), lif(tau, 1.2, v_threshold=1.0, v_reset=0.1))
+    found = simulate(network, np.ones((1, 4, 1)), H)
+    assert found.outputs[0, :, 0].tolist() == [0, 0, 1, 0]
+    assert found.spikes["n0"].dtype == bool
+    # Euler with the same share: tau = 2 h
+    network = network_of((1,), lif(2 * H, 1.2, v_threshold=1.0, v_reset=0.1))
+    assert simulate(network, np.ones((1, 4, 1)), H, "euler").outputs[0, :, 0].tolist() == [
+        0, 0, 1, 0,
+    ]  # fmt: skip
+
+
+def test_integrate_and_fire_and_thresholds_by_hand():
+    network = network_of((1,), ("IF", {"r": 0.4 / H, "v_threshold": 1.0}))
+    assert simulate(network, np.ones((1, 6, 1)), H).outputs[0, :, 0].tolist() == [0, 0, 1, 0, 0, 1]
+    network = network_of((2,), ("Threshold", {"threshold": np.array([0.5, 1.5])}))
+    assert simulate(network, np.ones((1, 2, 2)), H).outputs[0].tolist() == [[1, 0], [1, 0]]
+
+
+def test_windows_by_hand():
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(2, 5, 6))
+    node = network_of((2, 5, 6), conv(rng, 4, 1, 2, bias=1.0, stride=(1, 2), padding=(1, 0),
+                                      dilation=(2, 1), groups=2), lif()).nodes[0]  # fmt: skip
+    got = run_node(node, x[None, None], H)[0, 0]
+    padded = np.pad(x, ((0, 0), (1, 1), (0, 0)))
+    assert got.shape == node.shape == (4, 5, 3)
+    for f, row, column in np.ndindex(got.shape):
+        channel = f // 2
+        seen = padded[channel, row : row + 3 : 2, 2 * column : 2 * column + 2]
+        expected = (node["weight"][f, 0] * seen).sum() + node["bias"][f]
+        assert got[f, row, column] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("kind", ["AvgPool2d", "SumPool2d"])
+def test_pools_by_hand(kind):
+    x = np.random.default_rng(0).normal(size=(2, 5, 5))
+    values = {"kernel_size": 3, "stride": 2, "padding": 1}
+    node = network_of((2, 5, 5), (kind, values), lif()).nodes[0]
+    got = run_node(node, x[None, None], H)[0, 0]
+    corner = x[:, :2, :2].sum((1, 2))  # of nine places, five outside count as 0
+    np.testing.assert_allclose(got[:, 0, 0], corner / (9 if kind == "AvgPool2d" else 1))
+    assert got.shape == (2, 3, 3)
+
+
+def test_samples_do_not_see_each_other():
+    rng = np.random.default_rng(0)
+    network = network_of((4,), affine(rng, 5, 4, 2.0, bias=0.2), cuba_lif(0.004, 0.01, 3.0))
+    inputs = (rng.random((60, 30, 4)) < 0.4).astype(float)
+    both = simulate(network, inputs, H).outputs
+    np.testing.assert_array_equal(both[55], simulate(network, inputs[55:56], H).outputs[0])
+    assert both.any()
+
+
+def test_a_step_longer_than_a_time_constant_is_refused():
+    network = network_of((1,), lif(0.001))
+    with pytest.raises(NirError, match=r"'n0' \(LIF\): a tau of 0.001 s"):
+        simulate(network, np.ones((1, 2, 1)), H)

@@ -1,0 +1,75 @@
+"""Hold a converted network against what it answered in PyTorch.
+
+``python -m tests.nir_networks.compare NETWORK.nir ANSWERS.npz RUN [OPTION ...]`` converts the graph
+with ``stmnist convert RUN --nir`` and the options, asks ``fast`` on the whole test split of seed 0,
+and prints the figures as JSON.
+"""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from deploy.check.bundle import read_bundle
+from deploy.files import read_arrays
+from deploy.targets.registry import answer
+from models.nir_graph import read_nir
+from models.nir_simulator import simulate
+from pipeline.inputs.dataset import Dataset
+from pipeline.run.nir_conversion import Stepped, graph_inputs
+from pipeline.settings import read_settings
+
+
+def convert(graph, run, *options):
+    """Make the graph a run's network, by the command."""
+    command = ["-m", "pipeline", "convert", run, "--nir", graph, "--jobs", "1", *options]
+    subprocess.run([sys.executable, *map(str, command)], check=True, timeout=1800)
+
+
+def figures(graph, answers, run, target="fast"):
+    """What became of the network in the run.
+
+    Parameters
+    ----------
+    graph, answers : path-like
+        As ``train.py`` writes them.
+    run : path-like
+        After :func:`convert`.
+    target : str
+
+    Returns
+    -------
+    dict
+        Accuracies and ``agreement`` on the whole test split; ``graph``, the share of values of the
+        outputs that the reference simulator has as PyTorch has them, within 1e-3 of the largest.
+    """
+    theirs = read_arrays(answers, "train again")
+    settings = read_settings(Path(run) / "experiment.toml")
+    dataset, network = Dataset.of(settings), read_nir(graph)
+    np.testing.assert_array_equal(dataset.split.test, theirs["test"])
+    labels, frames = dataset.labels[theirs["test"]], dataset.inputs[theirs["test"]]
+    stepped, n = Stepped.of(settings, network), len(theirs["outputs"])
+    shown = graph_inputs(network, frames[:n], settings.steps)
+    outputs = simulate(network, shown, stepped.seconds, stepped.method).outputs
+    outputs = outputs.reshape(theirs["outputs"].shape)
+    near = np.abs(outputs - theirs["outputs"]) <= 1e-3 * np.abs(theirs["outputs"]).max()
+    bundle = read_bundle(Path(run) / "bundle")
+    found = answer(bundle.spec, frames, target).predictions
+    return {
+        "samples": len(labels),
+        "pytorch": float((theirs["predictions"] == labels).mean()),
+        target: float((found == labels).mean()),
+        "agreement": float((found == theirs["predictions"]).mean()),
+        "graph": float(near.mean()),
+    }
+
+
+def main(graph, answers, run, *options):
+    convert(graph, run, *options)
+    print(json.dumps(figures(graph, answers, run)))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,203 @@
+"""A NIR graph becomes a run's network: integers on every target, round trip, ladder, bad input."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.errors import UserError
+from deploy.network.nir import deployed_network, nir_graph, write_nir
+from deploy.network.spec import Presentation
+from deploy.network.stimulus import EventFrames, ImageSpikes
+from deploy.preflight.plan import make_plan
+from deploy.targets.registry import answer
+from models.nir_graph import read_nir
+from models.nir_layers import chosen, fired, layers_of
+from pipeline.run.nir_conversion import Stepped, settings_of_nir, spec_of_nir
+from tests.command import call as stmnist
+from tests.deploy.networks import host_first_spec, paper_spec, random_checks, small_spec
+from tests.models.nir_graphs import affine, conv, cuba_lif, lif, network_of, spikes
+
+nir = pytest.importorskip("nir")
+
+FRESH = Presentation(steps=60, gap=0, readout_start=0, stream_length=1)
+STEPPED = Stepped(0.001, "euler")
+
+
+def events_network(rng, *end):
+    """Averaging, a convolution with current-based neurons, and a dense layer."""
+    return network_of(
+        (2, 8, 8),
+        ("AvgPool2d", {"kernel_size": 2, "stride": 2, "padding": 0}),
+        conv(rng, 4, 2, 3, bias=0.1),
+        cuba_lif(0.004, 0.01, 12.0),
+        ("Flatten", {"start_dim": 0}),
+        affine(rng, 6, 16),
+        lif(0.02, 8.0, v_leak=-0.1),
+        affine(rng, 3, 6, bias=0.2),
+        *end,
+    )
+
+
+def frames_of(rng, n, steps=60, shape=(8, 8, 2)):
+    """Frames of events, silent in the last steps, in which spikes still travel."""
+    frames = spikes(rng, n, steps, shape, 0.15).astype(np.uint8)
+    frames[:, -8:] = 0
+    return frames
+
+
+@pytest.mark.parametrize(
+    "end", [[], [lif(0.03, 6.0)], [("LI", {"tau": 0.02, "r": 2, "v_leak": 0})]]
+)
+def test_fast_is_the_emulator_and_the_network_fits(end):
+    rng = np.random.default_rng(2)
+    network = events_network(rng, *end)
+    frames = frames_of(rng, 4)
+    spec = spec_of_nir(network, STEPPED, EventFrames(0.001, 0), FRESH, frames, {})
+    found = answer(spec, frames, "fast")
+    emulated = answer(spec, frames[:2], "emulator")
+    np.testing.assert_array_equal(emulated.spike_hashes, found.spike_hashes[:2])
+    for name in spec.spiking_layers:
+        assert found.spikes[name].sum() > 5, name
+    assert make_plan(spec).problems == []
+
+
+def test_spikes_are_the_chosen_integers_one_by_one():
+    """Without biases the chip's spikes are those of the integers, a step later for each layer."""
+    rng = np.random.default_rng(4)
+    network = network_of(
+        (2, 6, 6),
+        conv(rng, 5, 2, 3),
+        lif(0.01, 10.0),
+        ("Flatten", {}),
+        affine(rng, 7, 80),
+        cuba_lif(0.005, 0.02, 30.0),
+        affine(rng, 3, 7),
+    )
+    frames = frames_of(rng, 3, shape=(6, 6, 2))
+    spec = spec_of_nir(network, STEPPED, EventFrames(0.001, 0), FRESH, frames, {})
+    found = answer(spec, frames, "emulator")
+    signal = calibration = frames.reshape(3, 60, -1).astype(float)
+    for delay, layer in enumerate(layers_of(network, 0.001, "euler", (6, 6, 2))[:-1], 2):
+        integers = chosen(layer, calibration)
+        signal, calibration = fired(layer, signal, integers), fired(layer, calibration)
+        late = signal[:, : 60 - delay + 1].sum((1, 2))
+        np.testing.assert_array_equal(found.spikes[layer.name], late)
+        assert late.min() > 0
+
+
+def test_an_image_is_held():
+    """Without rounding of rates: a pixel of 1 spikes every other step with twice the weight."""
+    network = network_of((1, 2, 2), ("Flatten", {}), ("Linear", {"weight": np.eye(4)}),
+                         lif(0.01, 3.0), ("Linear", {"weight": np.eye(4)}))  # fmt: skip
+    images = np.array([1.0, 0.5, 0.1, 0.0]).reshape(1, 2, 2, 1)
+    shown = Presentation(steps=400, gap=0, readout_start=0, stream_length=1)
+    spec = spec_of_nir(network, STEPPED, ImageSpikes(), shown, images, {})
+    found = answer(spec, images, "fast").scores[0]
+    # a held input of 3 v passes 1 after log(1 - 1 / 3 v) / log(0.9) steps: 4, 11, never
+    np.testing.assert_allclose(found[:2], [1 / 4, 1 / 11], rtol=0.35)
+    assert found[2] == found[3] == 0
+
+
+@pytest.mark.parametrize("make", [small_spec, paper_spec, host_first_spec])
+def test_round_trip_through_nir(make, tmp_path):
+    spec = make()
+    write_nir(tmp_path / "network.nir", spec)
+    network = read_nir(tmp_path / "network.nir")
+    back = deployed_network({n.name: n.parameters for n in network.nodes}, network.metadata)
+    assert back == spec
+    for one, other in zip(back.layers, spec.layers, strict=True):
+        np.testing.assert_allclose(one.weights, other.weights, rtol=1e-15)
+        np.testing.assert_array_equal(one.bias, other.bias)
+    checks = random_checks(spec, 3)
+    if make is not paper_spec:
+        for target in ("nengo", "emulator", "fast"):
+            hashes = (answer(s, checks.inputs, target).spike_hashes for s in (spec, back))
+            np.testing.assert_array_equal(*hashes)
+
+
+def test_an_imported_network_survives_the_round_trip(tmp_path):
+    rng = np.random.default_rng(2)
+    frames = frames_of(rng, 3)
+    spec = spec_of_nir(events_network(rng), STEPPED, EventFrames(0.02, 0), FRESH, frames, {})
+    graph = read_nir(nir_graph(spec))
+    back = deployed_network({n.name: n.parameters for n in graph.nodes}, graph.metadata)
+    assert back == replace(spec, provenance={})
+    one, other = (answer(s, frames, "fast") for s in (spec, back))
+    np.testing.assert_array_equal(one.spike_hashes, other.spike_hashes)
+    write_nir(tmp_path / "n.nir", spec)
+    changes = settings_of_nir(tmp_path / "n.nir")
+    assert changes["input"] == {"kind": "events", "step": 20.0, "refractory": 0.0}
+    assert changes["presentation"]["stream_length"] == 1
+
+
+@pytest.mark.slow
+def test_a_run_of_a_graph(tmp_path, capsys):
+    """Convert, ladder, plan; then again, nothing is done anew."""
+    rng = np.random.default_rng(0)
+    graph = nir.NIRGraph.from_list(
+        nir.Input({"input": np.array([2, 10, 10])}),
+        nir.Conv2d((10, 10), rng.normal(0, 1, (4, 2, 4, 4)), 3, 0, 1, 1, np.zeros(4)),
+        nir.LIF(*(np.full((4, 3, 3), x) for x in (0.1, 8.0, 0.0, 1.0))),
+        nir.Flatten({"input": np.array([4, 3, 3])}, 0),
+        nir.Affine(rng.normal(0, 1, (10, 36)), np.zeros(10)),
+        nir.Output({"output": np.array([10])}),
+    )
+    file, run = tmp_path / "some.nir", tmp_path / "run"
+    nir.write(file, graph)
+    few = ["--set", "data.samples_per_digit=8", "--samples", "6", "--step", "20", "--jobs", "1"]
+    assert stmnist("convert", run, "--nir", file, *few) == 0
+    said = capsys.readouterr().err
+    assert "hardly better than chance" in said
+    file.unlink()  # the run has its own copy
+    assert stmnist("ladder", run, "--json", "--jobs", "1") == 0
+    answered = capsys.readouterr()
+    rows = json.loads(answered.out)["rows"]
+    assert [row["stage"] for row in rows] == ["nir", "nengo", "simreal", "emulator"]
+    assert "nir: up to date" in answered.err
+    assert stmnist("deploy", "plan", run / "bundle") == 0
+    assert stmnist("train", run) == 2
+    assert stmnist("status", run) == 0
+    assert "outdated" not in capsys.readouterr().out
+    assert stmnist("report", run) == 0
+
+
+BAD = [
+    (["--nir", "missing.nir"], "cannot read"),
+    (["--nir", "text.nir"], "not a NIR file"),
+    (["--nir", "small.nir", "--model", "x.keras"], "one network a run"),
+    (["--step", "20"], "--nir FILE"),
+    (["--nir", "small.nir", "--step", "5000"], "'input.step' must be"),
+    (["--nir", "small.nir", "--step", "200"], "shorter than the step"),
+    (["--nir", "small.nir", "--input", "image"], "for an input of 2 x 10 x 10"),
+    (["--nir", "small.nir", "--set", "skin.rows=12", "--set", "skin.columns=12"], "2 x 12 x 12"),
+    (["--nir", "nine.nir"], "puts out 9 values"),
+]
+
+
+@pytest.mark.parametrize(("options", "message"), BAD)
+def test_mistakes_are_one_line(options, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "text.nir").write_text("hello")
+    for name, outputs in (("small.nir", 10), ("nine.nir", 9)):
+        nir.write(
+            name,
+            nir.NIRGraph.from_list(
+                nir.Input({"input": np.array([2, 10, 10])}),
+                nir.Conv2d((10, 10), np.ones((outputs, 2, 10, 10)), 1, 0, 1, 1, np.zeros(outputs)),
+                nir.LIF(*(np.full((outputs, 1, 1), x) for x in (0.1, 8.0, 0.0, 1.0))),
+                nir.Output({"output": np.array([outputs, 1, 1])}),
+            ),
+        )
+    few = ["--set", "data.samples_per_digit=5", "--samples", "2", "--jobs", "1"]
+    assert stmnist("convert", tmp_path / "run", *options, *few) == 2
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert message in last
+    assert not (tmp_path / "run" / "bundle").exists()
+    assert not (tmp_path / "run" / "snn").exists()
+
+
+def test_a_graph_that_was_changed_is_refused(tmp_path):
+    with pytest.raises(UserError, match="cannot read"):
+        settings_of_nir(tmp_path / "gone.nir")
