@@ -41,7 +41,7 @@ def load_recordings(
         Called with one line for each file that was left out.
     rows, columns : int
         Of the skin; 0 for ten where it is simulated, else for as found.
-    traces : sequence of pipeline.skin.unipen.Trace, optional
+    traces : sequence of pipeline.skin.handwriting.Trace, optional
         Recorded handwriting to press on the simulated skin instead of simulated hands.
 
     Returns
