@@ -21,7 +21,7 @@ BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $
 ON_ALL_CORES := --numprocesses logical --maxprocesses 4 --dist worksteal
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
 
-.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report live test test-pythons torture lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava audit clean help
+.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report live shipped-bundle test test-pythons torture lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava audit clean help
 .DEFAULT_GOAL := help
 
 setup:  ## Make .venv with everything pinned in constraints.txt (2.6 GB)
@@ -56,8 +56,12 @@ benchmark: setup  ## The paper's Table 2 on ten splits, beside the paper's figur
 report: loihi-emulate  ## RUN as one HTML file, RUN/report.html, with Table 2 where it was measured
 	@$(STMNIST) report "$(RUN)" --jobs $(JOBS)
 
-live: setup  ## Write digits in the browser; trains RUN first if need be (PORT; RECORD: where to keep)
-	@$(STMNIST) live "$(RUN)" $(SOURCE_OPTIONS) $(if $(PORT),--port $(PORT)) $(if $(RECORD),--record "$(RECORD)")
+live: setup  ## Write digits in the browser, at once or with RUN's network (PORT; RECORD: where to keep)
+	@$(STMNIST) live $(if $(filter file,$(origin RUN)),,"$(RUN)") $(SOURCE_OPTIONS) $(if $(PORT),--port $(PORT)) $(if $(RECORD),--record "$(RECORD)")
+
+shipped-bundle: setup  ## Train the network that comes with the package, in pipeline/live/bundle, again
+	@$(STMNIST) convert runs/shipped --settings pipeline/live/shipped.toml --jobs $(JOBS)
+	@rm -rf pipeline/live/bundle && cp -r runs/shipped/bundle pipeline/live/bundle
 
 test: setup  ## Run the tests, on every core but at most four (memory)
 	@$(BIN)/python -m pytest $(ON_ALL_CORES)

@@ -87,7 +87,7 @@ def hands(n: int, seed: int):
     pipeline.skin.handwriting.Motion
     """
     p = parameters.load()
-    people = handwriting.writers(np.random.default_rng([seed, 1]), p.writers)
+    people = handwriting.writers(np.random.default_rng([seed, 1]), p.writers, p.shapes)
     for index in range(n):
         sample = simulate.Sample(index % 10, index, index % len(people))
         rng = np.random.default_rng([seed, 2, sample.digit, index])

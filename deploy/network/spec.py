@@ -20,6 +20,7 @@ from ..errors import UserError
 from .chip import LOIHI
 from .decision import Judge
 from .geometry import convolution_shape, pooled_shape
+from .rehearsal import Rehearsal
 from .stimulus import KINDS, ImageCurrent, ImageSpikes, Stimulus
 
 DT = LOIHI.dt
@@ -245,6 +246,8 @@ class NetworkSpec:
         Where the network comes from: data set, seed, recipe, package version.
     judge : Judge or None
         What tells how sure the outputs are; None for their softmax.
+    rehearsal : Rehearsal or None
+        What refitting the readout needs of the training; None in bundles of before.
     """
 
     architecture: str
@@ -254,6 +257,7 @@ class NetworkSpec:
     presentation: Presentation
     provenance: dict = field(default_factory=dict)
     judge: Optional[Judge] = field(default=None, repr=False, compare=False)
+    rehearsal: Optional[Rehearsal] = field(default=None, repr=False, compare=False)
 
     def __post_init__(self):
         object.__setattr__(self, "input_shape", tuple(int(n) for n in self.input_shape))
@@ -324,13 +328,16 @@ class NetworkSpec:
         }
 
     def arrays(self) -> dict:
-        """The arrays, for ``weights.npz``: ``<layer>.weights``, ``<layer>.bias``, the judge's."""
+        """The arrays, for ``weights.npz``: ``<layer>.weights``, ``<layer>.bias``, the others'."""
         arrays = {
             f"{layer.name}.{name}": getattr(layer, name)
             for layer in self.layers
             for name in ("weights", "bias")
         }
-        return arrays if self.judge is None else {**arrays, **self.judge.arrays()}
+        for more in (self.judge, self.rehearsal):
+            if more is not None:
+                arrays.update(more.arrays())
+        return arrays
 
     @classmethod
     def from_json(cls, value: dict, arrays: dict) -> NetworkSpec:
@@ -364,6 +371,8 @@ class NetworkSpec:
                 provenance=dict(value.get("provenance", {})),
                 judge=Judge.from_arrays(arrays, layers[-1].size if layers else 0),
             )
+            inputs, classes = layers[-1].weights.shape[1], layers[-1].size
+            spec = replace(spec, rehearsal=Rehearsal.from_arrays(arrays, inputs, classes))
             fed_in = "stimulus" if "stimulus" in value else "encoder"  # of the first schema
             _only(value, {"schema", fed_in, *spec.to_json()}, "network")
             _only(arrays, spec.arrays(), "weights")

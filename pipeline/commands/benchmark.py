@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Optional
 
+import numpy as np
 import typer
 
 from deploy.check.bundle import read_bundle
 from deploy.errors import CheckFailed, UserError
+from deploy.files import write_json
 from pipeline.commands import options
 from pipeline.experiments.choices import choices_text, measure_choices
 from pipeline.experiments.events import events_text, measure_events
@@ -16,6 +18,9 @@ from pipeline.experiments.losses import losses_text, measure_losses
 from pipeline.experiments.study import Workers
 from pipeline.experiments.table2 import measure_table, table_text
 from pipeline.experiments.table2_splits import MODELS, SLOW
+from pipeline.inputs.library import load_recordings
+from pipeline.progress import progress
+from pipeline.run.folder import RunFolder
 
 BY_DEFAULT = tuple(name for name in MODELS if name not in SLOW)
 OUT = typer.Option(help="Folder of the results; splits that are there are not run again.")
@@ -163,3 +168,38 @@ def _names(models):
             f"the models are {', '.join(MODELS)}"
         )
     return tuple(name for name in MODELS if name in names)
+
+
+def adapt(
+    run: Annotated[Path, typer.Argument(help="The run's folder, or a bundle's.")],
+    data: Annotated[
+        str, typer.Option(help="Recordings of several writers whom nobody trained on.")
+    ],
+    out: Annotated[Path, typer.Option(help="The result, JSON.")] = Path("runs/adapt.json"),
+    each: Annotated[
+        str, typer.Option(help="Recordings of each class to learn from, separated by commas.")
+    ] = "1,2,5",
+    draws: Annotated[int, typer.Option(help="Draws for each person.", min=1)] = 5,
+    wrong: Annotated[
+        float, typer.Option(help="Share of wrong labels to learn from.", min=0, max=0.5)
+    ] = 0.0,
+    seed: Annotated[int, typer.Option(help="Seed.", parser=options.between(0, 2**31 - 1))] = 0,
+    jobs: options.Jobs = 2,
+    as_json: options.Json = False,
+):
+    """Measure what fitting the readout to a person is worth, over people."""
+    from pipeline.experiments.adaptation import adaptation_text, measure_adaptation  # Nengo
+
+    folder = RunFolder(run)
+    bundle = read_bundle(folder.bundle if folder.bundle.exists() else run)
+    try:
+        counts = tuple(sorted({int(count) for count in each.split(",")}))
+    except ValueError:
+        counts = (0,)
+    if min(counts) < 1:
+        raise UserError(f"--each {each!r}: whole numbers from 1 on, separated by commas")
+    recordings = load_recordings(data, jobs=jobs, warn=options.say)
+    with progress("people", len(np.unique(recordings.writers))) as advance:
+        measured = measure_adaptation(bundle, recordings, counts, draws, wrong, seed, advance)
+    write_json(out, measured)
+    options.tell(measured, adaptation_text, as_json)

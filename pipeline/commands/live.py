@@ -6,14 +6,20 @@ import threading
 import webbrowser
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 
 from deploy.errors import UserError
 from deploy.terminal import show
 from pipeline.commands import options
-from pipeline.live.network import about, fits_the_page, network_of_bundle, network_of_run
+from pipeline.live.network import (
+    SHIPPED,
+    about,
+    fits_the_page,
+    network_of_bundle,
+    network_of_run,
+)
 from pipeline.run import stages
 from pipeline.run.folder import RunFolder
 from pipeline.run.status import outdated_note
@@ -21,12 +27,17 @@ from pipeline.skin import parameters
 
 PORT = 8765
 RECORD = Path("written")
+DEFAULT_RUN = Path("runs/default")
 
 
 def live(
     run: Annotated[
-        Path, typer.Argument(help="The run's folder, or a bundle's copied from anywhere.")
-    ] = Path("runs/default"),
+        Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
+        typer.Argument(
+            help="The run's folder, or a bundle's copied from anywhere.",
+            show_default="the network on events that comes with this package",
+        ),
+    ] = None,
     port: Annotated[
         int, typer.Option(help="Of this machine; 0 for any that is free.", min=0, max=65535)
     ] = PORT,
@@ -45,7 +56,8 @@ def live(
 ):
     """Write digits in the browser, watch the network decide, keep what was written.
 
-    Trains first if the run is not there.  Serves on 127.0.0.1 only, until Ctrl-C.
+    Without a run it begins at once, with a network that comes with this package.  A run that is not
+    there is trained first.  Serves on 127.0.0.1 only, until Ctrl-C.
     """
     try:
         from pipeline.live.keeping import Keeper
@@ -67,13 +79,19 @@ def live(
 
             return decider_of(bundle, image)
 
+        def make_learner():
+            from pipeline.live.learning import Learner
+
+            return Learner.of(bundle, image, record)
+
         def opened(url):
             show(f"live: {url}", flush=True)
             if not no_browser:  # in a thread: some browsers return when they are closed
                 threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
         try:
-            page = Live(make_decider, keeper, parameters.load(), about(bundle, record, note))
+            told = about(bundle, record, note)
+            page = Live(make_decider, keeper, parameters.load(), told, make_learner=make_learner)
             Server(page, listening, opened).run()
         finally:
             options.say(f"live: ended; {len(keeper)} recordings are kept in {record}")
@@ -81,10 +99,12 @@ def live(
 
 def _network(run, data, kind, seed, settings, set_, jobs):
     """The bundle, made if it is not there or otherwise asked for, and how events become images."""
+    asked = any((data, kind, seed is not None, settings, set_))
+    if run is None:
+        run = DEFAULT_RUN if asked else SHIPPED
     if found := network_of_bundle(run):
         return found
     folder = RunFolder(run)
-    asked = any((data, kind, seed is not None, settings, set_))
     if not asked and (found := network_of_run(folder)):
         return found
     if not folder.bundle.exists():

@@ -32,6 +32,7 @@ VERBS = {
             "simulate": "data.simulate_",
             "stats": "data.stats",
             "plot": "data.plot",
+            "handwriting": "skin.handwriting",
             "calibrate": "skin.calibrate",
             "difficulty": "skin.difficulty",
             "aces": "skin.aces_",
@@ -44,6 +45,10 @@ VERBS = {
     "convert": (
         "Train the network that spikes, on images or with --input events, and write the bundle.",
         "stages.convert",
+    ),
+    "adapt": (
+        "Fit the readout to one person from a few labelled recordings, in a new bundle.",
+        "adapt.adapt",
     ),
     "check": (
         "The check that every target answers.",
@@ -74,6 +79,7 @@ VERBS = {
             "emulator": "benchmark.emulator",
             "losses": "benchmark.losses",
             "events": "benchmark.events",
+            "adapt": "benchmark.adapt",
         },
     ),
     "sweep": (

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from deploy.errors import CheckFailed
+from deploy.errors import CheckFailed, UserError
+from deploy.files import sha256_of
 from deploy.terminal import show
 from pipeline.commands import options
 from pipeline.commands.data import SimulationSeed
@@ -16,8 +17,17 @@ from pipeline.experiments.study import Workers
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import progress
 from pipeline.recordings import table1
-from pipeline.skin import aces, calibration, parameters
+from pipeline.skin import aces, calibration, parameters, shape_fit, shape_model, unipen
 from pipeline.skin.simulate import simulate, source_of
+
+KNOWN_HANDWRITING = {
+    "a66225d68d7d68591e62944df1ad33b3f5aa608e2df2505844b41f5568a80da4": {
+        "source": "Pen-Based Recognition of Handwritten Digits, training writers; E. Alpaydin and "
+        "F. Alimoglu, 1998",
+        "licence": "CC BY 4.0",
+    }
+}
+"""What a model says of the files that it is estimated from, by their hash."""
 
 
 def calibrate(
@@ -51,6 +61,34 @@ def calibrate(
     show(f"seed {seed}: {len(cells) - len(past)} of {len(cells)} cells within their limits")
     if past:
         raise CheckFailed(f"{len(past)} cells of Table 1 are past their limits")
+
+
+def handwriting(
+    file: Annotated[Path, typer.Argument(help="UNIPEN file of digits, with their writers.")],
+    seed: Annotated[
+        int, typer.Option(help="Seed of the search.", parser=options.between(0, 2**31 - 1))
+    ] = 0,
+    out: Annotated[
+        Path, typer.Option(help="Where to write the model.", show_default="the one that is read")
+    ] = shape_model.MODEL,
+):
+    """Estimate how people write from recorded pen trajectories.
+
+    How is described in pipeline/skin/shape_model.py.  The simulation reads the file that is written
+    by default; it has the model's parameters and no trajectory.
+    """
+    traces = unipen.read(file)
+    content = sha256_of(file)
+    about = {"sha256": content, **KNOWN_HANDWRITING.get(content, {"source": file.name})}
+    try:
+        model = shape_fit.estimate(traces, seed, about)
+    except ValueError as error:
+        raise UserError(f"{file}: {error}; give digits of more people") from error
+    shape_model.write(out, model)
+    ways = ", ".join(f"{digit}: {len(ways)}" for digit, ways in enumerate(model.allographs))
+    about = model.about
+    show(f"{about['digits']} digits of {about['writers']} writers; ways of writing {ways}")
+    show(f"{out}: {out.stat().st_size} bytes")
 
 
 def difficulty(

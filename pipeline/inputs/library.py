@@ -42,7 +42,7 @@ def load_recordings(
         Called with one line for each file that was left out.
     reading : pipeline.recordings.sensors.Reading
         Rows and columns of the skin (0 for ten where it is simulated), and how files are read.
-    traces : sequence of pipeline.skin.unipen.Trace, optional
+    traces : sequence of pipeline.skin.handwriting.Trace, optional
         Recorded handwriting to press on the simulated skin instead of simulated hands.
 
     Returns

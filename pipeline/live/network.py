@@ -10,6 +10,10 @@ from pipeline.recordings.events import GRID
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Image, read_settings
 
+SHIPPED = Path(__file__).with_name("bundle")
+"""The bundle on events that comes with this package; ``make shipped-bundle`` makes it, from the
+settings of ``shipped.toml``."""
+
 
 def network_of_bundle(folder: Path) -> tuple | None:
     """The bundle in a folder copied from anywhere, and how events become its images.

@@ -138,9 +138,17 @@ class Live:
     about : dict
         Plain values for the page: ``bundle``, ``accuracy`` and the like.
     seed : int
+    make_learner : callable, optional
+        Gives the :class:`~pipeline.live.learning.Learner`, or None for a network that cannot be
+        fitted; called after ``make_decider``.
     """
 
-    def __init__(self, make_decider, keeper: Keeper, p, about: dict, seed: int = 0):
+    def __init__(
+        self, make_decider, keeper: Keeper, p, about: dict, seed: int = 0, make_learner=None
+    ):
+        self._make_learner = make_learner or (lambda: None)
+        # Of its own: a decision does not wait until a digit has been learned.
+        self._study_thread = concurrent.futures.ThreadPoolExecutor(1, "learning")
         self._make_decider = make_decider
         self._keeper, self._p, self._about, self._seed = keeper, p, about, seed
         self._pages, self._numbers = 0, itertools.count(1)
@@ -154,12 +162,16 @@ class Live:
     async def lifespan(self, app):
         """Make the network ready while the page is already there."""
         say_when_files_run_out(asyncio.get_running_loop())
-        work = asyncio.get_running_loop().run_in_executor(self._thread, self._make_decider)
+        work = asyncio.get_running_loop().run_in_executor(self._thread, self._make_both)
         self._decider = asyncio.ensure_future(work)
         try:
             yield
         finally:
             self._thread.shutdown(wait=False, cancel_futures=True)
+            self._study_thread.shutdown(wait=False, cancel_futures=True)
+
+    def _make_both(self):
+        return self._make_decider(), self._make_learner()
 
     def app(self, port: int):
         """The ASGI application, for a port that is known by now."""
@@ -208,7 +220,9 @@ class Live:
     async def _talk(self, socket):
         session = Session(next(self._numbers), self._keeper, self._p, self._seed)
         await _say(socket, [{"type": "hello", **self._about, **_LIMITS}, session.state()])
-        answering = asyncio.create_task(self._answer(socket, session, wake := asyncio.Event()))
+        wake, study = asyncio.Event(), asyncio.Event()
+        answering = asyncio.create_task(self._answer(socket, session, wake, study))
+        studying = asyncio.create_task(self._study(socket, session, study))
         try:
             while True:
                 message = await socket.receive()
@@ -218,6 +232,7 @@ class Live:
                     raise BadMessage("not text")
                 replies = session.handle(message["text"], time.monotonic())
                 await _say(socket, replies)
+                study.set()
                 if any(r["type"] == "events" and (r["ns"] or session.clocked) for r in replies):
                     wake.set()
         except BadMessage as error:
@@ -225,16 +240,31 @@ class Live:
             await socket.close(1008, "a message was refused")
         finally:
             answering.cancel()
+            studying.cancel()
 
-    async def _answer(self, socket, session, wake):
+    async def _study(self, socket, session, study):
+        """One lesson at a time, in order."""
+        loop = asyncio.get_running_loop()
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+            while True:
+                await study.wait()
+                study.clear()
+                for lesson in session.lessons():
+                    try:
+                        learned = await loop.run_in_executor(self._study_thread, lesson)
+                    except Exception as error:  # said; what was recorded is safe
+                        learned = problem(f"this digit could not be learned: {error}")
+                    await _say(socket, [learned])
+
+    async def _answer(self, socket, session, wake, study):
         """One answer at a time, always to the latest events."""
         loop = asyncio.get_running_loop()
         try:
-            decider = await asyncio.shield(self._decider)
+            decider, learner = await asyncio.shield(self._decider)
         except Exception as error:  # said on the page, whatever it was
             await _say(socket, [problem(f"the network cannot be made ready: {error}")])
             return
-        session.begin(decider)
+        session.begin(decider, learner)
         layers = [{"name": layer.name, "neurons": layer.neurons} for layer in decider.layers]
         ready = {
             "type": "ready",
@@ -244,7 +274,8 @@ class Live:
             "first_step": decider.first_step,
         }
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-            await _say(socket, [ready])
+            await _say(socket, [ready, session.state()])
+            study.set()
             while True:
                 await wake.wait()
                 wake.clear()

@@ -7,10 +7,13 @@ Nothing here knows of sockets or clocks: a message is a dict, the time is told. 
 ``clear``    forget what is being written
 ``label``    ``digit``: what was written; keeps the recording
 ``undo``     remove the writer's last recording
+``learning`` ``on``: whether the network learns this writer's handwriting
+``forget``   forget what the network has learned of this writer
 ``writer``   ``number`` (or null for a new one), ``handedness``, ``each`` (0: no session): who
              writes, and how many of each digit are wanted
 
-and what it gets back: ``events``, ``cleared``, ``saved``, ``undone``, ``writer`` and ``problem``.
+and what it gets back: ``events``, ``cleared``, ``saved``, ``undone``, ``learned``,
+``writer`` and ``problem``.
 Whatever else comes raises :class:`BadMessage`.
 """
 
@@ -18,9 +21,11 @@ from __future__ import annotations
 
 import base64
 import datetime
+import functools
 import json
 import math
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,6 +36,9 @@ from pipeline.recordings.events import Events
 from pipeline.recordings.matfile import MatRecording, Written
 from pipeline.skin.parameters import Parameters
 from pipeline.skin.writing import MARGIN, START_S, PenPoint, Writing
+
+if TYPE_CHECKING:
+    from pipeline.live.learning import Learner  # Nengo: a second that the page can spare
 
 LONGEST_S = 10.0
 """A recording takes no longer.  The published ones last 2 s; not everybody writes as fast, and a
@@ -176,7 +184,8 @@ class Session:
     def __init__(self, number, keeper: Keeper, p, seed=0, now=None):
         self._number, self._keeper, self._p, self._seed = number, keeper, p, seed
         self._now = now or (lambda: datetime.datetime.now().astimezone())
-        self._decider = None
+        self._decider = self._learner = None
+        self._learns, self._lessons = True, []
         self._recordings = 0
         self._each, self._handedness = 0, ""
         self.writer = 1
@@ -186,9 +195,23 @@ class Session:
         self._requests = Allowance(10)
         self._complained_s = -math.inf
 
-    def begin(self, decider: Decider):
-        """The network is ready."""
-        self._decider = decider
+    def begin(self, decider: Decider, learner: Learner | None = None):
+        """The network is ready, and what learns handwriting, if the network can be fitted."""
+        self._decider, self._learner = decider, learner
+        self._study("recall", self.writer)
+
+    def lessons(self) -> list:
+        """What is to be learned next, in order: functions for another thread, each at most once.
+
+        Each gives the message ``learned``.
+        """
+        lessons, self._lessons = self._lessons, []
+        return lessons
+
+    def _study(self, what, *given):
+        """Leave something to the learner; while it is switched off, nothing is learned."""
+        if self._learner is not None and (self._learns or what != "learn"):
+            self._lessons.append(functools.partial(getattr(self._learner, what), *given))
 
     @property
     def clocked(self) -> bool:
@@ -209,6 +232,8 @@ class Session:
             "done": done,
             "asked": asked if self._each else None,
             "saved": len(self._keeper),
+            "learns": self._learner is not None and self._learns,
+            "can_learn": self._learner is not None,
         }
 
     def handle(self, text: str, now_s: float) -> list:
@@ -310,7 +335,8 @@ class Session:
     def _begin(self, page_ms):
         self._recordings += 1
         seed = (self._seed, 2, self._number, self._recordings)
-        deciding = self._decider.begin()
+        own = self._learner.decider(self.writer) if self._learner and self._learns else None
+        deciding = (own or self._decider).begin()
         self.recording = OpenRecording(self._recordings, seed, page_ms, deciding, self._p)
 
     def _passed(self, advance, *until):
@@ -356,6 +382,7 @@ class Session:
         )
         kept = self._keeper.save(digit, MatRecording(events, True, self.writer, written))
         recording.kept = True
+        self._study("learn", self.writer, kept.name, digit, events)
         saved = {
             "type": "saved",
             "digit": digit,
@@ -369,7 +396,19 @@ class Session:
         removed = self._keeper.undo(self.writer)
         if removed is None:
             return [problem(f"writer {self.writer} has no recording to remove")]
+        self._study("forget", self.writer, removed.name)
         return [{"type": "undone", "digit": removed.digit, "name": removed.name}, self.state()]
+
+    def _learning(self, message, now_s):
+        on = message.get("on")
+        if type(on) is not bool:
+            raise BadMessage("on: neither true nor false")
+        self._learns = on
+        return [self.state()]
+
+    def _forget(self, message, now_s):
+        self._study("forget", self.writer)
+        return []
 
     def _who(self, message, now_s):
         number = message.get("number")
@@ -382,6 +421,7 @@ class Session:
             raise BadMessage("handedness: neither left nor right nor empty")
         each = _whole(message, "each", 0, EACH)
         self.writer, self._handedness, self._each = number, handedness, each
+        self._study("recall", self.writer)
         return [self.state()]
 
     def _new_writer(self):
@@ -413,6 +453,8 @@ _HANDLERS = {
     "label": Session._label,
     "undo": Session._undo,
     "writer": Session._who,
+    "learning": Session._learning,
+    "forget": Session._forget,
 }
 
 

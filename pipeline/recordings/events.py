@@ -7,7 +7,7 @@ columns beside each event; :func:`expand_bursts` is its inverse.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -181,6 +181,21 @@ class Recordings:
     def __getitem__(self, index: int) -> Events:
         span = slice(self.offsets[index], self.offsets[index + 1])
         return Events(*(getattr(self.events, name)[span] for name in EVENT_DTYPES))
+
+    def part(self, indices) -> Recordings:
+        """Some of the recordings, in the order of their indices."""
+        indices = np.asarray(indices, int)
+        counts = np.diff(self.offsets)[indices]
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        event = np.arange(offsets[-1]) + np.repeat(self.offsets[indices] - offsets[:-1], counts)
+        return replace(
+            self,
+            events=Events(*(getattr(self.events, name)[event] for name in EVENT_DTYPES)),
+            offsets=offsets,
+            labels=self.labels[indices],
+            ids=tuple(self.ids[index] for index in indices),
+            writers=self.writers[indices],
+        )
 
     @property
     def sample_of_event(self) -> np.ndarray:

@@ -53,14 +53,14 @@ An SD of 1403 OFF events at a mean of 810 (paper, Table 1, digit 3), where the O
 
 BOUNDS = {
     "height": (6.5, 9.0),
-    "width": (3.0, 8.6),
-    "down": (3.8, 5.3),
-    "right": (4.0, 5.8),
+    "width": (6.0, 13.0),
+    "down": (3.2, 5.5),
+    "right": (3.7, 6.2),
     "force": (-2.0, 1.0),
     "spread": (0.3, 3.0),
     "off": (-1.2, 0.5),
 }
-"""The box of a digit has to lie on the array; the others only must not run away."""
+"""A digit has to lie on the array; the others only must not run away."""
 
 
 @dataclass(frozen=True)

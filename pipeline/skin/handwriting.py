@@ -1,46 +1,40 @@
-"""Handwriting as motion: the kinematic theory of rapid human movement.
+"""Handwriting as motion: people, what they write, and the pen's movement over the skin.
 
-A digit is an action plan, a list of points that the pen aims at.  Each stroke towards the next
-point sets off before the last has come to rest; its speed follows a lognormal, its direction turns
-steadily along a circular arc, and the pen's velocity is the vector sum of all strokes (the
-sigma-lognormal model; R. Plamondon, "A kinematic theory of rapid human movements", Biological
-Cybernetics 72, 1995; R. Plamondon and M. Djioua, Human Movement Science 25, 2006).
+A digit is a trace: the pen's positions along each stroke at even times, drawn from the model of
+handwriting (:mod:`pipeline.skin.shape_model`) or recorded on a tablet
+(:mod:`pipeline.skin.unipen`).  Either is placed on the skin and written with the speed along each
+stroke that the trace has.
 """
 
 from __future__ import annotations
 
-import functools
-import tomllib
+import itertools
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-from scipy.special import expit, ndtr, ndtri
+from scipy.interpolate import PchipInterpolator
+from scipy.special import expit, ndtri
 
-LOGNORMAL_REACH = 2.3
-"""Standard deviations of the logarithm of time on either side that count as a stroke's length."""
-
-MOST_TURN = 3.6
-"""Largest turn of a stroke in radians; close to a full turn its circle would grow without bound."""
+from pipeline.skin.shape_model import ShapeModel, boxed
 
 
 @dataclass(frozen=True)
-class ActionPlan:
-    """Points that the pen aims at.
+class Trace:
+    """One digit as a pen's trajectory.
 
     Attributes
     ----------
-    points : ndarray of float, shape (n + 1, 2)
-        (down, right): in a box one high and one wide, or in taxels once it is placed on the skin.
-    turns : ndarray of float, shape (n,)
-        Angle in radians by which each stroke turns on its way, positive clockwise.
-    in_air : ndarray of bool, shape (n,)
-        Whether the pen is lifted during the stroke.
+    digit : int
+    writer : int
+        -1 where it is not known.
+    strokes : tuple of ndarray, shape (n, 2)
+        (down, right) along each contact of the pen, in a box one high around the whole digit,
+        centred on 0; evenly spaced in time.
     """
 
-    points: np.ndarray
-    turns: np.ndarray
-    in_air: np.ndarray
+    digit: int
+    writer: int
+    strokes: tuple
 
 
 @dataclass(frozen=True)
@@ -71,26 +65,28 @@ class Writer:
     ----------
     allographs : tuple of int
         For each digit, which way of writing it is this person's habit.
-    habits : tuple of ndarray
-        For each digit, shape (n + 1, 2): where this person's points stand off the usual ones.
-    slant, tilt : float
-        Shear to the right, and rotation, in radians.
-    height, width : float
-        Logarithm of this person's factor on the size of digits.
+    offsets : tuple of tuple of ndarray
+        For each digit and each way of writing it, this person's standard normal draws; see
+        :meth:`pipeline.skin.shape_model.Allograph.strokes`.
+    slant : float
+        Shear to the right, as its tangent.
+    width : float
+        Logarithm of this person's factor on the width of digits.
+    size : float
+        Logarithm of this person's factor on the height and the width of digits.
     down, right : float
         Where this person writes, off the usual place, in taxels.
     tempo, force, scrape : float
         Logarithm of the factor on the speed, the force, and the vibration of the sliding tip.
     sloppiness : float
-        Factor on the variation from one digit to the next.
+        Factor on the variation of place and size from one digit to the next.
     """
 
     allographs: tuple
-    habits: tuple
+    offsets: tuple
     slant: float
-    tilt: float
-    height: float
     width: float
+    size: float
     down: float
     right: float
     tempo: float
@@ -100,12 +96,11 @@ class Writer:
 
 
 NOBODY = Writer(
-    allographs=(0,) * 10,
-    habits=(),
+    allographs=(),
+    offsets=(),
     slant=0.0,
-    tilt=0.0,
-    height=0.0,
     width=0.0,
+    size=0.0,
     down=0.0,
     right=0.0,
     tempo=0.0,
@@ -116,37 +111,7 @@ NOBODY = Writer(
 """A writer without any traits, to hold the pen for recorded handwriting."""
 
 
-def read_allographs() -> dict:
-    """``allographs.toml`` as plain values: ways of writing, by digit."""
-    return tomllib.loads(Path(__file__).with_name("allographs.toml").read_text("utf-8"))["digit"]
-
-
-@functools.cache
-def allographs() -> tuple:
-    """Ways of writing each digit, from ``allographs.toml``.
-
-    Returns
-    -------
-    tuple of tuple of (float, ActionPlan)
-        For each digit, the share of writers with the habit, and the plan in a box of unit size.
-    """
-    digits = read_allographs()
-    return tuple(
-        tuple((entry["share"], _plan(entry["path"])) for entry in digits[str(digit)])
-        for digit in range(10)
-    )
-
-
-def _plan(path):
-    strokes = path[1:]
-    return ActionPlan(
-        points=np.array([[point[1], point[0]] for point in path], float),
-        turns=np.radians([stroke[2] if len(stroke) > 2 else 0.0 for stroke in strokes]),
-        in_air=np.array([len(stroke) > 3 for stroke in strokes]),
-    )
-
-
-def writers(rng, p) -> tuple:
+def writers(rng, p, shapes: ShapeModel) -> tuple:
     """Draw the people of an experiment.
 
     Each trait takes as many equally likely values as there are people, dealt out at random, so
@@ -156,24 +121,29 @@ def writers(rng, p) -> tuple:
     ----------
     rng : numpy.random.Generator
     p : pipeline.skin.parameters.Writers
+    shapes : ShapeModel
 
     Returns
     -------
     tuple of Writer
     """
     deal = _Deal(rng, p.count)
-    choices = np.array([deal.choices([share for share, _ in ways]) for ways in allographs()])
-    traits = {
-        name: getattr(p, name) * deal.normal()
-        for name in ("slant", "tilt", "height", "width", "tempo", "force", "scrape")
+    choices = np.array([deal.choices(_shares(ways)) for ways in shapes.allographs])
+    spreads = {
+        "slant": shapes.slant,
+        "width": shapes.width,
+        "size": p.size,
+        "tempo": shapes.tempo,
+        "force": p.force,
+        "scrape": p.scrape,
     }
+    traits = {name: spread * deal.normal() for name, spread in spreads.items()}
     down, right, sloppiness = (deal.normal() for _ in range(3))
     return tuple(
         Writer(
             allographs=tuple(int(choice) for choice in choices[:, who]),
-            habits=tuple(
-                p.habit * rng.standard_normal(ways[choice][1].points.shape)
-                for ways, choice in zip(allographs(), choices[:, who], strict=True)
+            offsets=tuple(
+                tuple(rng.standard_normal(way.rank) for way in ways) for ways in shapes.allographs
             ),
             **{name: float(values[who]) for name, values in traits.items()},
             down=float(p.place[0] * down[who]),
@@ -182,6 +152,11 @@ def writers(rng, p) -> tuple:
         )
         for who in range(p.count)
     )
+
+
+def _shares(ways):
+    shares = np.array([way.share for way in ways])
+    return shares / shares.sum()
 
 
 class _Deal:
@@ -197,40 +172,28 @@ class _Deal:
     def choices(self, shares):
         """Indices that occur as often as their shares ask for, in random order."""
         level = (np.arange(self.count) + self.rng.random()) / self.count
-        chosen = np.searchsorted(np.cumsum(shares) / np.sum(shares), level)
+        chosen = np.searchsorted(np.cumsum(shares), level)
         return self.rng.permutation(np.minimum(chosen, len(shares) - 1))
 
 
-def plan(digit: int, who: Writer, rng, p, form) -> ActionPlan:
-    """One digit as one person sets out to write it this time, placed on the skin.
+def write(digit: int, who: Writer, rng, shapes: ShapeModel) -> tuple:
+    """The strokes of one digit as one person writes it this time.
 
-    Parameters
-    ----------
-    digit : int
-    who : Writer
-    rng : numpy.random.Generator
-    p : pipeline.skin.parameters.Trials
-        Variation from trial to trial.
-    form : pipeline.skin.parameters.Form
-        Usual size and place of this digit.
+    Returns
+    -------
+    tuple of ndarray, shape (n, 2)
+        As those of a :class:`Trace`.
     """
-    ways = allographs()[digit]
-    choice = who.allographs[digit]
-    if rng.random() < p.other_allograph:
-        choice = int(rng.choice(len(ways), p=[share for share, _ in ways]))
-    base = ways[choice][1]
-    habit = who.habits[digit] if choice == who.allographs[digit] else 0.0
-    wobble = p.wobble * who.sloppiness * rng.standard_normal(base.points.shape)
-    rounder = p.roundness * who.sloppiness * rng.standard_normal(len(base.turns))
-    place = placing(who, rng, p, form.height, form.width, form.down, form.right)
-    return ActionPlan(
-        points=place(base.points - 0.5 + habit + wobble),
-        turns=np.clip(base.turns * np.exp(rounder), -MOST_TURN, MOST_TURN),
-        in_air=base.in_air,
-    )
+    ways, choice = shapes.allographs[digit], who.allographs[digit]
+    if rng.random() >= shapes.loyalty[digit]:
+        choice = int(rng.choice(len(ways), p=_shares(ways)))
+    way = ways[choice]
+    strokes = way.strokes(who.offsets[digit][choice], rng.standard_normal(way.rank))
+    leaning = np.array([[1.0, -who.slant], [0.0, np.exp(who.width)]])
+    return boxed(stroke @ leaning for stroke in strokes)
 
 
-def placing(who: Writer, rng, p, height, width, down, right):
+def placing(who: Writer, rng, p, form, width):
     """How a digit's box comes to lie on the skin this time.
 
     Parameters
@@ -238,43 +201,42 @@ def placing(who: Writer, rng, p, height, width, down, right):
     who : Writer
     rng : numpy.random.Generator
     p : pipeline.skin.parameters.Trials
-    height, width, down, right : float
-        Usual size and centre of the box, in taxels.
+    form : pipeline.skin.parameters.Form
+        Usual height and place of the digit.
+    width : float
+        Taxels across for a height's length of the digit's shape: ``form.width``, or ``form.height``
+        to keep its proportions.
 
     Returns
     -------
     callable
-        From points of shape (n, 2) in a unit box around 0 to points in taxels.
+        From points of shape (n, 2) in a box one high around 0 to points in taxels.
     """
-    slant, tilt, higher, wider, lower, righter = who.sloppiness * rng.standard_normal(6)
-    scale = [
-        height * np.exp(who.height + p.size * higher),
-        width * np.exp(who.width + p.size * wider),
-    ]
-    shear = np.array([[1, 0], [-np.tan(who.slant + p.slant * slant), 1]])
-    angle = who.tilt + p.tilt * tilt
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    centre = [down + who.down + p.place[0] * lower, right + who.right + p.place[1] * righter]
-    return lambda points: points * scale @ shear.T @ turn.T + centre
+    larger, lower, righter = who.sloppiness * rng.standard_normal(3)
+    scale = np.exp(who.size + p.size * larger) * np.array([form.height, width])
+    centre = (
+        form.down + who.down + p.place[0] * lower,
+        form.right + who.right + p.place[1] * righter,
+    )
+    return lambda points: points * scale + centre
 
 
-def length_s(plan: ActionPlan, p) -> float:
-    """Seconds from the first stroke's start to the last one's end, at tempo 1."""
-    begin, last = _timing(plan, 1.0, p)
-    return float(begin[-1] + last[-1])
+def length_s(strokes, p) -> float:
+    """Seconds that :func:`move` takes at tempo 1."""
+    return float(_timing(strokes, 1.0, p)[-1][-1])
 
 
-def move(plan: ActionPlan, tempo: float, step_s: float, start_s: float, p) -> Motion:
-    """Carry out a plan.
+def move(strokes, tempo: float, step_s: float, start_s: float, p) -> Motion:
+    """Write strokes on the skin.
 
-    Stroke ``i`` starts while the one before it still moves.  At time ``t`` it has covered the share
-    ``F_i(t)``, a lognormal distribution function, of its arc.  Since the arc is a circle's, the
-    stroke's displacement is known in closed form, and the pen's is the sum over the strokes.
+    Along each stroke the points stand at even times, so the writer's own changes of speed are kept.
+    How long the whole takes follows from its length: tablets' files seldom give a sampling rate to
+    rely on, and nothing of the time between strokes.
 
     Parameters
     ----------
-    plan : ActionPlan
-        In taxels.
+    strokes : sequence of ndarray, shape (n, 2)
+        (down, right) in taxels.
     tempo : float
         Factor on the speed.
     step_s, start_s : float
@@ -286,46 +248,26 @@ def move(plan: ActionPlan, tempo: float, step_s: float, start_s: float, p) -> Mo
     Motion
         From ``p.landing_s`` before the first stroke to ``p.settle_s`` after the last one.
     """
-    begin, last = _timing(plan, tempo, p)
-    time = np.arange(-p.landing_s, begin[-1] + last[-1] + p.settle_s, step_s)
-    # A lognormal whose reach on either side of the median is the stroke's time.
-    median = last / (2 * np.sinh(LOGNORMAL_REACH * p.sigma))
-    onset = begin - median * np.exp(-LOGNORMAL_REACH * p.sigma)
-    since = np.maximum(time[:, None] - onset, 1e-9)
-    share = ndtr(np.log(since / median) / p.sigma)  # (time, stroke)
-
-    chord = np.diff(plan.points, axis=0)
-    heading = np.arctan2(chord[:, 0], chord[:, 1]) - plan.turns / 2
-    # Half the turn so far, on either side of the chord so far: no special case for straight lines.
-    half = plan.turns * share / 2
-    covered = _arc(plan) * share * np.sinc(half / np.pi)
-    return Motion(
-        time_s=start_s + time,
-        down=plan.points[0, 0] + (covered * np.sin(heading + half)).sum(axis=1),
-        right=plan.points[0, 1] + (covered * np.cos(heading + half)).sum(axis=1),
-        force=on_skin(time, *_contacts(plan, begin, last, p), p),
-    )
+    clock = _timing(strokes, tempo, p)
+    end = clock[-1][-1]
+    time = np.arange(-p.landing_s, end + p.settle_s, step_s)
+    path = PchipInterpolator(np.concatenate(clock), np.concatenate(strokes))
+    down, right = path(np.clip(time, 0, end)).T
+    lands, lifts = np.array([(stroke[0], stroke[-1]) for stroke in clock]).T
+    return Motion(start_s + time, down, right, on_skin(time, lands, lifts, p))
 
 
-def _arc(plan):
-    """Length of each stroke along its arc."""
-    return np.hypot(*np.diff(plan.points, axis=0).T) / np.sinc(plan.turns / (2 * np.pi))
-
-
-def _timing(plan, tempo, p):
-    """Start and length in time of each stroke."""
-    # Isochrony: a stroke of twice the length takes less than twice the time.
-    arc = np.maximum(_arc(plan), 0.3)
-    last = p.stroke_s * (arc / p.stroke_taxels) ** p.isochrony / tempo
-    return np.concatenate([[0.0], np.cumsum(last[:-1] * (1 - p.overlap))]), last
-
-
-def _contacts(plan, begin, last, p):
-    """Times at which the pen comes down and is lifted."""
-    down = ~plan.in_air
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], down, [False]]).astype(int)))
-    first, after = edges.reshape(-1, 2).T
-    return begin[first], begin[after - 1] + p.lift * last[after - 1]
+def _timing(strokes, tempo, p):
+    """Time of each point of each stroke, from the first point on."""
+    path = sum(np.hypot(*np.diff(stroke, axis=0).T).sum() for stroke in strokes)
+    interval = max(path, 1.0) / p.speed / tempo / sum(len(stroke) - 1 for stroke in strokes)
+    clock = [interval * np.arange(len(strokes[0]))]
+    for before, stroke in itertools.pairwise(strokes):
+        # Isochrony: the way through the air takes less than twice the time for twice the length.
+        leap = max(np.hypot(*(stroke[0] - before[-1])), 0.3)
+        lands = clock[-1][-1] + p.lift_s * (leap / p.lift_taxels) ** p.isochrony / tempo
+        clock.append(lands + interval * np.arange(len(stroke)))
+    return clock
 
 
 def on_skin(time, lands, lifts, p):

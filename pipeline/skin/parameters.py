@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deploy.files import write_json
+from pipeline.skin import shape_model
+from pipeline.skin.shape_model import ShapeModel
 
 
 @dataclass(frozen=True)
@@ -18,13 +20,8 @@ class Writers:
     """Standard deviations between persons; see ``parameters.toml`` for units."""
 
     count: int
-    habit: float
-    slant: float
-    tilt: float
-    height: float
-    width: float
+    size: float
     place: tuple
-    tempo: float
     force: float
     scrape: float
     sloppiness: float
@@ -34,29 +31,21 @@ class Writers:
 class Trials:
     """Standard deviations from one digit of a person to the next."""
 
-    other_allograph: float
-    wobble: float
-    roundness: float
-    slant: float
-    tilt: float
     size: float
     place: tuple
-    tempo: float
     force: float
     scrape: float
 
 
 @dataclass(frozen=True)
 class Kinematics:
-    """How a plan becomes a movement."""
+    """How a digit becomes a movement."""
 
-    stroke_s: float
-    stroke_taxels: float
+    speed: float
+    lift_s: float
+    lift_taxels: float
     isochrony: float
-    overlap: float
-    sigma: float
     landing_s: float
-    lift: float
     settle_s: float
     onset_s: tuple
     waver: float
@@ -113,8 +102,11 @@ class Form:
 
     Attributes
     ----------
-    height, width : float
-        Usual size of the plan's box, in taxels.
+    height : float
+        Usual height of the digit, in taxels.
+    width : float
+        Taxels across for a height's length of the digit's shape; the digit keeps its proportions
+        if it is the height.
     down, right : float
         Usual centre of the box, in taxels from the first one's centre.
     force : float
@@ -136,7 +128,17 @@ class Form:
 
 @dataclass(frozen=True)
 class Parameters:
-    """Everything that the simulation depends on but the seed and the sample counts."""
+    """Everything that the simulation depends on but the seed and the sample counts.
+
+    Attributes
+    ----------
+    writers, trials, kinematics, skin, receptor, aces
+        What was set by hand.
+    forms : tuple of Form
+        What was fitted to Table 1, of each digit.
+    shapes : ShapeModel
+        What was estimated from people's handwriting.
+    """
 
     writers: Writers
     trials: Trials
@@ -145,10 +147,13 @@ class Parameters:
     receptor: Receptor
     aces: Aces
     forms: tuple
+    shapes: ShapeModel
 
     def fingerprint(self) -> str:
         """Hexadecimal SHA-256 over every value."""
-        text = json.dumps(dataclasses.asdict(self), sort_keys=True)
+        values = {name: value for name, value in vars(self).items() if name != "shapes"}
+        plain = {name: _plain(value) for name, value in values.items()}
+        text = json.dumps([plain, self.shapes.fingerprint()], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -162,7 +167,8 @@ def load() -> Parameters:
     values = tomllib.loads(CALIBRATION.with_name("parameters.toml").read_text("utf-8"))
     fitted = json.loads(CALIBRATION.read_text("utf-8"))["forms"]
     sections = {name: section(**_tuples(values[name])) for name, section in _SECTIONS.items()}
-    return Parameters(**sections, forms=tuple(Form(**fitted[str(digit)]) for digit in range(10)))
+    forms = tuple(Form(**fitted[str(digit)]) for digit in range(10))
+    return Parameters(**sections, forms=forms, shapes=shape_model.load())
 
 
 def write_calibration(path, parameters: Parameters, about: dict):
@@ -187,6 +193,13 @@ _SECTIONS = {
     "receptor": Receptor,
     "aces": Aces,
 }
+
+
+def _plain(value):
+    """A section or the forms as plain values."""
+    if isinstance(value, tuple):
+        return [dataclasses.asdict(form) for form in value]
+    return dataclasses.asdict(value)
 
 
 def _tuples(values):

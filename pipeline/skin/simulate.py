@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import itertools
 import json
@@ -15,12 +14,12 @@ from deploy.errors import UserError
 from pipeline.jobs import results_of
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.recordings.events import GRID, Recordings, Sensor, Source, TaxelMap, collect
-from pipeline.skin import aces, handwriting, unipen
+from pipeline.skin import aces, handwriting
 from pipeline.skin import parameters as settings
 from pipeline.skin.contact import Creep, press, scrape
 from pipeline.skin.receptors import Receptors
 
-VERSION = 5
+VERSION = 6
 """Goes into the hash of the recordings; raise it with any change of what is simulated."""
 
 SIZE = (GRID, GRID)
@@ -46,7 +45,7 @@ class Sample:
     digit: int
     index: int
     writer: int
-    trace: unipen.Trace | None = None
+    trace: handwriting.Trace | None = None
 
     @property
     def name(self):
@@ -109,7 +108,7 @@ def simulate(
         Called with the number of recordings that are done since the last call.
     parameters : pipeline.skin.parameters.Parameters, optional
         Default: the built-in ones.
-    traces : sequence of pipeline.skin.unipen.Trace, optional
+    traces : sequence of pipeline.skin.handwriting.Trace, optional
         Recorded handwriting to press on the skin instead of simulated hands.
     size : (int, int)
         Rows and columns of the skin.
@@ -150,7 +149,6 @@ def source_of(seed=0, samples_per_digit=None, parameters=None, traces=None, size
     """What :func:`simulate` of the same arguments will give, by name and hash, without the work."""
     parameters = parameters or settings.load()
     content = [VERSION, int(seed), _counts(samples_per_digit), parameters.fingerprint()]
-    content.append(handwriting.read_allographs())
     if tuple(size) != SIZE:
         content.append(list(size))
     digest = hashlib.sha256(json.dumps(content).encode())
@@ -195,7 +193,7 @@ def _samples(seed, counts, n_writers, traces):
 
 def _batch(seed, samples, p, size):
     """Events of some recordings; runs in a process of its own."""
-    people = handwriting.writers(np.random.default_rng([seed, 1]), p.writers)
+    people = handwriting.writers(np.random.default_rng([seed, 1]), p.writers, p.shapes)
     gain = array_gain(np.random.default_rng(ARRAY_SEED), p.skin, size)
     touches = []
     for sample in samples:
@@ -250,22 +248,18 @@ def motion(sample, who, rng, p):
     start = rng.uniform(*kinematics.onset_s)
     # Nobody is ever out of all proportion.
     faster, harder = np.clip(rng.standard_normal(2), -2.5, 2.5)
-    tempo = np.exp(form.spread * (who.tempo + p.trials.tempo * faster))
+    tempo = np.exp(form.spread * (who.tempo + p.shapes.trial_tempo * faster))
     force = form.force + form.spread * (who.force + p.trials.force * harder)
     if sample.trace is None:
-        plan = handwriting.plan(sample.digit, who, rng, p.trials, form)
-        write = functools.partial(handwriting.move, plan)
-        length = handwriting.length_s(plan, kinematics)
-    else:
-        steady = replace(p.trials, slant=0.0, tilt=0.0)  # the trace has its own
-        place = handwriting.placing(
-            who, rng, steady, form.height, form.height, form.down, form.right
-        )
-        write = functools.partial(unipen.move, sample.trace, place)
-        length = unipen.length_s(sample.trace, place, kinematics)
+        strokes, width = handwriting.write(sample.digit, who, rng, p.shapes), form.width
+    else:  # keeps its proportions
+        strokes, width = sample.trace.strokes, form.height
+    place = handwriting.placing(who, rng, p.trials, form, width)
+    strokes = [place(stroke) for stroke in strokes]
+    length = handwriting.length_s(strokes, kinematics)
     # Nobody takes longer than the recording lasts.
     tempo = max(tempo, length / (kinematics.end_s - start - kinematics.settle_s))
-    moved = write(tempo, STEP_S, start, kinematics)
+    moved = handwriting.move(strokes, tempo, STEP_S, start, kinematics)
     return replace(moved, force=np.exp(force) * moved.force * _waver(moved, rng, kinematics))
 
 

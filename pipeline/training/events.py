@@ -12,7 +12,7 @@ softmax a confidence; the third, on the mean of a batch, keeps the network withi
 from __future__ import annotations
 
 import functools
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from models.architecture import parse
 from models.keras2 import tf
 from models.spiking import Neuron, SpikingNetwork, operations
 from pipeline.paper import CNN_MACS
+from pipeline.recordings.altering import Alteration, alter
 from pipeline.recordings.steps import EventTable, spike_frames
 from pipeline.settings import EventTraining, Input, Settings
 from pipeline.training.checkpoint import Checkpoint, train_epochs
@@ -72,7 +73,8 @@ class EventRecipe:
     early, price, budget : float
         See the module's docstring.
     stretch, drop, turn, shift, scale, shear : float
-        How training samples are altered, each time anew; see :func:`alter`.
+        How training samples are altered, each time anew; see
+        :class:`pipeline.recordings.altering.Alteration`.
     """
 
     architecture: str = EventTraining.architecture
@@ -90,12 +92,23 @@ class EventRecipe:
     early: float = EventTraining.early
     price: float = 3.0
     budget: float = EventTraining.budget
-    stretch: float = 0.1
-    drop: float = 0.2
-    turn: float = 0.08
-    shift: float = 0.4
-    scale: float = 0.08
-    shear: float = 0.08
+    stretch: float = Alteration.stretch
+    drop: float = Alteration.drop
+    turn: float = Alteration.turn
+    shift: float = Alteration.shift
+    scale: float = Alteration.scale
+    shear: float = Alteration.shear
+
+    @property
+    def alteration(self) -> Alteration:
+        """How training samples are altered."""
+        return Alteration(*(getattr(self, entry.name) for entry in fields(Alteration)))
+
+    def altered(self, rng, table: EventTable, indices) -> tuple:
+        """Some samples altered: sample, step (a fraction), row, column, polarity of each event."""
+        sample, time_ms, *place = table.pick(indices)
+        how, n = self.alteration, len(indices)
+        return alter(how, rng, n, sample, time_ms / self.step_ms, *place, size=table.size)
 
     @classmethod
     def of(cls, settings: Settings) -> EventRecipe:
@@ -150,9 +163,7 @@ class TrainedOnEvents:
             Of how they are altered.
         """
         often, rng = np.tile(held, ALTERED), np.random.default_rng([seed, 0x7E57])
-        sample, step, *place = alter(
-            self.recipe, rng, len(often), *table.pick(often), size=table.size
-        )
+        sample, step, *place = self.recipe.altered(rng, table, often)
         rest = self.recipe.rest
         altered = spike_frames(sample, step, *place, len(often), steps, table.size, rest)
         as_they_are = table.frames(held, self.recipe.step_ms, steps, rest)
@@ -299,53 +310,6 @@ def arriving(outputs, recipe: EventRecipe) -> np.ndarray:
     ndarray of the same shape
     """
     return delayed(outputs, len(parse(recipe.architecture).folded))
-
-
-def alter(recipe, rng, samples: int, sample, time_ms, row, column, polarity, size=(10, 10)):
-    """Samples as they might have been written at another time, or by somebody else.
-
-    Each is written faster or slower by a factor exp(``stretch`` z), begins anywhere within its
-    first step, and loses each event with a chance drawn from 0 to ``drop``.  Its places, seen from
-    the middle of the skin, are slanted by ``shear`` z, turned by ``turn`` z radians, stretched by
-    exp(``scale`` z) along rows and along columns, and moved by ``shift`` z taxels both ways; each z
-    is normal and a sample's own.  An event goes to the nearest taxel, or is lost past the edge.
-
-    Parameters
-    ----------
-    recipe : EventRecipe
-    rng : numpy.random.Generator
-    samples : int
-    sample, time_ms, row, column, polarity : ndarray
-        See :meth:`pipeline.recordings.steps.EventTable.pick`.
-    size : (int, int)
-        Rows and columns of taxels.
-
-    Returns
-    -------
-    sample, step, row, column, polarity : ndarray
-        Of the events that are left; steps are fractions.
-    """
-    pace = np.exp(rng.normal(0, recipe.stretch, samples))
-    step = time_ms * pace[sample] / recipe.step_ms + rng.uniform(0, 1, samples)[sample]
-    kept = rng.random(len(sample)) >= rng.uniform(0, recipe.drop, samples)[sample]
-    place = _moved(recipe, rng, samples, sample, np.stack([row, column], -1), size)
-    kept &= ((place >= 0) & (place < size)).all(1)
-    return sample[kept], step[kept], place[kept, 0], place[kept, 1], polarity[kept]
-
-
-def _moved(recipe, rng, samples, sample, place, size):
-    """Each event's (row, column) after the change of its sample, in whole taxels."""
-    angle = rng.normal(0, recipe.turn, samples)
-    cosine, sine = np.cos(angle), np.sin(angle)
-    turned = np.moveaxis(np.array([[cosine, -sine], [sine, cosine]]), 2, 0)
-    slanted = np.tile(np.eye(2), (samples, 1, 1))
-    slanted[:, 1, 0] = rng.normal(0, recipe.shear, samples)  # columns move with the row
-    stretched = np.exp(rng.normal(0, recipe.scale, (samples, 2)))[:, :, None]
-    matrix = stretched * (turned @ slanted)
-    centre = (np.array(size) - 1) / 2
-    place = np.einsum("nij,nj->ni", matrix[sample], place - centre)
-    place += centre + rng.normal(0, recipe.shift, (samples, 2))[sample]
-    return np.floor(place + 0.5).astype(np.int64)
 
 
 def _neuron(recipe):
@@ -495,9 +459,7 @@ class _Trainer:
     def _altered(self, batch, rng):
         """Frames, labels, and the steps up to each sample's last event, of altered samples."""
         n = len(batch)
-        sample, step, *place = alter(
-            self.recipe, rng, n, *self.table.pick(batch), size=self.table.size
-        )
+        sample, step, *place = self.recipe.altered(rng, self.table, batch)
         last = np.zeros(n, np.int64)
         np.maximum.at(last, sample, step.astype(np.int64))
         steps, rest = _padded(last.max()), self.recipe.rest

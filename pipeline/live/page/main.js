@@ -89,6 +89,9 @@ function clear() {
 $("clear").addEventListener("click", clear);
 $("undo").addEventListener("click", () => link.send({ type: "undo" }));
 
+$("learn").addEventListener("change", () => link.send({ type: "learning", on: $("learn").checked }));
+$("forget").addEventListener("click", () => link.send({ type: "forget" }));
+
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;
   if (event.target.matches("input, select, textarea")) return;
@@ -192,6 +195,14 @@ link.on("saved", (message) => {
   complain(null);
 });
 
+link.on("learned", (message) => {
+  if (message.writer !== writer?.number) return;
+  $("learned").dataset.digits = message.digits;
+  $("learned").textContent = message.digits
+    ? `Learning your handwriting: ${message.digits} digits, ${message.right} of the last ${message.of} right before they were learned${message.own_readout ? "" : "; your own readout is not better yet"}.`
+    : "Nothing learned of your handwriting yet: write, and press the digit.";
+});
+
 link.on("undone", (message) => {
   $("told").textContent = `Removed the last, a ${message.digit}: ${message.name}.`;
 });
@@ -200,6 +211,8 @@ link.on("writer", (state) => {
   const first = writer === null;
   writer = state;
   $("saved").textContent = state.saved;
+  $("learning").hidden = !state.can_learn;
+  if (state.can_learn) $("learn").checked = state.learns;
   const known = [...new Set([...state.known, state.number])].sort((a, b) => a - b);
   $("writer").replaceChildren(
     ...known.map((number) => new Option(`Writer ${number}`, number, false, number === state.number)),

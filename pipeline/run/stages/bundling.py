@@ -9,6 +9,7 @@ from deploy.check.bundle import Bundle, CheckSet, read_bundle, write_bundle
 from deploy.network.spec import NetworkSpec
 from pipeline.inputs.dataset import Dataset
 from pipeline.inputs.splits import draw_check_samples
+from pipeline.run.adaptation import with_rehearsal
 from pipeline.run.folder import RunFolder
 from pipeline.run.nir_conversion import deployed_nir
 from pipeline.run.origins import (
@@ -75,6 +76,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         "package": __version__,
     }
     spec = spec_of(run, view, seen, provenance)
+    spec = with_rehearsal(spec, seen.inputs, seen.labels, seen.split.train, view.seed)
     bundle = write_bundle(run.bundle, spec, _check_set(view, seen, chosen))
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
     return bundle

@@ -27,14 +27,15 @@ class Parrot:
 
 
 @contextmanager
-def served(folder, make_decider=Parrot):
+def served(folder, make_decider=Parrot, make_learner=None):
     """A server in a thread, and its keeper."""
     from pipeline.live.keeping import Keeper
     from pipeline.live.server import Live, Server, listen
 
     about = {"folder": str(folder), "architecture": "x", "bundle": "0", "trained_on": "simulated"}
     with closing(Keeper(folder)) as keeper:
-        live = Live(make_decider, keeper, parameters.load(), {**about, "simulated": True})
+        about["simulated"] = True
+        live = Live(make_decider, keeper, parameters.load(), about, make_learner=make_learner)
         server = Server(live, listen(0))
         thread = threading.Thread(target=server.run, daemon=True)
         thread.start()

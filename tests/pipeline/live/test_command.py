@@ -12,6 +12,8 @@ import sys
 
 import pytest
 
+from deploy.check.bundle import read_bundle
+from pipeline.live.network import SHIPPED
 from pipeline.recordings.archive import read_source
 from tests.command import call, environment
 from tests.pipeline.live.conftest import stroke
@@ -47,7 +49,8 @@ def live(tiny_run, tmp_path):
 
     def begin(run=tiny_run):
         kept = tmp_path / "kept"
-        arguments = ("live", run, "--port", 0, "--no-browser", "--record", kept)
+        named = () if run is None else (run,)
+        arguments = ("live", *named, "--port", 0, "--no-browser", "--record", kept)
         process = subprocess.Popen(
             [sys.executable, "-m", "pipeline", *map(str, arguments)],
             env=environment(),
@@ -87,6 +90,21 @@ def test_ctrl_c_ends_it_cleanly_and_what_was_kept_works_as_data(live, tmp_path, 
     assert call("data", "inspect", next(kept.glob("4/*.mat")), "--json") == 0
     facts = json.loads(capsys.readouterr().out)
     assert (facts["source"], facts["simulated"], facts["writer"]) == ("written", True, 1)
+
+
+def test_without_a_run_it_has_the_network_of_the_package_and_learns(live):
+    process, kept = live(run=None)
+    with socket_of(address(process)) as page:
+        messages = iter(lambda: json.loads(page.recv(timeout=300)), None)
+        hello = next(message for message in messages if message["type"] == "hello")
+        assert hello["bundle"] == read_bundle(SHIPPED).id[:12]
+        assert write_and_label(page, 4)["type"] == "saved"
+        while (message := json.loads(page.recv(timeout=300))) != {
+            "type": "learned", "writer": 1, "digits": 1, "of": 1,
+            "right": message.get("right"), "own_readout": False,
+        }:  # fmt: skip
+            pass
+    assert list(kept.glob(".readout-w001.npz"))
 
 
 def test_a_killed_server_has_lost_nothing(live):

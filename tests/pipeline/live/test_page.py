@@ -67,7 +67,7 @@ def messages(page, kind):
 
 def digit(number, index=0):
     """A simulated hand's motion in a third of its time."""
-    who = handwriting.writers(np.random.default_rng([0, 1]), P.writers)[index]
+    who = handwriting.writers(np.random.default_rng([0, 1]), P.writers, P.shapes)[index]
     sample = simulate.Sample(number, index, index)
     motion = simulate.motion(sample, who, np.random.default_rng([0, 2, number, index]), P)
     return replace(motion, time_s=motion.time_s / 3)
@@ -136,7 +136,8 @@ def test_twenty_digits_of_real_hands(browser, shared_data, tmp_path):
 
     def motion_of(trace):
         place = np.array([4.7, 4.8])
-        return unipen.move(trace, lambda q: 8.4 * q + place, 1.0, STEP_S, 0.0, P.kinematics)
+        strokes = [8.4 * stroke + place for stroke in trace.strokes]
+        return handwriting.move(strokes, 1.0, STEP_S, 0.0, P.kinematics)
 
     rng = np.random.default_rng(0)
     strangers = [trace for trace in traces if trace.writer >= 24]
@@ -199,6 +200,69 @@ def page(browser, server):
     with page_of(browser, server) as page:
         page.server = server
         yield page
+
+
+class Counting:
+    """A learner that counts digits, and finds every other one right."""
+
+    def __init__(self):
+        self.digits = 0
+
+    def decider(self, writer):
+        return None
+
+    def recall(self, writer):
+        right = self.digits // 2
+        return {"type": "learned", "writer": writer, "digits": self.digits, "right": right,
+                "of": self.digits, "own_readout": right > 0}  # fmt: skip
+
+    def learn(self, writer, name, label, events):
+        if label == 9:
+            raise RuntimeError("no nines")
+        self.digits += 1
+        return self.recall(writer)
+
+    def forget(self, writer, name=None):
+        self.digits = 0 if name is None else self.digits - 1
+        return self.recall(writer)
+
+
+def test_the_page_says_how_far_learning_has_come(browser, tmp_path):
+    def digits(number):
+        until(page, f"document.querySelector('#learned').dataset.digits === '{number}'")
+
+    learner = Counting()
+    with (
+        served(tmp_path / "kept", make_learner=lambda: learner) as server,
+        page_of(browser, server) as page,
+    ):
+        digits(0)
+        for count in (1, 2):
+            robot.replay(page, digit(count))
+            settled(page)
+            label(page, count)
+            digits(count)
+        assert "1 of the last 2 right" in page.inner_text("#learned")
+        page.click("#undo")
+        digits(1)
+        page.click("#forget")
+        digits(0)
+        page.uncheck("#learn")
+        robot.replay(page, digit(3))
+        settled(page)
+        label(page, 3)
+        page.check("#learn")
+        robot.replay(page, digit(9))
+        settled(page)
+        label(page, 9)
+        until(page, "!document.querySelector('#problem').hidden")
+        assert "no nines" in page.inner_text("#problem")
+        assert learner.digits == 0
+        assert page.inner_text("#saved") == "3"
+
+
+def test_a_network_that_cannot_learn_shows_nothing_of_it(page):
+    assert page.is_hidden("#learning")
 
 
 def test_events_and_decisions_come_while_the_pen_is_still_down(page):

@@ -45,14 +45,15 @@ def test_written_on_the_skin(tmp_path):
     path = tmp_path / "seven.unipen"
     path.write_text(SEVEN)
     (trace,) = unipen.read(path)
-    motion = unipen.move(trace, lambda points: 8 * points + 5, 1.0, 1e-3, 0.1, P.kinematics)
+    strokes = [8 * stroke + 5 for stroke in trace.strokes]
+    motion = handwriting.move(strokes, 1.0, 1e-3, 0.1, P.kinematics)
     assert motion.force[0] == motion.force[-1] == 0
     lands = np.flatnonzero(np.diff((motion.force > 0.5).astype(int)) == 1)
     assert len(lands) == 2
     assert (motion.down[lands[1]], motion.right[lands[1]]) == pytest.approx((5, 3.8), abs=0.2)
     assert (motion.down[0], motion.right[0]) == pytest.approx((1, 3))
     assert motion.time_s[-1] - motion.time_s[0] == pytest.approx(
-        unipen.length_s(trace, lambda points: 8 * points + 5, P.kinematics)
+        handwriting.length_s(strokes, P.kinematics)
         + P.kinematics.landing_s
         + P.kinematics.settle_s,
         abs=2e-3,
@@ -101,8 +102,6 @@ def test_real_handwriting(shared_data):
         for trace in zeros
     ]
     assert np.mean(ratio) == pytest.approx(3.1, abs=0.1)
-    place = handwriting.placing(
-        handwriting.NOBODY, np.random.default_rng(0), P.trials, 8.0, 8.0, 4.5, 4.5
-    )
-    motion = unipen.move(zeros[0], place, 1.0, 1e-3, 0.1, P.kinematics)
+    strokes = [8 * stroke + 4.5 for stroke in zeros[0].strokes]
+    motion = handwriting.move(strokes, 1.0, 1e-3, 0.1, P.kinematics)
     assert 0.3 < motion.time_s[-1] < 2.0

@@ -15,7 +15,6 @@ from pipeline.training import events
 from pipeline.training.events import (
     TAIL,
     EventRecipe,
-    alter,
     answer_frames,
     arriving,
     train_events,
@@ -214,38 +213,3 @@ def test_samples_without_events_are_left_out(data):
     empty = replace(table, offsets=np.zeros_like(table.offsets))
     with pytest.raises(UserError, match="no training sample has an event"):
         train_events(RECIPE, empty, labels, np.arange(10), 0)
-
-
-STILL = replace(RECIPE, stretch=0.0, drop=0.0, turn=0.0, shift=0.0, scale=0.0, shear=0.0)
-
-
-def altered(recipe, n=400, seed=0):
-    """One event in the middle of the left edge at 100 ms, in each of n samples."""
-    ones = np.ones(n, int)
-    rng = np.random.default_rng(seed)
-    return alter(recipe, rng, n, np.arange(n), 100.0 * ones, 4 * ones, 0 * ones, ones)
-
-
-def test_nothing_altered_but_where_in_its_step_a_sample_begins():
-    sample, step, row, column, polarity = altered(STILL)
-    assert sample.tolist() == list(range(400))
-    assert (set(row), set(column), set(polarity)) == ({4}, {0}, {1})
-    assert 10 <= step.min() < 10.1
-    assert 10.9 < step.max() <= 11
-
-
-def test_each_change_does_what_it_says():
-    sample, step, *_ = altered(replace(STILL, stretch=0.2))
-    assert np.std(np.log((step - 0.5) / 10)) == pytest.approx(0.2, abs=0.05)
-    assert len(altered(replace(STILL, drop=0.5), n=4000)[0]) == pytest.approx(3000, abs=150)
-    # A quarter turn takes the middle of the left edge to an end of the middle column.
-    _, _, row, column, _ = altered(replace(STILL, turn=np.pi / 2))
-    assert {(0, 4), (9, 5)} & set(zip(row.tolist(), column.tolist(), strict=True))
-    # Half of those moved to the left fall off the edge.
-    sample, _, row, column, _ = altered(replace(STILL, shift=1.0))
-    assert 200 < len(sample) < 330
-    assert np.std(row - 4.0) == pytest.approx(1.04, abs=0.2)
-    # Near the middle row a slant moves by half a taxel at most, stretching columns moves the edge.
-    assert set(altered(replace(STILL, shear=0.5))[3]) <= {0, 1}
-    assert set(altered(replace(STILL, scale=0.3))[2]) <= {3, 4}
-    assert len(set(altered(replace(STILL, scale=0.3))[3])) > 1

@@ -1,0 +1,88 @@
+"""``stmnist adapt``: the readout fitted to one person."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Optional
+
+import numpy as np
+import typer
+
+from deploy.check.bundle import read_bundle, write_bundle
+from deploy.errors import UserError
+from pipeline.commands import options
+from pipeline.inputs.library import load_recordings
+from pipeline.recordings.events import Recordings
+from pipeline.run.folder import RunFolder
+
+
+def adapt(
+    run: Annotated[
+        Path, typer.Argument(help="The run's folder, or a bundle's copied from anywhere.")
+    ],
+    data: Annotated[
+        str, typer.Option(help="Zip or folder of the person's recordings, each class among them.")
+    ],
+    writer: Annotated[
+        Optional[int],  # noqa: UP045 - Typer reads the annotation at run time
+        typer.Option(help="Whose recordings, where there are several people's.", min=0),
+    ] = None,
+    out: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(help="The new bundle's folder.", show_default="RUN/adapted"),
+    ] = None,
+    seed: Annotated[
+        int, typer.Option(help="Seed of the fit.", parser=options.between(0, 2**31 - 1))
+    ] = 0,
+    jobs: options.Jobs = 2,
+    as_json: options.Json = False,
+):
+    """Fit the readout to one person from a few labelled recordings, in a new bundle.
+
+    Nothing is written if cross-validation on the person's own recordings does not show that it
+    helps.  The bundle that it starts from stays as it is.
+    """
+    from pipeline.run import adaptation  # Nengo: a second that an error above can spare
+
+    bundle, beside = _bundle_of(run)
+    recordings, who = _of_one(load_recordings(data, jobs=jobs, warn=options.say), writer)
+    place = out or beside / who
+    if place.resolve() == bundle.path.resolve():
+        raise UserError(
+            f"{place}: is the bundle that is adapted, which stays; choose another --out"
+        )
+    adapted = adaptation.adapt(bundle, recordings, who, seed)
+    if adapted.spec is None:
+        place = None
+    else:
+        write_bundle(place, adapted.spec, bundle.checks)
+    told = {
+        "before": float(adapted.fit.before.mean()),
+        "after": float(adapted.fit.after.mean()),
+        "others_before": float(adapted.others_before.mean()),
+        "others_after": float(adapted.others_after.mean()),
+        "bundle": None if place is None else str(place),
+        "samples": len(recordings),
+    }
+    options.tell(told, lambda _: adaptation.text_of(adapted, place), as_json)
+
+
+def _bundle_of(path):
+    """The bundle of a run, or a bundle itself, and the folder for those made from it."""
+    folder = RunFolder(path)
+    if folder.bundle.exists():
+        return read_bundle(folder.bundle), folder.path / "adapted"
+    return read_bundle(path), path.absolute().parent / f"{path.absolute().name}-adapted"
+
+
+def _of_one(recordings: Recordings, writer) -> tuple:
+    """One person's recordings, and what to call the person."""
+    source, known = recordings.source.name, np.unique(recordings.writers).tolist()
+    if writer is None:
+        if len(known) > 1:
+            listed = ", ".join(map(str, known[:12])) + (", ..." if len(known) > 12 else "")
+            raise UserError(f"{source}: of several writers ({listed}); say which with --writer")
+        return recordings, str(known[0]) if known and known[0] >= 0 else "person"
+    if writer not in known:
+        raise UserError(f"{source}: no recording of writer {writer}; give another --writer")
+    return recordings.part(np.flatnonzero(recordings.writers == writer)), str(writer)

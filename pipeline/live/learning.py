@@ -1,0 +1,237 @@
+"""Learning the handwriting of who writes on the page.
+
+After each labelled digit the readout is fitted again to all that this writer has labelled
+(:mod:`pipeline.training.readout`).  Each digit is first scored with the readout that was there
+before, so that the page's count of right answers is one of digits that were not yet learned.  A fit
+that does not help in cross-validation is not used.  Nothing here touches a recording.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from deploy.check.bundle import Bundle
+from deploy.errors import UserError
+from deploy.files import read_arrays, write_arrays
+from pipeline.live.deciding import Decider, decider_of
+from pipeline.recordings.events import Events, Sensor, Source, collect
+from pipeline.run.adaptation import Responder
+from pipeline.settings import Image
+from pipeline.training.readout import Person, refit
+
+LATEST = 10
+"""Of so many digits the page says how many were right."""
+
+FEWEST = 2
+"""Digits from which on a readout is fitted: cross-validation needs one to leave out."""
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """What is known of one writer.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the recordings that were learned from.
+    labels : ndarray of int, shape (n,)
+    responses : ndarray, shape (n, 1 + copies, inputs)
+        To each recording and to altered copies of it.
+    right : ndarray of bool, shape (n,)
+        Whether the readout of the time was right, before it learned from the digit.
+    weights : ndarray, shape (classes, inputs), or None
+        The writer's own readout; None while the bundle's is as good.
+    """
+
+    names: tuple = ()
+    labels: np.ndarray = field(default_factory=lambda: np.empty(0, int))
+    responses: np.ndarray | None = None
+    right: np.ndarray = field(default_factory=lambda: np.empty(0, bool))
+    weights: np.ndarray | None = None
+
+    def __len__(self):
+        return len(self.names)
+
+    def with_digit(self, name, label, responses, right) -> Learnt:
+        """With another digit."""
+        before = self.responses if self.responses is not None else responses[:0][None][:0]
+        before = before.reshape(-1, *responses.shape)
+        return replace(
+            self,
+            names=(*self.names, name),
+            labels=np.append(self.labels, label),
+            responses=np.concatenate([before, responses[None]]),
+            right=np.append(self.right, right),
+        )
+
+    def without(self, name) -> Learnt:
+        """Without one of the digits."""
+        kept = np.array([other != name for other in self.names], bool)
+        return replace(
+            self,
+            names=tuple(other for other in self.names if other != name),
+            labels=self.labels[kept],
+            responses=None if self.responses is None else self.responses[kept],
+            right=self.right[kept],
+        )
+
+
+class Learner:
+    """Readouts of all writers of a folder.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    image : Image
+        How events become images.
+    folder : path-like
+        Of the recordings; a writer's readout is kept beside them.
+    """
+
+    def __init__(self, bundle: Bundle, image: Image, folder):
+        self._bundle, self._image, self._folder = bundle, image, Path(folder)
+        self._responder = Responder(bundle.spec, image=image)
+        self._writers, self._deciders = {}, {}
+        self._guard = threading.Lock()
+
+    @classmethod
+    def of(cls, bundle: Bundle, image: Image, folder) -> Learner | None:
+        """A learner, or None for a bundle whose readout cannot be fitted."""
+        if bundle.spec.rehearsal is None or bundle.spec.layers[-1].neurons is not None:
+            return None
+        return cls(bundle, image, folder)
+
+    def decider(self, writer: int) -> Decider | None:
+        """The network with a writer's readout, or None where it is the bundle's; takes no time."""
+        return self._deciders.get(writer)
+
+    def recall(self, writer: int) -> dict:
+        """Make ready what is known of a writer, and say how far learning has come."""
+        with self._guard:
+            if writer not in self._writers:
+                self._writers[writer] = self._read(writer)
+                self._make_decider(writer)
+        return self.state(writer)
+
+    def state(self, writer: int) -> dict:
+        """How far learning has come, for the page."""
+        known = self._known(writer)
+        latest = known.right[-LATEST:]
+        return {
+            "type": "learned",
+            "writer": writer,
+            "digits": len(known),
+            "right": int(latest.sum()),
+            "of": len(latest),
+            "own_readout": known.weights is not None,
+        }
+
+    def learn(self, writer: int, name: str, label: int, events: Events) -> dict:
+        """Score a digit, learn from it, and say how far learning has come.
+
+        Parameters
+        ----------
+        writer : int
+        name : str
+            Of the recording.
+        label : int
+        events : Events
+        """
+        recording = collect(
+            [events], [label], [name], [writer], Source("live", "", True), sensor=Sensor()
+        )
+        responder, spec = self._responder, self._bundle.spec
+        own = responder.responses(responder.shown(recording))
+        copies = responder.copies(recording, [writer, len(self._known(writer))])
+        responses = np.concatenate([own, copies[0]])
+        readout = spec.layers[-1]
+        with self._guard:
+            known = self._known(writer)
+            weights = readout.weights if known.weights is None else known.weights
+            right = int(np.argmax(weights @ own[0] + readout.bias)) == label
+            known = known.with_digit(name, label, responses, right)
+            self._writers[writer] = self._fitted(known)
+            self._keep(writer)
+            self._make_decider(writer)
+        return self.state(writer)
+
+    def forget(self, writer: int, name: str | None = None) -> dict:
+        """Forget one recording of a writer, or all of them."""
+        with self._guard:
+            known = Learnt() if name is None else self._known(writer).without(name)
+            self._writers[writer] = self._fitted(known)
+            self._keep(writer)
+            self._make_decider(writer)
+        return self.state(writer)
+
+    def _fitted(self, known):
+        """With the readout of all that is known."""
+        if len(known) < FEWEST:
+            return replace(known, weights=None)
+        person = Person(known.responses[:, 0], known.labels, known.responses[:, 1:])
+        readout = self._bundle.spec.layers[-1]
+        kept, scale = self._bundle.spec.rehearsal, self._responder.scale
+        fit = refit(readout.weights, readout.bias, person, kept, 0, scale)
+        return replace(known, weights=fit.weights if fit.helps else None)
+
+    def _make_decider(self, writer):
+        """The network with the readout of now; Nengo builds it anew, most of a second's work."""
+        weights, spec = self._writers[writer].weights, self._bundle.spec
+        if weights is None:
+            self._deciders.pop(writer, None)
+            return
+        readout = replace(spec.layers[-1], weights=weights)
+        own = replace(spec, layers=(*spec.layers[:-1], readout))
+        self._deciders[writer] = decider_of(replace(self._bundle, spec=own), self._image)
+
+    def _path(self, writer):
+        return self._folder / f".readout-w{writer:03d}.npz"
+
+    def _known(self, writer):
+        if writer not in self._writers:
+            self._writers[writer] = self._read(writer)
+        return self._writers[writer]
+
+    def _read(self, writer):
+        """What was kept; nothing if that is of another network, or damaged."""
+        if not self._path(writer).exists():
+            return Learnt()
+        try:
+            arrays = read_arrays(self._path(writer), "")
+            names, labels, right = arrays["names"], arrays["labels"], arrays["right"]
+            responses, weights = arrays["responses"].astype(float), arrays.get("weights")
+            fits = (
+                str(arrays["bundle"]) == self._bundle.id
+                and names.ndim == labels.ndim == right.ndim == 1
+                and len(names) == len(labels) == len(right) == len(responses)
+                and responses.ndim == 3
+                and np.isfinite(responses).all()
+                and (labels.dtype.kind, right.dtype.kind, names.dtype.kind) == ("i", "b", "U")
+                and (weights is None or weights.shape == self._bundle.spec.layers[-1].weights.shape)
+            )
+        except (UserError, KeyError, ValueError, AttributeError, TypeError):
+            return Learnt()
+        if not fits:
+            return Learnt()
+        return Learnt(tuple(names.tolist()), labels, responses, right, weights)
+
+    def _keep(self, writer):
+        """Write what is known of a writer; nothing of one of whom nothing is."""
+        known = self._writers[writer]
+        if not len(known):
+            self._path(writer).unlink(missing_ok=True)
+            return
+        own = {} if known.weights is None else {"weights": known.weights}
+        write_arrays(
+            self._path(writer),
+            bundle=np.array(self._bundle.id),
+            names=np.array(known.names, str),
+            labels=np.asarray(known.labels, np.int64),
+            responses=known.responses.astype(np.float32),
+            right=np.asarray(known.right, bool),
+            **own,
+        )

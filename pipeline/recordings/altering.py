@@ -1,0 +1,125 @@
+"""Samples as they might have been written at another time, or by somebody else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.recordings.events import Events, Recordings
+
+
+@dataclass(frozen=True)
+class Alteration:
+    """How far samples are altered.
+
+    Each is written faster or slower by a factor exp(``stretch`` z), begins anywhere within its
+    first step, and loses each event with a chance drawn from 0 to ``drop``.  Its places, seen from
+    the middle of the skin, are slanted by ``shear`` z, turned by ``turn`` z radians, stretched by
+    exp(``scale`` z) along rows and along columns, and moved by ``shift`` z taxels both ways; each z
+    is normal and a sample's own.  An event goes to the nearest taxel, or is lost past the edge.
+    """
+
+    stretch: float = 0.1
+    drop: float = 0.2
+    turn: float = 0.08
+    shift: float = 0.4
+    scale: float = 0.08
+    shear: float = 0.08
+
+
+def alter(how: Alteration, rng, samples: int, sample, step, row, column, polarity, size=(10, 10)):
+    """Alter samples.
+
+    Parameters
+    ----------
+    how : Alteration
+    rng : numpy.random.Generator
+    samples : int
+    sample, row, column, polarity : ndarray
+        See :meth:`pipeline.recordings.steps.EventTable.pick`.
+    step : ndarray of float
+        Time of each event in steps from its sample's first event on.
+    size : (int, int)
+        Rows and columns of taxels.
+
+    Returns
+    -------
+    sample, step, row, column, polarity : ndarray
+        Of the events that are left; steps are fractions.
+    """
+    kept, step, place = _altered(how, rng, samples, sample, step, row, column, size)
+    return sample[kept], step[kept], place[kept, 0], place[kept, 1], polarity[kept]
+
+
+def altered_recordings(
+    recordings: Recordings, indices, how: Alteration, step_ms: float, seed
+) -> Recordings:
+    """Some recordings, altered.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    indices : sequence of int
+        Which; one that comes several times is altered otherwise each time.
+    how : Alteration
+    step_ms : float
+        The step within which a sample begins anywhere.
+    seed : int or sequence of int
+
+    Returns
+    -------
+    Recordings
+        In the order of the indices.
+    """
+    chosen, rng = recordings.part(indices), np.random.default_rng(seed)
+    taxels, sensor, old, sample = (
+        chosen.taxels, chosen.sensor, chosen.events, chosen.sample_of_event
+    )  # fmt: skip
+    some = np.diff(chosen.offsets) > 0
+    begins = np.zeros(len(chosen), np.int64)
+    begins[some] = old.time_ns[chosen.offsets[:-1][some]]
+    step = (old.time_ns - begins[sample]) / (1e6 * step_ms)
+    size = (sensor.rows, sensor.columns)
+    kept, step, place = _altered(
+        how, rng, len(chosen), sample, step, taxels.x[old.taxel], taxels.y[old.taxel], size
+    )
+    at = np.full(size, -1)  # which taxel is where; there may be places without one
+    at[taxels.x, taxels.y] = np.arange(len(taxels))
+    taxel = np.full(len(kept), -1)
+    taxel[kept] = at[tuple(place[kept].T)]
+    kept &= taxel >= 0
+    time_ns = begins[sample] + np.rint(1e6 * step_ms * step).astype(np.int64)
+    order = np.flatnonzero(kept)
+    order = order[np.lexsort((time_ns[order], sample[order]))]
+    counts = np.bincount(sample[order], minlength=len(chosen))
+    return replace(
+        chosen,
+        events=Events(time_ns[order], taxel[order], old.polarity[order], old.columns[order]),
+        offsets=np.concatenate([[0], np.cumsum(counts)]),
+        ids=tuple(f"{name}+{number}" for number, name in enumerate(chosen.ids)),
+    )
+
+
+def _altered(how, rng, samples, sample, step, row, column, size):
+    """Which events are left, and of each its step and its (row, column) in whole taxels."""
+    pace = np.exp(rng.normal(0, how.stretch, samples))
+    step = step * pace[sample] + rng.uniform(0, 1, samples)[sample]
+    kept = rng.random(len(sample)) >= rng.uniform(0, how.drop, samples)[sample]
+    place = _moved(how, rng, samples, sample, np.stack([row, column], -1), size)
+    return kept & ((place >= 0) & (place < size)).all(1), step, place
+
+
+def _moved(how, rng, samples, sample, place, size):
+    """Each event's (row, column) after the change of its sample, in whole taxels."""
+    angle = rng.normal(0, how.turn, samples)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    turned = np.moveaxis(np.array([[cosine, -sine], [sine, cosine]]), 2, 0)
+    slanted = np.tile(np.eye(2), (samples, 1, 1))
+    slanted[:, 1, 0] = rng.normal(0, how.shear, samples)  # columns move with the row
+    stretched = np.exp(rng.normal(0, how.scale, (samples, 2)))[:, :, None]
+    matrix = stretched * (turned @ slanted)
+    centre = (np.array(size) - 1) / 2
+    place = np.einsum("nij,nj->ni", matrix[sample], place - centre)
+    place += centre + rng.normal(0, how.shift, (samples, 2))[sample]
+    return np.floor(place + 0.5).astype(np.int64)

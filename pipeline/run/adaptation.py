@@ -1,0 +1,298 @@
+"""A bundle whose readout is fitted to one person."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deploy.check.bundle import Bundle
+from deploy.check.intervals import wilson_interval
+from deploy.errors import UserError
+from deploy.network.decision import choose_threshold
+from deploy.network.rehearsal import Rehearsal
+from deploy.network.responses import running_sums
+from deploy.network.spec import NetworkSpec
+from deploy.network.stimulus import EventFrames, last_steps
+from deploy.targets.fast.emulation import Emulation, compile_spec
+from pipeline.inputs.images import tactile_images
+from pipeline.recordings.altering import Alteration, altered_recordings
+from pipeline.recordings.events import DIGITS, Recordings
+from pipeline.recordings.steps import EventTable
+from pipeline.settings import Image
+from pipeline.training.readout import Person, Refit, refit
+
+KEPT = 500
+"""Training samples whose responses a bundle keeps."""
+
+COPIES = 10
+"""Altered copies of each sample of a person."""
+
+AT_ONCE = 64
+"""Samples that are run side by side, which bounds the memory."""
+
+
+class Responder:
+    """A bundle's network up to its readout, on the target ``fast``.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    seed : int
+    image : Image, optional
+        How events become images where the network is shown those and the bundle does not say.
+
+    Raises
+    ------
+    UserError
+        The readout is on the chip, where it is no linear map of spikes.
+    """
+
+    def __init__(self, spec: NetworkSpec, seed: int = 0, image: Image | None = None):
+        readout = spec.layers[-1]
+        if readout.neurons is not None or len(spec.layers) < 2:
+            raise UserError(
+                "the readout is a layer of neurons on the chip; only one on the host can be fitted "
+                "(deployment.readout = 'host')"
+            )
+        inputs = readout.weights.shape[1]
+        through = replace(
+            readout, shape=(inputs,), block_shape=None, weights=np.eye(inputs),
+            bias=np.zeros(inputs),
+        )  # fmt: skip
+        self.spec = spec
+        self._emulation = Emulation(
+            compile_spec(replace(spec, layers=(*spec.layers[:-1], through), judge=None,
+                                 rehearsal=None), seed)
+        )  # fmt: skip
+        said = spec.provenance.get("image")
+        self._image = image or (Image() if said is None else Image(**said))
+
+    @property
+    def scale(self) -> float:
+        """What scores are multiplied by to be the logits that the network was trained with."""
+        shown = self.spec.presentation
+        on_events = isinstance(self.spec.stimulus, EventFrames)
+        return float(shown.steps - shown.readout_start) if on_events else 1.0
+
+    def shown(self, recordings: Recordings) -> np.ndarray:
+        """What the network is shown of recordings."""
+        stimulus = self.spec.stimulus
+        if isinstance(stimulus, EventFrames):
+            table, steps = EventTable.of(recordings), self.spec.presentation.steps
+            step_ms = 1e3 * stimulus.step_seconds
+            frames = table.frames(np.arange(len(table)), step_ms, steps, stimulus.rest)
+            return np.moveaxis(frames, 0, 1)
+        return tactile_images(recordings, self._image.aggregation, self._image.normalisation)
+
+    def outputs(self, samples):
+        """What reaches the readout at each step.
+
+        Parameters
+        ----------
+        samples : ndarray, shape (n_samples, ...)
+            As the network is shown them; each is shown to a fresh network.
+
+        Yields
+        ------
+        ndarray, shape (some, steps, inputs)
+        """
+        shown, fed = self.spec.presentation, self.spec.fed(samples)
+        for start in range(0, len(fed), AT_ONCE):
+            part = fed[start : start + AT_ONCE, None]
+            yield self._emulation.run(part, shown.steps, shown.gap).output[:, 0, shown.gap :]
+
+    def responses(self, samples) -> np.ndarray:
+        """Mean of what reaches the readout while it is read, shape (n_samples, inputs)."""
+        start = self.spec.presentation.readout_start
+        parts = [output[:, start:].mean(axis=1) for output in self.outputs(samples)]
+        inputs = self.spec.layers[-1].weights.shape[1]
+        return np.concatenate(parts) if parts else np.empty((0, inputs))
+
+    def copies(self, recordings: Recordings, seed) -> np.ndarray:
+        """Responses to altered copies of recordings, shape (n_samples, COPIES, inputs)."""
+        n = len(recordings)
+        step_ms = 1e3 * self.spec.stimulus.step_seconds
+        often = np.repeat(np.arange(n), COPIES)
+        altered = altered_recordings(recordings, often, Alteration(), step_ms, seed)
+        return self.responses(self.shown(altered)).reshape(n, COPIES, -1)
+
+    def person(self, recordings: Recordings, seed) -> Person:
+        """What a refit needs of a person's recordings."""
+        own = self.responses(self.shown(recordings))
+        return Person(own, recordings.labels, self.copies(recordings, seed))
+
+
+def with_rehearsal(spec: NetworkSpec, inputs, labels, train, seed: int) -> NetworkSpec:
+    """A network with responses to some of its training samples, as :func:`adapt` needs them.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    inputs : ndarray
+        What it is shown of all samples.
+    labels : ndarray of int
+    train : ndarray of int
+        Indices of the training samples.
+    seed : int
+        Of which are drawn.
+    """
+    if spec.layers[-1].neurons is not None or len(spec.layers) < 2:
+        return spec
+    rng = np.random.default_rng([seed, 0xADA97])
+    some = rng.permutation(np.asarray(train))[:KEPT]
+    responses = Responder(spec).responses(inputs[some])
+    return replace(spec, rehearsal=Rehearsal(responses.astype(np.float32), labels[some]))
+
+
+@dataclass(frozen=True)
+class Adapted:
+    """What fitting a bundle's readout to a person came to.
+
+    Attributes
+    ----------
+    spec : NetworkSpec or None
+        The network with the new readout; None if it does not help.
+    fit : Refit
+    others_before, others_after : ndarray of bool
+        Whether the old and the new readout are right on each sample of the bundle's check.
+    """
+
+    spec: NetworkSpec | None
+    fit: Refit
+    others_before: np.ndarray
+    others_after: np.ndarray
+
+
+def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) -> Adapted:
+    """Fit a bundle's readout to one person's recordings.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    recordings : Recordings
+        Of the person, all classes among them.
+    writer : str
+        Who it is, for the new network's provenance.
+    seed : int
+        Of the altered copies and the folds of the cross-validation.
+
+    Raises
+    ------
+    UserError
+        The recordings are of another sensor or of other classes, a class is missing, or the bundle
+        cannot be fitted.
+    """
+    spec = bundle.spec
+    fits(bundle, recordings)
+    if spec.rehearsal is None:
+        raise UserError(
+            f"{bundle.path}: keeps no samples of its training (bundles of earlier versions do "
+            "not); delete it and make it again with 'stmnist convert'"
+        )
+    try:
+        responder = Responder(spec, seed)
+    except UserError as error:
+        raise UserError(f"{bundle.path}: {error}") from error
+    person = responder.person(recordings, [seed, 0xADA])
+    readout = spec.layers[-1]
+    fit = refit(readout.weights, readout.bias, person, spec.rehearsal, seed, responder.scale)
+    others = responder.responses(bundle.checks.inputs)
+    before, after = (
+        (others @ weights.T + readout.bias).argmax(axis=1) == bundle.checks.labels
+        for weights in (readout.weights, fit.weights)
+    )
+    if not fit.helps:
+        return Adapted(None, fit, before, before)
+    about = {
+        "from": bundle.id,
+        "writer": writer,
+        "source": recordings.source.name,
+        "source_sha256": recordings.source.sha256,
+        "samples": len(recordings),
+        "pull": fit.pull,
+        "rehearsal": fit.rehearsal,
+    }
+    adapted = replace(
+        spec,
+        layers=(*spec.layers[:-1], replace(readout, weights=fit.weights)),
+        provenance={**spec.provenance, "adapted": about},
+    )
+    return Adapted(_sure_enough(adapted, responder, recordings), fit, before, after)
+
+
+def fits(bundle: Bundle, recordings: Recordings):
+    """Refuse recordings that a bundle's readout cannot be fitted to.
+
+    Raises
+    ------
+    UserError
+    """
+    source, sensor = recordings.source.name, recordings.sensor
+    rows, columns = bundle.spec.input_shape[:2]
+    known = tuple(bundle.spec.provenance.get("classes", DIGITS))
+    if (sensor.rows, sensor.columns) != (rows, columns):
+        raise UserError(
+            f"{source}: recordings of {sensor.rows}x{sensor.columns} taxels; the network is for "
+            f"{rows}x{columns}: give recordings of its sensor"
+        )
+    if sensor.classes != known:
+        raise UserError(
+            f"{source}: recordings of the classes {_listed(sensor.classes)}; the network tells "
+            f"{_listed(known)}: give recordings of those"
+        )
+    counts = np.bincount(recordings.labels, minlength=len(known))
+    if not counts.all():
+        missing = [known[label] for label in np.flatnonzero(counts == 0)]
+        raise UserError(
+            f"{source}: no recording of {_listed(missing)}; give at least one of each class"
+        )
+
+
+def _listed(names):
+    names = [str(name)[:20] for name in names]
+    return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+
+
+def _sure_enough(spec, responder, recordings):
+    """The network with a confidence at which the person's own samples are decided as rightly.
+
+    Never one that decides earlier than before: few samples would promise too much.
+    """
+    limit = spec.presentation.confidence
+    if limit is None:
+        return spec
+    samples = responder.shown(recordings)
+    weights = spec.layers[-1].weights
+    outputs = np.concatenate([output @ weights.T for output in responder.outputs(samples)])
+    chosen = choose_threshold(
+        running_sums(spec, outputs), recordings.labels, last_steps(samples), judge=spec.judge
+    )
+    return spec.with_presentation(confidence=max(limit, chosen.confidence))
+
+
+def text_of(adapted: Adapted, place) -> str:
+    """What :func:`adapt` came to, in lines.
+
+    Parameters
+    ----------
+    adapted : Adapted
+    place : path-like or None
+        Where the new bundle is.
+    """
+    fit, lines = adapted.fit, []
+    for who, before, after in (
+        ("this person, cross-validated", fit.before, fit.after),
+        ("the bundle's own check", adapted.others_before, adapted.others_after),
+    ):
+        lines.append(f"{who}: {_share(before)} before, {_share(after)} after")
+    if place is None:
+        lines.append("that does not help: nothing was changed")
+    else:
+        lines.append(f"bundle: written to {place}")
+    return "\n".join(lines)
+
+
+def _share(right):
+    low, high = wilson_interval(int(right.sum()), len(right))
+    return f"{right.mean():.3f} ({low:.3f} to {high:.3f}, {len(right)} samples)"

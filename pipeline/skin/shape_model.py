@@ -1,0 +1,257 @@
+"""A statistical model of how people write digits: what a pen's trajectory looks like.
+
+Each digit is written in one of several ways (allographs: which strokes, in which order and
+direction, of which kind of shape).  A trajectory of one allograph is a vector of the pen's
+positions at even times along each stroke, together with the share of the time that each stroke
+takes.  The vector is Gaussian around the allograph's mean, within a few principal components, and
+its deviation is the sum of an offset that is the same whenever a person uses the allograph and of
+what differs from one digit to the next:
+
+    x = mean + (between^(1/2) a_person + within^(1/2) b) components,    a_person, b ~ N(0, 1)
+
+It is a point distribution model (T. F. Cootes et al., "Active shape models", Computer Vision and
+Image Understanding 61, 1995) with time as the correspondence of the points, and its two covariances
+are those of the two-covariance model of speaker recognition (N. Bruemmer and E. de Villiers, "The
+speaker partitioning problem", Odyssey 2010).  Slant and width that a person has in all digits are
+taken out first and are drawn for each writer.
+
+``handwriting.npz`` has the parameters of the built-in model and says what they were estimated from;
+:mod:`pipeline.skin.shape_fit` estimates them.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from deploy.errors import UserError
+from deploy.files import read_arrays, write_arrays
+
+MODEL = Path(__file__).with_name("handwriting.npz")
+"""The built-in model."""
+
+POINTS = 32
+"""Positions of a trajectory, all of its strokes together."""
+
+DIGITS = 10
+
+
+@dataclass(frozen=True)
+class Allograph:
+    """One way of writing a digit.
+
+    Attributes
+    ----------
+    share : float
+        Of the digits that are written in this way.
+    points : tuple of int
+        Positions of each stroke; :data:`POINTS` in all.
+    mean : ndarray, shape (n,)
+        Positions (down, right) stroke by stroke, in a box one high around 0, then for each stroke
+        but the first the logarithm of its share of the writing time over the first one's:
+        ``n = 2 * POINTS + len(points) - 1``.
+    components : ndarray, shape (k, n)
+        Principal components, each as long as a standard deviation of the digits along it.
+    between, within : ndarray, shape (k, k)
+        Square roots of the covariances of persons' offsets and of what is left
+        within a person, in units of the components.
+    """
+
+    share: float
+    points: tuple
+    mean: np.ndarray
+    components: np.ndarray
+    between: np.ndarray
+    within: np.ndarray
+
+    @property
+    def rank(self) -> int:
+        """Number of components."""
+        return len(self.components)
+
+    def strokes(self, person, trial) -> tuple:
+        """One digit.
+
+        Parameters
+        ----------
+        person, trial : ndarray, shape (k,)
+            Standard normal draws: a person's, and this digit's own.
+
+        Returns
+        -------
+        tuple of ndarray, shape (n, 2)
+            (down, right) along each stroke, evenly spaced in time, in a box one high around 0.
+        """
+        along = self.between @ person + self.within @ trial
+        drawn = self.mean + along @ self.components
+        places = drawn[: 2 * POINTS].reshape(POINTS, 2)
+        strokes = np.split(places, np.cumsum(self.points)[:-1])
+        ratio = np.exp(np.concatenate([[0.0], np.clip(drawn[2 * POINTS :], -3, 3)]))
+        counts = np.maximum(np.rint(ratio / ratio.sum() * POINTS).astype(int), 3)
+        return boxed(
+            resampled(stroke, count) for stroke, count in zip(strokes, counts, strict=True)
+        )
+
+
+@dataclass(frozen=True)
+class ShapeModel:
+    """How people write the ten digits.
+
+    Attributes
+    ----------
+    allographs : tuple of tuple of Allograph
+        Of each digit.
+    loyalty : tuple of float
+        Of each digit, the share that a person writes in the way that is this person's habit; the
+        rest is written in any way, as often as people write so.
+    slant : float
+        Standard deviation of the shear to the right between persons, as its tangent.
+    width : float
+        Standard deviation between persons of the logarithm of the factor on the width.
+    tempo, trial_tempo : float
+        Standard deviations of the logarithm of the pen's speed, between persons and from one digit
+        of a person to the next.
+    about : dict
+        What the model was estimated from: ``source``, ``licence``, ``sha256`` of the file,
+        ``writers``, ``digits``.
+    """
+
+    allographs: tuple
+    loyalty: tuple
+    slant: float
+    width: float
+    tempo: float
+    trial_tempo: float
+    about: dict
+
+    def arrays(self) -> dict:
+        """The parameters as arrays, for a file; the inverse of :meth:`from_arrays`."""
+        arrays = {
+            "about": np.array(json.dumps(self.about, sort_keys=True)),
+            "loyalty": np.array(self.loyalty),
+            "traits": np.array([self.slant, self.width, self.tempo, self.trial_tempo]),
+        }
+        for digit, ways in enumerate(self.allographs):
+            arrays |= {f"{digit}.{part}": array for part, array in _packed(ways).items()}
+        return arrays
+
+    @classmethod
+    def from_arrays(cls, arrays: dict) -> ShapeModel:
+        """The model of :meth:`arrays`.
+
+        Raises
+        ------
+        KeyError, ValueError, TypeError
+            An array is missing or of another shape.
+        """
+        ways = tuple(
+            _unpacked({part: arrays[f"{digit}.{part}"] for part in PARTS})
+            for digit in range(DIGITS)
+        )
+        loyalty, traits = arrays["loyalty"].astype(float), arrays["traits"].astype(float)
+        if loyalty.shape != (DIGITS,) or traits.shape != (4,):
+            raise ValueError("the traits have another shape")
+        return cls(
+            ways, tuple(loyalty.tolist()), *traits.tolist(), json.loads(str(arrays["about"]))
+        )
+
+    def fingerprint(self) -> str:
+        """Hexadecimal SHA-256 over the parameters as they are stored."""
+        digest = hashlib.sha256()
+        for name, array in sorted(self.arrays().items()):
+            if name != "about":
+                digest.update(name.encode() + np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
+
+PARTS = ("share", "points", "rank", "mean", "components", "between", "within")
+"""Arrays that a digit's allographs are stored as, those of all of them stacked."""
+
+
+def _packed(ways) -> dict:
+    """A digit's allographs as arrays of the same size each, filled up with zeros."""
+    k, strokes = max(way.rank for way in ways), max(len(way.points) for way in ways)
+    n = 2 * POINTS + strokes - 1
+    sizes = {"mean": (n,), "components": (k, n), "between": (k, k), "within": (k, k)}
+    packed = {name: np.zeros((len(ways), *size), np.float16) for name, size in sizes.items()}
+    points = np.zeros((len(ways), strokes), np.uint8)
+    for number, way in enumerate(ways):
+        points[number, : len(way.points)] = way.points
+        for name, array in packed.items():
+            values = getattr(way, name)
+            array[(number, *map(slice, values.shape))] = values
+    return packed | {
+        "points": points,
+        "share": np.array([way.share for way in ways], np.float32),
+        "rank": np.array([way.rank for way in ways], np.uint8),
+    }
+
+
+def _unpacked(arrays) -> tuple:
+    """The inverse of :func:`_packed`."""
+    ways = []
+    for share, points, rank, mean, components, between, within in zip(
+        *(arrays[part] for part in PARTS), strict=True
+    ):
+        points, k = tuple(int(count) for count in points[points > 0]), int(rank)
+        n = 2 * POINTS + len(points) - 1
+        parts = mean[:n], components[:k, :n], between[:k, :k], within[:k, :k]
+        shapes = tuple(part.shape for part in parts)
+        finite = all(np.isfinite(part).all() for part in parts)
+        if sum(points) != POINTS or shapes != ((n,), (k, n), (k, k), (k, k)) or not finite:
+            raise ValueError("an allograph has other shapes, or values that are no numbers")
+        ways.append(Allograph(float(share), points, *(part.astype(float) for part in parts)))
+    if not ways or not min(way.share for way in ways) > 0:
+        raise ValueError("a digit that nobody writes")
+    return tuple(ways)
+
+
+def boxed(strokes) -> tuple:
+    """Strokes moved and scaled into a box one high around 0; width in proportion.
+
+    Parameters
+    ----------
+    strokes : iterable of ndarray, shape (n, 2)
+    """
+    strokes = tuple(strokes)
+    points = np.concatenate(strokes)
+    low, high = points.min(axis=0), points.max(axis=0)
+    height = max(high[0] - low[0], 1e-9)
+    return tuple((stroke - (low + high) / 2) / height for stroke in strokes)
+
+
+def resampled(stroke, count: int) -> np.ndarray:
+    """A stroke at another number of even times, shape (count, 2)."""
+    at = np.linspace(0, len(stroke) - 1, count)
+    return np.stack([np.interp(at, np.arange(len(stroke)), axis) for axis in stroke.T], 1)
+
+
+@functools.cache
+def load() -> ShapeModel:
+    """The built-in model."""
+    return read(MODEL)
+
+
+def read(path) -> ShapeModel:
+    """Read a model from a file.
+
+    Raises
+    ------
+    UserError
+        It cannot be read or is no model.
+    """
+    remedy = "make it again with 'stmnist data handwriting'"
+    try:
+        return ShapeModel.from_arrays(read_arrays(path, remedy))
+    except (KeyError, ValueError, TypeError, IndexError) as error:
+        raise UserError(f"{path}: not a model of handwriting ({error}); {remedy}") from error
+
+
+def write(path, model: ShapeModel):
+    """Write a model to a file; the same bytes for the same model."""
+    write_arrays(path, **model.arrays())

@@ -1,0 +1,72 @@
+"""What fitting the readout is worth, over people."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.check.bundle import read_bundle
+from deploy.errors import UserError
+from pipeline.experiments.adaptation import _mistaken, _summary, measure_adaptation
+from pipeline.live.network import SHIPPED
+from pipeline.recordings.archive import write_zip
+from pipeline.skin.simulate import simulate
+from tests.command import call
+
+BUNDLE = read_bundle(SHIPPED)
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    """Three writers, three of each digit."""
+    few = simulate(3, [9] * 10, 1)
+    return replace(few, writers=np.arange(len(few)) % 3)
+
+
+def test_over_people(recordings, tmp_path, capsys):
+    write_zip(tmp_path / "three.zip", recordings)
+    out = tmp_path / "adapt.json"
+    arguments = ("--each", "1,2", "--draws", 1, "--jobs", 1, "--json", "--out", out)
+    assert call("benchmark", "adapt", SHIPPED, "--data", tmp_path / "three.zip", *arguments) == 0
+    measured = json.loads(capsys.readouterr().out)
+    assert measured == json.loads(out.read_text())
+    assert (measured["people"], measured["simulated"]) == (3, True)
+    assert set(measured["each"]) == {"1", "2"}
+    for row in measured["each"].values():
+        assert row["interval95"][0] <= row["gain_points"] <= row["interval95"][1]
+        assert row["gain_points"] == pytest.approx(100 * (row["after"] - row["before"]))
+        assert row["worst"] <= row["gain_points"]
+    # The judged recordings are the same, so the accuracy before is.
+    assert measured["each"]["1"]["before"] == measured["each"]["2"]["before"]
+
+
+def test_too_few(recordings):
+    with pytest.raises(UserError, match="fewer than two known writers"):
+        measure_adaptation(BUNDLE, recordings, each=(3,))
+    nobody = replace(recordings, writers=np.full(len(recordings), -1))
+    with pytest.raises(UserError, match="fewer than two known writers"):
+        measure_adaptation(BUNDLE, nobody, each=(1,))
+
+
+@pytest.mark.parametrize("each", ["0", "x", "1,,2"])
+def test_bad_numbers(each, capsys):
+    assert call("benchmark", "adapt", SHIPPED, "--data", "none.zip", "--each", each) == 2
+    assert "--each" in capsys.readouterr().err
+
+
+def test_a_summary_by_hand():
+    rows = [(1, 0.5, 0.7, 0.9, 0.9, 1), (1, 0.5, 0.6, 0.9, 0.8, 1), (2, 0.9, 0.85, 0.9, 0.9, 0)]
+    found = _summary(np.array(rows))
+    assert (found["before"], found["after"]) == pytest.approx((0.7, 0.75))
+    assert (found["gain_points"], found["worst"], found["lost"]) == pytest.approx((5, -5, 2.5))
+    assert found["used"] == 0.5
+    assert found["interval95"] == pytest.approx([5 - 12.706 * 10, 5 + 12.706 * 10], abs=0.1)
+
+
+def test_mistaken_labels():
+    labels = np.repeat(np.arange(10), 4)
+    wrong = _mistaken(labels, 0.1, np.random.default_rng(0))
+    assert (wrong != labels).sum() == 4
+    assert set(wrong) <= set(range(10))
+    assert (_mistaken(labels, 0.0, np.random.default_rng(0)) == labels).all()

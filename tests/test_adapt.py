@@ -1,0 +1,212 @@
+"""``stmnist adapt``: a new bundle for one person, or nothing at all."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.check.bundle import read_bundle, write_bundle
+from deploy.files import read_json
+from pipeline.live.network import SHIPPED
+from pipeline.recordings.archive import write_zip
+from pipeline.recordings.events import Recordings
+from pipeline.skin import handwriting, parameters
+from pipeline.skin.handwriting import Trace
+from pipeline.skin.shape_model import boxed
+from pipeline.skin.simulate import simulate
+from tests.command import call
+
+LEANING = np.array([[1.0, 0.7], [0.0, 1.0]])
+"""From (down, right) to that of a digit that leans to the left."""
+
+
+def strange_hand(each, seed=5):
+    """Recordings of somebody whose digits lean far to the left."""
+    p, rng = parameters.load(), np.random.default_rng(seed)
+    who = handwriting.writers(rng, p.writers, p.shapes)[0]
+    traces = [
+        Trace(digit, 7, boxed(s @ LEANING for s in handwriting.write(digit, who, rng, p.shapes)))
+        for digit in range(10)
+        for _ in range(each)
+    ]
+    return simulate(seed, [each] * 10, 1, traces=traces)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A run on events, of which only the bundle is there: the one that comes with the package."""
+    folder = tmp_path_factory.mktemp("adapt") / "run"
+    shutil.copytree(SHIPPED, folder / "bundle")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def person(tmp_path_factory):
+    recordings = strange_hand(5)
+    path = tmp_path_factory.mktemp("person") / "mine.zip"
+    write_zip(path, recordings)
+    return path
+
+
+def told(capsys):
+    return json.loads(capsys.readouterr().out)
+
+
+def contents(folder):
+    return {p: p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def test_a_person_whom_the_network_does_not_know(run, person, tmp_path, capsys):
+    before = contents(run)
+    assert call("adapt", run, "--data", person, "--json") == 0
+    result = told(capsys)
+    assert set(result) == {
+        "before", "after", "others_before", "others_after", "bundle", "samples"
+    }  # fmt: skip
+    assert result["samples"] == 50
+    assert result["after"] > result["before"] + 0.1
+    folder = run / "adapted" / "7"
+    assert result["bundle"] == str(folder)
+    assert {p: b for p, b in contents(run).items() if "adapted" not in p.parts} == before
+    old, new = read_bundle(run / "bundle"), read_bundle(folder)
+    for was, now in zip(old.spec.layers[:-1], new.spec.layers[:-1], strict=True):
+        np.testing.assert_array_equal(was.weights, now.weights)
+    weights = new.spec.layers[-1].weights
+    assert len(np.unique(weights)) <= 255
+    unit = np.abs(weights).max() / 127
+    np.testing.assert_allclose(weights / unit, np.rint(weights / unit), atol=1e-6)
+    assert new.spec.presentation.confidence >= old.spec.presentation.confidence
+    assert new.spec.provenance["adapted"]["from"] == old.id
+    # The new bundle is one like any other: its check says what was promised of the others.
+    out = tmp_path / "fast.json"
+    assert call("check", "run", folder, "--target", "fast", "--out", out) == 0
+    assert read_json(out, "")["accuracy"] == pytest.approx(result["others_after"], abs=0.05)
+    # Unseen digits of the same person are told better too.
+    unseen = strange_hand(8, seed=6)
+    from pipeline.run.adaptation import Responder
+
+    responses = (r := Responder(old.spec)).responses(r.shown(unseen))
+    right = [
+        np.mean((responses @ b.spec.layers[-1].weights.T).argmax(1) == unseen.labels)
+        for b in (old, new)
+    ]
+    assert right[1] > right[0]
+    # The same again gives the same, and from the adapted bundle one can go on.
+    assert call("adapt", run, "--data", person, "--out", tmp_path / "again", "--json") == 0
+    assert read_bundle(tmp_path / "again").id == new.id
+    assert call("adapt", folder, "--data", person, "--json") == 0
+
+
+def test_responses_are_what_the_readout_reads(run):
+    """Old weights on the responses give the scores of the target itself, and of other targets."""
+    from deploy.targets.registry import answer
+    from pipeline.run.adaptation import Responder
+
+    bundle = read_bundle(run / "bundle")
+    alone = bundle.spec.with_presentation(stream_length=1)
+    readout = bundle.spec.layers[-1]
+    scores = Responder(bundle.spec).responses(bundle.checks.inputs) @ readout.weights.T
+    found = answer(alone, bundle.checks.inputs, "fast").scores
+    np.testing.assert_allclose(scores + readout.bias, found, atol=1e-6)
+
+
+def test_what_is_kept_of_the_training(run):
+    kept = read_bundle(run / "bundle").spec.rehearsal
+    assert len(kept) == 500
+    assert set(kept.labels) == set(range(10))
+    assert kept.responses.max() > 0
+
+
+def test_of_images(tiny_run, person, tmp_path, capsys):
+    assert call("adapt", tiny_run, "--data", person, "--out", tmp_path / "new", "--json") == 0
+    result = told(capsys)
+    assert result["samples"] == 50
+    if result["bundle"] is not None:
+        assert result["after"] > result["before"]
+        assert read_bundle(result["bundle"]).spec.stimulus.held
+    from deploy.targets.registry import answer
+    from pipeline.run.adaptation import Responder
+
+    bundle = read_bundle(tiny_run / "bundle")
+    alone, readout = bundle.spec.with_presentation(stream_length=1), bundle.spec.layers[-1]
+    scores = Responder(bundle.spec).responses(bundle.checks.inputs) @ readout.weights.T
+    found = answer(alone, bundle.checks.inputs, "fast").scores
+    np.testing.assert_allclose(scores + readout.bias, found, atol=1e-6)
+
+
+def test_labels_that_are_all_wrong_change_nothing(run, tmp_path, capsys):
+    recordings = strange_hand(3)
+    labels = np.random.default_rng(0).permutation(recordings.labels)
+    write_zip(tmp_path / "wrong.zip", named(replace(recordings, labels=labels)))
+    before = contents(run)
+    assert call("adapt", run, "--data", tmp_path / "wrong.zip", "--out", tmp_path / "new") == 0
+    assert "nothing was changed" in capsys.readouterr().out
+    assert not (tmp_path / "new").exists()
+    assert contents(run) == before
+
+
+def named(recordings: Recordings) -> Recordings:
+    """With ids, which become the folders of a zip, as the labels say."""
+    ids = tuple(f"{label}/{index:04d}" for index, label in enumerate(recordings.labels))
+    return replace(recordings, ids=ids)
+
+
+def test_bad_input_is_one_line_and_nothing_is_written(run, person, tmp_path, capsys):
+    whole = strange_hand(1)
+    write_zip(tmp_path / "nine.zip", whole.part(range(9)))
+    write_zip(tmp_path / "one.zip", whole.part([3]))
+    (tmp_path / "empty").mkdir()
+    small = simulate(0, [1] * 10, 1, size=(8, 8))
+    write_zip(tmp_path / "small.zip", small)
+    bundle = read_bundle(run / "bundle")
+    write_bundle(tmp_path / "forgetful", replace(bundle.spec, rehearsal=None), bundle.checks)
+    before = contents(tmp_path)
+    for arguments, names in (
+        ((run, "--data", tmp_path / "nine.zip"), "nine.zip"),
+        ((run, "--data", tmp_path / "one.zip"), "one.zip"),
+        ((run, "--data", tmp_path / "empty"), "empty"),
+        ((run, "--data", tmp_path / "none.zip"), "none.zip"),
+        ((run, "--data", tmp_path / "small.zip"), "small.zip"),
+        ((run, "--data", person, "--writer", 3), "writer 3"),
+        ((run, "--data", person, "--out", run / "bundle"), "bundle"),
+        ((tmp_path / "forgetful", "--data", person), "forgetful"),
+        ((tmp_path / "no-run", "--data", person), "no-run"),
+    ):
+        assert call("adapt", *arguments) == 2, arguments
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        assert len([line for line in printed.err.splitlines() if "stmnist:" in line]) == 1
+        assert names in printed.err, arguments
+    assert contents(tmp_path) == before
+
+
+def test_a_readout_on_the_chip_and_other_classes(tmp_path, run, person, capsys):
+    from deploy.network.spec import Neurons
+
+    bundle = read_bundle(run / "bundle")
+    readout = replace(
+        bundle.spec.layers[-1], placement="chip", neurons=Neurons("lif", 0.001), synapse=0.008
+    )
+    on_chip = replace(bundle.spec, layers=(*bundle.spec.layers[:-1], readout), judge=None)
+    write_bundle(tmp_path / "chip", on_chip, bundle.checks)
+    assert call("adapt", tmp_path / "chip", "--data", person) == 2
+    assert "on the chip" in capsys.readouterr().err
+    letters = {**bundle.spec.provenance, "classes": list("abcdefghij")}
+    write_bundle(tmp_path / "letters", replace(bundle.spec, provenance=letters), bundle.checks)
+    assert call("adapt", tmp_path / "letters", "--data", person) == 2
+    assert "mine.zip" in capsys.readouterr().err
+
+
+def test_one_of_several_writers(run, tmp_path, capsys, monkeypatch):
+    recordings = strange_hand(2)
+    several = replace(recordings, writers=np.arange(20) % 2 + 3)
+    from pipeline.commands import adapt
+
+    monkeypatch.setattr(adapt, "load_recordings", lambda *a, **k: several)
+    assert call("adapt", run, "--data", "any", "--out", tmp_path / "new") == 2
+    assert "3, 4" in capsys.readouterr().err
+    chosen, name = adapt._of_one(several, 4)
+    assert (len(chosen), name, set(chosen.writers)) == (10, "4", {4})
+    assert not (tmp_path / "new").exists()
