@@ -1,0 +1,546 @@
+"""NengoLoihi's emulator with its steps done by a compiled kernel: same methods, same bits.
+
+NengoLoihi's own class lays out the chip's state.  Its arrays become parts of those that the kernel
+works on, so that whatever looks at them, or changes them in place, still can; what only NengoLoihi's
+steps use (the spikes of the last step, random numbers that nothing depends on) is worked out when
+somebody asks for it.
+
+Two things are left to NengoLoihi's own steps, so that no answer can differ from theirs: a network
+that `layout` calls unforeseen, for good, and a step that gives a warning which is to be an error.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import warnings
+from types import SimpleNamespace
+from typing import Mapping
+
+import numpy as np
+from nengo_loihi.emulator import interface
+from nengo_loihi.emulator.interface import (
+    CompartmentState,
+    EmulatorInterface,
+    ProbeState,
+    SynapseState,
+)
+
+from .layout import KEYS, LANES, Unforeseen, make_layout
+
+ROWS = ("current", "voltage", "input", "bias", "vth")  # of `cells`
+COUNTERS = ("ref_count", "spike_count")
+FIXED = ("decay_u", "decay_v", "scale_u", "scale_v", "vmin", "vmax", "ref")
+
+WARNINGS = (
+    "Synaptic trace spikes lost",
+    "Clipping synapse trace",
+    "Clipping learning weights",
+    "Overflow in q0",
+    "Overflow in current",
+    "Overflow in u2",
+)
+LOST, TRACE, WEIGHTS = range(3)
+
+HISTORY = 32 << 20  # bytes of probed values in one call of the kernel
+AT_ONCE = 1 << 28  # updates of compartments in one call, after which Ctrl-C is heard: half a second
+LOG = 256  # lines of the kernel's log of warnings
+
+_NOTHING = np.zeros(0, np.int64)
+
+
+class NotAccelerated(UserWarning):
+    """NengoLoihi's own code runs a network: the results are the same, but take their time."""
+
+
+_said = set()
+
+
+def say_once(message):
+    """Warn, unless these words were said before in this process."""
+    if message not in _said:
+        _said.add(message)
+        warnings.warn(message, NotAccelerated, stacklevel=3)
+
+
+def find_kernel():
+    """The module with the kernel; None, and a warning, where Numba is missing."""
+    try:
+        from . import kernel_numba
+    except ImportError as error:
+        say_once(f"NengoLoihi's own emulator is used: Numba is missing ({error})")
+        return None
+    return kernel_numba
+
+
+class FastEmulator(EmulatorInterface):
+    """As NengoLoihi's `EmulatorInterface`, for any of its models.
+
+    Parameters
+    ----------
+    model : nengo_loihi.builder.Model
+    seed : int, optional
+    """
+
+    def __init__(self, model, seed=None):
+        super().__init__(model, seed=seed)
+        take_over(self, type(self))
+
+    @property
+    def rng(self):
+        """The random state after the last step."""
+        link = self.__dict__.get("_link")
+        if link is not None:
+            link.settle_random(self.block_info.n_compartments)
+        return self.__dict__["rng"]
+
+    @rng.setter
+    def rng(self, rng):
+        self.__dict__["rng"] = rng
+        if self.__dict__.get("_link") is not None:
+            self._link.words = _words(rng)
+            self._link.owed = 0
+
+    def close(self):
+        super().close()
+        self._link = None
+
+    def step(self):
+        self.run_steps(1)
+
+    def run_steps(self, steps):
+        while steps > 0 and isinstance(self, FastEmulator) and self._link is not None:
+            steps -= self._advance(min(steps, self._link.at_once))
+        if steps > 0:
+            EmulatorInterface.run_steps(self, steps)
+
+    def _advance(self, steps):
+        """Some steps, at least one if there is no error; how many."""
+        link = self._link
+        try:
+            arrived = link.take_spikes(self, steps)
+        except Unforeseen as reason:
+            hand_over(self, reason)
+            return 0
+        careful = bool(
+            self.compartment.strict or self.synapses.strict or _warnings_are_errors()
+        )
+        kept = link.copy() if careful else None
+        done = link.run(self, steps, arrived, careful)
+        if done < 0:
+            link.return_spikes(arrived, 0)
+            hand_over(self, "an input has spikes of neurons that it does not have")
+            return 0
+        if careful and link.log[0, 0]:
+            link.restore(kept)
+            link.return_spikes(arrived, done - 1)
+            if done > 1:
+                self._finish(done - 1, link.run(self, done - 1, arrived, False), arrived)
+            one_step_as_nengo_loihi(self)
+            return done
+        link.return_spikes(arrived, done)
+        self._finish(done, done, arrived)
+        return done
+
+    def _finish(self, steps, done, arrived):
+        """Keep what was probed, and give warnings."""
+        assert steps == done
+        link = self._link
+        self.t += done
+        link.last_spikes = arrived.of_step(done - 1)
+        link.owed += 0 if link.draws else done
+        if link.has_probes:
+            current, voltage, spikes = link.histories
+            histories = (current, voltage, spikes.view(bool))
+            self.probes.keep(link.layout.columns, histories, done)
+        for kind, count in link.log[1 : link.log[0, 0] + 1].tolist():
+            for _ in range(count):
+                _warn(self, kind)
+
+
+def _warn(emulator, kind):
+    """As NengoLoihi would, from its module."""
+    if kind == LOST:
+        emulator.synapses.error(WARNINGS[kind])
+    elif kind in (TRACE, WEIGHTS):
+        warnings.warn_explicit(
+            WARNINGS[kind],
+            UserWarning,
+            interface.__file__,
+            SynapseState.__init__.__code__.co_firstlineno,
+            module=interface.__name__,
+            registry=interface.__dict__.setdefault("__warningregistry__", {}),
+        )
+    else:
+        emulator.compartment.error(WARNINGS[kind])
+
+
+def _warnings_are_errors():
+    """Whether any filter makes an error of a `UserWarning`."""
+    return any(
+        entry[0] == "error" and issubclass(UserWarning, entry[2]) for entry in warnings.filters
+    )
+
+
+# --- NengoLoihi's parts, with what the kernel does not keep worked out on demand ------------------
+
+
+class _Compartments(CompartmentState):
+    """A new array put in the place of one of the state is copied into it."""
+
+    def __setattr__(self, name, value):
+        if name in (*ROWS, *COUNTERS, "spiked"):
+            self.__dict__[name][...] = value
+        else:
+            super().__setattr__(name, value)
+
+
+class _Synapses(SynapseState):
+    """Spikes of the last step, and those that wait for a trace, as NengoLoihi keeps them."""
+
+    @property
+    def trace_spikes(self):
+        return self.link.trace_spikes(self)
+
+    @property
+    def spikes_in(self):
+        return self.link.spikes_in(self)
+
+
+class _Probes(ProbeState):
+    """Probed values of many steps are kept as one array, and not as a list of steps."""
+
+    @property
+    def outputs(self):
+        return _Outputs(self.kept)
+
+    def keep(self, columns, histories, steps):
+        """Append the values of some steps, (steps, columns) arrays by key."""
+        for probe, (key, parts) in columns.items():
+            history = histories[key]
+            for output, part in zip(self.kept[probe], parts):
+                output.append(history[:steps, part])
+
+    def clear_probe(self, probe):
+        for output in self.kept[probe]:
+            output.clear()
+
+
+class _Outputs(Mapping):
+    """Probe to the values of each of its blocks: a (steps, compartments) array, [] for no steps."""
+
+    def __init__(self, kept):
+        self._kept = kept
+
+    def __getitem__(self, probe):
+        return [_joined(output) for output in self._kept[probe]]
+
+    def __iter__(self):
+        return iter(self._kept)
+
+    def __len__(self):
+        return len(self._kept)
+
+
+def _joined(parts):
+    if len(parts) > 1:
+        parts[:] = [np.concatenate(parts)]
+    elif parts:
+        parts[0] = np.ascontiguousarray(parts[0])
+    return parts[0] if parts else []
+
+
+# --- Taking over and handing over -----------------------------------------------------------------
+
+
+def take_over(emulator, kind=FastEmulator):
+    """Let an emulator of NengoLoihi's go on with the kernel, whatever steps it has done.
+
+    It is left as it is, with one warning, where Numba is missing or its network has something that
+    the kernel does not do.
+
+    Parameters
+    ----------
+    emulator : EmulatorInterface
+    kind : type
+        `FastEmulator` or a class derived from it.
+    """
+    emulator.__dict__["_link"] = None
+    kernel = find_kernel()
+    try:
+        if kernel is None:
+            raise Unforeseen
+        link = _Link(emulator, kernel)
+    except Unforeseen as reason:
+        emulator.__class__ = EmulatorInterface
+        if kernel is not None:
+            say_once(f"NengoLoihi's own emulator is used, for {reason}")
+        return
+    emulator.__class__ = kind
+    _connect(emulator, link)
+
+
+def _connect(emulator, link):
+    """Let an emulator use the arrays of a link, which have its state."""
+    state, synapses, probes = emulator.compartment, emulator.synapses, emulator.probes
+    vars(state).update(link.state_arrays())
+    for name in FIXED:
+        getattr(state, name).flags.writeable = False
+    link.learn_from(synapses)
+    lists = vars(probes).pop("outputs")
+    probes.kept = {
+        probe: [[np.stack(part)] if len(part) else [] for part in parts]
+        for probe, parts in lists.items()
+    }
+    vars(synapses).pop("spikes_in")
+    vars(synapses).pop("trace_spikes")
+    synapses.link = link
+    state.__class__, synapses.__class__, probes.__class__ = _Compartments, _Synapses, _Probes
+    emulator.__dict__["_link"] = link
+
+
+def _disconnect(emulator):
+    """The opposite: everything is where NengoLioihi's own steps look for it."""
+    link = emulator._link
+    link.settle_random(emulator.block_info.n_compartments)
+    state, synapses, probes = emulator.compartment, emulator.synapses, emulator.probes
+    trace_spikes, spikes_in = synapses.trace_spikes, synapses.spikes_in
+    lists = {probe: [list(part) for part in parts] for probe, parts in probes.outputs.items()}
+    state.__class__, synapses.__class__, probes.__class__ = (
+        CompartmentState,
+        SynapseState,
+        ProbeState,
+    )
+    synapses.trace_spikes, synapses.spikes_in, probes.outputs = trace_spikes, spikes_in, lists
+    del synapses.link, probes.kept
+    for name in FIXED:
+        getattr(state, name).flags.writeable = True
+    emulator.__class__ = EmulatorInterface
+    emulator._link = None
+
+
+def hand_over(emulator, reason):
+    """Let an emulator go on with NengoLoihi's own steps, and say so once."""
+    _disconnect(emulator)
+    say_once(f"NengoLoihi's own emulator goes on, for {reason}")
+
+
+def one_step_as_nengo_loihi(emulator):
+    """A step of NengoLoihi's own, after which the kernel goes on; after an error it does not."""
+    link, kind = emulator._link, type(emulator)
+    spiked, t = emulator.compartment.spiked.copy(), emulator.t
+    last = [(item, item.spikes.get(t, ())) for item in emulator.inputs]
+    _disconnect(emulator)
+    EmulatorInterface.step(emulator)
+    link.last_spikes = [spikes for _, spikes in last]
+    link.before[: len(spiked)] = spiked
+    link.pending[:] = 0
+    for synapse, first in link.first_trace.items():
+        link.pending[[first + axon for axon in emulator.synapses.trace_spikes[synapse]]] = 1
+    emulator.__class__ = kind
+    _connect(emulator, link)
+
+
+def _words(rng):
+    """The memory of a `RandomState`: 624 words of 32 bits and the position of the next one."""
+    name, words, position, *_ = rng.get_state()
+    if name == "MT19937":
+        address = rng._bit_generator.ctypes.state_address
+        memory = np.ctypeslib.as_array((ctypes.c_uint32 * 625).from_address(address))
+        if np.array_equal(memory, np.append(words, position).astype(np.uint32)):
+            return memory
+    raise Unforeseen("random numbers that NumPy keeps in another way")
+
+
+class _Link:
+    """The arrays of the kernel for one emulator.
+
+    Attributes
+    ----------
+    layout : Layout
+    cells, counters, spiked, before, traces, pending, errors, wide : ndarray
+        The state: see the kernel.  ``before`` are the spikes before the last step.
+    last_spikes : list
+        Of each input, the spikes that arrived in the last step.
+    draws : bool
+        Whether anything depends on random numbers; else the kernel leaves them out.
+    owed : int
+        Steps whose random numbers were left out.
+    """
+
+    def __init__(self, emulator, kernel):
+        if type(emulator.compartment) is not CompartmentState:
+            raise Unforeseen(f"compartments of the class {type(emulator.compartment).__name__}")
+        self.layout = layout = make_layout(emulator)
+        self.words = _words(vars(emulator)["rng"])
+        state, synapses = emulator.compartment, emulator.synapses
+        n, dtype = emulator.block_info.n_compartments, state.dtype
+        integers = dtype == np.int32
+        self._kernel = kernel
+        self._advance = kernel.advance_integers if integers else kernel.advance_floats
+        self._skip = (kernel.skip_samples, n) if integers else (kernel.skip_words, 2 * n)
+        self.cells = np.zeros((len(ROWS), n), dtype)
+        self.counters = np.zeros((len(COUNTERS), n), np.int32)
+        for row, name in enumerate(ROWS):
+            self.cells[row] = getattr(state, name).reshape(n)
+        for row, name in enumerate(COUNTERS):
+            self.counters[row] = getattr(state, name)
+        # The kernel looks at eight spikes at a time.
+        self.spiked, self.before = (np.zeros(-(-n // 8) * 8, np.uint8) for _ in range(2))
+        self.spiked[:n] = state.spiked
+        self._n = n
+        sizes = [s.n_axons for s in synapses.traces]
+        self.first_trace = dict(zip(synapses.traces, np.cumsum([0, *sizes]).tolist()))
+        self.traces, self.pending = np.zeros(sum(sizes), dtype), np.zeros(sum(sizes), np.uint8)
+        self.errors = np.zeros(sum(map(len, synapses.pes_errors.values())), dtype)
+        error = 0
+        for s, first in self.first_trace.items():
+            self.traces[first : first + s.n_axons] = synapses.traces[s]
+            self.pending[[first + axon for axon in synapses.trace_spikes[s]]] = 1
+            self.errors[error : error + len(synapses.pes_errors[s])] = synapses.pes_errors[s]
+            error += len(synapses.pes_errors[s])
+        self.wide = layout.network[8]
+        self.draws = bool(layout.is_noisy or (integers and sizes))
+        self.owed = 0
+        self.has_probes = bool(layout.columns)
+        self._spikes_in = synapses.spikes_in  # of a step before the first of ours
+        self.last_spikes = None
+        self.at_once = max(
+            1, min(AT_ONCE // max(n, 1000), HISTORY // max(1, 4 * sum(layout.widths)))
+        )
+        self.log = np.zeros((LOG + 3 * len(sizes), 2), np.int64)
+        self._types = [dtype, dtype, np.uint8]
+        self._empty = [np.zeros((1, 0), kind) for kind in self._types]
+        self.histories = self._empty
+        self._inputs, self._axons = list(emulator.inputs), emulator.axons
+        self._arguments = (
+            self.cells, self.counters, self.spiked, self.spiked.view(np.uint64), self.before,
+            *layout.network, *layout.learning, self.traces, self.pending, self.errors,
+            *layout.noise,
+        )  # fmt: skip
+
+    def state_arrays(self):
+        """The arrays of the compartments, by their names in NengoLoihi."""
+        arrays = dict(zip(ROWS, self.cells))
+        arrays.update(zip(COUNTERS, self.counters))
+        arrays["input"] = arrays["input"].reshape(1, -1)
+        arrays["spiked"] = self.spiked[: self._n].view(bool)
+        return arrays
+
+    def learn_from(self, synapses):
+        """Make traces, errors and weights of the synapses that learn parts of ours."""
+        error = 0
+        for s, first in self.first_trace.items():
+            n_errors = len(synapses.pes_errors[s])
+            synapses.traces[s] = self.traces[first : first + s.n_axons]
+            synapses.pes_errors[s] = self.errors[error : error + n_errors]
+            error += n_errors
+            s.weights[:] = self.layout.weights[s]
+
+    def run(self, emulator, steps, arrived, careful):
+        """Call the kernel; how many steps it did, or a negative number."""
+        layout = self.layout
+        if self.has_probes:
+            self.histories = [
+                np.empty((steps, width), kind) if width else empty
+                for width, kind, empty in zip(layout.widths, self._types, self._empty)
+            ]
+        self.log[0, 0] = 0
+        return self._advance(
+            *self._arguments, self.words, layout.recorded, layout.is_noisy, self.draws,
+            emulator.t, steps, arrived.spikes, arrived.ends, *self.histories, self.log, careful,
+        )  # fmt: skip
+
+    def copy(self):
+        """What a call of the kernel changes."""
+        learned = self.wide if len(self.traces) else _NOTHING
+        changed = (self.cells, self.counters, self.spiked, self.before, self.traces, self.pending)
+        return [array.copy() for array in (*changed, learned, self.words)]
+
+    def restore(self, kept):
+        learned = self.wide if len(self.traces) else _NOTHING
+        changed = (self.cells, self.counters, self.spiked, self.before, self.traces, self.pending)
+        for array, before in zip((*changed, learned, self.words), kept):
+            array[...] = before
+
+    def settle_random(self, n):
+        """Draw the random numbers that were left out."""
+        if self.owed:
+            skip, each = self._skip
+            skip(self.words, each * self.owed)
+            self.owed = 0
+
+    def take_spikes(self, emulator, steps):
+        """Take the spikes of the inputs that arrive in the next steps."""
+        return _Arrived(self._inputs, emulator.t, steps)
+
+    def return_spikes(self, arrived, done):
+        arrived.give_back(self._inputs, done)
+
+    def trace_spikes(self, synapses):
+        return {
+            s: set(np.flatnonzero(self.pending[first : first + s.n_axons]).tolist())
+            for s, first in self.first_trace.items()
+        }
+
+    def spikes_in(self, synapses):
+        """Worked out by NengoLoihi's own method, from the spikes before the last step."""
+        if self.last_spikes is None:
+            return self._spikes_in
+        sources = [
+            SimpleNamespace(axons=item.axons, spike_idxs=lambda t, spikes=spikes: spikes)
+            for item, spikes in zip(self._inputs, self.last_spikes)
+        ]
+        found = SimpleNamespace(spikes_in={s: [] for s in synapses.slices})
+        spiked = self.before[: self._n].view(bool)
+        SynapseState.inject_current(found, 2, sources, self._axons, spiked)
+        return found.spikes_in
+
+
+class _Arrived:
+    """The spikes of the inputs that arrive in some steps.
+
+    Attributes
+    ----------
+    spikes : int64 array
+        Of all steps, one input after the other in each.
+    ends : (n_steps * n_inputs + 1,) int64 array
+        Where those of each step and input end, after a 0.
+    """
+
+    def __init__(self, inputs, t, steps):
+        self._t, self._n = t, len(inputs)
+        # What is sent in a step arrives in the next.
+        self._lists = [
+            item.spike_idxs(sent) if sent >= 1 else ()
+            for sent in range(t, t + steps)
+            for item in inputs
+        ]
+        try:
+            self._flatten()
+        except Unforeseen:
+            self.give_back(inputs, 0)
+            raise
+
+    def _flatten(self):
+        lengths = [len(spikes) for spikes in self._lists]
+        self.ends = np.zeros(len(lengths) + 1, np.int64)
+        self.ends[1:] = np.cumsum(lengths)
+        found = [spikes for spikes in self._lists if len(spikes)]
+        if not found:
+            self.spikes = _NOTHING
+            return
+        spikes = np.concatenate(found) if len(found) > 1 else np.asarray(found[0])
+        if spikes.dtype.kind not in "iu" or spikes.ndim != 1:
+            raise Unforeseen("spikes of an input that are not numbered by integers")
+        self.spikes = np.ascontiguousarray(spikes, np.int64)
+
+    def of_step(self, step):
+        """The spikes of each input in a step."""
+        return self._lists[step * self._n : (step + 1) * self._n]
+
+    def give_back(self, inputs, done):
+        """Put the spikes from a step on back to the inputs."""
+        for place in range(done * self._n, len(self._lists)):
+            spikes, item = self._lists[place], inputs[place % self._n]
+            if len(spikes):
+                item.spikes.setdefault(self._t + place // self._n, spikes)
