@@ -31,15 +31,7 @@ ROWS = ("current", "voltage", "input", "bias", "vth")  # of `cells`
 COUNTERS = ("ref_count", "spike_count")
 FIXED = ("decay_u", "decay_v", "scale_u", "scale_v", "vmin", "vmax", "ref")
 
-WARNINGS = (
-    "Synaptic trace spikes lost",
-    "Clipping synapse trace",
-    "Clipping learning weights",
-    "Overflow in q0",
-    "Overflow in current",
-    "Overflow in u2",
-)
-LOST, TRACE, WEIGHTS = range(3)
+LOST, TRACE, WEIGHTS, OVERFLOWS = range(4)  # in the kernel's log
 
 HISTORY = 32 << 20  # bytes of probed values in one call of the kernel
 AT_ONCE = 1 << 28  # updates of compartments in one call, after which Ctrl-C is heard: half a second
@@ -152,26 +144,29 @@ class FastEmulator(EmulatorInterface):
             current, voltage, spikes = link.histories
             histories = (current, voltage, spikes.view(bool))
             self.probes.keep(link.layout.columns, histories, done)
-        for kind, count in link.log[1 : link.log[0, 0] + 1].tolist():
-            for _ in range(count):
-                _warn(self, kind)
+        if link.log[0, 0]:
+            for kind, count in link.log[1 : link.log[0, 0] + 1].tolist():
+                _warn(self, kind, count)
 
 
-def _warn(emulator, kind):
-    """As NengoLoihi would, from its module."""
-    if kind == LOST:
-        emulator.synapses.error(WARNINGS[kind])
-    elif kind in (TRACE, WEIGHTS):
+def _warn(emulator, kind, count):
+    """What the kernel's log says, as NengoLoihi would and from its module."""
+    if kind == OVERFLOWS:
+        for bit, place in enumerate(("q0", "current", "u2")):
+            if count & 1 << bit:
+                emulator.compartment.error(f"Overflow in {place}")
+    for _ in range(count if kind != OVERFLOWS else 0):
+        if kind == LOST:
+            emulator.synapses.error("Synaptic trace spikes lost")
+            continue
         warnings.warn_explicit(
-            WARNINGS[kind],
+            "Clipping synapse trace" if kind == TRACE else "Clipping learning weights",
             UserWarning,
             interface.__file__,
             SynapseState.__init__.__code__.co_firstlineno,
             module=interface.__name__,
             registry=interface.__dict__.setdefault("__warningregistry__", {}),
         )
-    else:
-        emulator.compartment.error(WARNINGS[kind])
 
 
 def _warnings_are_errors():
@@ -328,7 +323,7 @@ def one_step_as_nengo_loihi(emulator):
     """A step of NengoLoihi's own, after which the kernel goes on; after an error it does not."""
     link, kind = emulator._link, type(emulator)
     spiked, t = emulator.compartment.spiked.copy(), emulator.t
-    last = [(item, item.spikes.get(t, ())) for item in emulator.inputs]
+    last = [(item, item.spikes.get(t, [])) for item in emulator.inputs]
     _disconnect(emulator)
     EmulatorInterface.step(emulator)
     link.last_spikes = [spikes for _, spikes in last]
@@ -412,10 +407,22 @@ class _Link:
         self._empty = [np.zeros((1, 0), kind) for kind in self._types]
         self.histories = self._empty
         self._inputs, self._axons = list(emulator.inputs), emulator.axons
+        most = max([s.n_axons * max(1, len(e) * 2) for s, e in synapses.pes_errors.items()] + [n])
+        scratch = (
+            np.zeros(n, np.int64),  # events
+            np.zeros(len(emulator.block_info.blocks) + 1, np.int64),  # their ends
+            np.zeros(len(self.spiked) // 8 + 1, np.int32),  # words in use
+            np.zeros((len(emulator.block_info.blocks), 2), np.int64),
+            np.zeros(len(sizes), np.int64),  # spikes lost
+            np.zeros(len(layout.network[0]), np.uint8),  # whether a segment waits
+            np.zeros(2 * most, np.uint32),  # random numbers
+            np.zeros(most, dtype),
+            np.zeros(n, dtype),
+        )
         self._arguments = (
             self.cells, self.counters, self.spiked, self.spiked.view(np.uint64), self.before,
             *layout.network, *layout.learning, self.traces, self.pending, self.errors,
-            *layout.noise,
+            *layout.noise, *scratch,
         )  # fmt: skip
 
     def state_arrays(self):
@@ -511,7 +518,7 @@ class _Arrived:
         self._t, self._n = t, len(inputs)
         # What is sent in a step arrives in the next.
         self._lists = [
-            item.spike_idxs(sent) if sent >= 1 else ()
+            item.spike_idxs(sent) if sent >= 1 else []
             for sent in range(t, t + steps)
             for item in inputs
         ]

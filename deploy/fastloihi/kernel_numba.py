@@ -37,15 +37,17 @@ SHIFT, WIDE, FIRST_SEGMENT, LAST_SEGMENT = 2, 3, 4, 5  # columns of `blocks`, af
 SOURCE, OFFSET, BLOCK, IS_WIDE, LARGEST, RULE = range(6)  # columns of `routes`
 ROW, TARGET, AXON = range(3)  # rows of `entries`
 
+SPENT, LOADED = range(2)  # columns of `blocks_now`: what sums may have reached, if input is in use
+
 # Columns of `rules`: a synapse's traces, its errors and its weights; when it learns, and how much.
 TRACE0, TRACE1, ERROR0, ERROR1, WEIGHT0, TRACE_EPOCH, LEARN_EPOCH = range(7)
 RATE, PRODUCT_SHIFT, OLD_SHIFT, FRACTION_BITS, NEW_SHIFT, LIMIT, IS_DOUBLE = range(7, 14)
 DECAY, MAGNITUDE, REAL_RATE = range(3)  # columns of `rates`
 
-LOST, TRACE, WEIGHTS, OVER_Q, OVER_U, OVER_U2 = range(6)  # kinds of warnings in the log
+# Kinds of warnings in the log.  With the last, their number has a bit for each place that overflowed.
+LOST, TRACE, WEIGHTS, OVERFLOWS = np.int64(0), np.int64(1), np.int64(2), np.int64(3)
 UNFORESEEN = -1  # instead of the number of steps done: nothing was done
 
-LANES = 16  # weights of 16 bits are added in groups of so many
 ROOM = 32767  # the largest sum of 16 bits
 
 _Q = np.int32(10)  # bits of an int32 that the synaptic accumulator lacks (21 bits and a sign)
@@ -54,12 +56,13 @@ _U = np.int32(8)  # and the current (23 bits and a sign)
 
 def _jit(**options):
     """`numba.njit`, cached on disk where there is a place for it."""
+    common = {"nogil": True, "error_model": "numpy"}  # which does not test for divisions by zero
 
     def decorate(function):
         try:
-            return numba.njit(cache=True, nogil=True, **options)(function)
+            return numba.njit(cache=True, **common, **options)(function)
         except RuntimeError:  # in an archive Numba finds no place for its cache
-            return numba.njit(nogil=True, **options)(function)
+            return numba.njit(**common, **options)(function)
 
     return decorate
 
@@ -198,11 +201,8 @@ def _add_narrow(spikes, first, last, offset, entries, first_run, runs, narrow, s
         base = entries[TARGET, entry]
         for r in range(uint64(first_run[row]), uint64(first_run[row + 1])):
             to, place = uint64(base + runs[r, 0]), uint64(runs[r, 1])
-            for group in range(uint64(runs[r, 2])):
-                for i in range(uint64(LANES)):
-                    sums[to + i] += narrow[place + i]
-                to += uint64(LANES)
-                place += uint64(LANES)
+            for i in range(uint64(runs[r, 2])):
+                sums[to + i] += narrow[place + i]
 
 
 @_jit()
@@ -221,13 +221,15 @@ def _add_wide(spikes, first, last, offset, entries, first_run, runs, wide, total
 
 
 @_jit()
-def _empty_sums(block, loaded, sums, total):
+def _empty_sums(block, block_now, sums, total):
     """Move the sums of 16 bits of a block to its input."""
-    shift = int32(block[SHIFT])
+    shift, loaded = int32(block[SHIFT]), block_now[LOADED] != 0
     for i in range(uint64(block[START]), uint64(block[STOP])):
         value = int32(int32(sums[i]) << shift)
         total[i] = int32(total[i] + value) if loaded else value
         sums[i] = int16(0)
+    block_now[LOADED] = 1
+    block_now[SPENT] = 0
 
 
 @_jit()
@@ -462,13 +464,20 @@ def _float_learn(rule, rate, traces, errors, wide):
 
 
 @_jit()
-def _record(recorded, values, key, into, s):
+def _record(recorded, s, current, voltage, spiked, currents, voltages, spikes):
     """Keep a step's values of the compartments that are probed."""
     for r in range(len(recorded)):
-        if recorded[r, 0] == key:
-            start, column = uint64(recorded[r, 1]), uint64(recorded[r, 3])
-            for i in range(uint64(recorded[r, 2])):
-                into[s, column + i] = values[start + i]
+        key, start = recorded[r, 0], uint64(recorded[r, 1])
+        length, column = uint64(recorded[r, 2]), uint64(recorded[r, 3])
+        if key == 0:
+            for i in range(length):
+                currents[s, column + i] = current[start + i]
+        elif key == 1:
+            for i in range(length):
+                voltages[s, column + i] = voltage[start + i]
+        else:
+            for i in range(length):
+                spikes[s, column + i] = spiked[start + i]
 
 
 @_jit()
@@ -481,7 +490,8 @@ def _copy(values, into):
 def advance_integers(
     cells, counters, spiked, words, before, segments, constants, blocks, routes, entries,
     first_run, runs, narrow, wide, sums, input_sizes, rules, rates, traces, pending, errors,
-    noise_offset, noise_scale, noise_on_voltage, state, recorded, is_noisy, draws,
+    noise_offset, noise_scale, noise_on_voltage, events, ends, in_use, blocks_now, lost, waits,
+    drawn, scratch, noisy, state, recorded, is_noisy, draws,
     t0, n_steps, arriving, arriving_ends, currents, voltages, spikes, log, stop_at_warning,
 ):  # fmt: skip
     """Advance a discretised network.
@@ -498,38 +508,30 @@ def advance_integers(
     n, n_inputs, n_blocks, n_rules = len(current), len(input_sizes), len(blocks), len(rules)
     if not _is_foreseen(arriving, arriving_ends, input_sizes):
         return UNFORESEEN
-    most = 0
-    for k in range(n_rules):
-        width = 2 * (rules[k, ERROR1] - rules[k, ERROR0])
-        most = max(most, (rules[k, TRACE1] - rules[k, TRACE0]) * max(width, 1))
     for i in range(uint64(n)):
         if current[i] == int32(-2147483648) or voltage[i] == int32(-2147483648):
             return UNFORESEEN  # which has no positive counterpart
-    waits = np.zeros(len(segments), np.bool_)
     for g in range(len(segments)):
-        waits[g] = segments[g, REFRACTORY] > 1
+        waits[g] = uint8(segments[g, REFRACTORY] > 1)
         for i in range(segments[g, START], segments[g, STOP]):
-            waits[g] |= waiting[i] > 0
-    drawn, scratch = np.empty(2 * most, np.uint32), np.empty(most, np.int32)
-    events, in_use = np.empty(n, np.int64), np.empty(len(words) + 1, np.int32)
-    ends = np.zeros(n_blocks + 1, np.int64)
-    spent, loaded = np.zeros(n_blocks, np.int64), np.zeros(n_blocks, np.bool_)
-    lost = np.zeros(n_rules, np.int64)
-    noise = np.zeros(n if is_noisy else 0, np.int32)
+            waits[g] |= uint8(waiting[i] > 0)
+    if not is_noisy:
+        _copy(bias, noisy)
     _list(words, blocks, events, ends, in_use)
     for s in range(n_steps):
-        if log[0, 0] and (stop_at_warning or log[0, 0] + 3 * n_rules + 4 > len(log)):
+        if log[0, 0] and (stop_at_warning or log[0, 0] + 3 * n_rules + 2 > len(log)):
             return s
         if s == n_steps - 1:
             _copy(spiked, before)
         # Spikes arrive.
         for b in range(n_blocks):
-            spent[b] = 0
-            loaded[b] = blocks[b, WIDE]
-            if loaded[b]:
+            blocks_now[b, SPENT] = 0
+            blocks_now[b, LOADED] = blocks[b, WIDE]
+            if blocks[b, WIDE]:
                 for i in range(uint64(blocks[b, START]), uint64(blocks[b, STOP])):
                     total[i] = int32(0)
-        lost[:] = 0
+        for k in range(n_rules):
+            lost[k] = 0
         for r in range(len(routes)):
             source, offset, b = routes[r, SOURCE], routes[r, OFFSET], routes[r, BLOCK]
             if source < n_inputs:
@@ -545,16 +547,15 @@ def advance_integers(
             if routes[r, IS_WIDE]:
                 _add_wide(heard, first, last, offset, entries, first_run, runs, wide, total)
                 continue
+            largest = routes[r, LARGEST]
             while first < last:
-                rows = (ROOM - spent[b]) // routes[r, LARGEST]
+                rows = int64(uint64(ROOM - blocks_now[b, SPENT]) // uint64(largest))
                 if rows == 0:
-                    _empty_sums(blocks[b], loaded[b], sums, total)
-                    loaded[b] = True
-                    spent[b] = 0
+                    _empty_sums(blocks[b], blocks_now[b], sums, total)
                     continue
                 until = min(last, first + rows)
                 _add_narrow(heard, first, until, offset, entries, first_run, runs, narrow, sums)
-                spent[b] += (until - first) * routes[r, LARGEST]
+                blocks_now[b, SPENT] += (until - first) * largest
                 first = until
         # Synapses learn.
         t = t0 + s + 1
@@ -571,31 +572,25 @@ def advance_integers(
                 _log(log, WEIGHTS, _learn(rules[k], traces, errors, wide, drawn, scratch))
         # Compartments are updated.
         if is_noisy:
-            _sample(state, noise)
-            for i in range(uint64(n)):
-                noise[i] = int32((noise[i] + noise_offset[i]) * noise_scale[i])
+            _sample(state, noisy)
         elif draws:
             skip_samples(state, n)
         over_q, over_u, over_u2 = int32(0), int32(0), int32(0)
         for b in range(n_blocks):
             shift = int32(blocks[b, SHIFT])
             if is_noisy:
-                _empty_sums(blocks[b], loaded[b], sums, total)
-                loaded[b] = True
+                _empty_sums(blocks[b], blocks_now[b], sums, total)
                 for i in range(uint64(blocks[b, START]), uint64(blocks[b, STOP])):
-                    total[i] += int32(0) if noise_on_voltage[i] else noise[i]
+                    noise = int32((noisy[i] + noise_offset[i]) * noise_scale[i])
+                    total[i] += int32(0) if noise_on_voltage[i] else noise
+                    noisy[i] = int32(bias[i] + noise) if noise_on_voltage[i] else bias[i]
+            loaded = blocks_now[b, LOADED] != 0
             for g in range(blocks[b, FIRST_SEGMENT], blocks[b, LAST_SEGMENT]):
                 first, last = uint64(segments[g, START]), uint64(segments[g, STOP])
                 keep_u, keep_v = constants[g, KEEP_U], constants[g, KEEP_V]
                 v_min, v_max = constants[g, V_MIN], constants[g, V_MAX]
-                q, u = _currents(first, last, keep_u, shift, loaded[b], sums, total, current)
-                if is_noisy:
-                    u2 = _noisy_voltages(
-                        first, last, keep_v, v_min, v_max, bias, current,
-                        noise, noise_on_voltage, voltage,
-                    )  # fmt: skip
-                else:
-                    u2 = _voltages(first, last, keep_v, v_min, v_max, bias, current, voltage)
+                q, u = _currents(first, last, keep_u, shift, loaded, sums, total, current)
+                u2 = _voltages(first, last, keep_v, v_min, v_max, noisy, current, voltage)
                 over_q |= q
                 over_u |= u
                 over_u2 |= u2
@@ -604,39 +599,21 @@ def advance_integers(
                     _fire_and_wait(first, last, period, threshold, voltage, waiting, spiked)
                 else:
                     _fire(first, last, threshold, voltage, spiked)
-        _log(log, OVER_Q, int64(over_q != 0))
-        _log(log, OVER_U, int64(over_u != 0))
-        _log(log, OVER_U2, int64(over_u2 != 0))
+        over = int64(over_q != 0) + 2 * int64(over_u != 0) + 4 * int64(over_u2 != 0)
+        _log(log, OVERFLOWS, over)
         _list(words, blocks, events, ends, in_use)
         for e in range(uint64(ends[n_blocks])):
             count[events[e]] += int32(1)
-        if len(recorded):
-            _record(recorded, current, 0, currents, s)
-            _record(recorded, voltage, 1, voltages, s)
-            _record(recorded, spiked, 2, spikes, s)
+        _record(recorded, s, current, voltage, spiked, currents, voltages, spikes)
     return n_steps
-
-
-@_jit()
-def _noisy_voltages(first, last, keep, v_min, v_max, bias, current, noise, on_voltage, voltage):
-    """As `_voltages`, with noise added to u + bias."""
-    over = int32(0)
-    for i in range(first, last):
-        u = int32(current[i] + bias[i])
-        u = int32(u + noise[i]) if on_voltage[i] else u
-        wrapped = _wrapped(u, _U)
-        v = int32(_decayed(voltage[i], keep) + wrapped)
-        v = v if v > v_min else v_min
-        voltage[i] = v if v < v_max else v_max
-        over |= int32(wrapped ^ u)
-    return over
 
 
 @_jit()
 def advance_floats(
     cells, counters, spiked, words, before, segments, constants, blocks, routes, entries,
     first_run, runs, narrow, wide, sums, input_sizes, rules, rates, traces, pending, errors,
-    noise_offset, noise_scale, noise_on_voltage, state, recorded, is_noisy, draws,
+    noise_offset, noise_scale, noise_on_voltage, events, ends, in_use, blocks_now, lost, waits,
+    drawn, scratch, noisy, state, recorded, is_noisy, draws,
     t0, n_steps, arriving, arriving_ends, currents, voltages, spikes, log, stop_at_warning,
 ):  # fmt: skip
     """Advance a network that was not discretised; as `advance_integers`."""
@@ -646,19 +623,16 @@ def advance_floats(
     n, n_inputs, n_blocks, n_rules = len(current), len(input_sizes), len(blocks), len(rules)
     if not _is_foreseen(arriving, arriving_ends, input_sizes):
         return UNFORESEEN
-    events, in_use = np.empty(n, np.int64), np.empty(len(words) + 1, np.int32)
-    ends = np.zeros(n_blocks + 1, np.int64)
-    lost = np.zeros(n_rules, np.int64)
-    noise, drawn = np.zeros(n, np.float32), np.empty(2 * n if is_noisy else 0, np.uint32)
-    inputs = np.empty(n, np.float32)
     _list(words, blocks, events, ends, in_use)
     for s in range(n_steps):
-        if log[0, 0] and (stop_at_warning or log[0, 0] + 3 * n_rules + 4 > len(log)):
+        if log[0, 0] and (stop_at_warning or log[0, 0] + 3 * n_rules + 2 > len(log)):
             return s
         if s == n_steps - 1:
             _copy(spiked, before)
-        total[:] = 0
-        lost[:] = 0
+        for i in range(uint64(n)):
+            total[i] = float32(0)
+        for k in range(n_rules):
+            lost[k] = 0
         for r in range(len(routes)):
             source, offset = routes[r, SOURCE], routes[r, OFFSET]
             if source < n_inputs:
@@ -684,27 +658,23 @@ def advance_floats(
             _draw(state, 2 * n, drawn)
             for i in range(uint64(n)):
                 x = float32(-1.0 + 2.0 * _unit(drawn[uint64(2) * i], drawn[uint64(2) * i + 1]))
-                noise[i] = float32(x + noise_offset[i]) * noise_scale[i]
-                total[i] += float32(0) if noise_on_voltage[i] else noise[i]
+                noisy[i] = float32(x + noise_offset[i]) * noise_scale[i]
+                total[i] += float32(0) if noise_on_voltage[i] else noisy[i]
         for g in range(len(segments)):
             first, last = uint64(segments[g, START]), uint64(segments[g, STOP])
             constant = constants[g]
             _decay_and_add(first, last, constant[KEEP_U], constant[SCALE_U], total, current)
             for i in range(first, last):
-                inputs[i] = current[i] + bias[i]
-                if is_noisy and noise_on_voltage[i]:
-                    inputs[i] += noise[i]
-            _decay_and_add(first, last, constant[KEEP_V], constant[SCALE_V], inputs, voltage)
+                noise = noisy[i] if is_noisy and noise_on_voltage[i] else float32(0)
+                scratch[i] = float32(current[i] + bias[i]) + noise
+            _decay_and_add(first, last, constant[KEEP_V], constant[SCALE_V], scratch, voltage)
             _clip(first, last, constant[V_MIN], constant[V_MAX], voltage)
             period = int32(segments[g, REFRACTORY])
             _fire_and_wait(first, last, period, threshold, voltage, waiting, spiked)
         _list(words, blocks, events, ends, in_use)
         for e in range(uint64(ends[n_blocks])):
             count[events[e]] += int32(1)
-        if len(recorded):
-            _record(recorded, current, 0, currents, s)
-            _record(recorded, voltage, 1, voltages, s)
-            _record(recorded, spiked, 2, spikes, s)
+        _record(recorded, s, current, voltage, spiked, currents, voltages, spikes)
     return n_steps
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from nengo_loihi.builder.discretize import LEARN_FRAC, learn_overflow_bits
 
 KEYS = ("current", "voltage", "spiked")  # of probes; numbered so in the kernel
-LANES = 16  # the kernel adds narrow weights in groups of so many
+LANES = 16  # what narrow runs are padded to: a vector of 256 bits
 LARGEST_NARROW = 4095  # eight rows at least fit a sum of 16 bits
 
 
@@ -275,7 +275,7 @@ class _Rows:
         """Runs (target, place, length), how many each row has, and the weights.
 
         With a shift, weights lack that power of two, small gaps are filled with zeros, and lengths
-        are in groups of `LANES`.
+        are multiples of `LANES`.
         """
         gap = LANES if shift is not None else 1
         new = np.ones(len(self.row), bool)
@@ -289,12 +289,12 @@ class _Rows:
         lengths = self.targets[ends] + 1 - first
         if shift is None:
             return np.stack([first, starts, lengths], axis=1), per_row, self.weights
-        groups = -(-lengths // LANES)
-        places = np.cumsum(groups * LANES) - groups * LANES
-        pool = np.zeros(int(groups.sum()) * LANES, np.int16)
+        lengths = -(-lengths // LANES) * LANES
+        places = np.cumsum(lengths) - lengths
+        pool = np.zeros(int(lengths.sum()), np.int16)
         run = np.cumsum(new) - 1
         pool[places[run] + self.targets - first[run]] = self.weights >> shift
-        return np.stack([first, places, groups], axis=1), per_row, pool
+        return np.stack([first, places, lengths], axis=1), per_row, pool
 
 
 def _trailing_zeros(bits):
