@@ -108,37 +108,32 @@ class FastEmulator(EmulatorInterface):
     def _advance(self, steps):
         """Some steps, at least one if there is no error; how many."""
         link = self._link
-        try:
-            arrived = link.take_spikes(self, steps)
-        except Unforeseen as reason:
-            hand_over(self, reason)
-            return 0
         careful = bool(
             self.compartment.strict or self.synapses.strict or _warnings_are_errors()
         )
         kept = link.copy() if careful else None
-        done = link.run(self, steps, arrived, careful)
-        if done < 0:
-            link.return_spikes(arrived, 0)
-            hand_over(self, "an input has spikes of neurons that it does not have")
+        try:
+            arriving = _Arriving(self.inputs, self.t, steps)
+            done = link.run(self, steps, arriving, careful)
+        except Unforeseen as reason:
+            hand_over(self, reason)
             return 0
         if careful and link.log[0, 0]:
             link.restore(kept)
-            link.return_spikes(arrived, done - 1)
             if done > 1:
-                self._finish(done - 1, link.run(self, done - 1, arrived, False), arrived)
+                link.run(self, done - 1, arriving, False)
+                self._finish(done - 1, arriving)
             one_step_as_nengo_loihi(self)
             return done
-        link.return_spikes(arrived, done)
-        self._finish(done, done, arrived)
+        self._finish(done, arriving)
         return done
 
-    def _finish(self, steps, done, arrived):
-        """Keep what was probed, and give warnings."""
-        assert steps == done
+    def _finish(self, done, arriving):
+        """Keep what was probed in some steps, and give the warnings of them."""
         link = self._link
         self.t += done
-        link.last_spikes = arrived.of_step(done - 1)
+        arriving.forget(self.inputs, done)
+        link.last_spikes = arriving.of_step(done - 1)
         link.owed += 0 if link.draws else done
         if link.has_probes:
             current, voltage, spikes = link.histories
@@ -443,8 +438,8 @@ class _Link:
             error += n_errors
             s.weights[:] = self.layout.weights[s]
 
-    def run(self, emulator, steps, arrived, careful):
-        """Call the kernel; how many steps it did, or a negative number."""
+    def run(self, emulator, steps, arriving, careful):
+        """Call the kernel; how many steps it did."""
         layout = self.layout
         if self.has_probes:
             self.histories = [
@@ -452,10 +447,13 @@ class _Link:
                 for width, kind, empty in zip(layout.widths, self._types, self._empty)
             ]
         self.log[0, 0] = 0
-        return self._advance(
+        done = self._advance(
             *self._arguments, self.words, layout.recorded, layout.is_noisy, self.draws,
-            emulator.t, steps, arrived.spikes, arrived.ends, *self.histories, self.log, careful,
+            emulator.t, steps, arriving.spikes, arriving.ends, *self.histories, self.log, careful,
         )  # fmt: skip
+        if done < 0:
+            raise Unforeseen("spikes of neurons that an input does not have, or a voltage of -2**31")
+        return done
 
     def copy(self):
         """What a call of the kernel changes."""
@@ -475,13 +473,6 @@ class _Link:
             skip, each = self._skip
             skip(self.words, each * self.owed)
             self.owed = 0
-
-    def take_spikes(self, emulator, steps):
-        """Take the spikes of the inputs that arrive in the next steps."""
-        return _Arrived(self._inputs, emulator.t, steps)
-
-    def return_spikes(self, arrived, done):
-        arrived.give_back(self._inputs, done)
 
     def trace_spikes(self, synapses):
         return {
@@ -503,8 +494,8 @@ class _Link:
         return found.spikes_in
 
 
-class _Arrived:
-    """The spikes of the inputs that arrive in some steps.
+class _Arriving:
+    """The spikes of the inputs that arrive in some steps; those sent in a step do in the next.
 
     Attributes
     ----------
@@ -516,22 +507,13 @@ class _Arrived:
 
     def __init__(self, inputs, t, steps):
         self._t, self._n = t, len(inputs)
-        # What is sent in a step arrives in the next.
         self._lists = [
-            item.spike_idxs(sent) if sent >= 1 else []
+            item.spikes.get(sent, []) if sent else []
             for sent in range(t, t + steps)
             for item in inputs
         ]
-        try:
-            self._flatten()
-        except Unforeseen:
-            self.give_back(inputs, 0)
-            raise
-
-    def _flatten(self):
-        lengths = [len(spikes) for spikes in self._lists]
-        self.ends = np.zeros(len(lengths) + 1, np.int64)
-        self.ends[1:] = np.cumsum(lengths)
+        self.ends = np.zeros(len(self._lists) + 1, np.int64)
+        self.ends[1:] = np.cumsum([len(spikes) for spikes in self._lists])
         found = [spikes for spikes in self._lists if len(spikes)]
         if not found:
             self.spikes = _NOTHING
@@ -545,9 +527,9 @@ class _Arrived:
         """The spikes of each input in a step."""
         return self._lists[step * self._n : (step + 1) * self._n]
 
-    def give_back(self, inputs, done):
-        """Put the spikes from a step on back to the inputs."""
-        for place in range(done * self._n, len(self._lists)):
-            spikes, item = self._lists[place], inputs[place % self._n]
-            if len(spikes):
-                item.spikes.setdefault(self._t + place // self._n, spikes)
+    def forget(self, inputs, done):
+        """Delete the spikes of the first steps, as NengoLoihi does after use."""
+        for item in inputs:
+            for sent in range(max(self._t, 1), self._t + done):
+                if sent not in item.permanent:
+                    item.spikes.pop(sent, None)

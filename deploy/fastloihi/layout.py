@@ -20,6 +20,7 @@ from typing import Dict, List, NamedTuple
 
 import numpy as np
 from nengo_loihi.builder.discretize import LEARN_FRAC, learn_overflow_bits
+from nengo_loihi.inputs import SpikeInput
 
 KEYS = ("current", "voltage", "spiked")  # of probes; numbered so in the kernel
 LANES = 16  # what narrow runs are padded to: a vector of 256 bits
@@ -77,6 +78,9 @@ def make_layout(emulator) -> Layout:
     """
     info, state = emulator.block_info, emulator.compartment
     integers = state.dtype == np.int32
+    for item in emulator.inputs:
+        if type(item) is not SpikeInput:
+            raise Unforeseen(f"an input of the class {type(item).__name__}")
     noise = _noise(state.noise, integers)
     segments, constants, bounds = _segments(info, state, integers)
     pools = _Pools(emulator.synapses, info, integers)
