@@ -273,8 +273,7 @@ def _connect(emulator, link):
     """Let an emulator use the arrays of a link, which have its state."""
     state, synapses, probes = emulator.compartment, emulator.synapses, emulator.probes
     vars(state).update(link.state_arrays())
-    for name in FIXED:
-        getattr(state, name).flags.writeable = False
+    _set_writeable(emulator, False)
     link.learn_from(synapses)
     lists = vars(probes).pop("outputs")
     probes.kept = {
@@ -302,10 +301,19 @@ def _disconnect(emulator):
     )
     synapses.trace_spikes, synapses.spikes_in, probes.outputs = trace_spikes, spikes_in, lists
     del synapses.link, probes.kept
-    for name in FIXED:
-        getattr(state, name).flags.writeable = True
+    _set_writeable(emulator, True)
     emulator.__class__ = EmulatorInterface
     emulator._link = None
+
+
+def _set_writeable(emulator, is_so):
+    """What the kernel has a copy of: to change it would have no effect."""
+    for name in FIXED:
+        getattr(emulator.compartment, name).flags.writeable = is_so
+    for synapse in emulator.synapses.slices:
+        if not synapse.learning:
+            for weights in synapse.weights:
+                weights.flags.writeable = is_so
 
 
 def hand_over(emulator, reason):
@@ -514,13 +522,10 @@ class _Arriving:
         ]
         self.ends = np.zeros(len(self._lists) + 1, np.int64)
         self.ends[1:] = np.cumsum([len(spikes) for spikes in self._lists])
-        found = [spikes for spikes in self._lists if len(spikes)]
-        if not found:
-            self.spikes = _NOTHING
-            return
-        spikes = np.concatenate(found) if len(found) > 1 else np.asarray(found[0])
-        if spikes.dtype.kind not in "iu" or spikes.ndim != 1:
+        found = [np.asarray(spikes) for spikes in self._lists if len(spikes)]
+        if any(spikes.dtype.kind not in "iu" or spikes.ndim != 1 for spikes in found):
             raise Unforeseen("spikes of an input that are not numbered by integers")
+        spikes = found[0] if len(found) == 1 else np.concatenate(found) if found else _NOTHING
         self.spikes = np.ascontiguousarray(spikes, np.int64)
 
     def of_step(self, step):

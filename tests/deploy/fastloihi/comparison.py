@@ -27,7 +27,7 @@ def state_of(emulator):
         if synapse.learning:
             state[f"trace {number}"] = np.array(synapses.traces[synapse])
             state[f"error {number}"] = np.array(synapses.pes_errors[synapse])
-            state[f"waiting {number}"] = np.array(sorted(synapses.trace_spikes[synapse]))
+            state[f"waiting {number}"] = np.array(sorted(synapses.trace_spikes[synapse]), int)
             state[f"weights {number}"] = np.concatenate([w.ravel() for w in synapse.weights])
     for number, (probe, parts) in enumerate(emulator.probes.outputs.items()):
         for part, values in enumerate(parts):
