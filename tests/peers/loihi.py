@@ -4,10 +4,12 @@ A plugin of pytest: ``pytest -p tests.peers.loihi --emulator fast --pyargs nengo
 package lacks the ``conftest.py`` that its tests were written with; what they need of that is here.
 """
 
+import contextlib
 import sys
 import types
 
 import nengo
+import numpy as np
 import pytest
 
 from deploy.network.loihi_import import nengo_loihi  # the substitutions come first
@@ -15,6 +17,15 @@ from deploy.network.loihi_import import nengo_loihi  # the substitutions come fi
 import nengo_loihi.builder.builder  # isort: skip
 import nengo_loihi.emulator  # isort: skip
 import nengo_loihi.simulator  # isort: skip
+
+FILT = "Lowpass.filt of Nengo 4.1 on data of one dimension, which NumPy 2.4 refuses"
+KNOWN = {
+    "test_connection::test_neurons_to_ensemble_transform[True-True]": FILT,
+    "test_connection::test_neurons_to_ensemble_transform[True-False]": FILT,
+    "test_connection::test_neurons_to_ensemble_transform[False-True]": FILT,
+    "test_interface::test_no_warn_on_current_version": "pytest.warns(None), gone since pytest 8",
+}
+"""Tests that fail on the current versions of NumPy, Nengo and pytest, on any emulator."""
 
 EMULATORS = ("nengo-loihi", "fast", "both")
 
@@ -71,6 +82,20 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if "target_loihi" in item.keywords:
             item.add_marker(pytest.mark.skip(reason="runs on a board only"))
+        name = f"{item.path.stem}::{item.name}"
+        if name in KNOWN:
+            item.add_marker(pytest.mark.xfail(reason=KNOWN[name], strict=True))
+        if item.path.stem == "test_conv" and hasattr(item, "module"):
+            item.module.pickle = types.SimpleNamespace(load=_drawn_images)
+            item.module.open = lambda *arguments: contextlib.nullcontext()
+
+
+def _drawn_images(file):
+    """The package lacks the file with ten images of MNIST that its tests read: these are drawn."""
+    row, column = np.mgrid[:28, :28]
+    sizes = np.arange(10)[:, None, None]
+    rings = np.abs(np.hypot(row - 13.5, (column - 13.5) * (1 + 0.1 * sizes)) - 9)
+    return np.clip(2 - rings, 0, 1).reshape(10, 784), np.arange(10)
 
 
 @pytest.fixture(scope="session")
