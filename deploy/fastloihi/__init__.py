@@ -6,8 +6,8 @@
 
 It needs NumPy, Nengo and NengoLoihi, and Numba to be fast, and nothing else of this project.
 
-`simulator` is what users call; `emulator` takes the place of NengoLoihi's class of that name;
-`layout` makes flat arrays of a network; `kernel_numba` advances them.
+`simulator` is what users call; `emulator` takes the place of NengoLoihi's emulator; `layout` makes
+flat arrays of a network, `link` has them with the state, `kernel_numba` advances them.
 """
 
 from .emulator import FastEmulator, NotAccelerated

@@ -44,7 +44,7 @@ TRACE0, TRACE1, ERROR0, ERROR1, WEIGHT0, TRACE_EPOCH, LEARN_EPOCH = range(7)
 RATE, PRODUCT_SHIFT, OLD_SHIFT, FRACTION_BITS, NEW_SHIFT, LIMIT, IS_DOUBLE = range(7, 14)
 DECAY, MAGNITUDE, REAL_RATE = range(3)  # columns of `rates`
 
-# Kinds of warnings in the log.  With the last, their number has a bit for each place that overflowed.
+# Kinds of warnings in the log.  The number beside the last has a bit for each place of overflow.
 LOST, TRACE, WEIGHTS, OVERFLOWS = np.int64(0), np.int64(1), np.int64(2), np.int64(3)
 UNFORESEEN = -1  # instead of the number of steps done: nothing was done
 

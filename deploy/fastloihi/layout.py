@@ -113,7 +113,10 @@ def make_layout(emulator) -> Layout:
 
 def _segments(info, state, integers):
     """Segments, their constants, and the first and last segment of each block."""
-    keep_u, keep_v = (4095 if integers else 1) - state.decay_u, (4096 if integers else 1) - state.decay_v
+    keep_u, keep_v = (
+        (4095 if integers else 1) - state.decay_u,
+        (4096 if integers else 1) - state.decay_v,
+    )
     if integers:
         for keep in (keep_u, keep_v):
             if np.any((keep < 0) | (keep > 4096)):

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Callable
 
 import nengo
 import numpy as np
@@ -121,7 +121,7 @@ CASES = (
 
 
 class _Timed:
-    """A simulator, with the processor time of its emulator and of Nengo's simulators on the host."""
+    """A simulator, and the processor time of its emulator and of Nengo's simulators of the host."""
 
     def __init__(self, kind, make):
         network, self.probe = make()
@@ -235,8 +235,8 @@ def networks_text(result: dict) -> str:
     verdict = "every voltage, current and spike" if result["identical"] else "NO: they differ"
     return "\n".join(
         [
-            "FastSimulator beside NengoLoihi's Simulator: how many times as fast, in processor time "
-            f"of one thread, medians of {result['turns']} turns",
+            "FastSimulator beside NengoLoihi's Simulator: how many times as fast, in processor "
+            f"time of one thread, medians of {result['turns']} turns",
             f"identical: {verdict}",
             *aligned(rows),
             "the last two: shares of the whole run with FastSimulator",

@@ -155,5 +155,5 @@ def feed(emulator, spikes, errors, t):
     learning = emulator.synapses.pes_errors
     emulator.host2chip(
         [(emulator.inputs[number], time, chosen) for number, time, chosen in spikes],
-        [(synapse, t, error) for synapse, error in zip(learning, errors)],
+        [(synapse, t, error) for synapse, error in zip(learning, errors, strict=True)],
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import collections
 import warnings
+from typing import ClassVar
 
 import numpy as np
 
@@ -76,7 +77,7 @@ class Both(EmulatorInterface):
     of them changes there, spikes of inputs and weights that are learned, is kept for each.
     """
 
-    tally = collections.Counter()
+    tally: ClassVar = collections.Counter()
     each_step = False
 
     def __init__(self, model, seed=None):
@@ -90,15 +91,13 @@ class Both(EmulatorInterface):
         self._give(plain)
 
     def _give(self, weights):
-        for synapse, own in zip(self.synapses.traces, weights):
+        for synapse, own in zip(self.synapses.traces, weights, strict=True):
             synapse.weights[:] = own
 
     def host2chip(self, spikes, errors):
         super().host2chip(spikes, errors)
-        for mine, its in zip(
-            self.synapses.pes_errors.values(), self.fast.synapses.pes_errors.values()
-        ):
-            its[...] = mine
+        for synapse, its in self.fast.synapses.pes_errors.items():
+            its[...] = self.synapses.pes_errors[synapse]
 
     def run_steps(self, steps):
         for n in [1] * steps if self.each_step else [steps]:
@@ -115,7 +114,7 @@ class Both(EmulatorInterface):
         state = state_of(self.fast)
         self._fast_weights = [list(synapse.weights) for synapse in self.synapses.traces]
         self._give(plain)
-        for item, before in zip(self.inputs, spikes):
+        for item, before in zip(self.inputs, spikes, strict=True):
             item.spikes = before
         count = int(self.compartment.spike_count.sum())
         expected = Outcome.of(lambda: [EmulatorInterface.step(self) for _ in range(steps)])

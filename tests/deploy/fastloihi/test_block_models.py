@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 pytest.importorskip("numba")
 from deploy.network.loihi_import import nengo_loihi  # noqa: F401, I001  (the substitutions first)
 from deploy.fastloihi import FastEmulator
-from deploy.fastloihi.emulator import LOG
+from deploy.fastloihi.link import LOG
 from nengo_loihi.emulator.interface import EmulatorInterface
 
 from tests.deploy.fastloihi.block_models import feed, random_calls, random_model
@@ -37,7 +37,7 @@ def two_emulators(seed):
             return None
         plain, fast = (
             kind(model, seed=seed % 2**31)
-            for kind, model in zip((EmulatorInterface, FastEmulator), models)
+            for kind, model in zip((EmulatorInterface, FastEmulator), models, strict=True)
         )
     assert type(fast) is FastEmulator
     return plain, fast
@@ -59,7 +59,7 @@ def run_both(plain, fast, seed, each_step, n_calls=3):
             said |= {message for message, *_ in expected.warnings}
             if expected.error is not None:
                 return True, said
-    probes = zip(plain.probes.probes, fast.probes.probes)
+    probes = zip(plain.probes.probes, fast.probes.probes, strict=True)
     for mine, its in probes:
         expected, found = plain.collect_probe_output(mine), fast.collect_probe_output(its)
         assert expected.dtype == found.dtype
@@ -130,9 +130,6 @@ def test_more_warnings_than_the_log_holds_are_all_given():
         if emulators is None:
             continue
         plain, fast = emulators
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            feed(plain, [], [], 1)
         expected = Outcome.of(lambda plain=plain: plain.run_steps(2 * LOG))
         if len(expected.warnings) > 2 * LOG:
             assert Outcome.of(lambda fast=fast: fast.run_steps(2 * LOG)) == expected

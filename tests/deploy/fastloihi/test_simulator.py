@@ -45,7 +45,7 @@ def run(kind, make, calls=(30, 1, 50), target="sim", after_first=None, **options
 
 
 def assert_same_run(expected, found):
-    for one, other in zip(expected[0], found[0]):
+    for one, other in zip(expected[0], found[0], strict=True):
         assert one.dtype == other.dtype
         assert np.array_equal(one, other)
     assert_same(expected[1], found[1])
@@ -101,8 +101,9 @@ def test_a_node_on_the_host_sees_the_state_of_every_step():
         assert seen[-1][0].any()
         return seen
 
-    for one, other in zip(look(nengo_loihi.Simulator), look(FastSimulator)):
-        for expected, found in zip(one, other):
+    states = zip(look(nengo_loihi.Simulator), look(FastSimulator), strict=True)
+    for one, other in states:
+        for expected, found in zip(one, other, strict=True):
             assert np.array_equal(expected, found)
 
 
