@@ -133,7 +133,7 @@ setup-peers: .venv-peers/installed  ## Install the plugins of pytest that NengoL
 
 test-peers: setup setup-peers  ## NengoLoihi's own tests: on its emulator, on ours, on both compared
 	@for emulator in nengo-loihi fast both; do echo "NengoLoihi's tests, emulator: $$emulator" && \
-	  $(BIN)/python -m tests.peers --emulator $$emulator $(ON_ALL_CORES) || exit; done
+	  $(BIN)/python -m tests.peers loihi --emulator $$emulator $(ON_ALL_CORES) || exit; done
 
 # Those that SECURITY.md explains; pip-audit says how many it leaves out.
 EXPLAINED = $(shell sed -n 's/^- \*\*\(CVE-[0-9-]*\)\*\*.*/\1/p' SECURITY.md)

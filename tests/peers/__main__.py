@@ -1,25 +1,29 @@
-"""Run the tests that NengoLoihi ships: ``python -m tests.peers --emulator fast|nengo-loihi|both``.
+"""Run the tests that NengoLoihi and NengoDL ship, as ``make test-peers`` does.
 
-Exit status 0 if all passed but for those that `loihi.KNOWN` explains, which must fail.  Further
-options go to pytest.  NengoLoihi's tests need pytest-rng, pytest-allclose and pytest-plt
-(``requirements.txt``), which ``make test-peers`` installs into a folder of their own.
+    python -m tests.peers loihi --emulator fast      (or nengo-loihi, or both)
+    python -m tests.peers dl
+
+Of NengoLoihi's, exit status 0 if all passed but for those that `loihi.KNOWN` explains, which must
+fail.  NengoDL's status is that of pytest: docs/nengo-loihi.md says which of its tests fail.  Further
+options go to pytest.  The tests need pytest-rng, pytest-allclose and pytest-plt
+(``requirements.txt``), which ``make setup-peers`` installs into a folder of their own.
 """
 
+import importlib.util
 import os
 import subprocess
 import sys
 from pathlib import Path
 
-from deploy.network.loihi_import import nengo_loihi
-
 ROOT = Path(__file__).resolve().parents[2]
 PLUGINS = ROOT / ".venv-peers"
+PEERS = {"loihi": "nengo_loihi", "dl": "nengo_dl"}
 
 
-def main(arguments):
-    package = Path(nengo_loihi.__file__).parent
+def main(peer, *arguments):
+    package = Path(importlib.util.find_spec(PEERS[peer]).origin).parent
     command = [
-        *(sys.executable, "-m", "pytest", "-q", "-p", "tests.peers.loihi"),
+        *(sys.executable, "-m", "pytest", "-q", "-p", f"tests.peers.{peer}"),
         *("-p", "no:nengo", "-p", "no:cacheprovider"),
         # The seeds of these tests depend on their names, and so on the folder that counts as root.
         *("-c", os.devnull, "--rootdir", str(package.parent), "--import-mode", "importlib"),
@@ -31,4 +35,6 @@ def main(arguments):
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    if len(sys.argv) < 2 or sys.argv[1] not in PEERS:
+        sys.exit(f"which of {', '.join(PEERS)}?")
+    sys.exit(main(*sys.argv[1:]))

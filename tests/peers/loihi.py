@@ -1,6 +1,6 @@
 """NengoLoihi's own tests, which its package ships, on NengoLoihi's emulator or on ours.
 
-A plugin of pytest: ``pytest -p tests.peers.loihi --emulator fast --pyargs nengo_loihi``.  The
+A plugin of pytest: ``python -m tests.peers loihi --emulator fast``.  The
 package lacks the ``conftest.py`` that its tests were written with; what they need of that is here.
 """
 
