@@ -4,7 +4,7 @@
     python -m tests.peers dl
 
 Of NengoLoihi's, exit status 0 if all passed but for those that `loihi.KNOWN` explains, which must
-fail.  NengoDL's status is that of pytest: docs/nengo-loihi.md says which of its tests fail.  Further
+fail.  NengoDL's status is that of pytest: some of its tests fail with current versions.  Further
 options go to pytest.  The tests need pytest-rng, pytest-allclose and pytest-plt
 (``requirements.txt``), which ``make setup-peers`` installs into a folder of their own.
 """

@@ -14,8 +14,8 @@ import pytest
 from models.keras2 import tf
 from pipeline.training import nengodl  # noqa: F401  (the substitutions of NengoDL's world)
 
-if not hasattr(np, "in1d"):
-    np.in1d = np.isin  # which NumPy 2.4 removed and two of the tests call
+if not hasattr(np, "in1d"):  # which NumPy 2.4 removed and some tests call
+    setattr(np, "in1d", np.isin)  # noqa: B010
 
 OPTIONS = {"--dtype": "float32", "--unroll-simulation": 1, "--device": None}
 
