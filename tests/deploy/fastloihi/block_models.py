@@ -21,8 +21,10 @@ def random_model(seed) -> Model:
     """
     rng = np.random.RandomState(seed)
     model, scale = Model(), 10 ** rng.uniform(-2, 1)
+    kind = rng.randint(2**31)
     for _ in range(1 + rng.randint(4)):
-        model.add_block(_block(rng))
+        kind = kind if rng.rand() < 0.3 else rng.randint(2**31)  # or equal to the one before
+        model.add_block(_block(np.random.RandomState(kind)))
     blocks = list(model.blocks)
     for _ in range(rng.randint(3)):
         model.add_input(SpikeInput(1 + rng.randint(20)))
@@ -157,3 +159,6 @@ def feed(emulator, spikes, errors, t):
         [(emulator.inputs[number], time, chosen) for number, time, chosen in spikes],
         [(synapse, t, error) for synapse, error in zip(learning, errors, strict=True)],
     )
+    for number, time, _ in spikes:
+        if time % 5 == 0:  # as those that NengoLoihi's builder adds, from a file of events
+            emulator.inputs[number].permanent.add(time)
