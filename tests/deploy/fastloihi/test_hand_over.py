@@ -232,6 +232,20 @@ def test_without_a_change_the_kernel_runs():
     assert said == 0
 
 
+def test_more_spikes_than_a_sum_of_16_bits_holds(monkeypatch):
+    monkeypatch.setattr(EmulatorInterface, "strict", False)
+
+    def many(parts):
+        parts.spikes = [[0] * 5000 + [3] * 900, [1, 2] * 3000, [5] * 259, [4] * 20000]
+
+    plain, _ = made(EmulatorInterface, many)
+    fast, _ = made(FastEmulator, many)
+    for _ in range(6):
+        assert Outcome.of(plain.step) == Outcome.of(fast.step)
+        assert_same(state_of(plain), state_of(fast))
+    assert type(fast) is FastEmulator
+
+
 def test_a_voltage_without_a_positive_counterpart_is_left_to_nengo_loihi(monkeypatch):
     monkeypatch.setattr(emulator, "_said", set())
     plain, _ = made(EmulatorInterface, lambda parts: None)
