@@ -21,7 +21,7 @@ BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $
 ON_ALL_CORES := --numprocesses logical --maxprocesses 4 --dist worksteal
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
 
-.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report live shipped-bundle test test-pythons torture lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava audit clean help
+.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report live shipped-bundle test test-pythons torture lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava setup-peers test-peers audit clean help
 .DEFAULT_GOAL := help
 
 setup:  ## Make .venv with everything pinned in constraints.txt (2.6 GB)
@@ -127,6 +127,17 @@ check-lava: convert setup-lava  ## The check's samples in Lava, every spike comp
 	@.venv-lava/bin/python tests/lava_reader/run_lava.py "$(RUN)/lava/network.npz" "$(RUN)/lava/output.npz"
 	@.venv-lava/bin/python tests/lava_reader/run_lava.py "$(RUN)/lava/network.npz" "$(RUN)/lava/stock.npz" --stock
 	@$(BIN)/python -m tests.lava_reader.result "$(RUN)/bundle" "$(RUN)/lava/output.npz" "$(RUN)/checks/lava.json" "$(RUN)/lava/stock.npz"
+
+setup-peers: .venv-peers/installed  ## Install the plugins of pytest that NengoLoihi's tests need
+
+.venv-peers/installed: tests/peers/requirements.txt | setup
+	@rm -rf .venv-peers
+	@$(BIN)/python -m pip install -qq --no-deps --target .venv-peers -r tests/peers/requirements.txt
+	@touch $@
+
+test-peers: setup setup-peers  ## NengoLoihi's own tests: on its emulator, on ours, on both compared
+	@for emulator in nengo-loihi fast both; do echo "NengoLoihi's tests, emulator: $$emulator" && \
+	  $(BIN)/python -m tests.peers loihi --emulator $$emulator $(ON_ALL_CORES) || exit; done
 
 # Those that SECURITY.md explains; pip-audit says how many it leaves out.
 EXPLAINED = $(shell sed -n 's/^- \*\*\(CVE-[0-9-]*\)\*\*.*/\1/p' SECURITY.md)

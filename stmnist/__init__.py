@@ -30,6 +30,7 @@ _PLACES = {
     "deploy.check.results": ("compare_results", "read_result"),
     "deploy.check.run": ("run_check",),
     "deploy.errors": ("UserError",),
+    "deploy.fastloihi": ("FastSimulator", "accelerate"),
     "deploy.network.nir": ("write_nir",),
     "deploy.network.operations": ("multiply_accumulates",),
     "deploy.preflight.plan": ("make_plan", "plan_text"),
@@ -51,6 +52,9 @@ _PLACES = {
     "pipeline.training.networks": ("train_cnn", "train_rate_network"),
 }
 """Module of each public name; of ``stages``, a module itself, the package."""
+
+_BEFORE = {"deploy.fastloihi": "deploy.network.loihi_import"}
+"""Modules to import before others: NengoLoihi 1.1 needs substitutions on NumPy 2."""
 
 _MODULE_OF = {name: module for module, names in _PLACES.items() for name in names}
 
@@ -110,6 +114,8 @@ def __getattr__(name):
     if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module = _MODULE_OF[name]
+    if module in _BEFORE:
+        importlib.import_module(_BEFORE[module])
     if name == "stages":
         value = importlib.import_module(f"{module}.{name}")
     else:

@@ -76,7 +76,7 @@ def test_there_is_a_readme_and_it_is_short():
 
 
 def test_every_page_of_the_docs_is_linked_from_the_readme():
-    linked = set(re.findall(r"\]\((docs/\w+\.md)", read(README)))
+    linked = set(re.findall(r"\]\((docs/[\w-]+\.md)", read(README)))
     assert linked == {page.relative_to(ROOT).as_posix() for page in DOCS}
 
 

@@ -278,6 +278,8 @@ def zipapp_bytes() -> bytes:
     main = 'import runpy\n\nrunpy.run_module("deploy", run_name="__main__")\n'
     members = {"__main__.py": main.encode()}
     for source in sorted(package.rglob("*.py")):
+        if "fastloihi" in source.relative_to(package).parts:
+            continue  # no target uses it
         members[source.relative_to(package.parent).as_posix()] = source.read_bytes()
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:

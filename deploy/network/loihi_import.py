@@ -28,7 +28,8 @@ class NumPy1:
     """NumPy, with ``array(copy=False)`` as NumPy 1 has it: copy only what must be copied.
 
     NumPy 2 refuses where a copy is needed.  NengoLoihi 1.1 needs one where it discretises a block's
-    weights and where it works out rates.
+    weights and where it works out rates.  NumPy 2.3 has no binary ``fromstring`` any more, with
+    which NengoLoihi reads a DVS camera's files.
     """
 
     def __getattr__(self, name):
@@ -38,9 +39,13 @@ class NumPy1:
     def array(*values, copy=True, **options):
         return numpy.array(*values, copy=copy or None, **options)
 
+    @staticmethod
+    def fromstring(data, dtype):
+        return numpy.frombuffer(data, dtype).copy()
+
 
 if int(numpy.__version__.split(".")[0]) >= 2:  # NumPy 1, of older hosts, refuses copy=None
-    nengo_loihi.block.np = nengo_loihi.neurons.np = NumPy1()
+    nengo_loihi.block.np = nengo_loihi.neurons.np = nengo_loihi.dvs.np = NumPy1()
 
 # The networks here have no decoders to keep, and processes side by side would fight for its lock.
 nengo.rc["decoder_cache"]["enabled"] = "False"

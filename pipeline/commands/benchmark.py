@@ -145,12 +145,23 @@ def emulator(
     compare_only: Annotated[
         bool, typer.Option("--compare-only", help="Leave out how the cost grows and its limit.")
     ] = False,
+    networks: Annotated[
+        bool, typer.Option("--networks", help="FastSimulator on six networks, and no bundle.")
+    ] = False,
     as_json: options.Json = False,
 ):
     """Time NengoLoihi's emulator and the target fast in turns, on a bundle's samples.
 
     Checks that both give the same spikes; exit status 1 if not.
     """
+    if networks:
+        from pipeline.experiments import network_speed  # imports Nengo
+
+        result = network_speed.measure_networks()
+        options.tell(result, network_speed.networks_text, as_json)
+        if not result["identical"]:
+            raise CheckFailed("FastSimulator and NengoLoihi's Simulator differ")
+        return
     from pipeline.experiments import emulator_speed  # imports Nengo
 
     result = emulator_speed.measure(read_bundle(options.bundle_in(bundle)), samples, compare_only)

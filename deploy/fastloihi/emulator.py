@@ -1,0 +1,327 @@
+"""NengoLoihi's emulator with its steps done by a compiled kernel: same methods, same bits.
+
+NengoLoihi's own class lays out the chip's state.  Its arrays become parts of those that the kernel
+works on, so that whatever looks at them, or changes them in place, still can; what only the steps
+of NengoLoihi use (the spikes of the last step, random numbers that nothing depends on) is worked
+out when somebody asks for it.
+
+Two things are left to NengoLoihi's own steps, so that no answer can differ from theirs: a network
+that `layout` calls unforeseen, for good, and a step that gives a warning which is to be an error.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Mapping
+
+import numpy as np
+from nengo_loihi.emulator import interface
+from nengo_loihi.emulator.interface import (
+    CompartmentState,
+    EmulatorInterface,
+    ProbeState,
+    SynapseState,
+)
+
+from .layout import Unforeseen
+from .link import COUNTERS, ROWS, Arriving, Link, words_of
+
+FIXED = ("decay_u", "decay_v", "scale_u", "scale_v", "vmin", "vmax", "ref")
+
+LOST, TRACE, WEIGHTS, OVERFLOWS = range(4)  # in the kernel's log
+
+
+class NotAccelerated(UserWarning):
+    """NengoLoihi's own code runs a network: the results are the same, but take their time."""
+
+
+_said = set()
+
+
+def say_once(message):
+    """Warn, unless these words were said before in this process."""
+    if message not in _said:
+        _said.add(message)
+        warnings.warn(message, NotAccelerated, stacklevel=3)
+
+
+def find_kernel():
+    """The module with the kernel; None, and a warning, where Numba is missing."""
+    try:
+        from . import kernel_numba
+    except ImportError as error:
+        say_once(f"NengoLoihi's own emulator is used: Numba is missing ({error})")
+        return None
+    return kernel_numba
+
+
+class FastEmulator(EmulatorInterface):
+    """As NengoLoihi's `EmulatorInterface`, for any of its models.
+
+    Parameters
+    ----------
+    model : nengo_loihi.builder.Model
+    seed : int, optional
+    """
+
+    def __init__(self, model, seed=None):
+        super().__init__(model, seed=seed)
+        take_over(self, type(self))
+
+    @property
+    def rng(self):
+        """The random state after the last step."""
+        link = self.__dict__.get("_link")
+        if link is not None:
+            link.settle_random(self.block_info.n_compartments)
+        return self.__dict__["rng"]
+
+    @rng.setter
+    def rng(self, rng):
+        self.__dict__["rng"] = rng
+        if self.__dict__.get("_link") is not None:
+            self._link.words = words_of(rng)
+            self._link.owed = 0
+
+    def close(self):
+        super().close()
+        self._link = None
+
+    def step(self):
+        self.run_steps(1)
+
+    def run_steps(self, steps):
+        while steps > 0 and isinstance(self, FastEmulator) and self._link is not None:
+            steps -= self._advance(min(steps, self._link.at_once))
+        if steps > 0:
+            EmulatorInterface.run_steps(self, steps)
+
+    def _advance(self, steps):
+        """Some steps, at least one if there is no error; how many."""
+        link = self._link
+        careful = bool(self.compartment.strict or self.synapses.strict or _warnings_are_errors())
+        kept = link.copy() if careful else None
+        try:
+            arriving = Arriving(self.inputs, self.t, steps)
+            done = link.run(self, steps, arriving, careful)
+        except Unforeseen as reason:
+            hand_over(self, reason)
+            return 0
+        if careful and link.log[0, 0]:
+            link.restore(kept)
+            if done > 1:
+                link.run(self, done - 1, arriving, False)
+                self._finish(done - 1, arriving)
+            one_step_as_nengo_loihi(self)
+            return done
+        self._finish(done, arriving)
+        return done
+
+    def _finish(self, done, arriving):
+        """Keep what was probed in some steps, and give the warnings of them."""
+        link = self._link
+        self.t += done
+        arriving.forget(self.inputs, done)
+        link.last_spikes = arriving.of_step(done - 1)
+        link.owed += 0 if link.draws else done
+        if link.has_probes:
+            current, voltage, spikes = link.histories
+            histories = (current, voltage, spikes.view(bool))
+            self.probes.keep(link.layout.columns, histories, done)
+        if link.log[0, 0]:
+            for kind, count in link.log[1 : link.log[0, 0] + 1].tolist():
+                _warn(self, kind, count)
+
+
+def _warn(emulator, kind, count):
+    """What the kernel's log says, as NengoLoihi would and from its module."""
+    if kind == OVERFLOWS:
+        for bit, place in enumerate(("q0", "current", "u2")):
+            if count & 1 << bit:
+                emulator.compartment.error(f"Overflow in {place}")
+    for _ in range(count if kind != OVERFLOWS else 0):
+        if kind == LOST:
+            emulator.synapses.error("Synaptic trace spikes lost")
+            continue
+        warnings.warn_explicit(
+            "Clipping synapse trace" if kind == TRACE else "Clipping learning weights",
+            UserWarning,
+            interface.__file__,
+            SynapseState.__init__.__code__.co_firstlineno,
+            module=interface.__name__,
+            registry=interface.__dict__.setdefault("__warningregistry__", {}),
+        )
+
+
+def _warnings_are_errors():
+    """Whether any filter makes an error of a `UserWarning`."""
+    return any(
+        entry[0] == "error" and issubclass(UserWarning, entry[2]) for entry in warnings.filters
+    )
+
+
+# --- NengoLoihi's parts, with what the kernel does not keep worked out on demand ------------------
+
+
+class _Compartments(CompartmentState):
+    """A new array put in the place of one of the state is copied into it."""
+
+    def __setattr__(self, name, value):
+        if name in (*ROWS, *COUNTERS, "spiked"):
+            self.__dict__[name][...] = value
+        else:
+            super().__setattr__(name, value)
+
+
+class _Synapses(SynapseState):
+    """Spikes of the last step, and those that wait for a trace, as NengoLoihi keeps them."""
+
+    @property
+    def trace_spikes(self):
+        return self.link.trace_spikes(self)
+
+    @property
+    def spikes_in(self):
+        return self.link.spikes_in(self)
+
+
+class _Probes(ProbeState):
+    """Probed values of many steps are kept as one array, and not as a list of steps."""
+
+    @property
+    def outputs(self):
+        return _Outputs(self.kept)
+
+    def keep(self, columns, histories, steps):
+        """Append the values of some steps, (steps, columns) arrays by key."""
+        for probe, (key, parts) in columns.items():
+            history = histories[key]
+            for output, part in zip(self.kept[probe], parts):
+                output.append(history[:steps, part])
+
+    def clear_probe(self, probe):
+        for output in self.kept[probe]:
+            output.clear()
+
+
+class _Outputs(Mapping):
+    """Probe to the values of each of its blocks: a (steps, compartments) array, [] for no steps."""
+
+    def __init__(self, kept):
+        self._kept = kept
+
+    def __getitem__(self, probe):
+        return [_joined(output) for output in self._kept[probe]]
+
+    def __iter__(self):
+        return iter(self._kept)
+
+    def __len__(self):
+        return len(self._kept)
+
+
+def _joined(parts):
+    if len(parts) > 1:
+        parts[:] = [np.concatenate(parts)]
+    elif parts:
+        parts[0] = np.ascontiguousarray(parts[0])
+    return parts[0] if parts else []
+
+
+# --- Taking over and handing over -----------------------------------------------------------------
+
+
+def take_over(emulator, kind=FastEmulator):
+    """Let an emulator of NengoLoihi's go on with the kernel, whatever steps it has done.
+
+    It is left as it is, with one warning, where Numba is missing or its network has something that
+    the kernel does not do.
+
+    Parameters
+    ----------
+    emulator : EmulatorInterface
+    kind : type
+        `FastEmulator` or a class derived from it.
+    """
+    emulator.__dict__["_link"] = None
+    kernel = find_kernel()
+    try:
+        if kernel is None:
+            raise Unforeseen
+        link = Link(emulator, kernel)
+    except Unforeseen as reason:
+        emulator.__class__ = EmulatorInterface
+        if kernel is not None:
+            say_once(f"NengoLoihi's own emulator is used, for {reason}")
+        return
+    emulator.__class__ = kind
+    _connect(emulator, link)
+
+
+def _connect(emulator, link):
+    """Let an emulator use the arrays of a link, which have its state."""
+    state, synapses, probes = emulator.compartment, emulator.synapses, emulator.probes
+    vars(state).update(link.state_arrays())
+    _set_writeable(emulator, False)
+    link.learn_from(synapses)
+    lists = vars(probes).pop("outputs")
+    probes.kept = {
+        probe: [[np.stack(part)] if len(part) else [] for part in parts]
+        for probe, parts in lists.items()
+    }
+    vars(synapses).pop("spikes_in")
+    vars(synapses).pop("trace_spikes")
+    synapses.link = link
+    state.__class__, synapses.__class__, probes.__class__ = _Compartments, _Synapses, _Probes
+    emulator.__dict__["_link"] = link
+
+
+def _disconnect(emulator):
+    """The opposite: everything is where NengoLioihi's own steps look for it."""
+    link = emulator._link
+    link.settle_random(emulator.block_info.n_compartments)
+    state, synapses, probes = emulator.compartment, emulator.synapses, emulator.probes
+    trace_spikes, spikes_in = synapses.trace_spikes, synapses.spikes_in
+    lists = {probe: [list(part) for part in parts] for probe, parts in probes.outputs.items()}
+    state.__class__, synapses.__class__, probes.__class__ = (
+        CompartmentState,
+        SynapseState,
+        ProbeState,
+    )
+    synapses.trace_spikes, synapses.spikes_in, probes.outputs = trace_spikes, spikes_in, lists
+    del synapses.link, probes.kept
+    _set_writeable(emulator, True)
+    emulator.__class__ = EmulatorInterface
+    emulator._link = None
+
+
+def _set_writeable(emulator, is_so):
+    """What the kernel has a copy of: to change it would have no effect."""
+    for name in FIXED:
+        getattr(emulator.compartment, name).flags.writeable = is_so
+    for synapse in emulator.synapses.slices:
+        if not synapse.learning:
+            for weights in synapse.weights:
+                weights.flags.writeable = is_so
+
+
+def hand_over(emulator, reason):
+    """Let an emulator go on with NengoLoihi's own steps, and say so once."""
+    _disconnect(emulator)
+    say_once(f"NengoLoihi's own emulator goes on, for {reason}")
+
+
+def one_step_as_nengo_loihi(emulator):
+    """A step of NengoLoihi's own, after which the kernel goes on; after an error it does not."""
+    link, kind = emulator._link, type(emulator)
+    spiked, t = emulator.compartment.spiked.copy(), emulator.t
+    last = [(item, item.spikes.get(t, [])) for item in emulator.inputs]
+    _disconnect(emulator)
+    EmulatorInterface.step(emulator)
+    link.last_spikes = [spikes for _, spikes in last]
+    link.before[: len(spiked)] = spiked
+    link.pending[:] = 0
+    for synapse, first in link.first_trace.items():
+        link.pending[[first + axon for axon in emulator.synapses.trace_spikes[synapse]]] = 1
+    emulator.__class__ = kind
+    _connect(emulator, link)

@@ -1,0 +1,443 @@
+"""A network of NengoLoihi as flat arrays: segments of compartments, rows of weights, routes.
+
+Compartments stand in the emulator's order, one block after the other.
+
+- A *segment* is a run of neighbouring compartments of a block with the same decays, limits and
+  refractory period, which are then numbers and not arrays.
+- A *row* is what one spike adds: a few *runs* of neighbouring weights.  A synapse's rows are in one
+  of two pools.  The *narrow* one has 16 bits, each weight without its block's common power of two,
+  and runs are padded with zeros; sums of 16 bits are emptied into the input before they could
+  overflow.  The *wide* one has the type of the state, for float32, for weights that 16 bits do not
+  hold and for those that learn.
+- A *route* leads the spikes of an input or a block to a synapse.  Routes stand in the order in
+  which the emulator adds, which sums of float32 depend on.  A route has one *entry* for each neuron
+  of its source: row, first compartment, and trace.
+"""
+
+from __future__ import annotations
+
+from typing import Dict, List, NamedTuple
+
+import numpy as np
+from nengo_loihi.builder.discretize import LEARN_FRAC, learn_overflow_bits
+from nengo_loihi.inputs import SpikeInput
+
+KEYS = ("current", "voltage", "spiked")  # of probes; numbered so in the kernel
+LANES = 16  # what narrow runs are padded to: a vector of 256 bits
+LARGEST_NARROW = 4095  # eight rows at least fit a sum of 16 bits
+
+
+class Unforeseen(Exception):
+    """What NengoLoihi's own code has to do; the message says what that is."""
+
+
+class Layout(NamedTuple):
+    """The network.
+
+    Attributes
+    ----------
+    network : tuple of ndarray
+        ``segments, constants, blocks, routes, entries, first_run, runs, narrow, wide, sums,
+        input_sizes``: as the kernel takes them, which names their columns.
+    learning : tuple of ndarray
+        ``rules, rates``: a line for each synapse that learns.
+    noise : tuple of ndarray
+        Offset, scale, and whether it is added to the voltage, of each compartment.
+    recorded : (n_runs, 4) int64 array
+        Runs of compartments that are probed: key, first compartment, length, first column.
+    widths : list of int
+        Columns of each key.
+    columns : dict of LoihiProbe to (int, list of slice)
+        The key of a probe, and the columns of each of its blocks.
+    weights : dict of Synapse to list of ndarray
+        Of those that learn: views of the wide pool, of the shape of the synapse's own.
+    is_noisy : bool
+    """
+
+    network: tuple
+    learning: tuple
+    noise: tuple
+    recorded: np.ndarray
+    widths: List[int]
+    columns: Dict
+    weights: Dict
+    is_noisy: bool
+
+
+def make_layout(emulator) -> Layout:
+    """Read a network from NengoLoihi's emulator, which is left as it is.
+
+    Parameters
+    ----------
+    emulator : nengo_loihi.emulator.EmulatorInterface
+
+    Raises
+    ------
+    Unforeseen
+        The network has something that the kernel does not do.
+    """
+    info, state = emulator.block_info, emulator.compartment
+    integers = state.dtype == np.int32
+    for item in emulator.inputs:
+        if type(item) is not SpikeInput:
+            raise Unforeseen(f"an input of the class {type(item).__name__}")
+    noise = _noise(state.noise, integers)
+    segments, constants, bounds = _segments(info, state, integers)
+    pools = _Pools(emulator.synapses, info, integers)
+    routes, entries = _routes(emulator, pools)
+    blocks = np.array(
+        [
+            (part.start, part.stop, pools.shifts[b], pools.is_wide[b], *bounds[b])
+            for b, part in enumerate(info.slices.values())
+        ],
+        np.int64,
+    )
+    learning = _learning(emulator.synapses, pools, integers)
+    recorded, widths, columns = _recorded(emulator.probes)
+    first_run, runs, narrow, wide = pools.arrays(state.dtype)
+    return Layout(
+        network=(
+            segments, constants, blocks, routes, entries, first_run, runs, narrow, wide,
+            np.zeros(info.n_compartments + LANES, np.int16),
+            np.array([item.n_neurons for item in emulator.inputs], np.int64),
+        ),
+        learning=learning,
+        noise=noise,
+        recorded=recorded,
+        widths=widths,
+        columns=columns,
+        weights={synapse: pools.views(synapse, wide) for synapse in emulator.synapses.traces},
+        is_noisy=bool(np.any(state.noise.mult)),
+    )  # fmt: skip
+
+
+def _segments(info, state, integers):
+    """Segments, their constants, and the first and last segment of each block."""
+    keep_u, keep_v = (
+        (4095 if integers else 1) - state.decay_u,
+        (4096 if integers else 1) - state.decay_v,
+    )
+    if integers:
+        for keep in (keep_u, keep_v):
+            if np.any((keep < 0) | (keep > 4096)):
+                raise Unforeseen("decays outside of 12 bits")
+        if np.any(state.vmin <= -(2**31)):
+            raise Unforeseen("a minimum voltage beyond 32 bits")
+    columns = [keep_u, keep_v, state.scale_u, state.scale_v, state.vmin, state.vmax]
+    table = np.stack([*columns, state.ref], axis=1).astype(state.dtype)
+    edge = np.ones(len(table) + 1, bool)
+    edge[1:-1] = np.any(table[1:] != table[:-1], axis=1)
+    edge[[part.start for part in info.slices.values()]] = True
+    edges = np.flatnonzero(edge)
+    segments = np.stack([edges[:-1], edges[1:], table[edges[:-1], -1].astype(np.int64)], axis=1)
+    bounds = [
+        tuple(np.searchsorted(edges, (part.start, part.stop)).tolist())
+        for part in info.slices.values()
+    ]
+    return segments.astype(np.int64), np.ascontiguousarray(table[edges[:-1], :-1]), bounds
+
+
+def _noise(noise, integers):
+    scale_type = np.float64 if integers else np.float32
+    if noise.mult.dtype != scale_type:
+        raise Unforeseen(f"noise of type {noise.mult.dtype}")
+    if integers:
+        largest = (127.0 + np.abs(noise.mant_offset.astype(float))) * noise.mult
+        if np.any(~(largest < 2.0**31)):
+            raise Unforeseen("noise beyond 32 bits")
+    return noise.mant_offset, noise.mult, noise.target_u.astype(np.uint8)
+
+
+class _Pools:
+    """The rows of all synapses, and where each synapse's are.
+
+    Attributes
+    ----------
+    shifts : list of int
+        The power of two that the narrow weights of each block lack.
+    is_wide : list of bool
+        Whether a block has wide weights.
+    narrow, largest : dict of Synapse
+        Whether a synapse is in the narrow pool, and the largest magnitude there.
+    """
+
+    def __init__(self, synapses, info, integers):
+        self.first_row, self.atoms, self.reach = {}, {}, {}
+        self.narrow, self.largest, self.shifts, self.is_wide = {}, {}, [], []
+        self._place = {}
+        self._runs, self._runs_of_row = [], []
+        self._pools = {True: [], False: []}
+        self._sizes = {True: 0, False: 0}
+        n_rows = 0
+        for block in info.blocks:
+            items = [_Rows(synapse, block, synapses.dtype) for synapse in block.synapses]
+            fixed = [rows for rows in items if integers and not rows.synapse.learning]
+            shift = _trailing_zeros(np.bitwise_or.reduce([0, *(rows.bits for rows in fixed)]))
+            self.shifts.append(shift)
+            self.is_wide.append(False)
+            for rows in items:
+                synapse = rows.synapse
+                narrow = rows in fixed and rows.largest >> shift <= LARGEST_NARROW
+                self.narrow[synapse] = narrow
+                self.largest[synapse] = max(1, rows.largest >> shift) if narrow else 1
+                self.is_wide[-1] |= not narrow
+                self.first_row[synapse], self.atoms[synapse] = n_rows, rows.n_atoms
+                self.reach[synapse] = rows.lowest, rows.highest
+                self._place[synapse] = self._sizes[narrow]
+                runs, per_row, pool = rows.cut(shift) if narrow else rows.cut(None)
+                runs[:, 1] += self._sizes[narrow]
+                self._sizes[narrow] += len(pool)
+                self._pools[narrow].append(pool)
+                self._runs.append(runs)
+                self._runs_of_row.append(per_row)
+                n_rows += len(per_row)
+        if max(self._sizes.values()) >= 2**31:
+            raise Unforeseen("more than 2 ** 31 weights")
+
+    def arrays(self, dtype):
+        """``first_run, runs, narrow, wide``."""
+        first_run = np.cumsum(np.concatenate([[0], *self._runs_of_row])).astype(np.int32)
+        runs = np.concatenate([np.zeros((0, 3), np.int64), *self._runs]).astype(np.int32)
+        return (
+            first_run,
+            runs,
+            np.concatenate([np.zeros(0, np.int16), *self._pools[True]]).astype(np.int16),
+            np.concatenate([np.zeros(0, dtype), *self._pools[False]]).astype(dtype),
+        )
+
+    def place(self, synapse):
+        """Where the weights of a synapse that learns begin in the wide pool."""
+        return self._place[synapse]
+
+    def views(self, synapse, wide):
+        """The weights of a synapse that learns, as parts of the wide pool."""
+        width = len(synapse.weights[0].ravel()) if synapse.weights else 0
+        first = self._place[synapse]
+        return [
+            wide[first + i * width : first + (i + 1) * width].reshape(1, -1)
+            for i in range(len(synapse.weights))
+        ]
+
+
+class _Rows:
+    """The rows of a synapse: those of its first weights' atoms, of its second's, ...
+
+    Attributes
+    ----------
+    bits, largest : int
+        All weights or-ed, and the largest magnitude.
+    lowest, highest : (n_rows,) int array
+        The first and last compartment of each row, 0 and -1 where there is none.
+    """
+
+    def __init__(self, synapse, block, dtype):
+        self.synapse = synapse
+        weights, indices = synapse.weights, synapse.indices
+        if not weights or any(w.dtype != dtype for w in weights):
+            raise Unforeseen(f"weights of another type than {dtype}")
+        self.n_atoms = weights[0].shape[0]
+        if any(w.shape != i.shape or len(w) != self.n_atoms for w, i in zip(weights, indices)):
+            raise Unforeseen("weights and indices of different shapes")
+        self.lengths = np.repeat([w.shape[1] for w in weights], self.n_atoms)
+        self.weights = np.concatenate([w.ravel() for w in weights])
+        self.targets = np.concatenate([i.ravel() for i in indices]).astype(np.int64)
+        self.row = np.repeat(np.arange(len(self.lengths)), self.lengths)
+        if synapse.learning:
+            self._check_that_it_can_learn(block)
+        self._sort()
+        starts = np.cumsum([0, *self.lengths[:-1]])
+        self.lowest = np.zeros(len(self.lengths), np.int64)
+        self.highest = np.full(len(self.lengths), -1)
+        used = self.lengths > 0
+        self.lowest[used] = self.targets[starts[used]]
+        self.highest[used] = self.targets[starts[used] + self.lengths[used] - 1]
+        self.bits = self.largest = 0
+        if dtype == np.int32 and len(self.weights):
+            values = self.weights.astype(np.int64)
+            self.bits, self.largest = int(np.bitwise_or.reduce(values)), int(np.abs(values).max())
+
+    def _check_that_it_can_learn(self, block):
+        """NengoLoihi changes all weights of a row, or fails."""
+        n = 2 * (block.n_neurons // 2)
+        alone = all(w.shape == (1, n) and np.array_equal(i[0], np.arange(n)) for w, i in
+                    zip(self.synapse.weights, self.synapse.indices))  # fmt: skip
+        if not alone or self.synapse.axon_to_weight_map is not None:
+            raise Unforeseen("learning on weights that are sparse or shared")
+        if len(self.synapse.weights) != self.synapse.n_axons:
+            raise Unforeseen("learning on other than one row of weights an axon")
+
+    def _sort(self):
+        """By target; in the emulator's ``q[indices] += weights`` the last of equal ones counts."""
+        rises = (self.row[1:] > self.row[:-1]) | (self.targets[1:] > self.targets[:-1])
+        if np.all(rises):
+            return
+        order = np.lexsort((np.arange(len(self.row)), self.targets, self.row))
+        row, targets = self.row[order], self.targets[order]
+        last = np.ones(len(row), bool)
+        last[:-1] = (row[1:] != row[:-1]) | (targets[1:] != targets[:-1])
+        self.row, self.targets, self.weights = row[last], targets[last], self.weights[order][last]
+        self.lengths = np.bincount(self.row, minlength=len(self.lengths))
+
+    def cut(self, shift):
+        """Runs (target, place, length), how many each row has, and the weights.
+
+        With a shift, weights lack that power of two, small gaps are filled with zeros, and lengths
+        are multiples of `LANES`.
+        """
+        gap = LANES if shift is not None else 1
+        new = np.ones(len(self.row), bool)
+        new[1:] = (self.row[1:] != self.row[:-1]) | (self.targets[1:] > self.targets[:-1] + gap)
+        starts = np.flatnonzero(new)
+        ends = np.append(starts[1:], len(self.row)) - 1
+        per_row = np.bincount(self.row[starts], minlength=len(self.lengths))
+        if not len(starts):
+            return np.zeros((0, 3), np.int64), per_row, self.weights
+        first = self.targets[starts]
+        lengths = self.targets[ends] + 1 - first
+        if shift is None:
+            return np.stack([first, starts, lengths], axis=1), per_row, self.weights
+        lengths = -(-lengths // LANES) * LANES
+        places = np.cumsum(lengths) - lengths
+        pool = np.zeros(int(lengths.sum()), np.int16)
+        run = np.cumsum(new) - 1
+        pool[places[run] + self.targets - first[run]] = self.weights >> shift
+        return np.stack([first, places, lengths], axis=1), per_row, pool
+
+
+def _trailing_zeros(bits):
+    bits = int(bits)
+    return (bits & -bits).bit_length() - 1 if bits else 0
+
+
+def _routes(emulator, pools):
+    """From each input and block to each synapse, in the order in which the emulator adds."""
+    synapses, info, inputs = emulator.synapses, emulator.block_info, emulator.inputs
+    order = {synapse: i for i, synapse in enumerate(synapses.slices)}
+    rule = {synapse: k for k, synapse in enumerate(synapses.traces)}
+    trace0 = dict(zip(rule, np.cumsum([0, *(s.n_axons for s in rule)]).tolist()))
+    sources = [(i, 0, item) for i, item in enumerate(inputs)]
+    sources += [(len(inputs) + b, info.slices[k].start, k) for b, k in enumerate(info.blocks)]
+    found = [(axon.target, axon, *source) for source in sources for axon in source[2].axons]
+    found.sort(key=lambda route: order[route[0]])  # leaves the order of a synapse's routes
+    number = {block: b for b, block in enumerate(info.blocks)}
+    table, columns, size = [], [], 0
+    for synapse, axon, source, start, sender in found:
+        index, atom = _mapped(axon, sender.n_neurons)
+        row, base = _rows_of(synapse, index, atom, pools)
+        part = synapses.slices[synapse]
+        reach = np.where(row >= 0, base + pools.reach[synapse][1][row], 0)
+        depth = np.where(row >= 0, base + pools.reach[synapse][0][row], 0)
+        if np.any(reach >= part.stop - part.start) or np.any(depth < 0):
+            raise Unforeseen("a weight to a compartment that its block does not have")
+        traced = synapse in rule
+        if traced and np.any(index >= synapse.n_axons):
+            raise Unforeseen("an axon that its synapse does not have")
+        columns.append(
+            (
+                np.where(row >= 0, pools.first_row[synapse] + row, -1),
+                base + part.start,
+                np.where(index >= 0, trace0[synapse] + index, -1) if traced else index * 0 - 1,
+            )
+        )
+        table.append(
+            (
+                source,
+                size - start,
+                number[synapses.block_map[synapse]],
+                not pools.narrow[synapse],
+                pools.largest[synapse],
+                rule.get(synapse, -1),
+            )
+        )
+        size += sender.n_neurons
+    entries = np.concatenate([np.zeros((3, 0), np.int32), *columns], axis=1)
+    return np.array(table, np.int64).reshape(-1, 6), entries.astype(np.int32)
+
+
+def _mapped(axon, n):
+    """Axon and atom of the spike of each neuron of a source; the axon is negative for none."""
+    for given in (axon.compartment_map, axon.compartment_atoms):
+        if given is not None and len(given) < n:
+            raise Unforeseen("an axon that has no place for all neurons")
+    who = np.arange(n)
+    index, atom = np.asarray(axon.map_axon(who)), np.asarray(axon.map_atoms(who))
+    if n and not (index.dtype.kind in "iu" and atom.dtype.kind in "iu"):
+        raise Unforeseen("axons that are not numbered by integers")
+    return index.astype(np.int64), atom.astype(np.int64)
+
+
+def _rows_of(synapse, index, atom, pools):
+    """The row of a synapse (-1: none) and the first compartment, for each axon and atom."""
+    used = index >= 0
+    base = np.zeros(len(index), np.int64)
+    if synapse.axon_compartment_bases is not None:
+        bases = np.asarray(synapse.axon_compartment_bases)
+        if np.any(index >= len(bases)):
+            raise Unforeseen("an axon that its synapse does not have")
+        base[used] = bases[index[used]]
+        used = used & (base >= 0)
+    row = np.full(len(index), -1)
+    of = synapse.axon_to_weight_map
+    try:
+        row[used] = [of[i] for i in index[used].tolist()] if of is not None else index[used]
+    except (KeyError, IndexError):
+        raise Unforeseen("an axon that its synapse does not have") from None
+    n_atoms = pools.atoms[synapse]
+    if np.any(used & ((row < 0) | (row >= len(synapse.weights)))):
+        raise Unforeseen("an axon that its synapse does not have")
+    if np.any(used & ((atom < 0) | (atom >= n_atoms))):
+        raise Unforeseen("an atom that its synapse does not have")
+    return np.where(used, row * n_atoms + atom, -1), np.where(used, base, 0)
+
+
+def _learning(synapses, pools, integers):
+    """``rules`` and ``rates``."""
+    rules, rates = [], []
+    trace = error = 0
+    for s in synapses.traces:
+        n, n_errors = s.n_axons, len(synapses.pes_errors[s])
+        product = old = new = bits = limit = 0
+        rate = s._lr_int if integers else 0
+        if integers:
+            exponent, spare = s.synapse_cfg.real_weight_exp, s.synapse_cfg.shift_bits
+            product = LEARN_FRAC + s._lr_exp - learn_overflow_bits(n_factors=2)
+            old, new = LEARN_FRAC - exponent, exponent + spare
+            bits, limit = LEARN_FRAC + spare, 2 ** (8 - spare) - 1
+            if not (abs(product) < 32 and abs(old) < 32 and 0 <= new < 32 and 0 < bits < 28):
+                raise Unforeseen("learning with shifts beyond 32 bits")
+            if not -(2**31) <= rate < 2**31 or not 0 <= s.tracing_mag < 2**30:
+                raise Unforeseen("a learning rate beyond 32 bits")
+        elif int(np.__version__.split(".")[0]) < 2:
+            raise Unforeseen("learning in floating point as NumPy 1 rounds it")
+        product_type = (s.learning_rate * np.ones(1, np.float32)).dtype
+        rules.append(
+            (trace, trace + n, error, error + n_errors, pools.place(s), s.train_epoch,
+             s.learn_epoch, rate, product, old, bits, new, limit, product_type == np.float64)
+        )  # fmt: skip
+        rates.append((np.exp(-s.train_epoch / s.tracing_tau), s.tracing_mag, s.learning_rate))
+        trace, error = trace + n, error + n_errors
+    return np.array(rules, np.int64).reshape(-1, 14), np.array(rates, float).reshape(-1, 3)
+
+
+def _recorded(probes):
+    """The runs of compartments that are probed, the width of each key, each probe's columns."""
+    runs, columns, widths = [], {}, [0] * len(KEYS)
+    for probe, blocks in probes.probes.items():
+        if probe.key not in KEYS:
+            raise Unforeseen(f"a probe of {probe.key!r}")
+        key = KEYS.index(probe.key)
+        parts = []
+        for part, chosen in zip(blocks.values(), probe.slice):
+            where = np.arange(part.start, part.stop)[chosen]
+            if where.ndim != 1:
+                raise Unforeseen("a probe of a single compartment by its number")
+            starts = np.flatnonzero(np.diff(where, prepend=-2) != 1)
+            lengths = np.diff(np.append(starts, len(where)))
+            runs += [
+                (key, where[at], length, widths[key] + at)
+                for at, length in zip(starts.tolist(), lengths.tolist())
+            ]
+            parts.append(slice(widths[key], widths[key] + len(where)))
+            widths[key] += len(where)
+        columns[probe] = (key, parts)
+    return np.array(runs, np.int64).reshape(-1, 4), widths, columns

@@ -1,0 +1,224 @@
+"""The arrays that the kernel works on, for one emulator; and the spikes of its inputs."""
+
+from __future__ import annotations
+
+import ctypes
+from types import SimpleNamespace
+
+import numpy as np
+from nengo_loihi.emulator.interface import CompartmentState, SynapseState
+
+from .layout import Unforeseen, make_layout
+
+ROWS = ("current", "voltage", "input", "bias", "vth")  # of `cells`, as NengoLoihi calls them
+COUNTERS = ("ref_count", "spike_count")  # of `counters`
+
+HISTORY = 32 << 20  # bytes of probed values in one call of the kernel
+AT_ONCE = 1 << 28  # updates of compartments in one call, after which Ctrl-C is heard: half a second
+LOG = 256  # lines of the kernel's log of warnings
+
+_NOTHING = np.zeros(0, np.int64)
+
+
+def words_of(rng):
+    """The memory of a `RandomState`: 624 words of 32 bits and the position of the next one."""
+    name, words, position, *_ = rng.get_state()
+    if name == "MT19937":
+        address = rng._bit_generator.ctypes.state_address
+        memory = np.ctypeslib.as_array((ctypes.c_uint32 * 625).from_address(address))
+        if np.array_equal(memory, np.append(words, position).astype(np.uint32)):
+            return memory
+    raise Unforeseen("random numbers that NumPy keeps in another way")
+
+
+class Link:
+    """The arrays of the kernel for one emulator.
+
+    Attributes
+    ----------
+    layout : Layout
+    cells, counters, spiked, before, traces, pending, errors, wide : ndarray
+        The state: see the kernel.  ``before`` are the spikes before the last step.
+    last_spikes : list
+        Of each input, the spikes that arrived in the last step.
+    draws : bool
+        Whether anything depends on random numbers; else the kernel leaves them out.
+    owed : int
+        Steps whose random numbers were left out.
+    """
+
+    def __init__(self, emulator, kernel):
+        if type(emulator.compartment) is not CompartmentState:
+            raise Unforeseen(f"compartments of the class {type(emulator.compartment).__name__}")
+        self.layout = layout = make_layout(emulator)
+        self.words = words_of(vars(emulator)["rng"])
+        state, synapses = emulator.compartment, emulator.synapses
+        n, dtype = emulator.block_info.n_compartments, state.dtype
+        integers = dtype == np.int32
+        self._kernel = kernel
+        self._advance = kernel.advance_integers if integers else kernel.advance_floats
+        self._skip = (kernel.skip_samples, n) if integers else (kernel.skip_words, 2 * n)
+        self.cells = np.zeros((len(ROWS), n), dtype)
+        self.counters = np.zeros((len(COUNTERS), n), np.int32)
+        for row, name in enumerate(ROWS):
+            self.cells[row] = getattr(state, name).reshape(n)
+        for row, name in enumerate(COUNTERS):
+            self.counters[row] = getattr(state, name)
+        # The kernel looks at eight spikes at a time.
+        self.spiked, self.before = (np.zeros(-(-n // 8) * 8, np.uint8) for _ in range(2))
+        self.spiked[:n] = state.spiked
+        self._n = n
+        sizes = [s.n_axons for s in synapses.traces]
+        self.first_trace = dict(zip(synapses.traces, np.cumsum([0, *sizes]).tolist()))
+        self.traces, self.pending = np.zeros(sum(sizes), dtype), np.zeros(sum(sizes), np.uint8)
+        self.errors = np.zeros(sum(map(len, synapses.pes_errors.values())), dtype)
+        error = 0
+        for s, first in self.first_trace.items():
+            self.traces[first : first + s.n_axons] = synapses.traces[s]
+            self.pending[[first + axon for axon in synapses.trace_spikes[s]]] = 1
+            self.errors[error : error + len(synapses.pes_errors[s])] = synapses.pes_errors[s]
+            error += len(synapses.pes_errors[s])
+        self.wide = layout.network[8]
+        self.draws = bool(layout.is_noisy or (integers and sizes))
+        self.owed = 0
+        self.has_probes = bool(layout.columns)
+        self._spikes_in = synapses.spikes_in  # of a step before the first of ours
+        self.last_spikes = None
+        self.at_once = max(
+            1, min(AT_ONCE // max(n, 1000), HISTORY // max(1, 4 * sum(layout.widths)))
+        )
+        self.log = np.zeros((LOG + 3 * len(sizes), 2), np.int64)
+        self._types = [dtype, dtype, np.uint8]
+        self._empty = [np.zeros((1, 0), kind) for kind in self._types]
+        self.histories = self._empty
+        self._inputs, self._axons = list(emulator.inputs), emulator.axons
+        most = max([s.n_axons * max(1, len(e) * 2) for s, e in synapses.pes_errors.items()] + [n])
+        scratch = (
+            np.zeros(n, np.int64),  # events
+            np.zeros(len(emulator.block_info.blocks) + 1, np.int64),  # their ends
+            np.zeros(len(self.spiked) // 8 + 1, np.int32),  # words in use
+            np.zeros((len(emulator.block_info.blocks), 2), np.int64),
+            np.zeros(len(sizes), np.int64),  # spikes lost
+            np.zeros(len(layout.network[0]), np.uint8),  # whether a segment waits
+            np.zeros(2 * most, np.uint32),  # random numbers
+            np.zeros(most, dtype),
+            np.zeros(n, dtype),
+        )
+        self._arguments = (
+            self.cells, self.counters, self.spiked, self.spiked.view(np.uint64), self.before,
+            *layout.network, *layout.learning, self.traces, self.pending, self.errors,
+            *layout.noise, *scratch,
+        )  # fmt: skip
+
+    def state_arrays(self):
+        """The arrays of the compartments, by their names in NengoLoihi."""
+        arrays = dict(zip(ROWS, self.cells))
+        arrays.update(zip(COUNTERS, self.counters))
+        arrays["input"] = arrays["input"].reshape(1, -1)
+        arrays["spiked"] = self.spiked[: self._n].view(bool)
+        return arrays
+
+    def learn_from(self, synapses):
+        """Make traces, errors and weights of the synapses that learn parts of ours."""
+        error = 0
+        for s, first in self.first_trace.items():
+            n_errors = len(synapses.pes_errors[s])
+            synapses.traces[s] = self.traces[first : first + s.n_axons]
+            synapses.pes_errors[s] = self.errors[error : error + n_errors]
+            error += n_errors
+            s.weights[:] = self.layout.weights[s]
+
+    def run(self, emulator, steps, arriving, careful):
+        """Call the kernel; how many steps it did."""
+        layout = self.layout
+        if self.has_probes:
+            self.histories = [
+                np.empty((steps, width), kind) if width else empty
+                for width, kind, empty in zip(layout.widths, self._types, self._empty)
+            ]
+        self.log[0, 0] = 0
+        done = self._advance(
+            *self._arguments, self.words, layout.recorded, layout.is_noisy, self.draws,
+            emulator.t, steps, arriving.spikes, arriving.ends, *self.histories, self.log, careful,
+        )  # fmt: skip
+        if done < 0:
+            raise Unforeseen(
+                "spikes of neurons that an input does not have, or a voltage of -2**31"
+            )
+        return done
+
+    def copy(self):
+        """What a call of the kernel changes."""
+        learned = self.wide if len(self.traces) else _NOTHING
+        changed = (self.cells, self.counters, self.spiked, self.before, self.traces, self.pending)
+        return [array.copy() for array in (*changed, learned, self.words)]
+
+    def restore(self, kept):
+        learned = self.wide if len(self.traces) else _NOTHING
+        changed = (self.cells, self.counters, self.spiked, self.before, self.traces, self.pending)
+        for array, before in zip((*changed, learned, self.words), kept):
+            array[...] = before
+
+    def settle_random(self, n):
+        """Draw the random numbers that were left out."""
+        if self.owed:
+            skip, each = self._skip
+            skip(self.words, each * self.owed)
+            self.owed = 0
+
+    def trace_spikes(self, synapses):
+        return {
+            s: set(np.flatnonzero(self.pending[first : first + s.n_axons]).tolist())
+            for s, first in self.first_trace.items()
+        }
+
+    def spikes_in(self, synapses):
+        """Worked out by NengoLoihi's own method, from the spikes before the last step."""
+        if self.last_spikes is None:
+            return self._spikes_in
+        sources = [
+            SimpleNamespace(axons=item.axons, spike_idxs=lambda t, spikes=spikes: spikes)
+            for item, spikes in zip(self._inputs, self.last_spikes)
+        ]
+        found = SimpleNamespace(spikes_in={s: [] for s in synapses.slices})
+        spiked = self.before[: self._n].view(bool)
+        SynapseState.inject_current(found, 2, sources, self._axons, spiked)
+        return found.spikes_in
+
+
+class Arriving:
+    """The spikes of the inputs that arrive in some steps; those sent in a step do in the next.
+
+    Attributes
+    ----------
+    spikes : int64 array
+        Of all steps, one input after the other in each.
+    ends : (n_steps * n_inputs + 1,) int64 array
+        Where those of each step and input end, after a 0.
+    """
+
+    def __init__(self, inputs, t, steps):
+        self._t, self._n = t, len(inputs)
+        self._lists = [
+            item.spikes.get(sent, []) if sent else []
+            for sent in range(t, t + steps)
+            for item in inputs
+        ]
+        self.ends = np.zeros(len(self._lists) + 1, np.int64)
+        self.ends[1:] = np.cumsum([len(spikes) for spikes in self._lists])
+        found = [np.asarray(spikes) for spikes in self._lists if len(spikes)]
+        if any(spikes.dtype.kind not in "iu" or spikes.ndim != 1 for spikes in found):
+            raise Unforeseen("spikes of an input that are not numbered by integers")
+        spikes = found[0] if len(found) == 1 else np.concatenate(found) if found else _NOTHING
+        self.spikes = np.ascontiguousarray(spikes, np.int64)
+
+    def of_step(self, step):
+        """The spikes of each input in a step."""
+        return self._lists[step * self._n : (step + 1) * self._n]
+
+    def forget(self, inputs, done):
+        """Delete the spikes of the first steps, as NengoLoihi does after use."""
+        for item in inputs:
+            for sent in range(max(self._t, 1), self._t + done):
+                if sent not in item.permanent:
+                    item.spikes.pop(sent, None)

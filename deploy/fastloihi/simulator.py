@@ -1,0 +1,63 @@
+"""`FastSimulator` and `accelerate`: what users call."""
+
+from __future__ import annotations
+
+import nengo_loihi
+from nengo.exceptions import ValidationError
+from nengo_loihi.emulator.interface import EmulatorInterface
+
+from .emulator import FastEmulator, say_once, take_over
+
+
+class FastSimulator(nengo_loihi.Simulator):
+    """NengoLoihi's `Simulator` with a fast emulator: the same results, bit for bit.
+
+    Parameters
+    ----------
+    network : nengo.Network
+    *args, **kwargs
+        As `nengo_loihi.Simulator` takes them.  ``target`` is ``"sim"`` unless it is given, also
+        where NxSDK is installed.
+
+    Notes
+    -----
+    The first step that a machine ever does takes some five seconds more, which compile the kernel.
+    Without Numba, NengoLoihi's own emulator runs, and one warning says so.
+    """
+
+    def __init__(self, network, *args, **kwargs):
+        if len(args) < 5 and kwargs.get("target") is None:  # target is the sixth of all
+            kwargs["target"] = "sim"
+        super().__init__(network, *args, **kwargs)
+        if "emulator" in self.sims:
+            accelerate(self)
+
+
+def accelerate(simulator):
+    """Let a `nengo_loihi.Simulator` go on with the fast emulator.
+
+    Parameters
+    ----------
+    simulator : nengo_loihi.Simulator
+        With any target but ``"loihi"``.  It may have run before.
+
+    Returns
+    -------
+    nengo_loihi.Simulator
+        The same one.
+
+    Raises
+    ------
+    nengo.exceptions.ValidationError
+        It runs on a board.
+    """
+    if "emulator" not in simulator.sims:
+        raise ValidationError("must have an emulator to be accelerated", attr="target")
+    emulator = simulator.sims["emulator"]
+    if isinstance(emulator, FastEmulator) or emulator.closed:
+        return simulator
+    if type(emulator) is not EmulatorInterface:
+        say_once(f"an emulator of the class {type(emulator).__name__} is left as it is")
+        return simulator
+    take_over(emulator)
+    return simulator

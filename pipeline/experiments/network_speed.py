@@ -1,0 +1,244 @@
+"""How fast `FastSimulator` is beside NengoLoihi's `Simulator`, on networks of NengoLoihi's users.
+
+Both take turns in one process, and each turn gives one ratio of processor time: on a machine with
+other work, the two slow down together.  Building and compiling are in no figure.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import nengo
+import numpy as np
+
+from deploy.fastloihi import FastSimulator
+from deploy.network.loihi_import import nengo_loihi
+from deploy.tables import aligned
+from pipeline.progress import progress
+
+TURNS = 4
+SEED = 5
+
+
+def channel(n: int = 1000):
+    """Two ensembles of n neurons, the second hears the first."""
+    with nengo.Network(seed=1) as network:
+        wave = nengo.Node(lambda t: np.sin(2 * np.pi * t))
+        first, second = nengo.Ensemble(n, 1), nengo.Ensemble(n, 1)
+        nengo.Connection(wave, first)
+        nengo.Connection(first, second)
+        return network, nengo.Probe(second, synapse=0.01)
+
+
+def integrator(n: int = 1000):
+    """An ensemble of n neurons that hears itself."""
+    with nengo.Network(seed=1) as network:
+        pulse = nengo.Node(lambda t: float(t < 0.1))
+        ensemble = nengo.Ensemble(n, 1)
+        nengo.Connection(pulse, ensemble, transform=0.1, synapse=0.1)
+        nengo.Connection(ensemble, ensemble, synapse=0.1)
+        return network, nengo.Probe(ensemble, synapse=0.01)
+
+
+def recurrent(n: int = 1000):
+    """n neurons, each with a weight to each."""
+    weights = np.random.RandomState(3).normal(size=(n, n), scale=1e-3)
+    with nengo.Network(seed=1) as network:
+        neurons = nengo.Ensemble(
+            n,
+            1,
+            max_rates=nengo.dists.Uniform(50, 100),
+            intercepts=nengo.dists.Uniform(-0.9, 0),
+        ).neurons
+        nengo.Connection(neurons, neurons, transform=weights, synapse=0.005)
+        return network, nengo.Probe(neurons)
+
+
+def learning(n: int = 1000):
+    """PES on the chip from n neurons; the host works out the error at every step."""
+    with nengo.Network(seed=1) as network:
+        wave = nengo.Node(lambda t: np.sin(2 * np.pi * t))
+        error, result = nengo.Node(size_in=1), nengo.Node(size_in=1)
+        ensemble = nengo.Ensemble(n, 1)
+        nengo.Connection(wave, ensemble)
+        learned = nengo.Connection(
+            ensemble, result, function=lambda x: 0, learning_rule_type=nengo.PES(1e-3)
+        )
+        nengo.Connection(result, error)
+        nengo.Connection(wave, error, transform=-1)
+        nengo.Connection(error, learned.learning_rule)
+        return network, nengo.Probe(result, synapse=0.02)
+
+
+def convolutions(size: int = 28):
+    """Three convolutions on the chip, 3,488 compartments, after one on the host."""
+    image = np.random.RandomState(0).uniform(-1, 1, size=size * size)
+    with nengo.Network(seed=1) as network:
+        nengo_loihi.add_params(network)
+        ensembles = network.config[nengo.Ensemble]
+        ensembles.neuron_type = nengo.SpikingRectifiedLinear(amplitude=1e-2)
+        ensembles.max_rates = nengo.dists.Choice([100])
+        ensembles.intercepts = nengo.dists.Choice([0])
+        network.config[nengo.Connection].synapse = 0.005
+        source, shape = nengo.Node(image), (size, size, 1)
+        for filters, kernel, stride in ((4, 1, 1), (8, 3, 2), (16, 3, 1), (8, 3, 2)):
+            transform = nengo.Convolution(
+                filters, shape, kernel_size=(kernel, kernel), strides=(stride, stride),
+                init=nengo.dists.Uniform(-1, 1),
+            )  # fmt: skip
+            layer = nengo.Ensemble(transform.output_shape.size, 1)
+            if kernel == 1:
+                network.config[layer].on_chip = False
+            else:
+                network.config[layer].block_shape = nengo_loihi.BlockShape(
+                    (7, 7, 8), transform.output_shape.shape
+                )
+            nengo.Connection(source, layer.neurons, transform=transform)
+            source, shape = layer.neurons, transform.output_shape
+        return network, nengo.Probe(source)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A network, and how many steps of it a measurement runs."""
+
+    title: str
+    make: Callable
+    steps: int
+
+
+CASES = (
+    Case("channel, two ensembles of 1,000", channel, 4000),
+    Case("integrator of 1,000", integrator, 4000),
+    Case("recurrent, 1,000 x 1,000 neurons", recurrent, 1000),
+    Case("PES, 1,000 neurons", learning, 400),
+    Case("PES, 100 neurons", lambda: learning(100), 1000),
+    Case("three convolutions, 3,488 compartments", convolutions, 400),
+)
+
+
+class _Timed:
+    """A simulator, and the processor time of its emulator and of Nengo's simulators of the host."""
+
+    def __init__(self, kind, make):
+        network, self.probe = make()
+        self.simulator = kind(network, target="sim", seed=SEED)
+        self.emulator = self.host = self.whole = 0.0
+        for name, part in self.simulator.sims.items():
+            # As NengoLoihi calls them: one step after the other if the chip needs the host.
+            method = "run_steps" if self.simulator.precompute or len(self._hosts) == 0 else "step"
+            setattr(part, method, self._counted(getattr(part, method), name))
+        self.simulator._runner = type(self.simulator._runner)(
+            self.simulator.model,
+            self.simulator.sims,
+            self.simulator.precompute,
+            self.simulator.timers,
+        )
+
+    @property
+    def _hosts(self):
+        return [name for name in self.simulator.sims if name != "emulator"]
+
+    def _counted(self, method, name):
+        field = "emulator" if name == "emulator" else "host"
+
+        def call(*arguments):
+            begun = time.thread_time()
+            method(*arguments)
+            setattr(self, field, getattr(self, field) + time.thread_time() - begun)
+
+        return call
+
+    def run(self, steps):
+        """Seconds of the emulator, of the host and of everything; and what was probed."""
+        self.emulator = self.host = 0.0
+        begun = time.thread_time()
+        self.simulator.run_steps(steps)
+        whole = time.thread_time() - begun
+        return np.array([self.emulator, self.host, whole]), self.simulator.data[self.probe]
+
+    def state(self):
+        compartments = self.simulator.sims["emulator"].compartment
+        return [compartments.voltage, compartments.current, compartments.spike_count]
+
+
+def measure_networks(cases=CASES, turns: int = TURNS) -> dict:
+    """Let NengoLoihi's simulator and the fast one take turns over some networks.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+    turns : int
+        In how many parts the steps of a case are run; ratios are medians over them.
+
+    Returns
+    -------
+    dict
+        Ready for JSON: ``identical``, and a row for each network.
+    """
+    rows = []
+    with progress("networks", len(cases)) as advance, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for case in cases:
+            rows.append(_measure(case, turns))
+            advance()
+    return {"identical": all(row["identical"] for row in rows), "turns": turns, "rows": rows}
+
+
+def _measure(case, turns):
+    pair = [_Timed(kind, case.make) for kind in (nengo_loihi.Simulator, FastSimulator)]
+    seconds, identical = [], True
+    for simulator in pair:
+        simulator.run(20)  # compiles, and fills caches
+    for _ in range(turns):
+        (plain, expected), (fast, found) = (one.run(case.steps // turns) for one in pair)
+        identical &= np.array_equal(expected, found)
+        seconds.append((plain, fast))
+    states = [one.state() for one in pair]
+    identical &= all(np.array_equal(a, b) for a, b in zip(*states, strict=True))
+    compartments = len(states[0][0])
+    for one in pair:
+        one.simulator.close()
+    plain, fast = np.moveaxis(np.array(seconds), 1, 0)
+    emulator, host, whole = np.median(fast, axis=0)
+    return {
+        "network": case.title,
+        "compartments": compartments,
+        "steps": case.steps // turns * turns,
+        "identical": bool(identical),
+        "ratio_emulator": float(np.median(plain[:, 0] / fast[:, 0])),
+        "ratio_whole": float(np.median(plain[:, 2] / fast[:, 2])),
+        "microseconds_a_step": float(1e6 * emulator * turns / case.steps),
+        "share_of_host": float(host / whole),
+        "share_of_emulator": float(emulator / whole),
+    }
+
+
+def networks_text(result: dict) -> str:
+    """The result as a table."""
+    rows = [["network", "steps", "emulator", "whole run", "us a step", "Nengo's host", "emulator"]]
+    rows += [
+        [
+            row["network"],
+            str(row["steps"]),
+            f"{row['ratio_emulator']:.0f}x",
+            f"{row['ratio_whole']:.1f}x",
+            f"{row['microseconds_a_step']:.1f}",
+            f"{row['share_of_host']:.0%}",
+            f"{row['share_of_emulator']:.0%}",
+        ]
+        for row in result["rows"]
+    ]
+    verdict = "every voltage, current and spike" if result["identical"] else "NO: they differ"
+    return "\n".join(
+        [
+            "FastSimulator beside NengoLoihi's Simulator: how many times as fast, in processor "
+            f"time of one thread, medians of {result['turns']} turns",
+            f"identical: {verdict}",
+            *aligned(rows),
+            "the last two: shares of the whole run with FastSimulator",
+        ]
+    )

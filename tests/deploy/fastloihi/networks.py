@@ -1,0 +1,102 @@
+"""Networks as NengoLoihi's users write them, each with what to look at."""
+
+from __future__ import annotations
+
+import nengo
+import numpy as np
+
+from deploy.network.loihi_import import nengo_loihi
+
+
+def channel(n=40):
+    """A communication channel: two ensembles on the chip, the first driven from the host."""
+    with nengo.Network(seed=1) as network:
+        wave = nengo.Node(lambda t: np.sin(20 * t))
+        a, b = nengo.Ensemble(n, 1), nengo.Ensemble(n, 1)
+        nengo.Connection(wave, a)
+        nengo.Connection(a, b)
+        return network, [nengo.Probe(b, synapse=0.01), nengo.Probe(a.neurons)]
+
+
+def integrator(n=40):
+    """An ensemble that is connected to itself."""
+    with nengo.Network(seed=1) as network:
+        pulse = nengo.Node(lambda t: float(t < 0.03))
+        a = nengo.Ensemble(n, 1)
+        nengo.Connection(pulse, a, transform=0.1, synapse=0.1)
+        nengo.Connection(a, a, synapse=0.1)
+        return network, [nengo.Probe(a, synapse=0.01), nengo.Probe(a.neurons, "voltage")]
+
+
+def recurrent(n=40):
+    """Neurons that are connected to neurons, in a loop."""
+    weights = np.random.RandomState(3).normal(size=(n, n), scale=1e-2)
+    with nengo.Network(seed=1) as network:
+        a = nengo.Ensemble(n, 1, intercepts=nengo.dists.Uniform(-0.9, 0))
+        nengo.Connection(a.neurons, a.neurons, transform=weights, synapse=0.005)
+        return network, [nengo.Probe(a.neurons)]
+
+
+def learning(n=40):
+    """PES on the chip: the error is worked out on the host at every step."""
+    with nengo.Network(seed=1) as network:
+        wave = nengo.Node(lambda t: np.sin(20 * t))
+        error, result = nengo.Node(size_in=1), nengo.Node(size_in=1)
+        a = nengo.Ensemble(n, 1)
+        nengo.Connection(wave, a)
+        learned = nengo.Connection(
+            a, result, function=lambda x: 0, learning_rule_type=nengo.PES(1e-3)
+        )
+        nengo.Connection(result, error)
+        nengo.Connection(wave, error, transform=-1)
+        nengo.Connection(error, learned.learning_rule)
+        return network, [nengo.Probe(result, synapse=0.02)]
+
+
+def feedback(n=40):
+    """What the chip answers goes through a function on the host and back at every step."""
+    with nengo.Network(seed=1) as network:
+        host = nengo.Node(lambda t, x: np.cos(20 * t) - 0.5 * x, size_in=1)
+        a = nengo.Ensemble(n, 1)
+        nengo.Connection(host, a)
+        nengo.Connection(a, host, synapse=0.01)
+        return network, [nengo.Probe(host), nengo.Probe(a.neurons)]
+
+
+def convolution(size=8):
+    """A layer on the host and two on the chip, with population axons and several blocks."""
+    image = np.random.RandomState(0).uniform(-1, 1, size=size * size)
+    with nengo.Network(seed=1) as network:
+        nengo_loihi.add_params(network)
+        ensembles = network.config[nengo.Ensemble]
+        ensembles.neuron_type = nengo.SpikingRectifiedLinear(amplitude=1e-2)
+        ensembles.max_rates = nengo.dists.Choice([100])
+        ensembles.intercepts = nengo.dists.Choice([0])
+        network.config[nengo.Connection].synapse = 0.005
+        source, shape, layers = nengo.Node(image), (size, size, 1), []
+        for filters, stride, on_chip in ((2, 1, False), (4, 1, True), (6, 2, True)):
+            transform = nengo.Convolution(
+                filters, shape, kernel_size=(3, 3), strides=(stride, stride),
+                init=nengo.dists.Uniform(-1, 1),
+            )  # fmt: skip
+            layer = nengo.Ensemble(transform.output_shape.size, 1)
+            if on_chip:
+                network.config[layer].block_shape = nengo_loihi.BlockShape(
+                    (2, 3, filters), transform.output_shape.shape
+                )
+            else:
+                network.config[layer].on_chip = False
+            nengo.Connection(source, layer.neurons, transform=transform)
+            source, shape = layer.neurons, transform.output_shape
+            layers.append(layer)
+        return network, [nengo.Probe(layer.neurons) for layer in layers]
+
+
+NETWORKS = {
+    "channel": channel,
+    "integrator": integrator,
+    "recurrent": recurrent,
+    "learning": learning,
+    "feedback": feedback,
+    "convolution": convolution,
+}

@@ -1,0 +1,261 @@
+"""What the kernel does not do is left to NengoLoihi's own steps, errors included, and said once."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+import scipy.sparse
+
+pytest.importorskip("numba")
+from deploy.network.loihi_import import nengo_loihi  # noqa: F401, I001  (the substitutions first)
+from deploy.fastloihi import FastEmulator, NotAccelerated, emulator
+from nengo_loihi.block import Axon, LoihiBlock, Synapse
+from nengo_loihi.builder import Model
+from nengo_loihi.builder.discretize import discretize_model
+from nengo_loihi.emulator.interface import EmulatorInterface
+from nengo_loihi.inputs import SpikeInput
+from nengo_loihi.probe import LoihiProbe
+
+from tests.deploy.fastloihi.comparison import Outcome, assert_same, state_of
+
+N = 6
+
+
+class Parts:
+    """An input of as many neurons as a block, a synapse between them, and a probe."""
+
+    def __init__(self):
+        rng = np.random.RandomState(0)
+        self.model, self.block, self.input = Model(), LoihiBlock(N), SpikeInput(N)
+        self.block.compartment.configure_lif(tau_ref=0.001)
+        self.synapse, self.axon = Synapse(N), Axon(N)
+        self.synapse.set_weights(rng.uniform(0.5, 2, size=(N, N)))
+        self.axon.target = self.synapse
+        self.block.add_synapse(self.synapse)
+        self.input.add_axon(self.axon)
+        self.probe = LoihiProbe(target=[self.block], key="voltage")
+        self.discretized, self.spikes = True, [[0, 1], [2, 5], [5], [], [1, 3, 4], [0]]
+
+    def emulator(self, kind):
+        self.model.add_block(self.block)
+        self.model.add_input(self.input)
+        self.model.add_probe(self.probe)
+        if self.discretized:
+            discretize_model(self.model)
+        self.finish()
+        for t, spikes in enumerate(self.spikes):
+            self.input.add_spikes(t + 1, np.array(spikes, int))
+        return kind(self.model, seed=1)
+
+    def finish(self):
+        """What is changed after discretising."""
+
+
+def axon_beyond_its_synapse(parts):
+    parts.axon.set_compartment_axon_map(np.array([0, 1, 2, 3, 4, 9]))
+
+
+def weights_beyond_the_list(parts):
+    parts.synapse.axon_to_weight_map = {i: i for i in range(N - 1)}
+
+
+def negative_number_of_weights(parts):
+    parts.synapse.axon_to_weight_map = {i: i - 1 for i in range(N)}
+
+
+def atom_that_is_not_there(parts):
+    parts.axon.set_compartment_axon_map(np.arange(N), atoms=np.array([0, 0, 0, 0, 0, 1]))
+
+
+def map_that_is_too_short(parts):
+    parts.axon.set_compartment_axon_map(np.arange(3))
+
+
+def compartment_that_is_not_there(parts):
+    parts.finish = lambda: parts.synapse.indices[5].__iadd__(1)
+
+
+def base_beyond_the_block(parts):
+    parts.synapse.axon_compartment_bases = [0, 0, 1, 0, 0, 0]
+
+
+def sparse_weights_that_learn(parts):
+    parts.synapse.set_weights(scipy.sparse.csr_matrix(np.eye(N)))
+    parts.synapse.set_learning(tracing_mag=20.0)
+
+
+def odd_block_that_learns(parts):
+    parts.block = LoihiBlock(N + 1)
+    parts.block.compartment.configure_lif()
+    parts.synapse.set_weights(np.ones((N, N + 1)))
+    parts.block.add_synapse(parts.synapse)
+    parts.probe = LoihiProbe(target=[parts.block], key="voltage")
+    parts.synapse.set_learning(tracing_mag=20.0)
+
+
+def shifts_beyond_32_bits(parts):
+    parts.synapse.set_learning(tracing_mag=20.0)
+    parts.finish = lambda: parts.synapse.format(weight_exp=-20)
+
+
+def weights_of_64_bits(parts):
+    def finish():
+        parts.synapse.weights[:] = [w.astype(np.int64) for w in parts.synapse.weights]
+
+    parts.finish = finish
+
+
+def weights_of_double_precision(parts):
+    def finish():
+        parts.synapse.weights[:] = [w.astype(np.float64) for w in parts.synapse.weights]
+
+    parts.finish, parts.discretized = finish, False
+
+
+def lowest_voltage_of_32_bits(parts):
+    def finish():
+        parts.block.compartment.vmin = -(2**31)
+        parts.block.compartment.bias[:] = -(2**23)
+
+    parts.finish = finish
+
+
+def decay_beyond_12_bits(parts):
+    parts.finish = lambda: parts.block.compartment.decay_v.__iadd__(4096)
+
+
+def noise_beyond_32_bits(parts):
+    def finish():
+        parts.block.compartment.enable_noise[:] = True
+        parts.block.compartment.noise_exp, parts.block.compartment.noise_offset = 23, 3000
+
+    parts.finish = finish
+
+
+def probe_of_something_else(parts):
+    parts.probe = LoihiProbe(target=[parts.block], key="spike_count")
+
+
+def probe_of_nothing(parts):
+    parts.probe = LoihiProbe(target=[parts.block], key="refractory_time")
+
+
+def probe_of_one_number(parts):
+    parts.probe = LoihiProbe(target=[parts.block], key="voltage", slice=[2])
+
+
+def input_of_another_class(parts):
+    class Doubled(SpikeInput):
+        def spike_idxs(self, ti):
+            return np.repeat(super().spike_idxs(ti), 2)
+
+    parts.input.__class__ = Doubled
+
+
+def spike_of_a_neuron_that_is_not_there(parts):
+    parts.spikes[3] = [2, N]
+
+
+def negative_number_of_a_neuron(parts):
+    parts.axon.set_compartment_axon_map(np.arange(N))
+    parts.spikes[3] = [-1]
+
+
+def spikes_as_booleans(parts):
+    def finish():
+        parts.axon.set_compartment_axon_map(np.arange(N))
+        parts.input.add_spikes(7, np.array([True, False, True, False, False, False]))
+
+    parts.finish = finish
+
+
+AT_ONCE = [
+    axon_beyond_its_synapse,
+    weights_beyond_the_list,
+    negative_number_of_weights,
+    atom_that_is_not_there,
+    map_that_is_too_short,
+    compartment_that_is_not_there,
+    base_beyond_the_block,
+    sparse_weights_that_learn,
+    odd_block_that_learns,
+    shifts_beyond_32_bits,
+    weights_of_64_bits,
+    weights_of_double_precision,
+    lowest_voltage_of_32_bits,
+    decay_beyond_12_bits,
+    noise_beyond_32_bits,
+    probe_of_something_else,
+    probe_of_nothing,
+    probe_of_one_number,
+    input_of_another_class,
+]
+IN_A_STEP = [spike_of_a_neuron_that_is_not_there, negative_number_of_a_neuron, spikes_as_booleans]
+
+
+def made(kind, change):
+    parts = Parts()
+    change(parts)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        made = parts.emulator(kind)
+    return made, sum(issubclass(w.category, NotAccelerated) for w in said)
+
+
+@pytest.mark.parametrize("change", AT_ONCE + IN_A_STEP)
+@pytest.mark.parametrize("calls", [[1] * 10, [10], [4, 6]])
+def test_the_answer_is_nengo_loihis(change, calls, monkeypatch):
+    monkeypatch.setattr(EmulatorInterface, "strict", False)
+    monkeypatch.setattr(emulator, "_said", set())
+    plain, _ = made(EmulatorInterface, change)
+    fast, said = made(FastEmulator, change)
+    assert said == (change in AT_ONCE)
+    for steps in calls:
+        expected = Outcome.of(lambda n=steps: plain.run_steps(n))
+        found = Outcome.of(lambda n=steps: fast.run_steps(n))
+        said += sum(issubclass(category, NotAccelerated) for _, category, _ in found.warnings)
+        rest = [w for w in found.warnings if not issubclass(w[1], NotAccelerated)]
+        assert expected == found._replace(warnings=rest)
+        assert_same(state_of(plain), state_of(fast))
+        if expected.error is not None:
+            break
+    assert type(fast) is EmulatorInterface
+    assert said == 1
+
+
+def test_without_a_change_the_kernel_runs():
+    fast, said = made(FastEmulator, lambda parts: None)
+    fast.run_steps(10)
+    assert type(fast) is FastEmulator
+    assert said == 0
+
+
+def test_more_spikes_than_a_sum_of_16_bits_holds(monkeypatch):
+    monkeypatch.setattr(EmulatorInterface, "strict", False)
+
+    def many(parts):
+        # Small, or what 16 bits lose would be no bits of the accumulator; each as large as any.
+        parts.synapse.set_weights(np.ones((N, N)))
+        parts.finish = lambda: [weights.__irshift__(7) for weights in parts.synapse.weights]
+        parts.spikes = [[0] * 5000 + [3] * 900, [1, 2] * 3000, [5] * 259, [4] * 20000]
+
+    plain, _ = made(EmulatorInterface, many)
+    fast, _ = made(FastEmulator, many)
+    for _ in range(6):
+        assert Outcome.of(plain.step) == Outcome.of(fast.step)
+        assert_same(state_of(plain), state_of(fast))
+    assert type(fast) is FastEmulator
+
+
+def test_a_voltage_without_a_positive_counterpart_is_left_to_nengo_loihi(monkeypatch):
+    monkeypatch.setattr(emulator, "_said", set())
+    plain, _ = made(EmulatorInterface, lambda parts: None)
+    fast, _ = made(FastEmulator, lambda parts: None)
+    for chip in (plain, fast):
+        chip.compartment.voltage[1] = -(2**31)
+    plain.run_steps(5)
+    with pytest.warns(NotAccelerated):
+        fast.run_steps(5)
+    assert_same(state_of(plain), state_of(fast))
