@@ -131,9 +131,7 @@ class Pooling:
         """
         rows, columns, channels = input_shape
         if self.size > min(rows, columns):
-            raise ValueError(
-                f"does not fit: its window is larger than its {rows}x{columns} input"
-            )
+            raise ValueError(f"does not fit: its window is larger than its {rows}x{columns} input")
         return (rows // self.size, columns // self.size, channels)
 
     def weight_shapes(self, input_shape) -> dict:

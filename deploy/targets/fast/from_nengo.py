@@ -25,7 +25,7 @@ from .arrays import Network
 from .from_loihi import cannot, chip_arrays
 from .host_stage import HostNeurons, HostOutput
 
-    # Their step functions work on arrays of any shape and do not use random numbers.
+# Their step functions work on arrays of any shape and do not use random numbers.
 HOST_NEURONS = (
     nengo.LIF,
     nengo.SpikingRectifiedLinear,
