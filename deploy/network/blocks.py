@@ -2,8 +2,8 @@
 
 A layer that fits a core is one block.  A larger one is split along rows, columns and channels into
 equal blocks (`nengo_loihi.BlockShape`); of all splits in which every block fits a core, the one
-with the fewest input axons in total is chosen, and of those the one with the fewest blocks.  Axons are
-the cost of a split: an input that two blocks read needs an axon into each.
+with the fewest input axons in total is chosen, and of those the one with the fewest blocks.  Axons
+are the cost of a split: an input that two blocks read needs an axon into each.
 
 The counts are computed here before NengoLoihi makes the blocks; pre-flight counts the blocks made
 (:mod:`deploy.preflight.resources`) and refuses those that do not fit.
