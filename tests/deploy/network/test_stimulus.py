@@ -120,7 +120,7 @@ def test_a_pixel_spikes_at_most_once_a_step():
         assert stimulus.complaint(images, (6, 6, 1), 30) is None
         images[1, 2, 3] = 1.01 * most
         said = stimulus.complaint(images, (6, 6, 1), 30)
-        assert said.startswith(f"a pixel is {1.01 * most:g}, and at {rate:g} spikes a second")
+        assert f"{1.01 * most:g}" in said and f"{rate:g}" in said
         assert ImageCurrent().complaint(images, (6, 6, 1), 30) is None
 
 
