@@ -20,7 +20,7 @@ def test_images_that_cannot_be_spikes_are_refused_before_there_is_a_bundle():
     images[1, 4, 5] = 63
     data = images, np.zeros(2, int)
     counts = Settings().with_values({"image": {"normalisation": "none"}})
-    with pytest.raises(UserError, match=r"'image.normalisation' 'none': a pixel is 63, .* choose"):
+    with pytest.raises(UserError, match=r"'image.normalisation' 'none': a pixel is 63\b.* choose"):
         deployed(counts, WEIGHTS, {}, data)
     for change in ({"first_layer": "host"}, {"input_rate": 15.0}):  # 15 x 63 = 945 a second
         deployed(counts.with_values({"deployment": change}), WEIGHTS, {}, data)
