@@ -1,1 +1,1 @@
-"""What is trained: architectures, the Keras CNN, rate-based LIF activations, SLAYER."""
+"""Trainable networks: architectures, the Keras CNN, rate-based LIF neurons, SLAYER, events."""

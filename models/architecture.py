@@ -1,16 +1,16 @@
 """The paper's architecture notation (Section 3.2), extended: ``10x10x2-12c4s2p-2a-64-10o``.
 
 Layers are separated by ``-``.  The first token gives the input's dimensions, separated by ``x`` or
-the multiplication sign; the rest are, in the order in which the signal passes them:
+the multiplication sign; the rest are the layers, in the order of the data flow:
 
 =========  ====================================================================================
 ``FcK``    a convolution of F filters of K x K, stride 1, no padding
 ``FcKsS``  the same with stride S
-``p``      after it: padded with zeros so that the output has the input's size over the stride,
-           rounded up ("same", as TensorFlow has it: what is odd goes to the end)
-``Ka``     average pooling over K x K without overlap; what is left over at the end is not read
-``N``      a hidden dense layer of N
-``No``     the dense output of N, once and at the end
+``p``      suffix: zero padding so that the output size is the input size over the stride, rounded
+           up (TensorFlow's "same": an odd number of zeros has the larger half at the end)
+``Ka``     average pooling over K x K without overlap; incomplete windows at the end are dropped
+``N``      a hidden dense layer with N units
+``No``     the dense output layer with N units, exactly one and last
 =========  ====================================================================================
 """
 
@@ -30,27 +30,27 @@ from deploy.network.geometry import (
 )
 
 MAX_LAYERS = 64
-"""Layers that a text may declare, the output included."""
+"""Maximum number of layers in a text, including the output."""
 
 MAX_VALUES = 1_000_000
-"""Values that a text may declare for the input or for a layer's output."""
+"""Maximum number of values in the input or in the output of a layer."""
 
 MAX_WEIGHTS = 100_000_000
-"""Weights that a text may declare for a layer."""
+"""Maximum number of weights of a layer."""
 
 
 class NotationError(ValueError):
-    """The text is not an architecture; the message names the offending token and its position."""
+    """A text cannot be parsed as an architecture; the message names the token and its position."""
 
 
 @dataclass(frozen=True)
 class Convolution:
-    """A convolution of square filters.
+    """A convolution with square filters.
 
     Attributes
     ----------
     filters, kernel : int
-        How many filters, and the side of each.
+        Number of filters and side length of each.
     stride : int
     padding : str
         ``"valid"`` or ``"same"``, as in TensorFlow.
@@ -69,7 +69,7 @@ class Convolution:
             raise ValueError(f"{self}: padding is neither 'valid' nor 'same'")
 
     def pads(self, input_shape) -> tuple:
-        """Zeros around the rows and the columns: ((before, after), (before, after))."""
+        """Numbers of zeros padded to rows and columns: ((before, after), (before, after))."""
         return tuple(
             windows(n, self.kernel, self.stride, self.padding)[1:] for n in input_shape[:2]
         )
@@ -89,7 +89,7 @@ class Convolution:
         return shape
 
     def weight_shapes(self, input_shape) -> dict:
-        """Shapes of ``"kernel"`` (rows, columns, channels in, filters) and of ``"bias"``."""
+        """Shapes of ``"kernel"`` (rows, columns, input channels, filters) and of ``"bias"``."""
         kernel = (self.kernel, self.kernel, input_shape[2], self.filters)
         return {"kernel": kernel, "bias": (self.filters,)}
 
@@ -106,12 +106,12 @@ class Convolution:
 
 @dataclass(frozen=True)
 class Pooling:
-    """Average pooling over squares that do not overlap.
+    """Average pooling over square windows that do not overlap.
 
     Attributes
     ----------
     size : int
-        Side of a square, and the stride.
+        Side length of a window, and the stride.
     """
 
     size: int
@@ -127,21 +127,19 @@ class Pooling:
         Raises
         ------
         ValueError
-            The square is larger than the input.
+            The window is larger than the input.
         """
         rows, columns, channels = input_shape
         if self.size > min(rows, columns):
-            raise ValueError(
-                f"does not fit: its squares are larger than its {rows}x{columns} input"
-            )
+            raise ValueError(f"does not fit: its window is larger than its {rows}x{columns} input")
         return (rows // self.size, columns // self.size, channels)
 
     def weight_shapes(self, input_shape) -> dict:
-        """Nothing is trained."""
+        """An empty dict: pooling has no weights."""
         return {}
 
     def fan_out(self, input_shape) -> np.ndarray:
-        """Synapses that leave each input position, int64: 1, and 0 in what is left over."""
+        """Synapses that leave each input position, int64: 1, or 0 outside of complete windows."""
         reach = [
             reached(n, outputs, self.size, self.size, 0)
             for n, outputs in zip(input_shape[:2], self.shape(input_shape), strict=False)
@@ -154,13 +152,13 @@ class Pooling:
 
 @dataclass(frozen=True)
 class Dense:
-    """A dense layer; it reads its input in the order (row, column, channel).
+    """A dense layer; its input is flattened in the order (row, column, channel).
 
     Attributes
     ----------
     units : int
     output : bool
-        Whether it is the network's output.
+        True for the output layer of the network.
     """
 
     units: int
@@ -193,18 +191,18 @@ class Dense:
 
 @dataclass(frozen=True)
 class Folded:
-    """A layer with weights and the averaging before it, as the chip has them: one layer.
+    """A layer with weights and the pooling before it, which the chip computes as one layer.
 
     Attributes
     ----------
     name : str
     layer : Convolution or Dense
     input_shape : tuple of int
-        Of what comes from the layer with weights before it, not yet averaged.
+        Output shape of the previous layer with weights, before pooling.
     pool : int
-        Side of the squares that are averaged; 1 for none.
+        Side length of the pooling windows; 1 without pooling.
     pooled_shape, shape : tuple of int
-        What the layer itself reads, and puts out.
+        Input shape (after pooling) and output shape of ``layer``.
     """
 
     name: str
@@ -230,12 +228,12 @@ class Architecture:
     input_shape : tuple of int
         (rows, columns, channels).
     layers : tuple of Convolution, Pooling or Dense
-        In order; the last one, and no other, is an output.
+        In order; the last one is the only output layer.
 
     Raises
     ------
     ValueError
-        The layers are in an impossible order, or one does not fit what comes before it.
+        The order of the layers is invalid, or a layer does not fit the shape of its input.
     """
 
     input_shape: tuple
@@ -257,7 +255,7 @@ class Architecture:
     def shapes(self) -> tuple:
         """Shapes of the input and of every layer's output, the last one (outputs,).
 
-        ``zip(architecture.shapes, architecture.layers)`` goes over the layers with their inputs.
+        ``zip(architecture.shapes, architecture.layers)`` pairs each layer with its input shape.
         """
         shapes = [self.input_shape]
         for layer in self.layers:
@@ -268,7 +266,7 @@ class Architecture:
     def names(self) -> tuple:
         """Names of the layers: ``"conv1"``, ``"conv2"``, ``"pool1"``, ``"dense1"``, ``"output"``.
 
-        Each kind is counted by itself.
+        Layers are numbered separately for each kind.
         """
         names, seen = [], {}
         for layer in self.layers:
@@ -278,18 +276,18 @@ class Architecture:
 
     @property
     def convs(self) -> tuple:
-        """The convolutions in order, possibly none."""
+        """The convolutions in order; the tuple may be empty."""
         return tuple(layer for layer in self.layers if layer.kind == "conv")
 
     @property
     def spiking(self) -> dict:
-        """The layers of neurons by name, in order: convolutions and hidden dense layers."""
+        """The layers with neurons by name, in order: convolutions and hidden dense layers."""
         layers = zip(self.names, self.layers, strict=True)
         return {name: layer for name, layer in layers if layer.kind in ("conv", "dense")}
 
     @property
     def folded(self) -> tuple:
-        """The layers with weights, each with the averaging before it: a tuple of `Folded`."""
+        """The layers with weights, each with the pooling before it: a tuple of `Folded`."""
         folded, before, pool = [], self.input_shape, 1
         shapes = zip(self.shapes, self.shapes[1:], strict=False)
         for name, layer, (read, shape) in zip(self.names, self.layers, shapes, strict=True):
@@ -302,7 +300,7 @@ class Architecture:
 
     @property
     def outputs(self) -> int:
-        """Units of the output layer."""
+        """Number of units of the output layer."""
         return self.layers[-1].units
 
     @property
@@ -316,9 +314,10 @@ class Architecture:
 
     @property
     def event_weight_shapes(self) -> dict:
-        """The same of a spiking network on events (:mod:`models.spiking`).
+        """Shapes of the trained arrays of a spiking network on events (:mod:`models.spiking`).
 
-        Each layer of neurons has two time constants more; the output has no bias.
+        In addition to `weight_shapes`, each layer with neurons has two time constants; the output
+        has no bias.
         """
         shapes = {n: s for n, s in self.weight_shapes.items() if n != "output.bias"}
         for name in self.names[:-1]:
@@ -332,7 +331,7 @@ class Architecture:
 
     @property
     def neurons(self) -> dict:
-        """Values that each layer puts out, by its name."""
+        """Number of output values of each layer, by its name."""
         return {
             name: _size(shape) for name, shape in zip(self.names, self.shapes[1:], strict=False)
         }
@@ -347,7 +346,7 @@ class Architecture:
 
     @property
     def multiply_accumulates(self) -> dict:
-        """Multiply-accumulates of one pass, by layer: those with a zero of the padding left out."""
+        """Multiply-accumulates of one forward pass by layer, without those on padding."""
         return {name: int(fan_out.sum()) for name, fan_out in self.fan_out.items()}
 
     def __str__(self):
@@ -356,7 +355,7 @@ class Architecture:
 
 
 def parse(text: str) -> Architecture:
-    """Parse the notation; ``str()`` of an architecture is the inverse.
+    """Parse the architecture notation; ``str()`` of an architecture is the inverse.
 
     Parameters
     ----------
@@ -370,8 +369,8 @@ def parse(text: str) -> Architecture:
     Raises
     ------
     NotationError
-        Naming the token that cannot be read, is out of place, does not fit the layer before it,
-        or declares more than a network of this kind can have.
+        A token cannot be parsed, is misplaced, does not fit the layer before it, or exceeds a size
+        limit.  The message names the token.
 
     Examples
     --------
@@ -423,7 +422,7 @@ def parse(text: str) -> Architecture:
     return Architecture(input_shape, tuple(layers))
 
 
-_NUMBER = "([0-9]{1,9})"  # no number of the notation is longer, whatever it stands for
+_NUMBER = "([0-9]{1,9})"  # nine digits exceed every limit
 _SIZE = re.compile(f"{_NUMBER}x{_NUMBER}(?:x{_NUMBER})?")
 _TOKENS = {
     "conv": re.compile(f"{_NUMBER}c{_NUMBER}(?:s{_NUMBER})?(p?)"),
@@ -435,7 +434,7 @@ _ZERO = object()
 
 
 def _layer(token):
-    """The layer that a token describes; None for no layer, `_ZERO` for one with a zero in it."""
+    """The layer that a token describes; None if it describes none, `_ZERO` if a number is zero."""
     for kind, pattern in _TOKENS.items():
         found = pattern.fullmatch(token)
         if not found:
@@ -452,16 +451,16 @@ def _layer(token):
 
 
 def _check_place(layer, input_shape, last):
-    """Refuse a layer where it cannot stand."""
+    """Raise ValueError for a layer at a position where its kind is not allowed."""
     if layer.kind in ("conv", "pool") and len(input_shape) == 1:
         what = {"conv": "a convolution", "pool": "a pooling"}[layer.kind]
         raise ValueError(f"is {what} after a dense layer, which has no rows and columns")
     if layer.kind == "output" and not last:
-        raise ValueError("is an output before the end")
+        raise ValueError("is an output layer, which must be the last layer")
 
 
 def _size(shape) -> int:
     size = 1
-    for n in shape:  # in Python's integers: a declared shape may be larger than any array
+    for n in shape:  # Python integers do not overflow, whatever shape a text declares
         size *= n
     return size

@@ -1,4 +1,4 @@
-"""The networks of :mod:`models.architecture` in Keras, the CNN of the paper among them."""
+"""Keras models of the networks of :mod:`models.architecture`, including the paper's CNN."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from models.keras2 import tf
 
 
 def build_cnn(architecture: Architecture, activation=None, sums=None) -> tf.keras.Model:
-    """Build the network; its output are logits, the softmax is in the loss.
+    """Build the Keras model of an architecture; its outputs are logits (the loss has the softmax).
 
     Parameters
     ----------
     architecture : Architecture
     activation : callable, optional
-        ``activation(index)`` makes the neurons of layer ``index``, counted from 0 over the layers
-        of neurons (convolutions and hidden dense layers).  Default: rectified linear.
+        ``activation(index)`` returns the activation layer of layer ``index``, counted from 0 over
+        the convolutions and hidden dense layers.  Default: ReLU.
     sums : callable, optional
-        ``sums(index, layer, name)`` makes the weighted sums before them, of a convolution or a
-        hidden dense layer.  Default: a ``Conv2D`` or a ``Dense``.
+        ``sums(index, layer, name)`` returns the Keras layer for the weighted sums of a convolution
+        or a hidden dense layer.  Default: a ``Conv2D`` or a ``Dense``.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def _plain_sums(index, layer, name):
 
 
 def get_weights(model: tf.keras.Model) -> dict:
-    """Trained arrays as ``<layer>.kernel`` and ``<layer>.bias``."""
+    """Trained arrays by name, ``<layer>.kernel`` and ``<layer>.bias``."""
     return {
         f"{layer.name}.{variable.name.split('/')[-1].split(':')[0]}": variable.numpy()
         for layer in model.layers
@@ -65,12 +65,12 @@ def get_weights(model: tf.keras.Model) -> dict:
 
 
 def set_weights(model: tf.keras.Model, weights: dict):
-    """The inverse of :func:`get_weights`.
+    """Assign the arrays that :func:`get_weights` returned.
 
     Raises
     ------
     ValueError
-        An array is missing or has another shape.
+        An array is missing or has the wrong shape.
     """
     for layer in model.layers:
         for variable in layer.trainable_weights:
@@ -81,7 +81,7 @@ def set_weights(model: tf.keras.Model, weights: dict):
 
 
 def with_noise(model: tf.keras.Model, images, noise):
-    """Call the network as in training, with noise on what its neurons receive.
+    """Call the network in training mode, with noise added to the input of its neurons.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def with_noise(model: tf.keras.Model, images, noise):
         From :func:`build_cnn`.
     images : tensor, shape (n_samples, rows, columns, channels)
     noise : sequence of tensors
-        For each of :func:`noisy_layers`, shape (n_samples, \\*shape of its input).
+        One for each layer of :func:`noisy_layers`, shape (n_samples, \\*shape of its input).
 
     Returns
     -------
@@ -97,7 +97,7 @@ def with_noise(model: tf.keras.Model, images, noise):
         Logits.
     """
     signal, added = images, dict(zip(noisy_layers(model), noise, strict=True))
-    for layer in model.layers[1:]:  # the first stands for the image
+    for layer in model.layers[1:]:  # the first is the input layer
         if layer in added:
             signal = signal + added[layer]
         signal = layer(signal, training=True)
@@ -105,7 +105,7 @@ def with_noise(model: tf.keras.Model, images, noise):
 
 
 def noisy_layers(model: tf.keras.Model) -> list:
-    """The layers of neurons that training gives noise."""
+    """The activation layers whose input is noisy during training."""
     return [layer for layer in model.layers if getattr(layer, "noise", 0)]
 
 
@@ -115,7 +115,7 @@ def predict(model: tf.keras.Model, images) -> np.ndarray:
 
 
 def activations(model: tf.keras.Model, images) -> dict:
-    """What the neurons of each layer put out, by the layer's name.
+    """Outputs of the neurons of each layer, by the layer's name.
 
     Returns
     -------
@@ -135,10 +135,9 @@ def activations(model: tf.keras.Model, images) -> dict:
 
 
 def _parts(images):
-    """Images, a few hundred at a time.
+    """Split images into batches of 512.
 
-    For a model that is called with them, where Keras's ``predict`` would trace a graph that is used
-    once.
+    Calling the model on them is faster than Keras's ``predict``, which traces a graph for one use.
     """
     images = np.asarray(images, np.float32)
     return np.split(images, range(512, len(images), 512))

@@ -1,27 +1,28 @@
-"""h5py, for files from outside: the one module that imports it.
+"""Import h5py with HDF5 plug-ins disabled; no other module imports h5py.
 
-A file names the filters that its data went through, and HDF5 looks for those it does not know as
-plug-ins: shared libraries in a folder that an environment variable names, by default one below
-``/usr/local``.  It is told to look nowhere (TensorFlow before 2.21 does not tell it:
-CVE-2026-2492).  HDF5 asks once, when it first looks for one.
+An HDF5 file names the filters that were applied to its data.  HDF5 searches for unknown filters as
+plug-ins: shared libraries in a folder set by an environment variable, by default below
+``/usr/local``.  This module disables the search (TensorFlow before 2.21 does not: CVE-2026-2492).
+HDF5 reads the environment variable once, at its first search.
 """
 
 from __future__ import annotations
 
 import os
 
-os.environ["HDF5_PLUGIN_PRELOAD"] = "::"  # none; a path of nothing would be looked for here
+# "::" disables plug-ins.  An empty search path instead would mean the current folder.
+os.environ["HDF5_PLUGIN_PRELOAD"] = "::"
 
 import h5py
 
 USUAL_FILTERS = frozenset(
     {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 )
-"""What MATLAB compresses with, and a checksum."""
+"""Filters that MATLAB uses for compression, and the checksum filter."""
 
 
 def unusual_filters(dataset) -> list:
-    """Numbers of the filters, other than :data:`USUAL_FILTERS`, that reading a dataset would run.
+    """Ids of the filters of a dataset that are not in :data:`USUAL_FILTERS`.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""TensorFlow with Keras 2, which NengoDL 3.6 needs: the one module that chooses it.
+"""Import TensorFlow with Keras 2, which NengoDL 3.6 needs; no other module imports TensorFlow.
 
-From 2.16 on TensorFlow brings Keras 3, and takes Keras 2 from the package tf-keras if it is told so
-before anybody asks it for Keras.
+TensorFlow 2.16 and later use Keras 3 by default.  They use Keras 2 from the package tf-keras if
+TF_USE_LEGACY_KERAS is set before the first access to ``tf.keras``.
 """
 
 from __future__ import annotations
@@ -13,22 +13,23 @@ import os
 import sys
 
 os.environ["TF_USE_LEGACY_KERAS"] = "1"
-os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # a GPU that nobody asked for is no news
-# XLA of 2.20 arranges a step so that parts of it could run side by side, which makes the small
-# steps of these networks a tenth slower than with 2.12.  The trained weights are the same bits.
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # no messages about missing GPUs
+# The scheduler of XLA 2.20 optimises for concurrency, which makes the small steps of these networks
+# 10 % slower than with 2.12.  The trained weights are bit-identical.
 os.environ["XLA_FLAGS"] = (
     os.environ.get("XLA_FLAGS", "") + " --xla_cpu_enable_concurrency_optimized_scheduler=false"
 )
 
 import models.hdf5  # noqa: F401  before TensorFlow imports h5py
 
-# The import makes half a million objects and no garbage; to look for some takes a third of it.
+# The import creates half a million objects and no garbage; garbage collection would take a third
+# of its time.
 _collects = gc.isenabled()
 gc.disable()
 try:
     import tensorflow as tf
 
-    _keras = tf.keras.Model.__module__  # which imports it
+    _keras = tf.keras.Model.__module__  # this access imports Keras
 finally:
     if _collects:
         gc.enable()
@@ -39,17 +40,17 @@ if not _keras.startswith("tf_keras."):
         "set TF_USE_LEGACY_KERAS=1 before the first import of tensorflow"
     )
 
-# That a function is traced anew for each network is no news to the user.
+# Suppresses warnings about retracing: every network is traced anew.
 tf.get_logger().setLevel("ERROR")
 
 as_written = tf.autograph.experimental.do_not_convert
-"""Decorates what has no branch or loop over tensors: to translate it for some takes longer than to
-trace it."""
+"""Decorator for functions without branches or loops over tensors: it skips AutoGraph's conversion,
+which takes longer than tracing."""
 
 
 @contextlib.contextmanager
 def silenced():
-    """Nothing on standard error from below Python, where no log level reaches."""
+    """Suppress standard error of native code, which log levels do not control."""
     sys.stderr.flush()
     kept = os.dup(2)
     try:
@@ -63,7 +64,7 @@ def silenced():
 
 @functools.cache
 def quiet_compiler():
-    """Have XLA say now, unheard, what it says once a process when it first compiles something."""
+    """Trigger the message that XLA prints once per process, at its first compilation, silently."""
     with silenced():
         tf.function(lambda x: x + 1, jit_compile=True)(tf.ones(()))
 

@@ -1,9 +1,9 @@
-"""Keras model files read as data: a description of layers, and arrays.
+"""Read Keras model files as data: a description of layers, and arrays.
 
-Both formats of Keras 2 and 3: the archive ``.keras`` (``config.json`` and ``model.weights.h5`` in
-a zip) and the older ``.h5`` (the description as an attribute).  Which of the two a file is, its
-content tells, not its name.  Nothing in a file is executed: Keras does not take part, layers of a
-user's own are refused, and of HDF5 only plain arrays of floating-point numbers in the file itself
+Both formats of Keras 2 and 3 are supported: the archive ``.keras`` (``config.json`` and
+``model.weights.h5`` in a zip) and the older ``.h5`` (the description is an attribute).  The format
+is detected from the content, not from the name.  Nothing in a file is executed: Keras is not used,
+custom layers are refused, and only plain HDF5 arrays of floating-point numbers in the file itself
 are read (no links to other files, no external or virtual storage, no filters).
 
 Files are opened in a process of their own (:mod:`models.apart`); run as a script, this module is
@@ -25,33 +25,33 @@ from models.apart import MAX_SECONDS, Crashed, TooSlow, answer_apart, content_of
 from models.hdf5 import h5py
 
 MAX_FILE = 256 * 2**20
-"""Bytes of a model file and of the arrays in it."""
+"""Maximum size in bytes of a model file and of the arrays in it."""
 
 MAX_DESCRIPTION = 8 * 2**20
-"""Bytes of the description of the layers."""
+"""Maximum size in bytes of the description of the layers."""
 
 MAX_LAYERS = 500
-"""Layers of a file, those that do nothing once a network is trained included."""
+"""Maximum number of layers in a file, including layers that only act in training."""
 
 MAX_NUMBERS = 30_000_000
-"""Numbers that are read from a file."""
+"""Maximum number of array elements in a file."""
 
 ARRAYS = {"Conv2D": "conv2d", "Dense": "dense", "BatchNormalization": "batch_normalization"}
-"""Layers whose arrays are read, and what a ``.keras`` file calls the first of each, whatever the
-user does: the next ones are numbered."""
+"""Layers whose arrays are read, and the name of the first of each in a ``.keras`` file, which does
+not depend on the user's names; later ones are numbered."""
 
-REMEDY = "save it anew with model.save('name.keras')"
+REMEDY = "save it again with model.save('name.keras')"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _KERAS = ("keras", "tf_keras", "tensorflow", "keras_core")
 
 
 class ModelFileError(ValueError):
-    """A file is no Keras model, or holds what cannot be used; the message is one line."""
+    """A file is not a Keras model, or the model is not supported; the message is one line."""
 
 
 @dataclass(frozen=True)
 class SavedLayer:
-    """A layer as the file describes it.
+    """A layer as described in the file.
 
     Attributes
     ----------
@@ -59,10 +59,10 @@ class SavedLayer:
         Keras's class name, such as ``"Conv2D"``.
     name : str
     config : dict
-        Its arguments, as parsed from JSON; nothing about them is checked.
+        The layer's arguments, as parsed from JSON; they are not validated.
     arrays : tuple of ndarray, float64
-        Of the layers in :data:`ARRAYS`, in Keras's order: kernel and bias; or gamma, beta, moving
-        mean and moving variance, the first two as far as they are there.
+        The arrays of a layer in :data:`ARRAYS`, in Keras's order: kernel and bias; or gamma, beta,
+        moving mean and moving variance, where gamma and beta are optional.
     """
 
     kind: str
@@ -76,14 +76,14 @@ class SavedLayer:
 
 @dataclass(frozen=True)
 class SavedModel:
-    """A chain of layers.
+    """A saved chain of layers.
 
     Attributes
     ----------
     input_shape : tuple of int
-        Of one sample.
+        Shape of one sample.
     layers : tuple of SavedLayer
-        In the order in which the signal passes them, without the input layer.
+        In the order of the data flow, without the input layer.
     """
 
     input_shape: tuple
@@ -91,7 +91,7 @@ class SavedModel:
 
 
 def shown(text) -> str:
-    """Text from a file, quoted, on one line and not too long to be printed."""
+    """Text from a file for a message: quoted, on one line, and shortened."""
     text = repr(str(text)[:60])
     return text if len(text) <= 80 else text[:77] + "...'"
 
@@ -107,8 +107,9 @@ def read_model_file(path) -> SavedModel:
     Raises
     ------
     ModelFileError
-        No such file, no Keras model, damaged, too large, only weights, or with branches, several
-        inputs or outputs, shared layers, models inside the model, or layers of a user's own.
+        The file is missing, damaged, too large, not a Keras model, or contains weights only; or the
+        model has branches, several inputs or outputs, shared layers, nested models, or custom
+        layers.
     """
     path = Path(path)
     content = _content(path)
@@ -144,12 +145,12 @@ def _answer(content):
 
 
 def read_content(content: bytes) -> SavedModel:
-    """Read a file's content in this process, which a damaged one may end.
+    """Read a file's content in this process, which a damaged file may crash.
 
     Raises
     ------
     ModelFileError
-        As :func:`read_model_file`, but for what is wrong with the file itself.
+        As :func:`read_model_file`, except for errors of opening the file.
     """
     try:
         if content.startswith(_HDF5):
@@ -169,7 +170,7 @@ def read_content(content: bytes) -> SavedModel:
             "not a Keras model file, or damaged; give a .keras or .h5 file that Keras saved"
         ) from error
     except MemoryError as error:
-        raise ModelFileError(f"takes too much memory, seems damaged; {REMEDY}") from error
+        raise ModelFileError(f"needs too much memory and may be damaged; {REMEDY}") from error
     except Exception as error:  # zipfile, zlib and h5py fail in many ways on damaged files
         raise ModelFileError(f"damaged ({type(error).__name__}); {REMEDY}") from error
 
@@ -182,20 +183,22 @@ def _content(path):
     except ValueError as error:
         raise ModelFileError(str(error)) from error
     if len(content) > MAX_FILE:
-        raise ModelFileError(f"{path}: larger than {MAX_FILE >> 20} MiB, no network for a chip")
+        raise ModelFileError(
+            f"{path}: larger than {MAX_FILE >> 20} MiB, which no network for the chip needs"
+        )
     return content
 
 
 def _member(archive, name, limit):
-    """Content of a file in the archive; what it says of its size is not relied on."""
+    """Content of a file in the archive; the size that the archive declares is not trusted."""
     try:
         with archive.open(name) as member:
             content = member.read(limit + 1)
     except KeyError:
         names = archive.namelist()
         if name == "model.weights.h5" and any("weights" in other for other in names):
-            raise ModelFileError("its weights are spread over several files; " + REMEDY) from None
-        raise ModelFileError(f"not a Keras model: has no {name}; {REMEDY}") from None
+            raise ModelFileError("its weights are split into several files; " + REMEDY) from None
+        raise ModelFileError(f"not a Keras model: contains no {name}; {REMEDY}") from None
     except RuntimeError as error:
         raise ModelFileError("is encrypted; save it without a password") from error
     if len(content) > limit:
@@ -219,11 +222,11 @@ def _json(text):
 
 
 def _chain(description):
-    """(input shape, layers) of a model's description, without arrays."""
+    """(input shape, layers without arrays) of a model's description."""
     kind = description.get("class_name")
     if not _is_kerass(description) or kind not in ("Sequential", "Functional", "Model"):
         raise ModelFileError(
-            f"a model of class {shown(kind)}, whose code is not in the file; "
+            f"the model class {shown(kind)} is custom code, which the file does not contain; "
             "build it as keras.Sequential or keras.Model(inputs, outputs) and " + REMEDY
         )
     config = description.get("config")
@@ -246,18 +249,18 @@ def _layer(entry):
     layer = SavedLayer(_of(entry, "class_name", str), _of(config, "name", str), config)
     if not _is_kerass(entry) or ">" in layer.kind:
         raise ModelFileError(
-            f"{layer}: a layer of your own, whose code is not in the file (and would not be run); "
+            f"{layer}: custom layers are not supported; "
             "use Keras's Conv2D, AveragePooling2D, Dense, ReLU"
         )
     if layer.kind in ("Sequential", "Functional", "Model"):
         raise ModelFileError(
-            f"{layer}: a model inside the model; build one of its layers and those around it"
+            f"{layer}: nested models are not supported; build one model of all layers"
         )
     return layer
 
 
 def _is_kerass(entry):
-    """False for a class that says of itself that it is not Keras's own."""
+    """True unless the entry declares a class that is not Keras's own."""
     module, name = entry.get("module"), entry.get("registered_name")
     known = module is None or (isinstance(module, str) and module.split(".")[0] in _KERAS)
     return known and name in (None, entry.get("class_name"))
@@ -288,7 +291,7 @@ def _in_order(config, entries):
         aside = next(name for name, e in by_name.items() if id(e) not in on_the_way)
         raise ModelFileError(
             f"layer {shown(aside)} is on a branch; "
-            "only a chain of layers from one input to one output can be used"
+            "use one chain of layers from one input to one output"
         )
     return order[::-1]
 
@@ -301,21 +304,21 @@ def _ends(config, key):
         ends = [ends]
     if len(ends) != 1:
         what = key.split("_")[0]
-        raise ModelFileError(f"has {len(ends)} {what}s; only one {what} can be used")
+        raise ModelFileError(f"has {len(ends)} {what}s; use one {what}")
     if not isinstance(ends[0], list) or not ends[0] or not isinstance(ends[0][0], str):
         raise _damaged(f"its {key}")
     return ends[0][0]
 
 
 def _before(name, nodes):
-    """The layer whose output a layer is called on."""
+    """Name of the layer whose output is the input of a layer."""
     if len(nodes) != 1:
         raise ModelFileError(
             f"layer {shown(name)} is called {len(nodes)} times; "
-            "only a chain in which each layer stands once can be used"
+            "use a chain in which each layer occurs once"
         )
     node = nodes[0]
-    if isinstance(node, dict):  # of Keras 3
+    if isinstance(node, dict):  # Keras 3
         tensors, options = _of(node, "args", list), _of(node, "kwargs", dict)
         if len(tensors) == 1 and isinstance(tensors[0], list):
             tensors = tensors[0]
@@ -329,21 +332,20 @@ def _before(name, nodes):
             if len(tensor) > 3 and isinstance(tensor[3], dict):
                 options |= tensor[3]
     else:
-        raise _damaged(f"what layer {shown(name)} is called on")
+        raise _damaged(f"the input of layer {shown(name)}")
     if any(value not in (None, False) for value in options.values()):
         options = ", ".join(shown(key) for key in sorted(options))
         raise ModelFileError(
-            f"layer {shown(name)} is called with options of its own ({options}); "
-            "call it on its input alone"
+            f"layer {shown(name)} is called with options ({options}); call it with its input only"
         )
     if len(tensors) != 1:
         raise ModelFileError(
             f"layer {shown(name)} has {len(tensors)} inputs; "
-            "only a chain of layers without branches can be used"
+            "use one chain of layers without branches"
         )
     tensor = tensors[0]
     if not isinstance(tensor, list) or not tensor or not isinstance(tensor[0], str):
-        raise _damaged(f"what layer {shown(name)} is called on")
+        raise _damaged(f"the input of layer {shown(name)}")
     return tensor[0]
 
 
@@ -357,10 +359,10 @@ def _input_shape(description, config, layers):
                 if all(_is_count(n) for n in shape[1:]):
                     return tuple(shape[1:])
                 raise ModelFileError(
-                    f"input of shape {shown(shape[1:])[1:-1]}; "
-                    "give it a fixed one, such as keras.Input((10, 10, 1))"
+                    f"the input shape {shown(shape[1:])[1:-1]} is not fixed; "
+                    "use a fixed one, such as keras.Input((10, 10, 1))"
                 )
-    raise ModelFileError("does not say its input's shape; begin with keras.Input((10, 10, 1))")
+    raise ModelFileError("has no input shape; begin the model with keras.Input((10, 10, 1))")
 
 
 def _is_count(n):
@@ -389,7 +391,7 @@ def _from_h5(file):
             or "layer_names" in file.attrs
             or "_layer_checkpoint_dependencies" in (file)
         ):
-            raise ModelFileError("holds weights without the network; " + REMEDY)
+            raise ModelFileError("contains weights without the network; " + REMEDY)
         raise ModelFileError("HDF5, but not a Keras model; give a file that model.save() wrote")
     if not isinstance(description, (str, bytes)):
         raise _damaged("its text")
@@ -407,30 +409,30 @@ def _from_h5(file):
 
 def _from_archive(description, file):
     shape, layers = _chain(description)
-    root = "layers" if "layers" in file else "_layer_checkpoint_dependencies"  # of Keras 2.12
+    root = "layers" if "layers" in file else "_layer_checkpoint_dependencies"  # Keras 2.12
     folder, budget = _group(file, (root,)), _Budget()
     groups = {kind: _numbered(folder, name) for kind, name in ARRAYS.items()}
 
     def arrays(layer):
         if not groups[layer.kind]:
-            raise ModelFileError(f"has no arrays of {layer}; {REMEDY}")
+            raise ModelFileError(f"contains no arrays of {layer}; {REMEDY}")
         group = _group(folder, (groups[layer.kind].pop(0), "vars"))
-        said = group.attrs.get("name", layer.name)  # since some Keras 3
+        said = group.attrs.get("name", layer.name)  # written by newer versions of Keras 3
         if said != layer.name:
-            raise ModelFileError(f"its arrays of {layer} are called {shown(said)}; {REMEDY}")
+            raise ModelFileError(f"the arrays of {layer} are named {shown(said)}; {REMEDY}")
         return [budget.array(_dataset(group, (str(n),))) for n in range(len(group))]
 
     return _with_arrays(shape, layers, arrays)
 
 
 def _numbered(folder, name):
-    """``dense``, ``dense_1``, ...: the layers of a class in their order; Keras 2.12 skips some."""
+    """The names ``dense``, ``dense_1``, ... in order; Keras 2.12 skips some numbers."""
     found = [re.fullmatch(f"{name}(?:_([0-9]{{1,9}}))?", entry) for entry in folder]
     return [m[0] for m in sorted(filter(None, found), key=lambda m: int(m[1] or 0))]
 
 
 def _with_arrays(shape, layers, arrays):
-    """The model, with what ``arrays(layer)`` reads for each layer that has any."""
+    """The model, with the arrays that ``arrays(layer)`` reads for each layer in `ARRAYS`."""
     filled = []
     for layer in layers:
         found = ()
@@ -461,17 +463,17 @@ def _dataset(group, names):
 
 
 def _inside(group, name):
-    """A member of a group that is in this file, not a link to somewhere."""
+    """A member of a group; links to other places are refused."""
     link = group.get(name, getlink=True)
     if link is None:
-        raise ModelFileError(f"has no arrays called {shown(name)}; {REMEDY}")
+        raise ModelFileError(f"contains no arrays named {shown(name)}; {REMEDY}")
     if not isinstance(link, h5py.HardLink):
-        raise ModelFileError(f"refers to another place for {shown(name)}; {REMEDY}")
+        raise ModelFileError(f"{shown(name)} is a link, which is not followed; {REMEDY}")
     return group[name]
 
 
 class _Budget:
-    """Reads arrays, and no more than a file may hold."""
+    """A reader of arrays that enforces :data:`MAX_NUMBERS`."""
 
     def __init__(self):
         self.left = MAX_NUMBERS
@@ -479,7 +481,7 @@ class _Budget:
     def array(self, dataset):
         if dataset.dtype.kind != "f" or dataset.dtype.itemsize > 8:
             raise ModelFileError(
-                f"has an array of {dataset.dtype}, not of floating-point numbers; "
+                f"has an array of type {dataset.dtype}, not of floating-point numbers; "
                 "save the model before it is quantised"
             )
         size = 1
@@ -487,11 +489,13 @@ class _Budget:
             size *= n
         self.left -= size
         if self.left < 0:
-            raise ModelFileError(f"has more than {MAX_NUMBERS} weights, no network for a chip")
-        # Plain: as many bytes in the file as the array has.  Not virtual, external, compressed.
+            raise ModelFileError(
+                f"has more than {MAX_NUMBERS} weights, which no network for the chip needs"
+            )
+        # A plain array takes its own size in the file: not virtual, external or compressed.
         plain = dataset.chunks is None and not dataset.is_virtual and not dataset.external
         if not plain or dataset.id.get_storage_size() != size * dataset.dtype.itemsize:
-            raise ModelFileError(f"an array is not stored as Keras stores it; {REMEDY}")
+            raise ModelFileError(f"an array is not stored in Keras's way; {REMEDY}")
         return np.asarray(dataset[()], np.float64)
 
 

@@ -4,18 +4,18 @@ A LIF neuron with input current J (in units of its threshold) fires at
 
     r(J) = 1 / (tau_ref + tau_rc * log(1 + 1 / (J - 1)))   for J > 1, else 0
 
-spikes a second (Hunsberger and Eliasmith 2016, eq. 2).  Here ``J = 1 + gain * z`` with z the
-layer's weighted input, so that the neuron begins to fire at z = 0 as a rectified linear unit does;
-``gain`` is such that z = 1 gives ``max_rate``, and the output is r / max_rate.
+spikes per second (Hunsberger and Eliasmith 2016, eq. 2).  Here ``J = 1 + gain * z`` with z the
+layer's weighted input, so that the neuron begins to fire at z = 0 like a rectified linear unit;
+``gain`` is chosen such that z = 1 gives ``max_rate``, and the output is r / max_rate.
 
-On Loihi a neuron fires on whole steps, so its intervals are rounded up to them, and its time
-constants are rounded.  With a perfectly steady input that makes a staircase of the rate.  The input
-of a deployed neuron is never steady: it ripples with every spike that arrives, so that the interval
-ends anywhere within a step and the rounding adds half a step on average:
+On Loihi a neuron fires at discrete time steps, so its interspike intervals are rounded up to whole
+steps, and its time constants are rounded too.  With a constant input the rate would be a staircase.
+The input of a deployed neuron fluctuates with every spike that arrives, so that the interval ends
+at any point within a step and the rounding adds half a step on average:
 
     r(J) = 1 / (dt / 2 + tau_ref' + tau_rc' * log(1 + 1 / (J - 1)))
 
-That is the rate trained with here; noise on the input during training stands for the ripple itself.
+Training uses this rate; noise on the input during training models the fluctuation.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ DT = LOIHI.dt
 """Time step in seconds."""
 
 LEAST_EXCESS = 1e-12
-"""Below it an excess over the threshold counts as this, which keeps its logarithm finite."""
+"""Lower bound for the excess over the threshold, which keeps the logarithm finite."""
 
 DECAY_LEVELS = LOIHI.decay_levels
-"""Largest decay of a compartment."""
+"""Largest decay value of a compartment."""
 
 
 def on_chip_time_constants(tau_rc: float, tau_ref: float):
-    """Time constants in seconds as Loihi has them: 12-bit decay, whole steps of refractory time."""
+    """Time constants in seconds on Loihi: a 12-bit decay, a refractory period in whole steps."""
     decay = np.round(-np.expm1(-DT / tau_rc) * DECAY_LEVELS) / DECAY_LEVELS
     return -DT / np.log1p(-decay), DT * np.round(tau_ref / DT)
 
 
 def gain_for(max_rate: float, tau_rc: float, tau_ref: float) -> float:
-    """Gain with which z = 1 makes a neuron fire at ``max_rate`` spikes a second.
+    """Gain for which z = 1 makes a neuron fire at ``max_rate`` spikes per second.
 
     Raises
     ------
     ValueError
-        The refractory period does not allow that rate.
+        The refractory period does not allow this rate.
     """
     if not 0 < max_rate * tau_ref < 1:
         raise ValueError(
@@ -57,26 +57,25 @@ def gain_for(max_rate: float, tau_rc: float, tau_ref: float) -> float:
 
 
 class RateLIF(tf.keras.layers.Layer):
-    """Rate of LIF neurons, relative to ``max_rate``.
+    """Firing rates of LIF neurons, relative to ``max_rate``.
 
     Parameters
     ----------
     max_rate : float
-        Spikes a second at z = 1.
+        Spikes per second at z = 1.
     tau_rc, tau_ref : float
         Membrane time constant and refractory period in seconds.
     on_chip : bool
-        The mean rate on Loihi, with its rounded intervals and time constants.
+        Use the mean rate on Loihi, with rounded intervals and time constants.
     noise : float
-        Standard deviation of the normal noise that training adds to z, outside of the layer: see
+        Standard deviation of the normal noise added to z in training, outside of this layer: see
         :func:`models.cnn.with_noise`.
     spike_costs : ndarray, shape of one sample, optional
-        What a neuron adds to the training's loss when it fires at ``max_rate``, on the mean over
-        samples.
+        Penalty in the training loss for a neuron that fires at ``max_rate``, averaged over samples.
     smoothing : float
-        The backward pass uses the soft LIF of Hunsberger and Eliasmith (2016, eq. 4): J - 1
-        replaced by ``smoothing * softplus((J - 1) / smoothing)``.  The rate itself has an infinite
-        slope at the threshold.
+        The backward pass uses the soft LIF of Hunsberger and Eliasmith (2016, eq. 4), in which
+        ``smoothing * softplus((J - 1) / smoothing)`` replaces J - 1, because the slope of the rate
+        is infinite at the threshold.
 
     Notes
     -----
@@ -107,7 +106,7 @@ class RateLIF(tf.keras.layers.Layer):
             self.tau_rc, self.shortest_interval = tau_rc, tau_ref
 
     def call(self, inputs, training=None):
-        """Rates relative to ``max_rate``; adds the cost of the spikes to the loss in training."""
+        """Rates relative to ``max_rate``; in training the spike penalty is added to the loss."""
         rates = self.rates(inputs)
         if training and self.spike_costs is not None:
             self.add_loss(tf.reduce_mean(self.cost(rates)))
@@ -122,8 +121,8 @@ class RateLIF(tf.keras.layers.Layer):
 
             d rate / dz = gain sigmoid(gain z / smoothing) tau_rc / (x (x + 1) T(x)^2 max_rate).
 
-        It is written out because TensorFlow's own differentiation computes the smoothed rate, which
-        nothing else needs, in the forward pass too.
+        The gradient is explicit because TensorFlow's automatic differentiation would compute the
+        smoothed rate in the forward pass too, where it is not needed.
         """
 
         @tf.custom_gradient
@@ -143,11 +142,11 @@ class RateLIF(tf.keras.layers.Layer):
 
     @as_written
     def cost(self, rates):
-        """Cost of the spikes of each sample; the last dimensions are those of ``spike_costs``."""
+        """Spike penalty of each sample; the last dimensions of ``rates`` match ``spike_costs``."""
         dimensions = len(self.spike_costs.shape)
         return tf.reduce_sum(rates * self.spike_costs, axis=tuple(range(-dimensions, 0)))
 
     def _interval(self, excess):
-        """Seconds between spikes at a current that exceeds the threshold by ``excess``."""
+        """Interspike interval in seconds at a current ``excess`` above the threshold."""
         rise = tf.math.log1p(1 / tf.maximum(excess, LEAST_EXCESS))
         return self.shortest_interval + self.tau_rc * rise

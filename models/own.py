@@ -1,10 +1,10 @@
-"""A user's own Keras model as an architecture and its weights, the function unchanged.
+"""Convert a user's Keras model to an architecture and weights that compute the same function.
 
-What a chip can hold is a chain of convolutions and dense layers, each followed by a ReLU (or by the
-output), with average pooling between.  What does nothing once a network is trained is left out;
-what is affine in each channel (batch normalisation, rescaling) is folded into the layer before it
-where that has no ReLU yet, and else into the layer after it.  Anything else is refused, with the
-layer's name and what could be used instead.
+The chip supports a chain of convolutions and dense layers, each followed by a ReLU (except for the
+output), with average pooling between them.  Layers that only act in training are left out.  Layers
+that are affine per channel (batch normalisation, rescaling) are folded into the previous layer if
+that layer has no ReLU yet, and otherwise into the next layer.  All other layers are refused, with
+a message that names the layer and an alternative.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ __all__ = ["ModelFileError", "OwnModel", "as_architecture", "read_own_model"]
 
 @dataclass(frozen=True)
 class OwnModel:
-    """A user's model as this project has networks.
+    """A user's model as an architecture and its weights.
 
     Attributes
     ----------
     architecture : Architecture
     weights : dict of str to ndarray, float32
-        ``"conv1.kernel"``, ..., of the shapes of ``architecture.weight_shapes``.  With a ReLU
-        after each convolution and hidden dense layer the network puts out the model's logits.
+        ``"conv1.kernel"``, ..., with the shapes of ``architecture.weight_shapes``.  With a ReLU
+        after each convolution and hidden dense layer the network computes the model's logits.
     notes : tuple of str
-        What was folded or left out, a line each.
+        One line for each layer that was folded or left out.
     """
 
     architecture: Architecture
@@ -56,7 +56,7 @@ def read_own_model(path) -> OwnModel:
     Raises
     ------
     ModelFileError
-        One line that names the file, the layer where there is one, and what to do.
+        The model is not supported; the message names the file, the layer if any, and a remedy.
     """
     model = read_model_file(path)
     try:
@@ -71,17 +71,18 @@ def as_architecture(model: SavedModel) -> OwnModel:
     Raises
     ------
     ModelFileError
-        A layer cannot be used, weights do not fit or are not finite, or it was never trained.
+        A layer is not supported, weights have wrong shapes or are not finite, or the model was
+        never trained.
     """
     if len(model.input_shape) == 1:
         raise ModelFileError(
-            f"its input is a row of {model.input_shape[0]} values; give it the skin's rows and "
+            f"its input is a vector of {model.input_shape[0]} values; use the sensor's rows and "
             "columns: keras.Input((rows, columns, channels)) and Flatten"
         )
     shape = model.input_shape + (1,) * (len(model.input_shape) == 2)
     if len(shape) != 3 or math.prod(shape) > MAX_VALUES:
         sizes = "x".join(str(n)[:12] for n in model.input_shape[:6])
-        raise ModelFileError(f"its input of {sizes} is not an image of a skin's rows and columns")
+        raise ModelFileError(f"its input of {sizes} is not an image of a sensor's rows and columns")
     chain = _Chain(shape)
     for layer in model.layers:
         chain.add(layer)
@@ -89,17 +90,17 @@ def as_architecture(model: SavedModel) -> OwnModel:
 
 
 class _Chain:
-    """The layers so far.
+    """The layers converted so far.
 
-    The signal after them is ``scale * signal + offset`` of the signal after ``self.trained`` and
-    the poolings: what is still to be folded into the layer to come.
+    ``scale`` and ``offset`` are the affine function that still has to be folded into the next
+    layer: the model's signal is ``scale * signal + offset`` of the converted layers' signal.
     """
 
     def __init__(self, shape):
         self.input_shape = shape
         self.shape = shape
         self.layers = []
-        self.trained = []  # of each convolution and dense layer: [its SavedLayer, kernel, bias]
+        self.trained = []  # for each convolution and dense layer: [its SavedLayer, kernel, bias]
         self.scale, self.offset = np.ones(shape[2]), np.zeros(shape[2])
         self.is_linear = False  # the last layer is a convolution or dense layer without a ReLU
         self.softmax = None
@@ -108,33 +109,33 @@ class _Chain:
 
     def add(self, layer: SavedLayer):
         if layer.kind in _IDLE:
-            self.notes.append(f"{layer} left out: it does nothing in a trained network")
+            self.notes.append(f"{layer} left out: it only acts in training")
             return
         if self.softmax is not None:
             raise ModelFileError(
-                f"{layer}: stands after the softmax of {self.softmax}; leave that softmax out"
+                f"{layer}: follows the softmax of {self.softmax}; remove that softmax"
             )
         handler = _HANDLERS.get(layer.kind)
         if handler is None:
-            raise ModelFileError(f"{layer}: cannot be used; {_instead(layer.kind)}")
+            raise ModelFileError(f"{layer}: not supported; {_instead(layer.kind)}")
         handler(self, layer)
 
     def finished(self) -> OwnModel:
         if not self.layers or self.layers[-1].kind != "dense":
             last = "no layer" if not self.layers else str(self.layers[-1])
             raise ModelFileError(
-                f"ends with {last}, not with a dense layer; add a Dense with one unit a class"
+                f"ends with {last}, not with a dense layer; add a Dense with one unit per class"
             )
         layer = self.trained[-1][0]
         if not self.is_linear:
             raise ModelFileError(
-                f"{layer}: the output has a ReLU; give it activation 'softmax' or none"
+                f"{layer}: the output has a ReLU; use activation='softmax' or None"
             )
         if self.layers[-1].units < 2:
-            raise ModelFileError(f"{layer}: one output; use one unit a class, at least 2")
+            raise ModelFileError(f"{layer}: has one output; use one unit per class, at least 2")
         if self.has_biases and self.is_new:
             raise ModelFileError(
-                "was never trained: all its biases are exactly zero, as Keras makes them; "
+                "was never trained (all biases are zero, as Keras initialises them); "
                 "train it, then save it"
             )
         layers = (*self.layers[:-1], replace(self.layers[-1], output=True))
@@ -142,7 +143,7 @@ class _Chain:
         names = [n for n, one in zip(architecture.names, layers, strict=True) if one.kind != "pool"]
         weights = {}
         for name, (layer, kernel, bias) in zip(names, self.trained, strict=True):
-            with np.errstate(over="ignore"):  # is refused as infinite
+            with np.errstate(over="ignore"):  # infinite values are refused below
                 kernel, bias = (np.asarray(array, np.float32) for array in (kernel, bias))
             if not (np.isfinite(kernel).all() and np.isfinite(bias).all()):
                 raise ModelFileError(f"{layer}: its weights are too large for single precision")
@@ -155,13 +156,13 @@ class _Chain:
         rows, columns = _pair(layer, "kernel_size")
         strides = _pair(layer, "strides")
         if rows != columns:
-            _refuse(layer, f"a kernel of {rows}x{columns}; use a square one")
+            _refuse(layer, f"its kernel of {rows}x{columns} is not square; use a square one")
         if strides[0] != strides[1]:
-            _refuse(layer, "different strides along rows and columns; use the same")
+            _refuse(layer, "its strides along rows and columns differ; use the same")
         if _pair(layer, "dilation_rate", [1, 1]) != (1, 1):
             _refuse(layer, "is dilated; use dilation_rate=1 and a larger kernel or a stride")
         if layer.config.get("groups", 1) != 1:
-            _refuse(layer, "is in groups; use groups=1")
+            _refuse(layer, "is a grouped convolution; use groups=1")
         _channels_last(layer)
         padding = layer.config.get("padding")
         if padding not in ("valid", "same"):
@@ -172,8 +173,8 @@ class _Chain:
         if self.offset.any() and any(map(any, conv.pads(self.shape))):
             _refuse(
                 layer,
-                "pads with zeros what the normalisation or rescaling before it has moved away "
-                "from zero, which no weights can stand for; use padding='valid', or "
+                "zero padding after a normalisation or rescaling with an offset cannot be folded "
+                "into weights; use padding='valid', or "
                 "normalise after the convolution and before its ReLU",
             )
         bias = bias + np.einsum("ijcf,c->f", kernel, self.offset)
@@ -181,27 +182,27 @@ class _Chain:
 
     def dense(self, layer):
         if len(self.shape) == 3:
-            _refuse(layer, "reads rows and columns one by one; put a Flatten before it")
+            _refuse(layer, "is applied to each row and column; put a Flatten before it")
         dense = Dense(_count(layer, "units"))
         kernel, bias = self._weights(layer, dense)
         self._append(layer, dense, kernel * self.scale[:, None], bias + self.offset @ kernel)
 
     def _weights(self, layer, made):
-        """Kernel and bias as they are in the file."""
+        """Kernel and bias of a layer in the file."""
         if self.is_linear:
             before = self.trained[-1][0]
-            _refuse(before, f"has no ReLU before {shown(layer.name)}; give it activation='relu'")
+            _refuse(before, f"has no ReLU before {shown(layer.name)}; use activation='relu'")
         if len(self.layers) + 1 > MAX_LAYERS:
-            raise ModelFileError(f"has more than {MAX_LAYERS} layers, no network for a chip")
+            raise ModelFileError(f"has more than {MAX_LAYERS} layers; use fewer")
         try:
             shapes, after = made.weight_shapes(self.shape), made.shape(self.shape)
         except ValueError as error:
             raise ModelFileError(f"{layer}: {error}") from error
         if math.prod(after) > MAX_VALUES:
-            raise ModelFileError(f"{layer}: puts out more than {MAX_VALUES} values")
+            raise ModelFileError(f"{layer}: has more than {MAX_VALUES} output values")
         use_bias = layer.config.get("use_bias", True)
         if not isinstance(use_bias, bool):
-            _refuse(layer, "its use_bias is neither true nor false; save the model anew")
+            _refuse(layer, "its use_bias is neither true nor false; save the model again")
         expected = [shapes["kernel"], shapes["bias"]][: 1 + use_bias]
         _check(layer, ["kernel", "bias"][: 1 + use_bias], expected)
         kernel, *biases = layer.arrays
@@ -218,7 +219,7 @@ class _Chain:
         self.is_linear = True
         self._activate(layer)
 
-    # --- layers without ---------------------------------------------------------------------------
+    # --- layers without weights -------------------------------------------------------------------
 
     def pooling(self, layer):
         size = _pair(layer, "pool_size")
@@ -229,15 +230,15 @@ class _Chain:
             layer.config.get("padding") != "same" or any(n % size[0] for n in self.shape[:2])
         )
         if size[0] != size[1] or strides != size or padded:
-            _refuse(layer, "use square windows that neither overlap nor are padded: "
-                    "AveragePooling2D(2), strides as the pool_size, padding 'valid'")  # fmt: skip
+            _refuse(layer, "its windows overlap, are padded or are not square; "
+                    "use AveragePooling2D(2), strides=None, padding='valid'")  # fmt: skip
         if self.is_linear:
             before = self.trained[-1][0]
             _refuse(before, f"has no ReLU before {shown(layer.name)}; put the ReLU before it")
         if size == (1, 1):
             return
         if len(self.layers) + 1 > MAX_LAYERS:
-            raise ModelFileError(f"has more than {MAX_LAYERS} layers, no network for a chip")
+            raise ModelFileError(f"has more than {MAX_LAYERS} layers; use fewer")
         made = Pooling(size[0])
         try:
             self.shape = made.shape(self.shape)
@@ -263,11 +264,11 @@ class _Chain:
         if self.is_linear:
             self.is_linear = False
         elif not self.trained:
-            _refuse(layer, "stands before the first Conv2D or Dense; leave it out")
+            _refuse(layer, "precedes the first Conv2D or Dense; remove it")
         elif (self.scale != 1).any() or self.offset.any():
             _refuse(layer, "the normalisation or rescaling before it follows a ReLU; "
                     "put the normalisation between the layer and its ReLU")  # fmt: skip
-        # else: what came through a ReLU, and perhaps an average, passes unchanged
+        # Otherwise the signal is not negative (after a ReLU, maybe pooled), and passes unchanged.
 
     def activation(self, layer):
         self._activate(layer)
@@ -279,25 +280,25 @@ class _Chain:
         elif what == "softmax":
             self._end(layer)
         elif what not in (None, "linear"):
-            what = "of your own" if isinstance(what, dict) else shown(what)
-            _refuse(layer, f"activation {what}; {_USE_RELU}")
+            what = "object" if isinstance(what, dict) else shown(what)
+            _refuse(layer, f"activation {what} is not supported; {_USE_RELU}")
 
     def softmax_layer(self, layer):
         if layer.config.get("axis", -1) not in (-1, len(self.shape), [-1]):
-            _refuse(layer, "a softmax over another axis; use axis=-1")
+            _refuse(layer, "its softmax is not over the last axis; use axis=-1")
         self._end(layer)
 
     def _end(self, layer):
         if not self.is_linear or self.layers[-1].kind != "dense":
-            _refuse(layer, "a softmax that does not follow the output; leave it out")
+            _refuse(layer, "its softmax does not follow the output; remove it")
         self.softmax = layer
-        self.notes.append(f"{layer}: its softmax left out, the largest stays the largest")
+        self.notes.append(f"{layer}: its softmax left out, which does not change the prediction")
 
     def normalisation(self, layer):
         axis = layer.config.get("axis", -1)
         axis = axis[0] if isinstance(axis, list) and len(axis) == 1 else axis
         if axis not in (-1, len(self.shape)):
-            _refuse(layer, "does not normalise the channels; use axis=-1")
+            _refuse(layer, "does not normalise over channels; use axis=-1")
         if layer.config.get("renorm"):
             _refuse(layer, "uses renorm; use renorm=False")
         epsilon = _number(layer, "epsilon", 0.001)
@@ -327,28 +328,28 @@ class _Chain:
             value = _plain(layer.config.get(key, default))
             one_by_one = value if isinstance(value, list) else [value]
             if not all(map(_is_number, one_by_one)) or len(one_by_one) not in (1, self.shape[-1]):
-                _refuse(layer, f"its {key} is no number; use a number, or one a channel")
+                _refuse(layer, f"its {key} is not a number; use one number, or one per channel")
             values.append(np.broadcast_to(np.array(one_by_one, float), self.shape[-1:]))
         self._affine(layer, *values)
 
     def _affine(self, layer, scale, offset):
-        """Fold ``scale * signal + offset``, one value a channel."""
-        with np.errstate(all="ignore"):  # what overflows is refused in the end
+        """Fold ``scale * signal + offset``, with one value per channel."""
+        with np.errstate(all="ignore"):  # infinite weights are refused in finished()
             if not self.is_linear:
                 self.scale, self.offset = scale * self.scale, scale * self.offset + offset
-                self.notes.append(f"{layer}: folded into the layer after it")
+                self.notes.append(f"{layer}: folded into the next layer")
                 return
             before, kernel, bias = self.trained[-1]
-            # A convolution's channels come again and again once the signal is flat.
+            # In a flattened signal the channels of a convolution repeat at each position.
             scales, offsets = (a.reshape(-1, len(bias)) for a in (scale, offset))
             if (scales != scales[0]).any() or (offsets != offsets[0]).any():
-                _refuse(layer, "normalises each position by itself; put it before the Flatten")
+                _refuse(layer, "normalises each position separately; put it before the Flatten")
             self.trained[-1] = [before, kernel * scales[0], bias * scales[0] + offsets[0]]
         self.notes.append(f"{layer}: folded into {before}")
 
     def _is_image(self, layer):
         if len(self.shape) != 3:
-            _refuse(layer, "stands after a Flatten or Dense; leave it out")
+            _refuse(layer, "follows a Flatten or Dense; remove it")
 
 
 _HANDLERS = {
@@ -366,7 +367,7 @@ _IDLE = (
     *("Dropout", "SpatialDropout2D", "AlphaDropout", "GaussianDropout", "GaussianNoise"),
     *("ActivityRegularization",),
 )
-"""What does something in training only."""
+"""Layers that only act in training."""
 
 _INSTEAD = {
     "MaxPooling2D": "use AveragePooling2D, or a stride in the convolution before it",
@@ -377,26 +378,26 @@ _INSTEAD = {
     "DepthwiseConv2D": "use Conv2D",
     "SeparableConv2D": "use Conv2D",
     "Conv2DTranspose": "use Conv2D",
-    "Conv1D": "use Conv2D on the skin's rows and columns",
-    "Conv3D": "use Conv2D on the skin's rows and columns",
+    "Conv1D": "use Conv2D on the sensor's rows and columns",
+    "Conv3D": "use Conv2D on the sensor's rows and columns",
     "ZeroPadding2D": "use padding='same' in the convolution after it",
     "Cropping2D": "use a convolution with a stride",
-    "Reshape": "give the input as rows, columns, channels: keras.Input((10, 10, 1))",
+    "Reshape": "use an input of rows, columns, channels: keras.Input((10, 10, 1))",
     "Lambda": "nothing in a model file is executed; use Keras's own layers",
     "TFOpLambda": "use Keras's own layers",
     "SlicingOpLambda": "use Keras's own layers",
     "Add": "use a chain of layers without branches",
     "Concatenate": "use a chain of layers without branches",
 }
-"""What could be used in place of what cannot."""
+"""Alternatives to layers that are not supported."""
 
-_USE_RELU = "use ReLU: activation='relu' (in the output 'softmax' or none)"
+_USE_RELU = "use activation='relu' (in the output 'softmax' or None)"
 for _kind in ("LeakyReLU", "PReLU", "ELU", "ThresholdedReLU", "Relu", "Relu6", "LeakyRelu"):
     _INSTEAD[_kind] = _USE_RELU
 
 
 def _instead(kind) -> str:
-    """What could be used in place of a layer."""
+    """An alternative to a layer that is not supported."""
     return _INSTEAD.get(
         kind,
         "use Conv2D (with a stride), AveragePooling2D, Dense, Flatten, ReLU, BatchNormalization",
@@ -408,41 +409,41 @@ def _refuse(layer, problem):
 
 
 def _check(layer, names, shapes):
-    """Refuse a layer whose arrays are not of these shapes, or not finite."""
+    """Refuse a layer whose arrays have other shapes or are not finite."""
     if [array.shape for array in layer.arrays] != [tuple(shape) for shape in shapes]:
         found = ", ".join(shown(array.shape)[1:-1] for array in layer.arrays) or "none"
         expected = ", ".join(str(tuple(shape)) for shape in shapes)
-        _refuse(layer, f"its arrays have shapes {found}, not {expected}; save the model anew")
+        _refuse(layer, f"its arrays have shapes {found}, not {expected}; save the model again")
     for name, array in zip(names, layer.arrays, strict=True):
         if not np.isfinite(array).all():
-            _refuse(layer, f"its {name} has NaN or infinite values: the training failed; "
-                    "train again, with a lower learning rate")  # fmt: skip
+            _refuse(layer, f"its {name} has NaN or infinite values; "
+                    "train the model again, with a lower learning rate")  # fmt: skip
 
 
 def _channels_last(layer):
     if layer.config.get("data_format", "channels_last") != "channels_last":
-        _refuse(layer, "has the channels first; use data_format='channels_last'")
+        _refuse(layer, "expects channels first; use data_format='channels_last'")
 
 
 def _count(layer, key) -> int:
     value = layer.config.get(key)
     if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= MAX_VALUES:
-        _refuse(layer, f"its {key} is no number from 1 to {MAX_VALUES}; save the model anew")
+        _refuse(layer, f"its {key} is not from 1 to {MAX_VALUES}; save the model again")
     return value
 
 
 def _pair(layer, key, default=None) -> tuple:
-    """(rows, columns), given as one number or two."""
+    """(rows, columns) of a setting that is one number or two."""
     value = layer.config.get(key, default)
     value = value if isinstance(value, list) else [value, value]
     counts = [n for n in value if isinstance(n, int) and not isinstance(n, bool)]
     if len(value) != 2 or len(counts) != 2 or not 1 <= min(counts) <= max(counts) <= MAX_VALUES:
-        _refuse(layer, f"its {key} is no pair of numbers from 1 on; save the model anew")
+        _refuse(layer, f"its {key} is not a pair of positive integers; save the model again")
     return tuple(counts)
 
 
 def _plain(value):
-    """A number or list, where Keras wrote down that it was one of NumPy's."""
+    """A number or list, also where Keras saved it as a NumPy object."""
     if isinstance(value, dict) and value.get("class_name") == "__numpy__":
         config = value.get("config")
         return config.get("value") if isinstance(config, dict) else None
@@ -451,11 +452,11 @@ def _plain(value):
 
 def _is_number(value) -> bool:
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return is_number and abs(value) < 1e30  # not for NaN either
+    return is_number and abs(value) < 1e30  # False for NaN
 
 
 def _number(layer, key, default) -> float:
     value = _plain(layer.config.get(key, default))
     if not _is_number(value):
-        _refuse(layer, f"its {key} is no number; save the model anew")
+        _refuse(layer, f"its {key} is not a number; save the model again")
     return float(value)

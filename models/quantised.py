@@ -1,4 +1,4 @@
-"""Layers whose forward pass uses the weights that Loihi will use."""
+"""Keras layers whose forward pass uses weights quantised as on Loihi."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from deploy.network.chip import LOIHI
 from models.keras2 import as_written, tf
 
 WEIGHT_LEVELS = LOIHI.weight_levels
-"""Largest magnitude of a weight that may have either sign."""
+"""Largest magnitude of a signed weight."""
 
 BIAS_BITS = LOIHI.bias_bits
-"""Bits of the mantissa of a bias current."""
+"""Bits of a bias current's mantissa."""
 
 
 def straight_through(rounding, values):
-    """Values after a rounding function, with the gradient that they would have without it."""
+    """Apply a rounding function with a straight-through gradient."""
     return values + tf.stop_gradient(rounding(values) - values)
 
 
 def weight_scale(weights):
-    """What one level of an 8-bit weight stands for, without a gradient; a scalar tensor.
+    """Value of one level of an 8-bit weight: a scalar tensor without a gradient.
 
     NengoLoihi scales the weights of a block so that the largest fills 8 bits
     (``discretize_weights``).
@@ -29,15 +29,15 @@ def weight_scale(weights):
 
 
 def eight_bits(weights):
-    """Round weights to 8 bits with one scale for all of them; the gradient passes unchanged."""
+    """Round weights to 8 bits with a common scale; the gradient is straight-through."""
     scale = weight_scale(weights)
     return straight_through(lambda values: tf.round(values / scale) * scale, weights)
 
 
 def twelve_bits(bias):
-    """Round bias currents to a mantissa of 12 bits each; the gradient passes unchanged.
+    """Round each bias current to a 12-bit mantissa; the gradient is straight-through.
 
-    Loihi holds a bias as 12 bits times a power of two (NengoLoihi's ``bias_to_manexp``).
+    Loihi stores a bias as 12 bits times a power of two (NengoLoihi's ``bias_to_manexp``).
     """
     magnitude = tf.maximum(tf.abs(bias), 1e-12)
     unit = tf.pow(2.0, tf.math.ceil(tf.math.log(magnitude) / np.log(2.0)) - BIAS_BITS)
@@ -46,20 +46,20 @@ def twelve_bits(bias):
 
 @as_written
 def on_chip(kernel, bias, gain: float):
-    """Kernel and bias as the chip has them.
+    """Kernel and bias, quantised as on the chip.
 
     Parameters
     ----------
     kernel, bias : tensor
     gain : float
-        Of the neurons that follow: their current is ``1 + gain * (kernel * input + bias)``, which
-        makes ``1 + gain * bias`` their bias current.
+        Gain of the layer's neurons: their current is ``1 + gain * (kernel * input + bias)``, so
+        that ``1 + gain * bias`` is their bias current.
     """
     return eight_bits(kernel), (twelve_bits(1 + gain * bias) - 1) / gain
 
 
 class OnChipConv2D(tf.keras.layers.Conv2D):
-    """A ``Conv2D`` with the weights and bias currents of the chip.
+    """A ``Conv2D`` with the chip's quantised weights and bias currents.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class OnChipConv2D(tf.keras.layers.Conv2D):
 
 
 class OnChipDense(tf.keras.layers.Dense):
-    """A ``Dense`` layer with the weights and bias currents of the chip.
+    """A ``Dense`` layer with the chip's quantised weights and bias currents.
 
     Parameters
     ----------
@@ -95,6 +95,6 @@ class OnChipDense(tf.keras.layers.Dense):
         self.gain = gain
 
     def call(self, inputs):
-        """Weigh; shapes as in ``Dense``."""
+        """Compute the weighted sums; shapes as in ``Dense``."""
         kernel, bias = on_chip(self.kernel, self.bias, self.gain)
         return tf.matmul(inputs, kernel) + bias

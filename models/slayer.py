@@ -1,8 +1,8 @@
 """SLAYER: spike response neurons trained directly on events (Shrestha and Orchard 2018).
 
-Equations, with the section of "SLAYER: Spike Layer Error Reassignment in Time" (NeurIPS 2018) they
-are from.  Time t counts steps of ``dt``; ``*`` is convolution and ``(x)`` correlation in time; l is
-the layer, W its weights (here a convolution or a dense layer, without bias).
+The equations and their sections in "SLAYER: Spike Layer Error Reassignment in Time" (NeurIPS 2018)
+are below.  Time t counts steps of ``dt``; ``*`` is convolution and ``(x)`` correlation in time; l
+is the layer, W its weights (here a convolution or a dense layer, without bias).
 
 =========================  =====================================================  ===============
 spike response             a = eps * s,  eps(t) = t/tau_s exp(1 - t/tau_s)        Section 2.1
@@ -17,17 +17,17 @@ gradient                   dE/dW_l = sum over t of delta_l(t) a_(l-1)(t)^T      
 error of the output        e(t) = (count - desired count)/T                       Section 3.1
 =========================  =====================================================  ===============
 
-rho stands in for the derivative of a spike with respect to the potential (the stochastic neuron of
-Section 3.2); the correlation spreads an error at time t over the earlier inputs that caused it.
-As in the paper, the refractory feedback takes part in rho through u but is not differentiated.
+rho replaces the derivative of a spike with respect to the potential (the stochastic neuron of
+Section 3.2); the correlation distributes an error at time t over the earlier inputs that caused it.
+As in the paper, the refractory response influences rho through u but is not differentiated.
 
-Both kernels are those of a second-order linear filter, so that a convolution over all of time costs
-a few operations a step whatever the time constant: with d = exp(-1/tau),
+Both kernels are impulse responses of a second-order linear filter, so that a convolution over time
+costs a few operations per step for any time constant: with d = exp(-1/tau),
 
     p(t) = d p(t-1) + s(t),    q(t) = d (q(t-1) + p(t-1)),    (eps * s)(t) = e/tau q(t).
 
-Every weight layer handles all steps of all samples at once; only :func:`fire` goes step by step,
-in one loop compiled by XLA that carries both filters, and its gradient is one such loop backwards.
+Layers with weights process all steps of all samples at once; only :func:`fire` iterates over steps,
+in one loop compiled by XLA that computes both filters, and its gradient is one such reverse loop.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ from models.time_steps import scan, weighted_sums
 class SpikeResponse:
     """Parameters of a spike response neuron; times in seconds.
 
-    The defaults are those of the authors' published example on a data set of the same kind
-    (N-MNIST): time constants of 10 and 1 steps, theta = 10, refractory scale 2.  The ST-MNIST paper
-    gives none.
+    The defaults are those of the authors' published example on N-MNIST, a similar data set: time
+    constants of 10 and 1 steps, theta = 10, refractory scale 2.  The ST-MNIST paper does not state
+    its values.
 
     Attributes
     ----------
     dt : float
-        Length of a time step; ST-MNIST, Section 3.2.3: bins of 0.01 s.
+        Length of a time step; ST-MNIST paper, Section 3.2.3: bins of 0.01 s.
     tau_s : float
         Time constant of the spike response kernel.
     tau_r : float
@@ -82,16 +82,16 @@ class SpikeResponse:
                 raise ValueError(f"SpikeResponse: {name} must be above zero")
 
     def decay(self, tau: float) -> float:
-        """Factor by which a trace with time constant ``tau`` shrinks in one step."""
+        """Decay factor per step of a trace with time constant ``tau``."""
         return float(np.exp(-self.dt / tau))
 
     def gain(self, tau: float) -> float:
-        """Factor from q to the kernel of unit peak, e/tau with tau in steps."""
+        """Factor that scales q to a kernel of unit peak: e/tau with tau in steps."""
         return float(np.e * self.dt / tau)
 
 
 def spike_response(spikes, neuron: SpikeResponse):
-    """The response a = eps * s to spikes that are not differentiated, such as the input's.
+    """The response a = eps * s to spikes without a gradient, such as the network's input.
 
     Parameters
     ----------
@@ -107,25 +107,25 @@ def spike_response(spikes, neuron: SpikeResponse):
 
 
 def fire(current, neuron: SpikeResponse):
-    """Spikes of a layer, and the response of the next one's synapses to them.
+    """Simulate the neurons of a layer, and the synaptic response to their spikes.
 
     Parameters
     ----------
     current : tensor of float32, shape (steps, ...)
-        W a, the weighted responses of the layer before.
+        W a, the weighted responses of the previous layer.
 
     Returns
     -------
     response : tensor, shape (steps, ...)
         a = eps * s.  Its gradient with respect to ``current`` is delta of the module's docstring.
     potential : tensor, shape (steps, ...)
-        u, with the refractory response in it; the neuron fires where it reaches theta.  Errors
-        do not flow back through this output.
+        u, including the refractory response; the neuron fires where it reaches theta.  This output
+        has no gradient.
     """
 
     @tf.custom_gradient
     def fire_with_credit(current):
-        # Else TensorFlow would also prepare to differentiate the loop itself, which XLA cannot.
+        # Without it TensorFlow would also differentiate the loop itself, which XLA cannot do.
         response, potential = _fire(tf.stop_gradient(current), neuron)
 
         def credit(error, _):
@@ -133,7 +133,7 @@ def fire(current, neuron: SpikeResponse):
 
         return (response, potential), credit
 
-    # XLA makes one tight loop of a step's neurons when they lie in one dimension.
+    # XLA fuses the neurons of a step into one loop if they are one dimension.
     flat = tf.reshape(current, (current.shape[0], -1))
     response, potential = (tf.reshape(x, tf.shape(current)) for x in fire_with_credit(flat))
     response.set_shape(current.shape)
@@ -192,12 +192,12 @@ def _zeros(like, count):
 
 
 def spike_count_loss(response, potential, desired, neuron: SpikeResponse):
-    """The spike count loss E = 1/2 sum over t of e(t)^2, e(t) = (count - desired)/T, all of time.
+    """The spike count loss E = 1/2 sum over all t of e(t)^2 with e(t) = (count - desired)/T.
 
     Parameters
     ----------
     response, potential : tensors, shape (steps, samples, outputs)
-        Of the output layer, from :func:`fire`.
+        Outputs of :func:`fire` for the output layer.
     desired : tensor of float32, shape (samples, outputs)
         Desired spike counts.
 
@@ -205,7 +205,7 @@ def spike_count_loss(response, potential, desired, neuron: SpikeResponse):
     -------
     scalar tensor
         Mean over the samples.  Its gradient with respect to ``response`` is e(t)/samples: the paper
-        defines the error where synapses read the output, before credit is spread over time.
+        defines the error of the synaptic response, before credit is assigned over time.
     """
     steps = response.shape[0]
     error = tf.stop_gradient((spike_counts(potential, neuron) - desired) / steps)
@@ -215,31 +215,30 @@ def spike_count_loss(response, potential, desired, neuron: SpikeResponse):
 
 
 def spike_counts(potential, neuron: SpikeResponse):
-    """Number of spikes in all of time, float32, shape (samples, ...)."""
+    """Number of spikes over all steps, float32, shape (samples, ...)."""
     return tf.reduce_sum(tf.cast(potential >= neuron.theta, tf.float32), 0)
 
 
 class SlayerNetwork(tf.Module):
-    """Convolutions and dense layers of spike response neurons.
+    """A network of convolutions and dense layers with spike response neurons.
 
     Parameters
     ----------
     architecture : Architecture
-        Averaging acts on the responses, without neurons of its own.  For example
-        ``architecture.parse("10x10x2-6c2-24c3-10o")``.
+        For example ``architecture.parse("10x10x2-6c2-24c3-10o")``.  Average pooling acts on the
+        responses and has no neurons.
     neuron : SpikeResponse
     seed : int
-        Of the initial weights: uniform in +-scale/sqrt(fan-in).
+        Seed of the initial weights, which are uniform in +-scale/sqrt(fan-in).
     conv_scale, dense_scale : float
-        How far the initial weights reach.  They must be large enough for spikes to reach the
-        output, without which there is no gradient to learn from.  The defaults are those of the
-        authors' code.
+        Scales of the initial weights.  They must be large enough for spikes to reach the output;
+        without spikes there is no gradient.  The defaults are those of the authors' code.
 
     Attributes
     ----------
     kernels : list of Variable
-        Of each convolution, shape (k, k, channels in, filters), and of each dense layer, shape
-        (features in, units), the output last.
+        The kernel of each convolution, shape (k, k, input channels, filters), and of each dense
+        layer, shape (inputs, units), the output last.
     """
 
     def __init__(
@@ -276,13 +275,13 @@ class SlayerNetwork(tf.Module):
         Returns
         -------
         response, potential : tensors, shape (steps, samples, outputs)
-            Of the output layer.
+            Outputs of :func:`fire` for the output layer.
         """
         *_, output = self.layers(events)
         return output
 
     def layers(self, events):
-        """Response and potential of every layer with weights, from the first to the output.
+        """Response and potential of every layer with weights, in order.
 
         Returns
         -------
@@ -301,7 +300,7 @@ class SlayerNetwork(tf.Module):
 
 
 def _averaged(response, size):
-    """The mean over squares."""
+    """Average pooling over square windows."""
     steps, samples = response.shape[0], tf.shape(response)[1]
     frames = tf.reshape(response, (-1, *response.shape[2:]))
     mean = tf.nn.avg_pool2d(frames, size, size, "VALID")

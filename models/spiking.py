@@ -1,37 +1,38 @@
-"""A spiking network trained on events with the integers of Loihi 1 in its forward pass.
+"""A spiking network trained on events, with Loihi 1's integer arithmetic in its forward pass.
 
-A step of a neuron, in the chip's integers (Davies et al. 2018, Section "Neuron model"; rounding as
-NengoLoihi's emulator has it, ``emulator/interface.py`` and ``builder/discretize.py``):
+In each step a neuron computes, in the chip's integers (Davies et al. 2018, Section "Neuron model";
+rounding as in NengoLoihi's emulator, ``emulator/interface.py`` and ``builder/discretize.py``):
 
 =======================  ========================================================================
-synaptic input           q(t) = 128 sum over i of w_i s_i(t),  w_i whole, -127 to 127
+synaptic input           q(t) = 128 sum over i of w_i s_i(t),  w_i an integer, -127 to 127
 current                  u(t) = trunc(keep_u u(t-1) / 4096) + q(t)
 voltage                  v(t) = max(trunc(keep_v v(t-1) / 4096) + u(t) + bias, floor)
-spike                    s(t) = 1 where v(t) > theta, and v(t) = 0 there
+spike                    s(t) = 1 if v(t) > theta, and then v(t) is reset to 0
 =======================  ========================================================================
 
-keep_u and keep_v are whole, from 2 to 4095; theta is a multiple of 64, the floor -(2^k) + 1, the
-bias 12 bits times a power of two.  With a refractory time of no step (NengoLoihi's ``tau_ref`` of
-0) the neuron goes on in the step after its spike.  On the chip a spike arrives a step after it was
-made; here in the same step, which moves each layer's spikes by its place and changes nothing else.
+keep_u and keep_v are integers from 2 to 4095; theta is a multiple of 64; floor, the lower voltage
+bound, is -(2^k) + 1; the bias is 12 bits times a power of two.  Without a refractory period
+(NengoLoihi's ``tau_ref`` of 0) the neuron integrates again in the step after its spike.  On the
+chip a spike arrives one step after it was sent; here it arrives in the same step, which only shifts
+the spikes of layer n by n steps.
 
-What is trained are real numbers: weights W and biases in units of the threshold, and for each layer
-one time constant of the current and one of the voltage.  The integers follow from them:
+The trained parameters are real numbers: weights W and biases b in units of the threshold, and for
+each layer one time constant of the current and one of the voltage.  They determine the integers:
 
     w = round(127 W / max abs W),   theta = 64 round(2 * 127 / max abs W),   bias = round(theta b)
 
-so that w = 127 occurs, as NengoLoihi wants it, and W is w 128 / theta.  Rounding passes gradients
-unchanged (straight-through).  A neuron's bias is kept below what would make it fire by itself.
+so that the largest weight is 127, as NengoLoihi requires, and W is w 128 / theta.  The gradient of
+rounding is straight-through.  A neuron's bias is limited so that it cannot fire without input.
 
-Gradients through time, theta' = 1 / (theta (1 + beta abs(v / theta - 1))^2) in place of a spike's
-derivative (the fast sigmoid of Zenke and Ganguli 2018), a = keep_u / 4096, b = keep_v / 4096, E the
-loss; the reset is not differentiated (Zenke and Vogels 2021):
+The gradients through time are below, with a = keep_u / 4096, b = keep_v / 4096, the loss E, and the
+surrogate theta' = 1 / (theta (1 + beta abs(v / theta - 1))^2) for the derivative of a spike (the
+fast sigmoid of Zenke and Ganguli 2018); the reset is not differentiated (Zenke and Vogels 2021):
 
-    dE/dv(t) = dE/ds(t) theta' + b (1 - s(t)) dE/dv(t+1),      0 where v(t) lies at the floor
+    dE/dv(t) = dE/ds(t) theta' + b (1 - s(t)) dE/dv(t+1),      0 where v(t) is at its lower bound
     dE/du(t) = dE/dv(t) + a dE/du(t+1),                        dE/dq(t) = dE/du(t)
     dE/da = sum over t of dE/du(t) u(t-1),                     dE/db likewise with v
 
-The output adds up its weights over the last layer's spikes, from a sample's start on:
+The output accumulates its weights K over the spikes of the last layer, from the sample's start:
 
     y(t) = sum over t' <= t of K s(t').
 """
@@ -59,28 +60,29 @@ from models.time_steps import scan, weighted_sums
 
 BIAS_EXPONENTS = 7
 Q_BITS, U_BITS = LOIHI.input_bits, LOIHI.current_bits
-"""Bits of the synaptic accumulator and of the current, without their signs."""
+"""Bits of the synaptic accumulator and of the current, without sign."""
 
 BIAS_CAP = 0.9
-"""Share of the threshold that a bias alone may bring a neuron's voltage to."""
+"""Largest voltage that a bias alone may cause, as a share of the threshold."""
 
 
 OUTPUT_SCALE = 0.2
-"""The output's kernel is this times the variable that is trained, which makes its own steps of
-learning smaller than those of the other layers."""
+"""Ratio of the output's kernel to its trained variable, which makes the learning steps of the
+output smaller than those of the other layers."""
 
 
 @dataclass(frozen=True)
 class Neuron:
-    """What is the same for all neurons and not trained, and where training begins.
+    """Neuron parameters: the constants of all layers, and the initial time constants.
 
     Attributes
     ----------
     tau_u, tau_v : tuple of float
-        Time constants of current and voltage in steps, at the start, one a layer; the last entry
-        holds for all layers after it.
+        Initial time constants of current and voltage in steps, one per layer; the last entry also
+        applies to all later layers.
     floor : float
-        Lowest voltage, in units of the threshold; rounded to a power of two in the chip's integers.
+        Lower voltage bound in units of the threshold; rounded to a power of two in the chip's
+        integers.
     beta : float
         Steepness of the surrogate gradient; larger is narrower.
     """
@@ -96,7 +98,7 @@ class Neuron:
 
 
 class SpikingNetwork(tf.Module):
-    """Convolutions and dense layers of current-based neurons, and a linear output.
+    """A network of convolutions and dense layers with current-based neurons, and a linear output.
 
     Parameters
     ----------
@@ -104,12 +106,12 @@ class SpikingNetwork(tf.Module):
         Without pooling, with at least one layer before the output.
     neuron : Neuron
     seed : int
-        Of the initial weights: normal, with a variance of one over the fan-in.
+        Seed of the initial weights, which are normal with a variance of one over the fan-in.
 
     Raises
     ------
     ValueError
-        The architecture has a pooling, or nothing that spikes.
+        The architecture has pooling, or no layer with neurons.
     """
 
     def __init__(self, architecture: Architecture, neuron: Neuron | None = None, seed: int = 0):
@@ -142,19 +144,19 @@ class SpikingNetwork(tf.Module):
 
     @property
     def variables_in_order(self) -> list:
-        """The trained variables, always in the same order."""
+        """The trained variables in a fixed order."""
         return list(self.variables_by_name.values())
 
     def get_weights(self) -> dict:
         """Trained arrays by name: ``"conv1.kernel"``, ``.bias``, ``.tau_u`` and ``.tau_v`` (steps).
 
-        The output's kernel is what a spike adds to each output; kernels and biases of neurons are
-        in units of their threshold.
+        The output's kernel holds the contribution of a spike to each output; kernels and biases of
+        neurons are in units of their threshold.
         """
         return self.named(variable.numpy() for variable in self.variables_in_order)
 
     def named(self, arrays) -> dict:
-        """As :func:`get_weights`, of other values of the variables, in their order."""
+        """The arrays of :func:`get_weights` for other values of the variables, in their order."""
         weights = {}
         for name, value in zip(self.variables_by_name, arrays, strict=True):
             tau = name.endswith((".tau_u", ".tau_v"))
@@ -164,12 +166,12 @@ class SpikingNetwork(tf.Module):
         return weights
 
     def set_weights(self, weights: dict):
-        """The inverse of :func:`get_weights`.
+        """Assign the arrays that :func:`get_weights` returned.
 
         Raises
         ------
         ValueError
-            An array is missing or has another shape.
+            An array is missing or has the wrong shape.
         """
         for name, variable in self.variables_by_name.items():
             if name not in weights or np.shape(weights[name]) != tuple(variable.shape):
@@ -180,30 +182,30 @@ class SpikingNetwork(tf.Module):
             variable.assign(value / OUTPUT_SCALE if name == "output.kernel" else value)
 
     def __call__(self, frames, keep=None, dtype=tf.float32, values=None):
-        """Run the network on frames of events, from rest: no current, the bias's voltage.
+        """Run the network on event frames from its resting state (no current).
 
         Parameters
         ----------
         frames : tensor, shape (steps, samples, rows, columns, channels)
             1 where there is a spike, 0 elsewhere; any type.
         keep : list of tensor, optional
-            For each layer what its spikes are multiplied with on their way on, of a shape that
-            goes with (samples, neurons): dropout.
+            Dropout: for each layer the factors that multiply its spikes before the next layer,
+            of a shape that broadcasts to (samples, neurons).
         dtype : tf.DType
-            float64 computes the chip's integers exactly; float32 may be a unit off where the
+            float64 computes the chip's integers exactly; float32 may be off by one unit where the
             product of a current or voltage and its decay exceeds 24 bits.
         values : dict of str to tensor, optional
-            Stand in for the variables.
+            Used instead of the variables.
 
         Returns
         -------
         outputs : tensor, shape (steps, samples, outputs)
             y(t) at every step.
         spikes : list of tensor, shape (steps, samples, neurons)
-            Of each layer, 0 or 1.
+            The spikes of each layer, 0 or 1.
         """
         values = self.variables_by_name if values is None else values
-        steps, samples = tf.unstack(tf.shape(frames)[:2])  # of any number: traced once for all
+        steps, samples = tf.unstack(tf.shape(frames)[:2])  # dynamic: one trace for every number
         signal, spikes = tf.cast(frames, dtype), []
         layers = zip(self.names, self.architecture.layers, self.architecture.shapes, strict=False)
         for index, (name, layer, before) in enumerate(layers):
@@ -219,7 +221,7 @@ class SpikingNetwork(tf.Module):
         return tf.cumsum(tf.reshape(added, (steps, samples, kernel.shape[1]))), spikes
 
     def _on_chip(self, name, values, dtype):
-        """The chip's integers as tensors, with gradients to what is trained."""
+        """The chip's integers as tensors, with gradients to the trained variables."""
         kernel, bias, tau_u, tau_v = (
             tf.cast(values[f"{name}.{part}"], dtype)
             for part in ("kernel", "bias", "tau_u", "tau_v")
@@ -245,12 +247,12 @@ class SpikingNetwork(tf.Module):
         }
 
     def integers(self, values=None) -> dict:
-        """The layers as the chip has them, by name.
+        """The integers of each layer on the chip, by name.
 
         Parameters
         ----------
         values : dict of str to tensor, optional
-            Stand in for the variables.
+            Used instead of the variables.
 
         Returns
         -------
@@ -269,18 +271,19 @@ class SpikingNetwork(tf.Module):
         return layers
 
     def peaks(self, frames, values=None) -> dict:
-        """Largest magnitudes that occur, to be held against ``Q_BITS`` and ``U_BITS``.
+        """Largest magnitudes that occur, to be compared with ``Q_BITS`` and ``U_BITS``.
 
         Parameters
         ----------
         frames : tensor
-            As in a call.
+            As in :func:`__call__`.
         values : dict of str to tensor, optional
+            Used instead of the variables.
 
         Returns
         -------
         dict of str to (float, float)
-            By layer: of q, and of u with the bias.
+            By layer: the largest magnitude of q, and of u plus the bias.
         """
         values = self.variables_by_name if values is None else values
         _, spikes = self(frames, dtype=tf.float64, values=values)
@@ -300,9 +303,9 @@ class SpikingNetwork(tf.Module):
 
 
 def operations(architecture: Architecture, frames, spikes):
-    """Synaptic operations of each sample by the layer that receives them; differentiable.
+    """Synaptic operations of each sample by the receiving layer; differentiable.
 
-    A spike counts once for each synapse that it arrives at, as in :mod:`deploy.network.operations`.
+    A spike counts once for each synapse that it reaches, as in :mod:`deploy.network.operations`.
 
     Parameters
     ----------
@@ -313,7 +316,7 @@ def operations(architecture: Architecture, frames, spikes):
     Returns
     -------
     tensor of float32, shape (samples, layers)
-        The last one is the output's.
+        The last layer is the output.
     """
     totals = [tf.reduce_sum(tf.cast(sender, tf.float32), 0) for sender in (frames, *spikes)]
     return tf.stack(
@@ -329,7 +332,7 @@ _PARTS = ("keep_u", "keep_v", "bias", "threshold", "floor")
 
 
 def fire(current, keep_u, keep_v, bias, threshold, floor, beta):
-    """Spikes of a layer of neurons.
+    """Simulate a layer of neurons, with the surrogate gradient of the module's docstring.
 
     Parameters
     ----------
@@ -338,14 +341,14 @@ def fire(current, keep_u, keep_v, bias, threshold, floor, beta):
     keep_u, keep_v : scalar tensor
     bias : tensor, shape (neurons,)
     threshold, floor : scalar tensor
-        All in the chip's integers; no gradient flows to threshold and floor.
+        All in the chip's integers; threshold and floor have no gradient.
     beta : float
         See :class:`Neuron`.
 
     Returns
     -------
     tensor, shape (steps, samples, neurons)
-        0 or 1.
+        Spikes, 0 or 1.
     """
 
     @tf.custom_gradient
@@ -393,7 +396,7 @@ def _run_back(error, spikes, v, beta, keep_u, keep_v, bias, threshold, floor):
 
     def step(t, state):
         to_u, to_v = state
-        # What of v(t) is left at t + 1: nothing after a spike, nothing of what the floor replaced.
+        # v(t) does not influence v(t + 1) after a spike or where the lower bound replaced it.
         to_v = (slope[t] + b * (1 - spikes[t]) * to_v) * free[t]
         to_u = to_v + a * to_u
         return (to_u, to_v), (to_u, to_v)
@@ -403,9 +406,9 @@ def _run_back(error, spikes, v, beta, keep_u, keep_v, bias, threshold, floor):
 
 
 def _rest(keep_v, bias):
-    """The voltage that a bias leads to if nothing else comes, from 0: the first that stays.
+    """The resting voltage: the first fixed point that a bias alone reaches from 0.
 
-    v = trunc(keep_v v / 4096) + bias holds where ceil(v (4096 - keep_v) / 4096) = bias, v > 0.
+    v = trunc(keep_v v / 4096) + bias is true if ceil(v (4096 - keep_v) / 4096) = bias, v > 0.
     """
     lower = tf.floor((tf.abs(bias) - 1) * DECAY_UNIT / (DECAY_UNIT - keep_v))
     return tf.sign(bias) * (lower + 1)
@@ -417,13 +420,13 @@ def _decay(x, keep):
 
 
 def _spread(parameters, neurons):
-    """The parameters with the bias of every neuron instead of every channel."""
+    """The parameters with the bias repeated from channels to neurons."""
     bias = parameters["bias"]
     return {**parameters, "bias": tf.tile(bias, [neurons // bias.shape[0]])}
 
 
 def _twelve_bits(bias):
-    """Round to 12 bits times a power of two, the smallest that will do, at most 2^7."""
+    """Round to 12 bits times the smallest sufficient power of two, at most 2^7."""
     size = tf.abs(bias)[..., None] / BIAS_MANTISSA
     limits = tf.constant(2.0 ** np.arange(BIAS_EXPONENTS), bias.dtype)
     exponent = tf.reduce_sum(tf.cast(size > limits, bias.dtype), -1)
@@ -432,7 +435,7 @@ def _twelve_bits(bias):
 
 
 def _power_of_two(x):
-    """The power of two next to x, by ratio; exact, which a logarithm in float32 would not be."""
+    """The power of two closest to x by ratio; computed without a float32 logarithm to be exact."""
     powers = np.arange(25)
     limits, rises = 2.0 ** (powers - 0.5), 2.0 ** np.maximum(powers - 1, 0)
     passed = tf.cast(x[..., None] > tf.constant(limits, x.dtype), x.dtype)
@@ -440,10 +443,10 @@ def _power_of_two(x):
 
 
 def _logit(tau):
-    """What a time constant in steps is trained as: decay = sigmoid(logit) = exp(-1 / tau)."""
+    """The trained variable of a time constant in steps: decay = sigmoid(logit) = exp(-1 / tau)."""
     return -np.log(np.expm1(1 / np.asarray(tau, np.float64)))
 
 
 def _steps(logit):
-    """Time constant in steps, the inverse of `_logit`."""
+    """Time constant in steps: the inverse of `_logit`."""
     return 1 / np.log1p(np.exp(-np.asarray(logit, np.float64)))

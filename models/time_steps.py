@@ -1,4 +1,4 @@
-"""What networks in discrete time share: running over steps, and the sums of weighted inputs."""
+"""Operations shared by networks in discrete time: loops over time steps, and weighted sums."""
 
 from __future__ import annotations
 
@@ -6,24 +6,25 @@ from models.keras2 import tf
 
 
 def scan(step, like, state, outputs: int, backwards: bool = False):
-    """Run a function over time.
+    """Call a step function at every time step and collect its values.
 
     Parameters
     ----------
     step : callable
         ``step(t, state) -> state, values``, with ``outputs`` values.
     like : tensor, shape (steps, ...)
-        Has as many steps, and the type of the values.
+        Defines the number of steps and the type of the values.
     state : tuple of tensor
-        Before the first step.
+        State before the first step.
     outputs : int
+        Number of values per step.
     backwards : bool
-        From the last step to the first.
+        Run from the last step to the first.
 
     Returns
     -------
     tuple of tensor, each of shape (steps, ...)
-        Each value at every step.
+        One tensor for each value.
     """
     steps = _size(like, 0)
     arrays = tuple(tf.TensorArray(like.dtype, steps) for _ in range(outputs))
@@ -39,7 +40,7 @@ def scan(step, like, state, outputs: int, backwards: bool = False):
 
 
 def weighted_sums(layer, kernel, signal):
-    """The inputs of a layer times its weights, at all steps of all samples at once.
+    """Weighted sums of a layer's inputs, for all steps of all samples at once.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ def weighted_sums(layer, kernel, signal):
     kernel : tensor
         Shape (rows, columns, channels in, filters), or (inputs, units).
     signal : tensor, shape (steps, samples, ...)
-        Of a convolution (steps, samples, rows, columns, channels).
+        For a convolution: (steps, samples, rows, columns, channels).
 
     Returns
     -------
@@ -64,5 +65,5 @@ def weighted_sums(layer, kernel, signal):
 
 
 def _size(tensor, axis):
-    """The size of an axis: a number where it is known before the network runs."""
+    """The size of an axis: an int if it is static, else a tensor."""
     return tf.shape(tensor)[axis] if tensor.shape[axis] is None else tensor.shape[axis]

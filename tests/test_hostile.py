@@ -184,7 +184,7 @@ def test_digits_that_are_missing_are_said(tmp_path, capsys):
 @pytest.mark.parametrize("verb", ["train", "convert", "ladder", "sweep"])
 def test_a_file_that_is_not_there_does_not_become_a_run(refused, tmp_path, verb):
     line = refused(verb, tmp_path / "my_model.keras")
-    assert "named like a file" in line
+    assert "my_model.keras" in line
     assert not list(tmp_path.iterdir())
 
 

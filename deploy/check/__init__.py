@@ -1,1 +1,1 @@
-"""The check: bundle, results, and what they say."""
+"""Bundles, their checks, and the results of checks."""

@@ -6,7 +6,7 @@
 ``checks.npz``            inputs, labels and sample ids of the check, and its seed
 ``deploy.pyz``            this package as a zipapp
 ``MANIFEST.json``         SHA-256 of each file; its own SHA-256 is the bundle's id
-``checks/``               not part of the bundle: where ``deploy.pyz`` leaves results
+``checks/``               not part of the bundle: the folder for results of ``deploy.pyz``
 ========================  ==================================================================
 
 Nothing in a bundle is executed on reading, and a file that does not match its hash is refused.
@@ -40,9 +40,9 @@ from ..files import (
 from ..network.spec import NetworkSpec
 
 NETWORK_SCHEMA = "stmnist-bundle/2"
-"""Of ``network.json`` as it is written."""
+"""Schema of the ``network.json`` that is written."""
 READ_SCHEMAS = (NETWORK_SCHEMA, "stmnist-bundle/1")
-"""As it is read: the first had an encoder in the place of a stimulus, and ``images`` in
+"""Schemas that can be read: the first one has an encoder instead of a stimulus, and ``images`` in
 ``checks.npz``."""
 MANIFEST_SCHEMA = "stmnist-manifest/1"
 FILES = ("network.json", "weights.npz", "checks.npz", "deploy.pyz")
@@ -52,16 +52,16 @@ _REMEDY = "delete the folder and make it again with 'stmnist convert', or copy i
 
 @dataclass(frozen=True)
 class CheckSet:
-    """The samples that every target answers.
+    """The samples of a check, which are the same for every target.
 
     Attributes
     ----------
     inputs : ndarray, shape (n_samples, ...)
-        Normalised tactile images or frames of events, as the network's stimulus takes them.
+        Normalised tactile images or event frames, in the format of the network's stimulus.
     labels : ndarray of int, shape (n_samples,)
     ids : tuple of str
     seed : int
-        By which they were drawn from the test split.
+        Seed with which they were drawn from the test split.
     """
 
     inputs: np.ndarray
@@ -73,7 +73,7 @@ class CheckSet:
         return len(self.labels)
 
     def __getitem__(self, part: slice) -> CheckSet:
-        """Some of the samples."""
+        """A subset of the samples."""
         return CheckSet(self.inputs[part], self.labels[part], self.ids[part], self.seed)
 
 
@@ -97,10 +97,10 @@ class Bundle:
 
 
 def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
-    """Write a bundle, replacing one that is there, and read it back.
+    """Write a bundle, replacing an existing one, and read it back.
 
-    The folder is filled under a temporary name and then renamed, so that an interruption leaves
-    the earlier bundle as it was, or the new one whole.
+    The folder is filled under a temporary name and then renamed, so that after an interruption the
+    previous bundle or the complete new one exists.
     """
     path = Path(path)
     if path.exists() and not path.is_dir():
@@ -160,10 +160,9 @@ def result_beside(folder, target: str) -> Path:
 
 
 def _exchange(new, path):
-    """Put a folder in the place of another, so that there is never half of one.
+    """Replace a folder by another one, never leaving a partial folder.
 
-    That takes two renames; whatever comes between them, an interruption too, puts the earlier
-    folder back.
+    This takes two renames; if the second does not happen, the previous folder is restored.
     """
     if not path.exists():
         os.replace(str(new), str(path))
@@ -187,8 +186,8 @@ def read_bundle(path) -> Bundle:
     Raises
     ------
     UserError
-        It is not a bundle; a file is missing, extra or changed; the schema or the time step is of
-        another version; an array does not fit the description.
+        The folder is not a bundle; a file is missing, extra or changed; the version of the schema
+        or the time step is not supported; an array does not fit the description.
     """
     path = Path(path)
     if not path.is_dir():
@@ -239,7 +238,7 @@ def _inputs_of(arrays):
 
 
 def _wrong_with(arrays, spec):
-    """What keeps arrays from being the samples of a network's check, or None."""
+    """The reason why arrays cannot be the samples of a network's check, or None."""
     if sorted(arrays) not in (["ids", name, "labels", "seed"] for name in ("images", "inputs")):
         held = ", ".join(sorted(arrays)[:10])
         return f"not the samples of a check, ids, inputs, labels and seed, but {held}"
@@ -273,7 +272,7 @@ def _check_schema(path, found, known):
 
 
 def zipapp_bytes() -> bytes:
-    """This package as a zipapp, the same bytes for the same source files."""
+    """This package as a zipapp; the bytes are the same for the same source files."""
     package = Path(__file__).resolve().parent.parent
     main = 'import runpy\n\nrunpy.run_module("deploy", run_name="__main__")\n'
     members = {"__main__.py": main.encode()}

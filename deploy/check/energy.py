@@ -4,18 +4,18 @@ For a layer on the chip, with the spikes counted in a check::
 
     E = synaptic operations * (23.6 + 3.5) pJ + neuron updates * 81 pJ
 
-23.6 pJ a synaptic operation, 3.5 pJ a hop between tiles (the mean of 3.0 and 4.0 pJ in its two
-directions) and 81 pJ the update of an active neuron are from Davies et al. 2018 (IEEE Micro 38(1),
-Table 2), and keras-spiking's ``ModelEnergy`` counts with them in the same way.  A neuron is updated
-at every step, the gap between samples included.  For the CNN of the same architecture::
+The energies are from Davies et al. 2018 (IEEE Micro 38(1), Table 2): 23.6 pJ per synaptic
+operation, 3.5 pJ per hop between tiles (the mean of 3.0 and 4.0 pJ in its two directions) and 81 pJ
+per update of an active neuron; keras-spiking's ``ModelEnergy`` uses them in the same way.  A neuron
+is updated at every step, including the gap between samples.  For the CNN of the same architecture::
 
     E = (multiply-accumulates + neurons) * 8.6 nJ on a CPU, or 0.3 nJ on a GPU
 
 after Degnan et al. 2016 (IEEE Trans. VLSI 24(1)): an Intel i7-4960X, and an Nvidia GTX Titan Black
 with large batches.
 
-Nothing of this is measured.  Left out: idle power, the host (with the encoder and a linear
-readout), getting spikes onto the chip and off it, and memory traffic.
+These are estimates, not measurements.  They do not include idle power, the host (with the encoder
+and a linear readout), spikes onto the chip and off it, and memory traffic.
 """
 
 from __future__ import annotations
@@ -36,24 +36,24 @@ CHIP = {
 """Joules (Davies et al. 2018)."""
 
 MAC = {"cpu": 8.6e-9, "gpu": 0.3e-9}
-"""Joules a multiply-accumulate, and a neuron (Degnan et al. 2016)."""
+"""Joules per multiply-accumulate and per neuron (Degnan et al. 2016)."""
 
 
 @dataclass(frozen=True)
 class LayerEstimate:
-    """One layer and one inference.
+    """Estimate for one layer and one inference.
 
     Attributes
     ----------
     layer : str
     on_chip : bool
-        A layer on the host takes no part in the chip's estimate.
+        A layer on the host is not part of the chip's estimate.
     synaptic_operations, neuron_updates : float
-        Mean of the check's samples.
+        Mean over the check's samples.
     chip_joules : float
         0 for a layer on the host.
     multiply_accumulates, neurons : int
-        Of the same layer of the CNN.
+        Numbers of the same layer of the CNN.
     """
 
     layer: str
@@ -65,23 +65,23 @@ class LayerEstimate:
     neurons: int
 
     def cnn_joules(self, device: str) -> float:
-        """Of the CNN's layer on ``"cpu"`` or ``"gpu"``."""
+        """Energy of the CNN's layer on ``"cpu"`` or ``"gpu"``."""
         return (self.multiply_accumulates + self.neurons) * MAC[device]
 
 
 @dataclass(frozen=True)
 class EnergyEstimate:
-    """Energy and latency of one inference, estimated.
+    """Estimated energy and latency of one inference.
 
     Attributes
     ----------
     layers : list of LayerEstimate
     latency_seconds : float
-        Time that a sample is shown.
+        Duration of a sample's presentation.
     decided_seconds : float
-        Median time after which the decision no longer changed.
+        Median time after which the decision does not change.
     step_seconds : float
-        Of one time step.
+        Duration of one time step.
     """
 
     layers: List[LayerEstimate]
@@ -91,15 +91,15 @@ class EnergyEstimate:
 
     @property
     def chip_joules(self) -> float:
-        """Of all layers on the chip."""
+        """Energy of all layers on the chip."""
         return sum(layer.chip_joules for layer in self.layers)
 
     def cnn_joules(self, device: str) -> float:
-        """Of the whole CNN."""
+        """Energy of the whole CNN."""
         return sum(layer.cnn_joules(device) for layer in self.layers)
 
     def to_json(self) -> dict:
-        """Plain values for a program to read."""
+        """The estimate as plain values."""
         return {
             "schema": "stmnist-energy-estimate/1",
             "estimate": True,
@@ -135,7 +135,7 @@ def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
     Raises
     ------
     UserError
-        The result has no counts of this network's layers, or not when its samples were decided.
+        The result has no counts of this network's layers, or no decision times.
     """
     counted = result.get("synaptic_operations")
     receiving = {layer.name for layer in spec.layers if layer.placement == "chip"}
@@ -143,8 +143,8 @@ def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
         raise UserError(
             "the result has no synaptic operations of this network; run the check again"
         )
-    if "decided_at_median" not in result:  # a comparison can do without
-        raise UserError("the result does not say when samples were decided; run the check again")
+    if "decided_at_median" not in result:  # it is optional for comparisons
+        raise UserError("the result has no decision times; run the check again")
     samples, shown = result["n_samples"], spec.presentation
     macs = multiply_accumulates(spec)
     layers = []
@@ -170,7 +170,7 @@ def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
 
 
 def estimate_text(value: EnergyEstimate) -> str:
-    """An estimate in a table and a few lines."""
+    """Format an estimate as a table and a few lines."""
     heads = [
         "layer",
         "where",
@@ -203,7 +203,7 @@ def estimate_text(value: EnergyEstimate) -> str:
             "CNN: (multiply-accumulates + neurons) x 8.6 nJ on a CPU, 0.3 nJ on a GPU",
             "  (Degnan et al. 2016)",
             "left out: idle power, host, spikes to and from the chip, memory traffic",
-            f"latency: shown for {value.latency_seconds * 1000:.0f} ms, decided after "
+            f"latency: presented for {value.latency_seconds * 1000:.0f} ms, decided after "
             f"{value.decided_seconds * 1000:.0f} ms (median), "
             f"at {value.step_seconds * 1000:g} ms a step",
         ]

@@ -1,4 +1,4 @@
-"""Intervals and paired tests for accuracies."""
+"""Confidence intervals and tests for accuracies."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def wilson_interval(correct: int, n: int, confidence: float = 0.95):
     low, high : float
         In [0, 1].
     """
-    from scipy import stats  # a third of a second, for those who only ask for help
+    from scipy import stats  # takes a third of a second, which --help should not cost
 
     interval = stats.binomtest(correct, n).proportion_ci(confidence, method="wilson")
     return float(interval.low), float(interval.high)
@@ -31,7 +31,7 @@ def mcnemar(correct_a, correct_b) -> float:
     Parameters
     ----------
     correct_a, correct_b : array_like of bool, shape (n,)
-        Whether each classifier was right on each sample.
+        True where the classifier was right.
 
     Returns
     -------
@@ -60,8 +60,8 @@ def fisher(correct_a: int, n_a: int, correct_b: int, n_b: int) -> float:
     Returns
     -------
     float
-        Probability of a table at most as likely if both were equally good.  Where the two have some
-        samples in common it is too large: the test is cautious then, not wrong.
+        Probability of a table at most as likely if both were equally good.  If the two have some
+        samples in common, it is too large: the test is then conservative.
     """
     table = [[correct_a, n_a - correct_a], [correct_b, n_b - correct_b]]
     from scipy import stats

@@ -1,8 +1,8 @@
-"""Firing rates, against the whole steps that the chip counts in.
+"""Firing rates, and their resolution due to the chip's discrete time steps.
 
-On Loihi the time between two spikes is a whole number of steps, so a neuron with a steady input
-fires at 1000 / k Hz and nothing between: at 100 Hz the next rates are 91 and 111 Hz, at 250 Hz they
-are 200 and 333 Hz.  Values that a network was trained to keep apart fall together there.
+On Loihi the interval between two spikes is a whole number of steps, so a neuron with a constant
+input fires at 1000 / k Hz: next to 100 Hz the possible rates are 91 and 111 Hz, next to 250 Hz they
+are 200 and 333 Hz.  Different values of the trained network can thus have the same rate.
 """
 
 from __future__ import annotations
@@ -16,36 +16,36 @@ from ..network.stream import streams_of
 from ..targets.fast.emulation import Emulation, compile_spec
 
 COARSE = 0.25
-"""Spikes a step above which the neighbouring rates are a quarter and more away."""
+"""Spikes per step above which the next possible rate differs by a quarter or more."""
 
 STREAMS_AT_ONCE = 8
-"""Streams whose every spike is held in memory at a time."""
+"""Number of streams whose spikes are in memory at a time."""
 
 
 def firing_rates(
     spec: NetworkSpec, samples, seed: int = 0, start: int = 0, advance=None
 ) -> Dict[str, np.ndarray]:
-    """Rates of each neuron of each layer of neurons, by the fast emulator.
+    """Firing rates of all neurons, computed by the fast emulator.
 
     Parameters
     ----------
     spec : NetworkSpec
     samples : ndarray
-        As the network's stimulus takes them; shown in the network's presentation.
+        Samples in the format of the network's stimulus, in the network's presentation.
     seed : int
     start : int
-        Steps at the start of each sample that are left out.
+        Number of steps at the start of each sample that are ignored.
     advance : callable, optional
         Called with the number of samples done since the last call.
 
     Returns
     -------
     dict of str to ndarray, shape (n_samples, n_neurons)
-        In spikes a second, from ``start`` on while the sample is shown.  A second is the
-        stimulus's own (``step_seconds`` a step): with events one on the skin, not on the chip.
+        In spikes per second, from ``start`` to the end of the sample.  A second is one of the
+        stimulus (``step_seconds`` per step): with events, a second of the recording.
     """
-    # Bit for bit Numba's, in a third of a second for 200 samples: to import Numba takes longer, and
-    # to compile it, at the first start on a machine, five seconds.
+    # The NumPy kernel is bit-identical to Numba's and takes a third of a second for 200 samples.
+    # Importing Numba takes longer, and compiling at the first start takes five seconds.
     emulation = Emulation(compile_spec(spec, seed), "numpy")
     presentation = spec.presentation
     sizes = {layer.name: layer.size for layer in spec.layers if layer.neurons is not None}
@@ -55,7 +55,7 @@ def firing_rates(
         of_batch = {name: [] for name in sizes}
 
         def watch(spikes, of_batch=of_batch):
-            """Spikes of one sample of each stream, packed to bits."""
+            """Unpack and count the spikes of one sample of each stream."""
             for name, size in sizes.items():
                 read = np.unpackbits(spikes[name][:, -window:], axis=2, count=size)
                 of_batch[name].append(read.sum(axis=1))
@@ -70,7 +70,7 @@ def firing_rates(
 
 
 def _batches(samples, stream_length):
-    """Arrays of streams of one length each, shape (n_streams, n_samples, ...), in order."""
+    """Arrays of streams of equal length, shape (n_streams, n_samples, ...), in order."""
     whole = [part for part in streams_of(len(samples), stream_length)]
     rest = [whole.pop()] if len(samples) % stream_length else []
     for first in range(0, len(whole), STREAMS_AT_ONCE):
@@ -80,7 +80,7 @@ def _batches(samples, stream_length):
 
 
 def chip_rates(spec: NetworkSpec, samples) -> Dict[str, dict]:
-    """The summary of the layers on the chip; see :func:`firing_rates` and :func:`rate_summary`."""
+    """Rate summary of the layers on the chip; see :func:`firing_rates`, :func:`rate_summary`."""
     on_chip = [layer.name for layer in spec.layers if layer.placement == "chip"]
     rates = firing_rates(spec, samples)
     return rate_summary(
@@ -89,7 +89,7 @@ def chip_rates(spec: NetworkSpec, samples) -> Dict[str, dict]:
 
 
 def silent_share(rates) -> float:
-    """Share of the neurons that fire on none of the samples.
+    """Share of the neurons that are silent on all samples.
 
     Parameters
     ----------
@@ -101,20 +101,20 @@ def silent_share(rates) -> float:
 def rate_summary(
     rates: Dict[str, np.ndarray], dt: float = DT, steady: bool = True
 ) -> Dict[str, dict]:
-    """Of each layer: share of silent neurons; mean, 99th percentile and maximum where one fires.
+    """Summarise each layer: share of silent neurons; mean, 99th percentile and maximum rate.
 
-    Also how far, relative to it, the next lower rate is from the 99th percentile
-    (``step_at_p99``), and the share of the rates that are above `COARSE`.
+    Mean and percentile are over nonzero rates.  Also computed are the relative distance from the
+    99th percentile to the next lower rate (``step_at_p99``), and the share of rates above `COARSE`.
 
     Parameters
     ----------
     rates : dict of str to ndarray, shape (n_samples, n_neurons)
-        In spikes a second.
+        In spikes per second.
     dt : float
-        Seconds that a step stands for.
+        Duration of a step in seconds.
     steady : bool
-        Whether the input is, so that values are told by rates; if not, nothing is said of how far
-        apart those are.
+        True for a constant input, whose values are encoded as rates; otherwise the resolution of
+        rates is not computed.
     """
     summary = {}
     for name, values in rates.items():
@@ -138,7 +138,7 @@ def rate_summary(
 
 
 def rates_text(summary: Dict[str, dict], n_samples: int) -> str:
-    """A summary in a few lines."""
+    """Format a rate summary as a few lines."""
     steady = all("coarse" in layer for layer in summary.values())
     seconds = "" if steady else ", in seconds on the skin"
     lines = [f"firing rates on the emulator, {n_samples} samples{seconds}:"]
@@ -154,7 +154,7 @@ def rates_text(summary: Dict[str, dict], n_samples: int) -> str:
 
 
 def rate_warnings(summary: Dict[str, dict]) -> List[str]:
-    """Layers whose rates are too coarse, or that do not fire at all."""
+    """Warnings about layers whose rates are too coarse, or that do not fire at all."""
     lines = []
     for name, layer in summary.items():
         if layer["silent"] == 1:

@@ -1,4 +1,4 @@
-"""The result of a check: its JSON schema, reading it back, and comparing two."""
+"""The result of a check: its JSON schema, validation, and comparison."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from .intervals import mcnemar, wilson_interval
 SCHEMA = "stmnist-check/1"
 
 PUBLISHED = ("id", "label", "prediction", "scores", "decided_at", "stopped_at", "spike_hash")
-"""What a result says of each sample; the last two where there is a confidence to be reached, and
-from targets that keep single spikes."""
+"""Fields of a sample in a result.  The last two only exist with a confidence for early decisions,
+and for targets that record single spikes."""
 
 SHARES = tuple(tenths / 10 for tenths in range(1, 11))
-"""Of the time that a sample was written in, at which the accuracy is told."""
+"""Shares of the writing time at which the accuracy is computed."""
 
 
 def versions() -> dict:
-    """Versions of what computed a result."""
+    """Versions of the software that computed a result."""
     return {
         "python": platform.python_version(),
         "numpy": np.__version__,
@@ -46,13 +46,13 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
     target : str
     seed : int
     samples : list of dict
-        One a sample of the bundle's check, in its order: ``id``, ``label``, ``prediction``,
-        ``scores``, ``decided_at``, ``decisions`` (each step's), ``spikes`` and ``operations`` (each
-        layer's).
+        One dict per sample of the bundle's check, in order: ``id``, ``label``, ``prediction``,
+        ``scores``, ``decided_at``, ``decisions`` (at each step), ``spikes`` and ``operations`` (of
+        each layer).
     wall_seconds : float
         Time spent on the samples, over all sessions.
     extra : dict, optional
-        What only this target can say, such as the board; ``versions`` in it are added to ours.
+        Further fields from the target, such as the board; its ``versions`` are merged.
 
     Returns
     -------
@@ -93,9 +93,9 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
 
 
 def _while_written(bundle, decisions, labels, samples) -> dict:
-    """How right the network is while a sample is still being written; of frames of events only.
+    """Accuracy while a sample is still being written; for event frames only.
 
-    A sample is written until its last event; a step later than the last is one after the end.
+    Writing ends with the sample's last event; steps after the end count as the last step.
     """
     spec = bundle.spec
     if spec.stimulus.held:
@@ -126,18 +126,18 @@ def _while_written(bundle, decisions, labels, samples) -> dict:
 
 
 def read_result(path, remedy="run 'stmnist check run' again") -> dict:
-    """Read a result and make sure that it is one.
+    """Read and validate a result.
 
     Parameters
     ----------
     path : path-like
     remedy : str
-        What the user can do if the file is missing or damaged; ends the error's line.
+        Ends the error message: what to do about a missing or damaged file.
 
     Raises
     ------
     UserError
-        The file is missing, damaged, of another schema, or contradicts itself.
+        The file is missing, damaged, of another schema, or inconsistent.
     """
     result = read_json(path, remedy)
     if result.get("schema") != SCHEMA:
@@ -170,7 +170,7 @@ def _is_count(value, below=2**53):
 
 
 def _is_number(value):
-    return type(value) in (int, float) and -1e300 <= value <= 1e300  # which NaN is not
+    return type(value) in (int, float) and -1e300 <= value <= 1e300  # False for NaN
 
 
 def _are_numbers(values):
@@ -185,12 +185,12 @@ def _is_text(value):
 
 
 def _are_counts(values):
-    """True of what is counted by layer."""
+    """True for counts by layer."""
     return isinstance(values, dict) and all(_is_number(v) and v >= 0 for v in values.values())
 
 
 def is_share(value) -> bool:
-    """Whether a value that was read is a number from 0 to 1."""
+    """True if a value is a number from 0 to 1."""
     return _is_number(value) and 0 <= value <= 1
 
 
@@ -264,13 +264,13 @@ _FIELDS = {
     "per_class": lambda v: isinstance(v, list) and all(map(_is_part, v)),
     "per_writer": lambda v: isinstance(v, list) and all(map(_is_part, v)),
 }
-"""What is read from a result, and of what kind it must be."""
+"""Fields that are read from a result, with their validation."""
 
 _OPTIONAL = {
     "decided_at_median", "anytime_accuracy", "synaptic_operations", "versions", "while_written",
     "data", "classes", "confusion", "per_class", "per_writer",
 }  # fmt: skip
-"""What a comparison can do without."""
+"""Fields that a comparison does not need."""
 
 
 def _is_sample(value):
@@ -289,21 +289,21 @@ def _is_sample(value):
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two results of the same samples, side by side.
+    """Comparison of two results on the same samples.
 
     Attributes
     ----------
     targets : tuple of str
-        A's and B's.
+        Targets of A and B.
     accuracies : tuple of float
     n_samples : int
     disagreements : list of dict
         Samples with different predictions: ``id``, ``label``, ``a``, ``b``.
     p_value : float
-        McNemar's exact test on right against wrong.
+        McNemar's exact test on right and wrong predictions.
     other_spikes : int or None
-        Samples in which not every spike of every layer is the same; None where a result does not
-        tell.
+        Number of samples in which any spike of any layer differs; None if a result has no spike
+        hashes.
     """
 
     targets: tuple
@@ -315,7 +315,7 @@ class Comparison:
 
     @property
     def accuracy_drop(self) -> float:
-        """Accuracy of A less that of B."""
+        """Accuracy of A minus that of B."""
         return self.accuracies[0] - self.accuracies[1]
 
     def to_json(self) -> dict:
@@ -426,19 +426,19 @@ def enforce(
     max_disagreements: Optional[int] = None,
     max_accuracy_drop: Optional[float] = None,
 ):
-    """Fail if a comparison is past a limit.
+    """Raise an error if a comparison exceeds a limit.
 
     Parameters
     ----------
     comparison : Comparison
     max_disagreements : int, optional
     max_accuracy_drop : float, optional
-        By how much B may be less accurate than A.
+        Maximum of A's accuracy minus B's.
 
     Raises
     ------
     CheckFailed
-        Naming the limit and what was found.
+        A limit is exceeded; the message names it.
     UserError
         See :func:`require_limits`.
     """
@@ -446,7 +446,7 @@ def enforce(
     count = len(comparison.disagreements)
     if max_disagreements is not None and count > max_disagreements:
         raise CheckFailed(f"{count} disagreements, more than the {max_disagreements} allowed")
-    # An accuracy is a fraction of n samples: half a millionth is rounding, not a lost sample.
+    # An accuracy is a fraction of n samples: differences below 5e-7 are rounding.
     if max_accuracy_drop is not None and comparison.accuracy_drop > max_accuracy_drop + 5e-7:
         raise CheckFailed(
             f"accuracy drops by {comparison.accuracy_drop:.4f}, "

@@ -1,4 +1,4 @@
-"""Running a check: stream by stream, saved as it goes, resumed where it stopped."""
+"""Run a check: stream by stream, saved after each, and resumed after an interruption."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .bundle import Bundle, CheckSet
 from .results import result_of, versions
 
 KEYS = {"id", "label", "prediction", "scores", "decided_at", "decisions", "spikes", "operations"}
-"""What the partial file holds of each sample."""
+"""Fields of each sample in the partial file."""
 
 
 def run_check(
@@ -32,35 +32,34 @@ def run_check(
     advance=None,
     options: Optional[object] = None,
 ) -> dict:
-    """Let a target answer the bundle's samples and write the result.
+    """Run a target on the bundle's samples and write the result.
 
-    After each stream its answers are appended to ``.<name>.partial`` beside the result; a run that
-    was interrupted goes on from there with the next stream.  (A sample's answer depends on those
-    before it in its stream, so a stream that was cut short is run again from its start.)
+    After each stream its responses are appended to ``.<name>.partial`` beside the result; an
+    interrupted run resumes with the next stream.  (A sample's response depends on the previous
+    samples of its stream, so an interrupted stream is repeated from its start.)
 
     Parameters
     ----------
     bundle : Bundle
     target : str
     out : path-like
-        The result, JSON.
+        File of the result, JSON.
     seed : int
     advance : callable, optional
-        Called with the number of samples done since the last call, resumed ones included.
+        Called with the number of samples done since the last call, including resumed ones.
     options : object, optional
-        Of the target's own class, see :func:`deploy.targets.registry.options_for`.
+        Options of the target's own class, see :func:`deploy.targets.registry.options_for`.
 
     Returns
     -------
     dict
-        The result, as written.  Of a board it says of how many samples the spikes are not those
-        that ``fast`` computes: a spike that is lost on the way leaves an answer as possible as the
-        right one, and nothing else tells.
+        The result, as written.  For a board it includes the number of samples whose spikes differ
+        from those of ``fast``, since a lost spike cannot be recognised from the predictions.
 
     Raises
     ------
     UserError
-        Unknown target, unwritable result, or another process is writing it.
+        The target is unknown, the result cannot be written, or another process is writing it.
     """
     with open_check(bundle, target, out, seed, advance, options) as check:
         for record in answered(check.work(check.left)):
@@ -70,19 +69,19 @@ def run_check(
 
 @dataclass(frozen=True)
 class Work:
-    """Some streams of a check, and all it takes to answer them: here, or in another process.
+    """Some streams of a check with all data to run them, also in another process.
 
     Attributes
     ----------
     spec : NetworkSpec
     streams : tuple of (int, CheckSet)
-        The number of each one's first sample in the check, and what is shown.
+        Index of each stream's first sample in the check, and its samples.
     check : dict
-        Which check it is a part of.
+        Identification of the check.
     saved : Path
-        Where the answers to each stream are appended.
+        File to which the responses to each stream are appended.
     options : object or None
-        Of the target.
+        Options of the target.
     """
 
     spec: NetworkSpec
@@ -98,12 +97,12 @@ class Work:
 
 
 def answered(work: Work) -> Iterator[dict]:
-    """Answer streams of a check, save the answers to each one, and yield them.
+    """Run streams of a check; save and yield the responses to each.
 
     Raises
     ------
     UserError
-        The disk is full, or the network's stimulus cannot show the samples.
+        The disk is full, or the network's stimulus cannot present the samples.
     """
     chosen = {} if work.options is None else {"options": work.options}
     shown = [work.spec.fed(checks.inputs) for _, checks in work.streams]
@@ -128,7 +127,7 @@ def answered(work: Work) -> Iterator[dict]:
 
 
 class OpenCheck:
-    """A check that is being done: what of it is there, and what is left; see :func:`open_check`.
+    """A check in progress, with finished and remaining streams; see :func:`open_check`.
 
     Attributes
     ----------
@@ -145,30 +144,30 @@ class OpenCheck:
 
     @property
     def left(self) -> list:
-        """The streams that have no answers yet, in order: which samples they show, as slices."""
+        """The remaining streams in order, as slices of the samples."""
         return [part for part in _streams(self._bundle) if part.start not in self._done]
 
     def work(self, parts) -> Work:
-        """What it takes to answer some of the streams that are left."""
+        """The data to run some of the remaining streams."""
         streams = tuple((part.start, self._bundle.checks[part]) for part in parts)
-        # Absolute, because a process may have been started elsewhere.
+        # An absolute path, because another process may have another working directory.
         saved = self._saved.absolute()
         return Work(self._bundle.spec, streams, self._check, saved, self._options)
 
     def take(self, record: dict):
-        """Take what :func:`answered` yields, in any order."""
+        """Add a record from :func:`answered`, in any order."""
         self._done[record["first"]] = record
         self._advance(len(record["samples"]))
 
     def finish(self) -> dict:
-        """Write the result, now that no stream is left; return it."""
+        """Write and return the result, after the last stream."""
         bundle, target, seed = self._bundle, self.target, self._check["seed"]
         records = [self._done[part.start] for part in _streams(bundle)]
         answers = [sample for record in records for sample in record["samples"]]
         notes = [record["notes"] for record in records if "notes" in record]
         extra = target.describe(notes) if notes and target.describe else {}
         if target.hardware:
-            # NumPy's kernel: Numba's compiles five seconds in a bundle that was copied.
+            # NumPy's kernel: in a copied bundle, Numba would compile for five seconds.
             expected = answer(bundle.spec, bundle.checks.inputs, "fast", seed, kernel="numpy")
             extra["samples_unlike_fast"] = sum(
                 told.get("spike_hash") != str(spikes)
@@ -195,12 +194,12 @@ def open_check(
     advance=None,
     options: Optional[object] = None,
 ) -> Iterator[OpenCheck]:
-    """Open a check where it was left, for its streams to be answered in any order and process.
+    """Open a check, resuming an earlier one, for its streams to be run in any order and process.
 
     Parameters
     ----------
     bundle, target, out, seed, advance, options
-        As in :func:`run_check`, which answers them one after the other.
+        As in :func:`run_check`, which runs the streams in sequence.
 
     Yields
     ------
@@ -215,7 +214,7 @@ def open_check(
     if type(seed) is not int or not 0 <= seed < 2**31:  # a bundle may say anything
         raise UserError(f"seed {seed}: must be from 0 to {2**31 - 1}")
     out = Path(out)
-    if out.exists() and not out.is_file():  # said now, not when the answers are there
+    if out.exists() and not out.is_file():  # checked now, before the samples are run
         raise UserError(f"{out}: cannot write (not a file); choose another --out")
     saved = out.with_name("." + out.name + ".partial")
     shown = hashlib.sha256("\n".join(bundle.checks.ids).encode()).hexdigest()
@@ -236,7 +235,7 @@ def open_check(
 
 
 def records_of(checks: CheckSet, responses: Responses) -> list:
-    """What is kept of each sample."""
+    """The saved fields of each sample."""
     hashes, stops = responses.spike_hashes, responses.stopped_at
     return [
         {
@@ -261,13 +260,13 @@ def _disk_errors(path):
         yield
     except OSError as error:
         raise UserError(
-            f"{path}: cannot write ({error.strerror}); the streams saved before are safe: "
+            f"{path}: cannot write ({error.strerror}); the previous streams are saved: "
             "free some space and run the same command again"
         ) from error
 
 
 def _write_now(file, text):
-    """Append without a buffer, which a file on a full disk would flush once more as it closes."""
+    """Append without a buffer, since a file on a full disk would fail again when it is closed."""
     rest = text.encode()
     while rest:
         rest = rest[os.write(file.fileno(), rest) :]
@@ -275,10 +274,10 @@ def _write_now(file, text):
 
 
 def _resume(file, check, streams):
-    """The records of a check that a partial file holds, by their first sample; none: empty it.
+    """The records of a check in a partial file, by their first sample; if none, empty the file.
 
-    Lines may be of another check, or damaged: each is judged by itself.  What is not UTF-8 is a
-    damaged line.
+    Lines may belong to another check or be damaged: each is validated separately.  A line that is
+    not UTF-8 is damaged.
     """
     lengths = {part.start: part.stop - part.start for part in streams}
     file.seek(0)
@@ -296,7 +295,7 @@ def _resume(file, check, streams):
 
 
 def _is_record(value, check):
-    """True for what :func:`answered` appends of a check; a line may have been damaged since."""
+    """True for a valid record of :func:`answered` for a check."""
     return (
         isinstance(value, dict)
         and value.get("of") == check

@@ -1,4 +1,4 @@
-"""A result, and two side by side, in a few lines to be read."""
+"""Format a result, or the comparison of two, as a few lines."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from .results import Comparison
 
 
 def summary(result: dict) -> str:
-    """A check result in a few lines.
+    """Format a check result as a few lines.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def others_text(result: dict) -> str:
 
 
 def _hardware(result):
-    """What only a board has to say, in lines of their own."""
+    """Lines about a board."""
     if "hardware" not in result:
         return ""
     board, timing = result["hardware"], result["timing"]
@@ -102,13 +102,13 @@ def _kind(result):
 
 
 def comparison_text(comparison: Comparison, shown: int = 10) -> str:
-    """A comparison in a few lines, with the first samples that differ.
+    """Format a comparison as a few lines, with the first samples that differ.
 
     Parameters
     ----------
     comparison : Comparison
     shown : int
-        How many of those samples.
+        Maximum number of listed samples.
     """
     (a, b), differ = map(printable, comparison.targets), comparison.disagreements
     lines = [

@@ -1,12 +1,12 @@
-"""How a layer is cut into blocks, one block a core.
+"""How a layer is split into blocks, one block per core.
 
-A layer that a core can hold stays whole.  One that is too large is cut along rows, columns and
-channels into equal blocks (`nengo_loihi.BlockShape`); of all ways in which every block fits a core,
-the one with the fewest input axons is taken, summed over the blocks, and of those the one with the
-fewest blocks.  Axons are what a cut costs: an input that two blocks see needs an axon into each.
+A layer that fits a core is one block.  A larger one is split along rows, columns and channels into
+equal blocks (`nengo_loihi.BlockShape`); of all splits in which every block fits a core, the one
+with the fewest input axons in total is chosen, and of those the one with the fewest blocks.  Axons
+are the cost of a split: an input that two blocks read needs an axon into each.
 
-The counts are worked out here as NengoLoihi makes them, before it makes any; pre-flight counts what
-was made (:mod:`deploy.preflight.resources`) and refuses what does not fit after all.
+The counts are computed here before NengoLoihi makes the blocks; pre-flight counts the blocks made
+(:mod:`deploy.preflight.resources`) and refuses those that do not fit.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from .chip import LOIHI
 from .geometry import windows
 
 LIST = 64
-"""Synapses of one list."""
+"""Maximum number of synapses of one list."""
 
 INDEX_BITS = (6, 7, 8, 9, 10, 11, 12)
-"""Widths that the index of a synapse's target can have."""
+"""Possible widths of the index of a synapse's target."""
 
 OFFSET = 256
-"""Targets of a shared list are moved by at most this; further ones need a list of their own."""
+"""Maximum offset of the targets of a shared list; a larger one needs a separate list."""
 
 
 def block_shapes(layers) -> Dict[str, Tuple[int, ...]]:
-    """Block of each layer on the chip, by its name: its own ``block_shape`` where it has one.
+    """Block of each layer on the chip, by its name; an explicit ``block_shape`` has precedence.
 
     Parameters
     ----------
@@ -44,26 +44,26 @@ def block_shapes(layers) -> Dict[str, Tuple[int, ...]]:
             shapes[layer.name] = layer.block_shape or default_block(layer, *after)
             after = layer, shapes[layer.name]
         else:
-            after = ()  # what is on the host is read without axons
+            after = ()  # a layer on the host is read without axons
     return shapes
 
 
 @functools.lru_cache(maxsize=256)
 def default_block(layer, after=None, after_block=None) -> Tuple[int, ...]:
-    """The block of a layer; see the module.
+    """Choose the block of a layer; see the module's docstring.
 
     Parameters
     ----------
     layer : deploy.network.spec.Layer
     after : deploy.network.spec.Layer, optional
-        The layer on the chip that gets its spikes.
+        The next layer on the chip, which receives its spikes.
     after_block : tuple of int, optional
         Its block.
 
     Returns
     -------
     tuple of int
-        Where nothing fits, the best that at least has no more compartments than a core.
+        If nothing fits, the best block whose compartments fit a core.
     """
     limit, cutting = LOIHI.limits["compartments"], _Cutting(layer)
     receiver = after and _Receiver(after, after_block)
@@ -85,7 +85,7 @@ def _lengths(n):
 
 
 class _Line(NamedTuple):
-    """A layer's windows along one dimension of its input, an averaging before it included."""
+    """A layer's windows along one dimension of its input, including pooling before it."""
 
     n: int
     count: int
@@ -94,12 +94,12 @@ class _Line(NamedTuple):
     before: int
 
     def reach(self, first, last):
-        """For each input position the windows of ``first`` to ``last - 1`` that hold it.
+        """For each input position the windows among ``first`` to ``last - 1`` that contain it.
 
         Returns
         -------
         lowest, number, offset : ndarray of int, shape (n,)
-            The first of those windows, how many there are, and where in the first one it lies.
+            First of those windows, their number, and the position's offset in the first one.
         """
         at = np.arange(self.n) + self.before
         lowest = np.maximum(-(-(at - self.kernel + 1) // self.stride), first)
@@ -119,7 +119,7 @@ def _lines(layer) -> List[_Line]:
 
 
 class _Cutting:
-    """What a layer takes of the cores when it is cut into blocks."""
+    """Resources that a layer needs if it is split into blocks."""
 
     def __init__(self, layer):
         self.layer = layer
@@ -128,11 +128,11 @@ class _Cutting:
         self.n_inputs = int(np.prod(layer.input_shape))
 
     def count(self, block) -> int:
-        """Blocks."""
+        """Number of blocks."""
         return int(np.prod([-(-n // b) for n, b in zip(self.layer.shape, block)]))
 
     def axons(self, block) -> int:
-        """Input axons of all blocks."""
+        """Number of input axons of all blocks."""
         if not self.is_conv:
             return self.n_inputs * self.count(block)
         along = [
@@ -142,7 +142,7 @@ class _Cutting:
         return int(np.prod(along)) * -(-self.layer.shape[2] // block[2])
 
     def fits(self, block, receiver) -> bool:
-        """Whether each block keeps to the limits of a core, but for its compartments."""
+        """True if each block is within the limits of a core, compartments excepted."""
         limits = LOIHI.limits
         short = self.is_conv and self.layer.pop_type == 16
         most = LOIHI.population_axons if short else limits["input axons"]
@@ -166,7 +166,7 @@ class _Cutting:
             tuple(values[used] for values in one) for one, used in zip(reach, seen)
         )
         offset = ((low_r[:, None] - parts[0][0]) * columns + low_c - parts[1][0]) * filters
-        # Inputs that lie alike in their windows share a list.
+        # Inputs at the same offset in their windows share a list.
         keys = np.stack(
             np.broadcast_arrays(n_r[:, None], at_r[:, None], n_c, at_c, offset // OFFSET), axis=-1
         ).reshape(-1, 5)
@@ -179,19 +179,19 @@ class _Cutting:
 
 
 def _words(synapses, bits):
-    """Words that the lists of one input's synapses take."""
+    """Number of memory words for the lists of one input's synapses."""
     full, rest = divmod(synapses, LIST)
     return full * list_words(LIST, bits) + (list_words(rest, bits) if rest else 0)
 
 
 def list_words(synapses: int, bits: int) -> int:
-    """Words of synapse memory that one list takes; it begins with a new one.
+    """Number of words of synapse memory for one list, which starts with a new word.
 
     Parameters
     ----------
     synapses : int
     bits : int
-        Of each of them.
+        Bits of each synapse.
     """
     return -(-(synapses * bits + LOIHI.synapse_header_bits) // LOIHI.synapse_word_bits)
 
@@ -202,7 +202,7 @@ def parts_of(n: int, length: int) -> list:
 
 
 class _Receiver:
-    """A layer on the chip with its blocks, as the layer before it sees it."""
+    """A layer on the chip with its blocks, as the target of the previous layer."""
 
     def __init__(self, layer, block):
         self.layer = layer
@@ -217,7 +217,7 @@ class _Receiver:
             self.slots = 2 if layer.pop_type == 32 else 1
 
     def axons_from(self, parts) -> int:
-        """Output axons of a block of the layer before."""
+        """Number of output axons of a block of the previous layer."""
         if self.seen is None:
             return int(np.prod([last - first for first, last in parts])) * self.blocks
         along = [

@@ -1,4 +1,4 @@
-"""The network rebuilt from its description in pure Nengo, ready for every target."""
+"""Build the Nengo network of a description, for every target."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ pad_only_where_needed()
 
 
 class EvenSpikes(nengo.SpikingRectifiedLinear):
-    """Evenly spaced spikes that begin from the same phase whenever the input has been blank.
+    """Neurons with evenly spaced spikes that restart from the same phase after a blank input.
 
     Parameters
     ----------
     phase : float
-        Voltage while there is no input, as a share of the threshold.
+        Voltage without input, as a share of the threshold.
     amplitude : float
     """
 
@@ -42,7 +42,7 @@ class EvenSpikes(nengo.SpikingRectifiedLinear):
 
 
 class Relay(nengo.neurons.NeuronType):
-    """A spike in each step in which there is an input, and no memory.
+    """Neurons without memory that spike in each step with an input.
 
     Parameters
     ----------
@@ -58,11 +58,11 @@ class Relay(nengo.neurons.NeuronType):
         self.amplitude = amplitude
 
     def gain_bias(self, max_rates, intercepts):
-        """Gain and bias are given, not sought."""
+        """Not implemented: gain and bias are always set."""
         raise NotImplementedError
 
     def max_rates_intercepts(self, gain, bias):
-        """Of no meaning here."""
+        """Not meaningful for these neurons."""
         return np.full_like(gain, np.nan), np.full_like(bias, np.nan)
 
     def step(self, dt, J, output):
@@ -72,14 +72,14 @@ class Relay(nengo.neurons.NeuronType):
 
 @dataclass(frozen=True)
 class Built:
-    """A Nengo network and the handles to feed and read it.
+    """A Nengo network, with the objects to feed and read it.
 
     Attributes
     ----------
     network : nengo.Network
     feed : Feed
     output : nengo.Probe
-        What the readout says at each step: decoded values on the host, or spikes of output
+        The readout at each step: decoded values on the host, or spikes of output
         neurons on the chip.
     spikes : dict of str to nengo.Probe
         Spikes of each spiking layer, in order.
@@ -92,16 +92,16 @@ class Built:
 
 
 def build(spec: NetworkSpec, seed: int = 0) -> Built:
-    """Rebuild the network in Nengo.
+    """Build the network in Nengo.
 
-    The convolutions onto the chip come from ``Neurons``, each with its bias in the ensemble; so the
-    network needs no host-to-chip decoders and fits NengoLoihi's ``precompute`` mode.
+    The convolutions onto the chip come from ``Neurons``, with their biases in the ensembles, so
+    that the network needs no host-to-chip decoders and fits NengoLoihi's ``precompute`` mode.
 
     Parameters
     ----------
     spec : NetworkSpec
     seed : int
-        Nothing in the network is random; NengoLoihi wants one all the same.
+        The network is not random, but NengoLoihi requires a seed.
 
     Returns
     -------
@@ -174,8 +174,8 @@ def _ensemble(layer: Layer):
 def _neurons(n, neuron_type, gain, bias, label):
     """An ensemble of which only the neurons are connected.
 
-    Encoders and the points to solve decoders at are given, because Nengo would draw and shuffle a
-    thousand of them, or two for each neuron, whenever it builds the network.
+    Encoders and evaluation points are set explicitly because Nengo would otherwise draw a thousand
+    points, and two for each neuron, at every build.
     """
     return nengo.Ensemble(
         n,
@@ -190,10 +190,10 @@ def _neurons(n, neuron_type, gain, bias, label):
 
 
 def _transform(layer: Layer):
-    """The layer's weights, an averaging before them folded in, and which inputs they are for.
+    """The transform of the layer's weights with pooling folded in, and the inputs it reads.
 
-    An averaging over P x P values of which no two squares overlap, followed by a convolution with a
-    kernel of K and a stride of S, is one convolution with a kernel of K P and a stride of S P.
+    Average pooling over P x P values without overlap, followed by a convolution with a kernel of
+    size K and a stride S, is one convolution with a kernel of size K P and a stride of S P.
 
     Returns
     -------
@@ -211,7 +211,7 @@ def _transform(layer: Layer):
     kernel, input_shape, inputs = layer.weights, layer.input_shape, None
     if layer.pool > 1:
         kernel, input_shape = _pooled_kernel(layer)
-        if input_shape != layer.input_shape:  # what the averaging leaves over is not to be read
+        if input_shape != layer.input_shape:  # values outside of complete windows are not read
             places = np.arange(np.prod(layer.input_shape)).reshape(layer.input_shape)
             inputs = places[: input_shape[0], : input_shape[1]].ravel().tolist()
     transform = nengo.Convolution(
@@ -226,10 +226,10 @@ def _transform(layer: Layer):
 
 
 def _pooled_kernel(layer):
-    """A kernel that averages as it reads, and the shape of the input that it is for.
+    """A kernel that includes average pooling, and the shape of its input.
 
-    Padded, it may need zeros in it: Nengo puts half of a padding before the values, rounded down,
-    where half of the padding of averaged values is a whole number of squares.
+    With padding it may need zeros: Nengo puts half of the padding, rounded down, before the values,
+    whereas half of the padding of pooled values is a whole number of windows.
     """
     pool, stride = layer.pool, layer.stride * layer.pool
     kernel = layer.weights.repeat(pool, axis=0).repeat(pool, axis=1) / pool**2

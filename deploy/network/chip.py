@@ -1,4 +1,4 @@
-"""What a chip has and can hold: one place for training, pre-flight and the estimate of energy."""
+"""Properties and limits of a chip, for training, pre-flight and the energy estimate."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ class Chip:
     ----------
     name : str
     dt : float
-        Time step in seconds that networks are made for.
+        Time step in seconds for which networks are made.
     cores : int
-        On one chip.
+        Number of cores of one chip.
     limits : dict of str to int
-        What one core has of each resource.
+        Resources of one core.
     weight_bits : int
-        Of a weight, one of them its sign.
+        Bits of a weight, including its sign.
     bias_bits : int
-        Of the mantissa of a bias current, without its sign.
+        Bits of the mantissa of a bias current, without its sign.
     decay_bits : int
     input_bits, current_bits, voltage_bits : int
-        Of one step's synaptic input, of the current and of the voltage, without their signs; the
-        first two wrap around beyond that, the voltage is clipped.
+        Bits of one step's synaptic input, of the current and of the voltage, without signs; the
+        first two wrap around, the voltage is clipped.
     population_channels, population_axons : int
         Channels and input axons that the short form of population spikes (16 bits) can address.
     synapse_word_bits, synapse_header_bits : int
-        Of a word of synapse memory, and of the header that a list of synapses begins with.
+        Bits of a word of synapse memory, and of the header of a list of synapses.
     synaptic_operation_joules, neuron_update_joules : float
         Energy of one operation.
     """
@@ -54,12 +54,12 @@ class Chip:
 
     @property
     def weight_levels(self) -> int:
-        """Largest magnitude of a weight that may have either sign."""
+        """Largest magnitude of a signed weight."""
         return 2 ** (self.weight_bits - 1) - 1
 
     @property
     def decay_unit(self) -> int:
-        """What a decay is counted in parts of: this much in a step would leave nothing."""
+        """Denominator of a decay: a decay of this value per step would leave nothing."""
         return 2**self.decay_bits
 
     @property
@@ -92,5 +92,5 @@ LOIHI = Chip(
     synaptic_operation_joules=(23.6 + 3.5) * 1e-12,
     neuron_update_joules=81e-12,
 )
-"""Davies et al. 2018, IEEE Micro 38(1): cores and their limits, bits, and Table 2 for energies (see
-:mod:`deploy.check.energy`); NengoLoihi 1.1, ``block.py``, for what of them a network meets."""
+"""Davies et al. 2018, IEEE Micro 38(1): cores and limits, bits, and Table 2 for energies (see
+:mod:`deploy.check.energy`); NengoLoihi 1.1, ``block.py``, for the limits relevant to a network."""

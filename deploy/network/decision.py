@@ -1,10 +1,9 @@
-"""When a network decides by itself: a confidence at every step, and a threshold for it.
+"""Early decisions of a network: a confidence at every step, and a threshold for it.
 
 The output of a network on events is a sum over the steps from a sample's start, trained as logits.
-The confidence is how often its answer turns out right where the outputs look as they do now: the
-largest share of their softmax, or better what a judge says that was trained for just that.  The
-network decides in the first step in which the confidence reaches a threshold, and at the end if it
-never does.
+The confidence is an estimate of the probability that the current answer is right: the largest value
+of the outputs' softmax or, better, the output of a trained confidence estimator (`Judge`).  The
+network decides in the first step in which the confidence reaches a threshold, or else at the end.
 """
 
 from __future__ import annotations
@@ -15,32 +14,32 @@ from typing import NamedTuple, Optional, Tuple
 import numpy as np
 
 HIDDEN = (32, 32)
-"""Units of a judge's layers before its last."""
+"""Units of the hidden layers of a confidence estimator."""
 
 RANKS = 4
-"""How many of the largest shares a judge is told in the order of their size."""
+"""Number of the largest softmax values that are inputs of an estimator, in sorted order."""
 
 LAGS = (2, 5)
-"""A judge is told how the outputs have changed in so many steps: whether the digit is still going
-on, and which way the evidence points."""
+"""Numbers of steps over which changes of the outputs are inputs of an estimator.  They indicate
+whether writing continues, and which class gains evidence."""
 
 SUREST = np.nextafter(1.0, 0.0)
-"""The highest confidence.  In floating point sure outputs would come to 1 itself, but a threshold
-of 1 means to wait for the end."""
+"""Upper bound of the confidence.  It is below 1, the threshold for deciding at the end only, which
+floating-point confidences could otherwise reach."""
 
 
 @dataclass(frozen=True)
 class Judge:
-    """A small network on the host that tells from the outputs how sure they are.
+    """A confidence estimator: a small network on the host that reads the outputs.
 
-    With p the softmax of the outputs at a step, x are the logarithms of p, of its largest values in
-    the order of their size, which class is the largest, the number of the step, and by how much the
-    outputs have changed since some earlier steps (``LAGS``):
+    With p the softmax of the outputs at a step, the inputs x are the logarithms of p, its largest
+    values in sorted order, the index of the largest class, the number of the step, and the changes
+    of the outputs over the last steps (``LAGS``):
 
         h = relu(relu(x A + a) B + b),    confidence = 1 / (1 + exp(-h C - c)).
 
-    The softmax alone does not know that an answer of 1 is often still going to be a 7, and that
-    even a clear lead means little early on.
+    The softmax alone ignores that an apparent 1 often becomes a 7, and that even a clear lead means
+    little at the beginning.
 
     Attributes
     ----------
@@ -53,7 +52,7 @@ class Judge:
 
     @staticmethod
     def shapes(classes: int) -> dict:
-        """Shape of each array by name, for networks of so many classes."""
+        """Shape of each array by name, for networks with some number of classes."""
         features = min(RANKS, classes) + 2 * classes + 1 + len(LAGS) * classes
         sizes = (features, *HIDDEN, 1)
         shapes = {}
@@ -70,17 +69,17 @@ class Judge:
 
     @classmethod
     def from_arrays(cls, arrays: dict, classes: int):
-        """The inverse of :meth:`arrays`; other arrays are left alone.
+        """Make an estimator from arrays by name; other arrays are ignored.
 
         Returns
         -------
         Judge or None
-            None if none of its arrays is there.
+            None if none of its arrays exists.
 
         Raises
         ------
         ValueError
-            Some are missing, of another shape, or hold NaN or infinite values.
+            Some arrays are missing, have another shape, or contain NaN or infinite values.
         """
         shapes = cls.shapes(classes)
         if not any(name in arrays for name in shapes):
@@ -103,14 +102,14 @@ class Judge:
 
 
 def judged_by(outputs, first: int = 0) -> np.ndarray:
-    """What a judge goes by.
+    """Compute the inputs of a confidence estimator.
 
     Parameters
     ----------
     outputs : ndarray, shape (..., steps, classes)
-        Sums of the readout from a sample's start on; before that they are 0.
+        Accumulated readout from a sample's start; before that it is 0.
     first : int
-        Step of the sample, from 0, that the first of them is of.
+        Index in the sample of the first of these steps.
 
     Returns
     -------
@@ -130,7 +129,7 @@ def judged_by(outputs, first: int = 0) -> np.ndarray:
 
 
 def delayed(outputs, steps: int) -> np.ndarray:
-    """What there was so many steps before; 0 before the first.
+    """The values some steps earlier; 0 before the first step.
 
     Parameters
     ----------
@@ -147,16 +146,16 @@ def delayed(outputs, steps: int) -> np.ndarray:
 
 
 class Threshold(NamedTuple):
-    """A threshold and what deciding by it did on the samples that it was chosen on.
+    """A threshold, and its results on the samples on which it was chosen.
 
     Attributes
     ----------
     confidence : float
-        From 0 to 1, which no confidence reaches: then the end decides.
+        From 0 to 1; no confidence reaches 1, which means a decision at the end.
     accuracy : float
         Share of right decisions.
     share : float
-        Mean share of a sample's own time after which it was decided.
+        Mean share of a sample's duration until the decision.
     """
 
     confidence: float
@@ -165,16 +164,16 @@ class Threshold(NamedTuple):
 
 
 def confidence(outputs, judge: Optional[Judge] = None, first: int = 0) -> np.ndarray:
-    """How sure the outputs are at each step, from 0 to `SUREST`.
+    """Confidence in the outputs at each step, from 0 to `SUREST`.
 
     Parameters
     ----------
     outputs : ndarray, shape (..., steps, classes)
-        Sums of the readout from a sample's start on.
+        Accumulated readout from a sample's start.
     judge : Judge, optional
         Default: the largest share of the softmax.
     first : int
-        Step of the sample, from 0, that the first of them is of; only a judge asks.
+        Index in the sample of the first of these steps; only used by an estimator.
 
     Returns
     -------
@@ -193,15 +192,14 @@ def decide(outputs, threshold: float, judge: Optional[Judge] = None, first: int 
     ----------
     outputs : ndarray, shape (n_samples, steps, classes)
     threshold : float
-        Of the confidence.
+        Threshold of the confidence.
     judge, first
         As in :func:`confidence`.
 
     Returns
     -------
     steps : ndarray of int, shape (n_samples,)
-        From 0, counted in ``outputs``; the last one where the confidence never reaches the
-        threshold.
+        Index in ``outputs``; the last one if the confidence never reaches the threshold.
     classes : ndarray of int, shape (n_samples,)
     """
     return _decided(np.asarray(outputs), confidence(outputs, judge, first), threshold)
@@ -215,12 +213,12 @@ def _decided(outputs, sure, threshold):
 
 
 def share_of_time(steps, last_step) -> np.ndarray:
-    """Share of a sample's own time that has passed at its decision, at most 1.
+    """Share of a sample's duration until its decision, at most 1.
 
     Parameters
     ----------
     steps, last_step : ndarray of int, shape (n_samples,)
-        Of the decision and of the sample's last event, from 0.
+        Steps of the decision and of the sample's last event, from 0.
     """
     return np.minimum((np.asarray(steps) + 1) / (np.asarray(last_step) + 1), 1)
 
@@ -228,18 +226,18 @@ def share_of_time(steps, last_step) -> np.ndarray:
 def choose_threshold(
     outputs, labels, last_step, loss: float = 0.005, judge: Optional[Judge] = None, weights=None
 ) -> Threshold:
-    """The threshold that decides earliest without losing much; choose it on validation samples.
+    """Choose the threshold of the earliest decisions with a bounded loss, on validation samples.
 
     Parameters
     ----------
     outputs : ndarray, shape (n_samples, steps, classes)
     labels, last_step : ndarray of int, shape (n_samples,)
     loss : float
-        By how much the accuracy may be below that of the last step.
+        Maximum difference to the accuracy at the last step.
     judge : Judge, optional
         As in :func:`confidence`.
     weights : ndarray, shape (n_samples,), optional
-        How much each sample counts; default: all the same.
+        Weight of each sample; default: equal weights.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Windows over an image: what a convolution or a pooling reads, and how often."""
+"""Windows of convolutions and pooling over an image."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def windows(n: int, kernel: int, stride: int = 1, padding: str = "valid"):
     Parameters
     ----------
     n : int
-        Values along the dimension.
+        Number of values along the dimension.
     kernel, stride : int
     padding : str
         ``"valid"``, or ``"same"``: ceil(n / stride) windows, which takes max((ceil(n / stride) - 1)
@@ -21,7 +21,7 @@ def windows(n: int, kernel: int, stride: int = 1, padding: str = "valid"):
     Returns
     -------
     count, before, after : int
-        How many windows (0 or less if none fits), and the zeros before and after the values.
+        Number of windows (0 or less if none fits), and zeros before and after the values.
     """
     zeros = 0
     if padding == "same":
@@ -30,7 +30,7 @@ def windows(n: int, kernel: int, stride: int = 1, padding: str = "valid"):
 
 
 def reached(n: int, count: int, kernel: int, stride: int, before: int) -> np.ndarray:
-    """How many of ``count`` windows hold each of n positions, int64, shape (n,)."""
+    """Number of windows, of ``count``, that contain each of n positions, int64, shape (n,)."""
     steps = np.zeros(n + 1, np.int64)
     start = np.arange(count) * stride - before
     np.add.at(steps, np.clip(start, 0, n), 1)
@@ -54,13 +54,13 @@ def convolution_fan_out(input_shape, kernel, filters, stride=1, padding="valid")
 
 
 def pooled_shape(input_shape, size: int) -> tuple:
-    """Shape after averaging over squares that do not overlap; what is left over is not read."""
+    """Shape after average pooling without overlap; incomplete windows at the end are dropped."""
     rows, columns, channels = input_shape
     return (rows // size, columns // size, channels)
 
 
 def unpooled(values, input_shape, size: int) -> np.ndarray:
-    """What holds for each value after a pooling, for each value before it.
+    """Expand values after a pooling to the positions before it.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def unpooled(values, input_shape, size: int) -> np.ndarray:
     Returns
     -------
     ndarray, shape (rows, columns, channels, ...)
-        0 for what is left over at the end.
+        0 outside of complete windows.
     """
     values = np.asarray(values)
     spread = values.repeat(size, axis=0).repeat(size, axis=1)

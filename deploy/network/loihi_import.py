@@ -1,8 +1,8 @@
-"""NengoLoihi, imported without TensorFlow and what else it only looks for.
+"""Import NengoLoihi without TensorFlow and other packages that it does not need here.
 
-NengoLoihi imports TensorFlow and NengoDL wherever they are installed, only to teach NengoDL its
-neuron types, and nengo-extras imports Keras, Numba and parts of SciPy, only to know whether they
-are there.  Nothing here needs that, and it costs some ten seconds and one at every start.
+NengoLoihi imports TensorFlow and NengoDL if they are installed, only to register its neuron types
+with NengoDL; nengo-extras imports Keras, Numba and parts of SciPy, only to test for them.  Neither
+is needed here, and they take about ten seconds and one second at every start.
 """
 
 import sys
@@ -25,7 +25,7 @@ finally:
 
 
 class NumPy1:
-    """NumPy, with ``array(copy=False)`` as NumPy 1 has it: copy only what must be copied.
+    """NumPy with ``array(copy=False)`` as in NumPy 1: copy only if necessary.
 
     NumPy 2 refuses where a copy is needed.  NengoLoihi 1.1 needs one where it discretises a block's
     weights and where it works out rates.  NumPy 2.3 has no binary ``fromstring`` any more, with
@@ -47,10 +47,10 @@ class NumPy1:
 if int(numpy.__version__.split(".")[0]) >= 2:  # NumPy 1, of older hosts, refuses copy=None
     nengo_loihi.block.np = nengo_loihi.neurons.np = nengo_loihi.dvs.np = NumPy1()
 
-# The networks here have no decoders to keep, and processes side by side would fight for its lock.
+# The networks here have no decoders to cache, and parallel processes would wait for its lock.
 nengo.rc["decoder_cache"]["enabled"] = "False"
 
-# From gain and bias Nengo works out intercepts and maximum rates that nothing here asks for.
+# Nengo computes intercepts and maximum rates from gain and bias, which are not used here.
 warnings.filterwarnings("ignore", "Non-finite values detected", module="nengo")
 warnings.filterwarnings("ignore", "(invalid value|divide by zero) .* log1p", module="nengo")
 

@@ -1,4 +1,4 @@
-"""What an inference costs: synaptic operations of the spiking network, multiplications of the CNN.
+"""Costs of an inference: synaptic operations of the spiking network, multiplications of the CNN.
 
 A synaptic operation is one spike arriving at one synapse.  It is the counterpart of one
 multiply-accumulate of the CNN (Davies et al. 2018).
@@ -15,10 +15,10 @@ from .spec import Layer, NetworkSpec
 
 
 def fan_out(layer: Layer) -> np.ndarray:
-    """Synapses that each neuron of the layer before has onto this layer, shape (n_inputs,).
+    """Number of synapses of each neuron of the previous layer onto this one, shape (n_inputs,).
 
-    Neurons near the edge of a convolution reach fewer positions; what an averaging leaves over
-    reaches none.  Zeros that pad a kernel are not counted.
+    Neurons near the edge of a convolution reach fewer positions; those outside of complete pooling
+    windows reach none.  Zeros that pad a kernel are not counted.
     """
     reached = _read_fan_out(layer)
     if layer.pool > 1:
@@ -27,7 +27,7 @@ def fan_out(layer: Layer) -> np.ndarray:
 
 
 def _read_fan_out(layer):
-    """Synapses of each value that the weights are for, of shape ``layer.read_shape``."""
+    """Number of synapses of each value that the weights read, of shape ``layer.read_shape``."""
     if layer.kind == "dense":
         return np.full(layer.read_shape, layer.size)
     return convolution_fan_out(
@@ -38,7 +38,7 @@ def _read_fan_out(layer):
 def multiply_accumulates(spec: NetworkSpec) -> Dict[str, int]:
     """Multiply-accumulates of each layer of the CNN of the same architecture, one inference.
 
-    An averaging before a layer counts with it: one for each value that it reads.
+    Pooling before a layer is included: one operation for each value that it reads.
     """
     return {
         layer.name: int(_read_fan_out(layer).sum())
@@ -48,7 +48,7 @@ def multiply_accumulates(spec: NetworkSpec) -> Dict[str, int]:
 
 
 def synaptic_operations(spec: NetworkSpec, spikes: Dict[str, np.ndarray]) -> Dict[str, np.ndarray]:
-    """Synaptic operations by the layer that receives them.
+    """Synaptic operations by the receiving layer.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def synaptic_operations(spec: NetworkSpec, spikes: Dict[str, np.ndarray]) -> Dic
     Returns
     -------
     dict of str to ndarray, shape (...)
-        Without an entry for a first layer on the host, which receives currents and no spikes.
+        Without an entry for a first layer on the host, which receives currents, not spikes.
     """
     senders = [
         "input" if spec.stimulus.area is not None else None,

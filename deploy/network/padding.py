@@ -1,8 +1,7 @@
-"""Nengo's convolutions without the cost of a padding where there is none.
+"""Avoid the cost of zero-width padding in Nengo's convolutions.
 
-At each step Nengo pads what a convolution reads; where there is nothing to pad, NumPy comes to a
-plain copy only after a good deal of Python: three tenths of the reference simulator's time on the
-paper's network.
+Nengo pads the input of a convolution at each step; without padding NumPy makes a plain copy, but
+only after much Python code: three tenths of the reference simulator's time on the paper's network.
 """
 
 from __future__ import annotations
@@ -14,15 +13,15 @@ from nengo.builder import transforms
 
 
 def pad(array, widths, **more):
-    """As :func:`numpy.pad`; a copy at once where all widths are 0.
+    """Replacement for :func:`numpy.pad` that copies directly if all widths are 0.
 
-    A copy it must be: Nengo takes its windows from the memory of a whole array, not of a view.
+    The copy is necessary: Nengo takes its windows from the memory of a whole array, not of a view.
     """
     return np.pad(array, widths, **more) if any(map(any, widths)) else array.copy()
 
 
 def pad_only_where_needed():
-    """Give Nengo's convolutions a NumPy of which only `pad` is another."""
+    """Give Nengo's convolutions a NumPy in which only `pad` is replaced."""
     if getattr(transforms, "np", None) is np:
         theirs = types.ModuleType("numpy")
         vars(theirs).update(vars(np), pad=pad)

@@ -1,4 +1,4 @@
-"""What is read from the output at each step.
+"""Scores and decisions from the output at each step.
 
 A run of a target over samples gives, for each sample, the output at each of its steps.  The score
 of a class at a step is the mean of its output from ``readout_start`` up to that step (plus the
@@ -21,26 +21,26 @@ from .stream import show
 
 @dataclass(frozen=True)
 class Responses:
-    """What the network answered to some samples.
+    """Responses of a network to some samples.
 
     Attributes
     ----------
     scores : ndarray, shape (n_samples, n_classes)
-        At the last step.
+        Scores at the last step.
     decisions : ndarray of int, shape (n_samples, steps)
         Decision at each step; -1 before the readout starts.
     spikes : dict of str to ndarray of int, shape (n_samples,)
-        Spikes of each layer while the sample was shown and in the gap before it.
+        Number of spikes of each layer during the sample and the gap before it.
     operations : dict of str to ndarray of int, shape (n_samples,)
-        Synaptic operations by the layer that receives them, in the same time.
+        Synaptic operations by the receiving layer, in the same time.
     stopped_at : ndarray of int, shape (n_samples,), or None
-        Step (from 1) at which the confidence was first reached, the last one where it never was;
-        None where the presentation asks for none.
+        Step (from 1) at which the confidence was first reached, or the last one; None if the
+        presentation has no confidence.
     spike_hashes : ndarray of str, shape (n_samples,), or None
-        Hash of every spike of every layer and step of each sample, its gap included; None from a
-        target that does not keep single spikes.
+        Hash of every spike of every layer and step of each sample, including its gap; None from a
+        target that does not record single spikes.
     notes : dict
-        What only this target can tell of the stream, such as a board's timing; plain values.
+        Further data of the target about the stream, such as a board's timing; plain values.
     """
 
     scores: np.ndarray
@@ -65,7 +65,7 @@ class Responses:
 
 
 def respond(spec: NetworkSpec, built, sim, samples) -> Responses:
-    """Show one stream to a simulator, or to a board that NengoLoihi drives, and read the answers.
+    """Present one stream to a simulator, or to a board run by NengoLoihi, and read the responses.
 
     Parameters
     ----------
@@ -73,14 +73,14 @@ def respond(spec: NetworkSpec, built, sim, samples) -> Responses:
     built : Built
         The network that ``sim`` runs.
     sim : nengo.Simulator or nengo_loihi.Simulator
-        Fresh.
+        A simulator at its first step.
     samples : ndarray
-        As `Stimulus.flat` gives them.
+        Samples as returned by `Stimulus.flat`.
 
     Raises
     ------
     ShortOfSteps
-        The simulator handed back fewer steps than it was asked for.
+        The simulator returned fewer steps than requested.
     """
     outputs, hashes, counts = [], [], {name: [] for name in built.spikes}
     for shown in show(built, sim, samples):
@@ -98,7 +98,7 @@ def spike_hash(packed) -> str:
     Parameters
     ----------
     packed : iterable of uint8 ndarray, shape (period, n_neurons / 8)
-        Spikes of each layer, in order, eight neurons a byte (`numpy.packbits`).
+        Spikes of each layer, in order, eight neurons per byte (`numpy.packbits`).
     """
     every_spike = hashlib.sha256()
     for rows in packed:
@@ -107,16 +107,16 @@ def spike_hash(packed) -> str:
 
 
 def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Responses:
-    """Turn a target's raw output into scores and decisions.
+    """Convert a target's raw output to scores and decisions.
 
     Parameters
     ----------
     spec : NetworkSpec
     output : ndarray, shape (n_samples, steps, n_classes)
-        The readout's value at each step that a sample is shown for: decoded on the host, or spikes
-        of the output neurons (``amplitude / dt`` in a step with a spike).
+        The readout at each step of a sample's presentation: decoded on the host, or spikes of the
+        output neurons (``amplitude / dt`` in a step with a spike).
     spikes : dict of str to ndarray of int, shape (n_samples, n_neurons)
-        Spikes of each neuron of each spiking layer, the gap before the sample included.
+        Number of spikes of each neuron of each spiking layer, including the gap before the sample.
 
     Returns
     -------
@@ -139,7 +139,7 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
 
 
 def running_sums(spec: NetworkSpec, output: np.ndarray) -> np.ndarray:
-    """What a network decides by while a sample is shown, if it decides by itself.
+    """Accumulated readout during a sample, from which early decisions are made.
 
     Parameters
     ----------
@@ -155,21 +155,21 @@ def running_sums(spec: NetworkSpec, output: np.ndarray) -> np.ndarray:
 
 
 def _sums(spec, means):
-    """What was added up, from its mean at each step."""
+    """Sums, computed from the running means."""
     return settled(means * np.arange(1, means.shape[1] + 1)[:, None], score_unit(spec))
 
 
 def _running_means(spec, output):
-    """Means of the readout from ``readout_start`` on."""
+    """Running means of the readout from ``readout_start`` on."""
     readout, window = spec.layers[-1], output[:, spec.presentation.readout_start :]
     bias = readout.bias if readout.neurons is None else 0.0
     return np.cumsum(window, axis=1) / np.arange(1, window.shape[1] + 1)[:, None] + bias
 
 
 def score_unit(spec: NetworkSpec) -> float:
-    """What scores are rounded in, a power of ten: 1, or of the readout's scale where that is odd.
+    """Unit to which scores are rounded: 1, or a power of ten for a readout of unusual scale.
 
-    A network answers the same when its readout's weights and biases are all multiplied by 1e-25.
+    Scaling all weights and biases of the readout, even by 1e-25, does not change the decisions.
     """
     readout = spec.layers[-1]
     largest = max(np.abs(readout.weights).max(initial=0), np.abs(readout.bias).max(initial=0))
@@ -179,9 +179,9 @@ def score_unit(spec: NetworkSpec) -> float:
 
 
 def settled(scores: np.ndarray, unit: float = 1.0) -> np.ndarray:
-    """Round away the last bits, so that equal scores tie alike on every target.
+    """Round away the last bits, so that ties of scores are resolved equally on every target.
 
-    Targets add the same spikes in another order; a tie must not be broken by that.
+    Targets add the same spikes in different orders, which must not resolve a tie.
 
     Parameters
     ----------
@@ -192,13 +192,13 @@ def settled(scores: np.ndarray, unit: float = 1.0) -> np.ndarray:
     Returns
     -------
     ndarray
-        Rounded to a thousand-millionth of the unit.
+        Scores rounded to 1e-9 of the unit.
     """
     return np.round(scores / unit, 9) * unit
 
 
 def join(parts) -> Responses:
-    """Put the responses to successive samples together."""
+    """Concatenate the responses to consecutive samples."""
     parts = list(parts)
 
     def joined(name):
@@ -215,5 +215,5 @@ def join(parts) -> Responses:
 
 
 def seconds_per_sample(spec: NetworkSpec) -> float:
-    """Time that one sample takes at the stimulus's own pace, gap included."""
+    """Duration of one sample in the stimulus's time, including the gap."""
     return spec.presentation.period * spec.stimulus.step_seconds

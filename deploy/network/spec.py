@@ -1,11 +1,11 @@
 """The deployed network as plain values: layers, neurons, presentation, and their JSON form.
 
-What is described here is the network as the chip sees it.  A layer of neurons receives the current
+The description has the network as it runs on the chip.  A layer of neurons receives the current
 
     J = W * s + bias        (in units of the threshold)
 
-where ``s`` is the low-pass filtered spike train of the layer before it (each spike has the area
-``amplitude``) and ``W`` the layer's convolution.  A LIF neuron is silent up to J = 1.
+where ``s`` is the low-pass filtered spike train of the previous layer (each spike has the area
+``amplitude``) and ``W`` the layer's weights.  A LIF neuron is silent up to J = 1.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .rehearsal import Rehearsal
 from .stimulus import KINDS, ImageCurrent, ImageSpikes, Stimulus
 
 DT = LOIHI.dt
-"""Time step in seconds; NengoLoihi's decays and the firing rates of training are made for it."""
+"""Time step in seconds, on which NengoLoihi's decays and the firing rates of training depend."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Neurons:
 
     def __post_init__(self):
         _require(self.kind in ("lif", "relu"), "neurons", "kind is neither 'lif' nor 'relu'")
-        # A comparison with NaN is false: what is asked for is what may be.
+        # Conditions state what is allowed, so that NaN, which fails every comparison, is refused.
         _require(1e-9 <= self.amplitude <= limits.MAGNITUDE, "neurons",
                  "amplitude must be positive")  # fmt: skip
         _require(1e-6 <= self.tau_rc <= limits.SECONDS, "neurons",
@@ -79,25 +79,25 @@ class Layer:
     neurons : Neurons or None
         None for a linear readout on the host.
     synapse : float or None
-        Time constant in seconds of the low-pass on the layer's input; None for no filter.
+        Time constant in seconds of the low-pass filter on the layer's input; None for no filter.
     kernel : int
-        Side of the convolution's filters (0 for dense).
+        Side length of the convolution's filters (0 for dense).
     block_shape : tuple of int or None
-        (rows, columns, channels) of the part of the layer that shares a core; None for the whole.
+        (rows, columns, channels) of the part of the layer on one core; None for the whole layer.
     pop_type : int
         NengoLoihi's population axon type, 16 or 32.
     weights : ndarray, shape (kernel, kernel, channels_in, filters) or (units, inputs)
-        For the input once it is averaged, if ``pool`` says so.
+        Weights for the input, after pooling if ``pool`` is above 1.
     bias : ndarray, shape (channels,) or (units,)
         Bias current J of each channel's neurons, or the additive bias of a linear readout.
     stride : int
-        Of the convolution.
+        Stride of the convolution.
     padding : str
         ``"valid"``, or ``"same"`` as in :func:`deploy.network.geometry.windows`.
     pool : int
-        Side of squares without overlap over which the input is averaged before it is weighted; 1
-        for no averaging.  What is left over at the end is not read.  The chip has no averaging of
-        its own: it is folded into the weights when the network is built.
+        Side length of the average pooling windows before the weights; 1 for no pooling.  Values
+        outside of complete windows are not read.  The chip cannot average: pooling is folded into
+        the weights when the network is built.
     """
 
     name: str
@@ -172,7 +172,7 @@ class Layer:
 
     @property
     def read_shape(self) -> Tuple[int, ...]:
-        """Shape of what the weights are for: of the input, averaged if ``pool`` says so."""
+        """Shape of the values that the weights read: of the input, after pooling."""
         if self.pool == 1:
             return self.input_shape
         return pooled_shape(self.input_shape, self.pool)
@@ -180,34 +180,34 @@ class Layer:
 
 @dataclass(frozen=True)
 class Presentation:
-    """How samples are shown and read; every target follows it step by step.
+    """How samples are presented and read; every target follows it step by step.
 
-    Samples come in streams.  A stream starts from a fresh network; in it each sample follows
-    ``gap`` silent steps and is shown for ``steps`` steps.  The network goes on from the
-    state that it is in, because a board cannot be reset between samples.  The gap comes first, so
-    that every sample, the first of a stream too, meets a network at rest under its bias currents.
+    Samples are presented in streams.  A stream starts from a fresh network; each sample follows
+    ``gap`` silent steps and is presented for ``steps`` steps.  The network is not reset between
+    samples, because a board cannot be.  The gap comes first, so that the first sample of a stream,
+    too, starts with a network at rest under its bias currents.
 
     Raises
     ------
     ValueError
-        A number does not fit; the message names it as the setting that it comes from.
+        A number is out of range; the message names the setting.
     """
 
     steps: int = 100
-    """Steps that a sample is shown for."""
+    """Steps for which a sample is presented."""
     gap: int = 20
     """Silent steps before each sample."""
     readout_start: int = 20
-    """Steps at the start of each sample that the readout leaves out."""
+    """Steps at the start of each sample that the readout ignores."""
     stream_length: int = 10
-    """Samples a stream; 1 means that every sample starts from a fresh network."""
+    """Samples per stream; 1 means that every sample starts from a fresh network."""
     confidence: Optional[float] = None
-    """At which a sample is decided before its end, see :mod:`deploy.network.decision`; None if only
-    the end decides."""
+    """Confidence for an early decision, see :mod:`deploy.network.decision`; None for a decision at
+    the end."""
 
     @property
     def period(self) -> int:
-        """Steps from one sample to the next, the gap included."""
+        """Steps from one sample to the next, including the gap."""
         return self.gap + self.steps
 
     def __post_init__(self):
@@ -238,7 +238,7 @@ class NetworkSpec:
     input_shape : tuple of int
         (rows, columns, channels) of the image.
     stimulus : Stimulus
-        What is fed in.
+        The input of the network.
     layers : tuple of Layer
         In order; the last one is the readout.
     presentation : Presentation
@@ -292,22 +292,22 @@ class NetworkSpec:
         return (*names, *(layer.name for layer in self.layers if layer.neurons))
 
     def with_presentation(self, **changes) -> NetworkSpec:
-        """The same network shown in another way."""
+        """The same network with changes of the presentation."""
         return replace(self, presentation=replace(self.presentation, **changes))
 
     def fed(self, samples) -> np.ndarray:
-        """Samples as the network is fed them; see `Stimulus.flat`.
+        """Samples in the network's input format; see `Stimulus.flat`.
 
         Raises
         ------
         UserError
-            They are not what its stimulus shows.
+            The stimulus cannot present the samples.
         """
         samples = np.asarray(samples)
         problem = self.stimulus.complaint(samples, self.input_shape, self.presentation.steps)
         if problem is not None:
             raise UserError(
-                f"samples that cannot be shown to this network: {problem}; reshape or scale them"
+                f"samples cannot be presented to this network: {problem}; reshape or scale them"
             )
         return self.stimulus.flat(samples)
 
@@ -341,12 +341,12 @@ class NetworkSpec:
 
     @classmethod
     def from_json(cls, value: dict, arrays: dict) -> NetworkSpec:
-        """The inverse of :meth:`to_json` and :meth:`arrays`.
+        """Make a network from its description and arrays.
 
         Raises
         ------
         UserError
-            A value is missing, unknown, of the wrong kind, or the time step is another.
+            A value is missing, unknown or of the wrong type, or the time step differs.
         """
         try:
             _require(value["dt"] == DT, "network",
@@ -412,7 +412,7 @@ def _is_name(name):
 def _check_shape(shape, where, name):
     size = 1
     for side in shape:
-        size *= side  # of Python's integers, which do not overflow
+        size *= side  # Python integers do not overflow
     _require(all(side >= 1 for side in shape) and size <= limits.NEURONS, where,
              f"{name} {shape} has a side below 1 or too many values")  # fmt: skip
 

@@ -1,7 +1,7 @@
-"""What is fed in: frames over time, and what is silent.
+"""Stimuli: the input of a network as frames over time, and its silent gaps.
 
-A stimulus says how a sample becomes one frame of values for every step that it is shown for, and
-what the host makes of a frame: spikes of input neurons, one neuron a value, or currents into a
+A stimulus defines how a sample becomes one frame of values for every step of its presentation, and
+what the host makes of a frame: spikes of input neurons, one neuron per value, or currents into a
 first layer on the host.  In the gap before a sample the frame is zero and nothing spikes.
 """
 
@@ -19,14 +19,14 @@ from .chip import LOIHI
 
 @dataclass(frozen=True)
 class Stimulus:
-    """Common to all kinds.
+    """Base class of all stimuli.
 
     Attributes
     ----------
     kind : str
-        What it is called in a bundle.
+        Name of the class in a bundle.
     held : bool
-        Whether a sample is one frame that is shown at every step; else it has a frame a step.
+        True if a sample is one frame for all steps; else it has one frame per step.
     area : float or None
         Area of one spike of the input neurons; None if there are none.
     """
@@ -36,12 +36,12 @@ class Stimulus:
 
     @property
     def area(self) -> Optional[float]:
-        """See the class."""
+        """Area of one spike of the input neurons; None if there are none."""
         return None
 
     @property
     def step_seconds(self) -> float:
-        """Time in seconds of the recording that one step stands for."""
+        """Time in seconds of the recording that one step represents."""
         return LOIHI.dt
 
     @property
@@ -50,42 +50,42 @@ class Stimulus:
         return 1
 
     def sample_shape(self, input_shape, steps: int) -> tuple:
-        """Shape of one sample: (rows, columns, channels), before it (steps,) if it is not held."""
+        """Shape of one sample: (rows, columns, channels), with (steps,) before it if not held."""
         return tuple(input_shape) if self.held else (steps, *input_shape)
 
     def flat(self, samples) -> np.ndarray:
-        """Samples as they are fed in: (n_samples, size), or (n_samples, steps, size)."""
+        """Samples in the network's input format: (n_samples, size), or (n_samples, steps, size)."""
         samples = np.asarray(samples)
         if self.held:
             return samples.reshape(len(samples), -1).astype(float)
         return samples.reshape(*samples.shape[:2], -1)
 
     def complaint(self, samples, input_shape, steps: int) -> Optional[str]:
-        """Why samples are not what this stimulus shows, or None."""
+        """The reason why samples cannot be presented with this stimulus, or None."""
         wanted = self.sample_shape(input_shape, steps)
         if samples.shape[1:] != wanted:
             return f"samples have shape {samples.shape[1:]}, not {wanted}"
         if samples.dtype.kind not in "fiub":
             return "samples are not real numbers"
-        # The extremes alone: the frames of a whole test split are too many to be copied as floats.
+        # Only the extremes are converted: the frames of a test split are too large to copy.
         lowest, highest = float(np.min(samples, initial=0)), float(np.max(samples, initial=0))
-        if not -limits.MAGNITUDE <= lowest <= highest <= limits.MAGNITUDE:  # NaN is not either
+        if not -limits.MAGNITUDE <= lowest <= highest <= limits.MAGNITUDE:  # also refuses NaN
             return "samples have a value that is NaN or too large"
         return None
 
 
 @dataclass(frozen=True)
 class ImageSpikes(Stimulus):
-    """A tactile image as evenly spaced spikes of host neurons without leak, one a pixel.
+    """A tactile image as evenly spaced spikes of host neurons without leak, one per pixel.
 
-    A pixel of value v makes ``max_rate * v`` spikes a second, evenly spaced, each of area
-    1 / ``max_rate``, so that the mean of the spike train is v again.  A pixel that turns blank
-    forgets what it had summed up, so that a sample's spikes do not depend on the one before it.
+    A pixel of value v causes ``max_rate * v`` spikes per second, evenly spaced, each of area
+    1 / ``max_rate``, so that the mean of the spike train is v.  A blank pixel is reset, so that a
+    sample's spikes do not depend on the previous sample.
 
     Attributes
     ----------
     max_rate : float
-        Spikes a second of a pixel of value 1; at most 1 / dt, one spike a step.
+        Spikes per second of a pixel of value 1; at most 1 / dt, one spike per step.
     initial_phase : float
         Voltage of a blank pixel as a share of the threshold.  With 0.5 the number of spikes is the
         expected number rounded to the nearest, with 0 it is rounded down.
@@ -110,15 +110,15 @@ class ImageSpikes(Stimulus):
         return max(1, int(1 / (self.max_rate * LOIHI.dt)))
 
     def complaint(self, samples, input_shape, steps: int) -> Optional[str]:
-        """Why samples are not what this stimulus shows, or None."""
+        """The reason why samples cannot be presented with this stimulus, or None."""
         found = super().complaint(samples, input_shape, steps)
         if found is not None:
             return found
         largest, most = np.max(samples, initial=0), 1 / (self.max_rate * LOIHI.dt)
         if largest > most:
             return (
-                f"a pixel is {largest:g}, and at {self.max_rate:g} spikes a second of a pixel of 1 "
-                f"all above {most:g} would spike more than once a step"
+                f"a pixel is {largest:g}; at {self.max_rate:g} spikes per second for a pixel of 1, "
+                f"pixels above {most:g} would spike more than once per step"
             )
         return None
 
@@ -132,18 +132,18 @@ class ImageCurrent(Stimulus):
 
 @dataclass(frozen=True)
 class EventFrames(Stimulus):
-    """The skin's own events: at most one spike a taxel, polarity and step, and silence after it.
+    """Events as spikes: at most one per taxel, polarity and step, with a refractory period.
 
-    A sample is a frame of 0 and 1 for each step, zero once its events are over.  An event makes a
-    relay neuron on the host spike in its step, a spike of height 1 for one step; so nothing spikes
-    where nothing is touched.
+    A sample has a frame of 0 and 1 for each step, zero after its last event.  An event makes a
+    relay neuron on the host spike in its step, with a height of 1 for one step; without events
+    there are no spikes.
 
     Attributes
     ----------
     seconds : float
-        Time in seconds of the recording that one step stands for.
+        Time in seconds of the recording that one step represents.
     rest : int
-        Steps after a spike in which its taxel is silent with that polarity.
+        Refractory period of a taxel and polarity, in steps after a spike.
     """
 
     kind: ClassVar[str] = "events"
@@ -168,16 +168,16 @@ class EventFrames(Stimulus):
 
     @property
     def step_seconds(self) -> float:
-        """Time in seconds of the recording that one step stands for."""
+        """Time in seconds of the recording that one step represents."""
         return self.seconds
 
     def complaint(self, samples, input_shape, steps: int) -> Optional[str]:
-        """Why samples are not what this stimulus shows, or None."""
+        """The reason why samples cannot be presented with this stimulus, or None."""
         found = super().complaint(samples, input_shape, steps)
         if found is not None:
             return found
         if not np.isin(samples, (0, 1)).all():
-            return "frames of events hold something else than 0 and 1"
+            return "frames of events contain values other than 0 and 1"
         in_time = np.moveaxis(samples, 1, 0)
         if not np.array_equal(rested(in_time, self.rest), in_time):
             return f"a taxel spikes again within {self.rest} steps"
@@ -185,14 +185,14 @@ class EventFrames(Stimulus):
 
 
 def rested(frames, rest: int) -> np.ndarray:
-    """Spikes that are left where a neuron is silent for some steps after each of them.
+    """Spikes that remain with a refractory period.
 
     Parameters
     ----------
     frames : ndarray, shape (steps, ...)
         1 where there is a spike, 0 elsewhere.
     rest : int
-        Steps.
+        Refractory period in steps.
 
     Returns
     -------
@@ -201,7 +201,7 @@ def rested(frames, rest: int) -> np.ndarray:
     if rest == 0:
         return frames
     frames = np.array(frames)
-    ready = np.zeros(frames.shape[1:], int)  # first step at which each may spike again
+    ready = np.zeros(frames.shape[1:], int)  # first step in which each may spike again
     for step in range(len(frames)):
         frames[step] *= ready <= step
         ready[frames[step] != 0] = step + 1 + rest
@@ -209,12 +209,12 @@ def rested(frames, rest: int) -> np.ndarray:
 
 
 def last_steps(frames) -> np.ndarray:
-    """Step of each sample's last event, from 0; 0 where there is none.
+    """Step of each sample's last event, from 0; 0 without events.
 
     Parameters
     ----------
     frames : ndarray, shape (n_samples, steps, ...)
-        Not 0 where there is an event.
+        Nonzero where there is an event.
 
     Returns
     -------
@@ -234,9 +234,9 @@ class Feed:
     Parameters
     ----------
     presentation : Presentation
-        Which it follows.
+        The presentation to follow.
     size : int
-        Values of a frame.
+        Number of values of a frame.
 
     Attributes
     ----------

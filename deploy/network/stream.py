@@ -1,4 +1,4 @@
-"""Feeding a stream of samples to a simulator or a board, and reading its probes."""
+"""Present a stream of samples to a simulator or a board, and read its probes."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from .chip import LOIHI
 
 
 class ShortOfSteps(Exception):
-    """A simulator or board handed back other steps or spikes than it can have."""
+    """A simulator or board returned an impossible number of steps or spikes."""
 
 
 class Shown(NamedTuple):
-    """What one sample gave, the gap before it included.
+    """Output and spikes of one sample, including the gap before it.
 
     Attributes
     ----------
     output : ndarray, shape (period, n_outputs)
-        What the readout said at each step.
+        The readout at each step.
     spikes : dict of str to ndarray of bool, shape (period, n_neurons)
-        Of each spiking layer, in order.
+        Spikes of each spiking layer, in order.
     """
 
     output: np.ndarray
@@ -29,21 +29,21 @@ class Shown(NamedTuple):
 
 
 def show(built, sim, samples) -> Iterator[Shown]:
-    """Show one stream, sample by sample, so that the probes hold no more than one sample's steps.
+    """Present one stream, sample by sample, so that the probes only store one sample's steps.
 
     Parameters
     ----------
     built : deploy.network.build.Built
         The network that ``sim`` runs.
     sim : nengo.Simulator or nengo_loihi.Simulator
-        Fresh; what was probed is cleared after each sample.
+        A simulator at its first step; its probes are cleared after each sample.
     samples : ndarray
-        As ``built.feed`` takes them.
+        Samples in the format of ``built.feed``.
 
     Raises
     ------
     ShortOfSteps
-        The simulator handed back other steps or spikes than it can have.
+        The simulator returned an impossible number of steps or spikes.
     """
     built.feed.samples = samples
     period = built.feed.period
@@ -53,11 +53,11 @@ def show(built, sim, samples) -> Iterator[Shown]:
         for name, probe in built.spikes.items():
             rows = sim.data[probe]
             if len(rows) != period:
-                raise ShortOfSteps(f"{len(rows)} of {period} steps of layer {name} came back")
+                raise ShortOfSteps(f"{len(rows)} of {period} steps of layer {name} were returned")
             spikes[name] = np.asarray(rows) != 0
             one = probe.target.ensemble.neuron_type.amplitude / LOIHI.dt
             if not np.allclose(np.asarray(rows)[spikes[name]], one, rtol=1e-6):
-                raise ShortOfSteps(f"layer {name} gave more than one spike a step and neuron")
+                raise ShortOfSteps(f"layer {name} had more than one spike per step and neuron")
         output = np.array(sim.data[built.output])
         sim.clear_probes()
         yield Shown(output, spikes)

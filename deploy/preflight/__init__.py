@@ -1,1 +1,1 @@
-"""Before a board: what the network takes of it."""
+"""Pre-flight: the resources of the chip that a network needs."""

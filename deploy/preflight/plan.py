@@ -1,9 +1,9 @@
-"""Pre-flight: what the network will take of each core, before anything is sent to a board.
+"""Pre-flight: the resources that a network needs of each core, before it is sent to a board.
 
-The counts come from the blocks that NengoLoihi's builder makes, one block a core, and are set
-against the limits of Loihi 1.  NengoLoihi checks some of them itself; this module checks them all,
-AxonCfg registers and the synapse memory of separate lists among them, says how far beyond a limit
-a layer is, and what to change.
+The counts are those of the blocks that NengoLoihi's builder makes, one block per core, and are
+compared with the limits of Loihi 1.  NengoLoihi checks some of them itself; this module checks all
+of them, including AxonCfg registers and the synapse memory of separate lists, and reports by how
+much a layer exceeds a limit and what to change.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from .resources import (
 CORES_PER_CHIP = LOIHI.cores
 
 COLUMNS = ("compartments", "axons in", "axons out", "AxonCfg", "synapse words")
-"""Heads of `LIMITS` in a table."""
+"""Column titles of `LIMITS` in a table."""
 
 REMEDIES = {
     "compartments": "give the layer a block_shape of at most {limit} neurons",
@@ -46,26 +46,27 @@ REMEDIES = {
 
 @dataclass(frozen=True)
 class CorePlan:
-    """One core.
+    """The resources of one core.
 
     Attributes
     ----------
     layer : str
     part : int
-        Which of the layer's parts, from 0.
+        Index of the part of the layer, from 0.
     chip, core : int
         Position in the placement.
     used : dict of str to int
-        Of each of `LIMITS`.
+        Number used of each of `LIMITS`.
     unshared_axon_cfgs : int
-        AxonCfg registers if members of a population could not share them.
+        AxonCfg registers if the members of a population could not share them.
     pop_types : tuple of int
-        Types of the axons that come in: 0 discrete, 16 or 32 population.
+        Types of the incoming axons: 0 discrete, 16 or 32 population.
     threshold : int
         Membrane threshold, in the chip's integers.
     worst_input, worst_current : int
-        Magnitude of one step's synaptic input and of the current if every source fires as fast
-        as it can and the same sign of weight wins; limits `INPUT_LIMIT` and `CURRENT_LIMIT`.
+        Magnitude of one step's synaptic input and of the current in the worst case: every source
+        fires at its maximum rate, and all weights have the same sign; limits `INPUT_LIMIT` and
+        `CURRENT_LIMIT`.
     """
 
     layer: str
@@ -80,23 +81,23 @@ class CorePlan:
     worst_current: int
 
     def share(self, resource: str) -> float:
-        """Part of a limit that is used."""
+        """Share of a limit that is used."""
         return self.used[resource] / LIMITS[resource]
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The placement, and what is wrong with it.
+    """The placement of a network, with problems and warnings.
 
     Attributes
     ----------
     cores : list of CorePlan
     chips : int
-        Chips needed.
+        Number of chips needed.
     problems : list of str
-        Why it cannot run; empty if it fits.
+        Reasons why it cannot run; empty if it fits.
     warnings : list of str
-        What may go wrong on a board all the same.
+        Possible problems on a board.
     """
 
     cores: List[CorePlan]
@@ -105,7 +106,7 @@ class Plan:
     warnings: List[str]
 
     def to_json(self) -> dict:
-        """Plain values for a program to read."""
+        """The plan as plain values."""
         return {
             "schema": "stmnist-plan/1",
             "fits": not self.problems,
@@ -121,18 +122,18 @@ class Plan:
 
 
 def make_plan(spec: NetworkSpec, chips: int = 1) -> Plan:
-    """Plan a network's place on the chips.
+    """Plan the placement of a network on the chips.
 
     Parameters
     ----------
     spec : NetworkSpec
     chips : int
-        Chips that may be used.
+        Maximum number of chips.
 
     Raises
     ------
     UserError
-        NengoLoihi cannot make blocks of the network at all.
+        NengoLoihi cannot make blocks of the network.
     """
     model, blocks = _blocks(spec)
     placed = [(layer, i, block) for layer, made in blocks.items() for i, block in enumerate(made)]
@@ -154,12 +155,12 @@ def make_plan(spec: NetworkSpec, chips: int = 1) -> Plan:
 
 
 def require_fit(spec: NetworkSpec, chips: int = 1) -> Plan:
-    """Plan, and refuse a network that will not fit.
+    """Plan, and refuse a network that does not fit.
 
     Raises
     ------
     UserError
-        Naming the layer, the limit, by how much, and what to change.
+        The network does not fit; the message names the layer, the limit, the excess and a remedy.
     """
     plan = make_plan(spec, chips)
     if plan.problems:
@@ -172,7 +173,7 @@ def _blocks(spec):
     """NengoLoihi's discretised blocks: ``(model, {layer: list of blocks})``."""
     built = build(spec)
     model = nengo_loihi.builder.Model(dt=DT)
-    model.validation_level = nengo_loihi.builder.builder.ValidationLevel.NONE  # we count ourselves
+    model.validation_level = nengo_loihi.builder.builder.ValidationLevel.NONE  # checked here
     try:
         model.build(built.network, precompute=True)
     except BUILD_ERRORS as error:
@@ -188,7 +189,7 @@ def _blocks(spec):
 def _placement(model, chips):
     """``(chip, core)`` of each block, by the allocator that NengoLoihi uses for a board."""
     if any(block.compartment.n_compartments > LIMITS["compartments"] for block in model.blocks):
-        # The allocator refuses such blocks; the plan will too, but shows them in order.
+        # The allocator refuses such blocks; the plan lists them in order, with the problem.
         return {block: divmod(i, CORES_PER_CHIP) for i, block in enumerate(model.blocks)}
     board = nengo_loihi.hardware.allocators.GreedyInterchip()(model, n_chips=chips)
     return {
@@ -239,7 +240,7 @@ def _problems(core):
 
 
 def _pop16_problems(placed):
-    """Limits of the 16-bit population spike, which has room for little."""
+    """Problems with the limits of the 16-bit population spike."""
     channels, most = LOIHI.population_channels, LOIHI.population_axons
     for layer, part, block in placed:
         axons = 0
@@ -296,7 +297,7 @@ def _warnings(core):
 
 
 def plan_text(plan: Plan) -> str:
-    """A plan in a table and a few lines."""
+    """Format a plan as a table and a few lines."""
     heads = ["layer", "at", "pop", *COLUMNS, "input", "current", "threshold"]
     rows = [heads]
     for core in plan.cores:

@@ -1,6 +1,6 @@
-"""What a block of NengoLoihi takes of the core that it is put on, and what a core has.
+"""Resources that NengoLoihi's blocks need of a core, and the limits of a core.
 
-A block is one core's part of a layer, after discretisation.
+A block is the part of a layer on one core, after discretisation.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ from ..network.blocks import list_words
 from ..network.chip import LOIHI
 
 LIMITS = LOIHI.limits
-"""Of one core."""
+"""Limits of one core."""
 
 CURRENT_LIMIT = 2**LOIHI.current_bits
 INPUT_LIMIT = 2**LOIHI.input_bits
-"""What the current and one step's synaptic input can hold before they wrap around."""
+"""Limits above which the current and one step's synaptic input wrap around."""
 
 VOLTAGE_LIMIT = 2**LOIHI.voltage_bits - 1
-"""Where the membrane voltage is clipped; the nearer the threshold, the less may go beyond it."""
+"""Limit at which the membrane voltage is clipped; it should be well above the threshold."""
 
 AXON_CFGS_PER_AXON = {0: 1, 16: 1, 32: 2}
 
 
 def used_by(block) -> Dict[str, int]:
-    """How much of each of `LIMITS` a block takes."""
+    """Number of each of `LIMITS` that a block needs."""
     return {
         "compartments": int(block.compartment.n_compartments),
         "input axons": int(sum(synapse.n_axons for synapse in block.synapses)),
@@ -37,17 +37,17 @@ def used_by(block) -> Dict[str, int]:
 
 
 def axon_cfg_registers(block):
-    """AxonCfg registers that a block's output axons need.
+    """Number of AxonCfg registers for a block's output axons.
 
-    A neuron's spikes go out by one contiguous run of AxonCfg registers, one or (pop32) two for each
-    destination.  Neurons of one population, the channels of one pixel, have the same destinations,
-    and may share a run.
+    A neuron's spikes use a contiguous range of AxonCfg registers, one or (pop32) two for each
+    destination.  Neurons of one population, the channels of one pixel, have the same destinations
+    and may share a range.
 
     Returns
     -------
     shared, unshared : int
-        With and without that sharing.  NengoLoihi counts on it, yet boards have refused networks
-        that passed NengoLoihi's count (its issue 326), so the truth may lie between the two.
+        With and without sharing.  NengoLoihi assumes sharing, but boards have refused networks that
+        passed NengoLoihi's count (its issue 326), so the actual number may be between the two.
     """
     destinations = {}
     for axon in block.axons:
@@ -69,7 +69,7 @@ def axon_cfg_registers(block):
 
 
 def _is_dummy(synapse, axon):
-    """Whether an axon reaches nothing; such axons are not put on the chip."""
+    """True for an axon without targets; such axons are not put on the chip."""
     return (
         synapse.axon_compartment_base(axon) is None
         or synapse.axon_weights_indices(axon)[0].size == 0
@@ -77,10 +77,10 @@ def _is_dummy(synapse, axon):
 
 
 def synapse_words(synapse):
-    """Words of synapse memory, each list of synapses beginning with a new word.
+    """Number of words of synapse memory, where each list of synapses starts with a new word.
 
-    A list is what one spike reads: an axon's weights, of one atom where it is a population's.
-    NengoLoihi counts the bits of an axon's atoms together, which is a little less.
+    A list is what one spike reads: the weights of an axon, for one atom in a population.
+    NengoLoihi adds the bits of an axon's atoms before rounding up, which gives slightly less.
     """
     form = synapse.synapse_cfg
     bits = form.real_weight_bits + form.delay_bits + form.tag_bits
@@ -96,15 +96,15 @@ def synapse_words(synapse):
 
 
 def worst_case(block, intervals):
-    """Magnitude that one step's synaptic input and the current can reach at most.
+    """Largest possible magnitude of one step's synaptic input and of the current.
 
-    Every source fires as fast as it can, and weights of one sign win.
+    Every source fires at its maximum rate, and only weights of one sign count.
 
     Parameters
     ----------
     block : nengo_loihi.block.LoihiBlock
     intervals : dict
-        Fewest steps between two spikes of the sources of a synapse object, by its ``id``.
+        Minimum interval in steps between two spikes of a synapse object's sources, by its ``id``.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def worst_case(block, intervals):
         In the chip's integers; the limits are `INPUT_LIMIT` and `CURRENT_LIMIT`.
     """
     n = block.compartment.n_compartments
-    # The chip takes one part more from a current than its decay says.
+    # The chip subtracts one unit more from a current than its decay.
     keep = (LOIHI.decay_levels - block.compartment.decay_u.astype(float)) / LOIHI.decay_unit
     inputs, currents = np.zeros((2, n)), np.zeros((2, n))
     for synapse in block.synapses:

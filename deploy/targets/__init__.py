@@ -1,1 +1,1 @@
-"""What can answer a bundle."""
+"""Targets: simulators and hardware that run a bundle."""

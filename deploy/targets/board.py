@@ -1,9 +1,9 @@
 """The board: Loihi 1, reached through NengoLoihi and Intel's NxSDK.
 
-Everything that knows of NxSDK is here.  NengoLoihi builds and places the network; this module
-connects with patience, shows one stream of samples a connection (a board cannot be reset, so a
-fresh network is a new connection), and takes down what only the hardware can say: the board, the
-time that building, connecting and running took, and the power where the board measures it.
+No other module uses NxSDK.  NengoLoihi builds and places the network; this module connects, with
+several attempts, presents one stream of samples per connection (a board cannot be reset, so that a
+fresh network needs a new connection), and records what only hardware can report: the board, the
+time for building, connecting and running, and the power if the board measures it.
 """
 
 from __future__ import annotations
@@ -26,30 +26,29 @@ from ..network.spec import NetworkSpec
 from ..preflight.plan import require_fit
 
 POWER_BINS = 1024
-"""Bins of the board's energy probe, spread over the steps of a stream."""
+"""Number of bins of the board's energy probe, spread over the steps of a stream."""
 
 
 @dataclass(frozen=True)
 class BoardOptions:
-    """Which board, and how hard to try.
+    """Options of the board: which one, how many attempts, and what to measure.
 
     Attributes
     ----------
     board : str or None
         Name of a board; None leaves the choice to the cluster.
     partition : str or None
-        SLURM partition; None where the board hangs on this host.
+        SLURM partition; None if the board is attached to this host.
     chips : int
-        How many chips the network may take.
+        Maximum number of chips for the network.
     attempts : int
-        How often a stream is begun before the run gives up.  NengoLoihi tries to connect three
-        times in each.
+        Maximum number of attempts per stream.  NengoLoihi tries to connect three times in each.
     wait : float
-        Seconds before the second attempt; twice as long before each further one.
+        Seconds before the second attempt, doubled for each further one.
     energy : bool
-        Whether to measure power.
+        Measure power.
     timeout : float
-        Seconds after which a stream's connection and run are given up, each: a job that hangs.
+        Time limit in seconds for the connection and for the run of a stream, each.
     """
 
     board: Optional[str] = None
@@ -70,12 +69,12 @@ class BoardOptions:
             value = getattr(self, name)
             if value < least:
                 raise UserError(f"--{name} must be at least {least:g}")
-            if not value <= most:  # which NaN is not either
+            if not value <= most:  # also refuses NaN
                 raise UserError(f"--{name} must be at most {most:g}")
 
 
 class BoardLost(Exception):
-    """The connection failed or broke, or fewer steps came back than the board was asked for."""
+    """The connection failed or was lost, or the board returned fewer steps than requested."""
 
 
 def nxsdk_version() -> str:
@@ -84,7 +83,7 @@ def nxsdk_version() -> str:
     Raises
     ------
     UserError
-        There is none, or not one that NengoLoihi knows.
+        NxSDK is not installed, or NengoLoihi does not support its version.
     """
     interface = nengo_loihi.hardware.interface
     if not nengo_loihi.hardware.HAS_NXSDK:
@@ -106,25 +105,25 @@ def nxsdk_version() -> str:
 
 
 def run_loihi(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[Responses]:
-    """Show streams of samples to a board.
+    """Present streams of samples to a board.
 
     Parameters
     ----------
     spec : NetworkSpec
     streams : iterable of ndarray
-        As `Stimulus.flat` gives samples.
+        Samples as returned by `Stimulus.flat`.
     seed : int
     options : BoardOptions, optional
 
     Yields
     ------
     Responses
-        Of each stream in order; what the hardware said is in ``notes``.
+        The responses to each stream in order; ``notes`` has the hardware's data.
 
     Raises
     ------
     UserError
-        No NxSDK, a network that does not fit, or a board that could not be reached or kept.
+        NxSDK is missing, the network does not fit, or the board could not be reached or was lost.
     """
     options = options or BoardOptions()
     version = nxsdk_version()
@@ -138,7 +137,7 @@ def run_loihi(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[Resp
                 if attempt == options.attempts:
                     raise UserError(
                         f"board lost in stream {index + 1} of this run, {attempt} attempts: "
-                        f"{error}; the streams before it are saved: the same command goes on there"
+                        f"{error}; the previous streams are saved: repeat the command to resume"
                     ) from error
                 time.sleep(options.wait * 2 ** (attempt - 1))
         responses.notes.update(nxsdk=version, attempts=attempt)
@@ -193,9 +192,9 @@ def _simulator(network, options):
 
 @contextlib.contextmanager
 def _board_errors():
-    """Whatever the board, its driver or the way to it raises, told as one thing.
+    """Convert all errors of the board, its driver and its connection to `BoardLost`.
 
-    NxSDK has no error class of its own, and NengoLoihi asserts where data is short.
+    NxSDK has no error class of its own, and NengoLoihi raises AssertionError for missing data.
     """
     try:
         yield
@@ -211,7 +210,7 @@ def _board_errors():
 
 @contextlib.contextmanager
 def _time_limit(seconds):
-    """Raise TimeoutError in what takes longer; where no timer can be set there is no limit."""
+    """Raise TimeoutError after a time limit, which is not enforced where timers are not allowed."""
 
     def over(signum, frame):
         raise TimeoutError(f"no answer for {seconds:g} s")
@@ -231,7 +230,7 @@ def _time_limit(seconds):
 
 @contextlib.contextmanager
 def _environment(options):
-    """NxSDK reads the board, the partition and whether to go through SLURM from here."""
+    """Set the environment from which NxSDK reads the board, the partition and the use of SLURM."""
     wanted = {"BOARD": options.board, "PARTITION": options.partition}
     if options.partition is not None:
         wanted["SLURM"] = "1"
@@ -248,14 +247,14 @@ def _environment(options):
 
 
 def _close(sim):
-    """Let go of the board; a connection that is broken already may complain, to no end."""
+    """Disconnect from the board; errors of a lost connection are ignored."""
     with contextlib.suppress(Exception):
         sim.close()
     sim.closed = True
 
 
 def _probe_energy(board, steps):
-    """Place NxSDK's energy probe; it must be there before the board starts."""
+    """Place NxSDK's energy probe, which must be done before the board starts."""
     try:
         from nxsdk.api.enums.api_enums import ProbeParameter
         from nxsdk.graph.monitor.probes import PerformanceProbeCondition
@@ -270,7 +269,7 @@ def _probe_energy(board, steps):
 
 
 def _measured_power(board):
-    """What the energy probe found, in mW: total, static (idle) and dynamic, and us a step."""
+    """The energy probe's total, static (idle) and dynamic power in mW, and us per step."""
     stats = board.energyTimeMonitor.powerProfileStats
     power = {name: stats.power[name] for name in ("total", "static", "dynamic")}
     return {
@@ -280,19 +279,19 @@ def _measured_power(board):
 
 
 def describe(notes: list) -> dict:
-    """What a result says of the hardware, from the notes of its streams.
+    """Summarise the hardware's data for a result, from the notes of its streams.
 
     Parameters
     ----------
     notes : list of dict
-        Of each stream, in order.
+        Notes of each stream, in order.
 
     Returns
     -------
     dict
-        ``hardware`` (board, partition, chips, connections made), ``timing`` in seconds a sample,
-        ``versions``, and ``power`` where it was measured: the mean over streams weighted by their
-        steps; ``static_mw`` is what the chip draws idle, ``dynamic_mw`` what the network adds.
+        ``hardware`` (board, partition, chips, number of connections), ``timing`` in seconds per
+        sample, ``versions``, and ``power`` if it was measured: the mean over streams weighted by
+        their steps; ``static_mw`` is the idle power, ``dynamic_mw`` the additional power.
     """
     last = notes[-1]
     samples = sum(note["samples"] for note in notes)

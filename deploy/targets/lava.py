@@ -1,25 +1,25 @@
 """Export of the chip's part of a network to Lava, for its integer models of Loihi.
 
-What is written are the chip's integers as :mod:`deploy.targets.fast` compiled them, in Lava's
-units, and the spikes that the host sends to the chip; nothing here imports Lava.  How they map
-(Lava 0.10, ``lava.proc.lif`` and ``lava.proc.sparse``, fixed-point models)::
+The file contains the chip's integers as compiled by :mod:`deploy.targets.fast`, in Lava's units,
+and the spikes from the host to the chip; nothing here imports Lava.  The integers correspond as
+follows (Lava 0.10, ``lava.proc.lif`` and ``lava.proc.sparse``, fixed-point models)::
 
     du = 4095 - keep_u, dv = 4096 - keep_v      decays, 12 bits
     vth = threshold / 64                        Lava multiplies it by 64 again
     bias = bias_mant * 2**bias_exp              for each neuron
-    q = weight * 2**(6 + weight_exp)            one exponent a connection
+    q = weight * 2**(6 + weight_exp)            one exponent per connection
 
-A spike acts on its targets in the next step on both sides.  Lava's LIF has neither refractory
-steps nor a lower bound of the voltage: ``refractory`` and ``v_min`` are for a reader that adds
-them.  Its synaptic accumulator does not wrap at 21 bits.
+On both sides a spike acts on its targets in the next step.  Lava's LIF has neither a refractory
+period nor a lower voltage bound: ``refractory`` and ``v_min`` are for readers that implement them.
+Its synaptic accumulator does not wrap at 21 bits.
 
-Lava has one threshold, decay and bound a population, so a layer whose blocks differ in them is
+Lava has one threshold, decay and bound per population, so a layer whose blocks differ in these is
 written as several populations.  The file is an ``.npz`` of plain arrays:
 
 ===========================  ====================================================================
 ``description``              JSON: ``inputs``, ``layers``, ``populations``, see `lava_arrays`
-``spikes.<input>``           uint8, shape (n_samples, period, n / 8): eight neurons a byte
-``<population>.places``      int32, shape (n,): which neurons of the layer these are
+``spikes.<input>``           uint8, shape (n_samples, period, n / 8): eight neurons per byte
+``<population>.places``      int32, shape (n,): indices of these neurons in the layer
 ``<population>.bias_mant``,  int32, shape (n,)
 ``<population>.bias_exp``
 ``<population>.<k>.data``,   weights of the k-th connection into it, compressed sparse rows
@@ -43,35 +43,35 @@ from .fast.emulation import Emulation, compile_spec
 from .fast.from_nengo import Program
 
 LARGEST = 2**U_BITS - 1
-"""Where Lava and the chip clip a voltage."""
+"""Limit at which Lava and the chip clip voltages."""
 
 _BIAS_EXPONENTS = 8
 
 
 def write_lava(path, spec: NetworkSpec, images):
-    """Write the chip's part and the spikes into it for some samples, whole or not at all.
+    """Write the chip's part of a network and its input spikes for some samples, atomically.
 
     Parameters
     ----------
     path : path-like
     spec : NetworkSpec
     images : ndarray, shape (n_samples, ...)
-        What is shown, in streams as the network's presentation says.
+        The presented samples, in streams as defined by the network's presentation.
 
     Raises
     ------
     UserError
-        The network holds integers that Lava has no place for.
+        The network has integers that Lava cannot represent.
     """
     write_arrays(path, **lava_arrays(spec, images))
 
 
 def lava_arrays(spec: NetworkSpec, images) -> dict:
-    """What :func:`write_lava` writes.
+    """Compute the arrays that :func:`write_lava` writes.
 
-    ``description`` says ``period`` (steps a sample, its gap included), ``stream_length`` (samples
-    after which the network starts afresh), ``inputs`` and ``layers`` (each ``name`` and ``n``) and
-    ``populations`` in order (each ``name``, ``layer``, ``n``, ``du``, ``dv``, ``vth``,
+    ``description`` has ``period`` (steps per sample including the gap), ``stream_length`` (samples
+    after which the network starts from rest), ``inputs`` and ``layers`` (each ``name`` and ``n``),
+    and ``populations`` in order (each ``name``, ``layer``, ``n``, ``du``, ``dv``, ``vth``,
     ``refractory``, ``v_min`` and ``connections``, each with the name of its ``source``, an input or
     an earlier population, and ``weight_exp``).
     """
@@ -107,7 +107,7 @@ def lava_arrays(spec: NetworkSpec, images) -> dict:
 
 
 def without_refractory_and_floor(program: Program) -> Program:
-    """The same network of neurons as stock Lava has them, which neither wait nor have a floor."""
+    """The network with Lava's standard neurons, without refractory period and lower bound."""
     segments = program.network.segments
     free = segments._replace(
         refractory=np.zeros_like(segments.refractory),
@@ -122,14 +122,14 @@ def spikes_of(program: Program, spec: NetworkSpec, images) -> dict:
     Parameters
     ----------
     program : Program
-        Of this network or of a variant of it.
+        The program of this network or of a variant.
     spec : NetworkSpec
     images : ndarray, shape (n_samples, ...)
 
     Returns
     -------
     dict of str to uint8 ndarray, shape (n_samples, period, n / 8)
-        Eight neurons a byte, see `numpy.packbits`; inputs from the host included.
+        Eight neurons per byte, see `numpy.packbits`; includes the inputs from the host.
     """
     images = spec.stimulus.flat(images)
     shown, emulation, samples = spec.presentation, Emulation(program), []
@@ -144,7 +144,7 @@ def _replaced(network, **changes):
 
 
 def _populations(network):
-    """(layer, name, places in the layer, what its neurons have in common) of every population."""
+    """(layer, name, indices in the layer, shared parameters) of every population."""
     segments = network.segments
     of_compartment = np.repeat(np.arange(len(segments.start)), segments.stop - segments.start)
     alike = np.stack(
@@ -157,7 +157,7 @@ def _populations(network):
             keep_u, keep_v, v_min, v_max, refractory, _, threshold = column
             if threshold % 64 or v_max != LARGEST:
                 raise UserError(
-                    f"layer {layer.label}: Lava has no place for its threshold or upper bound"
+                    f"layer {layer.label}: Lava cannot represent its threshold or upper bound"
                 )
             places = np.flatnonzero(group.ravel() == index)
             name = layer.label if values.shape[1] == 1 else f"{layer.label}#{index + 1}"
@@ -178,7 +178,7 @@ def _populations(network):
 
 
 def _bias(bias, label):
-    """Mantissas with the chip's bits and a sign, and exponents, of each neuron's bias."""
+    """Signed mantissas with the chip's bits, and exponents, of each neuron's bias."""
     bias, beyond = np.asarray(bias, np.int64), 2**LOIHI.bias_bits
     exponents = np.zeros(len(bias), np.int64)
     for _ in range(_BIAS_EXPONENTS - 1):
@@ -192,15 +192,15 @@ def _bias(bias, label):
 
 
 def _connections(network, columns, sources, label):
-    """(source, weights (n, n_source) as Lava has them, exponent) of what leads to a population.
+    """(source, weights (n, n_source) in Lava's units, exponent) of the inputs of a population.
 
-    Lava has one exponent a connection and mantissas of 8 bits with a sign, which are even.
+    Lava has one exponent per connection and signed 8-bit mantissas, which are even.
     """
     segments = network.segments
     shift = int(np.repeat(segments.shift, segments.stop - segments.start)[columns[0]])
     into, last = network.weights[:, columns].tocsr(), list(sources)[-1]
     for name, rows in sources.items():
-        weights = into[rows].T.tocsr().astype(np.int64)  # a row for each target
+        weights = into[rows].T.tocsr().astype(np.int64)  # one row per target
         whole, exponent = weights.data << shift, 0
         while len(whole) and np.abs(whole).max() >> (6 + exponent) > 256:
             exponent += 1
@@ -209,5 +209,5 @@ def _connections(network, columns, sources, label):
         if not exact or exponent > 7 or np.any(mantissas > 254):
             raise UserError(f"layer {label}: a weight does not fit 8 bits and an exponent")
         weights.data = mantissas
-        if weights.nnz or name == last:  # Lava runs only what hangs together
+        if weights.nnz or name == last:  # Lava only runs connected processes
             yield name, weights, exponent

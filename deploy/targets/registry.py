@@ -1,6 +1,6 @@
-"""Targets: what answers the samples of a check.
+"""Targets: the simulators and the hardware that run the samples of a check.
 
-To add one, put a `Target` into `TARGETS`; ladder, report and command line read it from there.
+To add one, add a `Target` to `TARGETS`; ladder, report and command line use this table.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ from .fast.emulation import run_fast
 
 @dataclass(frozen=True)
 class Target:
-    """Something that answers.
+    """A target with its description and options.
 
     Attributes
     ----------
     name : str
     run : callable
-        ``run(spec, streams, seed)`` yields, for each stream of samples in order, the
-        :class:`~deploy.network.responses.Responses` to them; each stream starts from a fresh
-        network.  Where there are ``options`` it takes a keyword of that name.
+        ``run(spec, streams, seed)`` yields the :class:`~deploy.network.responses.Responses` to each
+        stream of samples, in order; each stream starts from a fresh network.  Targets with options
+        also have a keyword argument ``options``.
     title : str
-        What it is, in a few words.
+        Short description.
     note : str
-        What a reader of its figures must know; empty if the title says it.
+        Additional information for readers of its results; empty if the title is sufficient.
     slow : bool
-        Whether the whole test split takes this machine minutes.
+        True if the whole test split takes minutes.
     hardware : bool
-        Whether it is hardware, which few have; everything else runs anywhere.
+        True if the target needs a board.
     options : type or None
-        Dataclass of what can be chosen; its fields are the names of the command's options.
+        Dataclass of the options; its field names are the names of the command's options.
     describe : callable or None
-        From the notes of all streams, a list of dict, to what a result says besides its samples.
+        Function from the notes of all streams, a list of dict, to additional fields of a result.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Target:
 
 
 def run_nengo(spec, streams, seed=0) -> Iterator[Responses]:
-    """NengoCore's reference simulator, with Loihi's neurons in floating point."""
+    """Run NengoCore's reference simulator, with Loihi's neurons in floating point."""
     return _run(
         spec,
         streams,
@@ -67,12 +67,12 @@ def run_nengo(spec, streams, seed=0) -> Iterator[Responses]:
 
 
 def run_simreal(spec, streams, seed=0) -> Iterator[Responses]:
-    """NengoLoihi's model of the chip before discretisation."""
+    """Run NengoLoihi's model of the chip before discretisation."""
     return _run(spec, streams, seed, lambda network: _loihi_simulator(network, "simreal"))
 
 
 def run_emulator(spec, streams, seed=0) -> Iterator[Responses]:
-    """NengoLoihi's emulator: the chip's integers."""
+    """Run NengoLoihi's emulator, with the chip's integers."""
     return _run(spec, streams, seed, lambda network: _loihi_simulator(network, "sim"))
 
 
@@ -86,7 +86,7 @@ TARGETS: Dict[str, Target] = {
             "fast",
             run_fast,
             "NengoLoihi's emulator, many streams at once",
-            note="NengoLoihi's emulator, bit for bit",
+            note="bit-identical to NengoLoihi's emulator",
         ),
         Target(
             "loihi",
@@ -98,11 +98,11 @@ TARGETS: Dict[str, Target] = {
         ),
     )
 }
-"""By name, in the order of a ladder."""
+"""The targets by name, in the order of a ladder."""
 
 
 def target_named(name: str) -> Target:
-    """Look a target up.
+    """Find a target by its name.
 
     Raises
     ------
@@ -117,24 +117,24 @@ def target_named(name: str) -> Target:
 
 
 def options_for(name: str, **given):
-    """A target's options from a command's.
+    """Select a target's options from those of a command.
 
     Parameters
     ----------
     name : str
-        Of the target.
+        Name of the target.
     **given
-        The value of every option that any target has.
+        The value of every option of any target.
 
     Returns
     -------
     object or None
-        Of the target's own class of options; None if it has none.
+        An instance of the target's class of options; None if it has none.
 
     Raises
     ------
     UserError
-        There is no target of that name, or an option of another target was given.
+        There is no target of that name, or an option belongs to another target.
     """
     own = target_named(name).options
     for target in TARGETS.values():
@@ -149,20 +149,20 @@ def options_for(name: str, **given):
 
 
 def answer(spec: NetworkSpec, samples, target: str, seed=0, advance=None, **options) -> Responses:
-    """Show samples to a target in the network's own presentation.
+    """Run a target on samples, presented as the network defines it.
 
     Parameters
     ----------
     spec : NetworkSpec
     samples : ndarray, shape (n_samples, ...)
-        Images, mostly with values from 0 to 1, or frames, as the network's stimulus takes them.
+        Images, usually with values from 0 to 1, or frames, in the format of the stimulus.
     target : str
         ``"nengo"``, ``"simreal"``, ``"emulator"``, ...
     seed : int
     advance : callable, optional
         Called with the number of samples done since the last call.
     **options
-        Of the target's own ``run``, such as the kernel of ``fast``.
+        Keyword arguments of the target's ``run``, such as the kernel of ``fast``.
 
     Returns
     -------
@@ -171,7 +171,7 @@ def answer(spec: NetworkSpec, samples, target: str, seed=0, advance=None, **opti
     Raises
     ------
     UserError
-        There is no target of that name, or the network's stimulus cannot show the samples.
+        There is no target of that name, or the network's stimulus cannot present the samples.
     """
     flat = spec.fed(samples)
     streams = [flat[part] for part in streams_of(len(flat), spec.presentation.stream_length)]
@@ -185,7 +185,7 @@ def answer(spec: NetworkSpec, samples, target: str, seed=0, advance=None, **opti
 
 def _loihi_simulator(network, target):
     try:
-        # The target is always passed: left out, NengoLoihi takes hardware where NxSDK is installed.
+        # Without an explicit target NengoLoihi uses hardware wherever NxSDK is installed.
         return nengo_loihi.Simulator(network, target=target, precompute=True)
     except BUILD_ERRORS as error:
         raise cannot_build(network, error) from error

@@ -1,1 +1,1 @@
-"""A run: its folder, its stages, the bundle, and what each stage answers."""
+"""A run: its folder, its stages, its bundle, and the predictions of each stage."""

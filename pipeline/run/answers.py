@@ -1,5 +1,5 @@
-"""What the networks before the bundle answer: CNN, rate-based LIF and NengoDL's spiking LIF, or the
-network trained on events."""
+"""Check results of the networks before the bundle: CNN, rate-based LIF, NengoDL's spiking LIF, and
+the network trained on events."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from pipeline.settings import Settings
 
 NETWORKS = {
     "cnn": ("CNN", "the convolutional network, no spikes"),
-    "rate-lif": ("Rate LIF", "the firing rates of LIF neurons in the place of spikes"),
-    "spiking-lif": ("Spiking LIF, NengoDL", "the same weights, neurons that spike"),
+    "rate-lif": ("Rate LIF", "LIF neurons with firing rates instead of spikes"),
+    "spiking-lif": ("Spiking LIF, NengoDL", "the same weights with spiking neurons"),
     "trained": (
         "Trained on events",
-        "the spiking network as it was trained, each sample from rest",
+        "the spiking network as trained, with each sample from rest",
     ),
     "nir": ("NIR", "the graph as written, in floating point, each sample from rest"),
 }
-"""Title and note of each network before the bundle; those after it are targets."""
+"""Title and note of each network before the bundle; later stages are targets."""
 
 REFERENCES = {
     "image": ("cnn", "rate-lif", "spiking-lif"),
@@ -37,7 +37,7 @@ REFERENCES = {
 def reference_result(
     stage: str, settings: Settings, weights: dict, bundle: Bundle, advance=None
 ) -> dict:
-    """A check result of a network that is no target, on the samples of a bundle.
+    """Make the check result of a network that is not a target, on the samples of a bundle.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def reference_result(
         One of `REFERENCES`.
     settings : Settings
     weights : dict
-        The CNN's for ``"cnn"``; otherwise those that the bundle was made from.
+        The CNN's for ``"cnn"``; otherwise those from which the bundle was made.
     bundle : Bundle
     advance : callable, optional
         Called with the number of samples done since the last call.
@@ -68,14 +68,14 @@ def reference_result(
 
 
 def responses_of(logits: np.ndarray, presentation) -> Responses:
-    """Scores and decisions from logits.
+    """Compute scores and decisions from logits.
 
     Parameters
     ----------
     logits : ndarray, shape (n_samples, steps, classes)
-        At each step; one step for a network without time.
+        Logits at each step; one step for a network without time.
     presentation : pipeline.settings.Showing
-        Where there is time, the score at a step is the mean from ``readout_start`` up to it.
+        In networks with time, the score at a step is the mean from ``readout_start`` to it.
     """
     start = presentation.readout_start if logits.shape[1] > 1 else 0
     window = logits[:, start:]
@@ -86,13 +86,13 @@ def responses_of(logits: np.ndarray, presentation) -> Responses:
 
 
 def training_versions() -> dict:
-    """Versions of what only these networks need."""
+    """Versions of the packages that only these networks need."""
     names = ("tensorflow", "nengo-dl")
     return {name.replace("-", "_"): importlib.metadata.version(name) for name in names}
 
 
 def _on_events(settings, weights, bundle, advance):
-    """Of the trained network, each sample from rest; the outputs when they reach the host."""
+    """Responses of the network trained on events, each sample from rest, delayed as on the chip."""
     from pipeline.training.events import EventRecipe, TrainedOnEvents, arriving
 
     recipe, frames = EventRecipe.of(settings), bundle.checks.inputs.astype(np.uint8)
@@ -104,7 +104,7 @@ def _on_events(settings, weights, bundle, advance):
 
 def _logits(stage, settings, weights, images, advance):
     """Logits at each step, shape (n_samples, steps, classes)."""
-    # Both import TensorFlow: ten seconds that a finished stage can spare.
+    # Both import TensorFlow, which takes ten seconds and is not needed for a finished stage.
     if stage == "spiking-lif":
         from pipeline.training import nengodl
 

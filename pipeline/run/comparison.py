@@ -1,4 +1,4 @@
-"""Runs side by side: settings that differ, accuracy stage by stage, what an inference takes."""
+"""Compare runs: different settings, accuracy of each stage, and costs of an inference."""
 
 from __future__ import annotations
 
@@ -27,38 +27,38 @@ from pipeline.settings import Settings, read_settings
 SCHEMA = "stmnist-runs/1"
 
 NETWORKS = tuple(dict.fromkeys(stage for stages in REFERENCES.values() for stage in stages))
-"""What answers before the bundle, of either kind of input."""
+"""Stages before the bundle, for both kinds of input."""
 
 ORDER = (*NETWORKS, *TARGETS)
-"""Of the stages in a comparison."""
+"""Order of the stages in a comparison."""
 
 COUNTED = ("emulator", "fast", "simreal", "nengo", "loihi")
-"""Whose spikes are taken for the operations and the time to decide, the first that is there; the
-first two are the same spikes, and of a board not every layer's are known."""
+"""Stages whose spikes give the operations and decision times; the first available one is used.  The
+first two have identical spikes; a board does not report the spikes of all layers."""
 
 WIDTH = 80
-"""Columns of the text."""
+"""Width of the text in columns."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """What is compared of a run.
+    """The compared data of a run.
 
     Attributes
     ----------
     name : str
-        As the user called it.
+        The path as the user wrote it.
     settings : Settings
     spec : NetworkSpec
-        Of its bundle.
+        Network of its bundle.
     cores, chips : int
-        That the network takes; see :func:`deploy.preflight.plan.make_plan`.
+        Cores and chips that the network needs; see :func:`deploy.preflight.plan.make_plan`.
     results : dict of str to dict
         Check results of the bundle, by stage.
     stale : tuple of str
-        Stages whose results are of an earlier bundle, and are left out.
+        Stages whose results belong to an earlier bundle, and are left out.
     outdated : dict of str to str
-        Artifacts that the run's settings would make otherwise now, with the reasons.
+        Outdated artifacts, with the reasons.
     """
 
     name: str
@@ -72,13 +72,13 @@ class Run:
 
 
 def read_runs(paths, whole: bool = False) -> list:
-    """Read what is compared of runs' folders.
+    """Read the compared data of runs.
 
     Parameters
     ----------
     paths : sequence of path-like
     whole : bool
-        Of the whole test split, not of the check's samples.
+        Compare the whole test split, not the check's samples.
 
     Returns
     -------
@@ -87,11 +87,11 @@ def read_runs(paths, whole: bool = False) -> list:
     Raises
     ------
     UserError
-        Fewer than two runs, one twice, or a folder that is no run, has no bundle or no results.
+        There are fewer than two runs, duplicates, or a folder without a run, bundle or results.
     """
     paths = [Path(path) for path in paths]
     if len(paths) < 2:
-        raise UserError("one run alone cannot be compared; name two or more")
+        raise UserError("one run alone cannot be compared; name at least two")
     if len(paths) > len(string.ascii_uppercase):
         raise UserError(f"{len(paths)} runs; name at most {len(string.ascii_uppercase)}")
     for a, b in itertools.combinations(paths, 2):
@@ -103,9 +103,9 @@ def read_runs(paths, whole: bool = False) -> list:
 def _read_run(path, whole):
     folder = RunFolder(path)
     if not folder.experiment.is_file():
-        raise UserError(f"{path}: no run's folder (it has no {folder.experiment.name}); check it")
+        raise UserError(f"{path}: not a run (it has no {folder.experiment.name}); check the path")
     if not folder.bundle.is_dir():
-        raise UserError(f"{path}: no bundle yet; make it with 'stmnist convert {path}'")
+        raise UserError(f"{path}: has no bundle; make it with 'stmnist convert {path}'")
     bundle = read_bundle(folder.bundle)
     results, stale = {}, []
     for stage in ORDER:
@@ -136,7 +136,7 @@ def _read_run(path, whole):
 
 
 def compare_runs(runs) -> dict:
-    """Set runs side by side.
+    """Compare runs.
 
     Parameters
     ----------
@@ -146,10 +146,10 @@ def compare_runs(runs) -> dict:
     Returns
     -------
     dict
-        Ready for JSON: ``runs``, from each its ``name`` and what an inference takes (see
-        :func:`inference`); ``settings`` that differ, each with its ``name`` and ``values`` in the
-        order of the runs; ``stages`` that two runs or more have, each with ``accuracies`` (None
-        for a run without it) and ``differences``, one of every pair (see :func:`difference`).
+        Ready for JSON: ``runs``, each with its ``name`` and the costs of an inference (see
+        :func:`inference`); the ``settings`` that differ, each with its ``name`` and ``values`` in
+        the order of the runs; the ``stages`` of at least two runs, each with ``accuracies`` (None
+        for a run without it) and ``differences``, one for every pair (see :func:`difference`).
     """
     flat = [run.settings.flat() for run in runs]
     read = set().union(*(run.settings.relevant() for run in runs))
@@ -175,11 +175,11 @@ def compare_runs(runs) -> dict:
 
 
 def inference(run: Run) -> dict:
-    """What an inference of a run's network takes, as plain values.
+    """Costs of an inference of a run's network, as plain values.
 
-    Operations and times are of the stage named by ``counted_on``; None where no result tells.
-    ``writing`` is there of networks on events that decide by themselves: the mean share of the
-    writing after which they do, and how accurate they are then.
+    Operations and times are those of the stage named by ``counted_on``, or None without a
+    result.  Networks on events with early decisions also have ``writing``: the mean share of the
+    writing until the decision, and its accuracy.
     """
     spec = run.spec
     stage = next((s for s in COUNTED if run.results.get(s, {}).get("synaptic_operations")), None)
@@ -240,18 +240,18 @@ def _right(result):
 
 
 def difference(a: Run, b: Run, stage: str) -> dict:
-    """How much more accurate a stage of B is than A's.
+    """Difference in accuracy of a stage between two runs, B's minus A's.
 
-    Paired where both answered the same samples: the same ids and labels, in any order, of the same
-    recordings as far as the bundles say which (``source_sha256``).  An id alone tells a recording
-    within its source only: every simulation has a ``0/0000``.
+    The comparison is paired if both have the same samples: the same ids and labels, in any order,
+    of the same recordings as far as the bundles record it (``source_sha256``).  The source matters
+    because ids are unique only within it: every simulation has a ``0/0000``.
 
     Returns
     -------
     dict
-        ``difference`` of the accuracies, B's less A's; ``paired``; ``only_a`` and ``only_b``,
-        samples that only the one got right (None if not paired); ``p``, by McNemar's exact test
-        where they are paired, by Fisher's where they are not.
+        ``difference`` of the accuracies, B's minus A's; ``paired``; ``only_a`` and ``only_b``, the
+        numbers of samples that only A or only B got right (None if not paired); ``p`` of McNemar's
+        exact test if paired, else of Fisher's.
     """
     first, second = a.results[stage], b.results[stage]
     labels_a, labels_b = ({s["id"]: s["label"] for s in r["samples"]} for r in (first, second))
@@ -272,14 +272,14 @@ def difference(a: Run, b: Run, stage: str) -> dict:
 
 
 def runs_text(compared: dict, width: int = WIDTH) -> str:
-    """A comparison as tables, each run called by a letter.
+    """Format a comparison as tables in which a letter stands for each run.
 
     Parameters
     ----------
     compared : dict
         From :func:`compare_runs`.
     width : int
-        Columns; only a run's own name may be longer.
+        Width in columns; only a run's name may exceed it.
     """
     runs = compared["runs"]
     letters = string.ascii_uppercase[: len(runs)]
@@ -388,7 +388,7 @@ def _inference_lines(runs, letters, width):
 
 
 def _plain(value):
-    """A setting's value in a table."""
+    """A setting's value for a table."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, (list, tuple)):
@@ -397,7 +397,7 @@ def _plain(value):
 
 
 def _fitted(rows, width):
-    """A table whose cells go on in further lines where their columns would be too wide."""
+    """A table whose cells are wrapped if their columns would be too wide."""
     first, n = max(len(row[0]) for row in rows), len(rows[0]) - 1
     room = max((width - first) // n - 2, 8)
     folded = []
@@ -409,7 +409,7 @@ def _fitted(rows, width):
 
 
 def _folded(text, room):
-    """A cell's lines; broken at blanks, after ``-`` and ``/``, and elsewhere only if it must be."""
+    """The lines of a cell, broken at blanks and after ``-`` and ``/``, elsewhere if unavoidable."""
     lines = [""]
     for part in text.replace("-", "-\0").replace("/", "/\0").replace(" ", " \0").split("\0"):
         if len(lines[-1] + part.rstrip()) > room and lines[-1]:

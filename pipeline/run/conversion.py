@@ -1,4 +1,4 @@
-"""From trained rate-based weights to the network that is deployed."""
+"""Convert trained rate-based weights to the deployed network."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def deployed(settings: Settings, weights: dict, provenance: dict, data) -> Netwo
     settings, weights, provenance
         As in :func:`to_spec`.
     data : (images, labels)
-        Of training samples, by which the range of a readout on the chip is set.
+        Training samples, which determine the range of a readout on the chip.
 
     Raises
     ------
     UserError
-        The images cannot be shown to that network.
+        The images cannot be presented to this network.
     """
     on_chip = settings.deployment.readout == "chip"
     images, labels = data
@@ -38,20 +38,20 @@ def deployed(settings: Settings, weights: dict, provenance: dict, data) -> Netwo
 def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) -> NetworkSpec:
     """Describe the spiking network with the given weights.
 
-    With activation ``z`` at which the trained network's neurons get ``J = 1 + gain * z``, the
-    deployed convolution has weights ``gain * W`` and bias current ``1 + gain * b``, and a spike has
-    the area ``1 / max_rate``.
+    With an activation ``z`` at which the trained network's neurons receive ``J = 1 + gain * z``,
+    the deployed convolution has weights ``gain * W`` and bias currents ``1 + gain * b``, and a
+    spike has the area ``1 / max_rate``.
 
     Parameters
     ----------
     settings : Settings
     weights : dict
-        Of the rate-based network.
+        Weights of the rate-based network.
     provenance : dict
-        Kept in the bundle.
+        Stored in the bundle.
     range_of : (logits, labels), optional
-        Arrays of shapes (n_samples, outputs) and (n_samples,), of training samples; only for a
-        readout on the chip, whose range is set by them.
+        Arrays of shapes (n_samples, outputs) and (n_samples,) of training samples, which determine
+        the range of a readout on the chip; not used otherwise.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) 
         gain = gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
         kernel = gain * weights[f"{name}.kernel"].astype(float)
         bias = 1 + gain * weights[f"{name}.bias"].astype(float)
-        if snn.is_on_chip:  # on the host too: that is what was trained
+        if snn.is_on_chip:  # on the host too, since the network was trained with it
             kernel, bias = eight_bits(kernel).numpy(), twelve_bits(bias).numpy()
         layers.append(
             Layer(
@@ -91,7 +91,7 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) 
 
 
 def geometry(folded, pop_type):
-    """What a layer of the bundle takes over from the architecture."""
+    """The parameters of a bundle's layer that the architecture determines."""
     geometry = dict(
         name=folded.name,
         kind="dense",
@@ -116,8 +116,8 @@ def _readout(settings, folded, weights, range_of):
         return Layer(
             placement="host", neurons=None, synapse=None, weights=kernel, bias=bias, **common
         )
-    # A LIF neuron a class: the median of a sample's best wrong logit gives threshold, the largest
-    # right ones the full rate, so that what decides lies in the neurons' range.
+    # One LIF neuron per class: the median of the largest wrong logit maps to the threshold, and the
+    # largest right logits to the full rate, so that the neurons' range covers what decides.
     snn = settings.snn
     logits, labels = np.array(range_of[0], float), np.asarray(range_of[1])
     right = logits[np.arange(len(labels)), labels]

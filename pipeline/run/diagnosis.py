@@ -1,11 +1,11 @@
-"""Which layer loses: firing rates on the chip against the rate-based network's activations.
+"""Compare firing rates on the chip with the rate-based network's activations, layer by layer.
 
-Of a layer's neurons, two shares say whether they can tell inputs apart at all:
+Two shares of a layer's neurons measure how much information they can transmit:
 
 - *silent*: neurons that fire on none of the samples;
-- *saturated*: neurons that on at least 1 % of the samples fire at 90 % or more of the fastest rate
-  there is, 1 / (tau_ref + dt): one spike each refractory period and the step after it.  A larger
-  input changes nothing there.
+- *saturated*: neurons that on at least 1 % of the samples fire at 90 % or more of the fastest
+  possible rate 1 / (tau_ref + dt), one spike per refractory period and one more step.  A larger
+  input does not change their rate.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from deploy.network.spec import DT, NetworkSpec
 from deploy.tables import aligned
 
 NEAR_FASTEST = 0.9
-"""Share of the fastest rate from which a neuron is at its limit."""
+"""Share of the fastest rate from which a neuron counts as saturated on a sample."""
 
 SATURATED_SAMPLES = 0.01
-"""Share of the samples on which a saturated neuron is at its limit, at the least."""
+"""Minimum share of the samples on which a saturated neuron is at its limit."""
 
 
 @dataclass(frozen=True)
 class Activity:
-    """Neurons of a layer that cannot tell inputs apart; see the module.
+    """Shares of the silent and saturated neurons of a layer; see the module's docstring.
 
     Attributes
     ----------
@@ -41,15 +41,15 @@ class Activity:
 
 @dataclass(frozen=True)
 class LayerFidelity:
-    """How well a layer's firing rates on the chip stand for its activations.
+    """Agreement of a layer's firing rates on the chip with its activations.
 
     Attributes
     ----------
     layer : str
     correlation : float or None
-        Pearson's, over all neurons and samples; None where either side does not vary.
+        Pearson correlation over all neurons and samples; None if either side is constant.
     worst_error, mean_error : float
-        Largest and mean magnitude of rate less activation, in units of ``max_rate``.
+        Largest and mean magnitude of rate minus activation, in units of ``max_rate``.
     chip, rate_network : Activity
     """
 
@@ -62,7 +62,7 @@ class LayerFidelity:
 
 
 def fastest_rate(tau_ref: float) -> float:
-    """Spikes a second that a neuron with whole-step intervals cannot exceed."""
+    """Largest rate in spikes per second of a neuron with intervals of whole steps."""
     return 1 / (DT * (round(tau_ref / DT) + 1))
 
 
@@ -72,7 +72,7 @@ def activity(rates, fastest: float) -> Activity:
     Parameters
     ----------
     rates : ndarray, shape (n_samples, n_neurons)
-        In spikes a second.
+        In spikes per second.
     fastest : float
         See :func:`fastest_rate`.
     """
@@ -92,11 +92,11 @@ def fidelity(layer: str, rates, activations, max_rate: float, tau_ref: float) ->
     layer : str
         Its name.
     rates : ndarray, shape (n_samples, n_neurons)
-        On the chip, in spikes a second.
+        Rates on the chip, in spikes per second.
     activations : ndarray, shape (n_samples, n_neurons)
-        Of the rate-based network, on the same samples; 1 stands for ``max_rate``.
+        Activations of the rate-based network on the same samples; 1 means ``max_rate``.
     max_rate : float
-        Spikes a second at activation 1.
+        Spikes per second at activation 1.
     tau_ref : float
         Refractory period in seconds.
     """
@@ -117,14 +117,14 @@ def fidelity(layer: str, rates, activations, max_rate: float, tau_ref: float) ->
 
 
 def layers_json(spec: NetworkSpec, images, activations: dict, seed: int = 0, advance=None) -> list:
-    """Compare every layer of neurons; each a dict of :class:`LayerFidelity`'s attributes.
+    """Compare every layer with neurons; each result has the attributes of :class:`LayerFidelity`.
 
     Parameters
     ----------
     spec, images, seed, advance
         As in :func:`deploy.check.rates.firing_rates`.
     activations : dict of str to ndarray, shape (n_samples, n_neurons)
-        Of the rate-based network, on the same images.
+        Activations of the rate-based network on the same images.
     """
     rates = firing_rates(spec, images, seed, spec.presentation.readout_start, advance)
     neurons = {layer.name: layer.neurons for layer in spec.layers}
@@ -143,14 +143,14 @@ def layers_json(spec: NetworkSpec, images, activations: dict, seed: int = 0, adv
 
 
 def least_faithful(layers: list) -> str:
-    """Name of the layer with the lowest correlation; one that does not vary at all is lower yet."""
+    """Name of the layer with the lowest correlation, where a constant layer counts as lowest."""
     return min(
         layers, key=lambda layer: -2 if layer["correlation"] is None else layer["correlation"]
     )["layer"]
 
 
 def layers_text(layers: list) -> str:
-    """The comparison as a table that says what its columns mean."""
+    """The comparison as a table with an explanation of its columns."""
     rows = [("layer", "correlation", "worst error", "mean error", "silent", "saturated")]
     for layer in layers:
         r = layer["correlation"]
@@ -172,12 +172,12 @@ def layers_text(layers: list) -> str:
 
 
 def training_lines(neurons: dict) -> list:
-    """What to say of the neurons after training, a line a layer, with a warning where it is due.
+    """Lines about the neurons after training, one per layer, with warnings.
 
     Parameters
     ----------
     neurons : dict of str to dict
-        Of each layer, :class:`Activity`'s attributes.
+        The attributes of :class:`Activity` for each layer.
     """
     lines = []
     for name, layer in neurons.items():

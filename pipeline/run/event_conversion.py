@@ -1,4 +1,4 @@
-"""From a network trained on events to the network that is deployed."""
+"""Convert a network trained on events to the deployed network."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def deployed_on_events(
     weights, provenance
         As in :func:`spec_of_events`.
     confidence : float
-        At which the network decides by itself.
+        Confidence for an early decision.
     """
     recipe, shown = EventRecipe.of(settings), settings.presented(confidence)
     return spec_of_events(recipe, weights, shown, provenance, settings.deployment.pop_type)
@@ -38,17 +38,17 @@ def spec_of_events(
 ) -> NetworkSpec:
     """Describe the spiking network with the given weights.
 
-    NengoLoihi comes to just the integers that were trained with; a step of the chip is a step of
-    the recipe, whatever time on the skin it stands for.
+    NengoLoihi discretises it to the integers used in training; a step of the chip is a step of the
+    recipe, independently of the recording time that it represents.
 
     Parameters
     ----------
     recipe : EventRecipe
     weights : dict
-        Of a :class:`pipeline.training.events.TrainedOnEvents`.
+        Weights of a :class:`pipeline.training.events.TrainedOnEvents`.
     presentation : Presentation
     provenance : dict
-        Kept in the bundle.
+        Stored in the bundle.
     pop_type : int
         NengoLoihi's population axon type.
 

@@ -1,4 +1,4 @@
-"""Training a network on events, and choosing the confidence at which it decides."""
+"""Train a network on events, and choose the confidence for its early decisions."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ FEWEST_HELD = 100
 
 
 class Apart(NamedTuple):
-    """Samples to learn from, and samples held back to choose the confidence on.
+    """Training samples, and held-out samples for choosing the confidence.
 
     Attributes
     ----------
     table : EventTable
-        Of all samples of the dataset.
+        Events of all samples of the dataset.
     labels : ndarray of int, shape (n_samples,)
     learn, held : ndarray of int
         Indices.
@@ -38,13 +38,13 @@ class Apart(NamedTuple):
 
 
 def set_apart(dataset: Dataset, seed: int) -> Apart:
-    """Hold back the validation samples, or, where there are none, some of the training samples.
+    """Hold out the validation samples or, if there are none, some of the training samples.
 
     Parameters
     ----------
     dataset : Dataset
     seed : int
-        Of :func:`pipeline.inputs.splits.hold_out`.
+        Seed of :func:`pipeline.inputs.splits.hold_out`.
     """
     learn, held = dataset.split.train, dataset.split.validation
     if not len(held):
@@ -59,7 +59,7 @@ def train(
     checkpoint: Checkpoint | None = None,
     advance=None,
 ) -> TrainedOnEvents:
-    """Train on the samples to learn from.
+    """Train a network on events.
 
     Parameters
     ----------
@@ -85,5 +85,5 @@ def choose(settings: Settings, samples: Apart, trained: TrainedOnEvents, seed: i
 
 
 def trained_network(settings: Settings, weights: dict) -> TrainedOnEvents:
-    """The network that was trained with some settings."""
+    """The network with given weights that was trained with some settings."""
     return TrainedOnEvents(EventRecipe.of(settings), weights)

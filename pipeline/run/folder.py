@@ -1,4 +1,4 @@
-"""A run's folder: where each artifact is, and who is writing to it."""
+"""A run's folder: the places of its artifacts, and its lock."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ FILES = {
     *(".keras", ".h5", ".hdf5", ".zip", ".mat", ".json", ".npz", ".toml", ".html", ".csv"),
     *(".py", ".pyz", ".pb", ".png", ".nir"),
 }
-"""Ends of names that nobody gives to a folder: a file that is not there must not become one."""
+"""File name endings that no folder has: a missing file must not be created as a folder."""
 
 
 DELETE_ITS_FOLDER = "delete its folder and run the command again"
-"""What to do about a damaged file of a network."""
+"""Remedy for a damaged file of a network."""
 
 
 @dataclass(frozen=True)
@@ -39,43 +39,43 @@ class RunFolder:
 
     @property
     def experiment(self) -> Path:
-        """Every setting, resolved."""
+        """The file of all settings, resolved."""
         return self.path / "experiment.toml"
 
     @property
     def dataset(self) -> Path:
-        """What the recordings were."""
+        """The description of the recordings."""
         return self.path / "dataset.json"
 
     @property
     def cnn(self) -> Path:
-        """Weights, history and metrics of the CNN."""
+        """The folder of the CNN: weights, history and metrics."""
         return self.path / "cnn"
 
     @property
     def snn(self) -> Path:
-        """Weights, history and metrics of the rate-based network."""
+        """The folder of the network that becomes the bundle: weights, history and metrics."""
         return self.path / "snn"
 
     @property
     def bundle(self) -> Path:
-        """What is deployed."""
+        """The folder of the bundle."""
         return self.path / "bundle"
 
     @property
     def ladder(self) -> Path:
-        """The loss ladder."""
+        """The file of the loss ladder."""
         return self.path / "ladder.json"
 
     def check(self, stage: str, whole: bool = False) -> Path:
-        """Result of a target or stage on the check's samples, or on the whole test split."""
+        """The file of a stage's result on the check's samples, or on the whole test split."""
         folder = self.path / "checks"
         return (folder / "whole" if whole else folder) / f"{stage}.json"
 
     def network(self, name: str, origin: Origin) -> Path:
-        """Folder of a trained network, ``"cnn"`` or ``"snn"``, or of its ``"threshold"``.
+        """The folder of a trained network, ``"cnn"`` or ``"snn"``, or of its ``"threshold"``.
 
-        A run has one of each, whatever its origin.
+        A run has only one of each, independently of the origin.
         """
         return self.cnn if name == "cnn" else self.snn
 
@@ -94,28 +94,28 @@ class RunFolder:
 
     @property
     def whole_ladder(self) -> Path:
-        """The loss ladder on the whole test split."""
+        """The file of the loss ladder on the whole test split."""
         return self.path / "ladder-whole.json"
 
     @property
     def confusion(self) -> Path:
-        """Confusion matrix of each stage on the whole test split."""
+        """The picture of each stage's confusion matrix on the whole test split."""
         return self.path / "confusion.png"
 
     def resolve_settings(self, base: Path | None, changes: dict) -> Settings:
-        """Settings of this run: those of its folder or of a file, with changes.
+        """Settings of this run, from its folder or from a file, with changes.
 
         Parameters
         ----------
         base : Path, optional
-            A TOML file that takes the place of the run's own settings.
+            A TOML file that is used instead of the run's own settings.
         changes : dict
-            From the command line.
+            Changes from the command line.
 
         Raises
         ------
         UserError
-            A file or value is wrong.
+            A file or value is invalid.
         """
         if base is not None:
             settings = read_settings(base)
@@ -126,7 +126,7 @@ class RunFolder:
         return settings.with_values(changes, "command line")
 
     def save_settings(self, settings: Settings):
-        """Keep the settings for the next command, unless they are there already.
+        """Save the settings for later commands, unless they are saved already.
 
         Raises
         ------
@@ -138,18 +138,18 @@ class RunFolder:
 
     @contextlib.contextmanager
     def locked(self):
-        """Make the folder, and keep a second process from working in it.
+        """Create the folder, and lock it against other processes.
 
         Raises
         ------
         UserError
-            One is; the name is a file's and no folder of that name is there; or a folder in it is a
-            symbolic link.
+            Another process has locked it; the name is a file's and the folder does not exist; or a
+            folder in it is a symbolic link.
         """
         if self.path.suffix.lower() in FILES and not self.path.is_dir():
             raise UserError(
-                f"{self.path}: named like a file, and no folder of that name is there; "
-                "RUN is a folder, such as runs/default"
+                f"{self.path}: has a file's name, and no folder with this name exists; "
+                "RUN must be a folder, such as runs/default"
             )
         taken = (
             f"{self.path}: another process is working in this run; "
@@ -169,14 +169,14 @@ class RunFolder:
 
 @dataclass(frozen=True)
 class NetworkLibrary(Library):
-    """Trained networks of many settings side by side; stands where stages expect a run's folder."""
+    """Trained networks of many settings; stages use it in the same way as a run's folder."""
 
     def network(self, name: str, origin: Origin) -> Path:
-        """Folder of a trained network or threshold of an origin."""
+        """The folder of a trained network or threshold with some origin."""
         return self.folder(name, origin)
 
 
 def _recorded_in_bundle(network):
-    """What ``network.json`` says of its origin; that of an earlier version says something else."""
+    """The origin recorded in ``network.json``, also by earlier versions."""
     provenance = network.get("provenance")
     return provenance.get("made_from") if isinstance(provenance, dict) else None

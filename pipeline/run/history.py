@@ -1,4 +1,4 @@
-"""Learning curves as CSV, one row an epoch: for a spreadsheet, a plot, the report."""
+"""Learning curves as CSV files with one row per epoch."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ REMEDY = "delete it and make it again"
 
 
 def write_history(path, history: list):
-    """Write a training's history.
+    """Write the history of a training.
 
     Parameters
     ----------
     path : path-like
     history : list of dict
-        One an epoch, all with the same keys.  Of a network that was not trained here there is none:
-        then no file is there afterwards, nor that of a training before.
+        One dict per epoch, all with the same keys.  If it is empty, as for a network that was not
+        trained here, an existing file is deleted.
     """
     if not history:
         Path(path).unlink(missing_ok=True)
@@ -34,12 +34,12 @@ def write_history(path, history: list):
 
 
 def read_history(path) -> list:
-    """The inverse of :func:`write_history`; every value as a float.
+    """Read the file of :func:`write_history`; all values are floats.
 
     Raises
     ------
     UserError
-        It cannot be read, or is not a table of numbers with an accuracy of at least one epoch.
+        The file cannot be read, or is not a table of numbers with an accuracy and at least one row.
     """
     try:
         with open_regular(path, "r", newline="", encoding="utf-8") as file:

@@ -1,4 +1,4 @@
-"""The loss ladder: from CNN to chip, one row a stage, the same samples in each."""
+"""The loss ladder: the stages from CNN to chip on the same samples, one row per stage."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from pipeline.run.origins import ladder_origin
 from pipeline.settings import Settings
 
 BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
-"""Targets whose results are taken where they are there, and not asked for."""
+"""Targets whose existing results are included, but which the ladder does not run."""
 
 SLOW = tuple(name for name, target in TARGETS.items() if target.slow and name != "emulator")
-"""Of the ladder on the whole test split, those that take minutes."""
+"""Stages of the ladder on the whole test split that take minutes."""
 
 SIGNIFICANT = 0.05
 """McNemar's p below which a difference is taken for more than chance."""
 
 TRAINED = ("rate-lif", "trained")
-"""What the bundle is made from; what is lost after it, the way to the chip has lost."""
+"""The network from which the bundle is made; later losses are caused by the conversion."""
 
 
 def ladder_stages(kind: str, whole: bool = False) -> list:
-    """Stages of the ladder of a kind of input, in order.
+    """Stages of the ladder for a kind of input, in order.
 
-    ``fast`` answers as ``emulator`` does, bit for bit: the check's samples have the one, the whole
-    test split the other, and no answer of a board.
+    ``fast`` is bit-identical to ``emulator``: the ladder has ``emulator`` on the check's samples,
+    and ``fast``, without a board's result, on the whole test split.
     """
     left_out = ("emulator", *BOARDS) if whole else ("fast",)
     return [*REFERENCES[kind], *(name for name in TARGETS if name not in left_out)]
@@ -56,7 +56,7 @@ def measure_ladder(
     dataset=None,
     asked=None,
 ) -> dict:
-    """Do what is missing of a run up to the emulator; compare its stages and write the ladder.
+    """Make the missing artifacts of a run up to the emulator, and compare the stages.
 
     Parameters
     ----------
@@ -64,17 +64,17 @@ def measure_ladder(
         Locked.
     settings : Settings
     jobs : int
-        Processes, of recordings that are not in the cache and of targets.
+        Number of processes for simulating recordings and running targets.
     whole : bool
-        On the whole test split, not on the check's samples.
+        Use the whole test split, not the check's samples.
     slow : bool
-        With ``whole``: the stages of :data:`SLOW` too.
+        With ``whole``: include the stages of :data:`SLOW`.
     say : callable
         Called with a line about each stage.
     dataset : pipeline.inputs.dataset.Dataset, optional
-        Of the same settings, in the place of their recordings: arrays of one's own.
+        Dataset of the same settings, used instead of their recordings.
     asked : sequence of str, optional
-        Stages to climb; default: :func:`ladder_stages`.
+        Stages of the ladder; default: :func:`ladder_stages`.
 
     Returns
     -------
@@ -90,7 +90,7 @@ def measure_ladder(
         left_out = () if slow else SLOW
     asked = [stage for stage in asked if stage not in (*left_out, *BOARDS)]
     results = stages.answer_all(run, settings, bundle, asked, jobs, say, whole)
-    # A board's result is a row of its own if it is there and of this bundle.
+    # A board's result is included if it exists and belongs to this bundle.
     for board in () if whole else map(run.check, BOARDS):
         if board.exists() and (result := read_result(board))["bundle"] == bundle.id:
             results.append(result)
@@ -112,7 +112,7 @@ def _layers(run: RunFolder, settings: Settings, bundle: Bundle) -> list:
     """How faithful each layer is on the bundle's samples; None without a rate-based network."""
     if settings.network != "image":
         return None  # there is no rate-based network to compare the chip's rates with
-    from pipeline.training.networks import TrainedRates  # TensorFlow, where it is needed
+    from pipeline.training.networks import TrainedRates  # imports TensorFlow only if needed
 
     images = bundle.checks.inputs
     trained = TrainedRates(settings, stages.read_weights(run.snn, settings))
@@ -132,9 +132,9 @@ class Rung:
     accuracy_ci95 : tuple of float
         Wilson interval.
     drop : float or None
-        Accuracy lost from the stage above; None in the first row.
+        Accuracy of the stage above minus this one; None in the first row.
     disagreements : int or None
-        Samples for which the stage above predicts another digit.
+        Number of samples for which the prediction differs from that of the stage above.
     mcnemar_p : float or None
         Exact McNemar test against the stage above.
     confusion : list of list of int
@@ -151,7 +151,7 @@ class Rung:
 
 
 def climb(results) -> list:
-    """Compare each result with the one before it.
+    """Compare each result with the previous one.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def climb(results) -> list:
     Raises
     ------
     UserError
-        They are of different bundles or samples.
+        The results are of different bundles or samples.
     """
     rungs, above = [], None
     for result in results:
@@ -215,9 +215,9 @@ def ladder_json(results, layers=None, left_out=(), classes=None) -> dict:
     layers : list of dict, optional
         From :func:`pipeline.run.diagnosis.layers_json`.
     left_out : sequence of str
-        Stages that were not asked for.
+        Stages that were not run.
     classes : sequence of str, optional
-        Their names, in the order of the confusion matrices; default: numbers from 0.
+        Class names in the order of the confusion matrices; default: numbers from 0.
     """
     first = results[0]
     if classes is None:
@@ -333,5 +333,5 @@ def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> st
 
 
 def points_text(points: float) -> str:
-    """So many points lost, or gained where there are fewer than none."""
+    """Format a loss in points; a negative one as points gained."""
     return f"{abs(points):.1f} points {'lost' if points > -0.05 else 'gained'}"

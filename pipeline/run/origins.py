@@ -1,7 +1,8 @@
-"""What each artifact of a run is made from: the one list of dependencies.
+"""Origins of all artifacts of a run: the one list of their dependencies.
 
-Each function gives the :class:`pipeline.artifacts.Origin` of one artifact from the settings and the
-origins of the artifacts it uses.  The code that makes the artifact can read no other settings.
+Each function returns the :class:`pipeline.artifacts.Origin` of an artifact, made from the settings
+and the origins of the artifacts that it uses.  The code that makes the artifact can read no other
+settings.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from pipeline.settings import Settings
 
 
 def cnn_origin(settings: Settings, dataset: Origin) -> Origin:
-    """Of the CNN: trained, or read from the user's Keras model."""
+    """Origin of the CNN: trained, or read from the user's Keras model."""
     reads = ["input.kind", "image", "cnn.architecture"]
     if settings.cnn.model:
         reads.append("cnn.model_sha256")
@@ -24,19 +25,19 @@ def cnn_origin(settings: Settings, dataset: Origin) -> Origin:
 
 
 def rates_origin(settings: Settings, cnn: Origin) -> Origin:
-    """Of the network with rate-based LIF neurons, which starts from the CNN."""
+    """Origin of the network with rate-based LIF neurons, which starts from the CNN."""
     return Origin.of(settings, ["snn"], [cnn])
 
 
 def events_origin(settings: Settings, dataset: Origin) -> Origin:
-    """Of the network trained on events, whatever the presentation is."""
+    """Origin of the network trained on events, which does not depend on the presentation."""
     return Origin.of(settings, ["input", "events"], [dataset])
 
 
 def threshold_origin(settings: Settings, events: Origin) -> Origin:
-    """Of the confidence at which a network on events decides, and of its accuracy.
+    """Origin of the confidence for early decisions of a network on events, and of its accuracy.
 
-    Both depend on the training and on for how long samples are presented.
+    Both depend on the training and on the length of the presentation.
     """
     return Origin.of(settings, ["presentation.steps"], [events])
 
@@ -57,28 +58,28 @@ def trained_origin(settings: Settings, dataset: Origin) -> Origin:
 
 
 def bundle_origin(settings: Settings, dataset: Origin) -> Origin:
-    """Of the bundle."""
+    """Origin of the bundle."""
     trained = trained_origin(settings, dataset)
     placement = ["deployment.pop_type"] if settings.on_events else ["deployment"]
-    # How events become an image counts on events too: the live page shows it.
+    # The image settings matter for events too: the live page displays the image.
     return Origin.of(settings, [*placement, "presentation", "check", "image"], [trained])
 
 
 def check_origin(settings: Settings, bundle_id: str) -> Origin:
-    """Of what a network or target answers to the bundle's samples.
+    """Origin of the check result of a network or target.
 
-    It needs nothing but the bundle, which may have been copied to another machine.
+    It only depends on the bundle, which may have been copied to another machine.
     """
     return Origin({"seed": settings.seed}, {"bundle": bundle_id})
 
 
 def recorded_in_check(result: dict) -> dict:
-    """What a check's result says of its origin."""
+    """The origin that is recorded in a check's result."""
     return Origin({"seed": result.get("seed")}, {"bundle": result.get("bundle")}).to_json()
 
 
 def ladder_origin(results) -> Origin:
-    """Of the loss ladder, from the check results that it compares."""
+    """Origin of the loss ladder, from the check results that it compares."""
     return Origin(
         contents={
             f"checks/{result['target']}": _hash_of([result["bundle"], result["samples"]])

@@ -1,4 +1,4 @@
-"""The state of each artifact of a run: current, outdated and why, or missing."""
+"""The state of each artifact of a run: current, missing, or outdated with the reason."""
 
 from __future__ import annotations
 
@@ -37,20 +37,20 @@ from pipeline.run.stages.training import (
 from pipeline.settings import Settings, read_settings
 
 WIDTH = 80
-"""Columns of the text."""
+"""Width of the text in columns."""
 
 
 @dataclass(frozen=True)
 class Status:
-    """An artifact's state with what it measured.
+    """The state of an artifact, with its accuracy and duration.
 
     Attributes
     ----------
     state : State
     accuracy : float or None
-        On the test split, or on the samples of a check.
+        Accuracy on the test split, or on the samples of a check.
     seconds : float or None
-        That it took to make.
+        Time it took to make the artifact.
     """
 
     state: State
@@ -58,7 +58,7 @@ class Status:
     seconds: float | None = None
 
     def to_json(self) -> dict:
-        """As plain values."""
+        """The status as plain values."""
         return {**self.state.to_json(), "accuracy": self.accuracy, "seconds": self.seconds}
 
 
@@ -74,13 +74,13 @@ def status_of(run: RunFolder, settings: Settings | None = None) -> list:
     Returns
     -------
     list of Status
-        In the order in which they are made: ``dataset``, the networks, ``threshold`` (on events),
+        In the order of their dependencies: ``dataset``, the networks, ``threshold`` (on events),
         ``bundle``, ``checks/<stage>``, ``ladder``.
 
     Raises
     ------
     UserError
-        There is no run in the folder, or a file of it is damaged.
+        The folder has no run, or a file of it is damaged.
     """
     if not run.experiment.is_file():
         raise UserError(
@@ -108,7 +108,7 @@ def outdated(found) -> dict:
     Returns
     -------
     dict of str to str
-        Reasons in a line, by the artifact's name.
+        The reasons as one line, by the artifact's name.
     """
     return {s.state.name: s.state.reasons() for s in found if s.state.state == OUTDATED}
 
@@ -124,7 +124,7 @@ def outdated_note(path) -> str | None:
     Returns
     -------
     str or None
-        None too where the path is in no run, or its run cannot be read.
+        None also if the path is not in a run, or its run cannot be read.
     """
     path = Path(path).absolute()
     for folder in list(path.parents)[:3]:
@@ -164,7 +164,7 @@ def status_text(run: RunFolder, found) -> str:
 
 
 def _dataset_origin(run, settings):
-    """The origin that the data set has now; of recordings that are gone, as they were."""
+    """The origin of the dataset with the current settings, or the stored one without recordings."""
     recorded = read_json(run.dataset, DELETE_IT).get("made_from") if run.dataset.exists() else None
     contents = recorded.get("contents", {}) if isinstance(recorded, dict) else {}
     if ARRAYS in contents:
@@ -210,8 +210,8 @@ def _answers(run, settings, bundle, whole):
     for stage in dict.fromkeys([*expected, *TARGETS]):
         artifact = check_artifact(run, stage, whole)
         if not artifact.record.exists():
-            # Nobody needs every target, or the whole test split: what was never asked for is not
-            # missing.
+            # Not every run needs every target or the whole test split: a result that was never
+            # requested is not reported as missing.
             if not whole and stage in expected and not _is_board(stage):
                 found.append(Status(State(artifact.name, MISSING)))
             continue
@@ -247,7 +247,7 @@ def _is_board(stage):
 
 
 def _follows(state, used):
-    """What is made from an outdated artifact is outdated, for the same reasons."""
+    """Mark what is made from an outdated artifact as outdated, for the same reasons."""
     if state.state == MISSING or used.state != OUTDATED:
         return state
     return State(state.name, OUTDATED, used.because, state.record)

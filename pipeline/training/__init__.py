@@ -1,1 +1,1 @@
-"""Training of every kind of network, and NengoDL."""
+"""Training of all networks, and the interface to NengoDL."""

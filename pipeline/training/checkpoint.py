@@ -1,4 +1,4 @@
-"""Training epoch by epoch, in which an interruption costs at most one epoch."""
+"""Training epoch by epoch, such that an interruption costs at most one epoch."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ REMEDY = "delete it to train from the start"
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Where the state of a training is kept after each epoch.
+    """The file that stores the state of a training after each epoch.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ def train_epochs(
     watch=None,
     advance=None,
 ) -> list:
-    """Train, and keep the state after each epoch.
+    """Train, and store the state after each epoch.
 
     Parameters
     ----------
@@ -47,20 +47,20 @@ def train_epochs(
         ``train(epoch) -> dict``, ``loss`` and ``accuracy`` of an epoch, counted from 0.
     epochs : int
     state : dict of str to tf.Variable
-        All that the next epoch depends on.
+        All variables that the next epoch depends on.
     checkpoint : Checkpoint, optional
-        If there is one of this training, the training continues from it and ends as it would have
-        without the interruption.
+        If it has the state of this training, the training resumes from it; the result is the same
+        as without the interruption.
     watch : callable, optional
-        ``watch() -> dict``, more about the epoch, on samples that are not trained on.
+        ``watch() -> dict``, further values of the epoch, on samples that are not trained on.
     advance : callable, optional
-        ``advance(1, note)`` after each epoch, those of an earlier session included.
+        ``advance(1, note)`` after each epoch, including those of an earlier session.
 
     Returns
     -------
     list of dict
-        The history, one row an epoch: ``epoch``, what ``train`` returns, ``seconds``, what
-        ``watch`` returns.
+        The history, one row per epoch: ``epoch``, the values of ``train``, ``seconds``, the values
+        of ``watch``.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def train_epochs(
 
 
 def _resumed(checkpoint, state, epochs):
-    """The history of an earlier session; the variables get its state."""
+    """The history of an earlier session, after assigning its state to the variables."""
     path = checkpoint.path
     if not path.exists():
         return []

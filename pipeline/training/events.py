@@ -1,12 +1,13 @@
-"""Training a spiking network on events, for the chip; the network is in :mod:`models.spiking`.
+"""Train a spiking network on events for the chip; the network is in :mod:`models.spiking`.
 
-The loss of a sample with label c, with p(t) the softmax of the outputs at step t, T the step of the
-last event, and o the synaptic operations of an inference in multiples of the CNN's (``CNN_MACS``):
+Let c be a sample's label, p(t) the softmax of the outputs at step t, T the step of the last event,
+and o the synaptic operations of an inference in multiples of the CNN's (``CNN_MACS``).  The loss is
 
     - log p_c(end) - early mean over t <= T of log p_c(t) + price max(o - budget, 0)
 
-The first part makes the answer right in the end, the second makes it right early and the outputs'
-softmax a confidence; the third, on the mean of a batch, keeps the network within its budget.
+The first term rewards the right answer at the end.  The second term rewards an early right answer
+and makes the softmax of the outputs a confidence.  The third term, a penalty on the mean of a
+batch, keeps the synaptic operations within the budget.
 """
 
 from __future__ import annotations
@@ -31,45 +32,46 @@ from pipeline.training.judge import train_judge
 from pipeline.training.networks import make_deterministic
 
 TAIL = 3
-"""Steps after a sample's last event in which spikes that it caused still count."""
+"""Number of steps after a sample's last event in which its spikes still reach the outputs."""
 
 ALTERED = 4
-"""How often each held-out sample is altered, beside the sample as it is, to choose the confidence
-at which the network decides: half a point of some hundred samples is two or three of them, and what
-is chosen on so few promises more than it holds."""
+"""Number of augmented copies of each held-out sample that are used, with the sample itself, to
+choose the confidence for an early decision.  Half a percentage point of a few hundred samples is
+two or three samples, so a choice on these alone would overestimate the accuracy."""
 
 LENGTHS = 16
-"""Batches have a multiple of so many steps: neurons in time are compiled for each length."""
+"""The number of steps of a batch is rounded up to a multiple of this, since each length is compiled
+separately."""
 
 FIRST_RATE = 5.0
-"""Spikes a second of skin time of a neuron when training begins, on average; silent neurons get no
-gradient."""
+"""Initial mean firing rate of the neurons, in spikes per second of recording time.  Silent neurons
+have no gradient."""
 
 
 @dataclass(frozen=True)
 class EventRecipe:
-    """How a network on events is made and trained.
+    """Hyperparameters of a network on events and of its training.
 
     Attributes
     ----------
     architecture : str
         See :mod:`models.architecture`.
     step_ms : float
-        Time on the skin that is one step of the chip.
+        Recording time in milliseconds that one step of the chip represents.
     rest : int
-        Steps for which a taxel stays silent after a spike; see
+        Refractory period of a taxel in steps; see
         :func:`pipeline.recordings.steps.spike_frames`.
     tau_u_ms, tau_v_ms : tuple of float
-        Where the time constants of current and voltage begin, in milliseconds of skin time.
+        Initial time constants of current and voltage, in milliseconds of recording time.
     floor, beta : float
         See :class:`models.spiking.Neuron`.
     epochs, batch_size : int
     learning_rate : float
-        Of Adam; reached after a short rise, it falls to 0 along a half cosine.
+        Learning rate of Adam after a short warm-up; it then falls to 0 along a half cosine.
     average : float
-        What the running mean of the weights, which is the result, keeps of itself in a batch.
+        Decay per batch of the running mean of the weights; the running mean is the result.
     dropout : float
-        Share of the neurons that the next layer does not hear in a sample.
+        Share of a layer's neurons whose spikes are dropped in a sample.
     early, price, budget : float
         See the module's docstring.
     stretch, drop, turn, shift, scale, shear : float
@@ -112,25 +114,25 @@ class EventRecipe:
 
     @classmethod
     def of(cls, settings: Settings) -> EventRecipe:
-        """The recipe with what the settings say of it."""
+        """Make the recipe from the settings."""
         shown = settings.input
         return cls(step_ms=shown.step, rest=shown.rest, **asdict(settings.events))
 
 
 @dataclass(frozen=True)
 class TrainedOnEvents:
-    """A trained network and what it answers.
+    """A trained network, with methods to run it.
 
     Attributes
     ----------
     recipe : EventRecipe
     weights : dict of str to ndarray
-        See :meth:`models.spiking.SpikingNetwork.get_weights`; and the arrays of the judge that says
-        how sure the network is (:class:`deploy.network.decision.Judge`).
+        See :meth:`models.spiking.SpikingNetwork.get_weights`; also the arrays of the confidence
+        estimator (:class:`deploy.network.decision.Judge`).
     history : list of dict
-        One row an epoch: ``epoch``, ``loss`` (without the price), ``accuracy`` and ``operations``
-        (in multiples of the CNN's) of the training samples as they were altered, ``seconds``, and
-        ``val_accuracy`` and ``val_operations`` where there are validation samples.
+        One row per epoch: ``epoch``, ``loss`` (without the penalty), ``accuracy`` and
+        ``operations`` (in multiples of the CNN's) on the augmented training samples, ``seconds``,
+        and ``val_accuracy`` and ``val_operations`` if there are validation samples.
     """
 
     recipe: EventRecipe
@@ -138,29 +140,30 @@ class TrainedOnEvents:
     history: list = field(default_factory=list)
 
     def answers(self, frames, advance=None) -> Answers:
-        """What it answers to frames of events; see :func:`answer_frames`."""
+        """Outputs, operations and spikes on event frames; see :func:`answer_frames`."""
         return answer_frames(self.recipe, self.weights, frames, advance)
 
     @property
     def judge(self) -> Judge:
-        """What says how sure the outputs are."""
+        """The confidence estimator."""
         return Judge.from_arrays(self.weights, parse(self.recipe.architecture).outputs)
 
     def threshold(self, table: EventTable, labels, held, steps: int, seed: int) -> Threshold:
-        """The confidence at which it decides; see :func:`deploy.network.decision.choose_threshold`.
+        """Choose the confidence for early decisions on held-out samples.
 
-        Chosen on samples as they are and, with as much weight, on the same samples altered.
+        The samples and their augmented copies have equal weight in the choice; see
+        :func:`deploy.network.decision.choose_threshold`.
 
         Parameters
         ----------
         table : EventTable
         labels : ndarray of int, shape (n_samples,)
         held : ndarray of int
-            Indices of samples that it was not trained on.
+            Indices of the held-out samples, which the network was not trained on.
         steps : int
-            For how long each sample is shown.
+            Number of steps for which each sample is presented.
         seed : int
-            Of how they are altered.
+            Seed of the data augmentation.
         """
         often, rng = np.tile(held, ALTERED), np.random.default_rng([seed, 0x7E57])
         sample, step, *place = self.recipe.altered(rng, table, often)
@@ -183,16 +186,16 @@ class TrainedOnEvents:
 
 @dataclass(frozen=True)
 class Answers:
-    """What a trained network answers.
+    """Outputs of a trained network.
 
     Attributes
     ----------
     outputs : ndarray of float32, shape (n_samples, steps, outputs)
-        After every step of a sample; the largest wins.
+        Outputs after every step of a sample; the largest is the prediction.
     operations : ndarray of float32, shape (n_samples, layers)
-        Synaptic operations by the layer that receives them, the readout last.
+        Synaptic operations by the receiving layer, the readout last.
     spikes : dict of str to ndarray of int32, shape (n_samples, neurons)
-        Of each neuron of each layer, in all steps.
+        Number of spikes of each neuron of each layer, over all steps.
     last_step : ndarray of int64, shape (n_samples,)
         Step of each sample's last event.
     """
@@ -221,17 +224,17 @@ def train_events(
     table : EventTable
     labels : ndarray of int, shape (n_samples,)
     train : ndarray of int
-        Indices of the training samples; one without events is of no use and is left out.
+        Indices of the training samples; those without events are left out.
     seed : int
-        Of the first weights, the order of the samples, how they are altered, and dropout.  Same
-        seed, same machine: same weights.
+        Seed of the initial weights, the order of the samples, data augmentation and dropout.  The
+        weights are reproducible on the same machine.
     validation : ndarray of int, optional
-        Indices of samples that are only watched.
+        Indices of samples that are evaluated for the history only.
     checkpoint : Checkpoint, optional
-        Where the state after each epoch is kept; a training that was interrupted continues from it
-        and ends as it would have without the interruption.
+        The file for the state after each epoch; an interrupted training resumes from it, with the
+        same result as without the interruption.
     advance : callable, optional
-        ``advance(1, note)`` after each epoch, those of an earlier session included.
+        ``advance(1, note)`` after each epoch, including those of an earlier session.
 
     Returns
     -------
@@ -259,13 +262,13 @@ def train_events(
 
 
 def answer_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> Answers:
-    """Run a trained network on frames of events, in the chip's integers, each sample from rest.
+    """Run a trained network on event frames in the chip's integers, each sample from rest.
 
     Parameters
     ----------
     recipe : EventRecipe
     weights : dict
-        Of a :class:`TrainedOnEvents`.
+        Weights of a :class:`TrainedOnEvents`.
     frames : ndarray of uint8, shape (n_samples, steps, rows, columns, channels)
     advance : callable, optional
         Called with the number of samples done since the last call.
@@ -290,19 +293,19 @@ def answer_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> A
 
 
 def network_of(recipe: EventRecipe, weights: dict) -> SpikingNetwork:
-    """The network of a recipe, with its neuron parameters, and trained weights."""
+    """The network of a recipe with trained weights."""
     network = SpikingNetwork(parse(recipe.architecture), _neuron(recipe))
     network.set_weights(weights)
     return network
 
 
 def arriving(outputs, recipe: EventRecipe) -> np.ndarray:
-    """Outputs as they reach the host: on the chip the relay and every layer take a step each.
+    """Delay outputs as on the chip, where the relay and every layer take one step each.
 
     Parameters
     ----------
     outputs : ndarray, shape (..., steps, outputs)
-        Of the trained network, where nothing takes time.
+        Outputs of the trained network, which has no delays.
     recipe : EventRecipe
 
     Returns
@@ -318,13 +321,13 @@ def _neuron(recipe):
 
 
 def _compiled(recipe, dtype):
-    """``run(frames, values)``: outputs, operations of each sample, spikes of each neuron."""
+    """``run(frames, values)``: outputs, operations per sample, spikes per neuron."""
     return _compiled_network(recipe.architecture, _neuron(recipe), dtype)
 
 
 @functools.lru_cache(maxsize=8)
 def _compiled_network(architecture, neuron, dtype):
-    # Of any weights: all networks of a shape are compiled once, which takes seconds.
+    # For any weights: networks of the same shape share one compilation, which takes seconds.
     network = SpikingNetwork(parse(architecture), neuron)
     variables = {
         name: tf.TensorSpec(v.shape, v.dtype) for name, v in network.variables_by_name.items()
@@ -340,17 +343,17 @@ def _compiled_network(architecture, neuron, dtype):
 
 
 def _frames_of(network, samples=None):
-    """Frames of any number of steps: what is compiled for them is traced once, in seconds."""
+    """A tensor specification of frames with any number of steps, so that tracing occurs once."""
     return tf.TensorSpec((None, samples, *network.architecture.input_shape), tf.uint8)
 
 
 def _now(variables):
-    """What variables hold, for :func:`_compiled`."""
+    """Current values of the variables, for :func:`_compiled`."""
     return {name: tf.convert_to_tensor(variable) for name, variable in variables.items()}
 
 
 class _Trainer:
-    """The network, the optimiser, the running mean of the weights, and their compiled steps."""
+    """The network, the optimiser, the running mean of the weights, and the compiled steps."""
 
     def __init__(self, recipe, table, labels, train, seed):
         make_deterministic(seed)
@@ -381,7 +384,7 @@ class _Trainer:
         self._step = tf.function(self._train_on, given, autograph=False)
 
     def _calibrate(self):
-        """Scale each layer's first weights so that its neurons spike at ``FIRST_RATE``."""
+        """Scale the initial weights of each layer so that its neurons fire at ``FIRST_RATE``."""
         some = self.train[np.linspace(0, len(self.train) - 1, min(len(self.train), 64)).astype(int)]
         seconds = max(float(self.table.duration_ms[some].mean()), self.recipe.step_ms) / 1000
         frames = self._frames(some)
@@ -396,7 +399,7 @@ class _Trainer:
                 low, high = (low, middle) if rate > FIRST_RATE else (middle, high)
 
     def _train_on(self, frames, labels, writing, number):
-        """One step of training; loss, share that was right, operations."""
+        """One training step; returns the loss, the share of right answers, and the operations."""
         recipe, architecture = self.recipe, self.network.architecture
         with tf.GradientTape() as tape:
             outputs, spikes = self.network(frames, self._dropout(frames.shape[1], number))
@@ -430,7 +433,7 @@ class _Trainer:
         return heard
 
     def epoch(self, epoch):
-        """One pass over the training samples; the epoch's row of the history."""
+        """Train for one epoch; returns the epoch's row of the history."""
         rng = np.random.default_rng([self.seed, epoch, 0xE7E])
         sums = np.zeros(3)
         for index, batch in enumerate(self._batches(rng)):
@@ -441,7 +444,7 @@ class _Trainer:
         return {"loss": loss, "accuracy": accuracy, "operations": cost}
 
     def _batches(self, rng):
-        """Training samples in random order; those of a batch are of about the same length."""
+        """Training samples in random order, in batches of samples of similar length."""
         recipe = self.recipe
         order = rng.permutation(self.train)
         short = (
@@ -457,7 +460,7 @@ class _Trainer:
         return batches
 
     def _altered(self, batch, rng):
-        """Frames, labels, and the steps up to each sample's last event, of altered samples."""
+        """Frames, labels and last steps of augmented samples."""
         n = len(batch)
         sample, step, *place = self.recipe.altered(rng, self.table, batch)
         last = np.zeros(n, np.int64)
@@ -468,13 +471,13 @@ class _Trainer:
         return frames, self.labels[batch], writing
 
     def _frames(self, indices):
-        """Frames of samples as they are."""
+        """Frames of samples without augmentation."""
         step, rest = self.recipe.step_ms, self.recipe.rest
         steps = _padded(int(self.table.duration_ms[indices].max() / step))
         return self.table.frames(indices, step, steps, rest)
 
     def _answers(self, indices, frames_of, size=100):
-        """A batch after the other: which, frames, outputs and operations."""
+        """For each batch: indices, frames, outputs and operations."""
         indices = np.asarray(indices)
         order = indices[np.argsort(self.table.duration_ms[indices], kind="stable")]
         run = _compiled(self.recipe, tf.float32)
@@ -487,7 +490,7 @@ class _Trainer:
             yield part, frames[:, :n], outputs.numpy()[:, :n], cost.numpy()[:n].sum(1)
 
     def watch(self, indices):
-        """Accuracy and operations of samples as they are, for the history."""
+        """Accuracy and operations on samples without augmentation, for the history."""
         right, costs = [], []
         for part, _, outputs, cost in self._answers(indices, self._frames):
             right.append(outputs[-1].argmax(-1) == self.labels[part])
@@ -496,10 +499,10 @@ class _Trainer:
         return {"val_accuracy": float(np.concatenate(right).mean()), "val_operations": cost}
 
     def outputs_of(self, indices):
-        """Outputs as they arrive, up to what the last event causes, and whether they were right.
+        """Delayed outputs up to the effect of the last event, and whether they are right.
 
-        Of each sample as it is, and once altered: by heart the network knows the samples as they
-        are, so that they alone would show it surer than it can be.
+        Each sample is used without augmentation and once augmented.  The network overfits the
+        training samples, so that without augmentation the confidence would be overestimated.
         """
         rng = np.random.default_rng([self.seed, 0x10D6E])
         every, right = [], []
@@ -513,12 +516,12 @@ class _Trainer:
         return every, right
 
     def weights(self):
-        """The result: the running mean of the weights."""
+        """The result of the training: the running mean of the weights."""
         return self.network.named(variable.numpy() for variable in self.mean)
 
     @property
     def state(self):
-        """All that the next epoch depends on, by name."""
+        """All variables that the next epoch depends on, by name."""
         kinds = {"weight": self.variables, "mean": self.mean, "adam": self.optimizer.variables}
         return {
             f"{kind}{i}": v for kind, variables in kinds.items() for i, v in enumerate(variables)
@@ -526,5 +529,5 @@ class _Trainer:
 
 
 def _padded(last_step):
-    """Steps of a batch whose last event is in ``last_step``."""
+    """Number of steps of a batch whose last event is in ``last_step``."""
     return int(-(-(last_step + 1 + TAIL) // LENGTHS) * LENGTHS)

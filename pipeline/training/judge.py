@@ -1,4 +1,4 @@
-"""Training a judge of how sure a network's outputs are; see :mod:`deploy.network.decision`."""
+"""Train the confidence estimator of a network's outputs; see :mod:`deploy.network.decision`."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ LEARNING_RATE = 0.002
 
 
 def train_judge(outputs, right, seed: int) -> Judge:
-    """Train a judge on what a network answered.
+    """Train a confidence estimator on the outputs of a network.
 
-    The loss is the cross-entropy between its confidence and whether the largest output was the
-    right one, over all steps.
+    The loss is the cross-entropy between its confidence and whether the largest output was right,
+    over all steps.
 
     Parameters
     ----------
     outputs : list of ndarray, each of shape (steps, classes)
-        A sample's sums of the readout, from its start to its last event.
+        For each sample the accumulated readout, from its start to its last event.
     right : list of ndarray of bool, each of shape (steps,)
-        Whether the largest output was the label's.
+        True where the largest output is the label's.
     seed : int
-        Of the first weights and of the order in which steps are trained on.
+        Seed of the initial weights and of the order of the training steps.
 
     Returns
     -------
@@ -49,16 +49,16 @@ def train_judge(outputs, right, seed: int) -> Judge:
         order = rng.permutation(len(told))
         model.fit(told[order], right[order], batch_size=BATCH, shuffle=False, verbose=0)
     kernels, biases = zip(*(layer.get_weights() for layer in model.layers), strict=True)
-    # What the inputs were scaled by goes into the first layer.
+    # Fold the scaling of the inputs into the first layer.
     first = kernels[0] / spread[:, None]
     return Judge((first, *kernels[1:]), (biases[0] - middle @ first, *biases[1:]))
 
 
 @functools.lru_cache(maxsize=1)
 def _model(inputs):
-    """A model to be trained from new weights each time, and its optimiser's values before that.
+    """A model and the initial values of its optimiser, reused with new initial weights.
 
-    One for all trainings of a process, because its step of training takes a second to trace.
+    All trainings of a process share it because tracing its training step takes a second.
     """
     layers = [tf.keras.layers.Dense(n, activation="relu" if n > 1 else None) for n in (*HIDDEN, 1)]
     model = tf.keras.Sequential([tf.keras.Input((inputs,)), *layers])

@@ -1,8 +1,8 @@
-"""NengoDL: the trained network with its neurons exchanged for LIF, rate-based or spiking.
+"""NengoDL: run the trained network with its neurons replaced by LIF, rate-based or spiking.
 
-The only module that touches NengoDL.  Its ``Converter`` sets gain to its scale and bias to 0, with
-which a LIF neuron stays silent up to an activation of 1; both are set here to what the network was
-trained with (``J = 1 + gain * z``).
+No other module imports NengoDL.  Its ``Converter`` sets the gain to its scale and the bias to 0,
+with which a LIF neuron is silent up to an activation of 1; here both are set to the values used in
+training (``J = 1 + gain * z``).
 """
 
 from __future__ import annotations
@@ -28,12 +28,13 @@ from pipeline.settings import Settings
 
 @contextlib.contextmanager
 def keras_of_its_time():
-    """While NengoDL is imported: the world of TensorFlow 2.12, for which NengoDL 3.6 was made.
+    """Emulate the TensorFlow 2.12 environment that NengoDL 3.6 expects, while it is imported.
 
-    - The name ``keras`` is Keras 2.  NengoDL takes from ``keras.engine.functional`` what moved to
-      ``src``, and from ``keras.layers`` two names of batch normalisation; it converts the second.
-    - NengoDL imports TensorFlow in a process of its own only to ask for a GPU, which takes seconds;
-      this process is asked instead.
+    - The name ``keras`` refers to Keras 2.  NengoDL imports names from ``keras.engine.functional``
+      that moved to ``src``, and two names of batch normalisation from ``keras.layers``; it converts
+      the second.
+    - NengoDL imports TensorFlow in a separate process only to look for a GPU, which takes seconds;
+      here the current process is asked instead.
     """
     functional = importlib.import_module("tf_keras.src.engine.functional")
     layers = types.ModuleType("keras.layers")
@@ -64,7 +65,7 @@ with warnings.catch_warnings(), keras_of_its_time():
     warnings.simplefilter("ignore")
     import nengo_dl
 
-# A missing GPU and functions traced once a network are no news to the user.
+# Suppress messages about missing GPUs and about functions that are traced for each network.
 warnings.filterwarnings("ignore", "No GPU support", module="nengo_dl")
 for _name in ("nengo_dl", "tensorflow"):
     logging.getLogger(_name).setLevel(logging.ERROR)
@@ -85,22 +86,22 @@ def run(
     ----------
     settings : Settings
     weights : dict
-        Of the rate-based network.
+        Weights of the rate-based network.
     images : ndarray, shape (n_samples, rows, columns, channels)
-        Fed in as constant currents.
+        Presented as constant currents.
     steps : int
         Steps of 1 ms; 1 is enough for the rate-based neurons.
     spiking : bool
-        Spiking LIF neurons; False for rate-based ones.
+        Use spiking LIF neurons, not rate-based ones.
     batch : int
-        Samples side by side, if there are so many.
+        Maximum number of samples per batch.
     advance : callable, optional
         Called with the number of samples done since the last call.
 
     Returns
     -------
     ndarray, shape (n_samples, steps, outputs)
-        Logits at each step, the readout's bias included.
+        Logits at each step, including the readout's bias.
     """
     converter, source, output = _convert(
         settings,
@@ -110,7 +111,7 @@ def run(
     )
     images = np.asarray(images, np.float32).reshape(len(images), 1, -1)
     batch = min(batch, len(images))
-    padding = -len(images) % batch  # NengoDL runs whole batches only
+    padding = -len(images) % batch  # NengoDL only runs full batches
     padded = np.concatenate([images, np.zeros((padding, *images.shape[1:]), np.float32)])
     with nengo_dl.Simulator(
         converter.net, minibatch_size=batch, progress_bar=False, seed=settings.seed
@@ -125,23 +126,23 @@ def run(
 
 @contextlib.contextmanager
 def open_trainer(settings: Settings, weights: dict, data, batch: int):
-    """NengoDL's own training of the rate-based network, as its users write it.
+    """Open NengoDL's own training of the rate-based network, for comparison.
 
-    Slower than :mod:`pipeline.training.networks`, and here to be measured against it.
+    It is slower than :mod:`pipeline.training.networks`, which is measured against it.
 
     Parameters
     ----------
     settings : Settings
     weights : dict
-        To start from.
+        Initial weights.
     data : (images, labels)
-        As many as make whole batches are used.
+        Samples beyond the last full batch are not used.
     batch : int
 
     Yields
     ------
     callable
-        ``train_epoch() -> loss``; the simulator is kept open between calls.
+        ``train_epoch() -> loss``; the simulator stays open between calls.
     """
     converter, source, output = _convert(settings, weights, nengo.LIFRate, None, False)
     count = len(data[0]) // batch * batch
@@ -163,7 +164,7 @@ def open_trainer(settings: Settings, weights: dict, data, batch: int):
 
 
 def predict(settings: Settings, weights: dict, images, steps: int) -> np.ndarray:
-    """Answers of the spiking network: the highest mean logit from the start of the readout on.
+    """Predictions of the spiking network: the largest mean logit in the readout window.
 
     Parameters
     ----------
@@ -179,14 +180,14 @@ def predict(settings: Settings, weights: dict, images, steps: int) -> np.ndarray
 
 
 def _convert(settings, weights, kind, synapse, inference_only=True):
-    """The network with neurons of a kind: converter, its input node and its output probe."""
+    """Convert the network to a kind of neurons; returns converter, input node and output probe."""
     snn, architecture = settings.snn, parse(settings.cnn.architecture)
     gains = {
         name: gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
         for index, name in enumerate(architecture.spiking)
     }
     model = build_cnn(architecture, activation=lambda index: tf.keras.layers.Activation(tf.nn.relu))
-    if snn.is_on_chip:  # what was trained has the chip's weights and biases
+    if snn.is_on_chip:  # the network was trained with the chip's weights and biases
         weights = dict(weights)
         for name, gain in gains.items():
             names = f"{name}.kernel", f"{name}.bias"
@@ -199,8 +200,8 @@ def _convert(settings, weights, kind, synapse, inference_only=True):
         synapse=synapse,
         inference_only=inference_only,
     )
-    # Spiking neurons start from voltages drawn at random: without a seed of its own the network
-    # takes one from NumPy's global state, which depends on all that ran in the process before.
+    # Spiking neurons start from random voltages.  Without its own seed the network would draw them
+    # from NumPy's global state, which depends on what this process did before.
     converter.net.seed = settings.seed
     for index, (name, gain) in enumerate(gains.items()):
         ensemble = converter.layers[model.get_layer(f"{name}_neurons").output].ensemble

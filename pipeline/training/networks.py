@@ -1,4 +1,4 @@
-"""Training: the paper's CNN, and the same network with rate-based LIF neurons."""
+"""Train the paper's CNN, and the same network with rate-based LIF neurons."""
 
 from __future__ import annotations
 
@@ -25,32 +25,32 @@ from pipeline.settings import Settings
 from pipeline.training.threads import one_thread_each
 
 PERCENTILE = 99.9
-"""Of a layer's activations that becomes 1 when a CNN's weights are carried over."""
+"""Quantile of a layer's activations that is scaled to 1 when a CNN's weights are reused."""
 
 
 SHIFTS = tuple(np.arange(0, 1.01, 0.02).tolist())
-"""How far a threshold may be moved where weights are carried over without training."""
+"""Candidate threshold shifts for weights that are reused without training."""
 
 NOISE_AHEAD = 1 << 23
-"""Numbers of noise that are drawn ahead of a training, each of 4 bytes."""
+"""Maximum number of noise values, of 4 bytes each, drawn in advance."""
 
 PRICED_STEPS = 100
-"""Steps whose synaptic operations ``snn.spike_penalty`` weighs, whatever the presentation is, so
-that the same weights serve any number of steps."""
+"""Number of steps whose synaptic operations ``snn.spike_penalty`` penalises.  It is independent of
+the presentation, so that the same weights can be used with any number of steps."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a network is trained.
+    """Hyperparameters of a training.
 
     Attributes
     ----------
     epochs, batch_size : int
     learning_rate : float
-        At the start.
+        Initial learning rate.
     annealed : bool
-        Adam with the learning rate falling to 0 along a half cosine; else RMSProp with a steady one
-        (paper, Section 3.2).
+        Use Adam with a learning rate that falls to 0 along a half cosine; else RMSProp with a
+        constant one (paper, Section 3.2).
     """
 
     epochs: int
@@ -64,22 +64,22 @@ RECIPES = {
     "loihi": Recipe(epochs=60, batch_size=64, learning_rate=0.002, annealed=True),
     "as-is": Recipe(epochs=0, batch_size=0, learning_rate=0.0),
 }
-"""Of the rate-based networks, where the settings say 0."""
+"""Defaults of the rate-based networks, where a setting is 0."""
 
 
 @dataclass(frozen=True)
 class Trained:
-    """A trained network and what it answers.
+    """A trained network, with methods to run it.
 
     Attributes
     ----------
     settings : Settings
-        What it was trained with.
+        The settings of the training.
     weights : dict of str to ndarray
         See :func:`models.cnn.get_weights`.
     history : list of dict
-        One row an epoch: ``epoch``, ``loss``, ``accuracy``, and ``val_loss`` and ``val_accuracy``
-        where there are validation samples; empty where only the answers matter.
+        One row per epoch: ``epoch``, ``loss``, ``accuracy``, and ``val_loss`` and ``val_accuracy``
+        if there are validation samples; empty if the network was loaded.
     """
 
     settings: Settings
@@ -91,7 +91,7 @@ class Trained:
         return predict(self._model(), inputs)
 
     def activations(self, inputs) -> dict:
-        """What the neurons of each layer put out, shape (n_samples, n_neurons), by the layer."""
+        """Outputs of the neurons of each layer, shape (n_samples, n_neurons), by the layer."""
         return activations(self._model(), inputs)
 
     def _model(self):
@@ -101,20 +101,20 @@ class Trained:
 
 
 class TrainedCNN(Trained):
-    """The paper's CNN; its activations are those of rectified linear units."""
+    """The paper's CNN; its activations are the outputs of ReLUs."""
 
     @staticmethod
     def build(settings: Settings) -> tf.keras.Model:
-        """The network before it has its weights."""
+        """Build the network without its trained weights."""
         return build_cnn(parse(settings.cnn.architecture))
 
 
 class TrainedRates(Trained):
-    """The network with rate-based LIF neurons; an activation of 1 stands for ``max_rate``."""
+    """The network with rate-based LIF neurons; an activation of 1 means ``max_rate``."""
 
     @staticmethod
     def build(settings: Settings) -> tf.keras.Model:
-        """The network before it has its weights."""
+        """Build the network without its trained weights."""
         return build_rate_network(settings)
 
 
@@ -127,16 +127,16 @@ def train_cnn(
     ----------
     settings : Settings
     data : (images, labels)
-        Of the training samples.
+        The training samples.
     seed : int
-        Same seed, same kind of processor: same weights, on any number of cores if TensorFlow has
-        computed nothing in this process before.
+        The weights are reproducible on the same kind of processor, for any number of cores, if
+        TensorFlow has computed nothing in this process before.
     validation : (images, labels), optional
-        Only watched.
+        Samples that are evaluated for the history only.
     advance : callable, optional
         ``advance(1, note)`` after each epoch.
     recipe : Recipe, optional
-        Default: the paper's, with the settings' epochs, batch size and learning rate.
+        Default: the paper's recipe, with the settings' epochs, batch size and learning rate.
 
     Returns
     -------
@@ -149,18 +149,18 @@ def train_cnn(
 
 
 def new_cnn(settings: Settings, seed: int) -> tf.keras.Model:
-    """The CNN as its training starts."""
+    """The CNN with its initial weights."""
     make_deterministic(seed)
     return TrainedCNN.build(settings)
 
 
 def cnn_recipe(cnn) -> Recipe:
-    """The paper's recipe of the CNN, with the settings' epochs, batch size and learning rate."""
+    """The paper's recipe for the CNN, with the settings' epochs, batch size and learning rate."""
     return Recipe(cnn.epochs, cnn.batch_size, cnn.learning_rate)
 
 
 def snn_recipe(snn) -> Recipe:
-    """The recipe of the rate-based network, with what the settings change of it."""
+    """The recipe for the rate-based network, with changes from the settings."""
     own = RECIPES[snn.recipe]
     if snn.recipe == "as-is":
         return own
@@ -169,7 +169,7 @@ def snn_recipe(snn) -> Recipe:
 
 
 def build_rate_network(settings: Settings) -> tf.keras.Model:
-    """The network with rate-based LIF neurons, as the recipe wants it."""
+    """Build the network with rate-based LIF neurons, as ``snn.recipe`` defines it."""
     snn, architecture = settings.snn, parse(settings.cnn.architecture)
     on_chip = snn.is_on_chip
     costs = _spike_costs(settings, architecture) if on_chip and snn.spike_penalty else None
@@ -206,7 +206,7 @@ def build_rate_network(settings: Settings) -> tf.keras.Model:
 
 
 def _spike_costs(settings, architecture):
-    """Of each layer, the loss when a neuron fires at its ``max_rate`` for the priced steps."""
+    """For each layer the penalty for a neuron that fires at ``max_rate`` for `PRICED_STEPS`."""
     synapses = [layer.fan_out for layer in architecture.folded]
     operations = sum(int(layer.sum()) for layer in synapses)
     seconds = PRICED_STEPS * DT
@@ -221,19 +221,19 @@ def _spike_costs(settings, architecture):
 def train_rate_network(
     settings: Settings, data, seed: int, cnn_weights=None, validation=None, advance=None
 ) -> TrainedRates:
-    """Train with rate-based LIF neurons (paper, Section 3.2.2).
+    """Train the network with rate-based LIF neurons (paper, Section 3.2.2).
 
-    With ``recipe = "as-is"`` not at all: the CNN's weights are fitted to the neurons.  With
-    ``"paper"`` from new weights; with ``"loihi"`` from the CNN's, scaled so that the activations
-    fit the neurons' range, with the chip's rates and weights in the forward pass, noise on the
-    neurons' input, and a price on spikes if the settings have one.
+    With ``recipe = "as-is"`` it is not trained: the CNN's weights are fitted to the neurons.  With
+    ``"paper"`` it starts from random weights.  With ``"loihi"`` it starts from the CNN's weights,
+    scaled so that the activations fit the neurons' range, and uses the chip's rates and weights in
+    the forward pass, noise on the neurons' input, and the settings' penalty on spikes.
 
     Parameters
     ----------
     settings, data, seed, validation, advance
         As in :func:`train_cnn`.
     cnn_weights : dict, optional
-        Needed for ``"loihi"`` and ``"as-is"``.
+        Required for ``"loihi"`` and ``"as-is"``.
 
     Returns
     -------
@@ -248,7 +248,7 @@ def train_rate_network(
 
 
 def new_rate_network(settings: Settings, seed: int, images, cnn_weights=None) -> tf.keras.Model:
-    """The rate-based network as its training on some images starts."""
+    """The rate-based network with its initial weights, for training on some images."""
     make_deterministic(seed)
     model = build_rate_network(settings)
     if settings.snn.is_on_chip:
@@ -259,16 +259,16 @@ def new_rate_network(settings: Settings, seed: int, images, cnn_weights=None) ->
 def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
     """Scale a ReLU network's weights so that each layer's activations reach 1.
 
-    The function of the network is unchanged: what a layer's weights are divided by, the next
-    layer's are multiplied with.
+    The function of the network does not change: the weights of a layer are divided by a factor,
+    and those of the next layer are multiplied by it.
 
     Parameters
     ----------
     settings : Settings
     weights : dict
-        Of the CNN.
+        Weights of the CNN.
     images : ndarray
-        Training images, on which the activations are measured.
+        Training images, for measuring the activations.
     """
     scaled, before = dict(weights), 1.0
     for name, output in TrainedCNN(settings, weights).activations(images).items():
@@ -290,15 +290,14 @@ def _reach(activations) -> float:
 
 
 def fit_to_rates(settings: Settings, weights: dict, images) -> dict:
-    """Carry a ReLU network's weights over to LIF neurons that are not trained.
+    """Adapt a ReLU network's weights to LIF neurons without training.
 
-    A LIF neuron's rate ``f`` rises steeply at its threshold and flattens out, a rectified linear
-    unit does neither.  With activations y that reach 1 (:func:`scale_to_unit`), ``c f(a z - b)``
-    comes near to ``y = max(z, 0)`` where the threshold is moved up by a little b; a = 1 + b keeps
-    ``max_rate`` at 1.  For each layer b is the one of `SHIFTS` with the least squared error over
-    the activations above 0 on the images, c its best factor; a and b go into the layer's weights
-    and bias, c into the next layer's weights.
-
+    A LIF neuron's rate ``f`` rises steeply at its threshold and then flattens, unlike a ReLU.  With
+    activations y that reach 1 (:func:`scale_to_unit`), ``c f(a z - b)`` approximates
+    ``y = max(z, 0)`` if the threshold is raised by a small b; a = 1 + b keeps ``max_rate`` at 1.
+    For each layer, b is the value of `SHIFTS` with the least squared error over the activations
+    above 0 on the images, and c is its best factor; a and b are applied to the layer's weights and
+    bias, c to the next layer's weights.
     Parameters
     ----------
     settings, weights, images
@@ -307,7 +306,7 @@ def fit_to_rates(settings: Settings, weights: dict, images) -> dict:
     Returns
     -------
     dict
-        Weights of the rate-based network, which puts out nearly the CNN's logits.
+        Weights of the rate-based network, whose logits approximate the CNN's.
     """
     snn, fitted, before = settings.snn, dict(weights), 1.0
     outputs = TrainedCNN(settings, weights).activations(images)
@@ -327,7 +326,7 @@ def _best_shift(neurons, activations):
     """(b, c) of :func:`fit_to_rates` for one layer."""
     if len(activations) == 0:
         return 0.0, 1.0
-    # Of the distribution a thousand values are enough.
+    # A thousand values are a sufficient sample of the distribution.
     wanted = np.quantile(activations, (np.arange(1000) + 0.5) / 1000)
     found = []
     for shift in SHIFTS:
@@ -338,23 +337,23 @@ def _best_shift(neurons, activations):
 
 
 def fit(model, recipe: Recipe, data, seed: int, validation=None, advance=None) -> list:
-    """Train a model that puts out logits with sparse categorical cross-entropy.
+    """Train a model with logit outputs with sparse categorical cross-entropy.
 
     Parameters
     ----------
     model : tf.keras.Model
-        Trained in place; what its layers add to the loss counts.
+        Trained in place; losses added by its layers are included.
     recipe : Recipe
     data, validation : (images, labels)
     seed : int
-        Of the order of the samples, and of the noise.
+        Seed of the order of the samples, and of the noise.
     advance : callable, optional
         ``advance(1, note)`` after each epoch.
 
     Returns
     -------
     list of dict
-        The history, one row an epoch.
+        The history, one row per epoch.
     """
     history = []
     for row in epochs_of(model, recipe, data, seed):
@@ -367,11 +366,11 @@ def fit(model, recipe: Recipe, data, seed: int, validation=None, advance=None) -
 
 
 def epochs_of(model, recipe: Recipe, data, seed: int):
-    """Train a model as :func:`fit` does, an epoch for each value that is asked for.
+    """Train a model as :func:`fit` does; each value requested trains one epoch.
 
-    An epoch is one call of a compiled loop over its batches, or a few where the noise is much:
-    Keras's own ``fit`` returns to Python between them, which costs these small networks as much
-    time as their arithmetic.
+    An epoch is one call of a compiled loop over its batches, or a few calls if there is much noise.
+    Keras's own ``fit`` returns to Python between batches, which for these small networks takes as
+    much time as their arithmetic.
 
     Yields
     ------
@@ -424,15 +423,15 @@ def _compiled_batches(model, rule, images, labels, batch_size):
 
 
 def _samples(model, count, recipe, seed):
-    """Which samples are trained on, in their order, with noise for each of :func:`noisy_layers`.
+    """The training samples in order, with noise for each of :func:`noisy_layers`.
 
-    An epoch after the other, and of each as many whole batches at once as `NOISE_AHEAD` allows.
-    NumPy draws the noise in two thirds of TensorFlow's time, and beside a step instead of in it.
+    Yields as many whole batches of an epoch at once as `NOISE_AHEAD` allows.  NumPy draws the noise
+    in two thirds of TensorFlow's time, and concurrently with the training steps.
     """
     layers = noisy_layers(model)
     numbers = recipe.batch_size * sum(int(np.prod(layer.input_shape[1:])) for layer in layers)
     some = recipe.batch_size * max(NOISE_AHEAD // numbers, 1) if layers else count
-    # Streams of their own, so that no number depends on how many are drawn at once.
+    # Separate random streams, so that no number depends on how many are drawn at once.
     draws = [np.random.default_rng([seed, 0, 1 + index]) for index in range(len(layers))]
     for epoch in range(recipe.epochs):
         order = np.random.default_rng([seed, epoch]).permutation(count)
@@ -445,7 +444,7 @@ def _samples(model, count, recipe, seed):
 
 
 def _ahead(values):
-    """What an iterator yields, each made in a thread while the one before is in use."""
+    """Iterate over values; a thread computes the next one while the current one is in use."""
     with ThreadPoolExecutor(1) as pool:
         made = pool.submit(next, values, None)
         while (value := made.result()) is not None:
@@ -454,14 +453,14 @@ def _ahead(values):
 
 
 def _judged(logits, labels):
-    """Loss and accuracy on samples that are not trained on, as a row of the history has them."""
+    """Loss and accuracy on validation samples, as in a row of the history."""
     losses = tf.nn.sparse_softmax_cross_entropy_with_logits(np.asarray(labels, np.int32), logits)
     right = np.mean(np.argmax(logits, 1) == labels)
     return {"val_loss": float(np.mean(losses)), "val_accuracy": float(right)}
 
 
 def optimizer(recipe: Recipe, n_samples: int) -> tf.keras.optimizers.Optimizer:
-    """The recipe's optimiser for so many training samples."""
+    """The recipe's optimiser for a number of training samples."""
     if not recipe.annealed:
         return tf.keras.optimizers.RMSprop(recipe.learning_rate)
     batches = -(-n_samples // recipe.batch_size)
@@ -471,7 +470,7 @@ def optimizer(recipe: Recipe, n_samples: int) -> tf.keras.optimizers.Optimizer:
 
 
 def make_deterministic(seed: int):
-    """Same seed, same machine: same weights."""
+    """Seed TensorFlow so that the same machine computes the same weights."""
     tf.keras.backend.clear_session()
     tf.keras.utils.set_random_seed(seed)
     tf.config.experimental.enable_op_determinism()

@@ -1,4 +1,4 @@
-"""Training a spiking network on events with SLAYER (paper, Section 3.2.3)."""
+"""Train a spiking network on events with SLAYER (paper, Section 3.2.3)."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ class TrainedSlayer:
     kernels : list of ndarray
         See :class:`models.slayer.SlayerNetwork`.
     history : list of dict
-        One row an epoch: ``epoch``, ``loss``, ``accuracy`` (of the training samples, as they were
-        trained on), ``test_accuracy`` (only watched), ``seconds``.
+        One row per epoch: ``epoch``, ``loss``, ``accuracy`` (of the training samples during
+        training), ``test_accuracy`` (for the history only), ``seconds``.
     counts : ndarray, shape (n_test, outputs)
-        Spike counts of the test samples after the last epoch; the largest one wins.
+        Spike counts of the test samples after the last epoch; the largest is the prediction.
     """
 
     kernels: list
@@ -47,7 +47,7 @@ def train_slayer(
     advance=None,
     duration_s: float = DURATION_S,
 ) -> TrainedSlayer:
-    """Train for all epochs and answer the test samples.
+    """Train for all epochs, then evaluate the test samples.
 
     Parameters
     ----------
@@ -58,14 +58,14 @@ def train_slayer(
     train, test : ndarray of int
         Indices of samples.
     seed : int
-        Of the initial weights and of the order of the samples.
+        Seed of the initial weights and of the order of the samples.
     checkpoint : path-like, optional
-        The state after each epoch is kept there; a run that was interrupted goes on from it and
-        ends as it would have without the interruption.
+        File for the state after each epoch; an interrupted training resumes from it, with the same
+        result as without the interruption.
     advance : callable, optional
-        ``advance(1, note)`` after each epoch, those of an earlier session included.
+        ``advance(1, note)`` after each epoch, including those of an earlier session.
     duration_s : float
-        Of a recording, which the bins divide.
+        Length of a recording, which is divided into bins.
 
     Returns
     -------
@@ -104,7 +104,7 @@ def spike_response(settings: Slayer, duration_s: float = DURATION_S) -> SpikeRes
 
 
 class _Trainer:
-    """The network, the optimiser, and their compiled steps."""
+    """The network, the optimiser, and the compiled steps."""
 
     def __init__(self, settings, frames, labels, seed, duration_s):
         self.settings, self.seed, self.labels = settings, seed, labels
@@ -116,7 +116,7 @@ class _Trainer:
         self.optimizer.build(network.kernels)
         outputs = np.eye(network.architecture.outputs, dtype=np.float32)[labels]
         self.desired = settings.false_count + outputs * (settings.true_count - settings.false_count)
-        # On the CPU whatever else there is: the frames stay where they are, bytes as they are.
+        # On the CPU even if there is a GPU: the frames stay in host memory as bytes.
         with tf.device("CPU"):
             frames = tf.constant(frames)
 
@@ -137,7 +137,7 @@ class _Trainer:
         self._step, self._count = step, count
 
     def epoch(self, train, epoch):
-        """One pass over the training samples; their mean loss and the share that was right."""
+        """Train for one epoch; returns the mean loss and the share of right answers."""
         order = np.random.default_rng([self.seed, epoch, 0x51A]).permutation(train)
         loss, right = 0.0, 0
         for batch in self._batches(order):
@@ -156,7 +156,7 @@ class _Trainer:
 
     @property
     def state(self):
-        """All that the next epoch depends on, by name."""
+        """All variables that the next epoch depends on, by name."""
         kinds = {"kernel": self.network.kernels, "optimizer": self.optimizer.variables}
         return {
             f"{kind}{i}": v for kind, variables in kinds.items() for i, v in enumerate(variables)
@@ -164,7 +164,7 @@ class _Trainer:
 
 
 def _identity(settings, labels, train, test, seed, duration_s):
-    """What must be the same for a checkpoint to be of this run; more epochs may be asked for."""
+    """Values that must match for a checkpoint to be resumed; the number of epochs may differ."""
     plain = {**asdict(settings), "epochs": None, "seed": seed}
     parts = [np.asarray(part).astype(int) for part in (labels, train, test)]
     sums = [int(np.dot(part, np.arange(1, len(part) + 1)) % (1 << 61)) for part in parts]

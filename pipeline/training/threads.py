@@ -1,4 +1,4 @@
-"""How many threads TensorFlow computes with: chosen before it computes anything."""
+"""Set the number of TensorFlow's threads before it computes anything."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import os
 
 
 def one_thread_each():
-    """Let each operation compute in one thread, from where TensorFlow begins in this process on.
+    """Run each TensorFlow operation of this process in one thread.
 
-    A step of training on images is a few hundred operations of some microseconds, which take longer
-    to share than to do; and how a sum is shared changes its last digit, so that a network ends with
-    the same weights on any number of cores only if it is not.  ``TF_NUM_INTRAOP_THREADS`` in the
-    environment says otherwise.
+    A training step on images is a few hundred operations of some microseconds; distributing them
+    over threads takes longer than computing them.  It also changes the rounding of sums, so that
+    the trained weights would depend on the number of cores.  ``TF_NUM_INTRAOP_THREADS`` in the
+    environment overrides this.
     """
     os.environ.setdefault("TF_NUM_INTRAOP_THREADS", "1")

@@ -135,7 +135,7 @@ def test_pooling_is_tensorflows(size):
         ("10x10-6c4ps2-10o", "token 2 ('6c4ps2')", "must be a layer"),
         ("10x10-6c4s-10o", "token 2 ('6c4s')", "must be a layer"),
         ("10x10-6c٤-10o", "token 2 ('6c٤')", "must be a layer"),
-        ("10x10-10o-10o", "token 2 ('10o')", "before the end"),
+        ("10x10-10o-10o", "token 2 ('10o')", "output"),
         ("10x10-0c4-10o", "token 2 ('0c4')", "zero"),
         ("10x10-6c0-10o", "token 2 ('6c0')", "zero"),
         ("10x10-6c2s0-10o", "token 2 ('6c2s0')", "zero"),
@@ -171,7 +171,7 @@ def test_an_error_names_its_token(text, token, problem):
         ((10, 10, 1), (), "not an output"),
         ((10, 10, 1), (Dense(4),), "not an output"),
         ((10, 10, 1), (Dense(4), Pooling(2), Dense(2, output=True)), "after a dense layer"),
-        ((10, 10, 1), (Dense(4, output=True), Dense(2, output=True)), "before the end"),
+        ((10, 10, 1), (Dense(4, output=True), Dense(2, output=True)), "output"),
         ((2, 2, 1), (Convolution(1, 3), Dense(2, output=True)), "does not fit"),
     ],
 )

@@ -35,43 +35,43 @@ GOOD = {
 BAD = {
     "max_pooling": ("'pool' (MaxPooling2D)", "use AveragePooling2D, or a stride"),
     "global_pooling": ("'pool' (GlobalAveragePooling2D)", "use AveragePooling2D"),
-    "overlapping": ("'pool'", "windows that neither overlap nor are padded"),
-    "padded_pooling": ("'pool'", "windows that neither overlap nor are padded"),
-    "sigmoid": ("'c' (Conv2D): activation 'sigmoid'", "use ReLU"),
-    "leaky": ("'leak' (LeakyReLU)", "use ReLU"),
+    "overlapping": ("'pool'", "AveragePooling2D(2)"),
+    "padded_pooling": ("'pool'", "AveragePooling2D(2)"),
+    "sigmoid": ("'c' (Conv2D): activation 'sigmoid'", "activation='relu'"),
+    "leaky": ("'leak' (LeakyReLU)", "activation='relu'"),
     "relu6": ("'six' (ReLU): has a max_value", "use a plain ReLU"),
-    "function": ("'c' (Conv2D): activation of your own", "use ReLU"),
+    "function": ("'c' (Conv2D)", "activation='relu'"),
     "lambda": ("'double' (Lambda)", "nothing in a model file is executed"),
     "dilated": ("'c'", "dilation_rate=1"),
     "groups": ("'c'", "groups=1"),
-    "not_square": ("'c'", "kernel of 3x2; use a square one"),
-    "uneven_strides": ("'c'", "different strides"),
+    "not_square": ("'c'", "3x2"),
+    "uneven_strides": ("'c'", "strides"),
     "channels_first": ("'flat'", "data_format='channels_last'"),
-    "no_relu": ("'c'", "no ReLU before 'd'; give it activation='relu'"),
+    "no_relu": ("'c'", "activation='relu'"),
     "relu_after_pooling": ("'c'", "put the ReLU before it"),
-    "relu_first": ("'early'", "before the first Conv2D or Dense; leave it out"),
-    "relu_at_the_end": ("'out'", "activation 'softmax' or none"),
-    "one_output": ("'out'", "one unit a class"),
-    "sigmoid_output": ("'out'", "use ReLU: activation='relu' (in the output 'softmax' or none)"),
-    "softmax_within": ("'early'", "leave that softmax out"),
-    "no_dense_output": ("ends with 4c3", "add a Dense with one unit a class"),
+    "relu_first": ("'early'", "first Conv2D or Dense"),
+    "relu_at_the_end": ("'out'", "'softmax'"),
+    "one_output": ("'out'", "2"),
+    "sigmoid_output": ("'out'", "'softmax'"),
+    "softmax_within": ("'early'", "softmax"),
+    "no_dense_output": ("4c3", "Dense"),
     "dense_on_images": ("'each'", "put a Flatten before it"),
     "offset_and_padding": ("'c'", "use padding='valid'"),
     "normalised_rows": ("'rows'", "axis=-1"),
     "normalised_flat": ("'flat'", "put it before the Flatten"),
-    "one_dimension": ("row of 100 values", "keras.Input((rows, columns, channels))"),
-    "any_size": ("input of shape [None, None, 1]", "fixed one"),
+    "one_dimension": ("100 values", "keras.Input((rows, columns, channels))"),
+    "any_size": ("[None, None, 1]", "keras.Input((10, 10, 1))"),
     "recurrent": ("'loop' (SimpleRNN)", "use Conv2D"),
-    "within": ("a model inside the model", "one of its layers and those around it"),
+    "within": ("layer '", "model"),
     "own_layer": ("'mine' (Mine)", "use "),
-    "own_model": ("class 'Net'", "build it as keras.Sequential or keras.Model"),
-    "branches": ("'sum' has 2 inputs", "without branches"),
-    "two_outputs": ("has 2 outputs", "only one"),
-    "shared": ("'twice' is called 2 times", "each layer stands once"),
-    "dropout_always": ("'always'", "options of its own ('training')"),
-    "never_trained": ("was never trained", "all its biases are exactly zero"),
+    "own_model": ("'Net'", "keras.Sequential"),
+    "branches": ("'sum'", "2 inputs"),
+    "two_outputs": ("2 outputs", "one output"),
+    "shared": ("'twice'", "2 times"),
+    "dropout_always": ("'always'", "'training'"),
+    "never_trained": ("never trained", "zero"),
     "not_a_number": ("'c' (Conv2D): its kernel has NaN", "lower learning rate"),
-    "infinite_variance": ("'norm'", "its moving_variance has NaN or infinite values"),
+    "infinite_variance": ("'norm'", "moving_variance"),
 }
 
 
@@ -148,11 +148,10 @@ def test_the_same_function(files, which, suffix, name):
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_what_was_folded_or_left_out_is_said(files, which, suffix):
     notes = read_own_model(files[which] / f"strides_and_pooling.{suffix}").notes
-    assert [note.split("(")[1] for note in notes] == [
-        "BatchNormalization): folded into layer 'first' ",
-        "Dropout) left out: it does nothing in a trained network",
-        "Softmax): its softmax left out, the largest stays the largest",
-    ]
+    kinds = ("BatchNormalization", "Dropout", "Softmax")
+    assert len(notes) == len(kinds)
+    assert all(kind in note for kind, note in zip(kinds, notes, strict=True))
+    assert "'first'" in notes[0]
 
 
 @pytest.mark.parametrize("name", BAD)
@@ -324,18 +323,18 @@ def other_name(file):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (external_link, "refers to another place"),
-        (soft_link, "refers to another place"),
-        (external_storage, "not stored as Keras stores it"),
-        (virtual, "not stored as Keras stores it"),
-        (compressed, "not stored as Keras stores it"),
-        (never_written, "not stored as Keras stores it"),
+        (external_link, "link"),
+        (soft_link, "link"),
+        (external_storage, "not stored"),
+        (virtual, "not stored"),
+        (compressed, "not stored"),
+        (never_written, "not stored"),
         (huge, "more than 30000000 weights"),
         (of_objects, "not of floating-point numbers"),
-        (quantised, "array of int8, not of floating-point numbers"),
+        (quantised, "int8"),
         (other_shape, r"arrays have shapes \(4, 4, 2, 6\), \(6,\), not \(4, 4, 1, 6\), \(6,\)"),
-        (missing, "has no arrays of layer 'dense"),
-        (other_name, "are called 'another'"),
+        (missing, "arrays of layer 'dense"),
+        (other_name, "'another'"),
     ],
 )
 def test_arrays_that_are_not_plain(files, tmp_path, change, words):
@@ -376,7 +375,7 @@ def test_too_many_layers_nesting_and_sizes():
     with pytest.raises(ModelFileError, match="not an image"):
         as_architecture(SavedModel((10**9, 10**9, 10**9), ()))
     wide = SavedLayer("Dense", "wide", {"units": 10**15, "activation": "relu"})
-    with pytest.raises(ModelFileError, match=r"'wide'.*units is no number from 1 to 1000000"):
+    with pytest.raises(ModelFileError, match=r"'wide'.*units.* 1 to 1000000"):
         as_architecture(SavedModel((4, 4, 1), (SavedLayer("Flatten", "f", {}), wide)))
 
 
@@ -506,7 +505,7 @@ def test_a_crash_of_the_reading_process_is_a_line(files, monkeypatch, tmp_path):
     (package / "__init__.py").touch()
     (package / "keras_file.py").write_text("import os\nos.abort()\n")
     monkeypatch.setattr(apart, "__file__", str(package / "apart.py"))
-    with pytest.raises(ModelFileError, match="damaged; save it anew"):
+    with pytest.raises(ModelFileError, match="damaged"):
         read_own_model(files["keras3"] / "paper.keras")
 
 

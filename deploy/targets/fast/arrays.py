@@ -1,11 +1,11 @@
-"""What the kernels know: a network as flat arrays of integers, and its state.
+"""Data structures of the kernels: a network as flat arrays of integers, and its state.
 
-Nothing here knows of Nengo.  `from_nengo` makes these arrays from a built network, `kernel_numba`
-and `kernel_numpy` advance them, `emulation` feeds them.
+This module does not depend on Nengo.  `from_nengo` makes these arrays from a built network,
+`kernel_numba` and `kernel_numpy` advance them, and `emulation` provides their input.
 
-The equations are those of NengoLoihi's emulator (`nengo_loihi.emulator.interface`), which are the
-chip's (Davies et al., "Loihi", IEEE Micro 38(1), 2018, section "Neural computation") in integers.
-For every compartment and every step, with ``q`` the sum of the weights of the spikes that arrive::
+The equations are those of NengoLoihi's emulator (`nengo_loihi.emulator.interface`), which implement
+the chip's (Davies et al., "Loihi", IEEE Micro 38(1), 2018, section "Neural computation") in
+integers.  For every compartment and step, with ``q`` the sum of the weights of arriving spikes::
 
     q <- wrap(q, 21)                          the synaptic accumulator has 21 bits and a sign
     u <- wrap(decay(u, 4095 - delta_u) + q, 23)
@@ -31,13 +31,13 @@ from ...network.chip import LOIHI
 
 Q_BITS = LOIHI.input_bits  # synaptic accumulator, without sign
 U_BITS = LOIHI.current_bits  # current and compartment input, without sign
-OVERFLOWS = ("q0", "current", "u2")  # where one can occur; the emulator's names
+OVERFLOWS = ("q0", "current", "u2")  # places where one can occur; the emulator's names
 
 
 class Segments(NamedTuple):
-    """Runs of neighbouring compartments that share every scalar parameter.
+    """Ranges of adjacent compartments with equal scalar parameters.
 
-    Each field is int32 with one value a segment.
+    Each field is int32 with one value per segment.
     """
 
     start: np.ndarray  # first compartment
@@ -47,8 +47,8 @@ class Segments(NamedTuple):
     keep_v: np.ndarray  # r of decay(v, r): 4096 - decay_v
     v_min: np.ndarray
     v_max: np.ndarray
-    refractory: np.ndarray  # steps in which the voltage is held at 0 after a spike
-    shift: np.ndarray  # weights into the segment are to be multiplied by 2**shift
+    refractory: np.ndarray  # refractory period in steps, during which the voltage is 0
+    shift: np.ndarray  # weights into the segment must be multiplied by 2**shift
 
 
 @dataclass(frozen=True)
@@ -59,14 +59,14 @@ class ChipLayer:
     ----------
     label : str
     position : (n_neurons,) int array
-        Where each neuron of the population, in its own order, stands among the compartments.
+        Index among the compartments of each neuron of the population, in its own order.
     """
 
     label: str
     position: np.ndarray
 
     def of(self, values):
-        """The population's own, in its own order, of what is given for all compartments last."""
+        """Select the population's values, in its own order, from those of all compartments."""
         first, n = int(self.position[0]), len(self.position)
         if np.array_equal(self.position, np.arange(first, first + n)):
             return values[..., first : first + n]
@@ -78,21 +78,20 @@ class Network:
     """The chip's part of a network.
 
     It is feed-forward: spikes go from inputs and layers to later layers.  Compartments are ordered
-    by layer and segment, not as NengoLoihi orders its blocks; `layers`
-    and `emulator_order` lead back.  Sources of spikes are the inputs from the host followed by
-    the compartments.
+    by layer and segment, unlike in NengoLoihi; `layers` and `emulator_order` map to its orders.
+    Sources of spikes are the inputs from the host followed by the compartments.
 
     Attributes
     ----------
     n_inputs : int
-        Inputs from the host.
+        Number of inputs from the host.
     weights : (n_inputs + n, n) csr_matrix of int32
-        From a source's spike to a compartment's ``q``, without the segment's power of two.
+        Weight of a source's spike in a compartment's ``q``, without the segment's power of two.
     segments : Segments
     bias, threshold : (n,) int32 array
     layers : tuple of ChipLayer
     emulator_order : (n,) int array
-        Where each compartment of NengoLoihi's emulator, in its order, stands here.
+        Index here of each compartment of NengoLoihi's emulator, in the emulator's order.
     """
 
     n_inputs: int
@@ -109,19 +108,19 @@ class Network:
         return len(self.bias)
 
     def slice_of(self, layer):
-        """The compartments of a layer, by its index."""
+        """The compartments of the layer with some index."""
         mine = np.flatnonzero(self.segments.layer == layer)
         return slice(int(self.segments.start[mine[0]]), int(self.segments.stop[mine[-1]]))
 
     @property
     def largest_sums(self):
-        """Bound of the magnitude of each compartment's ``q``, without its power of two, int64."""
+        """Upper bounds of the magnitude of each compartment's ``q``, without powers of two."""
         columns = self.weights.indices
         return np.bincount(columns, np.abs(self.weights.data), self.n).astype(np.int64)
 
     @property
     def largest_inputs(self):
-        """Bound of ``|u + bias|`` in each segment if nothing overflows, int64.
+        """Upper bounds of ``|u + bias|`` in each segment without overflow, int64.
 
         With ``|q| <= Q`` at every step, ``|u|`` stays below ``Q * 4096 / (4096 - keep_u)``.
         """
@@ -132,17 +131,17 @@ class Network:
 
     @property
     def can_overflow(self):
-        """For each segment, whether its weights and biases leave room for any overflow at all."""
+        """True for each segment in which weights and biases allow an overflow."""
         segments = self.segments
         q = np.maximum.reduceat(self.largest_sums, segments.start) << segments.shift.astype(int)
         return (q >= 2**Q_BITS) | (self.largest_inputs >= 2**U_BITS)
 
     @property
     def is_plain(self):
-        """For each segment, whether the chip's arithmetic comes down to fewer operations there.
+        """True for each segment in which the chip's arithmetic can be simplified.
 
-        Nothing can overflow, no voltage falls below 0 or reaches ``v_max``, and products of
-        currents and voltages with what they lose in a step, ``4096 - keep``, fit 32 bits.
+        Nothing can overflow, no voltage falls below 0 or reaches ``v_max``, and the products of
+        currents and voltages with their loss per step, ``4096 - keep``, fit 32 bits.
         """
         segments, room = self.segments, 2**31 - 4096
         threshold = np.maximum.reduceat(self.threshold, segments.start).astype(np.int64)
@@ -156,21 +155,21 @@ class Network:
 
     @property
     def weight_type(self):
-        """The smallest type of integer that holds every sum of weights."""
+        """The smallest integer type that can represent every sum of weights."""
         return np.int16 if self.largest_sums.max() < 2**15 else np.int32
 
 
 @dataclass
 class State:
-    """Everything that goes from one step to the next, for several streams side by side.
+    """State between two steps, for several streams in parallel.
 
     Attributes
     ----------
     current, voltage : (n_streams, n) int32 array
     refractory : (n_streams, n) int32 array
-        Steps in which the voltage is still held at zero.
+        Remaining steps of the refractory period.
     inputs : (n_streams, n_inputs) uint8 array
-        Spikes of the last step from the host, in flight to the chip.
+        Spikes of the last step from the host, which arrive in the next step.
     spikes : (n_streams, n) uint8 array
         Spikes of the last step on the chip.
     """
@@ -183,7 +182,7 @@ class State:
 
     @classmethod
     def fresh(cls, network, n_streams):
-        """State at the start of a stream: all zero."""
+        """The state at the start of a stream: all zero."""
         shape = (n_streams, network.n)
         return cls(
             current=np.zeros(shape, np.int32),
@@ -196,17 +195,17 @@ class State:
 
 @dataclass(frozen=True)
 class Steps:
-    """What some steps of a kernel gave.
+    """Results of a kernel for a number of steps.
 
     Attributes
     ----------
     spikes : (n_streams, n_steps, n) uint8 array
     decoded : (n_streams, n_steps, n_outputs) float64 array
-        Sum of the decoders of the step's spikes.
+        Sum of the decoders of each step's spikes.
     counts : (n_streams, n) int32 array
-        Spikes of each compartment in all the steps.
+        Number of spikes of each compartment over all steps.
     overflows : (n_layers, 3) int64 array
-        How often a compartment overflowed in a step, for each of `OVERFLOWS`.
+        Number of overflows for each of `OVERFLOWS`.
     """
 
     spikes: np.ndarray

@@ -1,4 +1,4 @@
-"""Streams of samples through a compiled network, several streams side by side."""
+"""Run a compiled network on streams of samples, several streams in parallel."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from .host_stage import HostSide, OutputStage
 
 KERNELS = ("numba", "numpy")
 MEMORY = 32 << 20
-"""Bytes that the spikes of one call of a kernel may take, about a tenth of what a thread takes."""
+"""Maximum memory in bytes for the spikes of one call of a kernel, about a tenth of a thread's."""
 
 
 class Recording(NamedTuple):
-    """What a batch of streams gave.
+    """Results of a batch of streams.
 
     Attributes
     ----------
     output : (n_streams, n_samples, period, n_outputs) array
-        What the output probe sees at every step of every sample, its gap included.
+        Values of the output probe at every step of every sample, including its gap.
     counts : dict of str to (n_streams, n_samples, n_neurons) int array
-        Spikes of each neuron of each layer during each sample and its gap.
+        Number of spikes of each neuron of each layer during each sample and its gap.
     overflows : (n_layers, 3) int array
         See `arrays.Steps`.
     """
@@ -54,7 +54,7 @@ class Emulation:
     Raises
     ------
     UserError
-        There is no such kernel here.
+        The kernel does not exist or is not installed.
     """
 
     def __init__(self, program: Program, kernel=None):
@@ -62,19 +62,20 @@ class Emulation:
         self.kernel = _kernel(kernel)(program.network, program.output.decoders)
 
     def run(self, samples, steps, gap, watch=None, memory=MEMORY) -> Recording:
-        """Show streams of samples, each to a fresh network.
+        """Present streams of samples, each to a fresh network.
 
         Parameters
         ----------
         samples : (n_streams, n_samples, size) or (n_streams, n_samples, steps, size) array
-            A frame that is held for all steps of its sample, or a frame for each of them.
+            One frame that is constant for all steps of its sample, or one frame per step.
         steps, gap : int
-            For how many steps each sample is shown, and a blank frame before it.
+            Number of steps of each sample, and of the blank frame before it.
         watch : callable, optional
-            Called after each sample of the streams with every spike of each layer in it: a dict of
+            Called after each sample of the streams with every spike of each layer: a dict of
             str to uint8 arrays (n_streams, period, n_neurons / 8), packed by `numpy.packbits`.
         memory : int
-            Bytes that the spikes of one call of the kernel may take; the result is the same.
+            Maximum memory in bytes for the spikes of one call of the kernel; the result does not
+            depend on it.
 
         Returns
         -------
@@ -112,12 +113,12 @@ class Emulation:
         )
 
     def bytes_kept(self, period):
-        """Memory that the answer to a sample takes, about."""
+        """Approximate memory for the results of a sample."""
         network, outputs = self.program.network, self.program.output.decoders.shape[1]
         return 8 * outputs * period + 4 * (network.n + network.n_inputs)
 
     def bytes_per_step(self, n_streams):
-        """Memory that a step of some streams takes in a call of the kernel, about."""
+        """Approximate memory for one step of some streams in a call of the kernel."""
         network = self.program.network
         return n_streams * (network.n + network.n_inputs) * self.kernel.bytes_per_spike
 
@@ -163,32 +164,32 @@ def _kernel(name):
 
 
 def compile_spec(spec, seed=0) -> Program:
-    """Compile a bundle's network."""
+    """Compile the network of a bundle."""
     built = build(spec, seed)
     source = next(node for node in built.network.all_nodes if node.output is built.feed)
     return compile_network(built.network, source, built.output, DT)
 
 
 def run_fast(spec, streams, seed=0, kernel=None, threads=1, memory=MEMORY) -> Iterator[Responses]:
-    """NengoLoihi's emulator, the same integers and spikes, many streams at once.
+    """Run NengoLoihi's emulator, with identical integers and spikes, on many streams at once.
 
     Parameters
     ----------
     spec : NetworkSpec
     streams : iterable of array
-        Each as `Stimulus.flat` gives samples.
+        Each as returned by `Stimulus.flat`.
     seed : int
     kernel : str, optional
         See `Emulation`.
     threads : int
-        How many batches of streams to run at a time.
+        Number of batches of streams to run in parallel.
     memory : int
-        Bytes that the spikes of a batch may take.
+        Maximum memory in bytes for the spikes of a batch.
 
     Yields
     ------
     Responses
-        Of each stream, in order.  Nothing depends on how streams are batched.
+        The responses to each stream, in order.  They do not depend on the batches.
     """
     emulation = Emulation(compile_spec(spec, seed), kernel)
     shown, gap = spec.presentation.steps, spec.presentation.gap
@@ -196,7 +197,7 @@ def run_fast(spec, streams, seed=0, kernel=None, threads=1, memory=MEMORY) -> It
     overflows = np.zeros((len(network.layers), len(OVERFLOWS)), np.int64)
 
     def fitting(n_samples):
-        """How many streams of a length fit the memory."""
+        """Number of streams of some length that fit into the memory."""
         held = (
             emulation.bytes_per_step(1) * (shown + gap)
             + emulation.bytes_kept(shown + gap) * n_samples
@@ -224,7 +225,7 @@ def run_fast(spec, streams, seed=0, kernel=None, threads=1, memory=MEMORY) -> It
 
 
 def _batches(streams, fitting):
-    """Lists of successive streams of one length, as many as ``fitting`` says for that length."""
+    """Lists of consecutive streams of equal length, at most ``fitting`` of that length."""
     batch = []
     for stream in streams:
         if batch and (len(batch) == fitting(len(stream)) or len(stream) != len(batch[0])):
@@ -236,7 +237,7 @@ def _batches(streams, fitting):
 
 
 def _in_order(function, items, threads):
-    """``map`` in some threads, without running further ahead than they need."""
+    """``map`` in several threads, which only runs ahead as far as the threads need."""
     if threads == 1:
         yield from map(function, items)
         return

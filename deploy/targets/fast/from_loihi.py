@@ -1,7 +1,7 @@
-"""NengoLoihi's blocks, axons and synapses as flat arrays: the file that knows their internals.
+"""Convert NengoLoihi's blocks, axons and synapses to flat arrays, using their internals.
 
-They are read by their own mapping methods, so that population axons, atoms and split blocks come
-out as NengoLoihi's emulator has them.
+They are read with their own mapping methods, so that population axons, atoms and split blocks give
+the same result as in NengoLoihi's emulator.
 """
 
 from __future__ import annotations
@@ -17,33 +17,33 @@ _SCALARS = ("keep_u", "keep_v", "v_min", "v_max", "refractory")
 
 
 def cannot(what, where=None):
-    """The error for what this emulator does not do."""
+    """The error for an unsupported feature."""
     place = "" if where is None else f" ({where})"
     return UserError(f"the target 'fast' cannot do {what}{place}; use the target 'emulator'")
 
 
 def chip_arrays(network, model, inputs):
-    """The chip's part of a model.
+    """Convert the chip's part of a model.
 
     Parameters
     ----------
     network : nengo.Network
     model : nengo_loihi.builder.Model
-        Built from it, and discretised.
+        The model built from the network, and discretised.
     inputs : list
-        Populations on the host, each with ``neurons.n`` and ``senders``: pairs of the input of the
-        model's that they feed and the indices of the neurons that do.
+        Populations on the host, each with ``neurons.n`` and ``senders``: pairs of an input of the
+        model and the indices of the neurons that feed it.
 
     Returns
     -------
     Network
     dict of LoihiBlock to int array
-        Where each block's compartments stand in the network.
+        Indices of each block's compartments in the network.
 
     Raises
     ------
     UserError
-        There is something in it that this emulator cannot do.
+        The model has a feature that this emulator does not support.
     """
     blocks = list(model.blocks)
     layers = _blocks_of_layers(network, model)
@@ -58,7 +58,7 @@ def chip_arrays(network, model, inputs):
             ("keep_v", LOIHI.decay_unit - compartment.decay_v),
             ("v_min", compartment.vmin),
             ("v_max", compartment.vmax),
-            # The emulator counts one down in the step of the spike itself.
+            # The emulator decrements it in the step of the spike itself.
             ("refractory", np.maximum(compartment.refract_delay - 1, 0)),
             ("bias", compartment.bias),
             ("threshold", compartment.vth),
@@ -66,8 +66,8 @@ def chip_arrays(network, model, inputs):
             columns[name].append(np.broadcast_to(np.asarray(value, np.int64), (n,)))
     table = {name: np.concatenate(parts) for name, parts in columns.items()}
 
-    # By layer and segment, and in a segment by the population's own order: that makes the targets
-    # of a spike long runs of neighbours.
+    # Ordering by layer, segment and the population's own order makes the targets of a spike long
+    # ranges of adjacent compartments.
     order = np.lexsort([table["neuron"], *(table[name] for name in _SCALARS), table["layer"]])
     position = np.empty_like(order)
     position[order] = np.arange(len(order))
@@ -95,7 +95,7 @@ def chip_arrays(network, model, inputs):
 
 
 def _blocks_of_layers(network, model):
-    """(label, blocks) of each ensemble on the chip, then of each block that belongs to none."""
+    """(label, blocks) of each ensemble on the chip, then of each block without an ensemble."""
     layers = []
     for ensemble in network.all_ensembles:
         if ensemble in model.params and ensemble.neurons in model.objs:
@@ -141,11 +141,11 @@ def _weights(model, inputs, positions, n):
             (np.concatenate(sources), np.concatenate(targets)),
         ),
         shape=(n_inputs + n, n),
-    ).tocsr()  # adds up what one source sends to one compartment along several axons
+    ).tocsr()  # sums the weights between the same source and compartment on several axons
 
 
 def _refuse_loops(weights, layer_of):
-    """Layers are in the order in which the network was written: spikes only go forward in it."""
+    """Refuse connections to earlier layers; layers have the order of the network's definition."""
     n_inputs = weights.shape[0] - len(layer_of)
     entries = weights[n_inputs:].tocoo()
     if np.any(layer_of[entries.row] >= layer_of[entries.col]):
@@ -153,7 +153,7 @@ def _refuse_loops(weights, layer_of):
 
 
 def _refuse_wrapping_voltages(table):
-    """The emulator's voltages are int32 too: below -2**31 they would turn positive."""
+    """Refuse bounds that would overflow: the emulator's voltages are int32 as well."""
     lost = LOIHI.decay_unit - table["keep_v"]
     reached = 2**30 * lost < 2**U_BITS * LOIHI.decay_unit
     if np.any(reached & (table["v_min"] < -(2**30))):
@@ -161,7 +161,7 @@ def _refuse_wrapping_voltages(table):
 
 
 def _fan_out(axon, n_sources):
-    """For each source, the compartments of the target block and weights that its spike reaches."""
+    """For each source, the compartments of the target block that its spike reaches, and weights."""
     synapse = axon.target
     compartments = np.arange(n_sources)
     for index, atom in zip(axon.map_axon(compartments), axon.map_atoms(compartments)):
@@ -170,13 +170,13 @@ def _fan_out(axon, n_sources):
             yield np.empty(0, int), np.empty(0, np.int32)
             continue
         weights, indices = synapse.axon_weights_indices(index, atom=atom)
-        # As in the emulator's `q[indices] += weights`, the last of equal indices counts.
+        # As in the emulator's `q[indices] += weights`, only the last of equal indices counts.
         row = dict(zip((base + indices).tolist(), weights.tolist()))
         yield np.fromiter(row.keys(), int, len(row)), np.fromiter(row.values(), np.int64, len(row))
 
 
 def _segments(table, weights):
-    """Group equal compartments, and divide each group's weights by their common power of two."""
+    """Group compartments with equal parameters; divide their weights by a common power of two."""
     key = np.stack([table[name] for name in ("layer", *_SCALARS)])
     edges = np.flatnonzero(np.any(key[:, 1:] != key[:, :-1], axis=0)) + 1
     start = np.concatenate([[0], edges]).astype(np.int32)

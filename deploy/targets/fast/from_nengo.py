@@ -1,8 +1,8 @@
-"""From a Nengo network to a program of arrays and step functions.
+"""Compile a Nengo network to a program of arrays and step functions.
 
 NengoLoihi builds, splits and discretises the network and makes a model of the host before the chip
-and one of the host after it.  Here the operators of those two are read, Nengo's internals; the
-chip's blocks, NengoLoihi's, are read in `from_loihi`.
+and one of the host after it.  This module reads Nengo's operators in these two models; the chip's
+blocks are read in `from_loihi`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .arrays import Network
 from .from_loihi import cannot, chip_arrays
 from .host_stage import HostNeurons, HostOutput
 
-# Their step functions work on arrays of any shape and draw no random numbers.
+# Their step functions work on arrays of any shape and do not use random numbers.
 HOST_NEURONS = (
     nengo.LIF,
     nengo.SpikingRectifiedLinear,
@@ -45,22 +45,21 @@ _WITHOUT_MEMORY = (
 
 
 class Program(NamedTuple):
-    """A network ready to be run for many streams side by side.
+    """A compiled network that can be run for many streams in parallel.
 
     Attributes
     ----------
     dt : float
         Time step in seconds.
     drive : callable
-        From frames, shape (n_frames, n_pixels), to what drives the host's input neurons, shape
-        (n_frames, network.n_inputs).
+        Function from frames, shape (n_frames, n_pixels), to the input of the host's input neurons,
+        shape (n_frames, network.n_inputs).
     inputs : tuple of HostNeurons
         The populations whose spikes go to the chip, in the order of the network's inputs.
     network : Network
     output : HostOutput
     relays : bool
-        Whether the inputs spike just where a frame is above 0, so that there is no need to drive
-        them.
+        True if the inputs spike exactly where a frame is above 0, so that ``drive`` is not needed.
     """
 
     dt: float
@@ -77,11 +76,11 @@ def compile_network(network, source, output, dt=LOIHI.dt) -> Program:
     Parameters
     ----------
     network : nengo.Network
-        It is left as it was.
+        It is not changed.
     source : nengo.Node
-        The node that shows the frames; only its size is used.
+        The node that presents the frames; only its size is used.
     output : nengo.Probe
-        On a node or neurons on the host, or on neurons on the chip.
+        The probe of a node or neurons on the host, or of neurons on the chip.
     dt : float
         Time step in seconds.
 
@@ -92,14 +91,14 @@ def compile_network(network, source, output, dt=LOIHI.dt) -> Program:
     Raises
     ------
     UserError
-        The network holds something that this emulator cannot do, or NengoLoihi cannot build it.
+        The network has a feature that is not supported here, or NengoLoihi cannot build it.
     """
     showing = source.output
     frame = np.zeros(source.size_out)
     source.output = lambda t: frame
     try:
         model = nengo_loihi.builder.Model(dt=float(dt))
-        # precompute=None: NengoLoihi finds out by itself whether the host waits for the chip.
+        # precompute=None: NengoLoihi detects whether the host depends on the chip.
         model.build(network, precompute=None, discretize=True)
     except BUILD_ERRORS as error:
         raise cannot_build(network, error) from error
@@ -141,12 +140,12 @@ def _refuse_what_is_not_feed_forward(model):
 
 class _Input(NamedTuple):
     neurons: HostNeurons
-    drive: object  # the signal that the frame alone decides
+    drive: object  # the signal that depends on the frame only
     senders: list  # (SpikeInput, indices of the neurons that feed it)
 
 
 def _host_inputs(model):
-    """The populations on the host that spike into the chip."""
+    """The populations on the host that send spikes to the chip."""
     host = model.host_pre
     senders = {}
     for sender, receiver in model.host2chip_senders.items():
@@ -185,7 +184,7 @@ def _host_input(host, population, senders):
 
 
 def _neurons(host, population):
-    """A population on the host, without a filter on its input."""
+    """A population on the host without a filter on its input."""
     operator = next(
         op
         for op in host.operators
@@ -208,7 +207,7 @@ def _neurons(host, population):
 
 
 def _upstream(host, signal):
-    """The operators that a signal depends on within a step."""
+    """The operators on which a signal depends within a step."""
     found, waiting = [], [signal]
     seen = set()
     while waiting:
@@ -224,7 +223,7 @@ def _upstream(host, signal):
 
 
 def _check_filtered_current(host, current, filtered, population):
-    """J must be bias + gain * filtered: `HostNeurons` computes just that."""
+    """Check that J is bias + gain * filtered, which is what `HostNeurons` computes."""
     writers = [op for op in host.operators if current.base in {s.base for s in op.incs}]
     mine = [op for op in writers if filtered in op.reads]
     rest = [op for op in writers if op not in mine]
@@ -234,15 +233,15 @@ def _check_filtered_current(host, current, filtered, population):
 
 
 class _Drive:
-    """Runs those of the host's operators that lie between the frame and the input neurons.
+    """The host's operators between the frame and the input neurons.
 
-    They are Nengo's own step functions on one frame after the other: a product with a matrix gives
-    other last bits for many frames at once than for one.
+    They are Nengo's own step functions, applied to one frame at a time: the product of a matrix
+    with many frames at once differs in the last bits.
     """
 
     def __init__(self, host, frame, drives):
         self.frame = frame
-        self.lock = threading.Lock()  # one frame, one set of signals, maybe several threads
+        self.lock = threading.Lock()  # the signals exist once, but there may be several threads
         self.steps, self.signals = [], []
         if not drives:
             return
@@ -271,12 +270,12 @@ class _Drive:
 
 
 def _relays(drive, neurons, size):
-    """Whether each input is a relay that one value of the frame, of the same place, excites."""
+    """True if each input is a relay that is excited by one value of the frame at its own index."""
     if any(type(one.neuron_type) is not Relay or one.synapse is not None for one in neurons):
         return False
     if sum(one.n for one in neurons) != size:
         return False
-    # The way from a frame to the drive is linear: nothing else is let through by `_host_input`.
+    # The function from a frame to the drive is linear: `_host_input` refuses all others.
     currents = drive(np.eye(size))
     own = np.diag(currents)
     return bool(np.all(own > 0) and np.count_nonzero(currents) == size)
@@ -286,7 +285,7 @@ def _relays(drive, neurons, size):
 
 
 def _output(model, probe, chip, positions):
-    """How the probe's values come from the chip's spikes."""
+    """The output stage, which computes the probe's values from the chip's spikes."""
     target = probe.target
     if not isinstance(target, (nengo.Node, nengo.ensemble.Neurons)):
         raise cannot("an output that is neither a node nor neurons", probe)
@@ -328,7 +327,7 @@ def _output(model, probe, chip, positions):
 
 
 def _decoders(probe, chip, positions):
-    """What a spike of each compartment adds to a probe of NengoLoihi, shape (n, n_outputs)."""
+    """Contribution of each compartment's spike to a probe of NengoLoihi, shape (n, n_outputs)."""
     if probe.key != "spiked":
         raise cannot("an output decoded from the chip's voltages")
     unit = np.eye(chip.n, dtype=bool)

@@ -1,7 +1,7 @@
-"""The host's side for many streams at once: the neurons before the chip, the output after it.
+"""The host's part for many streams at once: neurons before the chip, output after it.
 
-Neurons and filters are stepped by Nengo's own step functions on arrays of shape (n_streams, n);
-being elementwise they give each stream the bits that Nengo gives it alone.
+Neurons and filters use Nengo's own step functions on arrays of shape (n_streams, n).  These are
+elementwise, so that the result of each stream is bit-identical to Nengo's.
 """
 
 from __future__ import annotations
@@ -44,19 +44,19 @@ class HostNeurons(NamedTuple):
 
 
 class HostOutput(NamedTuple):
-    """From the chip's spikes to the value that the output probe sees.
+    """The output stage: from the chip's spikes to the value of the output probe.
 
     Attributes
     ----------
     decoders : (n, n_outputs) array
-        What a spike of each compartment adds to the output in its step.
+        Contribution of each compartment's spike to the output in its step.
     on_chip : bool
-        The output is read on the chip, in the chip's own step and unfiltered.
+        True if the output is read on the chip, in the chip's own step and unfiltered.
     parts : tuple of (int array, (n_part, n_outputs) array)
         The same decoders by block, as NengoLoihi multiplies them; empty on the chip.
     synapse : nengo.Lowpass or None
     neurons : HostNeurons or None
-        Neurons on the host that the output drives and whose output is seen instead.
+        Neurons on the host that are driven by the output and probed instead.
     """
 
     decoders: np.ndarray
@@ -67,7 +67,7 @@ class HostOutput(NamedTuple):
 
 
 class Filter:
-    """A synapse, or none, as Nengo steps it: what goes in at a step comes out at the next."""
+    """A synapse, or none, with Nengo's delay of one step."""
 
     def __init__(self, synapse, shape, dt):
         self._value = np.zeros(shape)
@@ -86,7 +86,7 @@ class Filter:
 
 
 class Population:
-    """Host neurons of several streams while they run."""
+    """The state of host neurons for several streams."""
 
     def __init__(self, neurons: HostNeurons, n_streams, dt):
         self.neurons, self._dt = neurons, dt
@@ -96,14 +96,14 @@ class Population:
         self._filter = Filter(neurons.synapse, shape, dt)
 
     def spikes(self, drive, n_steps, out):
-        """Spikes of some steps in which the drive stays the same.
+        """Spikes of several steps with a constant drive.
 
         Parameters
         ----------
         drive : (n_streams, n) array
         n_steps : int
         out : (n_streams, n_steps, n) uint8 array
-            Is set to 1 where a neuron spikes, else to 0.
+            Set to 1 where a neuron spikes, else to 0.
         """
         rectified = type(self.neurons.neuron_type) in (nengo.SpikingRectifiedLinear, EvenSpikes)
         if rectified and not self.filtered:
@@ -117,7 +117,7 @@ class Population:
             np.not_equal(self.step(current), 0, out=out[:, step])
 
     def _rectified(self, drive, n_steps, out):
-        """`nengo.SpikingRectifiedLinear.step` and that of `EvenSpikes`, once for what stays."""
+        """The step of `nengo.SpikingRectifiedLinear` and `EvenSpikes` for a constant drive."""
         voltage = self._state["voltage"]
         increase = np.maximum(drive, 0) * self._dt
         whole = np.empty_like(voltage)
@@ -134,7 +134,7 @@ class Population:
 
     @property
     def filtered(self):
-        """Whether there is a filter before the current."""
+        """True if the current is filtered."""
         return self.neurons.synapse is not None
 
     def step(self, current):
@@ -147,7 +147,7 @@ class Population:
         Returns
         -------
         (n_streams, n) array
-            ``amplitude / dt`` for each spike in the step; overwritten by the next one.
+            ``amplitude / dt`` for each spike in the step; overwritten in the next step.
         """
         with np.errstate(divide="ignore"):
             self.neurons.neuron_type.step(self._dt, current, self._output, **self._state)
@@ -159,14 +159,14 @@ class Population:
 
 
 class HostSide:
-    """The input neurons of several streams while they run.
+    """The state of the input neurons for several streams.
 
     Parameters
     ----------
     program : Program
     n_streams : int
     size : int
-        Values of a frame.
+        Number of values of a frame.
     """
 
     def __init__(self, program, n_streams, size):
@@ -178,19 +178,19 @@ class HostSide:
         self._frames = self._drive = None
 
     def take(self, samples):
-        """Show one sample of each stream from now on: (n_streams, size) or (..., steps, size)."""
+        """Set the current sample of each stream: (n_streams, size) or (..., steps, size)."""
         held = samples.ndim == 2
         self._frames = None if held else samples
         self._drive = self._program.drive(samples) if held else None
 
     def spikes(self, first, last):
-        """Spikes of some steps of the sample.
+        """Spikes of several steps of the sample.
 
         Parameters
         ----------
         first, last : int
-            From which step to which, counted from 0 where the sample is first shown; in the gap
-            before it below 0.
+            First step, and one past the last, counted from the start of the sample's presentation;
+            negative in the gap before it.
 
         Returns
         -------
@@ -211,7 +211,7 @@ class HostSide:
         return spikes
 
     def _advance(self, drive, out):
-        """Steps in which the drive stays the same."""
+        """Run steps with a constant drive."""
         column = 0
         for population in self._populations:
             part = slice(column, column + population.neurons.n)
@@ -220,7 +220,7 @@ class HostSide:
 
 
 class OutputStage:
-    """The output of several streams while they run."""
+    """The state of the output stage for several streams."""
 
     def __init__(self, output: HostOutput, n_streams, dt):
         self._output = output
@@ -229,7 +229,7 @@ class OutputStage:
         self._neurons = output.neurons and Population(output.neurons, n_streams, dt)
 
     def advance(self, spikes, decoded):
-        """What the output probe sees in some steps.
+        """Values of the output probe in several steps.
 
         Parameters
         ----------
@@ -246,8 +246,8 @@ class OutputStage:
             return decoded
         if self._neurons is not None:
             decoded = self._as_nengo_loihi_adds(spikes)
-        # The host sees the chip's step k - 1 in its own step k; only its first step, which has no
-        # step before it, already sees the chip's first (nengo_loihi.builder.inputs.EmptyQueueStep).
+        # The host receives the chip's step k - 1 in its own step k.  Only its first step, which has
+        # no predecessor, receives the chip's first (nengo_loihi.builder.inputs.EmptyQueueStep).
         first = decoded[:, :1] if self._last is None else self._last
         self._last = decoded[:, -1:].copy()
         values = np.concatenate([first, decoded[:, :-1]], axis=1)
@@ -261,9 +261,9 @@ class OutputStage:
         return values
 
     def _as_nengo_loihi_adds(self, spikes):
-        """Decoded values to the last bit: one product a stream and block, over the same steps.
+        """Decoded values that are bit-identical to NengoLoihi's: one product per stream and block.
 
-        A spiking neuron on the host can turn a difference in the last bit into another spike.
+        The last bit matters: it can change the spikes of a spiking neuron on the host.
         """
         streams = []
         for stream in spikes.astype(bool):

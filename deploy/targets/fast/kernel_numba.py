@@ -1,17 +1,17 @@
-"""The kernel with Numba: event-driven, one stream after the other, all its state in the cache.
+"""The Numba kernel: event-driven, one stream after the other, with its state in the cache.
 
-What makes it fast:
+Its speed has these reasons:
 
-- The network is feed-forward, so that a segment of compartments goes through all steps of a call
-  before the next one starts: its state stays in the fastest cache, and the loop over steps works on
-  arrays that were cut out before it, which spares Numba's counting of references.
+- The network is feed-forward, so that a segment of compartments runs through all steps of a call
+  before the next segment starts: its state stays in the L1 cache, and the loop over steps uses
+  array slices made before it, which avoids Numba's reference counting.
 - The targets of a spike are neighbours, so its weights are added as vectors (`wiring`).
 - Where nothing can overflow and no voltage is negative (`Network.is_plain`), a decay is one
   multiplication and nothing is wrapped or counted.
-- The update of the compartments is three loops of few arrays each: with more, the compiler gives
-  up on proving that they don't overlap and stops using vector instructions.  It does so too for
-  ``min`` and ``max``, which are calls, for indices that might be negative, and for the int64 that
-  Numba makes of int32 arithmetic; hence conditions, unsigned indices and casts.
+- The update of the compartments consists of three loops over few arrays each: with more arrays the
+  compiler cannot prove that they do not overlap, and does not vectorise.  It does not vectorise
+  ``min`` and ``max`` either, which are calls, nor indices that might be negative, nor Numba's
+  promotion of int32 arithmetic to int64; hence the conditions, unsigned indices and casts.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from numba.core import event
 from .arrays import Q_BITS, U_BITS, Network, State, Steps
 from .wiring import LANES, wiring
 
-WORD = 8  # spikes, one byte each, looked at together
+WORD = 8  # number of spikes, of one byte each, that are tested at once
 
 _Q = np.int32(31 - Q_BITS)
 _U = np.int32(31 - U_BITS)
 
 
 class Kernel:
-    """Advances the chip's part of a network.
+    """The Numba kernel for the chip's part of a network.
 
     Parameters
     ----------
@@ -42,14 +42,14 @@ class Kernel:
     """
 
     bytes_per_spike = 1
-    """Memory that a call takes for each compartment, stream and step, about; the list of one
-    stream's spikes takes up to 4 more for each compartment and step."""
+    """Approximate memory of a call per compartment, stream and step; the list of one stream's
+    spikes takes up to 4 more per compartment and step."""
 
     def __init__(self, network: Network, decoders):
         self._network = network
         self._wiring = wiring(network)
         segments = network.segments
-        # Runs are padded and so reach beyond the widest segment's end.
+        # Runs are padded and therefore reach beyond the end of the widest segment.
         self._n_totals = int((segments.stop - segments.start).max()) + LANES
         self._is_plain = network.is_plain
         self._decoders = np.ascontiguousarray(decoders, dtype=np.float64)
@@ -60,9 +60,9 @@ class Kernel:
         Parameters
         ----------
         state : State
-            Replaced by the state after the last step.
+            Updated to the state after the last step.
         inputs : (n_streams, n_steps, n_inputs) uint8 array
-            1 where a neuron on the host spikes; acts on the chip in the step after.
+            1 where a neuron on the host spikes; it acts on the chip in the next step.
 
         Returns
         -------
@@ -70,7 +70,7 @@ class Kernel:
         """
         network = self._network
         n_streams, n_steps, n_inputs = inputs.shape
-        # Row 0 holds the spikes in flight, and rows are padded to whole words.
+        # Row 0 has the spikes of the previous step, and rows are padded to whole words.
         arriving = np.zeros((n_streams, n_steps + 1, -(-n_inputs // WORD) * WORD), np.uint8)
         arriving[:, 0, :n_inputs] = state.inputs
         arriving[:, 1:, :n_inputs] = inputs
@@ -102,7 +102,7 @@ class Kernel:
 
 
 def _jit(**options):
-    """`numba.njit`, cached on disk where the source is a file in a folder that can be written."""
+    """`numba.njit`, cached on disk if the source is a file in a writable folder."""
 
     def decorate(function):
         try:
@@ -115,9 +115,9 @@ def _jit(**options):
 
 @_jit()
 def _list(words, row, first_source, in_use, events, n):
-    """Append the sources whose bytes are 1 in a row; returns how long the list is then.
+    """Append the sources whose bytes are 1 in a row; returns the new length of the list.
 
-    Most words are 0; listing the others first, without a branch, leaves little to mispredict.
+    Most words are 0; listing the others first, without a branch, avoids branch mispredictions.
     """
     n, n_in_use = uint64(n), uint64(0)
     for w in range(uint64(words.shape[1])):
@@ -129,7 +129,7 @@ def _list(words, row, first_source, in_use, events, n):
         first = int32(first_source + int32(WORD * w))
         while word:
             lowest = word & (~word + uint64(1))
-            # A multiplication by 2**(8 k) brings byte 7 - k of the constant, which is k, on top.
+            # Multiplying by 2**(8 k) moves byte 7 - k of the constant, which is k, to the top.
             events[n] = first + int32((lowest * uint64(0x0001020304050607)) >> uint64(56))
             n += uint64(1)
             word ^= lowest
@@ -151,10 +151,10 @@ def _deliver(wiring, segment, events, begin, end, total):
 
 @_jit(inline="always")
 def _decay(x, keep):
-    """sign(x) * floor(|x| * keep / 4096), without leaving 32 bits.
+    """sign(x) * floor(|x| * keep / 4096) in 32-bit arithmetic.
 
     x is 4096 times a high part (rounded down) plus a low part from 0 to 4095; adding 4095 to a
-    negative product makes its rounding down a rounding towards zero.
+    negative product turns rounding down into rounding towards zero.
     """
     high = int32(int32(x >> int32(12)) * keep)
     low = int32(int32(x & int32(4095)) * keep)
@@ -171,7 +171,7 @@ def _wrap(x, spare):
 def _plain_currents(lose, scale, total, current):
     """u <- decay(u) + q in a plain segment; clears the totals.
 
-    decay(u) is u less ``|u| * lose / 4096`` rounded away from 0, one multiplication.
+    decay(u) is u minus ``|u| * lose / 4096`` rounded away from 0, one multiplication.
     """
     for i in range(len(current)):
         u = current[i]
@@ -231,9 +231,9 @@ def _fire(threshold, voltage, spikes):
 
 @_jit()
 def _fire_once(threshold, voltage, spikes):
-    """Spikes of compartments that are held at 0 in the step after each.
+    """Spikes of compartments with a refractory period of one more step.
 
-    ``spikes`` comes with those of the step before, which are the ones that are held.
+    ``spikes`` has the spikes of the previous step on entry, whose compartments are refractory.
     """
     for i in range(len(voltage)):
         v = int32(0) if spikes[0, i] else voltage[i]
@@ -244,7 +244,7 @@ def _fire_once(threshold, voltage, spikes):
 
 @_jit()
 def _fire_refractory(period, threshold, voltage, waiting, spikes):
-    """Spikes of compartments that are held at 0 for some steps after each."""
+    """Spikes of compartments with a refractory period of several steps."""
     for i in range(len(voltage)):
         wait = waiting[i]
         v = int32(0) if wait > int32(0) else voltage[i]
@@ -257,9 +257,10 @@ def _fire_refractory(period, threshold, voltage, waiting, spikes):
 
 @_jit()
 def _copy(values, into):
-    """Into the start of an array.
+    """Copy values to the start of an array.
 
-    For NumPy's assignment Numba compiles the words of an error of shapes: a third of all its time.
+    NumPy's assignment makes Numba compile the error message for wrong shapes, which takes a third
+    of its compilation time.
     """
     for i in range(len(values)):
         into[i] = values[i]
@@ -284,10 +285,10 @@ def advance(
     overflows,
     total,
 ):
-    """All streams through all steps; `Kernel.advance` says what the arrays are.
+    """Run all streams through all steps; `Kernel.advance` describes the arrays.
 
-    A segment goes through all steps before the next one starts, so that the spikes that arrive at
-    it are all known: lists of sources for each step, of the inputs and of the segments before it.
+    A segment runs through all steps before the next one starts, so that all its arriving spikes are
+    known: lists of sources for each step, for the inputs and the previous segments.
     """
     n_streams, n_steps = decoded.shape[0], decoded.shape[1]
     n_inputs = wiring.first.shape[1] - 1 - len(bias)
@@ -296,7 +297,7 @@ def advance(
         widest = max(widest, segments.stop[s] - segments.start[s])
     row = np.zeros((1, -(-widest // WORD) * WORD), np.uint8)
     in_use = np.empty(max(arriving.shape[2], row.shape[1] // WORD), np.int32)
-    # Spikes of the inputs, then of each segment; those at row t are from ends[t] to ends[t + 1].
+    # Spikes of the inputs, then of each segment; those of row t are from ends[t] to ends[t + 1].
     events = np.empty((n_steps + 1) * wiring.first.shape[1], np.int32)
     ends = np.zeros((len(segments.start) + 1, n_steps + 2), np.int64)
     for b in range(n_streams):
@@ -353,9 +354,9 @@ def _advance_segment(
     spikes,
     overflows,
 ):
-    """One segment of one stream through all steps; appends its spikes to the list.
+    """Run one segment of one stream through all steps; appends its spikes to the list.
 
-    ``row`` and ``words`` are the same memory: the last step's spikes as bytes and as words of 8.
+    ``row`` and ``words`` share memory: the last step's spikes as bytes and as words of 8.
     """
     n_inputs = wiring.first.shape[1] - 1 - segments.stop[-1]
     first_source = int32(n_inputs + segments.start[s])
@@ -393,11 +394,11 @@ def _advance_segment(
 
 
 class _Announcer(event.Listener):
-    """Says when `advance` is compiled, once for each type of weights, and not when it is cached."""
+    """Prints a message when `advance` is compiled, once per weight type, unless it is cached."""
 
     def on_start(self, event):
         if event.data["dispatcher"] is advance:
-            print("fast: compiling; this takes some five seconds", file=sys.stderr, flush=True)
+            print("fast: compiling; this takes about five seconds", file=sys.stderr, flush=True)
 
     def on_end(self, event):
         pass

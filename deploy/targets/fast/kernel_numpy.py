@@ -1,11 +1,11 @@
-"""The kernel in NumPy and SciPy alone: one layer after the other, all streams and steps together.
+"""The NumPy and SciPy kernel: one layer after the other, all streams and steps together.
 
-The same integers, and the same decoded sums to the last bit, as `kernel_numba`, for hosts without
-Numba.  A layer's input at all steps is known when the layers before it are done, so that only what
-carries over from one step to the next is done step by step.
+It computes the same integers and bit-identical decoded sums as `kernel_numba`, for hosts without
+Numba.  The input of a layer at all steps is known once the previous layers are done, so that only
+the state is computed step by step.
 
-The integers are kept in float64, where they are exact and ``decay(x, r)``, which is
-``trunc(x * r / 4096)``, takes two operations: x has at most 31 bits and a sign, r 13 bits.
+The integers are stored as float64, which represents them exactly; ``decay(x, r)``, which is
+``trunc(x * r / 4096)``, then takes two operations: x has at most 31 bits and a sign, r 13 bits.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from .arrays import Q_BITS, U_BITS, Network, State, Steps
 
 
 class Kernel:
-    """Advances the chip's part of a network.
+    """The NumPy kernel for the chip's part of a network.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class Kernel:
     """
 
     bytes_per_spike = 16
-    """Memory that a call takes for each compartment, stream and step, about."""
+    """Approximate memory of a call per compartment, stream and step."""
 
     def __init__(self, network: Network, decoders):
         self._network = network
@@ -37,7 +37,7 @@ class Kernel:
         """Advance several streams by some steps; see `kernel_numba.Kernel.advance`."""
         network = self._network
         n_streams, n_steps, _ = inputs.shape
-        # Steps first, so that what is done step by step is in one piece.  Row 0 is in flight.
+        # Steps are the first axis, so that each step is contiguous.  Row 0 is the previous step.
         arriving = np.concatenate([state.inputs[None], inputs.transpose(1, 0, 2)])
         spikes = np.empty((n_steps + 1, n_streams, network.n), np.uint8)
         spikes[0] = state.spikes
@@ -56,7 +56,7 @@ class Kernel:
         return Steps(by_stream, decoded, counts, overflows)
 
     def _decode(self, spikes):
-        # SciPy adds the decoders of a row's spikes in their order, whatever the other rows are.
+        # SciPy adds the decoders of a row's spikes in their order, independently of other rows.
         n_streams, n_steps, n = spikes.shape
         rows = _sparse(spikes.reshape(-1, n), np.float64)
         streams = np.repeat(np.arange(n_streams), np.diff(rows.indptr[::n_steps]))
@@ -66,7 +66,7 @@ class Kernel:
 
 
 class _LayerSteps:
-    """A layer's parameters and the steps of its update, on arrays (n_steps, n_streams, n)."""
+    """A layer's parameters and its update steps, on arrays (n_steps, n_streams, n)."""
 
     def __init__(self, network, index):
         self.compartments = network.slice_of(index)
@@ -76,7 +76,7 @@ class _LayerSteps:
 
         def value(name, dtype=float):
             values = getattr(segments, name)[mine].astype(dtype)
-            # A number where it is the same for all is quicker to multiply with than a row.
+            # Multiplying by a scalar is faster than by a row of equal values.
             return values[0] if np.all(values == values[0]) else np.repeat(values, lengths)
 
         self.keep_u, self.keep_v = value("keep_u") / 4096, value("keep_v") / 4096
@@ -106,10 +106,10 @@ class _LayerSteps:
         return total
 
     def steps(self, totals, u, v, waiting, spikes, overflows):
-        """Advance ``u``, ``v`` and ``waiting`` by the sums of weights; write who spikes."""
+        """Advance ``u``, ``v`` and ``waiting`` by the weighted sums; write the spikes."""
 
         def full(values):
-            # Two whole arrays are quicker to add or compare than an array and a row or a number.
+            # Operations on two full arrays are faster than with a broadcast row or a scalar.
             return np.broadcast_to(values, u.shape).copy()
 
         bias, threshold, v_min = full(self.bias), full(self.threshold), full(self.v_min)
@@ -131,7 +131,7 @@ class _LayerSteps:
             if self.can_reach_v_max:
                 np.minimum(v, self.v_max, out=v)
             if self.waits_once:
-                # Held at 0 are those that spiked last: their reset can be left to this.
+                # Refractory are the neurons that spiked last: this line also resets them.
                 np.putmask(v, fires, 0)
                 np.greater(v, threshold, out=fires)
             else:
@@ -164,7 +164,7 @@ def _sparse(spikes, dtype):
 
 
 def _wrap(x, bits):
-    """Two's complement with a sign, in place; returns how many numbers that changed."""
+    """Two's complement with a sign, in place; returns the number of changed values."""
     if x.max() < 2**bits and x.min() >= -(2**bits):
         return 0
     wrapped = (x + 2**bits) % 2 ** (bits + 1) - 2**bits

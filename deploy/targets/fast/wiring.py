@@ -1,9 +1,9 @@
-"""Weights cut into runs that can be added as vectors.
+"""Weights as contiguous runs that can be added as vectors.
 
-The targets of a spike are neighbours, so a spike is a few runs: a place in a pool of weights, a
-first target, a length.  Lengths are padded with zero weights to whole blocks of `LANES`, and equal
+The targets of a spike are adjacent, so a spike is a few runs: an offset in a pool of weights, a
+first target, and a length.  Lengths are padded with zero weights to whole blocks of `LANES`.  Equal
 runs, of which a convolution has many, share their place in the pool, so that the pool stays in the
-fastest cache.  Weights are int16 where no sum of weights can leave int16 (checked), else int32.
+L1 cache.  Weights are int16 where no sum of weights can exceed int16 (checked), else int32.
 """
 
 from __future__ import annotations
@@ -15,24 +15,23 @@ import numpy as np
 from .arrays import Network
 
 LANES = 32  # weights in a block: one vector of 512 bits in int16
-MAX_GAP = 64  # zeros that are cheaper to add than a new run
+MAX_GAP = 64  # largest number of zeros that are faster to add than a new run
 
 
 class Wiring(NamedTuple):
-    """The weights as the kernel adds them.
+    """The weights in the form that the kernel adds.
 
     Attributes
     ----------
     reach : (n_segments, 2) int array
-        The first group of sources, and one past the last, that has weights into each segment; the
+        First group of sources with weights into each segment, and one past the last; the
         inputs are group 0, segment s is group s + 1.
     pool : int16 or int32 array
         Weights of all runs, in blocks of `LANES`.
     first : (n_segments, n_sources + 1) int32 array
         The first run of each source of spikes into each segment.
     place, target, length : (n_runs,) int32 array
-        Where in the pool a run starts, which compartment of the segment it starts at, how long it
-        is.
+        Offset of a run in the pool, its first compartment in the segment, and its length.
     """
 
     reach: np.ndarray
@@ -44,7 +43,7 @@ class Wiring(NamedTuple):
 
 
 def wiring(network: Network) -> Wiring:
-    """Cut the rows of the weight matrix into runs and share the equal ones."""
+    """Split the rows of the weight matrix into runs; equal runs are shared."""
     dtype = network.weight_type
     pool, places, size = [], {}, 0
     first, place, target, length = [], [], [], []
@@ -78,13 +77,13 @@ def wiring(network: Network) -> Wiring:
 
 
 def _reach(edges):
-    """First group with runs and one past the last, from the runs at the groups' edges."""
+    """First group with runs, and one past the last, from the runs at the groups' edges."""
     used = np.flatnonzero(np.diff(edges))
     return (used[0], used[-1] + 1) if len(used) else (0, 0)
 
 
 def _runs(columns):
-    """Slices of sorted column numbers that leave no gap above `MAX_GAP`."""
+    """Slices of sorted column numbers without gaps above `MAX_GAP`."""
     if len(columns) == 0:
         return []
     cuts = np.flatnonzero(np.diff(columns) > MAX_GAP) + 1

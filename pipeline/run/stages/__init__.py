@@ -1,4 +1,4 @@
-"""The stages of a run: each reads what the one before wrote, and is redone only if out of date."""
+"""The stages of a run: each reads the artifacts of the previous one and runs only if outdated."""
 
 from pipeline.run.nir_conversion import settings_of_nir
 from pipeline.run.stages.answering import answer, answer_all

@@ -1,4 +1,4 @@
-"""Answers of networks and targets to a bundle's samples, asked for unless they are current."""
+"""Check results of networks and targets, made unless they are current."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from pipeline.settings import Settings
 def answer(
     run: RunFolder, settings: Settings, bundle: Bundle, stage: str, say=print, whole: bool = False
 ) -> dict:
-    """Let a network or target answer the bundle's samples, unless it has; return the result.
+    """Make the check result of a network or target, unless it is current, and return it.
 
     Parameters
     ----------
     run, settings
     bundle : Bundle
-        The run's own, or :func:`on_test_split` of it.
+        The run's own bundle, or :func:`on_test_split` of it.
     stage : str
         One of :data:`pipeline.run.answers.REFERENCES`, or a target.
     say : callable
     whole : bool
-        The samples are those of :func:`on_test_split`.
+        Use the samples of :func:`on_test_split`.
     """
     artifact = check_artifact(run, stage, whole)
     path, state = artifact.record, artifact.state(check_origin(settings, bundle.id))
@@ -67,9 +67,9 @@ def answer_all(
     say=print,
     whole: bool = False,
 ) -> list:
-    """:func:`answer` of several stages; targets in processes, the networks meanwhile in this one.
+    """Run :func:`answer` for several stages: targets in processes, networks in this process.
 
-    What processes share are streams, not targets: no core is idle while the last target is at work.
+    Processes share single streams, not targets, so that no core is idle during the last target.
 
     Parameters
     ----------
@@ -77,17 +77,17 @@ def answer_all(
         As in :func:`answer`.
     asked : sequence of str
     jobs : int
-        Processes.
+        Number of processes.
 
     Returns
     -------
     list of dict
-        In the order that was asked for.
+        The results in the order of ``asked``.
 
     Raises
     ------
     UserError
-        A target failed; those that did not are kept.
+        A target failed; the results of the others are saved.
     """
     networks = REFERENCES[settings.network]
     origin = check_origin(settings, bundle.id)
@@ -117,12 +117,12 @@ def answer_all(
 
 
 def _view(settings, bundle):
-    """The settings that an answer may depend on: those that the bundle was made from."""
+    """A view of the settings that a result may depend on: those that the bundle was made from."""
     return settings.only(bundle.spec.provenance["made_from"]["settings"])
 
 
 def _shared(bundle, paths, seed, jobs, advance, meanwhile):
-    """Results of targets, by name: each stream that is left is a job, wherever one takes long."""
+    """Results of targets by name; each remaining stream is a job if any of the targets is slow."""
     checks, failures = {}, {}
     with contextlib.ExitStack() as opened:
         for name, path in paths.items():

@@ -1,4 +1,4 @@
-"""The bundle of a run: the network as the chip gets it, and the samples of its check."""
+"""The bundle of a run: the network for the chip, and the samples of its check."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from pipeline.settings import Settings
 def make_bundle(
     run: RunFolder, settings: Settings, jobs: int = 1, say=print, dataset: Dataset | None = None
 ) -> tuple:
-    """Do what is missing of a run up to its bundle; return the dataset and the bundle.
+    """Make the missing artifacts of a run up to its bundle; return the dataset and the bundle.
 
     ``dataset`` is as in :func:`open_dataset`.
     """
@@ -105,7 +105,7 @@ def spec_of(place: Place, settings: Settings, dataset: Dataset, provenance: dict
 
 
 def on_test_split(settings: Settings, dataset: Dataset, bundle: Bundle) -> Bundle:
-    """The bundle with the whole test split as its check, in an order as random as the check's."""
+    """The bundle with the whole test split as its check, in random order like the check's."""
     everything = draw_check_samples(dataset.split.test, len(dataset.split.test), settings.seed)
     return replace(bundle, checks=_check_set(settings, dataset, everything))
 

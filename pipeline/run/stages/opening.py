@@ -1,4 +1,4 @@
-"""What a run is made from: its recordings, loaded, split and found enough."""
+"""Open a run: load and split its recordings, and check that there are enough."""
 
 from __future__ import annotations
 
@@ -24,33 +24,34 @@ def open_dataset(
     check: bool = True,
     dataset: Dataset | None = None,
 ) -> Dataset:
-    """Load, split and draw the recordings of a run; keep its settings; write ``dataset.json``.
+    """Load and split the recordings of a run, save its settings, and write ``dataset.json``.
 
-    The settings are kept only now that the recordings are there and enough: a mistaken path or
-    number of samples must not stick to the run.
+    The settings are only saved after the recordings have been found sufficient, so that a mistaken
+    path or number of samples is not stored in the run.
 
     Parameters
     ----------
     run, settings
     jobs : int
-        Processes.
+        Number of processes.
     warn : callable, optional
-        Called with a line for each thing that the user should know.
+        Called with each warning.
     check : bool
-        Whether samples of a check will be drawn and shown; training alone needs none.
+        Check that there are enough samples for the check; a training needs none.
     dataset : Dataset, optional
-        Of the same settings, in the place of their recordings; see :meth:`Dataset.of_arrays`.
+        Dataset of the same settings, used instead of their recordings; see
+        :meth:`Dataset.of_arrays`.
 
     Raises
     ------
     UserError
-        The source cannot be read, is too small for the split or the check, or cannot be shown.
+        The source cannot be read, is too small for the split or the check, or cannot be presented.
     """
     if dataset is None:
         dataset = Dataset.of(settings, jobs, warn)
     elif dataset.is_of_arrays and dataset.recordings.source.name != settings.data.source:
         raise UserError(
-            f"{settings.data.source}: other settings than the arrays were taken with; give "
+            f"{settings.data.source}: differs from the settings of the arrays; use "
             f"'data.source' {dataset.recordings.source.name!r}"
         )
     recordings_fit(dataset.recordings, settings)
@@ -61,7 +62,7 @@ def open_dataset(
         except ValueError as error:
             remedy = TOO_SMALL
             if settings.data != run.resolve_settings(None, {}).data:
-                remedy += "; nothing was kept: name the data (--data) in the next command too"
+                remedy += "; no settings were saved: repeat --data in the next command"
             raise UserError(f"{settings.data.source}: {error}; {remedy}") from error
         if not settings.on_events:
             images_fit(dataset.inputs, settings)
@@ -77,7 +78,7 @@ def open_dataset(
 
 
 def _notes(run, settings, recordings):
-    """What should not pass without a word, such as simulated data that nobody asked for."""
+    """Warnings, for example about simulated data that the user did not ask for."""
     if settings.on_events:
         yield from event_warnings(settings, recordings)
     if not run.experiment.exists():

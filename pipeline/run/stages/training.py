@@ -1,4 +1,4 @@
-"""The networks of a run, trained unless they are current."""
+"""Training of a run's networks, unless they are current."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from pipeline.settings import Settings
 from pipeline.training.threads import one_thread_each
 
 Place = RunFolder | NetworkLibrary
-"""Where trained networks are kept."""
+"""The folders in which trained networks are stored."""
 
 
 def train_all(place: Place, settings: Settings, dataset: Dataset, say=print):
@@ -148,14 +148,14 @@ def train_event_network(place: Place, settings: Settings, dataset: Dataset, say=
 
 
 def choose_threshold(place: Place, settings: Settings, dataset: Dataset, say=print) -> dict:
-    """Choose the confidence at which the network on events decides, and measure its accuracy.
+    """Choose the confidence for early decisions of the network on events; measure its accuracy.
 
-    Both depend on the presentation, which the training does not, and are kept apart from it.
+    Both depend on the presentation, unlike the training, and are therefore a separate artifact.
 
     Returns
     -------
     dict
-        ``accuracy`` by part of the split, and ``decides_by_itself``.
+        ``accuracy`` on each part of the split, and ``decides_by_itself``.
     """
     trained_from = events_origin(settings, dataset.origin)
     origin = threshold_origin(settings, trained_from)
@@ -227,7 +227,7 @@ def read_weights(folder: Path, settings: Settings) -> dict:
     Raises
     ------
     UserError
-        They are not there, damaged, or do not fit the architecture.
+        The arrays are missing, damaged, or do not fit the architecture.
     """
     path = folder / "weights.npz"
     weights = read_arrays(path, DELETE_ITS_FOLDER)
@@ -244,7 +244,7 @@ def read_weights(folder: Path, settings: Settings) -> dict:
 
 
 def _current(artifact, origin, say, action="training"):
-    """The record of an artifact that is current; None, after saying why, if it must be made."""
+    """The record of a current artifact; otherwise None, after a message with the reason."""
     state = artifact.state(origin)
     if state.is_current:
         say(f"{artifact.name}: up to date ({artifact.record.parent})")
@@ -255,7 +255,7 @@ def _current(artifact, origin, say, action="training"):
 
 
 class _timed:
-    """A progress bar for a training, and how long the training took."""
+    """A progress bar for a training, which also measures its duration."""
 
     def __init__(self, name, epochs):
         self._bar = progress(f"train {name}", epochs)
@@ -271,7 +271,7 @@ class _timed:
 
 
 def _write_network(folder, trained):
-    """Write weights and history; the records go first, since they say that the rest is there."""
+    """Write weights and history; delete the records first, since they declare the rest complete."""
     for record in ("metrics.json", "training.json"):
         (folder / record).unlink(missing_ok=True)
     write_arrays(folder / "weights.npz", **trained.weights)
@@ -283,7 +283,7 @@ def _metrics(trained, dataset, seconds):
     right = np.argmax(trained.logits(dataset.inputs), axis=1) == dataset.labels
     parts = {part: getattr(dataset.split, part) for part in ("train", "validation", "test")}
     accuracy = {part: float(right[index].mean()) for part, index in parts.items() if len(index)}
-    part = list(accuracy)[-1]  # without a test split, as in a sweep, the validation samples
+    part = list(accuracy)[-1]  # the validation samples if there is no test split, as in a sweep
     n_samples = len(parts[part])
     return {
         "simulated": dataset.recordings.source.simulated,

@@ -67,7 +67,7 @@ def test_result_without_the_time_of_its_decisions_is_refused():
     spec = small_spec()
     incomplete = counted(spec)
     del incomplete["decided_at_median"]
-    with pytest.raises(UserError, match="does not say when samples were decided"):
+    with pytest.raises(UserError, match="run the check again"):
         estimate_energy(spec, incomplete)
 
 

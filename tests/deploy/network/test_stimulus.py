@@ -120,7 +120,8 @@ def test_a_pixel_spikes_at_most_once_a_step():
         assert stimulus.complaint(images, (6, 6, 1), 30) is None
         images[1, 2, 3] = 1.01 * most
         said = stimulus.complaint(images, (6, 6, 1), 30)
-        assert said.startswith(f"a pixel is {1.01 * most:g}, and at {rate:g} spikes a second")
+        assert f"{1.01 * most:g}" in said
+        assert f"{rate:g}" in said
         assert ImageCurrent().complaint(images, (6, 6, 1), 30) is None
 
 
@@ -137,7 +138,7 @@ def test_wrong_samples_are_refused(tmp_path):
     checks = CheckSet(frames, np.zeros(2, int), ("a", "b"), 0)
     bundle = write_bundle(tmp_path / "bundle", spec, checks)
     for change, message in (
-        (lambda a: a.update(inputs=a["inputs"] * 2), "something else than 0 and 1"),
+        (lambda a: a.update(inputs=a["inputs"] * 2), "0 and 1"),
         (lambda a: a.update(inputs=a["inputs"][:, :-1]), "shape .* not"),
         (lambda a: a.update(ids=a["ids"][:1]), "differ in number"),
         (lambda a: a.pop("inputs"), "not the samples of a check"),

@@ -250,14 +250,14 @@ def test_bad_input_is_one_clear_line_and_status_2(pair, tmp_path, capsys):
         return tmp_path / name
 
     for arguments, message in (
-        ([run], "one run alone cannot be compared"),
+        ([run], "two"),
         ([], "Missing argument"),
         ([run, run / ".." / run.name], "are the same run"),
         ([run, other, run], "are the same run"),
-        ([run, tmp_path], "no run's folder"),
-        ([run, tmp_path / "none"], "no run's folder"),
-        ([run, run / "ladder.json"], "no run's folder"),
-        ([run, copy("a", "bundle")], "no bundle yet; make it with 'stmnist convert"),
+        ([run, tmp_path], "experiment.toml"),
+        ([run, tmp_path / "none"], "experiment.toml"),
+        ([run, run / "ladder.json"], "experiment.toml"),
+        ([run, copy("a", "bundle")], "bundle.*stmnist convert"),
         ([run, copy("b", "checks")], "no check results; make them with 'stmnist ladder"),
         ([run, other, "--whole"], "stmnist ladder .* --whole'"),
     ):
