@@ -82,10 +82,10 @@ def altered_recordings(
     step = (old.time_ns - begins[sample]) / (1e6 * step_ms)
     size = (sensor.rows, sensor.columns)
     kept, step, place = _altered(
-        how, rng, len(chosen), sample, step, taxels.x[old.taxel], taxels.y[old.taxel], size
+        how, rng, len(chosen), sample, step, taxels.row[old.taxel], taxels.column[old.taxel], size
     )
     at = np.full(size, -1)  # which taxel is where; there may be places without one
-    at[taxels.x, taxels.y] = np.arange(len(taxels))
+    at[taxels.row, taxels.column] = np.arange(len(taxels))
     taxel = np.full(len(kept), -1)
     taxel[kept] = at[tuple(place[kept].T)]
     kept &= taxel >= 0

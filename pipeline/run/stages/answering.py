@@ -38,7 +38,7 @@ def answer(
         Use the samples of :func:`on_test_split`.
     """
     artifact = check_artifact(run, stage, whole)
-    path, state = artifact.record, artifact.state(check_origin(settings, bundle.id))
+    path, state = artifact.record, _state(artifact, check_origin(settings, bundle.id))
     if state.is_current:
         say(f"{stage}: up to date ({path})")
         return read_result(path, DELETE_IT)
@@ -92,7 +92,7 @@ def answer_all(
     networks = REFERENCES[settings.network]
     origin = check_origin(settings, bundle.id)
     artifacts = {stage: check_artifact(run, stage, whole) for stage in asked}
-    states = {stage: artifact.state(origin) for stage, artifact in artifacts.items()}
+    states = {stage: _state(artifact, origin) for stage, artifact in artifacts.items()}
     results = {}
     targets = [s for s in asked if s not in networks and not states[s].is_current]
     if jobs > 1 and any(TARGETS[name].slow for name in targets):
@@ -148,6 +148,13 @@ def _work(check):
 
 def _answered(work):
     return list(answered(work))
+
+
+def _state(artifact, origin):
+    """The state of a check's result; one that is damaged is refused and not replaced."""
+    if artifact.record.exists():
+        read_result(artifact.record, DELETE_IT)
+    return artifact.state(origin)
 
 
 def check_artifact(run: RunFolder, stage: str, whole: bool = False) -> Artifact:

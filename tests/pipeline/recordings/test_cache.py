@@ -75,7 +75,7 @@ def test_a_damaged_file_is_named_with_a_remedy(own, damage):
         ("offsets", np.array([0.0, 4, 8])),
         ("row", np.full(100, 10)),
         ("row", np.full(99, 1)),
-        ("y", np.full(100, -1)),
+        ("column", np.full(100, -1)),
         ("size", np.array([0, 10, 2])),
         ("size", np.array([10, 10])),
         ("duration_s", np.array(np.nan)),

@@ -13,8 +13,8 @@ def run_of(monkeypatch):
     def told(module, train):
         runs = []
 
-        def keep(train, epochs, state, run, *rest):
-            runs.append(run)
+        def keep(train, epochs, state, checkpoint, *rest):
+            runs.append(checkpoint.key)
             raise InterruptedError
 
         monkeypatch.setattr(module, "train_epochs", keep)

@@ -4,7 +4,7 @@ import pytest
 
 from deploy.errors import UserError
 from models.keras2 import tf
-from pipeline.training.checkpoint import train_epochs
+from pipeline.training.checkpoint import Checkpoint, train_epochs
 
 
 class Training:
@@ -25,7 +25,8 @@ class Training:
             if len(self.trained) == stop_after:
                 raise KeyboardInterrupt
 
-        return train_epochs(self.epoch, epochs, self.state, run, path, advance=advance)
+        checkpoint = None if path is None else Checkpoint(path, run)
+        return train_epochs(self.epoch, epochs, self.state, checkpoint, advance=advance)
 
 
 @pytest.fixture(scope="module")

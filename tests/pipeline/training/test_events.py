@@ -1,5 +1,4 @@
 from dataclasses import replace
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ from models.spiking import SpikingNetwork
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.steps import EventTable
 from pipeline.training import events
+from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.events import (
     TAIL,
     EventRecipe,
@@ -172,7 +172,7 @@ def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):
         if len(seen) == 3:
             raise KeyboardInterrupt
 
-    seen, path = [], tmp_path / "state.npz"
+    seen, path = [], Checkpoint(tmp_path / "state.npz", "this one")
     with pytest.raises(KeyboardInterrupt):
         train_events(RECIPE, *data, 3, VALIDATION, path, interrupt)
     seen = [0, 0, 0]
@@ -182,30 +182,6 @@ def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):
         np.testing.assert_allclose(value, trained.weights[name], rtol=1e-4, atol=1e-6)
     for got, expected in zip(resumed.history, trained.history, strict=True):
         assert got["loss"] == pytest.approx(expected["loss"], rel=1e-5)
-
-
-def test_a_checkpoint_is_of_this_run_alone(data, monkeypatch, run_of):
-    def identity(recipe, table, labels, train, validation, seed):
-        return run_of(events, lambda: train_events(recipe, table, labels, train, seed, validation))
-
-    table, labels, train = data
-    monkeypatch.setattr(events, "_Trainer", Mock())
-    same = identity(RECIPE, table, labels, train, VALIDATION, 3)
-    assert identity(RECIPE, table, labels.copy(), list(train), list(VALIDATION), 3) == same
-    columns = {name: getattr(table, name) for name in ("time_ms", "row", "column", "polarity")}
-    others = [
-        (RECIPE, replace(table, **{name: value[::-1].copy()}), labels, train, VALIDATION, 3)
-        for name, value in columns.items()
-    ]
-    others += [
-        (replace(RECIPE, drop=0.1), table, labels, train, VALIDATION, 3),
-        (RECIPE, replace(table, offsets=table.offsets // 2), labels, train, VALIDATION, 3),
-        (RECIPE, table, labels[::-1], train, VALIDATION, 3),
-        (RECIPE, table, labels, train[:-1], VALIDATION, 3),
-        (RECIPE, table, labels, train, (), 3),
-        (RECIPE, table, labels, train, VALIDATION, 4),
-    ]
-    assert same not in [identity(*other) for other in others]
 
 
 def test_samples_without_events_are_left_out(data):

@@ -97,7 +97,9 @@ def test_a_checkpoint_is_of_this_run_alone_but_for_its_length(data, run_of):
     def identity(settings=SETTINGS, labels=data[1], train=data[2], test=data[3], seed=3, long=2.0):
         return run_of(
             slayer,
-            lambda: train_slayer(settings, data[0], labels, train, test, seed, duration_s=long),
+            lambda: train_slayer(
+                settings, data[0], labels, train, test, seed, "state.npz", duration_s=long
+            ),
         )
 
     _, labels, train, test = data
