@@ -76,12 +76,14 @@ def convert(
     With --model: scale that model to the neurons' range, make it spike, write the bundle.
     With --nir: turn the graph's neurons and weights into the chip's integers, write the bundle.
     """
+    if retrain and nir is not None:
+        raise UserError("--retrain: not supported with --nir; train the network further in PyTorch")
     if retrain and model is None:
-        raise UserError("--retrain: of a model of your own only; name it with --model FILE")
+        raise UserError("--retrain: needs a Keras model; give it with --model FILE")
     if model is not None and nir is not None:
-        raise UserError("--model and --nir: one network a run; name one of them")
+        raise UserError("--model and --nir: a run has one network; give only one of them")
     if step is not None and nir is None:
-        raise UserError("--step: of a NIR graph only; name it with --nir FILE")
+        raise UserError("--step: needs a NIR graph; give it with --nir FILE")
     changes = stages.settings_of_model(model, retrain) if model else {}
     if nir is not None:
         changes = stages.settings_of_nir(nir, step, kind)
@@ -89,7 +91,7 @@ def convert(
     with options.opened(run, *given, fit=options.fit_recordings(jobs)) as (folder, resolved):
         if model is not None and resolved.on_events:
             raise UserError(
-                "--model: of tactile images; leave out what sets input.kind to 'events'"
+                "--model: Keras models receive tactile images; leave out --input events"
             )
         _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
         for stage in REFERENCES[resolved.network]:

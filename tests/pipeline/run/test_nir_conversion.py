@@ -166,7 +166,8 @@ def test_a_run_of_a_graph(tmp_path, capsys):
 BAD = [
     (["--nir", "missing.nir"], "cannot read"),
     (["--nir", "text.nir"], "not a NIR file"),
-    (["--nir", "small.nir", "--model", "x.keras"], "one network a run"),
+    (["--nir", "small.nir", "--model", "x.keras"], "--model and --nir"),
+    (["--nir", "small.nir", "--retrain"], "--retrain"),
     (["--step", "20"], "--nir FILE"),
     (["--nir", "small.nir", "--step", "5000"], "'input.step' must be"),
     (["--nir", "small.nir", "--step", "200"], "shorter than the step"),
