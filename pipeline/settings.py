@@ -154,10 +154,10 @@ class SkinSize(Section):
     """The array of taxels."""
 
     rows: Annotated[int, SIDE] = 0
-    """Rows of taxels; 0: ten of the simulated skin, of recordings as their look-up table or their
-    largest coordinate says."""
+    """Rows of taxels; 0: ten for the simulated skin, and for recordings the number in their look-up
+    table or their largest coordinate."""
     columns: Annotated[int, SIDE] = 0
-    """Columns of taxels; 0 as for the rows."""
+    """Columns of taxels; 0 has the same meaning as for the rows."""
 
 
 @dataclass(frozen=True)
@@ -165,23 +165,24 @@ class Image(Section):
     """How events become a tactile image; see :mod:`pipeline.inputs.images`."""
 
     aggregation: Annotated[str, one_of(*AGGREGATIONS)] = "count"
-    """What is summed up of a taxel: ``count``, physical events; ``columns``, columns of the file,
-    as the paper's Table 1 counts; ``signed``, ON less OFF events; ``on``, ``off``, events of one
+    """What is counted for each taxel: ``count``, physical events; ``columns``, columns of the file,
+    as in the paper's Table 1; ``signed``, ON minus OFF events; ``on``, ``off``, events of one
     polarity."""
     normalisation: Annotated[str, one_of(*NORMALISATIONS)] = "max"
     """What an image is divided by: ``max``, its largest magnitude; ``sum``, the sum of magnitudes;
-    ``sqrt-max``, as ``max`` after the square root of each magnitude; ``none``, nothing: whole
-    counts, for the CNN, ``deployment.first_layer = "host"`` or a low ``deployment.input_rate``."""
+    ``sqrt-max``, as ``max`` after the square root of each magnitude; ``none``, nothing: the
+    counts themselves, for the CNN, ``deployment.first_layer = "host"`` or a low
+    ``deployment.input_rate``."""
 
 
 @dataclass(frozen=True)
 class SplitShares(Section):
-    """Which samples are for what."""
+    """The shares of test and validation samples."""
 
     test_fraction: Annotated[float, INSIDE_0_1] = paper.TEST_FRACTION
     """Share of all samples (paper: 80-20 splits)."""
     validation_fraction: Annotated[float, FROM_0_BELOW_1] = 0.0
-    """Share of the training samples that is kept for choosing settings."""
+    """Share of the training samples that is held out for choosing settings."""
 
 
 @dataclass(frozen=True)
@@ -197,7 +198,7 @@ class CNN(Section):
     learning_rate: Annotated[float, ABOVE_0] = 0.001
     """Not given in the paper; Keras's default for RMSProp."""
     model: str = ""
-    """A Keras model file whose weights stand in for trained ones; ``convert --model`` sets it."""
+    """A Keras model file whose weights replace trained ones; ``convert --model`` sets it."""
     model_sha256: str = ""
     """Of that file's content."""
 
@@ -207,25 +208,25 @@ class SNN(Section):
     """Training with rate-based LIF neurons (paper, Section 3.2.2)."""
 
     recipe: Annotated[str, one_of(*RECIPES)] = "loihi"
-    """``loihi``: the chip's rates and 8-bit weights in the forward pass, noise that stands for
-    the ripple of spikes, starting from the CNN's weights; ``paper``: plain rate-based LIF, from
-    new weights, trained as the CNN is; ``as-is``: the CNN's weights, fitted to the neurons' range
-    and curve and not trained on."""
+    """``loihi``: the chip's rates and 8-bit weights in the forward pass, noise that models the
+    ripple of spikes, starting from the CNN's weights; ``paper``: plain rate-based LIF, from new
+    initial weights, trained like the CNN; ``as-is``: the CNN's weights, scaled to the neurons'
+    range and response curve without further training."""
     epochs: Annotated[int, OWN_EPOCHS] = 0
-    """Passes over the training samples; 0 for the recipe's own."""
+    """Passes over the training samples; 0 for the default of the recipe."""
     batch_size: Annotated[int, OWN_BATCH] = 0
-    """Samples a step; 0 for the recipe's own."""
+    """Samples per training step; 0 for the default of the recipe."""
     learning_rate: Annotated[float, AT_LEAST_0] = 0.0
-    """At the start; 0 for the recipe's own."""
+    """Initial learning rate; 0 for the default of the recipe."""
     noise: Annotated[float, AT_LEAST_0] = 0.1
     """Standard deviation of the noise on each neuron's input while training, relative to the
     activation at ``max_rates``; recipe ``loihi`` only."""
     spike_penalty: Annotated[float, AT_LEAST_0] = 0.05
-    """Weight in the loss of the synaptic operations of 100 steps, in units of the CNN's
-    multiply-accumulates; recipe ``loihi`` only."""
+    """Weight of the penalty on synaptic operations in the loss: those of 100 steps, in units of the
+    CNN's multiply-accumulates; recipe ``loihi`` only."""
     max_rates: tuple = (150.0,)
-    """Spikes a second of the neurons of each convolution and hidden dense layer at activation 1;
-    the last entry holds for all layers after it."""
+    """Spikes per second of the neurons of each convolution and hidden dense layer at activation 1;
+    the last entry also applies to all layers after it."""
     tau_rc: Annotated[float, TAU] = 0.02
     """Membrane time constant in seconds."""
     tau_ref: Annotated[float, REFRACTORY] = 0.001
@@ -237,26 +238,26 @@ class SNN(Section):
         return self.recipe != "paper"
 
     def max_rate(self, index: int) -> float:
-        """Of layer of neurons ``index``, from 0."""
+        """The maximum rate of layer of neurons ``index``, counted from 0."""
         return self.max_rates[min(index, len(self.max_rates) - 1)]
 
 
 @dataclass(frozen=True)
 class NIR(Section):
-    """A NIR graph in the place of the trained network; see :mod:`pipeline.run.nir_conversion`."""
+    """A NIR graph that replaces the trained network; see :mod:`pipeline.run.nir_conversion`."""
 
     file: str = ""
-    """A NIR graph, such as networks trained in PyTorch are exported as; ``convert --nir`` sets
-    it, and an empty text goes back to networks trained here."""
+    """A NIR graph, such as one exported from PyTorch; ``convert --nir`` sets it, and an empty text
+    selects networks trained here."""
     sha256: str = ""
     """Of that file's content."""
     step: Annotated[float, STEP_OR_NONE] = 0.0
-    """Milliseconds of the graph's time in a step of the chip; 0: 0.1 where snnTorch's exporter
-    wrote the graph, otherwise as long as ``input.step``, or with images 1."""
+    """Milliseconds of the graph's time in a step of the chip; 0: 0.1 if snnTorch's exporter wrote
+    the graph, otherwise the value of ``input.step``, or 1 with images."""
     method: Annotated[str, one_of("auto", "exact", "euler")] = "auto"
-    """How the graph's equations become steps: ``exact``, their own solution; ``euler``, forward
-    Euler steps, as Norse and snnTorch train; ``auto``, ``euler`` where snnTorch's exporter wrote
-    the graph, otherwise ``exact``."""
+    """How the graph's equations are integrated: ``exact``, their exact solution; ``euler``, forward
+    Euler steps, as Norse and snnTorch train; ``auto``, ``euler`` if snnTorch's exporter wrote the
+    graph, otherwise ``exact``."""
 
 
 @dataclass(frozen=True)
@@ -268,24 +269,24 @@ class EventTraining(Section):
     epochs: Annotated[int, EPOCHS] = 80
     """Passes over the training samples."""
     batch_size: Annotated[int, BATCH] = 32
-    """Samples a step."""
+    """Samples per training step."""
     learning_rate: Annotated[float, ABOVE_0] = 0.003
-    """Of Adam; it falls to 0 along a half cosine."""
+    """Initial learning rate of Adam; it falls to 0 along a half cosine."""
     early: Annotated[float, AT_LEAST_0] = 1.0
-    """Weight in the loss of being right while the digit is still being written."""
+    """Weight in the loss of correct early decisions, while the digit is still being written."""
     budget: Annotated[float, ABOVE_0] = 0.8
     """Synaptic operations of an inference, in multiples of the paper's CNN's multiply-accumulates,
-    past which the loss has a price."""
+    above which the loss has a penalty."""
 
 
 @dataclass(frozen=True)
 class Slayer(Section):
-    """Training on the events themselves (paper, Section 3.2.3)."""
+    """SLAYER training on the events (paper, Section 3.2.3)."""
 
     architecture: str = "10x10x2-6c2-24c3-10o"
     """As the CNN's, with a channel for each polarity."""
     bins: Annotated[int, STEPS] = 200
-    """Time steps that a recording is divided into; of two seconds, so 10 ms each (paper)."""
+    """Time steps that a recording of two seconds is divided into; 10 ms each (paper)."""
     epochs: Annotated[int, EPOCHS] = 100
     """Passes over the training samples."""
     batch_size: Annotated[int, BATCH] = 32
@@ -293,7 +294,7 @@ class Slayer(Section):
     learning_rate: Annotated[float, ABOVE_0] = 0.01
     """Not given in the paper; that of the SLAYER authors' own examples, as is the optimiser."""
     true_count: float = 60.0
-    """Desired spikes of the right digit's output neuron (paper)."""
+    """Desired spikes of the correct digit's output neuron (paper)."""
     false_count: float = 10.0
     """Desired spikes of each other output neuron (paper)."""
     tau_s: Annotated[float, TAU] = 0.1
@@ -302,56 +303,56 @@ class Slayer(Section):
     tau_r: Annotated[float, TAU] = 0.01
     """Time constant in seconds of its refractory response; 1 time step in those examples."""
     conv_scale: Annotated[float, ABOVE_0] = 100.0
-    """How far the first weights of a convolution reach, in units of 1/sqrt(inputs): that of the
-    SLAYER authors' code, which the paper used unmodified.  10 does far better
+    """Range of the initial weights of a convolution, in units of 1/sqrt(inputs): that of the
+    SLAYER authors' code, which the paper used unmodified.  10 gives a higher accuracy
     (results/README.md)."""
     dense_scale: Annotated[float, ABOVE_0] = 10.0
-    """The same of the output layer's weights, from the same code."""
+    """Range of the initial weights of the output layer, from the same code."""
 
 
 @dataclass(frozen=True)
 class Deployment(Section):
-    """How the spiking network is laid out; see :mod:`deploy.network.spec`."""
+    """How the spiking network is placed on chip and host; see :mod:`deploy.network.spec`."""
 
     first_layer: Annotated[str, one_of("chip", "host")] = "chip"
-    """``chip``: the image becomes spikes in an input layer on the host, all layers of neurons are
+    """``chip``: an input layer on the host converts the image to spikes, all layers of neurons are
     on the chip; ``host``: the first layer's neurons are on the host, fed with currents."""
     readout: Annotated[str, one_of("chip", "host")] = "host"
     """``host``: output decoded from the spikes of the last layer of neurons; ``chip``: a neuron
     for each class."""
     input_rate: Annotated[float, RATE] = 500.0
-    """Spikes a second of a pixel of value 1."""
+    """Spikes per second of a pixel of value 1."""
     input_phase: Annotated[float, FROM_0_BELOW_1] = 0.5
-    """Voltage of a blank pixel's input neuron, as a share of its threshold: a sample's spikes are
-    as many as expected, rounded to the nearest with 0.5, rounded down with 0."""
+    """Voltage of a blank pixel's input neuron, as a share of its threshold: the number of spikes of
+    a sample is the expected number, rounded to the nearest with 0.5 and down with 0."""
     synapse: Annotated[float, TAU_OR_NONE] = 0.008
     """Time constant in seconds of the low-pass on every spiking connection; 0 for none."""
     pop_type: Annotated[int, POP_TYPE] = 32
-    """How convolutions' axons are laid out on the chip; 16 halves them, and wants filters in
+    """Type of the convolutions' axons on the chip; 16 halves their number and requires filters in
     multiples of 4."""
 
 
 @dataclass(frozen=True)
 class Showing(Section):
-    """How samples are shown; see :class:`deploy.network.spec.Presentation`."""
+    """How samples are presented; see :class:`deploy.network.spec.Presentation`."""
 
     steps: Annotated[int, STEPS_OR_NONE] = 0
-    """Steps that a sample is shown: of 1 ms, or with events each of ``input.step``; 0 for 100, or
-    with events for the two seconds of a recording."""
+    """Steps for which a sample is presented: of 1 ms, or with events each of ``input.step``; 0 for
+    100, or with events for the two seconds of a recording."""
     gap: Annotated[int, STEPS_OR_NONE] = Presentation.gap
     """Blank steps before each sample."""
     readout_start: int = Presentation.readout_start
-    """Step from which on the mean of the outputs decides; with events it is the first."""
+    """First step of the mean output that decides; with events it is always the first step."""
     stream_length: Annotated[int, SAMPLES] = Presentation.stream_length
-    """Samples that are shown one after the other before the network starts afresh."""
+    """Samples that are presented one after the other before the network is reset."""
 
 
 @dataclass(frozen=True)
 class Check(Section):
-    """The check that every target answers."""
+    """The check that is run on every target."""
 
     samples: Annotated[int, SAMPLES] = paper.CHECK_SAMPLES
-    """Drawn at random from the test split, as in the paper."""
+    """Number of samples, drawn at random from the test split, as in the paper."""
 
 
 @dataclass(frozen=True)
@@ -359,7 +360,7 @@ class Settings(Section):
     """All settings of an experiment."""
 
     seed: Annotated[int, SEED] = 0
-    """Of the split, the training and the choice of the check's samples."""
+    """Seed of the split, the training and the choice of the check's samples."""
     data: Data = field(default_factory=Data)
     input: Input = field(default_factory=Input)
     skin: SkinSize = field(default_factory=SkinSize)
@@ -406,7 +407,7 @@ class Settings(Section):
 
     @property
     def stimulus(self) -> Stimulus:
-        """What the chip is fed."""
+        """The input of the chip."""
         if self.on_events:
             return EventFrames(self.input.step / 1000, self.input.rest)
         if self.deployment.first_layer == "host":
@@ -415,7 +416,7 @@ class Settings(Section):
 
     @property
     def steps(self) -> int:
-        """Steps that a sample is shown, also where ``presentation.steps`` leaves it open."""
+        """Steps for which a sample is presented, also if ``presentation.steps`` is 0."""
         if self.presentation.steps:
             return self.presentation.steps
         if not self.on_events:
@@ -424,12 +425,12 @@ class Settings(Section):
 
     @property
     def on_events(self) -> bool:
-        """Whether the chip is shown events, not images."""
+        """Whether the input of the chip is events, not images."""
         return self.input.kind == "events"
 
     @property
     def network(self) -> str:
-        """What the network for the chip comes from: ``"nir"``, or the kind of the input."""
+        """The origin of the network for the chip: ``"nir"``, or the kind of the input."""
         return "nir" if self.nir.file else self.input.kind
 
     def value(self, name: str):
@@ -437,12 +438,12 @@ class Settings(Section):
         return functools.reduce(getattr, name.split("."), self)
 
     def only(self, names) -> Settings:
-        """These settings without all others: to read one of those raises `UndeclaredSetting`.
+        """Only the named settings; reading any other raises `UndeclaredSetting`.
 
         Parameters
         ----------
         names : iterable of str
-            Dotted names.  :data:`PATHS` stay readable too.
+            Dotted names.  :data:`PATHS` remain readable too.
         """
         kept = {*names, *PATHS}
         return _narrowed(self, kept, "")
@@ -456,7 +457,7 @@ class Settings(Section):
         return {name: getattr(section, entry) for name, section, entry in _entries(self)}
 
     def relevant(self) -> dict:
-        """As :meth:`flat`, without what a run with these settings does not read."""
+        """As :meth:`flat`, without the settings that such a run does not read."""
         unread = ("slayer.",)
         if self.on_events:
             unread += ("cnn.", "snn.", "image.", "deployment.", "presentation.readout_start")
@@ -520,7 +521,7 @@ def describe(settings: Settings) -> list:
 
 
 def settings_text(described: list, width: int = 80) -> str:
-    """What :func:`describe` gives, as a list; a star marks what is not the default."""
+    """The result of :func:`describe` as text; a star marks values that are not the default."""
     lines = []
     for row in described:
         value, default = _toml(row["value"]), _toml(row["default"])
@@ -534,7 +535,7 @@ def settings_text(described: list, width: int = 80) -> str:
 
 
 def _middle_cut(line, width):
-    """A line without its middle where it is too long: a path's end tells more than its middle."""
+    """A line, with its middle left out if it is too long; a path's end matters more."""
     if len(line) <= width:
         return line
     half = (width - 3) // 2
@@ -565,7 +566,7 @@ def parse_assignments(assignments) -> dict:
 
 
 def put(values: dict, name: str, value, origin: str):
-    """Put a value into nested ones, in the place of one that is there.
+    """Put a value into nested ones; it replaces an existing one.
 
     Parameters
     ----------
@@ -580,7 +581,7 @@ def put(values: dict, name: str, value, origin: str):
     Raises
     ------
     UserError
-        What should be a section has a value of its own, or the other way about.
+        A name is used both as a section and as a value.
     """
     *sections, last = name.split(".")
     for section in sections:
@@ -625,7 +626,7 @@ def _changed(settings, changes, origin, prefix):
 
 
 def _meant(name, known, prefix):
-    """A question for a name that is nearly another's."""
+    """The suggestion of a known name that is similar to an unknown one."""
     near = difflib.get_close_matches(str(name), known, n=1)
     return f", did you mean {prefix + near[0]!r}?" if near else ""
 
@@ -752,12 +753,12 @@ def _validate(s: Settings, origin):
 
 
 def check_fits(s: Settings, rows: int, columns: int, classes: int, origin: str):
-    """Refuse an architecture that is not for what is shown, of this size and so many classes.
+    """Refuse an architecture that does not fit the size of the input and the number of classes.
 
     Raises
     ------
     UserError
-        With the architecture that would be, but for the layers between.
+        The architecture does not fit; the message suggests one that does.
     """
     if s.nir.file:  # a graph is compared with the recordings when it is read
         return

@@ -17,19 +17,17 @@ from pipeline.run.folder import RunFolder
 
 
 def adapt(
-    run: Annotated[
-        Path, typer.Argument(help="The run's folder, or a bundle's copied from anywhere.")
-    ],
+    run: Annotated[Path, typer.Argument(help="Folder of a run, or of a copied bundle.")],
     data: Annotated[
-        str, typer.Option(help="Zip or folder of the person's recordings, each class among them.")
+        str, typer.Option(help="Zip or folder of the person's recordings of every class.")
     ],
     writer: Annotated[
         Optional[int],  # noqa: UP045 - Typer reads the annotation at run time
-        typer.Option(help="Whose recordings, where there are several people's.", min=0),
+        typer.Option(help="The writer to use, if there are several.", min=0),
     ] = None,
     out: Annotated[
         Optional[Path],  # noqa: UP045
-        typer.Option(help="The new bundle's folder.", show_default="RUN/adapted"),
+        typer.Option(help="Folder of the new bundle.", show_default="RUN/adapted"),
     ] = None,
     seed: Annotated[
         int, typer.Option(help="Seed of the fit.", parser=options.between(0, 2**31 - 1))

@@ -23,7 +23,7 @@ from pipeline.progress import progress
 from pipeline.run.folder import RunFolder
 
 BY_DEFAULT = tuple(name for name in MODELS if name not in SLOW)
-OUT = typer.Option(help="Folder of the results; splits that are there are not run again.")
+OUT = typer.Option(help="Folder of the results; splits with a result are not run again.")
 
 
 def table2(
@@ -41,7 +41,7 @@ def table2(
     kind: Annotated[
         str,
         typer.Option(
-            help="Splits: random (the paper's), writers (nobody in both training and test), or "
+            help="Splits: random (the paper's), writers (no writer in both training and test), or "
             "both; by default both where the writers are known."
         ),
     ] = "",
@@ -53,7 +53,7 @@ def table2(
     scheduler: options.Scheduler = None,
     as_json: options.Json = False,
 ):
-    """Run the paper's Table 2: mean (SD) over splits, beside the paper's figures.
+    """Measure the paper's Table 2: mean (SD) over splits, next to the paper's figures.
 
     Goes on where it was interrupted.  A split that fails is reported and its row is of the others;
     exit status 1.
@@ -74,7 +74,7 @@ def conversion(
     scheduler: options.Scheduler = None,
     as_json: options.Json = False,
 ):
-    """Run the paper's networks under presentations, readouts and rates that it leaves open.
+    """Run the paper's networks with the presentations, readouts and rates it leaves open.
 
     Tells what could have cost the paper 2 points from CNN to spiking network and 3 to Loihi.  Goes
     on where it was interrupted.
@@ -87,7 +87,7 @@ def conversion(
 
 def losses(
     out: Annotated[
-        Path, typer.Option(help="Folder of the results; seeds that are there are not run again.")
+        Path, typer.Option(help="Folder of the results; seeds with a result are not run again.")
     ] = Path("runs/losses"),
     seeds: Annotated[
         int, typer.Option(help="Seeds, from the settings' own on; one a split.", min=1)
@@ -100,7 +100,7 @@ def losses(
     scheduler: options.Scheduler = None,
     as_json: options.Json = False,
 ):
-    """Measure what is lost from the CNN to the chip: whole test split, several seeds.
+    """Measure the loss from the CNN to the chip on the complete test split, over seeds.
 
     The chip is the target fast, of images at 100 and at 50 steps, of events as the settings show
     them.  Goes on where it was interrupted.
@@ -113,7 +113,7 @@ def losses(
 
 def events(
     out: Annotated[
-        Path, typer.Option(help="Folder of the results; trainings that are there are not repeated.")
+        Path, typer.Option(help="Folder of the results; existing trainings are not repeated.")
     ] = Path("runs/time"),
     seeds: Annotated[
         int, typer.Option(help="Seeds, from the settings' own on; one a split.", min=1)
@@ -125,7 +125,7 @@ def events(
     scheduler: options.Scheduler = None,
     as_json: options.Json = False,
 ):
-    """Measure what time is worth: train on events without polarity, without their times, ...
+    """Measure the value of timing: train on events without polarity, without times, ...
 
     Five variants a seed, minutes each, judged on the whole test split by the target fast.  Goes on
     where it was interrupted, after the last epoch.
@@ -143,14 +143,16 @@ def emulator(
         typer.Option(help="Use only the first samples of the bundle's check.", min=1),
     ] = None,
     compare_only: Annotated[
-        bool, typer.Option("--compare-only", help="Leave out how the cost grows and its limit.")
+        bool,
+        typer.Option("--compare-only", help="Leave out the measurements of scaling and limits."),
     ] = False,
     networks: Annotated[
-        bool, typer.Option("--networks", help="FastSimulator on six networks, and no bundle.")
+        bool,
+        typer.Option("--networks", help="Measure FastSimulator on six networks, not a bundle."),
     ] = False,
     as_json: options.Json = False,
 ):
-    """Time NengoLoihi's emulator and the target fast in turns, on a bundle's samples.
+    """Compare the speed of NengoLoihi's emulator and the target fast on a bundle's samples.
 
     Checks that both give the same spikes; exit status 1 if not.
     """
@@ -182,11 +184,9 @@ def _names(models):
 
 
 def adapt(
-    run: Annotated[Path, typer.Argument(help="The run's folder, or a bundle's.")],
-    data: Annotated[
-        str, typer.Option(help="Recordings of several writers whom nobody trained on.")
-    ],
-    out: Annotated[Path, typer.Option(help="The result, JSON.")] = Path("runs/adapt.json"),
+    run: Annotated[Path, typer.Argument(help="Folder of a run or of a bundle.")],
+    data: Annotated[str, typer.Option(help="Recordings of several writers, not used in training.")],
+    out: Annotated[Path, typer.Option(help="File of the result, JSON.")] = Path("runs/adapt.json"),
     each: Annotated[
         str, typer.Option(help="Recordings of each class to learn from, separated by commas.")
     ] = "1,2,5",
@@ -198,7 +198,7 @@ def adapt(
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
-    """Measure what fitting the readout to a person is worth, over people."""
+    """Measure the gain of fitting the readout to a person, over people."""
     from pipeline.experiments.adaptation import adaptation_text, measure_adaptation  # Nengo
 
     folder = RunFolder(run)

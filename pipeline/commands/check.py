@@ -42,14 +42,14 @@ def run(
     data: Annotated[
         Optional[str],  # noqa: UP045
         typer.Option(
-            help="Other recordings, zip or folder, in the place of the bundle's samples; sensor "
+            help="Other recordings, zip or folder, instead of the bundle's samples; sensor "
             "and classes must be the same."
         ),
     ] = None,
     samples: Annotated[
         Optional[int],  # noqa: UP045
         typer.Option(
-            help="With --data: how many, drawn at random; 0 for all (default: 200 at most).",
+            help="With --data: recordings drawn at random; 0 for all (default: 200 at most).",
             parser=options.between(0, limits.SAMPLES),
         ),
     ] = None,
@@ -63,10 +63,10 @@ def run(
         typer.Option(help="SLURM partition (default: the board is on this host).", **BOARD),
     ] = None,
     chips: Annotated[
-        int, typer.Option(help="Chips that may be used.", **BOARD)
+        int, typer.Option(help="Largest number of chips to use.", **BOARD)
     ] = BoardOptions.chips,
     attempts: Annotated[
-        int, typer.Option(help="How often a stream is begun before giving up.", **BOARD)
+        int, typer.Option(help="Largest number of attempts for each stream.", **BOARD)
     ] = BoardOptions.attempts,
     wait: Annotated[
         float,
@@ -74,7 +74,7 @@ def run(
     ] = BoardOptions.wait,
     timeout: Annotated[
         float,
-        typer.Option(help="Seconds after which a stream that hangs is given up.", **BOARD),
+        typer.Option(help="Seconds after which a stream that hangs is abandoned.", **BOARD),
     ] = BoardOptions.timeout,
     energy: Annotated[
         bool, typer.Option("--energy", help="Measure power if the board can.", **BOARD)
@@ -138,7 +138,7 @@ def _on_others(bundle, target, data, samples, seed, jobs, out, chosen, as_json):
 
 def compare_checks(
     a: Annotated[Path, typer.Argument(help="A result, JSON.")],
-    b: Annotated[Path, typer.Argument(help="Another of the same bundle.")],
+    b: Annotated[Path, typer.Argument(help="Another result of the same bundle.")],
     max_disagreements: Annotated[
         Optional[int],  # noqa: UP045
         typer.Option(help="Exit with status 1 if more predictions differ."),
@@ -149,7 +149,7 @@ def compare_checks(
     ] = None,
     as_json: options.Json = False,
 ):
-    """Set two results side by side: agreement, McNemar's test, the first samples that differ."""
+    """Compare two results: agreement, McNemar's test, the first samples that differ."""
     require_limits(max_disagreements, max_accuracy_drop)
     comparison = compare_results(read_result(a), read_result(b))
     options.warn_if_outdated(a, b)

@@ -12,13 +12,13 @@ from pipeline.run.comparison import compare_runs, read_runs, runs_text
 
 
 def compare_(
-    runs: Annotated[list[Path], typer.Argument(help="Two or more runs' folders.")],
+    runs: Annotated[list[Path], typer.Argument(help="Folders of two or more runs.")],
     whole: Annotated[
-        bool, typer.Option("--whole", help="On the whole test split, not on the check's samples.")
+        bool, typer.Option("--whole", help="Use the complete test split, not the check's samples.")
     ] = False,
     as_json: options.Json = False,
 ):
-    """Set runs side by side: settings, accuracy of each stage, operations, cores, time to decide.
+    """Compare runs: settings, accuracy of each stage, operations, cores, time to decide.
 
     Every run is held against the first one: pairwise, with McNemar's test, where both answered the
     same samples.

@@ -32,7 +32,7 @@ SimulationSeed = Annotated[
 PerDigit = Annotated[
     int,
     typer.Option(
-        help="Recordings of each digit; 0 for the published numbers.",
+        help="Recordings per digit; 0 for the published numbers.",
         parser=options.between(0, limits.SAMPLES),
     ),
 ]
@@ -53,18 +53,20 @@ class Unit(StrEnum):
         return "" if self is Unit.found else self.value
 
 
-Side = Annotated[int, typer.Option(help="Of taxels, 2 to 256.", parser=options.between(2, 256))]
+Side = Annotated[
+    int, typer.Option(help="Number of taxels, 2 to 256.", parser=options.between(2, 256))
+]
 SideOrFound = Annotated[
     int,
     typer.Option(
-        help="Of taxels; 0: as found, or ten of the simulated skin.",
+        help="Number of taxels; 0: as found, or ten for the simulated skin.",
         parser=options.between(0, 256),
     ),
 ]
 TimeUnit = Annotated[
     Unit,
     typer.Option(
-        help="Of times in files of events: s, ms, us or ns; as-found: told from their lengths.",
+        help="Unit of times in files of events: s, ms, us or ns; as-found: inferred from duration.",
         metavar="UNIT",
     ),
 ]
@@ -99,7 +101,9 @@ def import_(
 
 
 def export(
-    folder: Annotated[Path, typer.Argument(help="Recordings, such as those kept by stmnist live.")],
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of recordings, such as that of stmnist live.")
+    ],
     out: Annotated[Path, typer.Argument(help="The zip to write, laid out as published.")],
 ):
     """Pack a folder of recordings as a zip that works as DATA, each file as it is."""
@@ -164,7 +168,8 @@ def stats(
     data: Source = SIMULATED,
     seed: SimulationSeed = 0,
     against_paper: Annotated[
-        bool, typer.Option("--against-paper", help="The paper's Table 1 and the errors beside it.")
+        bool,
+        typer.Option("--against-paper", help="Also print the paper's Table 1 and the differences."),
     ] = False,
     rows: SideOrFound = 0,
     columns: SideOrFound = 0,

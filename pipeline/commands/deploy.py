@@ -31,7 +31,7 @@ class Format(StrEnum):
 
 def plan(
     bundle: options.Bundle,
-    chips: Annotated[int, typer.Option(help="Chips that may be used.", min=1)] = 1,
+    chips: Annotated[int, typer.Option(help="Largest number of chips to use.", min=1)] = 1,
     figure: Annotated[
         Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
         typer.Option(help="Draw the placement to this file: .png, .svg or .pdf."),
@@ -66,7 +66,7 @@ def export(
     format: Annotated[
         Format,
         typer.Option(
-            help="To what: the network as NIR, or the chip's integers and the spikes into it for "
+            help="Format: the network as NIR, or the chip's integers and its input spikes for "
             "Lava, as .npz."
         ),
     ],

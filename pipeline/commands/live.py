@@ -34,15 +34,15 @@ def live(
     run: Annotated[
         Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
         typer.Argument(
-            help="The run's folder, or a bundle's copied from anywhere.",
+            help="Folder of a run, or of a copied bundle.",
             show_default="the network on events that comes with this package",
         ),
     ] = None,
     port: Annotated[
-        int, typer.Option(help="Of this machine; 0 for any that is free.", min=0, max=65535)
+        int, typer.Option(help="Port of this machine; 0 for any free one.", min=0, max=65535)
     ] = PORT,
     record: Annotated[
-        Path, typer.Option(help="Folder in which recordings are kept; works as DATA.")
+        Path, typer.Option(help="Folder for the recordings; usable as DATA.")
     ] = RECORD,
     no_browser: Annotated[
         bool, typer.Option("--no-browser", help="Only print the address.")
@@ -54,7 +54,7 @@ def live(
     set_: options.Assignments = None,
     jobs: options.Jobs = 2,
 ):
-    """Write digits in the browser, watch the network decide, keep what was written.
+    """Write digits in the browser, watch the network decide, save the recordings.
 
     Without a run it begins at once, with a network that comes with this package.  A run that is not
     there is trained first.  Serves on 127.0.0.1 only, until Ctrl-C.

@@ -24,7 +24,7 @@ ClickException = UsageError.__base__
 
 VERBS = {
     "data": (
-        "Recordings: read, look at, make, count, draw.",
+        "Recordings: import, inspect, simulate, count, draw.",
         {
             "import": "data.import_",
             "inspect": "data.inspect",
@@ -43,7 +43,7 @@ VERBS = {
         "stages.train",
     ),
     "convert": (
-        "Train the network that spikes, on images or with --input events, and write the bundle.",
+        "Train the spiking network, on images or with --input events, and write the bundle.",
         "stages.convert",
     ),
     "adapt": (
@@ -51,11 +51,11 @@ VERBS = {
         "adapt.adapt",
     ),
     "check": (
-        "The check that every target answers.",
+        "Run the check on a target, or compare two results.",
         {"run": "check.run", "compare": "check.compare_checks"},
     ),
     "ladder": (
-        "Do what is missing up to the emulator, and print what each stage loses.",
+        "Run the missing stages up to the emulator, and print the loss of each stage.",
         "stages.ladder",
     ),
     "status": (
@@ -63,16 +63,15 @@ VERBS = {
         "status.status",
     ),
     "compare": (
-        "Set runs side by side: settings, accuracy of each stage, operations, cores, time to "
-        "decide.",
+        "Compare runs: settings, accuracy of each stage, operations, cores, time to decide.",
         "compare.compare_",
     ),
     "deploy": (
-        "Before and beside a board: what fits, exports.",
+        "Plan the placement on the chip, export, estimate the energy.",
         {"plan": "deploy.plan", "export": "deploy.export", "energy": "deploy.energy"},
     ),
     "benchmark": (
-        "The paper's Table 2, what conversion costs and time is worth, and speed.",
+        "Measure the paper's Table 2, conversion losses, the value of timing, and speed.",
         {
             "table2": "benchmark.table2",
             "conversion": "benchmark.conversion",
@@ -87,15 +86,15 @@ VERBS = {
         "sweep.sweep",
     ),
     "report": (
-        "Write the run as one self-contained HTML file, with whatever has been measured so far.",
+        "Write the run's results so far as one self-contained HTML file.",
         "report.report",
     ),
     "animate": (
-        "Write a sample of a run as an animation: events, image, probabilities over time.",
+        "Write an animation of a sample: events, image, probabilities over time.",
         "report.animate",
     ),
     "live": (
-        "Write digits in the browser, watch the network decide, keep what was written.",
+        "Write digits in the browser, watch the network decide, save the recordings.",
         "live.live",
     ),
     "settings": (
@@ -103,14 +102,14 @@ VERBS = {
         "settings.settings",
     ),
 }
-"""Every verb: what the list says of it, and the function, as ``module.function`` of this package,
-or verbs of its own.  A module is imported when a verb of it is chosen: all take a second, which
-``--help`` and a TAB need not wait for."""
+"""Every verb: its line in the list, and its function, as ``module.function`` of this package, or
+its own verbs.  A module is imported only when one of its verbs is chosen, so that ``--help`` and a
+TAB do not wait for the second that importing all of them takes."""
 
 
 METAVARS = {bool: "", int: "N", float: "X", Path: "PATH", str: "TEXT"}
-"""What ``--help`` says that an option takes; a choice lists itself.  Typer's own words, such as
-``<int range>``, would take a third of 60 columns from the help."""
+"""The placeholders of option values in ``--help``; a choice lists its values instead.  Typer's own
+placeholders, such as ``<int range>``, would take a third of a help text 60 columns wide."""
 
 
 def _with_short_metavars(verb):

@@ -33,8 +33,8 @@ def between(low: int, high: int):
     return number
 
 
-Run = Annotated[Path, typer.Argument(help="The run's folder, such as runs/default.")]
-Bundle = Annotated[Path, typer.Argument(help="The bundle's folder, or its run's.")]
+Run = Annotated[Path, typer.Argument(help="Folder of the run, such as runs/default.")]
+Bundle = Annotated[Path, typer.Argument(help="Folder of the bundle or of its run.")]
 Data = Annotated[
     Optional[str],  # noqa: UP045 - Typer reads the annotation at run time
     typer.Option(help="Zip or folder of recordings, or 'simulated' (default: the run's own)."),
@@ -44,21 +44,21 @@ Input = Annotated[
     Optional[str],  # noqa: UP045
     typer.Option(
         "--input",
-        help="What the chip is shown: 'image' or 'events'.",
+        help="Input of the chip: 'image' or 'events'.",
         autocompletion=lambda: ["image", "events"],
     ),
 ]
 Samples = Annotated[Optional[int], typer.Option(help="Samples of the check.")]  # noqa: UP045
-Steps = Annotated[Optional[int], typer.Option(help="Steps that a sample is shown.")]  # noqa: UP045
+Steps = Annotated[Optional[int], typer.Option(help="Steps for which a sample is presented.")]  # noqa: UP045
 SettingsFile = Annotated[
     Optional[Path],  # noqa: UP045
-    typer.Option("--settings", help="A TOML file to start from instead of the run's own."),
+    typer.Option("--settings", help="TOML file of settings that replaces the run's."),
 ]
 Assignments = Annotated[
     Optional[list[str]],  # noqa: UP045
     typer.Option("--set", help="Change a setting, such as --set cnn.epochs=5; repeatable."),
 ]
-Jobs = Annotated[int, typer.Option(help="Processes.", parser=between(1, 10_000))]
+Jobs = Annotated[int, typer.Option(help="Number of parallel processes.", parser=between(1, 10_000))]
 Scheduler = Annotated[
     Optional[str],  # noqa: UP045
     typer.Option(

@@ -26,7 +26,7 @@ def animate(
     ] = "",
     jobs: options.Jobs = 2,
 ):
-    """Write a sample of a run as an animation: events, image, probabilities over time."""
+    """Write an animation of a sample: events, image, probabilities over time."""
     from pipeline.inputs.library import recordings_of
     from pipeline.report.figures import animation
 
@@ -60,12 +60,12 @@ def report(
     beside: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option(
-            help="A run of images to show beside one of events, from the same recordings."
+            help="A run on images to compare with one on events, from the same recordings."
         ),
     ] = None,
     jobs: options.Jobs = 2,
 ):
-    """Write the run as one self-contained HTML file, with whatever has been measured so far."""
+    """Write the run's results so far as one self-contained HTML file."""
     folder = RunFolder(run)
     other = RunFolder(beside) if beside else None
     html = render(gather(folder, benchmark or run.parent / "table2", jobs, options.say, other))

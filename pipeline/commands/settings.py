@@ -15,7 +15,7 @@ from pipeline.settings import Settings, describe, read_settings, settings_text
 def settings(
     run: Annotated[
         Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
-        typer.Argument(help="The run's folder (default: the built-in values)."),
+        typer.Argument(help="Folder of the run (default: the built-in values)."),
     ] = None,
     as_json: options.Json = False,
 ):

@@ -34,10 +34,10 @@ def calibrate(
     rounds: Annotated[int, typer.Option(help="Rounds of the fit.", min=1)] = 8,
     seed: SimulationSeed = 0,
     check: Annotated[
-        bool, typer.Option("--check", help="Fit nothing; exit 1 if a cell is past its limit.")
+        bool, typer.Option("--check", help="Do not fit; exit 1 if a cell exceeds its limit.")
     ] = False,
     out: Annotated[
-        Path, typer.Option(help="Where to write the fit.", show_default="the one that is read")
+        Path, typer.Option(help="File for the fit.", show_default="the one that is read")
     ] = parameters.CALIBRATION,
     jobs: options.Jobs = 2,
 ):
@@ -69,7 +69,7 @@ def handwriting(
         int, typer.Option(help="Seed of the search.", parser=options.between(0, 2**31 - 1))
     ] = 0,
     out: Annotated[
-        Path, typer.Option(help="Where to write the model.", show_default="the one that is read")
+        Path, typer.Option(help="File for the model.", show_default="the one that is read")
     ] = shape_model.MODEL,
 ):
     """Estimate how people write from recorded pen trajectories.
@@ -93,20 +93,20 @@ def handwriting(
 
 def difficulty(
     out: Annotated[
-        Path, typer.Option(help="Folder of the results; splits that are there are not run again.")
+        Path, typer.Option(help="Folder of the results; splits with a result are not run again.")
     ] = Path("runs/difficulty"),
     splits: Annotated[int, typer.Option(help="Random 80-20 splits.", min=1)] = 10,
     data: options.Data = None,
     settings: options.SettingsFile = None,
     set_: options.Assignments = None,
     store: Annotated[
-        bool, typer.Option("--store", help="Keep the result beside the simulation's settings.")
+        bool, typer.Option("--store", help="Save the result with the simulation's settings.")
     ] = False,
     jobs: options.Jobs = 2,
     scheduler: options.Scheduler = None,
     as_json: options.Json = False,
 ):
-    """Measure how hard the recordings are: the paper's CNN under the paper's protocol.
+    """Measure the accuracy of the paper's CNN on the recordings, with the paper's protocol.
 
     Goes on where it was interrupted.
     """
@@ -123,7 +123,7 @@ def aces_(
     seed: Annotated[int, typer.Option(help="Seed of the trials.", min=0)] = 0,
     as_json: options.Json = False,
 ):
-    """Measure what the shared wire loses: encode, add noise, decode, compare."""
+    """Measure the errors of the shared wire: encode, add noise, decode, compare."""
     with progress("aces", len(aces.NOISES) * len(aces.AT_ONCE)) as advance:
         rows = aces.wire_losses(trials, seed, parameters.load().aces, advance)
     options.tell(rows, aces.wire_losses_text, as_json)

@@ -52,26 +52,24 @@ def convert(
     model: Annotated[
         Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
         typer.Option(
-            help="A Keras model of your own (.keras or .h5) in the place of the CNN; read, not run."
+            help="Your Keras model (.keras or .h5), which replaces the CNN; read, not executed."
         ),
     ] = None,
     nir: Annotated[
         Optional[Path],  # noqa: UP045
-        typer.Option(
-            help="A NIR graph, as networks trained in PyTorch are exported; read, not run."
-        ),
+        typer.Option(help="A NIR graph, such as one exported from PyTorch; read, not executed."),
     ] = None,
     step: Annotated[
         Optional[float],  # noqa: UP045
-        typer.Option(help="With --nir: milliseconds that a step of the chip stands for."),
+        typer.Option(help="With --nir: duration in ms of a step of the chip."),
     ] = None,
     retrain: Annotated[
         bool,
-        typer.Option("--retrain", help="With --model: train it on with rate-based LIF neurons."),
+        typer.Option("--retrain", help="With --model: continue training with rate-based LIF."),
     ] = False,
     jobs: options.Jobs = 2,
 ):
-    """Train the network that spikes, on images or with --input events, and write the bundle.
+    """Train the spiking network, on images or with --input events, and write the bundle.
 
     With --model: scale that model to the neurons' range, make it spike, write the bundle.
     With --nir: turn the graph's neurons and weights into the chip's integers, write the bundle.
@@ -109,22 +107,22 @@ def ladder(
     set_: options.Assignments = None,
     jobs: options.Jobs = 2,
     whole: Annotated[
-        bool, typer.Option("--whole", help="On the whole test split, not on the check's samples.")
+        bool, typer.Option("--whole", help="Use the complete test split, not the check's samples.")
     ] = False,
     slow: Annotated[
         bool,
-        typer.Option("--slow", help="With --whole: NengoCore and simreal too, minutes each."),
+        typer.Option("--slow", help="With --whole: also NengoCore and simreal, minutes each."),
     ] = False,
     limit: Annotated[
         Optional[float],  # noqa: UP045 - Typer reads the annotation at run time
         typer.Option(
-            help="Points a stage may lose before its layers are shown (default: 1 with --whole, "
+            help="Loss in points from which a stage's layers are listed (default: 1 with --whole, "
             "else 3, if it is more than chance explains)."
         ),
     ] = None,
     as_json: options.Json = False,
 ):
-    """Do what is missing up to the emulator, and print what each stage loses."""
+    """Run the missing stages up to the emulator, and print the loss of each stage."""
     if limit is not None and not -100 <= limit <= 100:  # nothing is more than NaN
         raise UserError(f"--limit {limit:g}: must be from -100 to 100 points")
     given = (data, seed, samples, steps, settings, set_, kind)

@@ -14,7 +14,7 @@ from pipeline.experiments.sweep_text import sweep_text
 
 
 def sweep(
-    out: Annotated[Path, typer.Argument(help="The sweep's folder, such as runs/sweep.")],
+    out: Annotated[Path, typer.Argument(help="Folder of the sweep, such as runs/sweep.")],
     grid: Annotated[
         Optional[list[str]],  # noqa: UP045
         typer.Option(

@@ -179,7 +179,7 @@ def test_the_listing_marks_what_a_run_has_otherwise(tmp_path, capsys):
     first, meaning, *rest = capsys.readouterr().out.splitlines()
     assert first == "* seed = 3  (default 0)"
     assert max(map(len, rest)) <= 80
-    assert meaning.startswith("      Of the split")
+    assert meaning.startswith("      Seed of the split")
     assert not [line for line in rest if line.startswith("*")]
     assert call("settings", tmp_path, "--json") == 0
     seed, source, *_ = json.loads(capsys.readouterr().out)
