@@ -1,8 +1,8 @@
-"""What fitting the readout to a person is worth, over people and numbers of digits.
+"""The gain of fitting the readout to a person, over people and numbers of digits.
 
-Of each person some recordings of each class are learned from and all others are judged; the judged
-ones are the same however many are learned from.  Several draws of a person are averaged, and
-intervals are over people.
+For each person, some recordings of each class are used for training and all others for testing; the
+test recordings do not depend on the number of training recordings.  Several draws of a person are
+averaged, and intervals are over people.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ SCHEMA = "stmnist-adaptation/1"
 def measure_adaptation(
     bundle: Bundle, recordings: Recordings, each=(1, 2, 5), draws=5, wrong=0.0, seed=0, advance=None
 ) -> dict:
-    """Fit a bundle's readout to each person of some recordings, and judge it on the rest.
+    """Fit a bundle's readout to each person with some recordings, and test it on the others.
 
     Parameters
     ----------
     bundle : Bundle
     recordings : Recordings
-        Of several known writers, each class among each one's.
+        Recordings of several known writers, with every class from each writer.
     each : sequence of int
-        Recordings of each class that are learned from.
+        Numbers of training recordings of each class.
     draws : int
-        Of which ones, for each person.
+        Number of random draws of the training recordings, for each person.
     wrong : float
-        Share of the labels learned from that are made wrong, to see what that does.
+        Share of the training labels that are replaced by wrong ones, to measure their effect.
     seed : int
     advance : callable, optional
         Called with 1 after each person.
@@ -95,7 +95,7 @@ def measure_adaptation(
 
 
 def _enough(recordings, classes, most):
-    """Writers of whom there are recordings of each class to learn from and to judge."""
+    """Writers who have enough recordings of each class for training and testing."""
     known = [int(who) for who in np.unique(recordings.writers) if who >= 0]
     counts = {
         who: np.bincount(recordings.labels[recordings.writers == who], minlength=classes)
@@ -105,14 +105,14 @@ def _enough(recordings, classes, most):
 
 
 def _drawn(labels, most, rng):
-    """Indices to learn from, shape (classes, most), and to judge."""
+    """Indices of the training recordings, shape (classes, most), and of the test recordings."""
     order = [rng.permutation(np.flatnonzero(labels == label)) for label in np.unique(labels)]
     learned = np.array([mine[:most] for mine in order])
     return learned, np.concatenate([mine[most:] for mine in order])
 
 
 def _mistaken(labels, wrong, rng):
-    """Labels of which a share is another class's."""
+    """Labels, a share of which is replaced by those of other classes."""
     labels, classes = labels.copy(), labels.max() + 1
     some = rng.permutation(len(labels))[: round(wrong * len(labels))]
     labels[some] = (labels[some] + rng.integers(1, classes, len(some))) % classes
@@ -154,7 +154,7 @@ def _summary(found):
 
 
 def adaptation_text(measured: dict) -> str:
-    """What :func:`measure_adaptation` gives, as a table."""
+    """The result of :func:`measure_adaptation` as a table."""
     rows = [["each class", "before", "after", "gain", "95 %", "worst", "lost", "used"]]
     for count, row in measured["each"].items():
         low, high = row["interval95"]

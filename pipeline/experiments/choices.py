@@ -1,15 +1,15 @@
-"""What the choices that the paper leaves open cost: presentation, readout, rates, first layer.
+"""The losses under choices that the paper leaves open: presentation, readout, rates, first layer.
 
 The paper loses 2 points of accuracy from the CNN to the spiking network and 3 to Loihi (Table 2)
-and says nothing of how long a sample was shown, at which rates neurons fired and how the output was
-read.  Here the paper's rate-based networks (Section 3.2.2) are trained once and answer the whole
-test split under one choice after the other.  The reference is the rate-based network itself, which
-has no time.
+and does not state how long a sample was presented, at which rates neurons fired and how the output
+was read.  Here the paper's rate-based networks (Section 3.2.2) are trained once and tested on the
+complete test split under each choice.  The reference is the rate-based network itself, which has no
+time steps.
 
-Two choices are those of published examples that the paper's description (RMSProp, sparse
+Two choices come from published examples that the paper's description (RMSProp, sparse
 categorical cross-entropy, rate-based LIF exchanged for spiking LIF) resembles: NengoDL's spiking
 MNIST (100 Hz, 30 steps, no synapses, output smoothed over 100 ms and read at the last step), and
-NengoLoihi's (100 Hz, samples shown without a gap between them, the first layer off the chip).
+NengoLoihi's (100 Hz, samples presented without a gap between them, the first layer off the chip).
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def _trained_as(settings, max_rate):
 
 
 def _shown(steps, **more):
-    """A presentation of some steps, read in its last four fifths."""
+    """A presentation of a number of steps, read in its last four fifths."""
     return {"presentation": {"steps": steps, "readout_start": steps // 5, **more}}
 
 
@@ -110,13 +110,13 @@ read in the last four fifths of the steps.  ``host layer``: the first convolutio
 def measure_choices(
     folder: RunFolder, settings: Settings, splits: int, workers: Workers, say
 ) -> Findings:
-    """Measure what is not current; see :func:`pipeline.experiments.study.measure_splits`."""
+    """Measure missing results; see :func:`pipeline.experiments.study.measure_splits`."""
     experiment = Experiment("conversion", measure, summarise, result_origin)
     return measure_splits(experiment, folder, settings, splits, workers, say)
 
 
 def result_origin(settings: Settings, dataset: Origin, subject: str = "") -> Origin:
-    """What the result of a split is made from."""
+    """The origin of the result of a split."""
     cnn = ["image", "cnn.architecture", "cnn.epochs", "cnn.batch_size", "cnn.learning_rate"]
     reads = ["input.kind", *cnn, "snn", "deployment", "presentation"]
     choices = json.dumps([asdict(choice) for choice in CHOICES])
@@ -125,7 +125,7 @@ def result_origin(settings: Settings, dataset: Origin, subject: str = "") -> Ori
 
 
 def measure(task: Task) -> dict:
-    """Train a split's networks and let them answer under every choice.
+    """Train a split's networks and test them under every choice.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def _predictions(choice, settings, weights, dataset):
 
 
 def smoothed(outputs, dt: float = LOIHI.dt) -> np.ndarray:
-    """A low-pass of :data:`SMOOTHING` seconds at the last step, from zero.
+    """The outputs after a low-pass of :data:`SMOOTHING` seconds, at the last step.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def smoothed(outputs, dt: float = LOIHI.dt) -> np.ndarray:
 
 
 def summarise(results, simulated: bool) -> dict:
-    """Mean accuracy under each choice, and what it loses to the rate-based network, by split.
+    """Mean accuracy under each choice, and its loss relative to the rate-based network, by split.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""How hard recordings are for the paper's CNN, under the paper's protocol.
+"""The accuracy of the paper's CNN on recordings, under the paper's protocol.
 
-The simulated people's variation (``parameters.toml``) was set once so that this comes out near the
-paper's 0.89; it is not fitted to any other network.
+The simulated people's variation (``parameters.toml``) was set once so that this accuracy is near
+the paper's 0.89; it is not fitted to any other network.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ RECORD = CALIBRATION.with_name("difficulty.json")
 def measure_difficulty(
     folder: RunFolder, settings: Settings, splits: int, workers: Workers, say
 ) -> Findings:
-    """Measure the random splits that are not there yet, and write the summary of all.
+    """Measure the random splits that have no result yet, and write the summary of all.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def measure_difficulty(
 
 
 def result_origin(settings: Settings, dataset: Origin, subject: str = "") -> Origin:
-    """What the result of a split is made from."""
+    """The origin of the result of a split."""
     return Origin.of(settings, uses=[cnn_origin(settings, dataset)], contents={"schema": SCHEMA})
 
 
@@ -99,5 +99,5 @@ def difficulty_text(summary: dict) -> str:
 
 
 def store(summary: dict):
-    """Keep a measurement beside the simulation's settings, in :data:`RECORD`."""
+    """Save a measurement with the simulation's settings, in :data:`RECORD`."""
     write_json(RECORD, summary)

@@ -1,4 +1,4 @@
-"""How the cost of the target ``fast`` grows, and what limits its kernel with Numba."""
+"""The scaling of the cost of the target ``fast``, and the limits of its kernel with Numba."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from deploy.targets.fast.wiring import wiring
 
 
 def growth(spec: NetworkSpec, images) -> dict:
-    """Seconds of the whole pipeline for more samples, more steps and more spikes.
+    """Measure the seconds of a complete run for more samples, more steps and more spikes.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def growth(spec: NetworkSpec, images) -> dict:
 
 
 def _lasting(streams, steps):
-    """Streams of frames over so many steps; past their end there is no event."""
+    """Streams of frames, extended to a number of steps without events."""
     frames = streams[:, :, :steps]
     silent = np.zeros((*frames.shape[:2], steps - frames.shape[2], frames.shape[3]), frames.dtype)
     return np.concatenate([frames, silent], 2)
@@ -80,7 +80,7 @@ def _chip_rate(spec, emulation, streams):
 
 
 def mean_rate(spec: NetworkSpec, counts) -> float:
-    """Spikes a second of a neuron, on average, while samples are shown and in their gaps.
+    """Mean spikes per second of a neuron, while samples are presented and in their gaps.
 
     A second is the stimulus's own: with events one on the skin, as :mod:`deploy.check.rates` has
     it, however many steps of the chip stand for it.
@@ -95,7 +95,7 @@ def mean_rate(spec: NetworkSpec, counts) -> float:
 
 
 def limits(spec: NetworkSpec, images) -> dict:
-    """What the kernel with Numba does a second, and what this machine could do.
+    """Operations per second of the kernel with Numba, and the limits of this machine.
 
     The chip's cost has two parts: updating every compartment at every step, measured on a network
     that gets no spikes at all, and delivering spikes, the rest.  A synaptic operation reads a
@@ -155,7 +155,7 @@ def limits(spec: NetworkSpec, images) -> dict:
 
 
 class _Keeping:
-    """A kernel that keeps what arrives."""
+    """A kernel that records its input."""
 
     def __init__(self, kernel, kept):
         self.kernel, self.kept = kernel, kept
@@ -167,7 +167,7 @@ class _Keeping:
 
 
 def _adds(dtype, length):
-    """Additions a second of one vector to another, of ``length`` numbers each."""
+    """Additions per second of one vector to another, of ``length`` numbers each."""
     import numba
 
     @numba.njit

@@ -1,7 +1,7 @@
-"""How fast the target ``fast`` is next to NengoLoihi's emulator.
+"""The speed of the target ``fast`` relative to NengoLoihi's emulator.
 
-Reference and fast take turns in one process, and each turn gives one ratio: on a machine with
-other work, the two slow down together.  Building, compiling and reading files are in no figure.
+Reference and fast run alternately in one process, and each turn gives one ratio, because other work
+on the machine slows down both.  Building, compiling and reading files are not included.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pipeline.progress import progress
 
 @dataclass(frozen=True)
 class Turn:
-    """What one pass over some samples took.
+    """The duration of one pass over some samples.
 
     Attributes
     ----------
@@ -70,15 +70,15 @@ def kernels_here() -> tuple:
 
 
 def measure(bundle: Bundle, samples: int | None = None, compare_only: bool = False) -> dict:
-    """Let reference and fast take turns over a bundle's samples.
+    """Run reference and fast alternately on a bundle's samples.
 
     Parameters
     ----------
     bundle : Bundle
     samples : int, optional
-        Only so many, the first.
+        Number of samples to use, from the first on.
     compare_only : bool
-        Leave out how the cost grows and what limits it.
+        Leave out the measurements of scaling and limits.
 
     Returns
     -------
@@ -101,7 +101,7 @@ def measure(bundle: Bundle, samples: int | None = None, compare_only: bool = Fal
 
 
 def compare_speed(spec: NetworkSpec, images, advance=None) -> dict:
-    """Let reference and fast take turns over a set of samples.
+    """Run reference and fast alternately on a set of samples.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def compare_speed(spec: NetworkSpec, images, advance=None) -> dict:
 
 
 def _ratios(reference, turns, best, clock):
-    """How many times faster, by one of the two clocks."""
+    """The ratio of the speeds, by one of the two clocks."""
 
     def ratio(name, what):
         ratios = [

@@ -1,7 +1,7 @@
-"""What time is worth: networks trained and judged on events of which less and less is left.
+"""The value of timing: networks trained and tested on events with reduced information.
 
-See :mod:`pipeline.recordings.variants`.  Each variant has networks of its own, of the settings' own
-recipe, and all are judged on the same test samples by the target fast.
+See :mod:`pipeline.recordings.variants`.  Separate networks are trained on each variant with
+the recipe of the settings, and all are tested on the same samples on the target fast.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ MEANS = ("operations", "spikes_in", "merged", "share", "accuracy_by_itself", "ag
 def measure_events(
     folder: RunFolder, settings: Settings, seeds: int, workers: Workers, say
 ) -> Findings:
-    """Measure what is not current of all variants and seeds, and write the summary.
+    """Measure missing or outdated results of all variants and seeds, and write the summary.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def measure_events(
 
 
 def result_origin(settings: Settings, dataset: Origin, subject: str) -> Origin:
-    """What the result of a variant (``subject``) on a split is made from."""
+    """The origin of the result of a variant (``subject``) on a split."""
     trained = trained_origin(settings, _of_variant(dataset, subject))
     reads = ["deployment.pop_type", "presentation"]
     return Origin.of(settings, reads, [trained], {"schema": SCHEMA})
@@ -85,7 +85,7 @@ def dataset_of_variant(dataset: Dataset, variant: str, seed: int) -> Dataset:
 
 
 def measure(task: Task) -> dict:
-    """Train on a variant with one seed, and judge on its whole test split.
+    """Train on a variant with one seed, and test on its complete test split.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def measure(task: Task) -> dict:
 
 
 def summarise(results, simulated: bool) -> dict:
-    """Means over seeds, what each variant loses, and intervals.
+    """Means over seeds, the loss of each variant, and intervals.
 
     Of one seed the interval is Wilson's and the p of the loss McNemar's, which tell what other test
     samples would change; of several both are for overlapping splits, and tell what other trainings

@@ -1,8 +1,8 @@
-"""What conversion and chip cost, on the whole test split and over seeds.
+"""Losses of accuracy by conversion and chip, on the complete test split and over seeds.
 
-The yardstick is the stronger of two CNNs of one architecture: the paper's recipe, and the annealed
+The reference is the stronger of two CNNs of one architecture: the paper's recipe, and the annealed
 one that the spiking network is trained with (:data:`pipeline.training.networks.RECIPES`).  With
-events as input the network that is trained on them takes the place of conversion.
+events as input the network that is trained on them replaces the conversion.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ PAPERS = {"spiking-lif": "ann-snn", "chip-100": "loihi"}
 def measure_losses(
     folder: RunFolder, settings: Settings, seeds: int, workers: Workers, say
 ) -> Findings:
-    """Measure what is not current; see :func:`pipeline.experiments.study.measure_splits`.
+    """Measure missing or outdated results; see :func:`pipeline.experiments.study.measure_splits`.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def measure_losses(
 
 
 def result_origin(settings: Settings, dataset: Origin, subject: str = "") -> Origin:
-    """What the result of a split is made from."""
+    """The origin of the result of a split."""
     cnn = ["image", "cnn.architecture", "cnn.epochs", "cnn.batch_size", "cnn.learning_rate"]
     reads = [*cnn, "deployment", "presentation"]
     return Origin.of(settings, reads, [trained_origin(settings, dataset)], {"schema": SCHEMA})

@@ -1,7 +1,7 @@
-"""How fast `FastSimulator` is beside NengoLoihi's `Simulator`, on networks of NengoLoihi's users.
+"""The speed of `FastSimulator` relative to NengoLoihi's `Simulator`, on networks of its users.
 
-Both take turns in one process, and each turn gives one ratio of processor time: on a machine with
-other work, the two slow down together.  Building and compiling are in no figure.
+Both run alternately in one process, and each turn gives one ratio of processor time, because other
+work on the machine slows down both.  Building and compiling are not included.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SEED = 5
 
 
 def channel(n: int = 1000):
-    """Two ensembles of n neurons, the second hears the first."""
+    """Two ensembles of n neurons; the first is connected to the second."""
     with nengo.Network(seed=1) as network:
         wave = nengo.Node(lambda t: np.sin(2 * np.pi * t))
         first, second = nengo.Ensemble(n, 1), nengo.Ensemble(n, 1)
@@ -34,7 +34,7 @@ def channel(n: int = 1000):
 
 
 def integrator(n: int = 1000):
-    """An ensemble of n neurons that hears itself."""
+    """An ensemble of n neurons that is connected to itself."""
     with nengo.Network(seed=1) as network:
         pulse = nengo.Node(lambda t: float(t < 0.1))
         ensemble = nengo.Ensemble(n, 1)
@@ -44,7 +44,7 @@ def integrator(n: int = 1000):
 
 
 def recurrent(n: int = 1000):
-    """n neurons, each with a weight to each."""
+    """n neurons with all-to-all connections."""
     weights = np.random.RandomState(3).normal(size=(n, n), scale=1e-3)
     with nengo.Network(seed=1) as network:
         neurons = nengo.Ensemble(
@@ -166,7 +166,7 @@ class _Timed:
 
 
 def measure_networks(cases=CASES, turns: int = TURNS) -> dict:
-    """Let NengoLoihi's simulator and the fast one take turns over some networks.
+    """Run NengoLoihi's simulator and the fast one alternately on some networks.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""Experiments: many results of the same kind, each made once, kept, and found again.
+"""Experiments: many results of the same kind, each measured once and saved.
 
 A :class:`Task` is one result that is to be measured: an artifact with its origin.  Tasks that train
 the same networks go into one group, which one process does in order; groups are shared among
 processes of this machine or workers of a Dask cluster.  Each result is written as soon as it is
-there, so that an interrupted experiment continues with the tasks that are left.
+measured, so that an interrupted experiment continues with the remaining tasks.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from pipeline.settings import Settings
 
 @dataclass(frozen=True)
 class Workers:
-    """Who does the tasks.
+    """The processes that perform the tasks.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Workers:
 
 @dataclass(frozen=True)
 class Findings:
-    """What an experiment found.
+    """The result of an experiment.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ class Task:
 
 
 def study(label: str, measure: Callable, groups, workers: Workers, say: Callable) -> dict:
-    """Measure what is not current; a task that fails does not stop the others.
+    """Measure missing or outdated results; a task that fails does not stop the others.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def study(label: str, measure: Callable, groups, workers: Workers, say: Callable
 
 
 def _work(measure, version, group):
-    """Measure the tasks of a group, where they are done; results and failures."""
+    """Measure the tasks of a group in a worker; return results and failures."""
     if version != __version__:
         raise UserError(f"the worker has version {__version__} of this package, not {version}")
     found = []
@@ -215,7 +215,7 @@ _LOADED = {}
 
 
 def _dataset_of(settings, recordings, split):
-    """A data set, which the tasks of a group have in common."""
+    """The data set that the tasks of a group share."""
     key = dataset_origin(settings, recordings, split).key
     if key not in _LOADED:
         _LOADED.clear()
@@ -326,7 +326,7 @@ def split_task(
 
 
 def summary_of_splits(results, simulated: bool) -> dict:
-    """What every summary says of its splits.
+    """The part of a summary that describes its splits.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""A sweep: every combination of some settings, judged on validation samples by the fast emulator.
+"""A sweep: every combination of some settings, tested on validation samples by the fast emulator.
 
-Settings are chosen here, so the test split has no part in it: networks are trained on the training
-samples less a validation part, and only that part is shown to them.  What differs in deployment or
-presentation only is trained once.
+A sweep selects settings, so it does not use the test split: networks are trained on the training
+samples without a held-out validation part, and tested on that part.  Points that differ only in
+deployment or presentation share one training.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ def _point(folder, settings, changes, recordings):
 
 
 def result_origin(settings: Settings, dataset: Origin) -> Origin:
-    """What a point's result is made from."""
+    """The origin of a point's result."""
     contents = {"schema": POINT_SCHEMA, "target": TARGET}
     return Origin.of(settings, uses=[bundle_origin(settings, dataset)], contents=contents)
 
@@ -229,7 +229,7 @@ def train_network(task: SweepTask) -> dict:
 
 
 def judge(task: SweepTask) -> dict:
-    """Show the validation samples to a point's network on the fast emulator.
+    """Run a point's network on the validation samples on the fast emulator.
 
     Returns
     -------
@@ -272,7 +272,7 @@ def judge(task: SweepTask) -> dict:
 
 
 def pareto_front(costs) -> np.ndarray:
-    """Points that no other beats: at least as good in everything and better in something.
+    """Points of the Pareto front: no other is at least as good in every cost and better in one.
 
     Parameters
     ----------
@@ -290,7 +290,7 @@ def pareto_front(costs) -> np.ndarray:
 
 
 def summarise(points, results) -> dict:
-    """Put the points together, the most accurate first, the failed ones last.
+    """Combine the points in one summary, the most accurate first, the failed ones last.
 
     Parameters
     ----------
@@ -327,7 +327,7 @@ def summarise(points, results) -> dict:
 
 
 def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers, say) -> Findings:
-    """Train and judge what is missing of a sweep, and write it.
+    """Train and test the missing points of a sweep, and write the summary.
 
     Parameters
     ----------

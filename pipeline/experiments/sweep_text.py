@@ -65,7 +65,7 @@ def sweep_text(sweep: dict) -> str:
 
 
 def sweep_csv(sweep: dict) -> str:
-    """One row a point, settings first; a failed one has only those and its error."""
+    """A table with one row per point, settings first; a failed point has only its error besides."""
     figures = [
         *("pareto", "accuracy", "accuracy_low", "accuracy_high", "operations"),
         *("operations_per_mac", "cores", "steps", "decided_at_median"),

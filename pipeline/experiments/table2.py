@@ -48,7 +48,7 @@ def measure_table(
     workers: Workers,
     say,
 ) -> Findings:
-    """Measure what is missing of the table, and write it.
+    """Measure the missing results of the table, and write it.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def _kinds(kind, recordings):
 
 
 def summarise(benchmark: Benchmark, failures=None) -> dict:
-    """Put the table together from all results that are current, of this time or earlier.
+    """Make the table from all results that are up to date, new or existing.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def _compare(kind, a, b, results):
 
 
 def table_text(table: dict) -> str:
-    """The table as text, the paper's figures beside ours."""
+    """The table as text, with the paper's figures next to ours."""
     what = "simulated recordings" if table["simulated"] else "recordings"
     lines = [f"Table 2 of the paper, on {what}; mean (SD) of the accuracy over splits"]
     if table["simulated"]:

@@ -1,4 +1,4 @@
-"""The models of the paper's Table 2 on one split: what a result is made from, and its measurement.
+"""The models of the paper's Table 2 on one split: the origin of a result, and its measurement.
 
 A result of a model on a split is an artifact of its own, so that a benchmark that was interrupted
 continues with the results that are missing.  The models of a split share its trained networks.
@@ -83,7 +83,7 @@ SLOW = (*ON_EVENTS, "slayer")
 
 @dataclass(frozen=True)
 class Benchmark:
-    """What is to be measured.
+    """The results to be measured.
 
     Attributes
     ----------
@@ -164,7 +164,7 @@ def settings_of(settings: Settings, model: str) -> Settings:
 
 
 def result_origin(settings: Settings, dataset: Origin, model: str) -> Origin:
-    """What the result of a model on a split is made from.
+    """The origin of the result of a model on a split.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def result_origin(settings: Settings, dataset: Origin, model: str) -> Origin:
 
 
 def split_path(folder: Path, kind: str, index: int, model: str) -> Path:
-    """Where the result of a model on a split is."""
+    """The file of the result of a model on a split."""
     return Path(folder) / "splits" / f"{kind}-{index:02d}" / f"{model}.json"
 
 

@@ -1,1 +1,1 @@
-"""From recordings to what networks are shown: images, event frames, splits."""
+"""The inputs of networks, made from recordings: images, event frames, splits."""

@@ -1,4 +1,4 @@
-"""Recordings as networks see them: what they are shown of each, its label, and who is for what."""
+"""Data sets for networks: the input and label of each recording, and the split."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ TOO_SMALL = "ask for fewer (SAMPLES, or check.samples) or give more data"
 
 @dataclass(frozen=True)
 class Dataset:
-    """Recordings, divided, with what networks are shown of them: loaded and made in one place.
+    """Recordings, their split and the inputs of networks made from them.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Dataset:
 
     @classmethod
     def of(cls, settings: Settings, jobs: int = 1, warn=None, kind: str = "random") -> Dataset:
-        """The recordings that settings ask for, divided by the settings' own seed.
+        """The recordings named in the settings, split with the seed of the settings.
 
         Parameters
         ----------
@@ -85,7 +85,7 @@ class Dataset:
     def of_arrays(
         cls, images, labels, settings: Settings, classes=None, simulated: bool = False
     ) -> Dataset:
-        """Images of one's own in the place of recordings, divided by the settings' own seed.
+        """The user's images in place of recordings, split with the seed of the settings.
 
         Parameters
         ----------
@@ -99,7 +99,7 @@ class Dataset:
         classes : sequence of str, optional
             Names of the labels 0, 1, ...; default: the numbers.
         simulated : bool
-            Whether the images are made up; every result repeats it.
+            Whether the images are simulated; every result repeats this.
 
         Raises
         ------
@@ -146,7 +146,7 @@ class Dataset:
 
     @property
     def inputs(self) -> np.ndarray:
-        """What networks are shown of each recording; see :func:`inputs_of`."""
+        """The inputs made from each recording; see :func:`inputs_of`."""
         if self.is_of_arrays:
             return self._made[ARRAYS]
         key = _what_is_shown(self.settings)
@@ -166,7 +166,7 @@ class Dataset:
 
     @property
     def is_of_arrays(self) -> bool:
-        """Whether there are images only; see :meth:`of_arrays`."""
+        """Whether the data set has images only; see :meth:`of_arrays`."""
         return ARRAYS in self._made
 
     def part(self, name: str):
@@ -176,7 +176,7 @@ class Dataset:
 
 
 def dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "random") -> Origin:
-    """What recordings and their split are made from.
+    """The origin of recordings and their split.
 
     Parameters
     ----------
@@ -198,14 +198,14 @@ def dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "rand
 
 
 def _what_is_shown(settings):
-    """What of the settings :func:`inputs_of` depends on."""
+    """The settings on which :func:`inputs_of` depends."""
     if settings.on_events:
         return settings.input.step, settings.input.refractory, settings.steps
     return settings.image.aggregation, settings.image.normalisation
 
 
 def images_fit(images: np.ndarray, settings: Settings):
-    """Refuse images that the chip cannot be shown.
+    """Refuse images that cannot be presented to the chip.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def images_fit(images: np.ndarray, settings: Settings):
     Raises
     ------
     UserError
-        A pixel would spike more than once a step.
+        A pixel would spike more than once per step.
     """
     problem = settings.stimulus.complaint(images, images.shape[1:], settings.steps)
     if problem is not None:
@@ -226,7 +226,7 @@ def images_fit(images: np.ndarray, settings: Settings):
 
 
 def recordings_fit(recordings: Recordings, settings: Settings):
-    """Make sure that the architecture is for the recordings' sensor and classes.
+    """Make sure that the architecture fits the recordings' sensor and classes.
 
     Raises
     ------
@@ -253,7 +253,7 @@ def _checked_split(recordings, settings, kind="random"):
 
 
 def _wrong_with(images, labels, classes):
-    """Why arrays are not images and their labels, or None."""
+    """The reason why arrays are not images and their labels, or None."""
     if images.ndim != 4 or images.shape[3] != 1 or images.dtype.kind not in "fiub":
         return f"images of shape {images.shape}, not numbers of (n_samples, rows, columns)"
     if labels.shape != images.shape[:1] or labels.dtype.kind not in "iu":
@@ -271,7 +271,7 @@ def _wrong_with(images, labels, classes):
 
 
 def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:
-    """What networks are shown of each recording.
+    """The inputs of networks, made from each recording.
 
     Returns
     -------
@@ -291,7 +291,7 @@ def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:
 
 
 def event_warnings(settings: Settings, recordings: Recordings) -> list:
-    """What of the events will not be shown, a line each; see ``input.step`` in the settings.
+    """Warnings about events that are not presented, a line each; see setting ``input.step``.
 
     Raises
     ------
@@ -332,7 +332,7 @@ def split_of(
     validation_fraction: float = 0.0,
     kind: str = "random",
 ) -> Split:
-    """Divide recordings.
+    """Split recordings into training, validation and test samples.
 
     Parameters
     ----------

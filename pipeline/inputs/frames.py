@@ -1,4 +1,4 @@
-"""Events in bins of time: the input of a network that is trained on events themselves."""
+"""Events in time bins: the input of a network that is trained on events."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pipeline.recordings.events import Recordings
 
 
 def bin_events(recordings: Recordings, bins: int = 200) -> np.ndarray:
-    """Where there is an event of which polarity in which bin (paper, Section 3.2.3).
+    """Frames that mark the events of each polarity in each bin (paper, Section 3.2.3).
 
     The bins divide a recording's duration evenly: of two seconds, 200 bins are 10 ms each.
     Several events of one taxel and polarity in one bin count as one, a spike being there or not;

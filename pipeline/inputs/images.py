@@ -1,11 +1,11 @@
-"""Tactile images: events aggregated over a recording, one pixel a taxel (paper, Section 3.2.1).
+"""Tactile images: events aggregated over a recording, one pixel per taxel (paper, Section 3.2.1).
 
 The paper leaves open what "aggregating the FA responses" and "normalized" mean.  Both are settings:
 
 aggregation
     ``count``    physical events of either polarity (default)
     ``columns``  columns of the file, as the paper's Table 1 counts; weighs ON by about 1.8
-    ``signed``   ON less OFF events
+    ``signed``   ON minus OFF events
     ``on``, ``off``  events of one polarity
 normalisation
     ``max``      divided by the image's largest magnitude (default)
@@ -63,7 +63,7 @@ def aggregate(recordings: Recordings, aggregation: str = "count") -> np.ndarray:
 
 
 def normalise(images: np.ndarray, normalisation: str = "max") -> np.ndarray:
-    """Normalise each image by itself.
+    """Normalise each image separately.
 
     Parameters
     ----------

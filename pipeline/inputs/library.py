@@ -1,4 +1,4 @@
-"""From the name of a source to recordings: simulated or imported, and cached."""
+"""Loading recordings by the name of their source: simulated or imported, and cached."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def load_recordings(
     reading: Reading = AS_FOUND,
     traces=None,
 ) -> Recordings:
-    """Recordings of a source, made or imported on first use and cached.
+    """Recordings of a source, which are simulated or imported on first use and cached.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def load_recordings(
     samples_per_digit : int
         Of simulated recordings; 0 for the published numbers, 6,953 in all.
     skip_bad : bool
-        Leave out files that cannot be read instead of stopping.
+        Whether to leave out files that cannot be read instead of stopping.
     jobs : int
         Processes.
     warn : callable, optional
@@ -61,7 +61,7 @@ def load_recordings(
 
 
 def recordings_of(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
-    """Recordings that settings ask for; see :func:`load_recordings`."""
+    """Recordings named in the settings; see :func:`load_recordings`."""
     data, reading = settings.data, Reading(settings.skin.rows, settings.skin.columns)
     if data.source != SIMULATED:  # of which no file is read
         reading = replace(reading, time_unit=data.time_unit, downsample=data.downsample)
@@ -72,7 +72,7 @@ def recordings_of(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
 
 
 def content_of(settings: Settings) -> str:
-    """The hash of the recordings that settings ask for, without loading them.
+    """The hash of the recordings named in the settings, without loading them.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Training, validation and test samples."""
+"""Splits of samples into training, validation and test samples."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def random_split(
 
 
 def writer_split(writers: np.ndarray, seed: int, test_fraction: float = 0.2) -> Split:
-    """Split samples so that nobody wrote both training and test samples.
+    """Split samples so that no writer has both training and test samples.
 
     Random splits show each test writer's hand in training as well; accuracy on new writers is what
     a product would see.  Writers are drawn at random for the test part as long as each brings its
@@ -105,7 +105,7 @@ def writer_split(writers: np.ndarray, seed: int, test_fraction: float = 0.2) -> 
 
 
 def hold_out(train: np.ndarray, seed: int, share: float = HELD_OUT):
-    """Set some of the training samples apart, at least one, to choose something on.
+    """Hold out some of the training samples, at least one, to select something on them.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def draw_check_samples(test: np.ndarray, n_samples: int, seed: int) -> np.ndarra
     Returns
     -------
     ndarray of int, shape (n_samples,)
-        Indices of samples, in the order in which they are shown.
+        Indices of samples, in the order in which they are presented.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Samples as they might have been written at another time, or by somebody else."""
+"""Data augmentation: samples altered in time and space, and with events left out."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pipeline.recordings.events import Events, Recordings
 
 @dataclass(frozen=True)
 class Alteration:
-    """How far samples are altered.
+    """The parameters of the alterations.
 
     Each is written faster or slower by a factor exp(``stretch`` z), begins anywhere within its
     first step, and loses each event with a chance drawn from 0 to ``drop``.  Its places, seen from
@@ -55,13 +55,13 @@ def alter(how: Alteration, rng, samples: int, sample, step, row, column, polarit
 def altered_recordings(
     recordings: Recordings, indices, how: Alteration, step_ms: float, seed
 ) -> Recordings:
-    """Some recordings, altered.
+    """Altered copies of some recordings.
 
     Parameters
     ----------
     recordings : Recordings
     indices : sequence of int
-        Which; one that comes several times is altered otherwise each time.
+        Indices of recordings; one that occurs several times is altered differently each time.
     how : Alteration
     step_ms : float
         The step within which a sample begins anywhere.

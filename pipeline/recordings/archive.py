@@ -1,4 +1,4 @@
-"""Recordings as published: a zip or a folder with a sub-folder for each class.
+"""Recordings in the published layout: a zip or folder with a sub-folder for each class.
 
 The published layout is ``data_submission/<digit>/*.mat``; the folders may have any names and stand
 at any depth, and ``LUT.mat`` anywhere or nowhere.  Recordings of other sensors may be ``.npz``
@@ -166,7 +166,7 @@ def _of_classes(recordings):
 
 
 def _empty_classes(recordings, files, folders):
-    """Folders without a file in them beside those of the classes."""
+    """Empty folders next to those of the classes."""
     around = {PurePosixPath(name).parent.parent for name, _ in recordings}
     filled = {parent for name, _ in files for parent in PurePosixPath(name).parents}
     return [
@@ -193,7 +193,7 @@ def read_source(
     jobs : int
         Processes.
     skip_bad : bool
-        Go on without the files that are refused; they are in ``source.left_out``.
+        Whether to continue without refused files; they are in ``source.left_out``.
     progress : callable, optional
         ``progress(label, total)``, a context manager that yields ``advance(n)``.
     reading : pipeline.recordings.sensors.Reading
@@ -268,7 +268,7 @@ def read_source(
 
 
 def left_out_lines(path, recordings: Recordings) -> list:
-    """What the user is told of the files that were left out of a source, a line each.
+    """Messages about the files that were left out of a source, a line each.
 
     Parameters
     ----------
@@ -316,7 +316,7 @@ def write_zip(path, recordings: Recordings, progress=None):
 def export_zip(path, folder, progress=None) -> int:
     """Write the recordings of a folder as a zip in the published layout, each as it is.
 
-    Unlike :func:`write_zip` this keeps what the files say besides their events.
+    Unlike :func:`write_zip` this preserves the other variables of the files.
 
     Parameters
     ----------

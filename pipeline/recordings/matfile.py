@@ -41,12 +41,12 @@ MAX_SIDE = 256
 
 
 class BadRecording(ValueError):
-    """A file is not a recording; the message says why in a few words."""
+    """Raised for a file that is not a recording; the message has the reason."""
 
 
 @dataclass(frozen=True)
 class Written:
-    """Of a recording that a real hand wrote on the simulated skin: who, when and how.
+    """Facts about a recording that a person wrote on the simulated skin.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Written:
 
 @dataclass(frozen=True)
 class MatRecording:
-    """What one file holds.
+    """The contents of one file.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Recordings from arrays of events, written as files that everything else reads."""
+"""Writing arrays of events as files of recordings that all commands read."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def write_recordings(
     writers: Sequence[int] | None = None,
     simulated: bool = False,
 ) -> Path:
-    """Write events and labels as a zip that works wherever recordings are asked for.
+    """Write events and labels as a zip that every command accepts as recordings.
 
     Give its path as ``data.source`` in the settings, or as ``--data`` to a command.
 
@@ -49,7 +49,7 @@ def write_recordings(
     writers : sequence of int, optional
         Who made each recording, from 0.
     simulated : bool
-        Whether the recordings are made up; every result repeats it.
+        Whether the recordings are simulated; every result repeats this.
 
     Returns
     -------

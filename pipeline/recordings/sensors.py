@@ -1,4 +1,4 @@
-"""What a set of recordings was made with: rows and columns, duration and classes, as found.
+"""The sensor of a set of recordings: rows, columns, duration and classes, as found.
 
 Recordings in the published layout with a hundred taxels and digits for classes are ST-MNIST's, and
 have its ten classes and its two seconds whatever is in them.  Of all others what counts is what is
@@ -71,7 +71,7 @@ def class_order(name: str):
 
 @dataclass(frozen=True)
 class Reading:
-    """What the user says of the files, where it is not to be found out.
+    """What the user specifies about the files, instead of having it detected.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ AS_FOUND = Reading()
 
 
 def settle(path, read, lookup: TaxelMap | None = None, reading: Reading = AS_FOUND) -> Settled:
-    """Find out the sensor of recordings that were read one by one.
+    """Determine the sensor of recordings that were read one by one.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Events in the steps of a chip: which taxel spikes with which polarity in which step."""
+"""Events in the time steps of a chip: the spikes of each taxel and polarity in each step."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class EventTable:
 def spike_frames(
     sample, step, row, column, polarity, samples: int, steps: int, size=(10, 10), rest: int = 0
 ):
-    """Where there is a spike in which step.
+    """Frames that mark the spikes in each step.
 
     Several events of one taxel and polarity in a step are one spike.  For ``rest`` steps after it
     further ones are none: the refractory period of an event camera's pixel.  Events past the last

@@ -1,4 +1,4 @@
-"""Whether stored recordings say what imported ones can say: as strict as the readers of files."""
+"""Validation of stored recordings, as strict as that of imported files."""
 
 from __future__ import annotations
 

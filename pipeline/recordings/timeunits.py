@@ -1,4 +1,4 @@
-"""In which unit the times of recordings are: given, said by the file, or told from the numbers."""
+"""The time unit of recordings: set by the user, defined by the file, or inferred."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ MIXED = 100
 
 
 def span_of(time) -> float:
-    """From the first event to the last."""
+    """The time from the first event to the last."""
     return float(time[-1] - time[0])
 
 
 def recognised(times) -> str:
-    """The unit of recordings, told from how long they last.
+    """The unit of recordings, inferred from their duration.
 
     Times with fractions are seconds if they are as short as recordings are.  Whole numbers are
     taken for the longest unit in which the recordings last at most a minute.

@@ -1,4 +1,4 @@
-"""Recordings from which a part of what time tells is taken, so that what is lost shows its worth.
+"""Recordings without part of their timing, to measure how much that part contributes.
 
 Each function gives back recordings with the same samples, labels and numbers of events, and their
 events in order of time.
@@ -60,7 +60,7 @@ def without_polarity(recordings: Recordings) -> Recordings:
 
 
 def even(recordings: Recordings) -> Recordings:
-    """The order of events kept: the times from the first to the last are evenly spaced."""
+    """Evenly spaced times from the first event to the last, in the original order."""
     sample = recordings.sample_of_event
     first, last = _ends(recordings)
     counts = np.diff(recordings.offsets)

@@ -1,4 +1,4 @@
-"""What recordings and their classes are called: digits that are written, or a user's own."""
+"""The words for recordings and their classes in messages: written digits or the user's own."""
 
 from __future__ import annotations
 
