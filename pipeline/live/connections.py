@@ -1,8 +1,8 @@
-"""Connections that have not shown the token: they may be few, and not for long.
+"""Limits on connections that have not sent the token: their number and duration.
 
-Any program of the machine can connect to the port, and hold the connection without a word.  Here
-such a connection is closed after a while, or when too many newer ones have come; so the page always
-finds a place, and the server never runs out of files.
+Any program on the machine can connect to the port and keep the connection open without sending
+anything.  Such a connection is closed after a time limit, or when there are too many newer ones, so
+that the page can always connect and the server does not run out of file descriptors.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ QUIET_S = 60.0
 
 
 class Strangers:
-    """The connections that have not shown the token yet, the oldest first.
+    """The connections that have not sent the token yet, the oldest first.
 
     Parameters
     ----------

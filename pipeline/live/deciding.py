@@ -1,7 +1,7 @@
-"""What the network makes of the events so far.
+"""Decisions of the network on the events so far.
 
-A :class:`Decider` is made once of a bundle and answers for all pages; what one recording needs
-between two answers stands in what :meth:`Decider.begin` gives.
+A :class:`Decider` is made once from a bundle and answers for all pages; the state of one recording
+between two answers is in the object that :meth:`Decider.begin` returns.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pipeline.settings import Image
 
 @dataclass(frozen=True)
 class Answer:
-    """What the network says at a moment.
+    """The output of the network at one moment.
 
     Attributes
     ----------
@@ -61,14 +61,14 @@ class DrawnLayer:
 
 
 class Deciding(Protocol):
-    """One recording's side of a decider."""
+    """The state of a decider for one recording."""
 
     def answer(self, events: Events, time_s: float) -> Answer | None:
         """Answer to all events of a recording up to a time, infinity at its end; may be slow."""
 
 
 class Decider(Protocol):
-    """A network that has been made ready.
+    """A network that is ready to run.
 
     Attributes
     ----------
@@ -143,7 +143,7 @@ class _Fast:
 
 
 class ImageDecider(_Fast):
-    """A bundle whose input is the tactile image: shown the image so far, from rest, every time.
+    """A decider for a bundle on images: it presents the image so far, from rest, every time.
 
     Making one takes a few seconds, some five more the first time ever, when the kernel is compiled;
     then every answer takes a millisecond or so.
@@ -174,7 +174,7 @@ class ImageDecider(_Fast):
 
 
 class EventDecider(_Fast):
-    """A bundle whose input is the events themselves, in the steps of the network's own time.
+    """A decider for a bundle on events, in the time steps of the network.
 
     No later event can change an earlier step: running all steps so far again gives what going on
     from the last one would, and takes a millisecond.

@@ -1,8 +1,8 @@
-"""Recordings that people wrote, in a folder laid out as published, safe as soon as they are there.
+"""Saving recordings that people wrote, in a folder with the published layout.
 
-``FOLDER/<digit>/w<writer>-<number>.mat``: the number counts up over all digits of a writer.  What
-has been written is only ever read from those names, so that nothing else can be lost or go stale;
-no name is ever written to twice.
+``FOLDER/<digit>/w<writer>-<number>.mat``: the number counts up over all digits of a writer.  The
+list of recordings is always read from these names, so that no other record can be lost or become
+outdated.  A file is never overwritten.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Kept:
 
 
 class Keeper:
-    """The folder; at most one at a time, for several pages.
+    """The folder of recordings, used by one process at a time, for several pages.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ class Keeper:
         self._kept = sorted(found, key=lambda kept: (kept.writer, kept.number))
 
     def close(self):
-        """Let another process have the folder."""
+        """Release the folder for other processes."""
         self._lock = None
         self._held.close()
 
@@ -194,7 +194,7 @@ class Keeper:
 
 
 def asked_next(counts, each: int, seed) -> int | None:
-    """Which digit to ask for next.
+    """The digit to ask for next.
 
     The digits come in one random order, ``each`` of every digit; those that are there already are
     left out, so that a session goes on after a break, an undo or a restart.
@@ -221,7 +221,7 @@ def asked_next(counts, each: int, seed) -> int | None:
 
 
 def _list(folder):
-    """The recordings in a folder; files of other names are nobody's business here."""
+    """The recordings in a folder; files of other names are ignored."""
     found = []
     for digit in DIGITS:
         with contextlib.suppress(FileNotFoundError, NotADirectoryError):

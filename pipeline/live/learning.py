@@ -1,9 +1,9 @@
-"""Learning the handwriting of who writes on the page.
+"""Learning the handwriting of the person who writes on the page.
 
 After each labelled digit the readout is fitted again to all that this writer has labelled
 (:mod:`pipeline.training.readout`).  Each digit is first scored with the readout that was there
 before, so that the page's count of right answers is one of digits that were not yet learned.  A fit
-that does not help in cross-validation is not used.  Nothing here touches a recording.
+that is not better in cross-validation is not used.  Recordings are never changed.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ FEWEST = 2
 
 @dataclass(frozen=True)
 class Learnt:
-    """What is known of one writer.
+    """The training data and the readout of one writer.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Which network the page shows: of a run or of a bundle, if it is for the page's skin."""
+"""The network of the page: from a run or from a bundle, if it is for the page's skin."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def fits_the_page(bundle: Bundle):
 
 
 def about(bundle: Bundle, folder, outdated: str | None = None) -> dict:
-    """What the page says of its network, and of the folder in which recordings are kept.
+    """The page's description of its network and of the folder of recordings.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""The page and its messages, on this machine only.
+"""The web server of the page and its messages, on this machine only.
 
 Every address starts with a token that is drawn anew each time, so that neither another user of the
 machine nor a page from elsewhere can write here; names that point to this machine but are not its
-own (DNS rebinding) and pages of another origin are turned away before anything else is looked at.
+own (DNS rebinding) and pages of another origin are refused before anything else is processed.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ _POLICY = "; ".join(
 
 
 class Guard:
-    """Turns away whoever does not come from a page of this server; then adds what browsers heed.
+    """Refuses requests that do not come from a page of this server, and adds security headers.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ async def _turn_away(scope, receive, send, why):
 
 
 class Live:
-    """What all pages share: the network, the folder, one thread for the network's answers.
+    """The objects that all pages share: network, folder, one thread for the network's answers.
 
     Parameters
     ----------

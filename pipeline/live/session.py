@@ -1,6 +1,7 @@
-"""One page's side of the conversation: strokes in, events and decisions out, recordings kept.
+"""The session of one page: strokes in, events and decisions out, recordings saved.
 
-Nothing here knows of sockets or clocks: a message is a dict, the time is told.  What a page sends:
+This module uses no sockets or clocks: a message is a dict, and the time is an argument.  A page
+sends:
 
 ``pen``      ``now`` and ``points`` [[t, right, down, pressure, touches], ...], times in
              milliseconds of the page's own clock, places in taxels
@@ -12,9 +13,9 @@ Nothing here knows of sockets or clocks: a message is a dict, the time is told. 
 ``writer``   ``number`` (or null for a new one), ``handedness``, ``each`` (0: no session): who
              writes, and how many of each digit are wanted
 
-and what it gets back: ``events``, ``cleared``, ``saved``, ``undone``, ``learned``,
+and it receives: ``events``, ``cleared``, ``saved``, ``undone``, ``learned``,
 ``writer`` and ``problem``.
-Whatever else comes raises :class:`BadMessage`.
+Any other message raises :class:`BadMessage`.
 """
 
 from __future__ import annotations
@@ -63,12 +64,12 @@ EACH = 1000
 
 
 class BadMessage(ValueError):
-    """Nothing that a page of ours would send; the message says why."""
+    """Raised for a message that the page would not send; the text has the reason."""
 
 
 @dataclass
 class Allowance:
-    """So many a second on average.
+    """A limit on an average rate per second.
 
     Attributes
     ----------
@@ -167,7 +168,7 @@ class OpenRecording:
 
 
 class Session:
-    """A page, from its opening to its closing.
+    """The session of a page, from its opening to its closing.
 
     Parameters
     ----------

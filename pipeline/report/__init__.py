@@ -1,1 +1,1 @@
-"""What is drawn and written for people."""
+"""Reports: charts, figures and the page of a run."""

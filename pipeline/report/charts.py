@@ -1,4 +1,4 @@
-"""Charts as SVG text, coloured by the style sheet of the page they stand in.
+"""Charts as SVG text, coloured by the style sheet of the page that contains them.
 
 Every mark has a class (``s1`` to ``s4`` for series, ``grid``, ``axis``, ``on``, ``off``, ...) and
 no colour of its own, so that one chart serves light, dark and print.  Charts scale with the page
@@ -79,7 +79,7 @@ def _points(x_axis, y_axis, x, y):
 
 
 def interval_chart(rows, x_label: str, description="") -> Markup:
-    """One row a value: a dot with its interval, and a reference mark where there is one.
+    """A chart with one row per value: a dot with its interval, and an optional reference mark.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def interval_chart(rows, x_label: str, description="") -> Markup:
 
 
 def image(values, description="") -> Markup:
-    """A tactile image: one square a taxel, the darker the more events; negative ones in red."""
+    """A tactile image: one square per taxel, darker with more events; negative values in red."""
     values = np.asarray(values, float)
     scale = np.abs(values).max() or 1.0
     marks = ['<rect class="paper" width="{1}" height="{0}"/>'.format(*values.shape)]

@@ -1,4 +1,4 @@
-"""What a report is made from: whatever a run's folder and a benchmark's have so far."""
+"""Gathering the results of a run and of a benchmark for a report."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ REMEDY = "delete it and make it again"
 def gather(
     folder: RunFolder, benchmark: Path, jobs: int, say, beside: RunFolder | None = None
 ) -> Inputs:
-    """Read a run and the benchmark of Table 2, and replay the samples that are shown.
+    """Read a run and the benchmark of Table 2, and replay the samples of the report.
 
     Parameters
     ----------
     folder : RunFolder
     benchmark : Path
-        Folder of the benchmark; it need not be there.
+        Folder of the benchmark; it need not exist.
     jobs : int
         Processes for recordings that are not in the cache.
     say : callable

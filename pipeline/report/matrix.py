@@ -1,4 +1,4 @@
-"""What a drawing of a confusion matrix needs, whatever it is drawn with."""
+"""Values for drawing a confusion matrix, independent of the drawing library."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def confusion_shares(matrix) -> np.ndarray:
 
 
 def names_beside(names, classes: int) -> list:
-    """What is written beside the rows and columns of a confusion matrix.
+    """The labels of the rows and columns of a confusion matrix.
 
     Parameters
     ----------

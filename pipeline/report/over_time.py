@@ -1,4 +1,4 @@
-"""How likely each class is at each step of a sample, as the network on the chip sees it."""
+"""Probabilities of the classes at each step of a sample, from the network on the chip."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report of a run: one HTML file that needs nothing else."""
+"""The report of a run: one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ FRAMES = 6
 
 @dataclass(frozen=True)
 class Inputs:
-    """All that a report is made from.
+    """The data of a report.
 
     Attributes
     ----------
@@ -159,7 +159,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
 
 
 def choose_samples(result: dict, stream_length: int) -> list:
-    """Indices of a sample that was answered rightly and of one that was not, if there are both.
+    """Indices of a sample with a correct answer and of one with a wrong answer, if any.
 
     Those that come early in their streams, because a replay starts with the stream.
     """
@@ -304,7 +304,7 @@ def _title(stage):
 
 
 def trained_title(settings: Settings) -> str:
-    """What the network is called that was trained for the chip."""
+    """The name of the network that was trained for the chip."""
     return NETWORKS[REFERENCES[settings.network][1 if settings.network == "image" else 0]][0]
 
 

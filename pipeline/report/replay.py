@@ -1,4 +1,4 @@
-"""One sample of a check once more, this time with every spike of every layer."""
+"""A replay of one sample of a check, with every spike of every layer."""
 
 from __future__ import annotations
 
