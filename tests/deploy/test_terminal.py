@@ -144,7 +144,7 @@ def test_widths_that_no_terminal_has(monkeypatch, capsys, width):
     with contextlib.suppress(SystemExit):
         call("check", "compare", "--help")
     out = capsys.readouterr().out
-    assert "Set two results side by side" in out
+    assert "--max-disagreements" in out
     assert len(out) < 10_000
 
 
