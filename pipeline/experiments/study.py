@@ -124,9 +124,9 @@ class Task:
         settings = settings or self.settings
         with hidden():
             if settings.on_events:
-                return stages.train_on_events(self.networks, settings, dataset, _silent)
-            stages.train(self.networks, settings, dataset, _silent)
-            return stages.train_rates(self.networks, settings, dataset, _silent)
+                return stages.train_on_events(self.networks, settings, dataset, silent)
+            stages.train(self.networks, settings, dataset, silent)
+            return stages.train_rates(self.networks, settings, dataset, silent)
 
 
 def study(label: str, measure: Callable, groups, workers: Workers, say: Callable) -> dict:
@@ -347,5 +347,5 @@ def summary_of_splits(results, simulated: bool) -> dict:
     }
 
 
-def _silent(line):
+def silent(line):
     """Of many trainings at a time the progress bar says enough."""

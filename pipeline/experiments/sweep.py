@@ -22,7 +22,7 @@ from deploy.files import replacing, write_json
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
 from pipeline.artifacts import Artifact, Origin
-from pipeline.experiments.study import Findings, Task, Workers, study
+from pipeline.experiments.study import Findings, Task, Workers, silent, study
 from pipeline.experiments.sweep_text import sweep_csv
 from pipeline.inputs.dataset import Dataset, dataset_origin, recordings_fit
 from pipeline.jobs import Failure
@@ -221,11 +221,11 @@ def train_network(task: SweepTask) -> dict:
     settings, dataset, networks = task.settings, task.dataset(), task.networks
     with hidden():
         if settings.on_events:
-            return stages.train_event_network(networks, settings, dataset, _silent)
-        metrics = stages.train(networks, settings, dataset, _silent)
+            return stages.train_event_network(networks, settings, dataset, silent)
+        metrics = stages.train(networks, settings, dataset, silent)
         if task.artifact.name.startswith("cnn"):
             return metrics
-        return stages.train_rates(networks, settings, dataset, _silent)
+        return stages.train_rates(networks, settings, dataset, silent)
 
 
 def judge(task: SweepTask) -> dict:
@@ -245,7 +245,7 @@ def judge(task: SweepTask) -> dict:
     cnn_accuracy = None
     if not settings.on_events:
         with hidden():
-            cnn = stages.train(task.networks, settings, dataset, _silent)
+            cnn = stages.train(task.networks, settings, dataset, silent)
         cnn_accuracy = cnn["accuracy"]["validation"]
     inputs, labels = dataset.part("validation")
     spec = stages.spec_of(task.networks, settings, dataset, {})
@@ -385,7 +385,3 @@ def _measure(points, workers, say):
 def _named(task):
     """The artifact of a training, with a name that tells it from others in the same sweep."""
     return replace(task.artifact, name=f"{task.artifact.name} {task.origin.key[:16]}")
-
-
-def _silent(line):
-    """Of many trainings at a time the progress bar says enough."""

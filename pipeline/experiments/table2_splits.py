@@ -16,7 +16,7 @@ from deploy.errors import UserError
 from deploy.targets.registry import answer
 from models.architecture import parse
 from pipeline.artifacts import Artifact, Origin
-from pipeline.experiments.study import Task, on_split
+from pipeline.experiments.study import Task, on_split, silent
 from pipeline.inputs.dataset import dataset_origin
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.paper import TABLE2
@@ -238,7 +238,7 @@ def _on_chip_or_before(task, dataset):
     """Samples shown, predictions and training history of a model that a run has too."""
     settings, model, test = task.settings, task.subject, dataset.split.test
     if model == "cnn":
-        stages.train(task.networks, settings, dataset, _silent)
+        stages.train(task.networks, settings, dataset, silent)
         network = cnn_origin(settings, dataset.origin)
         folder = task.networks.network("cnn", network)
     else:
@@ -295,7 +295,3 @@ def _slayer(task, dataset):
     )
     write_history(checkpoint.with_suffix(".csv"), trained.history)
     return dataset.split.test, trained.counts.argmax(1), trained.history
-
-
-def _silent(line):
-    """The progress bar says enough."""
