@@ -21,7 +21,7 @@ BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $
 ON_ALL_CORES := --numprocesses logical --maxprocesses 4 --dist worksteal
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
 
-.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark report live shipped-bundle test test-pythons torture lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava setup-peers test-peers audit clean help
+.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark results report live shipped-bundle test test-pythons torture lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava setup-peers test-peers audit clean help
 .DEFAULT_GOAL := help
 
 setup:  ## Make .venv with everything pinned in constraints.txt (2.6 GB)
@@ -52,6 +52,9 @@ check: convert  ## The bundle's check on TARGET, next to the reference simulator
 
 benchmark: setup  ## The paper's Table 2 on ten splits, beside the paper's figures (not SLAYER's)
 	@$(STMNIST) benchmark table2 --out "$$(dirname "$(RUN)")/table2" $(DATA_OPTIONS) $(if $(SAMPLES),--set check.samples=$(SAMPLES)) $(if $(STEPS),--set presentation.steps=$(STEPS))
+
+results: setup  ## Measure the files in results/ again that are out of date (hours; maintainers)
+	@$(BIN)/python -m tools.results --jobs $(JOBS)
 
 report: loihi-emulate  ## RUN as one HTML file, RUN/report.html, with Table 2 where it was measured
 	@$(STMNIST) report "$(RUN)" --jobs $(JOBS)
@@ -135,9 +138,10 @@ setup-peers: .venv-peers/installed  ## Install the plugins of pytest that NengoL
 	@$(BIN)/python -m pip install -qq --no-deps --target .venv-peers -r tests/peers/requirements.txt
 	@touch $@
 
-test-peers: setup setup-peers  ## NengoLoihi's own tests: on its emulator, on ours, on both compared
+test-peers: setup setup-peers  ## The tests of NengoLoihi, on its emulator, ours and both, and of NengoDL
 	@for emulator in nengo-loihi fast both; do echo "NengoLoihi's tests, emulator: $$emulator" && \
 	  $(BIN)/python -m tests.peers loihi --emulator $$emulator $(ON_ALL_CORES) || exit; done
+	@echo "NengoDL's tests" && $(BIN)/python -m tests.peers dl $(ON_ALL_CORES)
 
 # Those that SECURITY.md explains; pip-audit says how many it leaves out.
 EXPLAINED = $(shell sed -n 's/^- \*\*\(CVE-[0-9-]*\)\*\*.*/\1/p' SECURITY.md)

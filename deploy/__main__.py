@@ -2,7 +2,7 @@
 
 import sys
 
-from .interrupts import end_at_once, raised
+from .interrupts import end_at_once
 from .requirements import complaint
 from .terminal import prepare, remark
 
@@ -15,6 +15,4 @@ if __name__ == "__main__":
         sys.exit(2)
     from .cli import main
 
-    with raised("deploy"):
-        status = main()
-    sys.exit(status)
+    sys.exit(main())

@@ -44,7 +44,7 @@ class CheckFailed(Exception):
 
 
 def line_of(error) -> str:
-    """What an exception's line says: its own message, or the remedy for what no module foresaw.
+    """The line for an exception: its message, with a remedy for errors that no module foresaw.
 
     Parameters
     ----------

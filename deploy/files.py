@@ -18,6 +18,7 @@ import numpy as np
 
 from . import limits
 from .errors import UserError
+from .interrupts import at_the_end
 
 
 @contextlib.contextmanager
@@ -60,7 +61,7 @@ def creating(path, prefix):
     path : path-like
         The file to write.  Missing parent folders are made.
     prefix : str
-        Of the temporary file's name.  What a killed process left under it goes with the next call.
+        Start of the temporary file's name; the next call removes what a killed process left there.
 
     Yields
     ------
@@ -83,13 +84,14 @@ def _written_beside(path, prefix, mode, rename):
     """A temporary file that ``rename(temporary, path)`` makes permanent when the block succeeds."""
     temporary = None
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         remove_abandoned(path.parent, prefix)
         handle, temporary = tempfile.mkstemp(dir=str(path.parent), prefix=prefix)
         options = {} if "b" in mode else {"encoding": "utf-8", "newline": "\n"}
         with os.fdopen(handle, mode, **options) as file:
             claim(handle)
-            yield file
+            with at_the_end(os.unlink, temporary):
+                yield file
             file.flush()
             # mkstemp makes files that only their owner can read.
             os.fchmod(handle, 0o666 & ~_umask())
@@ -151,7 +153,7 @@ def remove_abandoned(folder, prefix):
     ----------
     folder : path-like
     prefix : str
-        Of their names; what `tempfile` adds follows.
+        Start of their names; `tempfile` adds the rest.
     """
     name = re.compile(re.escape(prefix) + "[a-z0-9_]{8}")
     with contextlib.suppress(OSError), os.scandir(str(folder)) as entries:
@@ -269,7 +271,7 @@ def locked(path, taken: str):
 
 
 def is_at(file, path) -> bool:
-    """Whether an open file is still the one at ``path``: a lock on a deleted file is no lock."""
+    """True if an open file is still the one at ``path``: a lock on a deleted file is void."""
     try:
         there = os.stat(str(path), follow_symlinks=False)
     except OSError:
@@ -292,7 +294,7 @@ def locked_folder(folder, taken: str):
     Yields
     ------
     file object
-        Of the lock, for :func:`is_at`.
+        The lock file, for :func:`is_at`.
 
     Raises
     ------
@@ -306,20 +308,56 @@ def locked_folder(folder, taken: str):
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / ".lock"
     with locked(path, taken) as file:
-        try:
-            yield file
-        finally:
+        _LOCKED.append((folder.absolute(), file))
+
+        def leave():
             with contextlib.suppress(OSError):
                 if is_at(file, path):
                     path.unlink()
                     for each in made:
                         each.rmdir()  # fails if the folder holds anything, as it should
 
+        try:
+            with at_the_end(leave):
+                yield file
+        finally:
+            _LOCKED.remove((folder.absolute(), file))
+            leave()
+
+
+_LOCKED = []
+"""The folders that this process has locked, each with the file of its lock."""
+
+
+def make_folder(folder):
+    """Make a folder that something is written to, with its missing parents.
+
+    Parameters
+    ----------
+    folder : path-like
+
+    Raises
+    ------
+    UserError
+        It is in a folder that this process has locked and that was deleted since: what is written
+        now would be a part of what was there.
+    OSError
+        It cannot be made.
+    """
+    folder = Path(folder)
+    for held in {held for held, _ in _LOCKED} & {folder.absolute(), *folder.absolute().parents}:
+        if not any(is_at(lock, held / ".lock") for path, lock in _LOCKED if path == held):
+            raise UserError(
+                f"{held}: was deleted or moved while this command worked in it; "
+                "run the command again"
+            )
+    folder.mkdir(parents=True, exist_ok=True)
+
 
 def refuse_linked_folder(folder):
     """Refuse a folder that is a symbolic link.
 
-    What is written there would be written elsewhere, over files that this program never made.
+    Files would be written elsewhere, over files that this program never made.
 
     Raises
     ------
@@ -364,7 +402,7 @@ def read_json(path, remedy):
     ----------
     path : path-like
     remedy : str
-        What the user can do if the file is missing or damaged; ends the error's line.
+        The user's remedy if the file is missing or damaged; ends the error's line.
 
     Raises
     ------
@@ -376,14 +414,57 @@ def read_json(path, remedy):
             content = file.read(limits.TEXT_BYTES + 1)
         if len(content) > limits.TEXT_BYTES:
             raise UserError(f"{path}: larger than any file of this kind; {remedy}")
-        value = json.loads(content.decode("utf-8"))
+        value = json.loads(content.decode("utf-8"), parse_constant=_no_number)
     except OSError as error:
         raise UserError(f"{path}: cannot read ({error.strerror or error}); {remedy}") from error
     except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: not valid JSON ({error}); {remedy}") from error
     if not isinstance(value, dict):
         raise UserError(f"{path}: not a JSON object; {remedy}")
+    if _is_deeper(value, limits.NESTED):
+        raise UserError(f"{path}: nested more than {limits.NESTED} deep; {remedy}")
     return value
+
+
+def _no_number(name):
+    raise ValueError(f"{name} is no number of JSON")
+
+
+def _is_deeper(value, most):
+    """Whether a JSON value is nested deeper than ``most``, found without recursion."""
+    level = [value]
+    for _ in range(most):
+        level = [
+            inner
+            for outer in level
+            for inner in (outer.values() if isinstance(outer, dict) else outer)
+            if isinstance(inner, (dict, list))
+        ]
+        if not level:
+            return False
+    return True
+
+
+@contextlib.contextmanager
+def understood(path, remedy):
+    """Say of a file that it is damaged where a value in it is missing or of another type.
+
+    Parameters
+    ----------
+    path : path-like
+        The file whose values the block looks at.
+    remedy : str
+        What the user can do; ends the error's line.
+
+    Raises
+    ------
+    UserError
+    """
+    try:
+        yield
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        problem = f"{type(error).__name__}: {str(error)[:200]}"
+        raise UserError(f"{path}: damaged, or not a whole record ({problem}); {remedy}") from error
 
 
 def write_arrays(path, compress=True, **arrays):
@@ -406,7 +487,7 @@ def read_arrays(path, remedy, most=limits.ARRAY_BYTES):
     ----------
     path : path-like
     remedy : str
-        What the user can do if the file is missing or damaged; ends the error's line.
+        The user's remedy if the file is missing or damaged; ends the error's line.
     most : int
         Bytes that the arrays may take.
 

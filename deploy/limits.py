@@ -1,4 +1,4 @@
-"""How large anything may be that comes in from outside: in one place, for reading and settings.
+"""Limits of everything that is read from outside: files and settings.
 
 They are far above what is of use and far below what a machine suffers from; a value past them is a
 mistake, and is said as one.
@@ -20,20 +20,23 @@ WEIGHTS = 20_000_000
 """Weights of a network."""
 
 SECONDS = 1_000.0
-"""Of a time constant."""
+"""Largest time constant in seconds."""
 
 REFRACTORY_S = 1.0
 
 MAGNITUDE = 1e9
-"""Of a voltage or an amplitude, in units of the threshold, of a weight and of a pixel."""
+"""Largest voltage or amplitude in units of the threshold, weight and pixel value."""
 
 LAYERS = 100
 
 ARRAY_BYTES = 1 << 30
-"""Of all arrays in a file."""
+"""Largest number of bytes of all arrays in a file."""
 
 TEXT_BYTES = 1 << 28
-"""Of a JSON file."""
+"""Largest number of bytes of a JSON file."""
+
+NESTED = 50
+"""Levels of a JSON file."""
 
 SETTINGS_BYTES = 1 << 20
-"""Of a file of settings."""
+"""Largest number of bytes of a file of settings."""

@@ -25,7 +25,7 @@ PACKAGES = {
 
 
 def complaint():
-    """What is wrong with this host, in one line.
+    """The problem of this host in one line.
 
     Returns
     -------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import List, Sequence
 
-from .terminal import printable
+from .terminal import SIGNIFICANT, printable
 
 
 def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> List[str]:
@@ -15,7 +15,7 @@ def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> List[str]:
     rows : sequence of sequence of str
         The heads first.  What a terminal would obey is escaped.
     left : int
-        How many columns are flush left; the others are flush right.
+        Number of columns that are flush left; the others are flush right.
     """
     rows = [[printable(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(*rows)]
@@ -33,7 +33,7 @@ WIDTH = 80
 
 
 def in_blocks(rows: Sequence[Sequence[str]], left: int = 1, width: int = WIDTH) -> List[str]:
-    """As :func:`aligned`, but a table that is too wide is cut into blocks of columns.
+    """Align a table as :func:`aligned` does, and cut a wide one into blocks of columns.
 
     Each block begins with the columns that are flush left; there is an empty line between them.
 
@@ -60,6 +60,15 @@ def in_blocks(rows: Sequence[Sequence[str]], left: int = 1, width: int = WIDTH) 
         chosen = [*range(left), *block]
         lines += ([""] if lines else []) + aligned([[row[i] for i in chosen] for row in rows], left)
     return lines
+
+
+SIGNIFICANCE = 0.05
+"""p-value below which a difference is taken for more than chance."""
+
+
+def star(p_value: float) -> str:
+    """The last cell of a row: a star if the difference is significant."""
+    return SIGNIFICANT.strip() if p_value < SIGNIFICANCE else ""
 
 
 def p_text(p_value: float) -> str:

@@ -1,4 +1,4 @@
-"""What is printed: safe for the terminal, and never a reason for a command to fail.
+"""Printing that is safe for the terminal and never makes a command fail.
 
 Names that come from files may hold what a terminal obeys, or what its encoding cannot represent;
 standard output and error may be closed or full.
@@ -24,14 +24,49 @@ def printable(text) -> str:
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
+ERRORS = ("stmnist: ", "deploy: ", "does not fit: ")
+"""Beginnings of lines that are shown in red at a terminal."""
+
+WARNING = "warning: "
+"""Beginning of a line that is shown in yellow; a name and a colon may stand before it."""
+
+SIGNIFICANT = " *"
+"""End of a line with a statistically significant difference, which is shown in bold."""
+
+
 def show(text="", flush=False):
     """Print an answer on standard output, each of its lines :func:`printable`."""
-    print("\n".join(map(printable, str(text).split("\n"))), flush=flush)
+    print(_lines(text, sys.stdout), flush=flush)
 
 
 def remark(text):
     """Print what happens on standard error, each line :func:`printable`."""
-    print("\n".join(map(printable, str(text).split("\n"))), file=sys.stderr)
+    print(_lines(text, sys.stderr), file=sys.stderr)
+
+
+def has_colours(stream) -> bool:
+    """True if a stream is a terminal that shows colours, and the user wants them.
+
+    ``NO_COLOR`` (https://no-color.org) and ``TERM=dumb`` switch them off.
+    """
+    with contextlib.suppress(AttributeError, ValueError, OSError):
+        wanted = not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+        return wanted and stream.isatty()
+    return False
+
+
+def _lines(text, stream):
+    lines = map(printable, str(text).split("\n"))
+    return "\n".join(map(_coloured, lines) if has_colours(stream) else lines)
+
+
+def _coloured(line):
+    """A line with the escape sequences of its colour, by its beginning and end."""
+    if line.startswith(ERRORS):
+        return f"\x1b[31m{line}\x1b[0m"
+    if line.startswith(WARNING) or f": {WARNING}" in line:
+        return f"\x1b[33m{line}\x1b[0m"
+    return f"\x1b[1m{line}\x1b[0m" if line.endswith(SIGNIFICANT) else line
 
 
 def prepare():

@@ -8,7 +8,17 @@ examples/own_sensor.py``); examples/own_sensor.ipynb is the same as a notebook.
 # %% The public names of this project
 import numpy as np
 
-from stmnist import RunFolder, Settings, ladder_text, measure_ladder, write_recordings
+from stmnist import (
+    RunFolder,
+    Settings,
+    compare_runs,
+    ladder_text,
+    measure_ladder,
+    read_runs,
+    runs_text,
+    write_recordings,
+    write_report,
+)
 
 CLASSES = ("swipe to the right", "swipe to the left", "swipe down", "circle")
 
@@ -45,10 +55,15 @@ for kind in ("image", "events"):
         ladder = measure_ladder(run, settings)
     print(ladder_text(ladder))
 
-# %% What follows works on the runs' folders, here or on the command line:
+# %% Both side by side, and a page of each with all results
+print(runs_text(compare_runs(read_runs(["runs/gestures-image", "runs/gestures-events"]))))
+for kind in ("image", "events"):
+    print(write_report(f"runs/gestures-{kind}"))
+
+# %% The same works on the command line, and two things more:
 #
 #     stmnist report runs/gestures-events
-#     stmnist compare runs/gestures-image runs/gestures-events
+#     stmnist live runs/gestures-events              # in Python: live("runs/gestures-events")
 #     stmnist check run runs/gestures-events --target fast --data other-recordings.zip
 #
 # On images the two swipes along x look alike; the events' order tells them apart.

@@ -126,6 +126,6 @@ def answer_apart(read):
 
 
 def _search_path():
-    """Where Python finds this package first, wherever this process found it."""
+    """The search path on which Python finds this package first."""
     here = str(Path(__file__).resolve().parents[1])
     return os.pathsep.join(filter(None, [here, os.environ.get("PYTHONPATH")]))

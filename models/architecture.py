@@ -99,6 +99,16 @@ class Convolution:
             input_shape, self.kernel, self.filters, self.stride, self.padding
         )
 
+    @property
+    def deployed(self) -> dict:
+        """Parameters of the layer in a bundle, see :class:`deploy.network.spec.Layer`."""
+        geometry = {"stride": self.stride, "padding": self.padding}
+        return {"kind": self.kind, "kernel": self.kernel, **geometry}
+
+    def deployed_weights(self, kernel) -> np.ndarray:
+        """A trained kernel with its axes in the order of a bundle."""
+        return kernel
+
     def __str__(self):
         stride = f"s{self.stride}" if self.stride > 1 else ""
         return f"{self.filters}c{self.kernel}{stride}{'p' * (self.padding == 'same')}"
@@ -185,6 +195,15 @@ class Dense:
         """Synapses that leave each input position, int64, of shape ``input_shape``."""
         return np.full(input_shape, self.units, np.int64)
 
+    @property
+    def deployed(self) -> dict:
+        """Parameters of the layer in a bundle, see :class:`deploy.network.spec.Layer`."""
+        return {"kind": "dense", "kernel": 0}
+
+    def deployed_weights(self, kernel) -> np.ndarray:
+        """A trained kernel with its axes in the order of a bundle."""
+        return kernel.T
+
     def __str__(self):
         return f"{self.units}{'o' * self.output}"
 
@@ -217,6 +236,24 @@ class Folded:
         """Synapses that leave each input position, int64, of shape ``input_shape``."""
         fan_out = self.layer.fan_out(self.pooled_shape)
         return fan_out if self.pool == 1 else unpooled(fan_out, self.input_shape, self.pool)
+
+    def geometry(self, pop_type: int) -> dict:
+        """The parameters of a :class:`deploy.network.spec.Layer` that the architecture determines.
+
+        Parameters
+        ----------
+        pop_type : int
+            NengoLoihi's population axon type.
+        """
+        return dict(
+            name=self.name,
+            input_shape=self.input_shape,
+            shape=self.shape,
+            block_shape=None,
+            pop_type=pop_type,
+            pool=self.pool,
+            **self.layer.deployed,
+        )
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,10 @@ import numpy as np
 
 from models.architecture import Architecture
 from models.keras2 import tf
+from models.quantised import OnChipConv2D, OnChipDense
 
 
-def build_cnn(architecture: Architecture, activation=None, sums=None) -> tf.keras.Model:
+def build_cnn(architecture: Architecture, activation=None, gain=None) -> tf.keras.Model:
     """Build the Keras model of an architecture; its outputs are logits (the loss has the softmax).
 
     Parameters
@@ -17,9 +18,9 @@ def build_cnn(architecture: Architecture, activation=None, sums=None) -> tf.kera
     activation : callable, optional
         ``activation(index)`` returns the activation layer of layer ``index``, counted from 0 over
         the convolutions and hidden dense layers.  Default: ReLU.
-    sums : callable, optional
-        ``sums(index, layer, name)`` returns the Keras layer for the weighted sums of a convolution
-        or a hidden dense layer.  Default: a ``Conv2D`` or a ``Dense``.
+    gain : callable, optional
+        ``gain(index)`` returns the gain of that layer's neurons; the layers then have the chip's
+        quantised weights (:mod:`models.quantised`).  Default: weights in floating point.
 
     Returns
     -------
@@ -28,7 +29,6 @@ def build_cnn(architecture: Architecture, activation=None, sums=None) -> tf.kera
         ``conv1_neurons``, ``pool1``, ``dense1``, ..., ``output``.
     """
     activation = activation or (lambda index: tf.keras.layers.ReLU())
-    sums = sums or _plain_sums
     signal = inputs = tf.keras.Input(architecture.input_shape, name="image")
     index = 0
     for name, layer in zip(architecture.names, architecture.layers, strict=True):
@@ -39,7 +39,7 @@ def build_cnn(architecture: Architecture, activation=None, sums=None) -> tf.kera
         elif layer.kind == "output":
             signal = tf.keras.layers.Dense(layer.units, name=name)(signal)
         else:
-            signal = sums(index, layer, name)(signal)
+            signal = _sums(layer, name, gain and gain(index))(signal)
             neurons = activation(index)
             neurons._name = f"{name}_neurons"
             signal = neurons(signal)
@@ -47,12 +47,16 @@ def build_cnn(architecture: Architecture, activation=None, sums=None) -> tf.kera
     return tf.keras.Model(inputs, signal)
 
 
-def _plain_sums(index, layer, name):
+def _sums(layer, name, gain):
+    """The Keras layer for the weighted sums of a convolution or a hidden dense layer."""
     if layer.kind == "dense":
-        return tf.keras.layers.Dense(layer.units, name=name)
-    return tf.keras.layers.Conv2D(
-        layer.filters, layer.kernel, strides=layer.stride, padding=layer.padding, name=name
-    )
+        size, options = (layer.units,), {"name": name}
+        plain, on_chip = tf.keras.layers.Dense, OnChipDense
+    else:
+        size = (layer.filters, layer.kernel)
+        options = {"name": name, "strides": layer.stride, "padding": layer.padding}
+        plain, on_chip = tf.keras.layers.Conv2D, OnChipConv2D
+    return plain(*size, **options) if gain is None else on_chip(*size, gain, **options)
 
 
 def get_weights(model: tf.keras.Model) -> dict:

@@ -16,7 +16,7 @@ WEIGHT_LEVELS = LOIHI.weight_levels
 """Largest magnitude of an 8-bit weight that may have either sign."""
 
 WEIGHT_UNIT = 128
-"""What a weight of 1 adds to q: NengoLoihi's weights at exponent 0 are even and shifted by 6."""
+"""Increase of q by a weight of 1: at exponent 0 NengoLoihi's weights are even, shifted by 6."""
 
 THRESHOLD_UNIT = 64
 MAX_THRESHOLD = (2**17 - 2) * THRESHOLD_UNIT
@@ -37,7 +37,7 @@ class Integers:
     bias : ndarray of int32, shape (filters,) or (units,)
     threshold, floor : int
     keep_u, keep_v : int
-        What a step leaves of current and voltage, in 4096ths.
+        Remaining share of current and voltage after a step, in 4096ths.
     exponent : int
         0 or less: a weight of 1 adds ``WEIGHT_UNIT`` times 2 to this power.
     """
@@ -77,7 +77,7 @@ class OnLoihi:
 
 
 def on_loihi(layer: Integers, dt: float) -> OnLoihi:
-    """What NengoLoihi must be given to come to these integers.
+    """Parameters from which NengoLoihi derives these integers.
 
     It makes decays of 12 bits from the time constants; scales a block's weights so that the largest
     becomes 127.5, rounded to 127; and multiplies threshold and bias so that they keep their ratio

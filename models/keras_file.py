@@ -130,7 +130,7 @@ def read_model_file(path) -> SavedModel:
 
 
 def _answer(content):
-    """What is in a file's content, as plain values and arrays."""
+    """The content of a file, as plain values and arrays."""
     arrays = {}
     try:
         model = read_content(content)

@@ -164,9 +164,12 @@ class _Reader:
         if self.numbers < 0:
             raise NirError(f"has more than {MAX_NUMBERS} numbers, no network for a chip")
         if h5py.check_string_dtype(dataset.dtype) is not None:
+            long = f"has too long a text in {shown(name)}; {REMEDY}"
+            if size > MAX_OBJECTS or size * dataset.dtype.itemsize > MAX_FILE:
+                raise NirError(long)
             texts = np.asarray(dataset.asstr()[()], object)
-            if size > MAX_OBJECTS or any(len(text) > MAX_TEXT for text in texts.ravel()):
-                raise NirError(f"has too long a text in {shown(name)}; {REMEDY}")
+            if any(len(text) > MAX_TEXT for text in texts.ravel()):
+                raise NirError(long)
             return ["text", texts.tolist()]
         if dataset.dtype.kind not in "fiub" or dataset.dtype.itemsize > 8:
             raise NirError(f"{shown(name)} is of type {dataset.dtype}, no numbers; {REMEDY}")

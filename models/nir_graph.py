@@ -28,6 +28,13 @@ FILTERS = ("LI", "CubaLI")
 """Nodes with a state whose output is not spikes."""
 
 MAX_NODES = 500
+"""Nodes of a graph, those of the graphs within it included."""
+
+MAX_EDGES = 10_000
+"""Edges of a graph; a chain has one fewer than nodes."""
+
+MAX_DIMENSIONS = 7
+"""Dimensions of an input that are looked at; more than 4 cannot be used."""
 
 SNNTORCH_STEP = 1e-4
 """Seconds: the time step that snnTorch's exporter writes time constants for, whatever the network
@@ -89,7 +96,7 @@ class NirNetwork:
 
     @property
     def written_by_snntorch(self) -> bool:
-        """Whether the neurons' parameters are as snnTorch's exporter makes them.
+        """True if the neurons' parameters are as snnTorch's exporter makes them.
 
         snnTorch has no time: a neuron keeps a share beta of its potential a step.  Its exporter
         writes tau = h / (1 - beta) and r = tau / h with h = 0.1 ms, so that a forward Euler step of
@@ -170,10 +177,13 @@ def _opened(tree, prefix="", depth=0) -> tuple:
         raise NirError("is not a NIR graph: it has no nodes; write a nir.NIRGraph")
     if len(nodes) > MAX_NODES:
         raise NirError(f"has {len(nodes)} nodes, more than {MAX_NODES}, no network for a chip")
-    edges = [] if edges is None else np.asarray(edges, object).tolist()
-    if not all(isinstance(edge, (list, tuple)) and len(edge) == 2 for edge in edges):
+    edges = [] if edges is None else edges
+    if np.size(edges) > 2 * MAX_EDGES:
+        raise NirError(f"has more than {MAX_EDGES} edges, no network for a chip")
+    edges = np.asarray(edges, object)
+    if edges.size and edges.shape[1:] != (2,):
         raise NirError("is not a NIR graph: its edges are no pairs; write a nir.NIRGraph")
-    pairs = {(_text(a), _text(b)) for a, b in edges}
+    pairs = {(_text(a), _text(b)) for a, b in edges.reshape(-1, 2)}
     for name in {name for pair in pairs for name in pair} - nodes.keys():
         raise NirError(f"an edge leads to {shown(prefix + name)}, which is no node; write it anew")
     found, inside = {}, {}
@@ -187,6 +197,8 @@ def _opened(tree, prefix="", depth=0) -> tuple:
             (ends[kind],) = _ends(own, kind, f"graph {shown(prefix + name)}: ")
         inside[name] = ends
         found |= own
+        if len(found) > MAX_NODES:
+            raise NirError(f"has more than {MAX_NODES} nodes, no network for a chip")
         pairs |= {("", pair) for pair in own_pairs}
     resolved = set()
     for a, b in pairs:
@@ -200,6 +212,16 @@ def _opened(tree, prefix="", depth=0) -> tuple:
         for end in ends.values():
             before = [a for a, b in resolved if b == end]
             after = [b for a, b in resolved if a == end]
+            if end in after:
+                raise NirError(
+                    f"graph {shown(end.rpartition('.')[0])} is connected to itself and has no "
+                    "nodes; a chain of nodes from input to output can be used"
+                )
+            if len(before) * len(after) > MAX_NODES:
+                raise NirError(
+                    f"node {shown(end)} has {len(before)} nodes before and {len(after)} after it; "
+                    "a chain of nodes without branches can be used"
+                )
             resolved = {pair for pair in resolved if end not in pair}
             resolved |= {(a, b) for a in before for b in after}
             del found[end]
@@ -281,8 +303,8 @@ def _input_shape(name, node, later) -> tuple:
     if shape is None and isinstance(node.get("input_type"), dict):
         shape = node["input_type"].get("input")
     try:
-        shape = tuple(int(n) for n in np.asarray(shape).ravel())
-    except (TypeError, ValueError):
+        shape = tuple(int(n) for n in np.asarray(shape).ravel()[:MAX_DIMENSIONS])
+    except (TypeError, ValueError, OverflowError):  # no numbers, NaN, infinity
         shape = ()
     flat = _kind(later[0]) in ("Affine", "Linear") if later else False
     if shape[:1] == (1,) and (len(shape) == 4 or (len(shape) == 2 and flat)):
@@ -447,9 +469,10 @@ def _pool(values, shape):
 
 
 def _flatten(values, shape):
-    first, last = (
-        int(values.array(name, default)) for name, default in (("start_dim", 0), ("end_dim", -1))
-    )
+    ends = [values.array("start_dim", 0), values.array("end_dim", -1)]
+    if any(end.size != 1 or end.item() != np.rint(end.item()) for end in ends):
+        values.refuse("its start_dim and end_dim are not a whole number each")
+    first, last = (int(end.item()) for end in ends)
     declared = values.values.get("input_type")
     if isinstance(declared, dict):
         declared = declared.get("input")
@@ -515,4 +538,4 @@ _INSTEAD = {
     "Input": "a chain has one input",
     "Output": "a chain has one output",
 }
-"""What could be used in the place of a node that cannot."""
+"""Possible replacement of an unsupported node."""

@@ -1,4 +1,4 @@
-"""From a NIR graph to layers that the chip has: one map and one kind of neuron each, in integers.
+"""Conversion of a NIR graph to layers of the chip: one map and one kind of neuron each.
 
 A step of the chip's neuron, in units of its threshold (:mod:`models.spiking` has it in integers):
 
@@ -34,6 +34,7 @@ all else becomes a matrix, which takes more of a core's memory and is otherwise 
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, field, replace
 
@@ -61,6 +62,15 @@ FLOOR = -(2**23) + 1
 
 CLIPS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
 """Shares of a layer's largest weight that 127 may stand for; larger weights are cut to it."""
+
+MOMENTS_EVERY = 4
+"""Steps from one moment of the voltage to the next that counts for the rounding of weights."""
+
+DAMPING = 0.01
+"""Added to the diagonal of the moments, in units of its mean."""
+
+MOST_MOMENTS = 2000
+"""Inputs of a neuron, at most, with which the rounding of weights is compensated."""
 
 MAX_BIAS = BIAS_MANTISSA * 2**7
 WEIGHT_EXPONENTS = 8
@@ -92,6 +102,9 @@ class NirLayer:
     stride, pool : int
     padding : str
         As of :class:`deploy.network.spec.Layer`.
+    fading : ndarray or float
+        Of a readout with a filter: the part of the bias that passes the filter.  t steps after a
+        sample's start the output has ``bias - fading * keep_u**t`` of it.
     """
 
     name: str
@@ -107,6 +120,7 @@ class NirLayer:
     stride: int = 1
     pool: int = 1
     padding: str = "valid"
+    fading: np.ndarray = field(default=0.0, repr=False)
 
     def __str__(self):
         return f"layer {self.name} (nodes {', '.join(self.nodes)})"
@@ -207,6 +221,10 @@ def _layer(nodes, step, method, before, place, is_image, last) -> NirLayer:
     bias = (bias + _constant_gain(neuron, shape, step, method) * offset).ravel()
     common = {"name": "", "nodes": tuple(n.name for n in nodes), "spiking": neuron is not None,
               "keep_u": keep_u, "keep_v": keep_v}  # fmt: skip
+    if neuron is None and keeps:
+        last_filter = between.index(keeps[-1][1])
+        at_start = np.broadcast_to(keeps[-1][1]["v_leak"], (1, *keeps[-1][1].shape))
+        common["fading"] = bias - _through(settled[last_filter + 1 :], at_start)[0].ravel()
     dense = last or not is_image or len(shape) != 3
     window = None if dense else _window(between, before)
     if window is not None:
@@ -249,7 +267,7 @@ def _neuron(neuron, shape, step, method):
 
 
 def _constant_gain(neuron, shape, step, method):
-    """What one unit of an input that stays adds to the voltage at each step, in thresholds."""
+    """Increase of the voltage at each step by one unit of constant input, in thresholds."""
     if neuron is None:
         return np.ones(shape)
     if neuron.kind == "Threshold":
@@ -326,7 +344,7 @@ def _times(shape):
 
 @dataclass(frozen=True)
 class _Window:
-    """What each output reads: a kernel (filters, channels, rows, columns) on a grid of windows.
+    """The inputs of each output: a kernel (filters, channels, rows, columns) on a grid of windows.
 
     ``pool`` is a square of values that are averaged before; ``scale`` one a channel of the input.
     """
@@ -405,7 +423,7 @@ def _pooled(window, size, stride, share):
 
 
 def _fitted(window, gain, bias, before, shape):
-    """What a :class:`NirLayer` of windows is made of, or None where the chip's are others."""
+    """Parameters of a :class:`NirLayer` of windows, or None if the chip has other windows."""
     flat_gain, flat_bias = (a.reshape(shape[0], -1) for a in (gain, bias))
     if (flat_gain != flat_gain[:, :1]).any() or not np.allclose(
         flat_bias, flat_bias[:, :1], rtol=1e-12, atol=1e-15
@@ -446,7 +464,7 @@ def _square(kernel, sizes, counts, stride, before):
 # --- integers -------------------------------------------------------------------------------------
 
 
-def rounded(layer: NirLayer, clip: float = 1.0) -> Integers:
+def rounded(layer: NirLayer, clip: float = 1.0, moments=None) -> Integers:
     """A layer of neurons in the chip's integers.
 
     Parameters
@@ -454,6 +472,9 @@ def rounded(layer: NirLayer, clip: float = 1.0) -> Integers:
     layer : NirLayer
     clip : float
         Share of the largest weight that 127 stands for.
+    moments : ndarray, shape (inputs, inputs), optional
+        As :func:`moments_of` gives them: the rounding of a weight is then made up for by the
+        weights after it, where their inputs are active together.
 
     Returns
     -------
@@ -465,13 +486,23 @@ def rounded(layer: NirLayer, clip: float = 1.0) -> Integers:
         No exponent of the weights makes threshold and bias fit.
     """
     real = layer.weights / layer.pool**2  # of each value, where the layer's are of averages
+    if not all(np.isfinite(part).all() for part in (real, layer.bias, layer.keep_u, layer.keep_v)):
+        raise NirError(
+            f"{layer}: its weights and biases are no numbers any more, divided by its threshold; "
+            "scale the threshold to about 1 in training"
+        )
     largest = float(np.abs(real).max()) * clip
     if largest == 0:
         raise NirError(f"{layer}: all its weights are 0; train it, or leave it out")
     # The threshold is a whole number of its units: the largest weights give way, not all of them.
-    scale = WEIGHT_UNIT / THRESHOLD_UNIT / np.ceil(WEIGHT_UNIT / THRESHOLD_UNIT * WEIGHT_LEVELS
-                                                   / largest - 1e-9)  # fmt: skip
-    weights = np.clip(np.rint(real / scale), -WEIGHT_LEVELS, WEIGHT_LEVELS)
+    with np.errstate(over="ignore"):
+        units = np.ceil(WEIGHT_UNIT / THRESHOLD_UNIT * WEIGHT_LEVELS / largest - 1e-9)
+    units = min(units, 2.0**1000)  # weights of 1e-310 are too small, as the loop below finds
+    scale = WEIGHT_UNIT / THRESHOLD_UNIT / max(units, 1)
+    if moments is None:
+        weights = np.clip(np.rint(real / scale), -WEIGHT_LEVELS, WEIGHT_LEVELS)
+    else:
+        weights = _compensated(real / scale, moments)
     keep_u, keep_v = (
         int(np.clip(np.rint(DECAY_UNIT * keep), least, MOST_KEEP))
         for keep, least in ((layer.keep_u, LEAST_KEEP_U), (layer.keep_v, LEAST_KEEP_V))
@@ -485,7 +516,7 @@ def rounded(layer: NirLayer, clip: float = 1.0) -> Integers:
         per_threshold = WEIGHT_UNIT * 2.0**-lowered / scale
         threshold = THRESHOLD_UNIT * round(per_threshold / THRESHOLD_UNIT)
         bias = layer.bias * threshold
-        if threshold <= MAX_THRESHOLD and np.abs(bias).max() <= MAX_BIAS:
+        if 0 < threshold <= MAX_THRESHOLD and np.abs(bias).max() <= MAX_BIAS:
             break
     else:
         raise NirError(
@@ -496,6 +527,53 @@ def rounded(layer: NirLayer, clip: float = 1.0) -> Integers:
     return Integers(
         weights.astype(np.int32), _twelve_bits(bias), threshold, FLOOR, keep_u, keep_v, -lowered
     )
+
+
+def _compensated(real, moments) -> np.ndarray:
+    """Whole numbers near ``real`` with a small error of what they add up to.
+
+    One input after the other is rounded, and the others that are left make up for its error as
+    least squares say (Frantar et al., "GPTQ", ICLR 2023, with the Cholesky factor of the inverse).
+    The input with the largest weight is the first, so that this weight stays what it is.
+    """
+    flat = real.reshape(len(moments), -1)
+    order = np.argsort(-np.abs(flat).max(1), kind="stable")
+    left, moments = flat[order], moments[np.ix_(order, order)]
+    upper = np.linalg.cholesky(np.linalg.inv(moments)).T
+    for i in range(len(left)):
+        found = np.clip(np.rint(left[i]), -WEIGHT_LEVELS, WEIGHT_LEVELS)
+        error = (left[i] - found) / upper[i, i]
+        left[i] = found
+        left[i + 1 :] -= np.outer(upper[i, i + 1 :], error)
+    return left[np.argsort(order)].reshape(real.shape)
+
+
+def moments_of(layer: NirLayer, spikes) -> np.ndarray:
+    """Second moments of what the weights' inputs add to the voltage, with a little on the diagonal.
+
+    Parameters
+    ----------
+    layer : NirLayer
+    spikes : ndarray, shape (n_samples, steps, inputs)
+
+    Returns
+    -------
+    ndarray, shape (inputs, inputs) or (rows * columns * channels,) twice
+        In the order of the weights.
+    """
+    left, u, v = [], 0.0, 0.0
+    for t in range(spikes.shape[1]):
+        u = layer.keep_u * u + spikes[:, t]
+        v = layer.keep_v * v + u
+        if t % MOMENTS_EVERY == 0:
+            left.append(v)
+    seen = _seen(layer, np.stack(left, 1)) if layer.kind == "conv" else np.stack(left, 1)
+    if layer.kind == "conv":
+        seen = np.moveaxis(seen, 3, 5)  # channels last, as in the weights
+    inputs = math.prod(layer.weights.shape[:-1])
+    seen = seen.reshape(-1, inputs)
+    moments = seen.T @ seen / len(seen)
+    return moments + np.eye(inputs) * max(DAMPING * np.trace(moments) / inputs, 1e-12)
 
 
 def _twelve_bits(bias):
@@ -522,18 +600,22 @@ def currents(layer: NirLayer, weights, spikes) -> np.ndarray:
     lead = spikes.shape[:2]
     if layer.kind == "dense":
         return (spikes.reshape(-1, spikes.shape[-1]) @ weights).reshape(*lead, -1)
+    return np.tensordot(_seen(layer, spikes), weights, ((3, 4, 5), (2, 0, 1))).reshape(*lead, -1)
+
+
+def _seen(layer, spikes):
+    """Windows (frames, rows, columns, channels, kernel's rows, columns) of sums over squares."""
     frames = spikes.reshape(-1, *layer.input_shape)
     if layer.pool > 1:
         rows, columns = (n // layer.pool for n in layer.input_shape[:2])
         channels = layer.input_shape[2]
         cut = frames[:, : rows * layer.pool, : columns * layer.pool]
         frames = cut.reshape(-1, rows, layer.pool, columns, layer.pool, channels).sum((2, 4))
-    side = weights.shape[0]
+    side = layer.weights.shape[0]
     pads = [windows(n, side, layer.stride, layer.padding)[1:] for n in frames.shape[1:3]]
     frames = np.pad(frames, ((0, 0), *pads, (0, 0)))
     seen = np.lib.stride_tricks.sliding_window_view(frames, (side, side), (1, 2))
-    seen = seen[:, :: layer.stride, :: layer.stride]
-    return np.tensordot(seen, weights, ((3, 4, 5), (2, 0, 1))).reshape(*lead, -1)
+    return seen[:, :: layer.stride, :: layer.stride]
 
 
 def fired(layer: NirLayer, spikes, integers: Integers | None = None) -> np.ndarray:
@@ -575,7 +657,7 @@ def fired(layer: NirLayer, spikes, integers: Integers | None = None) -> np.ndarr
 
 
 def chosen(layer: NirLayer, spikes=None) -> Integers:
-    """The layer's integers, with the scale of the weights that changes its spikes least.
+    """The layer's integers, with the scale and rounding of weights that change its spikes least.
 
     Parameters
     ----------
@@ -588,8 +670,11 @@ def chosen(layer: NirLayer, spikes=None) -> Integers:
         return rounded(layer)
     wanted = fired(layer, spikes).sum(1, dtype=float)
     found = []
-    for clip in CLIPS:
-        integers = rounded(layer, clip)
+    ways = [None]
+    if math.prod(layer.weights.shape[:-1]) <= MOST_MOMENTS:
+        ways.append(moments_of(layer, spikes))
+    for clip, moments in itertools.product(CLIPS, ways):
+        integers = rounded(layer, clip, moments)
         error = fired(layer, spikes, integers).sum(1, dtype=float) - wanted
         found.append((float(np.square(error).mean()), -clip, integers))
     return min(found, key=lambda entry: entry[:2])[2]

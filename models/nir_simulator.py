@@ -1,4 +1,4 @@
-"""What a NIR graph does, in plain NumPy and double precision: the reference for its conversion.
+"""Simulation of a NIR graph in NumPy and double precision: the reference for its conversion.
 
 The nodes' equations (Pedersen et al. 2024, Table 1, and the docstrings of the package ``nir``); S
 is what comes in, which is held while a step of length h lasts:
@@ -25,6 +25,9 @@ NIR does not say how time is cut into steps, and networks are trained with one w
 
 Spikes are looked for at the ends of steps, and have a height of 1 for one step.  Neurons begin at
 rest, v = v_leak and I = 0 (IF: v = v_reset).
+
+NIR resets to v_reset, and so does the chip.  Some packages train with a reset by subtraction, which
+a graph does not record; :data:`RESETS` are there to measure what that costs.
 """
 
 from __future__ import annotations
@@ -37,13 +40,17 @@ from models.nir_graph import FILTERS, SPIKING, NirError, NirNetwork, Node
 
 METHODS = ("exact", "euler")
 
+RESETS = ("value", "subtract", "subtract-late")
+"""Effect of a spike on v: set it to v_reset, as NIR says; take v_threshold - v_reset from it; or
+take that from it in the next step, after the leak, as snnTorch's ``subtract`` does."""
+
 AT_ONCE = 50
 """Samples that are simulated together, which bounds the memory."""
 
 
 @dataclass(frozen=True)
 class Simulated:
-    """What a graph answers.
+    """The answers of a graph.
 
     Attributes
     ----------
@@ -57,7 +64,9 @@ class Simulated:
     spikes: dict
 
 
-def simulate(network: NirNetwork, inputs, step: float, method: str = "exact") -> Simulated:
+def simulate(
+    network: NirNetwork, inputs, step: float, method: str = "exact", reset: str = "value"
+) -> Simulated:
     """Run a graph on inputs, each sample from rest.
 
     Parameters
@@ -69,6 +78,8 @@ def simulate(network: NirNetwork, inputs, step: float, method: str = "exact") ->
         Length of a step in seconds.
     method : str
         One of :data:`METHODS`.
+    reset : str
+        One of :data:`RESETS`.
 
     Raises
     ------
@@ -81,7 +92,7 @@ def simulate(network: NirNetwork, inputs, step: float, method: str = "exact") ->
     for start in range(0, len(inputs), AT_ONCE):
         signal, found = inputs[start : start + AT_ONCE].astype(float), {}
         for node in network.nodes:
-            signal = run_node(node, signal, step, method)
+            signal = run_node(node, signal, step, method, reset)
             if node.kind in SPIKING:
                 found[node.name] = signal.astype(bool)
         outputs.append(signal)
@@ -114,8 +125,10 @@ def check_step(network: NirNetwork, step: float):
                     )
 
 
-def run_node(node: Node, signal, step: float, method: str = "exact") -> np.ndarray:
-    """What a node makes of a signal over time, from rest.
+def run_node(
+    node: Node, signal, step: float, method: str = "exact", reset: str = "value"
+) -> np.ndarray:
+    """The output of a node for a signal over time, from rest.
 
     Parameters
     ----------
@@ -124,7 +137,8 @@ def run_node(node: Node, signal, step: float, method: str = "exact") -> np.ndarr
         In the node's input shape.
     step : float
         Seconds.
-    method : str
+    method, reset : str
+        As for :func:`simulate`.
 
     Returns
     -------
@@ -134,14 +148,14 @@ def run_node(node: Node, signal, step: float, method: str = "exact") -> np.ndarr
     if node.kind == "Threshold":
         return (signal > node["threshold"]).astype(float)
     if node.kind in SPIKING + FILTERS:
-        return _over_time(node, signal, step, method)
+        return _over_time(node, signal, step, method, reset)
     lead = signal.shape[:2]
     flat = signal.reshape(-1, *node.input_shape)
     return _LINEAR[node.kind](node, flat).reshape(*lead, *node.shape)
 
 
 def apply(node: Node, signal) -> np.ndarray:
-    """What a node without a state makes of signals, shape (n, ...); biases are added.
+    """The output of a node without a state for signals, shape (n, ...); biases are added.
 
     Raises
     ------
@@ -156,9 +170,11 @@ def decay(tau, step: float, method: str) -> np.ndarray:
     return np.exp(-step / tau) if method == "exact" else np.maximum(1 - step / tau, 0.0)
 
 
-def _over_time(node, signal, step, method):
+def _over_time(node, signal, step, method, reset):
     if method not in METHODS:
         raise ValueError(f"method {method!r} is not one of {', '.join(METHODS)}")
+    if reset not in RESETS:
+        raise ValueError(f"reset {reset!r} is not one of {', '.join(RESETS)}")
     move = _moved(node, step, method)
     rest = node["v_reset"] if node.kind == "IF" else node["v_leak"]
     state = [np.broadcast_to(rest, (len(signal), *node.shape)).copy(), np.zeros(())]
@@ -167,10 +183,19 @@ def _over_time(node, signal, step, method):
         voltage, state[1] = move(*state, signal[:, t].reshape(len(signal), *node.shape))
         if node.kind in SPIKING:
             fired = voltage > node["v_threshold"]
-            voltage = np.where(fired, node["v_reset"], voltage)
+            voltage = np.where(fired, _after_spike(node, voltage, step, method, reset), voltage)
         result[:, t] = fired if node.kind in SPIKING else voltage
         state[0] = voltage
     return result
+
+
+def _after_spike(node, voltage, step, method, reset):
+    if reset == "value":
+        return node["v_reset"]
+    taken = node["v_threshold"] - node["v_reset"]
+    if reset == "subtract-late" and node.kind != "IF":  # so that it is whole after the next leak
+        taken = taken / decay(node["tau" if node.kind == "LIF" else "tau_mem"], step, method)
+    return voltage - taken
 
 
 def _moved(node, step, method):

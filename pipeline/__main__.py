@@ -29,7 +29,7 @@ def hear_threads():
 
 
 def main():
-    """Import the command with what its verb needs, up to a second, and run it."""
+    """Import the command, which takes up to a second, and run it."""
     interrupts.end_at_once("stmnist")
     prepare()
     children.end_with_named_parent()
@@ -42,13 +42,10 @@ def main():
     hear_threads()
     filters = os.environ.get("PYTHONWARNINGS")
     os.environ["PYTHONWARNINGS"] = f"{filters},{QUIET}" if filters else QUIET
-    from pipeline.commands.main import import_verb
     from pipeline.commands.main import main as command
     from pipeline.temporary import own_folder
 
-    import_verb(sys.argv[1:])
-
-    with interrupts.raised("stmnist"), own_folder():
+    with own_folder():
         try:
             command()
         finally:

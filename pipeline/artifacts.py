@@ -37,7 +37,10 @@ CURRENT, OUTDATED, MISSING = "current", "outdated", "missing"
 """States of an artifact."""
 
 DELETE_IT = "delete it and run the command again"
-"""What to do about a damaged file."""
+"""Remedy for a damaged file."""
+
+LONGEST = 100
+"""Characters of a value in a reason."""
 
 PACKAGE = "package version"
 """The entry of an origin's contents that changes with each release of this package."""
@@ -45,7 +48,7 @@ PACKAGE = "package version"
 
 @dataclass(frozen=True)
 class Origin:
-    """What an artifact is made from.
+    """The inputs that an artifact is made from.
 
     Attributes
     ----------
@@ -69,9 +72,9 @@ class Origin:
             Settings (``"cnn.epochs"``) and sections (``"image"``) that its making reads, beside
             those of the artifacts it uses.
         uses : sequence of Origin
-            Of the artifacts that it is made from.
+            Origins of the artifacts that it is made from.
         contents : dict of str to str, optional
-            What else it depends on.
+            Other values on which it depends.
         """
         names = [name for entry in reads for name in names_in(entry)]
         values = {name: _plain(settings.value(name)) for name in names}
@@ -92,11 +95,11 @@ class Origin:
         return settings.only(self.settings)
 
     def to_json(self) -> dict:
-        """As plain values; what a record has under ``made_from``."""
+        """The origin as plain values, as a record has it under ``made_from``."""
         return {"settings": self.settings, "contents": self.contents}
 
     def changes_since(self, recorded) -> tuple:
-        """How it differs from what a record says.
+        """Differences between the origin and that in a record.
 
         Parameters
         ----------
@@ -152,12 +155,12 @@ class Change:
 
 @dataclass(frozen=True)
 class State:
-    """Whether an artifact is what the settings ask for.
+    """The state of an artifact relative to the settings.
 
     Attributes
     ----------
     name : str
-        Of the artifact.
+        Name of the artifact.
     state : str
         `CURRENT`, `OUTDATED` or `MISSING`.
     because : tuple of Change
@@ -176,9 +179,9 @@ class State:
         """True if it need not be made again."""
         return self.state == CURRENT
 
-    def reasons(self, most: int = 3) -> str:
+    def reasons(self) -> str:
         """Why it is outdated, in one line with the first few changes."""
-        shown = [change.sentence for change in self.because[:most]]
+        shown = [change.sentence for change in self.because[:3]]
         left = len(self.because) - len(shown)
         return ", ".join(shown) + (f" and {left} more" if left else "")
 
@@ -200,18 +203,18 @@ class State:
 
 
 def recorded_origin(content: dict):
-    """Where a record usually says what its artifact was made from."""
+    """Read the origin of an artifact from its record."""
     return content.get("made_from")
 
 
 @dataclass(frozen=True)
 class Artifact:
-    """Where an artifact lies.
+    """The place of an artifact.
 
     Attributes
     ----------
     name : str
-        What the user calls it.
+        Name of the artifact for the user.
     record : Path
         Its JSON file, written last.
     files : tuple of Path
@@ -238,10 +241,6 @@ class Artifact:
         content = read_json(self.record, DELETE_IT)
         changes = origin.changes_since(self.made_from(content))
         return State(self.name, OUTDATED if changes else CURRENT, changes, content)
-
-    def invalidate(self):
-        """Remove the record, before the other files are replaced."""
-        self.record.unlink(missing_ok=True)
 
     def write(self, origin: Origin, content: dict) -> dict:
         """Write the record, once the other files are there; return its content."""
@@ -289,7 +288,8 @@ def _plain(value):
 
 
 def _shown(value):
-    return json.dumps(value, ensure_ascii=False)
+    text = json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
 
 
 def _shortened(content):

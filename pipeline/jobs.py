@@ -20,7 +20,7 @@ from deploy.children import end_with
 from deploy.errors import UserError
 
 MESSAGE_LENGTH = 160
-"""Of a failure's line; the traceback has it all."""
+"""Largest number of characters in a failure's line; the traceback has the whole message."""
 
 PATIENCE = 5
 """Seconds in which a scheduler must answer."""
@@ -28,7 +28,7 @@ PATIENCE = 5
 
 @dataclass(frozen=True)
 class Failure:
-    """What a job raised instead of returning.
+    """The error of a job that failed.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Failure:
     details : str
         The traceback, where there is one; of a user's mistake the whole message.
     mistake : UserError, optional
-        What was raised, where that is all there is to say.
+        The error itself, if it is a mistake of the user.
     """
 
     error: str
@@ -82,7 +82,7 @@ def run_jobs(
     Parameters
     ----------
     function : callable
-        Of a module (workers import it), called as ``function(job)``.
+        Function of a module (workers import it), called as ``function(job)``.
     jobs : sequence
         Values that can be pickled.
     processes : int
@@ -130,11 +130,11 @@ def results_of(calls, processes: int, in_order: bool = True):
     Parameters
     ----------
     calls : iterable
-        Of :func:`joblib.delayed`.
+        Calls made with :func:`joblib.delayed`.
     processes : int
         With 1 the calls are made in this process.
     in_order : bool
-        Whether results come in the order of the calls or of their ends.
+        True for results in the order of the calls, False for the order of their ends.
     """
     order = "generator" if in_order else "generator_unordered"
     parallel = Parallel(processes, return_as=order, **(_beginning() if processes != 1 else {}))
@@ -184,7 +184,7 @@ def _numbered(number, function, job):
 
 
 def attempt(function, job):
-    """What a function returns for a job, or a :class:`Failure` if it raises an error."""
+    """Call a function for a job; return its result, or a :class:`Failure` if it raises an error."""
     try:
         return function(job)
     except UserError as error:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 ROWS = COLUMNS = 10
-"""Of taxels (Section 2.1)."""
+"""Rows and columns of taxels (Section 2.1)."""
 
 CLASSES = 10
 """Digits."""

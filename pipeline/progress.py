@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import os
 
 from rich.console import Console
 from rich.progress import (
@@ -15,8 +16,14 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from deploy.interrupts import at_the_end
+
 console = Console(stderr=True)
+SHOW_CURSOR = b"\x1b[?25h\n"
+"""Written after a bar on a terminal: show the cursor again (ECMA-48, DECTCEM), new line."""
+
 _hidden = False
+_stages: tuple = ()
 
 
 @contextlib.contextmanager
@@ -31,13 +38,37 @@ def hidden():
 
 
 @contextlib.contextmanager
+def stages(names):
+    """Inside the block each bar says which of some stages it belongs to, such as "2 of 4".
+
+    Parameters
+    ----------
+    names : sequence of str
+        In order; a bar belongs to the stage with whose name its label begins.
+    """
+    global _stages
+    before, _stages = _stages, tuple(names)
+    try:
+        yield
+    finally:
+        _stages = before
+
+
+def stage_of(label: str) -> str:
+    """Such as ``"2 of 4 "`` for the label of a bar of one of the :func:`stages`, else empty."""
+    numbers = (n for n, name in enumerate(_stages, 1) if f"{label} ".startswith(f"{name} "))
+    number = next(numbers, None)
+    return f"{number} of {len(_stages)} " if number else ""
+
+
+@contextlib.contextmanager
 def progress(label: str, total: int):
     """Show a bar while the block runs.
 
     Parameters
     ----------
     label : str
-        What is being done, such as ``"import"``.
+        The activity, such as ``"import"``.
     total : int
         Steps until done.
 
@@ -53,7 +84,9 @@ def progress(label: str, total: int):
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, disable=_hidden or not can_draw()) as bar:
+    label = stage_of(label) + label
+    drawn = not _hidden and can_draw()
+    with at_the_end(_leave, drawn), Progress(*columns, console=console, disable=not drawn) as bar:
         task = bar.add_task(label, total=total)
 
         def advance(n=1, note=None):
@@ -63,7 +96,12 @@ def progress(label: str, total: int):
         yield advance
 
 
+def _leave(drawn):
+    if drawn and console.is_terminal:
+        os.write(2, SHOW_CURSOR)
+
+
 def can_draw() -> bool:
-    """Whether a bar would be seen: on a terminal, or in a notebook with ipywidgets."""
+    """True if a bar is visible: on a terminal, or in a notebook with ipywidgets."""
     in_notebook = console.is_jupyter and importlib.util.find_spec("ipywidgets") is not None
     return console.is_terminal or in_notebook

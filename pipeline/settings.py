@@ -69,7 +69,7 @@ class Section:
 
 
 class Limit(NamedTuple):
-    """What holds of a value, and how an error says so."""
+    """A condition on a value, and its wording in an error."""
 
     holds: Callable
     expected: str
@@ -86,7 +86,7 @@ def between(low, high, unit="") -> Limit:
 
 
 LARGEST = 2**53
-"""Of any number: all whole ones up to it are the same in every format."""
+"""Largest number: all integers up to it are exact in every format."""
 
 LONGEST_TEXT = 4096
 
@@ -113,7 +113,7 @@ POP_TYPE = Limit(lambda value: value in (16, 32), "16 or 32")
 
 @dataclass(frozen=True)
 class Data(Section):
-    """Which recordings."""
+    """The recordings."""
 
     source: str = "simulated"
     """``simulated``, or the path of a zip or folder of recordings, such as ST-MNIST's."""
@@ -124,15 +124,15 @@ class Data(Section):
     skip_bad: bool = False
     """Leave out files that cannot be read instead of stopping."""
     time_unit: Annotated[str, one_of("", "s", "ms", "us", "ns")] = ""
-    """Of the times in files of events (not .mat): s, ms, us or ns; empty: told from how long the
-    recordings last."""
+    """Unit of the times in files of events (not .mat): s, ms, us or ns; empty: inferred from the
+    duration of the recordings."""
     downsample: Annotated[int, between(1, 64)] = 1
     """Side of the square of pixels that becomes one taxel, of files of events; 1 for all pixels."""
 
 
 @dataclass(frozen=True)
 class Input(Section):
-    """What the network that goes to the chip is shown."""
+    """The input of the network on the chip."""
 
     kind: Annotated[str, one_of("image", "events")] = "image"
     """``image``: a recording's tactile image as evenly spaced spikes, as in the paper; ``events``:
@@ -162,14 +162,13 @@ class SkinSize(Section):
 
 @dataclass(frozen=True)
 class Image(Section):
-    """How events become a tactile image; see :mod:`pipeline.inputs.images`."""
+    """Conversion of events to a tactile image; see :mod:`pipeline.inputs.images`."""
 
     aggregation: Annotated[str, one_of(*AGGREGATIONS)] = "count"
-    """What is counted for each taxel: ``count``, physical events; ``columns``, columns of the file,
-    as in the paper's Table 1; ``signed``, ON minus OFF events; ``on``, ``off``, events of one
-    polarity."""
+    """Quantity for each taxel: ``count``, physical events; ``columns``, columns of the file, as in
+    the paper's Table 1; ``signed``, ON minus OFF events; ``on``, ``off``: of one polarity."""
     normalisation: Annotated[str, one_of(*NORMALISATIONS)] = "max"
-    """What an image is divided by: ``max``, its largest magnitude; ``sum``, the sum of magnitudes;
+    """Divisor of an image: ``max``, its largest magnitude; ``sum``, the sum of magnitudes;
     ``sqrt-max``, as ``max`` after the square root of each magnitude; ``none``, nothing: the
     counts themselves, for the CNN, ``deployment.first_layer = "host"`` or a low
     ``deployment.input_rate``."""
@@ -200,7 +199,7 @@ class CNN(Section):
     model: str = ""
     """A Keras model file whose weights replace trained ones; ``convert --model`` sets it."""
     model_sha256: str = ""
-    """Of that file's content."""
+    """SHA-256 of that file's content."""
 
 
 @dataclass(frozen=True)
@@ -234,7 +233,7 @@ class SNN(Section):
 
     @property
     def is_on_chip(self) -> bool:
-        """Whether the rate-based network has the chip's rates and 8-bit weights."""
+        """True if the rate-based network has the chip's rates and 8-bit weights."""
         return self.recipe != "paper"
 
     def max_rate(self, index: int) -> float:
@@ -250,14 +249,17 @@ class NIR(Section):
     """A NIR graph, such as one exported from PyTorch; ``convert --nir`` sets it, and an empty text
     selects networks trained here."""
     sha256: str = ""
-    """Of that file's content."""
+    """SHA-256 of that file's content."""
     step: Annotated[float, STEP_OR_NONE] = 0.0
     """Milliseconds of the graph's time in a step of the chip; 0: 0.1 if snnTorch's exporter wrote
     the graph, otherwise the value of ``input.step``, or 1 with images."""
     method: Annotated[str, one_of("auto", "exact", "euler")] = "auto"
-    """How the graph's equations are integrated: ``exact``, their exact solution; ``euler``, forward
+    """Integration of the graph's equations: ``exact``, their exact solution; ``euler``, forward
     Euler steps, as Norse and snnTorch train; ``auto``, ``euler`` if snnTorch's exporter wrote the
     graph, otherwise ``exact``."""
+    retrain: bool = False
+    """Whether the graph's network is trained further on the run's events, in the chip's integers;
+    ``convert --nir --retrain`` sets it."""
 
 
 @dataclass(frozen=True)
@@ -265,7 +267,7 @@ class EventTraining(Section):
     """The spiking network that is trained on events; see :mod:`pipeline.training.events`."""
 
     architecture: str = "10x10x2-24c4s3-64-10o"
-    """As the CNN's, with a channel for each polarity and at least one hidden layer; no pooling."""
+    """Notation as for the CNN, with a channel for each polarity, a hidden layer and no pooling."""
     epochs: Annotated[int, EPOCHS] = 80
     """Passes over the training samples."""
     batch_size: Annotated[int, BATCH] = 32
@@ -284,7 +286,7 @@ class Slayer(Section):
     """SLAYER training on the events (paper, Section 3.2.3)."""
 
     architecture: str = "10x10x2-6c2-24c3-10o"
-    """As the CNN's, with a channel for each polarity."""
+    """Notation as for the CNN, with a channel for each polarity."""
     bins: Annotated[int, STEPS] = 200
     """Time steps that a recording of two seconds is divided into; 10 ms each (paper)."""
     epochs: Annotated[int, EPOCHS] = 100
@@ -312,7 +314,7 @@ class Slayer(Section):
 
 @dataclass(frozen=True)
 class Deployment(Section):
-    """How the spiking network is placed on chip and host; see :mod:`deploy.network.spec`."""
+    """Placement of the spiking network on chip and host; see :mod:`deploy.network.spec`."""
 
     first_layer: Annotated[str, one_of("chip", "host")] = "chip"
     """``chip``: an input layer on the host converts the image to spikes, all layers of neurons are
@@ -334,7 +336,7 @@ class Deployment(Section):
 
 @dataclass(frozen=True)
 class Showing(Section):
-    """How samples are presented; see :class:`deploy.network.spec.Presentation`."""
+    """Presentation of the samples; see :class:`deploy.network.spec.Presentation`."""
 
     steps: Annotated[int, STEPS_OR_NONE] = 0
     """Steps for which a sample is presented: of 1 ms, or with events each of ``input.step``; 0 for
@@ -383,7 +385,7 @@ class Settings(Section):
         changes : dict
             As read from TOML: ``{"seed": 1, "cnn": {"epochs": 5}}``.
         origin : str
-            Where they come from, for the error's line.
+            Source of the values, for the error's line.
 
         Raises
         ------
@@ -395,7 +397,7 @@ class Settings(Section):
         return settings
 
     def presented(self, confidence: float | None = None) -> Presentation:
-        """How samples are shown; events are read from the first step on.
+        """The presentation of samples; events are read from the first step on.
 
         Parameters
         ----------
@@ -425,13 +427,16 @@ class Settings(Section):
 
     @property
     def on_events(self) -> bool:
-        """Whether the input of the chip is events, not images."""
+        """True if the input of the chip is events, not images."""
         return self.input.kind == "events"
 
     @property
     def network(self) -> str:
-        """The origin of the network for the chip: ``"nir"``, or the kind of the input."""
-        return "nir" if self.nir.file else self.input.kind
+        """The origin of the network for the chip: ``"nir"``, ``"retrained"`` (a NIR graph that is
+        trained further), or the kind of the input."""
+        if self.nir.file:
+            return "retrained" if self.nir.retrain else "nir"
+        return self.input.kind
 
     def value(self, name: str):
         """The value of a setting by its dotted name, such as ``"cnn.epochs"``."""
@@ -449,7 +454,7 @@ class Settings(Section):
         return _narrowed(self, kept, "")
 
     def to_json(self) -> dict:
-        """As plain values."""
+        """The settings as plain values."""
         return asdict(self)
 
     def flat(self) -> dict:
@@ -457,7 +462,7 @@ class Settings(Section):
         return {name: getattr(section, entry) for name, section, entry in _entries(self)}
 
     def relevant(self) -> dict:
-        """As :meth:`flat`, without the settings that such a run does not read."""
+        """The settings of :meth:`flat` that such a run reads."""
         unread = ("slayer.",)
         if self.on_events:
             unread += ("cnn.", "snn.", "image.", "deployment.", "presentation.readout_start")
@@ -628,6 +633,9 @@ def _changed(settings, changes, origin, prefix):
 def _meant(name, known, prefix):
     """The suggestion of a known name that is similar to an unknown one."""
     near = difflib.get_close_matches(str(name), known, n=1)
+    if not near and not prefix:  # the section was left out
+        last = {full.rpartition(".")[2]: full for full in reversed(Settings().flat())}
+        near = [last[word] for word in difflib.get_close_matches(str(name), last, n=1)]
     return f", did you mean {prefix + near[0]!r}?" if near else ""
 
 

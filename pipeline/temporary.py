@@ -12,16 +12,17 @@ import shutil
 import tempfile
 
 from deploy.files import claim, remove_abandoned
+from deploy.interrupts import at_the_end
 
 PREFIX = ".stmnist-process-"
-"""Of a name that nobody gives a folder of their own: the abandoned ones are removed."""
+"""Start of the names; users do not choose such a name, since abandoned folders are removed."""
 
 
 @contextlib.contextmanager
 def own_folder():
     """Make temporary files of this process and its workers in a folder that is removed after.
 
-    Where none can be made everything stays as it is.
+    If no folder can be made, everything stays as it is.
     """
     before, directory = os.environ.get("TMPDIR"), tempfile.tempdir
     try:
@@ -34,7 +35,8 @@ def own_folder():
     claim(handle)
     os.environ["TMPDIR"], tempfile.tempdir = folder, folder
     try:
-        yield
+        with at_the_end(shutil.rmtree, folder):
+            yield
     finally:
         tempfile.tempdir = directory
         if before is None:

@@ -22,7 +22,7 @@ import os
 import sys
 
 PACKAGES = ("deploy", "models", "pipeline")
-"""Of this distribution, beside this one."""
+"""Packages of this distribution, beside this one."""
 
 _PLACES = {
     "deploy.check.bundle": ("CheckSet", "read_bundle", "write_bundle"),
@@ -39,10 +39,12 @@ _PLACES = {
     "models.nir_simulator": ("simulate",),
     "pipeline.inputs.dataset": ("Dataset",),
     "pipeline.inputs.splits": ("draw_check_samples",),
+    "pipeline.live.serving": ("live",),
     "pipeline.progress": ("progress",),
     "pipeline.recordings.own": ("write_recordings",),
     "pipeline.report.figures.confusion": ("confusion_figure",),
     "pipeline.report.figures.placement": ("placement_figure",),
+    "pipeline.report.writing": ("write_report",),
     "pipeline.run": ("stages",),
     "pipeline.run.comparison": ("compare_runs", "read_runs", "runs_text"),
     "pipeline.run.conversion": ("deployed",),
@@ -91,7 +93,7 @@ def bind():
 
 
 def _begin_worker(parent):
-    """What a worker of a process that uses this package does first."""
+    """Initialise a worker of a process that uses this package."""
     bind()
     importlib.import_module("deploy.children").end_with(parent)
 

@@ -27,6 +27,11 @@ def call(*arguments) -> int:
     raise AssertionError("the command ended without an exit status")
 
 
+def missing(text: str, *facts) -> list:
+    """The facts (numbers, names, options) that a text lacks; how it says them may change."""
+    return [fact for fact in facts if str(fact) not in text]
+
+
 def environment(**more) -> dict:
     """For a process of its own that imports this repository's packages."""
     return {**os.environ, "PYTHONPATH": str(ROOT), **more}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -30,22 +31,28 @@ TOUCH = 0.3
 def chromium(executable=None):
     """A Chromium without a window, as Playwright's ``Browser``.
 
+    Parameters
+    ----------
+    executable : path-like, optional
+        Default: the one on the path, else the one that Playwright has installed for itself.
+
     Raises
     ------
     UserError
         Chromium or Playwright is not here, Chromium does not start, or what is done with it in the
         block takes too long or fails.
     """
-    executable = executable or next(filter(None, map(shutil.which, BROWSERS)), None)
-    if executable is None:
-        raise UserError(
-            "no Chromium here; install one (on Debian and Ubuntu: apt install chromium)"
-        )
     try:
         from playwright.sync_api import Error, sync_playwright
     except ImportError as error:
         raise UserError(f"{error.name} is not here: pip install playwright") from error
+    executable = executable or next(filter(None, map(shutil.which, BROWSERS)), None)
     with sync_playwright() as playwright:
+        executable = executable or playwright.chromium.executable_path
+        if not Path(executable).exists():
+            raise UserError(
+                "no Chromium here; install one (on Debian and Ubuntu: apt install chromium)"
+            )
         try:
             browser = playwright.chromium.launch(executable_path=executable, args=list(ARGUMENTS))
         except Error as error:

@@ -142,7 +142,7 @@ def test_labels_that_are_all_wrong_change_nothing(run, tmp_path, capsys):
     write_zip(tmp_path / "wrong.zip", named(replace(recordings, labels=labels)))
     before = contents(run)
     assert call("adapt", run, "--data", tmp_path / "wrong.zip", "--out", tmp_path / "new") == 0
-    assert "nothing was changed" in capsys.readouterr().out
+    assert "nothing" in capsys.readouterr().out
     assert not (tmp_path / "new").exists()
     assert contents(run) == before
 

@@ -14,7 +14,7 @@ from pipeline.__main__ import QUIET, hear_threads
 
 from .command import ROOT, environment, process_of
 
-LINE = "stmnist: interrupted; the same command goes on where it stopped"
+LINE = "stmnist: interrupted; the same command continues where it stopped"
 
 
 def told(**more):
@@ -76,118 +76,143 @@ def test_in_the_imports_of_a_verb_it_is_one_line():
         assert interrupted(process) == (130, "", LINE + "\n")
 
 
-DROPPED = """
-    import gc, sys
+GARBAGE = """
+    def callback(phase, info):
+        wait()
+    gc.callbacks.append(callback)
+    gc.collect()
+"""
+WEAK_REFERENCE = """
+    class Thing:
+        pass
+    thing = Thing()
+    reference = weakref.ref(thing, lambda _: wait())
+    del thing
+"""
+EXECUTED = """
+    exec("wait()")
+"""
+CAUGHT = """
+    while True:
+        try:
+            wait()
+        except BaseException:
+            pass
+"""
+SILENCED = """
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    wait()
+"""
+BUSY = """
+    import gc, os, weakref
     from deploy import interrupts
 
-    waiting = True
-    def callback(phase, info):
-        global waiting
-        if waiting:
-            waiting = False
-            print("ready", flush=True)
-            while True:
-                pass
+    def wait():
+        print("ready", flush=True)
+        while True:
+            pass
 
-    with interrupts.raised("stmnist"):
-        try:
-            gc.callbacks.append(callback)
-            gc.collect()
-            while True:
-                pass
-        except KeyboardInterrupt:
-            print("came through", flush=True)
-            sys.exit(130)
+    interrupts.end_at_once("stmnist")
 """
 
 
-def test_a_callback_of_the_garbage_collector_does_not_lose_it():
-    with started(DROPPED) as process:
-        status, out, err = interrupted(process)
-    assert (status, out) == (130, "came through\n")
-    assert err == ""
-
-
-def test_without_the_guard_it_would_be_lost():
-    """What the test before is about: Python itself prints and drops it, and goes on."""
-    code = DROPPED.replace('interrupts.raised("stmnist")', "open('/dev/null')")
-    with started(code) as process:
-        process.send_signal(signal.SIGINT)
-        assert process.stderr.readline().startswith("Exception ignored in")
-        while process.stderr.readline() != "KeyboardInterrupt: \n":
-            assert process.poll() is None
-        with pytest.raises(subprocess.TimeoutExpired):
-            process.communicate(timeout=0.2)
-
-
-def test_in_a_text_that_is_executed_it_ends_by_its_status(tmp_path):
-    """CPython takes it for one that nobody caught, and ends "python -m" by a signal."""
-    code = """
-        import sys, threading
-        from deploy import interrupts
-
-        interrupts.end_at_once("stmnist")
-        threading.Thread(target=threading.Event().wait, daemon=True).start()
-        with interrupts.raised("stmnist"):
-            try:
-                exec("print('ready', flush=True)\\nwhile True: pass")
-            except KeyboardInterrupt:
-                print("came through", flush=True)
-                sys.exit(130)
-        """
-    (tmp_path / "executes.py").write_text(textwrap.dedent(code))
-    with process_of("-m", "executes", cwd=tmp_path, **told()) as process:
-        assert process.stdout.readline() == "ready\n"
-        assert interrupted(process) == (130, "came through\n", "")
-
-
-def test_a_weak_reference_does_not_lose_it():
-    code = """
-        import sys, weakref
-        from deploy import interrupts
-
-        class Thing:
-            pass
-
-        def gone(reference):
-            print("ready", flush=True)
-            while True:
-                pass
-
-        thing = Thing()
-        with interrupts.raised("stmnist"):
-            try:
-                reference = weakref.ref(thing, gone)
-                del thing
-                while True:
-                    pass
-            except KeyboardInterrupt:
-                sys.exit(130)
-        """
-    with started(code) as process:
-        assert interrupted(process)[0] == 130
-
-
-def test_a_second_one_ends_at_once():
-    code = """
-        from deploy import interrupts
-
-        with interrupts.raised("stmnist"):
-            while True:
-                try:
-                    print("ready", flush=True)
-                    while True:
-                        pass
-                except KeyboardInterrupt:
-                    pass
-        """
-    with started(code) as process:
-        process.send_signal(signal.SIGINT)
-        assert process.stdout.readline() == "ready\n"
+@pytest.mark.parametrize("where", [GARBAGE, WEAK_REFERENCE, EXECUTED, CAUGHT, SILENCED])
+def test_it_is_one_line_wherever_it_falls(where):
+    """Python drops a KeyboardInterrupt in the first two; a library may catch it."""
+    with started(textwrap.dedent(BUSY) + textwrap.dedent(where)) as process:
         assert interrupted(process) == (130, "", LINE + "\n")
 
 
-@pytest.mark.parametrize(("guard", "status"), [("end_at_once('stmnist')", 0), ("is_ours()", -2)])
+def test_it_leaves_no_temporary_file_and_no_child(tmp_path):
+    code = f"""
+        import multiprocessing, os, signal, sys, tempfile
+        from deploy import interrupts
+        from deploy.files import locked_folder, replacing
+        from pipeline.temporary import own_folder
+
+        interrupts.end_at_once("stmnist")
+        multiprocessing.set_start_method("fork")
+        folder = {str(tmp_path)!r}
+        with own_folder(), locked_folder(folder + "/new/run", ""), replacing(folder + "/a") as file:
+            file.write(b"half")
+            handle, _ = tempfile.mkstemp()
+            child = multiprocessing.Process(target=signal.pause)
+            child.start()
+            print(child.pid, flush=True)
+            signal.pause()
+        """
+    own = told(TMPDIR=str(tmp_path))
+    with process_of("-c", textwrap.dedent(code), **own) as process:
+        child = int(process.stdout.readline())
+        assert len(list(tmp_path.iterdir())) == 3
+        assert interrupted(process) == (130, "", LINE + "\n")
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(ProcessLookupError):
+        os.kill(child, 0)
+
+
+def test_a_new_bundle_is_removed_and_the_earlier_one_restored(tmp_path):
+    """Interrupted between the two renames that exchange them."""
+    code = f"""
+        import os, signal
+        from pathlib import Path
+        from deploy import interrupts
+        from deploy.check.bundle import _exchange
+
+        interrupts.end_at_once("stmnist")
+        replace = os.replace
+        def replace_and_wait(*names):
+            replace(*names)
+            print("ready", flush=True)
+            while True:
+                pass
+        os.replace = replace_and_wait
+        os.chdir({str(tmp_path)!r})
+        Path("old").mkdir()
+        Path("new").mkdir()
+        Path("old/kept").touch()
+        def unwind():
+            os.replace = replace
+        with interrupts.at_the_end(unwind):
+            _exchange(Path("new"), Path("old"))
+        """
+    with started(code) as process:
+        assert interrupted(process)[0] == 130
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["new", "old"]
+    assert (tmp_path / "old" / "kept").exists()
+
+
+ORDERLY = """
+    from deploy import interrupts
+    interrupts.end_at_once("stmnist")
+    try:
+        with interrupts.orderly():
+            print("ready", flush=True)
+            while True:
+                pass
+    except KeyboardInterrupt:
+        print("closed", flush=True)
+        {rest}
+"""
+
+
+@pytest.mark.parametrize(
+    ("rest", "again", "outcome"),
+    [
+        ("exit(130)", False, (130, "closed\n", "")),
+        ("while True: pass", True, (130, "", LINE + "\n")),
+    ],
+)
+def test_an_orderly_end_is_interrupted_once(rest, again, outcome):
+    """A second Ctrl-C ends the process."""
+    with started(ORDERLY.format(rest=rest)) as process:
+        if again:
+            process.send_signal(signal.SIGINT)
+            assert process.stdout.readline() == "closed\n"
+        assert interrupted(process) == outcome
+
+
+@pytest.mark.parametrize(("guard", "status"), [("end_at_once('stmnist')", 0), ("LINE", -2)])
 def test_when_python_has_taken_its_handlers_away_all_is_done(guard, status):
     """Whichever thread hears it: those of TensorFlow and Numba outlive Python's own."""
     code = f"""
@@ -200,8 +225,7 @@ def test_when_python_has_taken_its_handlers_away_all_is_done(guard, status):
         def __del__(self):
             self.kill(*self.arguments)
     sys.kept = Last()  # until Python takes its modules apart
-    with interrupts.raised("stmnist"):
-        print("ready", flush=True)
+    print("ready", flush=True)
     """
     with started(code) as process:
         out, err = process.communicate(timeout=300)
@@ -213,7 +237,7 @@ def test_in_the_background_it_stays_ignored():
         from deploy import interrupts
         import os, signal
         interrupts.end_at_once("stmnist")
-        with interrupts.raised("stmnist"):
+        with interrupts.orderly():
             os.kill(os.getpid(), signal.SIGINT)
         print("went on")
         """

@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 from html import escape
 
 import numpy as np
@@ -11,7 +13,7 @@ from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.files import read_json
 from pipeline.recordings.own import write_recordings
-from tests.command import call
+from tests.command import call, users_environment
 from tests.own_sensor import CLASSES, gestures, write_folder
 from tests.pipeline.report.test_page import BROWSER, browse
 
@@ -145,6 +147,32 @@ def test_an_animation_of_a_sample(folder, tmp_path, monkeypatch, kind):
     assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]
 
 
+def test_an_animation_as_mp4(folder, tmp_path, monkeypatch):
+    from pipeline.report.figures import animation
+
+    if not animation.FFMpegWriter.isAvailable() and animation._packaged_ffmpeg() is None:
+        pytest.skip("no ffmpeg here (Debian: apt install ffmpeg; or pip install imageio-ffmpeg)")
+    monkeypatch.setattr(animation, "FRAMES", 4)
+    monkeypatch.setattr(animation, "STILL", 1)
+    assert call("animate", folder / "image", "--out", tmp_path / "a.mp4") == 0
+    content = (tmp_path / "a.mp4").read_bytes()
+    assert content[4:8] == b"ftyp"
+    assert b"avc1" in content  # H.264, which every browser and slide program plays
+    assert b"moov" in content
+
+
+def test_without_ffmpeg_an_mp4_is_refused_in_one_line(folder, tmp_path, monkeypatch, capsys):
+    from pipeline.report.figures import animation
+
+    monkeypatch.setattr(animation.FFMpegWriter, "isAvailable", classmethod(lambda _: False))
+    monkeypatch.setattr(animation, "_packaged_ffmpeg", lambda: None)
+    assert call("animate", folder / "image", "--out", tmp_path / "a.mp4") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "ffmpeg" in line
+    assert ".gif" in line
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_run_without_a_bundle_is_told_what_to_do(tmp_path, capsys):
     (tmp_path / "experiment.toml").write_text("")
     assert call("deploy", "plan", tmp_path) == 2
@@ -192,3 +220,81 @@ def test_a_browser_shows_the_report_at_every_width(folder, tmp_path, width, sche
     assert float(size) >= 10
     assert int(cut) == 0
     assert (paper == "rgb(255, 255, 255)") == (scheme == "light")
+
+
+def test_runs_are_compared_on_other_recordings_too(folder, capsys):
+    for kind in QUICK:
+        others = ("--target", "fast", "--data", folder / "people.zip")
+        assert call("check", "run", folder / kind, *others) == 0
+    capsys.readouterr()
+    assert call("compare", folder / "image", folder / "events", "--json") == 0
+    compared = json.loads(capsys.readouterr().out)
+    stages = {stage["stage"]: stage for stage in compared["stages"]}
+    (other,) = (stage for name, stage in stages.items() if "people.zip" in name)
+    assert [row["n_samples"] for row in other["accuracies"]] == [24, 24]
+    assert other["differences"][0]["paired"] is True
+    # Settings of the CNN matter for one of the runs only, and so differ from nothing.
+    names = [setting["name"] for setting in compared["settings"]]
+    assert "input.kind" in names
+    assert not [name for name in names if name.startswith(("cnn.", "snn.", "events."))]
+
+
+TABLES = (
+    "ladder image", "ladder events", "compare image events", "data stats --data own",
+    "data import own", "deploy plan image", "deploy plan events", "deploy energy image",
+    "status image", "check run image --target fast --data people.zip",
+    "check compare image/checks/cnn.json image/checks/emulator.json",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("words", TABLES)
+def test_tables_fit_80_columns_and_speak_of_the_user_s_data(folder, words, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    assert call(*words.split()) == 0
+    out = capsys.readouterr().out
+    rows = [line for line in out.splitlines() if len(re.findall(r"\S {2,}\S", line)) > 1]
+    assert all(len(row) <= 80 for row in rows), max(rows, key=len)
+    if words != "data import own":
+        assert rows or words.startswith("check compare")
+    for word in ("digit", "ST-MNIST", "the paper", "of the writing"):
+        assert word not in out
+
+
+@pytest.mark.parametrize("kind", QUICK)
+def test_the_page_opens_for_an_own_run_and_plays_its_recordings(folder, kind, tmp_path):
+    """As a user starts it: one command, no options but those that keep the test to itself."""
+    pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
+    client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
+    command = [sys.executable, "-m", "pipeline", "live", str(folder / kind)]
+    command += ["--port", "0", "--no-browser"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, env=users_environment(), stdout=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            url = process.stdout.readline().split()[1]
+            with client.connect(url.replace("http", "ws") + "pen", proxy=None) as page:
+                said = {}
+
+                def until(kind):
+                    while (message := json.loads(page.recv(timeout=300)))["type"] != kind:
+                        said[message["type"]] = message
+                    return message
+
+                def show(label):
+                    ask = {"type": "example", "now": 0.0, "origin": "test", "label": label}
+                    page.send(json.dumps(ask))
+                    until("cleared")
+                    for now in (100.0, 5000.0):
+                        page.send(json.dumps({"type": "pen", "now": now, "points": []}))
+
+                until("ready")
+                counts = until("examples")["test"]
+                hello = said["hello"]
+                assert tuple(hello["classes"]) == CLASSES
+                assert (hello["rows"], hello["columns"], hello["digits"]) == (9, 12, False)
+                assert sum(counts) == 20
+                show(int(np.argmax(counts)))
+                assert len(until("answer")["shares"]) == 4
+        finally:
+            process.terminate()
+    assert [path.name for path in tmp_path.iterdir()] == ["written-own"]

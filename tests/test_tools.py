@@ -1,8 +1,19 @@
 """The maintainers' tools run; that their figures are good is for a quiet machine to say."""
 
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
 import pytest
 
+from deploy.errors import UserError
+from pipeline.artifacts import CURRENT, MISSING, OUTDATED
+from pipeline.commands.options import Given
+from pipeline.experiments.study import Workers
+from tests.command import environment
 from tests.untraced import untraced
+from tools import difficulty, results
 from tools.training_speed import WAYS, measure_simulated, speed_text
 
 
@@ -15,3 +26,83 @@ def test_the_training_speed_is_measured():
     assert all(seconds > 0 for seconds in result["seconds_per_epoch"].values())
     assert result["samples"] == 96
     assert len(speed_text(result).splitlines()) == 2 + len(WAYS)
+
+
+@pytest.mark.slow
+def test_the_difficulty_of_recordings_is_measured(tmp_path, capsys):
+    tiny = Given(seed=7, assignments=["data.samples_per_digit=6", "cnn.epochs=1"])
+    difficulty.main(tmp_path, 1, given=tiny, workers=Workers(1), as_json=True)
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["seeds"] == [7]
+    assert 0 <= summary["mean"] == summary["accuracies"][0] <= 1
+    assert json.loads((tmp_path / "difficulty.json").read_text()) == summary
+
+
+def test_a_tool_is_a_command_whose_errors_are_one_line(tmp_path):
+    command = [sys.executable, "-m", "tools.emulator_limits", str(tmp_path)]
+    done = subprocess.run(command, env=environment(), capture_output=True, text=True)
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert str(tmp_path) in done.stderr
+
+
+@pytest.fixture
+def two(tmp_path, monkeypatch):
+    """Two results that are measured at once, the first of which is there."""
+    monkeypatch.setattr(results, "FOLDER", tmp_path / "results")
+    (tmp_path / "results").mkdir()
+    one = results.Result("one", 1, lambda work: {"value": 0.5}, ("numpy",))
+    other = replace(one, name="other")
+    results.measure(one, results.Work(tmp_path, 1), "a" * 64)
+    return one, other
+
+
+def of(found):
+    return [state.state for _, state in found]
+
+
+def test_a_result_says_what_it_was_made_from_and_on_what(two):
+    one, _ = two
+    content = json.loads(one.artifact.record.read_text())
+    assert content["value"] == 0.5
+    contents = content["made_from"]["contents"]
+    assert contents["recordings"] == "a" * 64
+    assert "version of numpy" in contents
+    assert content["measured"]["processor"] == results.processor()
+
+
+def test_results_that_are_missing_or_out_of_date_are_listed(two):
+    assert of(results.states("a" * 64, two)) == [CURRENT, MISSING]
+    found = results.states("b" * 64, two)
+    assert of(found) == [OUTDATED, MISSING]
+    assert "recordings" in results.listing(found)
+
+
+def test_another_version_of_a_package_makes_a_result_out_of_date(two, monkeypatch):
+    monkeypatch.setattr(results, "version", lambda package: "99.0")
+    assert of(results.states("a" * 64, two)) == [OUTDATED, MISSING]
+
+
+def test_rows_of_table_2_are_kept_apart(tmp_path, monkeypatch):
+    rows = [{"model": name} for name in ("cnn", "loihi", "slayer")]
+    pairs = [{"a": "cnn", "b": "loihi"}, {"a": "cnn", "b": "slayer"}]
+    table = {"rows": rows, "writer_rows": rows, "comparisons": pairs}
+    monkeypatch.setattr(results.Work, "summary", lambda *words: dict(table))
+    found = results._table2("cnn,loihi")(results.Work(tmp_path, 1))
+    assert [row["model"] for row in found["rows"]] == ["cnn", "loihi"]
+    assert found["comparisons"] == pairs[:1]
+
+
+def test_a_command_that_fails_leaves_no_result(two, tmp_path):
+    def fail(work):
+        work.run("benchmark", "nothing")
+
+    _, other = two
+    with pytest.raises(UserError, match="exit status"):
+        results.measure(replace(other, measure=fail), results.Work(tmp_path, 1), "a" * 64)
+    assert of(results.states("a" * 64, two)) == [CURRENT, MISSING]
+
+
+def test_every_result_has_a_name_of_its_own():
+    names = [result.name for result in results.RESULTS]
+    assert len(set(names)) == len(names)

@@ -1,4 +1,4 @@
-"""How soon a decision is on the screen: simulated hands write on the page in a real Chromium.
+"""Latency of decisions on the screen while simulated hands write on the page in Chromium.
 
 ``python -m tools.live_latency runs/default`` needs Chromium, Playwright, and a machine with nothing
 else to do.
@@ -17,13 +17,14 @@ import typer
 
 from deploy.children import PARENT
 from deploy.errors import UserError
+from pipeline.commands.main import run_tool
 from pipeline.progress import progress
 from pipeline.skin import handwriting, parameters, simulate
 from tests import robot
 
 SIZE = {"width": 1280, "height": 1000}
 AFTER_MS = 300
-"""From the end of a digit to the next, in which the last decisions reach the screen."""
+"""Milliseconds between two digits, in which the last decisions reach the screen."""
 
 
 def measure_latency(run, digits: int, seed: int = 0) -> dict:
@@ -71,7 +72,7 @@ def measure_latency(run, digits: int, seed: int = 0) -> dict:
 
 
 def latency_text(measured: dict) -> str:
-    """What :func:`measure_latency` gives, in a line."""
+    """The result of :func:`measure_latency` in one line."""
     return (
         f"last event to decision on the screen: {measured['median_ms']:.0f} ms at the median, "
         f"{measured['ninetieth_percentile_ms']:.0f} ms at the 90th percentile of "
@@ -126,4 +127,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_tool(main)

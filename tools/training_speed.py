@@ -1,26 +1,33 @@
-"""How fast the rate-based network of the paper's recipe trains, in three ways, in one process.
+"""Speed of three ways to train the rate-based network of the paper's recipe, in one process.
 
-``python -m tools.training_speed``
+``python -m tools.training_speed``; with ``--slayer`` how long an epoch of SLAYER takes.
 """
 
 import contextlib
+import resource
 import time
 from dataclasses import replace
 from typing import Annotated
 
+import nengo
 import numpy as np
 import typer
 
 from deploy.tables import aligned
 from models.cnn import get_weights
 from models.keras2 import tf
+from pipeline.commands.main import run_tool
 from pipeline.inputs.dataset import Dataset
+from pipeline.inputs.frames import bin_events
 from pipeline.progress import progress
 from pipeline.settings import Settings
 from pipeline.training import nengodl
 from pipeline.training.networks import build_rate_network, epochs_of, make_deterministic, snn_recipe
+from pipeline.training.slayer import Trainer
 
 WAYS = ("nengodl", "keras", "ours")
+WHOLE = 5562
+"""Training samples of a split."""
 
 
 def measure_simulated(samples: int, networks: int, rounds: int, jobs: int = 1) -> dict:
@@ -112,6 +119,79 @@ def speed_text(result: dict) -> str:
     return "\n".join([heading, *aligned(rows)])
 
 
+@contextlib.contextmanager
+def open_trainer(settings: Settings, weights: dict, data, batch: int):
+    """Open NengoDL's own training of the rate-based network, for comparison.
+
+    Parameters
+    ----------
+    settings : Settings
+    weights : dict
+        Initial weights.
+    data : (images, labels)
+        Samples beyond the last full batch are not used.
+    batch : int
+
+    Yields
+    ------
+    callable
+        ``train_epoch() -> loss``; the simulator stays open between calls.
+    """
+    converter, source, output = nengodl._convert(settings, weights, nengo.LIFRate, None, False)
+    count = len(data[0]) // batch * batch
+    images = np.asarray(data[0][:count], np.float32).reshape(count, 1, -1)
+    labels = np.asarray(data[1][:count]).reshape(count, 1, 1)
+    with nengodl.nengo_dl.Simulator(
+        converter.net, minibatch_size=batch, progress_bar=False, seed=settings.seed
+    ) as simulator:
+        simulator.compile(
+            tf.keras.optimizers.RMSprop(settings.cnn.learning_rate),
+            loss={output: tf.keras.losses.SparseCategoricalCrossentropy(from_logits=True)},
+        )
+
+        def train_epoch():
+            history = simulator.fit({source: images}, {output: labels}, verbose=0).history
+            return history["loss"][-1]
+
+        yield train_epoch
+
+
+def measure_slayer(samples: int = 320, conv_scale: float = 100.0, rounds: int = 3) -> dict:
+    """Time epochs of SLAYER with the default settings, with the initial weights at first.
+
+    Parameters
+    ----------
+    samples : int
+        Training samples; the time is stated for 5,562.
+    conv_scale : float
+        Scale of the initial weights of convolutions.
+    rounds : int
+        Epochs that are timed, after one batch that compiles.
+
+    Returns
+    -------
+    dict
+        ``processor_seconds`` of an epoch of 5,562 samples (all rounds), ``compile_seconds``,
+        ``peak_mb`` (of this process, the recordings included).
+    """
+    settings = Settings()
+    data = Dataset.of(settings)
+    train = data.split.train[:samples]
+    chosen = replace(settings.slayer, conv_scale=conv_scale)
+    frames = bin_events(data.recordings, chosen.bins)[train]
+    trainer = Trainer(chosen, frames, data.labels[train], 0, data.recordings.sensor.duration_s)
+    begun = time.process_time()
+    trainer.count(range(1))
+    trainer.network.gradients(frames[:1], trainer.desired[:1])
+    compiling, seconds = time.process_time() - begun, []
+    for number in range(rounds):
+        begun = time.process_time()
+        trainer.epoch(np.arange(len(train)), number)
+        seconds.append((time.process_time() - begun) * WHOLE / len(train))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return {"processor_seconds": seconds, "compile_seconds": compiling, "peak_mb": peak}
+
+
 def _models(settings, networks):
     make_deterministic(settings.seed)
     return [build_rate_network(settings) for _ in range(networks)]
@@ -120,7 +200,7 @@ def _models(settings, networks):
 def _nengodl_turn(settings, data, networks, recipe, simulators):
     trainers = [
         simulators.enter_context(
-            nengodl.open_trainer(settings, get_weights(model), data, recipe.batch_size)
+            open_trainer(settings, get_weights(model), data, recipe.batch_size)
         )
         for model in _models(settings, networks)
     ]
@@ -154,10 +234,15 @@ def main(
     samples: Annotated[
         int, typer.Option(help="Simulated recordings of each digit; 0 for 6,953 in all.", min=0)
     ] = 0,
+    slayer: Annotated[bool, typer.Option(help="Time an epoch of SLAYER instead.")] = False,
 ):
     """Time the training of the rate-based network: NengoDL's fit, Keras's, and this project's."""
+    if slayer:
+        for name, value in measure_slayer(rounds=rounds).items():
+            print(name, np.round(value, 2))
+        return
     print(speed_text(measure_simulated(samples, networks, rounds)))
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_tool(main)

@@ -28,6 +28,7 @@ from .. import limits
 from ..errors import UserError
 from ..files import (
     claim,
+    make_folder,
     read_arrays,
     read_json,
     refuse_linked_folder,
@@ -37,6 +38,7 @@ from ..files import (
     write_arrays,
     write_json,
 )
+from ..interrupts import at_the_end
 from ..network.spec import NetworkSpec
 
 NETWORK_SCHEMA = "stmnist-bundle/2"
@@ -106,7 +108,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
     if path.exists() and not path.is_dir():
         raise UserError(f"{path}: is a file, not a bundle's folder; move it away")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         remove_abandoned(path.parent, ".bundle.")
         temporary = Path(tempfile.mkdtemp(dir=str(path.parent), prefix=".bundle."))
         handle = os.open(str(temporary), os.O_RDONLY)
@@ -115,25 +117,28 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
             f"{path}: cannot write ({error.strerror}); choose another folder"
         ) from error
     try:
-        claim(handle)
-        temporary.chmod(0o755)
-        write_json(temporary / "network.json", {"schema": NETWORK_SCHEMA, **spec.to_json()})
-        write_arrays(temporary / "weights.npz", **spec.arrays())
-        write_arrays(
-            temporary / "checks.npz",
-            inputs=np.asarray(checks.inputs, np.float32 if spec.stimulus.held else np.uint8),
-            labels=np.asarray(checks.labels, np.int64),
-            ids=np.array(checks.ids, dtype=str),
-            seed=np.int64(checks.seed),
-        )
-        with replacing(temporary / "deploy.pyz") as file:
-            file.write(zipapp_bytes())
-        hashes = {name: sha256_of(temporary / name) for name in FILES}
-        write_json(temporary / "MANIFEST.json", {"schema": MANIFEST_SCHEMA, "files": hashes})
-        read_bundle(temporary)
-        _exchange(temporary, path)
+        with at_the_end(shutil.rmtree, str(temporary)):
+            claim(handle)
+            temporary.chmod(0o755)
+            write_json(temporary / "network.json", {"schema": NETWORK_SCHEMA, **spec.to_json()})
+            write_arrays(temporary / "weights.npz", **spec.arrays())
+            write_arrays(
+                temporary / "checks.npz",
+                inputs=np.asarray(checks.inputs, np.float32 if spec.stimulus.held else np.uint8),
+                labels=np.asarray(checks.labels, np.int64),
+                ids=np.array(checks.ids, dtype=str),
+                seed=np.int64(checks.seed),
+            )
+            with replacing(temporary / "deploy.pyz") as file:
+                file.write(zipapp_bytes())
+            hashes = {name: sha256_of(temporary / name) for name in FILES}
+            write_json(temporary / "MANIFEST.json", {"schema": MANIFEST_SCHEMA, "files": hashes})
+            read_bundle(temporary)
+            _exchange(temporary, path)
     except OSError as error:
-        raise UserError(f"{path}: cannot write ({error.strerror or error}); free space?") from error
+        raise UserError(
+            f"{path}: cannot write ({error.strerror or error}); check the free space"
+        ) from error
     finally:
         os.close(handle)
         shutil.rmtree(str(temporary), ignore_errors=True)
@@ -141,7 +146,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
 
 
 def result_beside(folder, target: str) -> Path:
-    """Where a check's result goes if nothing else is said: into ``checks`` of a folder.
+    """The default file of a check's result, in ``checks`` of a folder.
 
     Parameters
     ----------
@@ -169,12 +174,17 @@ def _exchange(new, path):
         return
     aside = Path(tempfile.mkdtemp(dir=str(path.parent), prefix=".bundle."))
     earlier = aside / path.name
-    try:
-        os.replace(str(path), str(earlier))
-        os.replace(str(new), str(path))
-    except BaseException:
+
+    def restore():
         if not path.exists():
             os.replace(str(earlier), str(path))
+
+    try:
+        with at_the_end(restore), at_the_end(shutil.rmtree, str(aside)):
+            os.replace(str(path), str(earlier))
+            os.replace(str(new), str(path))
+    except BaseException:
+        restore()
         raise
     finally:
         shutil.rmtree(str(aside), ignore_errors=True)

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 
-def wilson_interval(correct: int, n: int, confidence: float = 0.95):
-    """Confidence interval of a proportion (Wilson 1927).
+def wilson_interval(correct: int, n: int):
+    """95 % confidence interval of a proportion (Wilson 1927).
 
     Parameters
     ----------
     correct, n : int
         Successes and trials, ``n`` at least 1.
-    confidence : float
 
     Returns
     -------
@@ -21,7 +20,7 @@ def wilson_interval(correct: int, n: int, confidence: float = 0.95):
     """
     from scipy import stats  # takes a third of a second, which --help should not cost
 
-    interval = stats.binomtest(correct, n).proportion_ci(confidence, method="wilson")
+    interval = stats.binomtest(correct, n).proportion_ci(0.95, method="wilson")
     return float(interval.low), float(interval.high)
 
 

@@ -15,6 +15,7 @@ from ..network.decision import share_of_time
 from ..network.loihi_import import nengo_loihi
 from ..network.operations import multiply_accumulates
 from ..network.stimulus import last_steps
+from ..terminal import WARNING
 from .intervals import mcnemar, wilson_interval
 
 SCHEMA = "stmnist-check/1"
@@ -392,7 +393,7 @@ def loss_text(reference: dict, result: dict) -> Optional[str]:
     if compared.accuracy_drop <= 0 or compared.p_value >= SIGNIFICANT:
         return None
     own, found = compared.accuracies
-    return (
+    return WARNING + (
         f"{result['target']} is significantly less accurate than {reference['target']} on the same "
         f"samples: {found:.3f}, not {own:.3f} (McNemar p = {compared.p_value:.2g})"
     )
@@ -416,7 +417,7 @@ def require_limits(
 
 
 def _are_of_the_same_data(a, b):
-    """Whether two results are on the same recordings that are no bundle's own."""
+    """True if two results are of the same recordings other than a bundle's own."""
     of_a, of_b = (result.get("data") for result in (a, b))
     return bool(of_a) and bool(of_b) and of_a["sha256"] == of_b["sha256"]
 

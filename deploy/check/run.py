@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Iterator, Optional
 
 from ..errors import UserError
-from ..files import locked, open_own, write_json
+from ..files import locked, make_folder, open_own, write_json
 from ..network.responses import Responses
 from ..network.spec import NetworkSpec
 from ..network.stream import streams_of
@@ -223,7 +223,7 @@ def open_check(
     taken = f"{out}: another process is writing this result; wait for it or use another --out"
     with contextlib.ExitStack() as stack:
         try:
-            out.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(out.parent)
             file = stack.enter_context(locked(saved, taken))
         except OSError as error:
             raise UserError(

@@ -101,15 +101,8 @@ def _kind(result):
     return "simulated " if result.get("simulated") else ""
 
 
-def comparison_text(comparison: Comparison, shown: int = 10) -> str:
-    """Format a comparison as a few lines, with the first samples that differ.
-
-    Parameters
-    ----------
-    comparison : Comparison
-    shown : int
-        Maximum number of listed samples.
-    """
+def comparison_text(comparison: Comparison) -> str:
+    """Format a comparison as a few lines, with the first ten samples that differ."""
     (a, b), differ = map(printable, comparison.targets), comparison.disagreements
     lines = [
         f"{a} {comparison.accuracies[0]:.3f}, {b} {comparison.accuracies[1]:.3f}, "
@@ -122,8 +115,8 @@ def comparison_text(comparison: Comparison, shown: int = 10) -> str:
     elif comparison.other_spikes is not None:
         lines.append(f"spikes differ in {comparison.other_spikes} samples")
     if differ:
-        rows = [[s["id"], *(str(s[key]) for key in ("label", "a", "b"))] for s in differ[:shown]]
+        rows = [[s["id"], *(str(s[key]) for key in ("label", "a", "b"))] for s in differ[:10]]
         lines += aligned([["sample", "label", a, b], *rows])
-    if len(differ) > shown:
-        lines.append(f"and {len(differ) - shown} more")
+    if len(differ) > 10:
+        lines.append(f"and {len(differ) - 10} more")
     return "\n".join(lines)

@@ -56,7 +56,7 @@ def find_kernel():
 
 
 class FastEmulator(EmulatorInterface):
-    """As NengoLoihi's `EmulatorInterface`, for any of its models.
+    """NengoLoihi's `EmulatorInterface` with a compiled kernel, for any of its models.
 
     Parameters
     ----------
@@ -79,9 +79,13 @@ class FastEmulator(EmulatorInterface):
     @rng.setter
     def rng(self, rng):
         self.__dict__["rng"] = rng
-        if self.__dict__.get("_link") is not None:
-            self._link.words = words_of(rng)
-            self._link.owed = 0
+        link = self.__dict__.get("_link")
+        if link is not None:
+            link.owed = 0
+            try:
+                link.words = words_of(rng)
+            except Unforeseen as reason:
+                hand_over(self, reason)
 
     def close(self):
         super().close()
@@ -134,7 +138,7 @@ class FastEmulator(EmulatorInterface):
 
 
 def _warn(emulator, kind, count):
-    """What the kernel's log says, as NengoLoihi would and from its module."""
+    """Issue the warnings in the kernel's log as NengoLoihi does, from its module."""
     if kind == OVERFLOWS:
         for bit, place in enumerate(("q0", "current", "u2")):
             if count & 1 << bit:
@@ -154,10 +158,11 @@ def _warn(emulator, kind, count):
 
 
 def _warnings_are_errors():
-    """Whether any filter makes an error of a `UserWarning`."""
-    return any(
-        entry[0] == "error" and issubclass(UserWarning, entry[2]) for entry in warnings.filters
-    )
+    """True if a filter turns a `UserWarning` into an error."""
+    for entry in warnings.filters:  # a loop, as this is asked before every call
+        if entry[0] == "error" and issubclass(UserWarning, entry[2]):
+            return True
+    return False
 
 
 # --- NengoLoihi's parts, with what the kernel does not keep worked out on demand ------------------
@@ -296,7 +301,7 @@ def _disconnect(emulator):
 
 
 def _set_writeable(emulator, is_so):
-    """What the kernel has a copy of: to change it would have no effect."""
+    """Protect the arrays that the kernel has copied: changing them would have no effect."""
     for name in FIXED:
         getattr(emulator.compartment, name).flags.writeable = is_so
     for synapse in emulator.synapses.slices:

@@ -19,6 +19,7 @@ from __future__ import annotations
 from typing import Dict, List, NamedTuple
 
 import numpy as np
+from nengo_loihi.block import Axon, Synapse
 from nengo_loihi.builder.discretize import LEARN_FRAC, learn_overflow_bits
 from nengo_loihi.inputs import SpikeInput
 
@@ -28,7 +29,7 @@ LARGEST_NARROW = 4095  # eight rows at least fit a sum of 16 bits
 
 
 class Unforeseen(Exception):
-    """What NengoLoihi's own code has to do; the message says what that is."""
+    """A property of a model that requires NengoLoihi's own code; the message names it."""
 
 
 class Layout(NamedTuple):
@@ -50,7 +51,7 @@ class Layout(NamedTuple):
     columns : dict of LoihiProbe to (int, list of slice)
         The key of a probe, and the columns of each of its blocks.
     weights : dict of Synapse to list of ndarray
-        Of those that learn: views of the wide pool, of the shape of the synapse's own.
+        Weights of learning synapses: views of the wide pool, of the shape of the synapse's own.
     is_noisy : bool
     """
 
@@ -156,9 +157,9 @@ class _Pools:
     shifts : list of int
         The power of two that the narrow weights of each block lack.
     is_wide : list of bool
-        Whether a block has wide weights.
+        True if a block has wide weights.
     narrow, largest : dict of Synapse
-        Whether a synapse is in the narrow pool, and the largest magnitude there.
+        True if a synapse is in the narrow pool, and the largest magnitude there.
     """
 
     def __init__(self, synapses, info, integers):
@@ -206,7 +207,7 @@ class _Pools:
         )
 
     def place(self, synapse):
-        """Where the weights of a synapse that learns begin in the wide pool."""
+        """Position in the wide pool at which the weights of a learning synapse begin."""
         return self._place[synapse]
 
     def views(self, synapse, wide):
@@ -261,13 +262,13 @@ class _Rows:
         n = 2 * (block.n_neurons // 2)
         alone = all(w.shape == (1, n) and np.array_equal(i[0], np.arange(n)) for w, i in
                     zip(self.synapse.weights, self.synapse.indices))  # fmt: skip
-        if not alone or self.synapse.axon_to_weight_map is not None:
-            raise Unforeseen("learning on weights that are sparse or shared")
+        if not alone:
+            raise Unforeseen("learning on sparse weights")
         if len(self.synapse.weights) != self.synapse.n_axons:
             raise Unforeseen("learning on other than one row of weights an axon")
 
     def _sort(self):
-        """By target; in the emulator's ``q[indices] += weights`` the last of equal ones counts."""
+        """Sort by target; as in ``q[indices] += weights``, the last of equal ones counts."""
         rises = (self.row[1:] > self.row[:-1]) | (self.targets[1:] > self.targets[:-1])
         if np.all(rises):
             return
@@ -310,7 +311,7 @@ def _trailing_zeros(bits):
 
 
 def _routes(emulator, pools):
-    """From each input and block to each synapse, in the order in which the emulator adds."""
+    """Connections from each input and block to each synapse, in the order of the emulator."""
     synapses, info, inputs = emulator.synapses, emulator.block_info, emulator.inputs
     order = {synapse: i for i, synapse in enumerate(synapses.slices)}
     rule = {synapse: k for k, synapse in enumerate(synapses.traces)}
@@ -322,6 +323,9 @@ def _routes(emulator, pools):
     number = {block: b for b, block in enumerate(info.blocks)}
     table, columns, size = [], [], 0
     for synapse, axon, source, start, sender in found:
+        for part, kind in ((synapse, Synapse), (axon, Axon)):
+            if type(part) is not kind:
+                raise Unforeseen(f"the class {type(part).__name__}")
         index, atom = _mapped(axon, sender.n_neurons)
         row, base = _rows_of(synapse, index, atom, pools)
         part = synapses.slices[synapse]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import ctypes
+from itertools import accumulate, chain, compress
 from types import SimpleNamespace
 
 import numpy as np
-from nengo_loihi.emulator.interface import CompartmentState, SynapseState
+from nengo_loihi.emulator.interface import CompartmentState, ProbeState, SynapseState
 
 from .layout import Unforeseen, make_layout
 
@@ -17,14 +18,16 @@ HISTORY = 32 << 20  # bytes of probed values in one call of the kernel
 AT_ONCE = 1 << 28  # updates of compartments in one call, after which Ctrl-C is heard: half a second
 LOG = 256  # lines of the kernel's log of warnings
 
+_NONE = []  # the spikes of an input in a step without any
 _NOTHING = np.zeros(0, np.int64)
 
 
 def words_of(rng):
     """The memory of a `RandomState`: 624 words of 32 bits and the position of the next one."""
-    name, words, position, *_ = rng.get_state()
-    if name == "MT19937":
-        address = rng._bit_generator.ctypes.state_address
+    generator = getattr(rng, "_bit_generator", None)
+    if isinstance(generator, np.random.MT19937):
+        _, words, position, *_ = rng.get_state()
+        address = generator.ctypes.state_address
         memory = np.ctypeslib.as_array((ctypes.c_uint32 * 625).from_address(address))
         if np.array_equal(memory, np.append(words, position).astype(np.uint32)):
             return memory
@@ -40,16 +43,18 @@ class Link:
     cells, counters, spiked, before, traces, pending, errors, wide : ndarray
         The state: see the kernel.  ``before`` are the spikes before the last step.
     last_spikes : list
-        Of each input, the spikes that arrived in the last step.
+        Spikes of each input that arrived in the last step.
     draws : bool
-        Whether anything depends on random numbers; else the kernel leaves them out.
+        True if anything depends on random numbers; else the kernel leaves them out.
     owed : int
         Steps whose random numbers were left out.
     """
 
     def __init__(self, emulator, kernel):
-        if type(emulator.compartment) is not CompartmentState:
-            raise Unforeseen(f"compartments of the class {type(emulator.compartment).__name__}")
+        kinds = {"compartment": CompartmentState, "synapses": SynapseState, "probes": ProbeState}
+        for name, kind in kinds.items():
+            if type(getattr(emulator, name)) is not kind:
+                raise Unforeseen(f"{name} of the class {type(getattr(emulator, name)).__name__}")
         self.layout = layout = make_layout(emulator)
         self.words = words_of(vars(emulator)["rng"])
         state, synapses = emulator.compartment, emulator.synapses
@@ -148,7 +153,7 @@ class Link:
         return done
 
     def copy(self):
-        """What a call of the kernel changes."""
+        """State that a call of the kernel changes."""
         learned = self.wide if len(self.traces) else _NOTHING
         changed = (self.cells, self.counters, self.spiked, self.before, self.traces, self.pending)
         return [array.copy() for array in (*changed, learned, self.words)]
@@ -192,25 +197,30 @@ class Arriving:
     Attributes
     ----------
     spikes : int64 array
-        Of all steps, one input after the other in each.
+        Spikes of all steps, one input after the other in each.
     ends : (n_steps * n_inputs + 1,) int64 array
-        Where those of each step and input end, after a 0.
+        Ends of the spikes of each step and input, after a 0.
     """
 
     def __init__(self, inputs, t, steps):
         self._t, self._n = t, len(inputs)
-        self._lists = [
-            item.spikes.get(sent, []) if sent else []
-            for sent in range(t, t + steps)
-            for item in inputs
-        ]
-        self.ends = np.zeros(len(self._lists) + 1, np.int64)
-        self.ends[1:] = np.cumsum([len(spikes) for spikes in self._lists])
-        found = [np.asarray(spikes) for spikes in self._lists if len(spikes)]
-        if any(spikes.dtype.kind not in "iu" or spikes.ndim != 1 for spikes in found):
-            raise Unforeseen("spikes of an input that are not numbered by integers")
-        spikes = found[0] if len(found) == 1 else np.concatenate(found) if found else _NOTHING
-        self.spikes = np.ascontiguousarray(spikes, np.int64)
+        columns = [list(map(item.spikes.get, range(t, t + steps))) for item in inputs]
+        if t == 0:
+            for column in columns:
+                column[0] = None  # NengoLoihi's first step has no spikes of inputs
+        sent = columns[0] if self._n == 1 else chain.from_iterable(zip(*columns))
+        self._lists = [_NONE if spikes is None else spikes for spikes in sent]
+        counts = list(map(len, self._lists))
+        self.ends = np.array(list(accumulate(counts, initial=0)), np.int64)
+        self.spikes = _NOTHING
+        if self.ends[-1]:
+            found = [np.asarray(spikes) for spikes in compress(self._lists, counts)]
+            if {spikes.dtype.kind for spikes in found} - {"i", "u"}:
+                raise Unforeseen("spikes of an input that are not numbered by integers")
+            if {spikes.ndim for spikes in found} != {1}:
+                raise Unforeseen("spikes of an input in several dimensions")
+            joined = found[0] if len(found) == 1 else np.concatenate(found)
+            self.spikes = np.ascontiguousarray(joined, np.int64)
 
     def of_step(self, step):
         """The spikes of each input in a step."""
@@ -219,6 +229,7 @@ class Arriving:
     def forget(self, inputs, done):
         """Delete the spikes of the first steps, as NengoLoihi does after use."""
         for item in inputs:
+            spikes, permanent = item.spikes, item.permanent
             for sent in range(max(self._t, 1), self._t + done):
-                if sent not in item.permanent:
-                    item.spikes.pop(sent, None)
+                if sent in spikes and sent not in permanent:
+                    del spikes[sent]

@@ -1,4 +1,4 @@
-"""How a layer is split into blocks, one block per core.
+"""Division of a layer into blocks, one block per core.
 
 A layer that fits a core is one block.  A larger one is split along rows, columns and channels into
 equal blocks (`nengo_loihi.BlockShape`); of all splits in which every block fits a core, the one
@@ -36,7 +36,7 @@ def block_shapes(layers) -> Dict[str, Tuple[int, ...]]:
     Parameters
     ----------
     layers : sequence of deploy.network.spec.Layer
-        Of a network, in order.
+        Layers of a network, in order.
     """
     shapes, after = {}, ()
     for layer in reversed(layers):

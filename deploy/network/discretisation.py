@@ -1,4 +1,4 @@
-"""Why NengoLoihi cannot put a network into the chip's integers, in a sentence.
+"""Check that NengoLoihi can discretise a network, with the reason if it cannot.
 
 NengoLoihi gives a block one scale, by which its largest weight becomes 255, and asserts, mostly
 without a word, that threshold and bias fit beside it.
@@ -13,11 +13,25 @@ from .chip import LOIHI
 from .loihi_import import nengo_loihi
 
 BUILD_ERRORS = (nengo.exceptions.NengoException, AssertionError, AttributeError, OverflowError)
-"""What NengoLoihi raises for a network that it cannot build: some of its limits are assertions, and
-one of their messages is itself mistaken (an AttributeError, where pop_type 16 meets filters that
-are no multiple of 4)."""
+"""Errors that NengoLoihi raises for a network that it cannot build: some of its limits are
+assertions, and one of their messages is itself mistaken (an AttributeError, if pop_type is 16 and
+the number of filters is not a multiple of 4)."""
 
 HOLDS = "weights of 8 bits, a threshold of 17 bits times 64, a bias of 12 bits times up to 128"
+
+
+def require_integers(network: nengo.Network):
+    """Refuse a network that the chip cannot run, before any target, also a simulator, runs it.
+
+    Raises
+    ------
+    UserError
+        From :func:`cannot_build`: the same for every target.
+    """
+    try:
+        nengo_loihi.builder.Model(dt=LOIHI.dt).build(network, precompute=True, discretize=True)
+    except BUILD_ERRORS as error:
+        raise cannot_build(network, error) from error
 
 
 def cannot_build(network: nengo.Network, error: Exception) -> UserError:
@@ -27,7 +41,7 @@ def cannot_build(network: nengo.Network, error: Exception) -> UserError:
     ----------
     network : nengo.Network
     error : Exception
-        What NengoLoihi raised, one of `BUILD_ERRORS`.
+        Error that NengoLoihi raised, one of `BUILD_ERRORS`.
 
     Returns
     -------
@@ -42,7 +56,7 @@ def cannot_build(network: nengo.Network, error: Exception) -> UserError:
 
 
 def _unfit_layer(network):
-    """What does not fit the integers, or None if that is not the reason."""
+    """The value that does not fit the integers, or None if that is not the reason."""
     model = nengo_loihi.builder.Model(dt=LOIHI.dt)
     model.validation_level = nengo_loihi.builder.builder.ValidationLevel.NONE
     try:

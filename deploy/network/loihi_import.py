@@ -9,7 +9,8 @@ import sys
 import warnings
 
 import nengo
-import numpy
+
+from .numpy1 import put_back, put_back_for_nengo
 
 # None in sys.modules makes an import of that name raise ImportError.
 _PROBED = ("tensorflow", "nengo_dl", "keras", "numba", "scipy.cluster")
@@ -23,29 +24,8 @@ finally:
     for _name in _hidden:
         del sys.modules[_name]
 
-
-class NumPy1:
-    """NumPy with ``array(copy=False)`` as in NumPy 1: copy only if necessary.
-
-    NumPy 2 refuses where a copy is needed.  NengoLoihi 1.1 needs one where it discretises a block's
-    weights and where it works out rates.  NumPy 2.3 has no binary ``fromstring`` any more, with
-    which NengoLoihi reads a DVS camera's files.
-    """
-
-    def __getattr__(self, name):
-        return getattr(numpy, name)
-
-    @staticmethod
-    def array(*values, copy=True, **options):
-        return numpy.array(*values, copy=copy or None, **options)
-
-    @staticmethod
-    def fromstring(data, dtype):
-        return numpy.frombuffer(data, dtype).copy()
-
-
-if int(numpy.__version__.split(".")[0]) >= 2:  # NumPy 1, of older hosts, refuses copy=None
-    nengo_loihi.block.np = nengo_loihi.neurons.np = nengo_loihi.dvs.np = NumPy1()
+put_back("nengo_loihi.block", "nengo_loihi.neurons", "nengo_loihi.dvs")
+put_back_for_nengo()
 
 # The networks here have no decoders to cache, and parallel processes would wait for its lock.
 nengo.rc["decoder_cache"]["enabled"] = "False"

@@ -144,7 +144,7 @@ def deployed_network(nodes: dict, metadata: dict) -> Optional[NetworkSpec]:
     nodes : dict of str to mapping
         Values of each node by NIR's names.
     metadata : dict
-        Of the graph.
+        Metadata of the graph.
 
     Returns
     -------
@@ -172,7 +172,10 @@ def deployed_network(nodes: dict, metadata: dict) -> Optional[NetworkSpec]:
             if plain["neurons"] is not None:
                 area = plain["neurons"]["amplitude"] / DT
         return NetworkSpec.from_json(value, arrays)
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError, RecursionError) as error:
+    except (
+        *(KeyError, TypeError, ValueError, IndexError, AttributeError),
+        *(ArithmeticError, RecursionError),
+    ) as error:
         raise UserError(f"its metadata {DEPLOYED!r} does not fit its nodes ({error}); export the "
                         "bundle again, or remove that entry") from error  # fmt: skip
 
@@ -257,7 +260,7 @@ def _neurons(nir, layer):
 
 
 def _metadata(spec):
-    """What NIR has no place for, as text and numbers."""
+    """Properties that NIR cannot represent, as text and numbers."""
     shown = spec.presentation
     return {
         "made_by": f"stmnist-loihi {__version__}",

@@ -10,7 +10,7 @@ from typing import Dict
 
 import numpy as np
 
-from .geometry import convolution_fan_out, unpooled
+from .geometry import unpooled
 from .spec import Layer, NetworkSpec
 
 
@@ -20,19 +20,10 @@ def fan_out(layer: Layer) -> np.ndarray:
     Neurons near the edge of a convolution reach fewer positions; those outside of complete pooling
     windows reach none.  Zeros that pad a kernel are not counted.
     """
-    reached = _read_fan_out(layer)
+    reached = layer.read_fan_out
     if layer.pool > 1:
         reached = unpooled(reached, layer.input_shape, layer.pool)
     return reached.ravel()
-
-
-def _read_fan_out(layer):
-    """Number of synapses of each value that the weights read, of shape ``layer.read_shape``."""
-    if layer.kind == "dense":
-        return np.full(layer.read_shape, layer.size)
-    return convolution_fan_out(
-        layer.read_shape, layer.kernel, layer.shape[-1], layer.stride, layer.padding
-    )
 
 
 def multiply_accumulates(spec: NetworkSpec) -> Dict[str, int]:
@@ -41,7 +32,7 @@ def multiply_accumulates(spec: NetworkSpec) -> Dict[str, int]:
     Pooling before a layer is included: one operation for each value that it reads.
     """
     return {
-        layer.name: int(_read_fan_out(layer).sum())
+        layer.name: int(layer.read_fan_out.sum())
         + (int(np.prod(layer.read_shape)) * layer.pool**2 if layer.pool > 1 else 0)
         for layer in spec.layers
     }

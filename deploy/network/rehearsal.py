@@ -1,4 +1,4 @@
-"""What a bundle keeps of its training, so that its readout can be refitted without forgetting it.
+"""Responses to some training samples, so that a readout can be refitted without forgetting them.
 
 The readout on the host is linear: its scores are ``weights @ x + bias``, where ``x`` is the mean of
 what reaches it while a sample is read, the low-pass filtered spikes of the last layer of neurons.
@@ -44,7 +44,7 @@ class Rehearsal:
         ----------
         arrays : dict
         inputs, classes : int
-            Of the readout.
+            Numbers of inputs and classes of the readout.
 
         Returns
         -------

@@ -19,7 +19,7 @@ from .. import limits
 from ..errors import UserError
 from .chip import LOIHI
 from .decision import Judge
-from .geometry import convolution_shape, pooled_shape
+from .geometry import convolution_fan_out, convolution_shape, pooled_shape
 from .rehearsal import Rehearsal
 from .stimulus import KINDS, ImageCurrent, ImageSpikes, Stimulus
 
@@ -177,10 +177,19 @@ class Layer:
             return self.input_shape
         return pooled_shape(self.input_shape, self.pool)
 
+    @property
+    def read_fan_out(self) -> np.ndarray:
+        """Number of synapses of each value that the weights read, of shape `read_shape`."""
+        if self.kind == "dense":
+            return np.full(self.read_shape, self.size)
+        return convolution_fan_out(
+            self.read_shape, self.kernel, self.shape[-1], self.stride, self.padding
+        )
+
 
 @dataclass(frozen=True)
 class Presentation:
-    """How samples are presented and read; every target follows it step by step.
+    """The presentation and the readout of samples; every target follows it step by step.
 
     Samples are presented in streams.  A stream starts from a fresh network; each sample follows
     ``gap`` silent steps and is presented for ``steps`` steps.  The network is not reset between
@@ -243,11 +252,11 @@ class NetworkSpec:
         In order; the last one is the readout.
     presentation : Presentation
     provenance : dict
-        Where the network comes from: data set, seed, recipe, package version.
+        Source of the network: data set, seed, recipe, package version.
     judge : Judge or None
-        What tells how sure the outputs are; None for their softmax.
+        Confidence estimator of the outputs; None for their softmax.
     rehearsal : Rehearsal or None
-        What refitting the readout needs of the training; None in bundles of before.
+        Training responses for refitting the readout; None in older bundles.
     """
 
     architecture: str

@@ -169,6 +169,47 @@ def require_fit(spec: NetworkSpec, chips: int = 1) -> Plan:
     return plan
 
 
+@dataclass(frozen=True)
+class Excess:
+    """A limit of a core that a layer exceeds.
+
+    Attributes
+    ----------
+    layer, resource : str
+        The resource is one of `LIMITS`.
+    used, limit : int
+        The most that a core of the layer needs, and what it has.
+    cores, of_cores : int
+        Number of the layer's cores that need too much, and of all its cores.
+    """
+
+    layer: str
+    resource: str
+    used: int
+    limit: int
+    cores: int
+    of_cores: int
+
+
+def excesses(spec: NetworkSpec) -> List[Excess]:
+    """The limits of a core that a network exceeds, whatever the values of its weights are.
+
+    Raises
+    ------
+    UserError
+        NengoLoihi cannot make blocks of the network.
+    """
+    found = []
+    for layer, blocks in _blocks(spec)[1].items():
+        needs = [used_by(block) for block in blocks]
+        for resource, limit in LIMITS.items():
+            used = [need[resource] for need in needs]
+            if max(used) > limit:
+                too_many = sum(n > limit for n in used)
+                found.append(Excess(layer, resource, max(used), limit, too_many, len(used)))
+    return found
+
+
 def _blocks(spec):
     """NengoLoihi's discretised blocks: ``(model, {layer: list of blocks})``."""
     built = build(spec)

@@ -19,6 +19,7 @@ import nengo
 import numpy as np
 
 from ..errors import UserError
+from ..interrupts import orderly
 from ..network.build import build
 from ..network.loihi_import import nengo_loihi
 from ..network.responses import Responses, respond
@@ -148,7 +149,7 @@ def _run_stream(spec, samples, seed, options):
     built = build(spec, seed)
     steps = built.feed.period * len(samples)
     begun = time.perf_counter()
-    with _environment(options):
+    with _environment(options), orderly():  # an interrupted process disconnects from the board
         sim = _simulator(built.network, options)
         built_at = time.perf_counter()
         try:

@@ -12,7 +12,7 @@ import nengo
 
 from ..errors import UserError
 from ..network.build import build
-from ..network.discretisation import BUILD_ERRORS, cannot_build
+from ..network.discretisation import require_integers
 from ..network.loihi_import import nengo_loihi
 from ..network.responses import Responses, join, respond
 from ..network.spec import NetworkSpec
@@ -184,15 +184,13 @@ def answer(spec: NetworkSpec, samples, target: str, seed=0, advance=None, **opti
 
 
 def _loihi_simulator(network, target):
-    try:
-        # Without an explicit target NengoLoihi uses hardware wherever NxSDK is installed.
-        return nengo_loihi.Simulator(network, target=target, precompute=True)
-    except BUILD_ERRORS as error:
-        raise cannot_build(network, error) from error
+    # Without an explicit target NengoLoihi uses hardware wherever NxSDK is installed.
+    return nengo_loihi.Simulator(network, target=target, precompute=True)
 
 
 def _run(spec: NetworkSpec, streams: Iterable, seed, simulator) -> Iterator[Responses]:
     built = build(spec, seed)
+    require_integers(built.network)
     for samples in streams:
         with simulator(built.network) as sim:
             yield respond(spec, built, sim, samples)

@@ -11,6 +11,7 @@ import typer
 from deploy.check.bundle import read_bundle, write_bundle
 from deploy.errors import UserError
 from pipeline.commands import options
+from pipeline.commands.completion import data_sets
 from pipeline.inputs.library import load_recordings
 from pipeline.recordings.events import Recordings
 from pipeline.run.folder import RunFolder
@@ -19,7 +20,11 @@ from pipeline.run.folder import RunFolder
 def adapt(
     run: Annotated[Path, typer.Argument(help="Folder of a run, or of a copied bundle.")],
     data: Annotated[
-        str, typer.Option(help="Zip or folder of the person's recordings of every class.")
+        str,
+        typer.Option(
+            help="Zip or folder of the person's recordings of every class.",
+            autocompletion=data_sets,
+        ),
     ],
     writer: Annotated[
         Optional[int],  # noqa: UP045 - Typer reads the annotation at run time
@@ -47,7 +52,7 @@ def adapt(
     place = out or beside / who
     if place.resolve() == bundle.path.resolve():
         raise UserError(
-            f"{place}: is the bundle that is adapted, which stays; choose another --out"
+            f"{place}: is the bundle to adapt, which is not changed; choose another --out"
         )
     adapted = adaptation.adapt(bundle, recordings, who, seed)
     if adapted.spec is None:
@@ -79,7 +84,7 @@ def _of_one(recordings: Recordings, writer) -> tuple:
     if writer is None:
         if len(known) > 1:
             listed = ", ".join(map(str, known[:12])) + (", ..." if len(known) > 12 else "")
-            raise UserError(f"{source}: of several writers ({listed}); say which with --writer")
+            raise UserError(f"{source}: has several writers ({listed}); choose one with --writer")
         return recordings, str(known[0]) if known and known[0] >= 0 else "person"
     if writer not in known:
         raise UserError(f"{source}: no recording of writer {writer}; give another --writer")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -12,10 +13,10 @@ from deploy.check.bundle import read_bundle
 from deploy.errors import CheckFailed, UserError
 from deploy.files import write_json
 from pipeline.commands import options
-from pipeline.experiments.choices import choices_text, measure_choices
-from pipeline.experiments.events import events_text, measure_events
-from pipeline.experiments.losses import losses_text, measure_losses
-from pipeline.experiments.study import Workers
+from pipeline.experiments import choices
+from pipeline.experiments import events as events_
+from pipeline.experiments import losses as losses_
+from pipeline.experiments.study import measure_splits
 from pipeline.experiments.table2 import measure_table, table_text
 from pipeline.experiments.table2_splits import MODELS, SLOW
 from pipeline.inputs.library import load_recordings
@@ -33,8 +34,8 @@ def table2(
         str,
         typer.Option(
             help=f"Rows, separated by commas: {', '.join(MODELS)}. Left out by default "
-            "are events and events-loihi, which take minutes a split, and slayer, which takes some "
-            "forty.",
+            "are events and events-loihi, which take minutes a split, and slayer and slayer-small, "
+            "which take a quarter of an hour.",
             show_default=False,  # one long word without a place to break it
         ),
     ] = ",".join(BY_DEFAULT),
@@ -45,44 +46,42 @@ def table2(
             "both; by default both where the writers are known."
         ),
     ] = "",
-    data: options.Data = None,
-    seed: options.Seed = None,
-    settings: options.SettingsFile = None,
-    set_: options.Assignments = None,
-    jobs: options.Jobs = 2,
-    scheduler: options.Scheduler = None,
+    *,
+    given: options.SeededGiven,
+    workers: options.Workers,
     as_json: options.Json = False,
 ):
     """Measure the paper's Table 2: mean (SD) over splits, next to the paper's figures.
 
-    Goes on where it was interrupted.  A split that fails is reported and its row is of the others;
-    exit status 1.
+    An interrupted command continues if it is repeated.  A split that fails is reported, its row is
+    the mean of the others, and the exit status is 1.
     """
-    names, workers = _names(models), Workers(jobs, scheduler)
-    with options.opened(out, data, seed, None, None, settings, set_) as (folder, resolved):
+    names = _names(models)
+    with options.opened(out, given) as (folder, resolved):
         found = measure_table(folder, resolved, names, kind, splits, workers, options.say)
     options.conclude(found, table_text, as_json)
+
+
+def _measure(experiment, out, splits, given, workers, as_json):
+    with options.opened(out, given) as (folder, resolved):
+        found = measure_splits(experiment, folder, resolved, splits, workers, options.say)
+    options.conclude(found, experiment.text, as_json)
 
 
 def conversion(
     out: Annotated[Path, OUT] = Path("runs/conversion"),
     splits: Annotated[int, typer.Option(help="Random splits.", min=1)] = 10,
-    data: options.Data = None,
-    settings: options.SettingsFile = None,
-    set_: options.Assignments = None,
-    jobs: options.Jobs = 2,
-    scheduler: options.Scheduler = None,
+    *,
+    given: options.DataGiven,
+    workers: options.Workers,
     as_json: options.Json = False,
 ):
     """Run the paper's networks with the presentations, readouts and rates it leaves open.
 
-    Tells what could have cost the paper 2 points from CNN to spiking network and 3 to Loihi.  Goes
-    on where it was interrupted.
+    Shows what could have cost the paper 2 points from CNN to spiking network and 3 to Loihi.  An
+    interrupted command continues if it is repeated.
     """
-    workers = Workers(jobs, scheduler)
-    with options.opened(out, data, None, None, None, settings, set_) as (folder, resolved):
-        found = measure_choices(folder, resolved, splits, workers, options.say)
-    options.conclude(found, choices_text, as_json)
+    _measure(choices.EXPERIMENT, out, splits, given, workers, as_json)
 
 
 def losses(
@@ -92,23 +91,17 @@ def losses(
     seeds: Annotated[
         int, typer.Option(help="Seeds, from the settings' own on; one a split.", min=1)
     ] = 10,
-    data: options.Data = None,
-    input_: options.Input = None,
-    settings: options.SettingsFile = None,
-    set_: options.Assignments = None,
-    jobs: options.Jobs = 2,
-    scheduler: options.Scheduler = None,
+    *,
+    given: options.InputGiven,
+    workers: options.Workers,
     as_json: options.Json = False,
 ):
     """Measure the loss from the CNN to the chip on the complete test split, over seeds.
 
-    The chip is the target fast, of images at 100 and at 50 steps, of events as the settings show
-    them.  Goes on where it was interrupted.
+    The chip is the target fast, on images with 100 and with 50 steps, on events as in the
+    settings.  An interrupted command continues if it is repeated.
     """
-    workers = Workers(jobs, scheduler)
-    with options.opened(out, data, None, None, None, settings, set_, input_) as opened:
-        found = measure_losses(*opened, seeds, workers, options.say)
-    options.conclude(found, losses_text, as_json)
+    _measure(losses_.EXPERIMENT, out, seeds, given, workers, as_json)
 
 
 def events(
@@ -118,22 +111,18 @@ def events(
     seeds: Annotated[
         int, typer.Option(help="Seeds, from the settings' own on; one a split.", min=1)
     ] = 1,
-    data: options.Data = None,
-    settings: options.SettingsFile = None,
-    set_: options.Assignments = None,
-    jobs: options.Jobs = 2,
-    scheduler: options.Scheduler = None,
+    *,
+    given: options.DataGiven,
+    workers: options.Workers,
     as_json: options.Json = False,
 ):
     """Measure the value of timing: train on events without polarity, without times, ...
 
-    Five variants a seed, minutes each, judged on the whole test split by the target fast.  Goes on
-    where it was interrupted, after the last epoch.
+    Five variants for each seed, minutes each, tested on the whole test split (target fast).  An
+    interrupted command continues after the last epoch if it is repeated.
     """
-    workers = Workers(jobs, scheduler)
-    with options.opened(out, data, None, None, None, settings, set_, "events") as opened:
-        found = measure_events(*opened, seeds, workers, options.say)
-    options.conclude(found, events_text, as_json)
+    given = replace(given, input="events")
+    _measure(events_.EXPERIMENT, out, seeds, given, workers, as_json)
 
 
 def emulator(
@@ -142,10 +131,6 @@ def emulator(
         Optional[int],  # noqa: UP045 - Typer reads the annotation at run time
         typer.Option(help="Use only the first samples of the bundle's check.", min=1),
     ] = None,
-    compare_only: Annotated[
-        bool,
-        typer.Option("--compare-only", help="Leave out the measurements of scaling and limits."),
-    ] = False,
     networks: Annotated[
         bool,
         typer.Option("--networks", help="Measure FastSimulator on six networks, not a bundle."),
@@ -166,7 +151,7 @@ def emulator(
         return
     from pipeline.experiments import emulator_speed  # imports Nengo
 
-    result = emulator_speed.measure(read_bundle(options.bundle_in(bundle)), samples, compare_only)
+    result = emulator_speed.measure(read_bundle(options.bundle_in(bundle)), samples)
     options.tell(result, emulator_speed.speed_text, as_json)
     if not result["identical"]:
         raise CheckFailed("the target fast and NengoLoihi's emulator do not give the same spikes")
@@ -184,33 +169,96 @@ def _names(models):
 
 
 def adapt(
-    run: Annotated[Path, typer.Argument(help="Folder of a run or of a bundle.")],
-    data: Annotated[str, typer.Option(help="Recordings of several writers, not used in training.")],
-    out: Annotated[Path, typer.Option(help="File of the result, JSON.")] = Path("runs/adapt.json"),
+    run: Annotated[
+        Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
+        typer.Argument(help="Folder of a run or of a bundle, whose network is fitted."),
+    ] = None,
+    data: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(help="Recordings of several writers, not used in RUN's training."),
+    ] = None,
+    handwriting: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(
+            help="Instead of RUN and --data: a UNIPEN file of digits. For each fold of its writers "
+            "a network is trained on handwriting like that of the others, and fitted to each "
+            "writer of the fold.",
+            metavar="PEN",
+        ),
+    ] = None,
+    folds: Annotated[int, typer.Option(help="Folds of PEN's writers.", min=2)] = 3,
+    fitted: Annotated[
+        int,
+        typer.Option(
+            help="Writers that the model of handwriting is estimated from, 0 for all of the other "
+            "folds: a network that knows fewer people has more to learn.",
+            min=0,
+        ),
+    ] = 0,
+    methods: Annotated[
+        str,
+        typer.Option(
+            help="readout (on the host, as 'stmnist adapt' does it), wrong-labels (the same with "
+            "a tenth of the labels wrong), pes (learning on the chip, in the emulator), "
+            "all-layers (training all layers further, only with PEN and events), or several of "
+            "them, separated by commas."
+        ),
+    ] = "readout",
+    out: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(
+            help="File of the result, or with PEN a folder; folds with a result are not measured "
+            "again.",
+            show_default="runs/adapt.json, or runs/adapt",
+        ),
+    ] = None,
     each: Annotated[
         str, typer.Option(help="Recordings of each class to learn from, separated by commas.")
     ] = "1,2,5",
     draws: Annotated[int, typer.Option(help="Draws for each person.", min=1)] = 5,
-    wrong: Annotated[
-        float, typer.Option(help="Share of wrong labels to learn from.", min=0, max=0.5)
-    ] = 0.0,
-    seed: Annotated[int, typer.Option(help="Seed.", parser=options.between(0, 2**31 - 1))] = 0,
-    jobs: options.Jobs = 2,
+    *,
+    given: options.WithoutDataGiven,
+    workers: options.Workers,
     as_json: options.Json = False,
 ):
-    """Measure the gain of fitting the readout to a person, over people."""
-    from pipeline.experiments.adaptation import adaptation_text, measure_adaptation  # Nengo
+    """Measure the gain of fitting a network to a person, over people.
 
+    With PEN, an interrupted command continues if it is repeated.
+    """
+    from pipeline.experiments import adaptation, rotation  # Nengo
+
+    counts = _counts(each)
+    names = tuple(dict.fromkeys(name.strip() for name in methods.split(",")))
+    if unknown := [name for name in names if name not in adaptation.METHODS]:
+        raise UserError(
+            f"--methods: no method {unknown[0]!r}; they are {', '.join(adaptation.METHODS)}"
+        )
+    plan = adaptation.Plan(counts, draws, given.seed or 0)
+    if handwriting is not None:
+        if run is not None or data is not None:
+            raise UserError("--handwriting trains networks of its own: leave out RUN and --data")
+        what = rotation.Rotation(handwriting.absolute(), plan, folds, fitted, names)
+        place = out or Path("runs/adapt")
+        with options.opened(place, given) as opened:
+            found = rotation.measure_rotation(what, *opened, workers, options.say)
+        options.conclude(found, rotation.rotation_text, as_json)
+        return
+    if run is None or data is None:
+        raise UserError("give RUN and --data, or --handwriting")
     folder = RunFolder(run)
     bundle = read_bundle(folder.bundle if folder.bundle.exists() else run)
+    recordings = load_recordings(data, jobs=workers.processes, warn=options.say)
+    with progress("people", len(np.unique(recordings.writers))) as advance:
+        measured = adaptation.measure_adaptation(bundle, recordings, plan, names, advance)
+    write_json(out or Path("runs/adapt.json"), measured)
+    options.tell(measured, adaptation.adaptation_text, as_json)
+
+
+def _counts(each):
     try:
         counts = tuple(sorted({int(count) for count in each.split(",")}))
     except ValueError:
         counts = (0,)
     if min(counts) < 1:
         raise UserError(f"--each {each!r}: whole numbers from 1 on, separated by commas")
-    recordings = load_recordings(data, jobs=jobs, warn=options.say)
-    with progress("people", len(np.unique(recordings.writers))) as advance:
-        measured = measure_adaptation(bundle, recordings, counts, draws, wrong, seed, advance)
-    write_json(out, measured)
-    options.tell(measured, adaptation_text, as_json)
+    return counts

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -17,12 +19,75 @@ from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.targets.board import BoardOptions
 from deploy.targets.registry import TARGETS, options_for
-from pipeline.commands import options
+from pipeline.commands import options, signatures
+from pipeline.commands.completion import data_sets
 from pipeline.progress import progress
 from pipeline.run.answers import REFERENCES
 from pipeline.settings import Settings, read_settings
 
-BOARD = {"rich_help_panel": "Target loihi"}
+
+def _board_option(kind, text):
+    return Annotated[kind, typer.Option(help=text, rich_help_panel="Target loihi")]
+
+
+Board = signatures.group(
+    BoardOptions,
+    board=_board_option(Optional[str], "Name of a board (default: the cluster's choice)."),  # noqa: UP045
+    partition=_board_option(
+        Optional[str],  # noqa: UP045
+        "SLURM partition (default: the board is on this host).",
+    ),
+    chips=_board_option(int, "Largest number of chips to use."),
+    attempts=_board_option(int, "Largest number of attempts for each stream."),
+    wait=_board_option(float, "Seconds before the second attempt, then twice as long."),
+    timeout=_board_option(float, "Seconds after which a stream that hangs is abandoned."),
+    energy=Annotated[
+        bool,
+        typer.Option(
+            "--energy", help="Measure power if the board can.", rich_help_panel="Target loihi"
+        ),
+    ],
+)
+
+
+@dataclass(frozen=True)
+class OtherRecordings:
+    """Recordings on which a bundle is checked instead of its own samples.
+
+    Attributes
+    ----------
+    data : str or None
+        Zip or folder; None for the bundle's own samples.
+    samples : int or None
+        Number drawn at random; 0 for all, None for at most 200.
+    jobs : int
+        Processes that read them.
+    """
+
+    data: str | None = None
+    samples: int | None = None
+    jobs: int = 2
+
+
+Others = signatures.group(
+    OtherRecordings,
+    data=Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            help="Other recordings, zip or folder, instead of the bundle's samples; sensor "
+            "and classes must be the same.",
+            autocompletion=data_sets,
+        ),
+    ],
+    samples=Annotated[
+        Optional[int],  # noqa: UP045
+        typer.Option(
+            help="With --data: recordings drawn at random; 0 for all (default: 200 at most).",
+            parser=options.between(0, limits.SAMPLES),
+        ),
+    ],
+    jobs=options.Jobs,
+)
 
 
 def run(
@@ -39,79 +104,39 @@ def run(
         Optional[int],  # noqa: UP045
         typer.Option(help="Seed given to the simulator (default: that of the bundle's run)."),
     ] = None,
-    data: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            help="Other recordings, zip or folder, instead of the bundle's samples; sensor "
-            "and classes must be the same."
-        ),
-    ] = None,
-    samples: Annotated[
-        Optional[int],  # noqa: UP045
-        typer.Option(
-            help="With --data: recordings drawn at random; 0 for all (default: 200 at most).",
-            parser=options.between(0, limits.SAMPLES),
-        ),
-    ] = None,
-    jobs: options.Jobs = 2,
-    board: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(help="Name of a board (default: the cluster's choice).", **BOARD),
-    ] = None,
-    partition: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(help="SLURM partition (default: the board is on this host).", **BOARD),
-    ] = None,
-    chips: Annotated[
-        int, typer.Option(help="Largest number of chips to use.", **BOARD)
-    ] = BoardOptions.chips,
-    attempts: Annotated[
-        int, typer.Option(help="Largest number of attempts for each stream.", **BOARD)
-    ] = BoardOptions.attempts,
-    wait: Annotated[
-        float,
-        typer.Option(help="Seconds before the second attempt, then twice as long.", **BOARD),
-    ] = BoardOptions.wait,
-    timeout: Annotated[
-        float,
-        typer.Option(help="Seconds after which a stream that hangs is abandoned.", **BOARD),
-    ] = BoardOptions.timeout,
-    energy: Annotated[
-        bool, typer.Option("--energy", help="Measure power if the board can.", **BOARD)
-    ] = False,
+    *,
+    others: Others,
+    board: Board,
     as_json: options.Json = False,
 ):
-    """Let a target answer the bundle's samples; an interrupted check goes on where it stopped."""
-    chosen = options_for(
-        target,
-        board=board,
-        partition=partition,
-        chips=chips,
-        attempts=attempts,
-        wait=wait,
-        timeout=timeout,
-        energy=energy,
-    )
-    if samples is not None and data is None:
-        raise UserError("--samples: of other recordings only; name them with --data FILE")
+    """Let a target answer the bundle's samples; an interrupted check continues where it stopped."""
+    chosen = options_for(target, **vars(board))
+    if others.samples is not None and others.data is None:
+        raise UserError("--samples: needs other recordings; give them with --data FILE")
     bundle = options.bundle_in(bundle)
     opened = read_bundle(bundle)
     options.warn_if_outdated(bundle)
     if seed is None:
         seed = opened.spec.provenance.get("seed", 0)
-    if data is not None:
-        _on_others(opened, target, data, samples, seed, jobs, out, chosen, as_json)
+    check = partial(_checked, target=target, seed=seed, chosen=chosen)
+    if others.data is not None:
+        result, path = _on_others(opened, target, others, seed, out, check)
+        options.tell(result, lambda value: f"{others_text(value)}\nwritten to {path}", as_json)
         return
     path = out or result_beside(opened.path.absolute().parent, target)
-    with progress(f"check {target}", len(opened.checks)) as advance:
-        result = run_check(opened, target, path, seed, advance, chosen)
+    result = check(opened, path)
     options.tell(result, lambda value: f"{summary(value)}\nwritten to {path}", as_json)
     if loss := _loss(opened, result):
         options.say(f"check: {loss}")
 
 
+def _checked(bundle, path, target, seed, chosen):
+    with progress(f"check {target}", len(bundle.checks)) as advance:
+        return run_check(bundle, target, path, seed, advance, chosen)
+
+
 def _loss(bundle, result):
-    """What is lost against the network that the bundle was made from, where its answers are."""
+    """The loss relative to the network that the bundle was made from, if its answers exist."""
     for first, *_ in REFERENCES.values():
         with contextlib.suppress(UserError):  # none there, or damaged: then there is nothing to say
             reference = read_result(bundle.path.absolute().parent / "checks" / f"{first}.json")
@@ -120,20 +145,20 @@ def _loss(bundle, result):
     return None
 
 
-def _on_others(bundle, target, data, samples, seed, jobs, out, chosen, as_json):
-    """The check on other recordings than the bundle's own."""
+def _on_others(bundle, target, others, seed, out, check):
+    """The check on other recordings than the bundle's own: the result and its file."""
     from pipeline.run import elsewhere  # with what reads recordings
 
     experiment = bundle.path.absolute().parent / "experiment.toml"
     settings = read_settings(experiment) if experiment.exists() else Settings()
-    recordings = elsewhere.recordings_for(bundle, data, settings, jobs, options.say)
-    shown, indices = elsewhere.shown_instead(bundle, recordings, samples, seed, settings.image)
+    recordings = elsewhere.recordings_for(bundle, others.data, settings, others.jobs, options.say)
+    shown, indices = elsewhere.shown_instead(
+        bundle, recordings, others.samples, seed, settings.image
+    )
     path = out or elsewhere.result_path(bundle, recordings, len(indices), target)
-    with progress(f"check {target}", len(indices)) as advance:
-        result = run_check(shown, target, path, seed, advance, chosen)
-    result = elsewhere.told_of(result, recordings, indices)
+    result = elsewhere.told_of(check(shown, path), recordings, indices)
     write_json(path, result)
-    options.tell(result, lambda value: f"{others_text(value)}\nwritten to {path}", as_json)
+    return result, path
 
 
 def compare_checks(

@@ -11,7 +11,8 @@ import typer
 from deploy import limits
 from deploy.errors import UserError
 from deploy.terminal import show
-from pipeline.commands import options
+from pipeline.commands import options, signatures
+from pipeline.commands.completion import data_sets
 from pipeline.inputs.library import load_recordings
 from pipeline.progress import progress
 from pipeline.recordings.archive import export_zip, write_zip
@@ -22,7 +23,12 @@ from pipeline.recordings.table1 import table1_json, table1_text
 from pipeline.settings import SIMULATED
 from pipeline.skin import unipen
 
-Source = Annotated[str, typer.Option("--data", help="Zip or folder of recordings, or 'simulated'.")]
+Source = Annotated[
+    str,
+    typer.Option(
+        "--data", help="Zip or folder of recordings, or 'simulated'.", autocompletion=data_sets
+    ),
+]
 SimulationSeed = Annotated[
     int,
     typer.Option(
@@ -39,7 +45,7 @@ PerDigit = Annotated[
 
 
 class Unit(StrEnum):
-    """Of times in files of events."""
+    """Units of times in files of events."""
 
     found = "as-found"
     s = "s"
@@ -49,7 +55,7 @@ class Unit(StrEnum):
 
     @property
     def setting(self) -> str:
-        """As ``data.time_unit`` has it."""
+        """The value of the setting ``data.time_unit``."""
         return "" if self is Unit.found else self.value
 
 
@@ -79,25 +85,32 @@ Downsample = Annotated[
 ]
 
 
+def _reading(rows=0, columns=0, time_unit=Unit.found, downsample=1):
+    return Reading(rows, columns, time_unit.setting, downsample)
+
+
+ReadingGiven = signatures.group(
+    _reading, rows=SideOrFound, columns=SideOrFound, time_unit=TimeUnit, downsample=Downsample
+)
+
+
 def import_(
     source: Annotated[str, typer.Argument(help="Zip or folder of recordings, such as ST-MNIST's.")],
     skip_bad: Annotated[
         bool, typer.Option("--skip-bad", help="Leave out files that cannot be read.")
     ] = False,
-    rows: SideOrFound = 0,
-    columns: SideOrFound = 0,
-    time_unit: TimeUnit = Unit.found,
-    downsample: Downsample = 1,
+    *,
+    reading: ReadingGiven,
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
     """Read recordings once and keep them in the cache, so that the next start is quick."""
-    reading = Reading(rows, columns, time_unit.setting, downsample)
     recordings = load_recordings(
         source, skip_bad=skip_bad, jobs=jobs, warn=options.say, reading=reading
     )
     facts = facts_with_events(recordings)
     options.tell(facts, lambda facts: recordings_text(facts, recordings), as_json)
+    options.suggest("ladder", Path("runs") / Path(source).stem, "--data", source)
 
 
 def export(
@@ -171,10 +184,8 @@ def stats(
         bool,
         typer.Option("--against-paper", help="Also print the paper's Table 1 and the differences."),
     ] = False,
-    rows: SideOrFound = 0,
-    columns: SideOrFound = 0,
-    time_unit: TimeUnit = Unit.found,
-    downsample: Downsample = 1,
+    *,
+    reading: ReadingGiven,
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
@@ -183,7 +194,6 @@ def stats(
     Events are counted as the paper does, one for each column of a file; physical events count each
     burst of columns once.
     """
-    reading = Reading(rows, columns, time_unit.setting, downsample)
     recordings = load_recordings(data, seed, jobs=jobs, reading=reading)
     value = table1_json(recordings, against_paper)
     options.tell(value, lambda _: table1_text(recordings, against_paper), as_json)
@@ -204,10 +214,8 @@ def plot(
         str, typer.Option(help="Id of a recording, such as 8/0000 (default: the first one).")
     ] = "",
     per_digit: Annotated[int, typer.Option(help="Samples of each digit on a sheet.", min=1)] = 16,
-    rows: SideOrFound = 0,
-    columns: SideOrFound = 0,
-    time_unit: TimeUnit = Unit.found,
-    downsample: Downsample = 1,
+    *,
+    reading: ReadingGiven,
     jobs: options.Jobs = 2,
 ):
     """Draw recordings as the paper does.
@@ -224,9 +232,8 @@ def plot(
     from pipeline.report.figures import recordings as drawn
 
     if what not in FIGURES:
-        raise UserError(f"{what!r} is no figure; choose one of {', '.join(FIGURES)}")
+        raise UserError(f"{what!r} is not a figure; choose one of {', '.join(FIGURES)}")
     figures.format_of(out)  # said before the recordings are read
-    reading = Reading(rows, columns, time_unit.setting, downsample)
     recordings = load_recordings(data, seed, jobs=jobs, reading=reading)
     if what == "layout":
         figure = drawn.layout(recordings.taxels)

@@ -23,7 +23,7 @@ from pipeline.commands import options
 
 
 class Format(StrEnum):
-    """What a bundle can be exported to."""
+    """Formats to which a bundle can be exported."""
 
     nir = "nir"
     lava = "lava"
@@ -105,6 +105,6 @@ def energy(
     path = result or opened.path.absolute().parent / "checks" / "emulator.json"
     counted = read_result(path)
     if counted["bundle"] != opened.id:
-        raise UserError(f"{path}: of another bundle than {bundle}; run the check again")
+        raise UserError(f"{path}: belongs to another bundle than {bundle}; run the check again")
     value = estimate_energy(opened.spec, counted)
     options.tell(value.to_json(), lambda _: estimate_text(value), as_json)

@@ -1,7 +1,8 @@
-"""The generated parts of the documentation: every command, and every setting.
+"""The generated parts of the documentation: every command, every setting, and measured figures.
 
 ``python -m pipeline.commands.documentation`` writes them anew between their marks in the files of
-`FILES`; a test holds them current.
+`FILES`; a test holds them current.  Figures come from ``results/``
+(:mod:`pipeline.commands.figures`).
 """
 
 from __future__ import annotations
@@ -14,10 +15,14 @@ from itertools import groupby
 from pathlib import Path
 
 from deploy.files import replacing
+from pipeline.commands.figures import TABLES, with_figures
 from pipeline.settings import Settings, describe
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-FILES = ("docs/commands.md", "docs/settings.md")
+FILES = (
+    *("README.md", "docs/commands.md", "docs/settings.md"),
+    *("docs/benchmarks.md", "docs/events.md", "docs/training.md"),
+)
 """Where the parts stand, from the root of the repository."""
 
 
@@ -40,16 +45,16 @@ def settings() -> str:
     return "\n".join(lines)
 
 
-PARTS = {"commands": commands, "settings": settings}
+PARTS = {"commands": commands, "settings": settings, **TABLES}
 
 
 def with_parts(text: str) -> str:
-    """A document with the parts between its marks written anew.
+    """A document with the parts and figures between their marks written anew.
 
     Raises
     ------
     ValueError
-        A part has a mark where it begins and none where it ends.
+        A part has a mark where it begins and none where it ends, or there is no such figure.
     """
     for name, part in PARTS.items():
         begin = f"<!-- {name}: written by python -m pipeline.commands.documentation -->"
@@ -61,7 +66,7 @@ def with_parts(text: str) -> str:
         if not closed:
             raise ValueError(f"no mark {end!r} in the text")
         text = f"{before}{begin}\n{part()}\n{end}{after}"
-    return text
+    return with_figures(text)
 
 
 def _sections(command, words, depth):

@@ -1,32 +1,18 @@
-"""``stmnist live``: the skin in the browser."""
+"""``stmnist live``: a sensor's skin in the browser."""
 
 from __future__ import annotations
 
-import threading
-import webbrowser
-from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Optional
 
 import typer
 
-from deploy.errors import UserError
-from deploy.terminal import show
 from pipeline.commands import options
-from pipeline.live.network import (
-    SHIPPED,
-    about,
-    fits_the_page,
-    network_of_bundle,
-    network_of_run,
-)
+from pipeline.live.network import RECORD, SHIPPED, network_of_bundle, network_of_run
+from pipeline.live.serving import PORT, serve
 from pipeline.run import stages
 from pipeline.run.folder import RunFolder
-from pipeline.run.status import outdated_note
-from pipeline.skin import parameters
 
-PORT = 8765
-RECORD = Path("written")
 DEFAULT_RUN = Path("runs/default")
 
 
@@ -42,64 +28,38 @@ def live(
         int, typer.Option(help="Port of this machine; 0 for any free one.", min=0, max=65535)
     ] = PORT,
     record: Annotated[
-        Path, typer.Option(help="Folder for the recordings; usable as DATA.")
-    ] = RECORD,
+        Optional[Path],  # noqa: UP045
+        typer.Option(
+            help="Folder for the recordings; usable as DATA.",
+            show_default=f"{RECORD}; for other data than digits {RECORD}- and its name",
+        ),
+    ] = None,
+    host: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            help="Address of this machine at which others can open the page, with the token that "
+            "is printed.",
+            show_default="127.0.0.1, for this machine only",
+        ),
+    ] = None,
     no_browser: Annotated[
         bool, typer.Option("--no-browser", help="Only print the address.")
     ] = False,
-    data: options.Data = None,
-    kind: options.Input = None,
-    seed: options.Seed = None,
-    settings: options.SettingsFile = None,
-    set_: options.Assignments = None,
+    *,
+    given: options.TrainingGiven,
     jobs: options.Jobs = 2,
 ):
-    """Write digits in the browser, watch the network decide, save the recordings.
+    """Draw on a sensor in the browser, watch the network decide, save the recordings.
 
-    Without a run it begins at once, with a network that comes with this package.  A run that is not
-    there is trained first.  Serves on 127.0.0.1 only, until Ctrl-C.
+    Without a run it begins at once, with a network for digits that comes with this package.  A run
+    that is not there is trained first.  It serves this machine only, until Ctrl-C.
     """
-    try:
-        from pipeline.live.keeping import Keeper
-        from pipeline.live.server import Live, Server, listen
-    except ImportError as error:
-        raise UserError(
-            f"the page needs {error.name}: pip install 'stmnist-loihi[live]', or make setup"
-        ) from error
-    # Said now, not when the network is trained: a folder or a port that is in use.
-    with closing(Keeper(record)) as keeper, closing(listen(port)) as listening:
-        bundle, image = _network(run, data, kind, seed, settings, set_, jobs)
-        fits_the_page(bundle)
-        note = outdated_note(bundle.path)
-        if note is not None:
-            options.say(note)
-
-        def make_decider():
-            from pipeline.live.deciding import decider_of  # Nengo: a second that the page can spare
-
-            return decider_of(bundle, image)
-
-        def make_learner():
-            from pipeline.live.learning import Learner
-
-            return Learner.of(bundle, image, record)
-
-        def opened(url):
-            show(f"live: {url}", flush=True)
-            if not no_browser:  # in a thread: some browsers return when they are closed
-                threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
-
-        try:
-            told = about(bundle, record, note)
-            page = Live(make_decider, keeper, parameters.load(), told, make_learner=make_learner)
-            Server(page, listening, opened).run()
-        finally:
-            options.say(f"live: ended; {len(keeper)} recordings are kept in {record}")
+    serve(lambda: _network(run, given, jobs), port, record, host, not no_browser, options.say)
 
 
-def _network(run, data, kind, seed, settings, set_, jobs):
+def _network(run, given, jobs):
     """The bundle, made if it is not there or otherwise asked for, and how events become images."""
-    asked = any((data, kind, seed is not None, settings, set_))
+    asked = given != options.Given()
     if run is None:
         run = DEFAULT_RUN if asked else SHIPPED
     if found := network_of_bundle(run):
@@ -109,8 +69,7 @@ def _network(run, data, kind, seed, settings, set_, jobs):
         return found
     if not folder.bundle.exists():
         options.say(f"live: {run} has no network yet; training it first, about a minute")
-    given = (data, seed, None, None, settings, set_, kind)
     fit = options.fit_recordings(jobs)
-    with options.opened(run, *given, fit=fit) as (folder, resolved):
+    with options.opened(run, given, fit=fit) as (folder, resolved):
         _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
     return bundle, resolved.image

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+import difflib
+import re
 import sys
 from functools import cached_property
 from importlib import import_module
-from pathlib import Path
-from typing import Annotated, get_args, get_origin, get_type_hints
 
 import typer
 import typer.main
 from typer.core import TyperCommand, TyperGroup
-from typer.models import OptionInfo
 
 from deploy import __version__, interrupts
 from deploy.errors import CheckFailed, SeveralErrors, UserError, line_of, one_line
 from deploy.terminal import drop_unwritable, prepare, remark, show
 from models.architecture import NotationError
+from pipeline.commands.signatures import for_typer
 
 # Typer brings its own copy of Click from some version on: these are the classes that it raises.
 UsageError = typer.BadParameter.__base__
@@ -33,8 +33,6 @@ VERBS = {
             "stats": "data.stats",
             "plot": "data.plot",
             "handwriting": "skin.handwriting",
-            "calibrate": "skin.calibrate",
-            "difficulty": "skin.difficulty",
             "aces": "skin.aces_",
         },
     ),
@@ -94,7 +92,7 @@ VERBS = {
         "report.animate",
     ),
     "live": (
-        "Write digits in the browser, watch the network decide, save the recordings.",
+        "Draw on a sensor in the browser, watch the network decide, save the recordings.",
         "live.live",
     ),
     "settings": (
@@ -105,27 +103,6 @@ VERBS = {
 """Every verb: its line in the list, and its function, as ``module.function`` of this package, or
 its own verbs.  A module is imported only when one of its verbs is chosen, so that ``--help`` and a
 TAB do not wait for the second that importing all of them takes."""
-
-
-METAVARS = {bool: "", int: "N", float: "X", Path: "PATH", str: "TEXT"}
-"""The placeholders of option values in ``--help``; a choice lists its values instead.  Typer's own
-placeholders, such as ``<int range>``, would take a third of a help text 60 columns wide."""
-
-
-def _with_short_metavars(verb):
-    """The verb, its options with words of :data:`METAVARS` where they have none of their own."""
-    hints = get_type_hints(verb, include_extras=True)
-    for hint in hints.values():
-        kinds = (
-            {hint.__origin__, *get_args(hint.__origin__)} if get_origin(hint) is Annotated else ()
-        )
-        inner = {kind for outer in kinds for kind in (outer, *get_args(outer))}
-        word = next((METAVARS[kind] for kind in METAVARS if kind in inner), None)
-        for info in getattr(hint, "__metadata__", ()):
-            if isinstance(info, OptionInfo) and info.metavar is None:
-                info.metavar = word
-    verb.__annotations__ = hints  # as they were read: in the source they are text
-    return verb
 
 
 class _Flags:
@@ -165,7 +142,7 @@ class _Later(_Command):
     def chosen(self):
         made = _typer(self.help, add_completion=False)
         for name, verb in _imported(self.name).items():
-            made.command(name, cls=_Command)(_with_short_metavars(verb))
+            made.command(name, cls=_Command)(for_typer(verb))
         return typer.main.get_command(made)  # of one verb it is that verb, else the group
 
     def make_context(self, *arguments, **options):
@@ -210,23 +187,25 @@ def with_every_verb() -> TyperGroup:
     return group
 
 
-def import_verb(arguments):
-    """Import the modules of the verb that is asked for, if one is, ahead of :func:`main`.
+def run_tool(verb):
+    """Run one of the functions of ``tools/`` as a command, with its options from ``sys.argv``.
 
-    There Ctrl-C raises KeyboardInterrupt, which an import may take for a module that is missing.
+    Errors and exit status are those of :func:`main`.
     """
-    if arguments and arguments[0] in VERBS:
-        _imported(arguments[0])
+    made = _typer(None, add_completion=False)
+    made.command(cls=_Command)(for_typer(verb))
+    main(command=typer.main.get_command(made))
 
 
-def main(arguments=None):
+def main(arguments=None, command=None):
     """Run the command.
 
     Exit status 0: done; 1: a check failed; 2: wrong usage or bad input; 130: interrupted.
     """
     prepare()
     try:
-        status = command_line()(args=arguments, prog_name="stmnist", standalone_mode=False)
+        name = "stmnist" if command is None else None  # None: as Python was started
+        status = (command or command_line())(args=arguments, prog_name=name, standalone_mode=False)
         if status == interrupts.STATUS:  # Typer turns an interruption into this status
             raise KeyboardInterrupt
         sys.stdout.flush()  # at Python's end it is too late for a line
@@ -234,7 +213,7 @@ def main(arguments=None):
         status = _say(interrupts.LINE, interrupts.STATUS)
     except UsageError as error:
         context = error.ctx.command_path if error.ctx else "stmnist"
-        problem = error.format_message().rstrip(".") or "a command is missing"
+        problem = plain(error.format_message()).rstrip(".") or "a command is missing"
         problem += _setting_of(getattr(error, "option_name", None), arguments)
         status = _say(f"{problem} (see '{context} --help')", 2)
     except ClickException as error:
@@ -257,8 +236,26 @@ def main(arguments=None):
     sys.exit(status or 0)
 
 
+_PLAIN = (
+    (r"Value error, ", ""),
+    (r"Input should be a valid integer.*", "must be a whole number"),
+    (r"Input should be a valid (number|boolean).*", r"must be a \1"),
+    (r"Input should be less than or equal to ", "must be at most "),
+    (r"Input should be greater than or equal to ", "must be at least "),
+    (r"Got unexpected extra arguments?\(?s?\)? \((.*)\)", r"unexpected argument: \1"),
+)
+"""Messages of the libraries that read options, and what they mean."""
+
+
+def plain(message: str) -> str:
+    """A message about an option without the words of the library that reads options."""
+    for pattern, meaning in _PLAIN:
+        message = re.sub(pattern, meaning, message)
+    return message
+
+
 def _setting_of(option, arguments):
-    """What to write instead of an option that is no option but a setting's name, if one is."""
+    """A hint for an unknown option that has the name of a setting: how to set it."""
     if not option:
         return ""
     from pipeline.settings import Settings
@@ -266,7 +263,9 @@ def _setting_of(option, arguments):
     last = option.lstrip("-").replace("-", "_")
     words = list(sys.argv[1:] if arguments is None else arguments)
     prefer = "events." if "events" in words else "cnn."
-    names = [name for name in Settings().flat() if name.rpartition(".")[2] == last]
+    flat = Settings().flat()
+    close = difflib.get_close_matches(last, {name.rpartition(".")[2] for name in flat}, 1, 0.8)
+    names = [name for name in flat if name.rpartition(".")[2] in close]
     if not names:
         return ""
     name = next((name for name in names if name.startswith(prefer)), names[0])

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shlex
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -12,6 +14,8 @@ import typer
 
 from deploy.errors import CheckFailed, SeveralErrors, UserError
 from deploy.terminal import remark, show
+from pipeline.commands.completion import data_sets
+from pipeline.commands.signatures import group
 from pipeline.run.folder import RunFolder
 from pipeline.run.places import (
     nothing_left_of_a_failure,
@@ -22,10 +26,13 @@ from pipeline.settings import SIMULATED, parse_assignments, put
 
 
 def between(low: int, high: int):
-    """What reads a whole number; its range beside it would cut an option's name at 60 columns."""
+    """A parser of whole numbers; Typer's own shows the range, which is too wide for the help."""
 
     def number(text) -> int:
-        value = int(text)
+        try:
+            value = int(text)
+        except ValueError as error:
+            raise typer.BadParameter(f"{text!r} is not a whole number") from error
         if not low <= value <= high:
             raise typer.BadParameter(f"{value} is not from {low} to {high}")
         return value
@@ -33,19 +40,34 @@ def between(low: int, high: int):
     return number
 
 
+def one_of(*choices: str) -> dict:
+    """Parameters of an option that has one of some values: its parser and completion."""
+
+    def choice(text) -> str:
+        if text not in choices:
+            raise typer.BadParameter(f"{text!r} is not one of {', '.join(choices)}")
+        return text
+
+    return {
+        "parser": choice,
+        "autocompletion": lambda: list(choices),
+    }
+
+
 Run = Annotated[Path, typer.Argument(help="Folder of the run, such as runs/default.")]
 Bundle = Annotated[Path, typer.Argument(help="Folder of the bundle or of its run.")]
 Data = Annotated[
     Optional[str],  # noqa: UP045 - Typer reads the annotation at run time
-    typer.Option(help="Zip or folder of recordings, or 'simulated' (default: the run's own)."),
+    typer.Option(
+        help="Zip or folder of recordings, or 'simulated' (default: the run's own).",
+        autocompletion=data_sets,
+    ),
 ]
 Seed = Annotated[Optional[int], typer.Option(help="Seed of split, training and samples.")]  # noqa: UP045
 Input = Annotated[
     Optional[str],  # noqa: UP045
     typer.Option(
-        "--input",
-        help="Input of the chip: 'image' or 'events'.",
-        autocompletion=lambda: ["image", "events"],
+        "--input", help="Input of the chip: 'image' or 'events'.", **one_of("image", "events")
     ),
 ]
 Samples = Annotated[Optional[int], typer.Option(help="Samples of the check.")]  # noqa: UP045
@@ -69,28 +91,80 @@ Scheduler = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
+def _workers(jobs=2, scheduler=None):
+    from pipeline.experiments.study import Workers  # imports all that a run is made with
+
+    return Workers(jobs, scheduler)
+
+
+Workers = group(_workers, jobs=Jobs, scheduler=Scheduler)
+"""The :class:`pipeline.experiments.study.Workers` of an experiment."""
+
+
+@dataclass(frozen=True)
+class Given:
+    """Options from which the settings of a run follow; those that were not given are None.
+
+    Attributes
+    ----------
+    data, input, seed, samples, steps
+        Values of the options of the same names.
+    settings : Path or None
+        TOML file of settings.
+    assignments : list of str or None
+        Values of ``--set``.
+    """
+
+    data: str | None = None
+    input: str | None = None
+    seed: int | None = None
+    samples: int | None = None
+    steps: int | None = None
+    settings: Path | None = None
+    assignments: list[str] | None = None
+
+    def changes(self) -> dict:
+        """The settings that the options change, nested as in :class:`pipeline.settings.Settings`.
+
+        Raises
+        ------
+        UserError
+            An assignment is malformed, or contradicts an option.
+        """
+        changes, data = parse_assignments(self.assignments or []), self.data
+        if data is not None and data != SIMULATED:
+            data = str(Path(data).absolute())  # the run can be repeated from any folder
+        for option, name, value in (
+            ("--data", "data.source", data),
+            ("--input", "input.kind", self.input),
+            ("--seed", "seed", self.seed),
+            ("--samples", "check.samples", self.samples),
+            ("--steps", "presentation.steps", self.steps),
+        ):
+            if value is not None:
+                put(changes, name, value, option)
+        return changes
+
+
+_CHANGES = {"settings": SettingsFile, "assignments": Assignments}
+RunGiven = group(Given, data=Data, input=Input, seed=Seed, samples=Samples, steps=Steps, **_CHANGES)
+TrainingGiven = group(Given, data=Data, input=Input, seed=Seed, **_CHANGES)
+SeededGiven = group(Given, data=Data, seed=Seed, **_CHANGES)
+InputGiven = group(Given, data=Data, input=Input, **_CHANGES)
+DataGiven = group(Given, data=Data, **_CHANGES)
+WithoutDataGiven = group(Given, seed=Seed, input=Input, **_CHANGES)
+
+
 @contextlib.contextmanager
-def opened(
-    path: Path,
-    data=None,
-    seed=None,
-    samples=None,
-    steps=None,
-    settings=None,
-    assignments=None,
-    kind=None,
-    changes=None,
-    fit=None,
-):
-    """A folder for this process alone, with its settings and the options that were given.
+def opened(path: Path, given: Given, changes: dict | None = None, fit=None):
+    """Lock a folder and resolve its settings with the options that were given.
 
     Parameters
     ----------
     path : Path
-    data, seed, samples, steps, settings, assignments, kind
-        What the options of the same names gave (``kind``: ``--input``), or None.
+    given : Given
     changes : dict, optional
-        Of settings, which the options go before.
+        Changed settings; the options take precedence.
     fit : callable, optional
         Makes settings that were left at their defaults fit the recordings; see
         :func:`pipeline.run.fitting.fitted`.
@@ -107,43 +181,31 @@ def opened(
     folder = RunFolder(path)
     refuse_other_folders(path, of_results=fit is None)
     if fit is not None:
-        _ask_about_a_similar_name(path, data)
+        _ask_about_a_similar_name(path, given.data)
     with nothing_left_of_a_failure(path), folder.locked():
-        changes = merged(changes or {}, parse_assignments(assignments or []))
-        if data is not None and data != SIMULATED:
-            data = str(Path(data).absolute())  # the run can be repeated from any folder
-        for option, name, value in (
-            ("--data", "data.source", data),
-            ("--input", "input.kind", kind),
-            ("--seed", "seed", seed),
-            ("--samples", "check.samples", samples),
-            ("--steps", "presentation.steps", steps),
-        ):
-            if value is not None:
-                put(changes, name, value, option)
-        resolved = folder.resolve_settings(settings, changes)
+        resolved = folder.resolve_settings(given.settings, merged(changes or {}, given.changes()))
         if fit is not None:
             resolved = fit(folder, resolved)
         yield folder, resolved
 
 
 def fit_recordings(jobs: int, check: bool = True):
-    """What :func:`opened` takes as ``fit``: of a new run it says first where its data come from.
+    """The ``fit`` of :func:`opened`, which also announces the data of a new run.
 
     Parameters
     ----------
     jobs : int
         Processes, of recordings that are not in the cache.
     check : bool
-        Whether samples of a check will be drawn.
+        True if samples of a check will be drawn.
     """
 
     def fit(folder, settings):
-        if settings.data.source == SIMULATED:
-            return settings
         from pipeline.inputs.library import recordings_of
         from pipeline.run.fitting import chosen_text, fitted, new_run_text
 
+        if settings.data.source == SIMULATED:
+            return fitted(settings, jobs)
         recordings = recordings_of(settings, jobs)  # what is left out is told when they are used
         is_new = not folder.experiment.exists()
         try:
@@ -203,8 +265,14 @@ def merged(first: dict, second: dict) -> dict:
 
 
 def say(line: str):
-    """What happens goes to standard error, answers to standard output."""
+    """Print a line on standard error; results go to standard output."""
     remark(line)
+
+
+def suggest(verb: str, *arguments):
+    """Tell at a terminal which command usually comes next, in one line on standard error."""
+    if sys.stderr.isatty() and sys.stdout.isatty():
+        say(f"next: stmnist {' '.join([verb, *(shlex.quote(str(a)) for a in arguments)])}")
 
 
 def warn_if_outdated(*paths: Path):

@@ -9,11 +9,9 @@ import typer
 
 from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
-from deploy.files import replacing
 from pipeline.commands import options
 from pipeline.progress import progress
-from pipeline.report.gather import gather
-from pipeline.report.page import render
+from pipeline.report.writing import write_report
 from pipeline.run.folder import RunFolder
 from pipeline.settings import read_settings
 
@@ -37,7 +35,9 @@ def animate(
         raise UserError(f"{run}: not a run's folder (it has no experiment.toml)")
     recordings = recordings_of(read_settings(experiment), jobs, options.say)
     if recordings.source.sha256 != bundle.spec.provenance.get("source_sha256"):
-        raise UserError(f"{run}: its bundle was made from other recordings; climb the ladder again")
+        raise UserError(
+            f"{run}: its bundle was made from other recordings; run 'stmnist ladder' again"
+        )
     ids = list(bundle.checks.ids)
     if sample and sample not in ids:
         raise UserError(f"{run}: no sample {sample!r} in its check; ids are like {ids[0]!r}")
@@ -66,10 +66,6 @@ def report(
     jobs: options.Jobs = 2,
 ):
     """Write the run's results so far as one self-contained HTML file."""
-    folder = RunFolder(run)
-    other = RunFolder(beside) if beside else None
-    html = render(gather(folder, benchmark or run.parent / "table2", jobs, options.say, other))
-    path = out or run / "report.html"
-    with replacing(path, "w") as file:
-        file.write(html)
-    options.say(f"report: {path} ({len(html) // 1024} KiB)")
+    path = write_report(run, out, benchmark, beside, jobs, options.say)
+    options.say(f"report: {path} ({path.stat().st_size // 1024} KiB)")
+    options.suggest("live", run)

@@ -17,38 +17,28 @@ from pipeline.run.ladder import ladder_text, measure_ladder
 
 def train(
     run: options.Run,
-    data: options.Data = None,
-    kind: options.Input = None,
-    seed: options.Seed = None,
-    settings: options.SettingsFile = None,
-    set_: options.Assignments = None,
+    given: options.TrainingGiven,
     jobs: options.Jobs = 2,
 ):
     """Train the paper's CNN on tactile images, or with --input events the network on events."""
-    given = (data, seed, None, None, settings, set_, kind)
     fit = options.fit_recordings(jobs, check=False)
-    with options.opened(run, *given, fit=fit) as (folder, resolved):
+    with options.opened(run, given, fit=fit) as (folder, resolved):
         dataset = stages.open_dataset(folder, resolved, jobs, options.say, check=False)
         if resolved.nir.file:
             raise UserError(
-                f"{run}: its network is the NIR graph {resolved.nir.file}, trained already; use "
-                "'stmnist convert', or go back with --set nir.file=''"
+                f"{run}: its network is the NIR graph {resolved.nir.file}, already trained; "
+                "use 'stmnist convert', or return to the built-in network with --set nir.file=''"
             )
         if resolved.on_events:
             stages.train_on_events(folder, resolved, dataset, options.say)
         else:
             stages.train(folder, resolved, dataset, options.say)
+    options.suggest("ladder", run)
 
 
 def convert(
     run: options.Run,
-    data: options.Data = None,
-    kind: options.Input = None,
-    seed: options.Seed = None,
-    samples: options.Samples = None,
-    steps: options.Steps = None,
-    settings: options.SettingsFile = None,
-    set_: options.Assignments = None,
+    given: options.RunGiven,
     model: Annotated[
         Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
         typer.Option(
@@ -65,7 +55,11 @@ def convert(
     ] = None,
     retrain: Annotated[
         bool,
-        typer.Option("--retrain", help="With --model: continue training with rate-based LIF."),
+        typer.Option(
+            "--retrain",
+            help="With --model: continue training with rate-based LIF.  With --nir: on the events, "
+            "in the chip's integers.",
+        ),
     ] = False,
     jobs: options.Jobs = 2,
 ):
@@ -74,37 +68,33 @@ def convert(
     With --model: scale that model to the neurons' range, make it spike, write the bundle.
     With --nir: turn the graph's neurons and weights into the chip's integers, write the bundle.
     """
-    if retrain and nir is not None:
-        raise UserError("--retrain: not supported with --nir; train the network further in PyTorch")
-    if retrain and model is None:
-        raise UserError("--retrain: needs a Keras model; give it with --model FILE")
+    if retrain and model is None and nir is None:
+        raise UserError("--retrain: needs a network; give it with --model FILE or --nir FILE")
     if model is not None and nir is not None:
         raise UserError("--model and --nir: a run has one network; give only one of them")
     if step is not None and nir is None:
         raise UserError("--step: needs a NIR graph; give it with --nir FILE")
     changes = stages.settings_of_model(model, retrain) if model else {}
     if nir is not None:
-        changes = stages.settings_of_nir(nir, step, kind)
-    given = (data, seed, samples, steps, settings, set_, kind, changes)
-    with options.opened(run, *given, fit=options.fit_recordings(jobs)) as (folder, resolved):
+        take = stages.settings_of_retrained if retrain else stages.settings_of_nir
+        changes = take(nir, step, given.input)
+    fit = options.fit_recordings(jobs)
+    with options.opened(run, given, changes, fit) as (folder, resolved):
         if model is not None and resolved.on_events:
             raise UserError(
                 "--model: Keras models receive tactile images; leave out --input events"
             )
+        if nir is not None:
+            stages.refuse_early(resolved)
         _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
         for stage in REFERENCES[resolved.network]:
             stages.answer(folder, resolved, bundle, stage, options.say)
+    options.suggest("ladder", run)
 
 
 def ladder(
     run: options.Run,
-    data: options.Data = None,
-    kind: options.Input = None,
-    seed: options.Seed = None,
-    samples: options.Samples = None,
-    steps: options.Steps = None,
-    settings: options.SettingsFile = None,
-    set_: options.Assignments = None,
+    given: options.RunGiven,
     jobs: options.Jobs = 2,
     whole: Annotated[
         bool, typer.Option("--whole", help="Use the complete test split, not the check's samples.")
@@ -125,8 +115,7 @@ def ladder(
     """Run the missing stages up to the emulator, and print the loss of each stage."""
     if limit is not None and not -100 <= limit <= 100:  # nothing is more than NaN
         raise UserError(f"--limit {limit:g}: must be from -100 to 100 points")
-    given = (data, seed, samples, steps, settings, set_, kind)
-    with options.opened(run, *given, fit=options.fit_recordings(jobs)) as (folder, resolved):
+    with options.opened(run, given, fit=options.fit_recordings(jobs)) as (folder, resolved):
         table = measure_ladder(folder, resolved, jobs, whole, slow, options.say)
         if whole:
             from pipeline.report import figures  # imports Matplotlib
@@ -134,7 +123,8 @@ def ladder(
 
             figures.save(confusion_figure(table), folder.confusion, dpi=100)
     most = limit if limit is not None else 1.0 if whole else 3.0
-    given = limit is not None
-    options.tell(table, lambda ladder: "\n" + ladder_text(ladder, most, given), as_json)
+    asked = limit is not None
+    options.tell(table, lambda ladder: "\n" + ladder_text(ladder, most, asked), as_json)
     if whole and not as_json:
         show(f"confusion matrices: {folder.confusion}")
+    options.suggest("report", run)

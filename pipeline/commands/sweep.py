@@ -8,7 +8,6 @@ from typing import Annotated, Optional
 import typer
 
 from pipeline.commands import options
-from pipeline.experiments.study import Workers
 from pipeline.experiments.sweep import measure_sweep
 from pipeline.experiments.sweep_text import sweep_text
 
@@ -24,24 +23,16 @@ def sweep(
             "and early; see docs/training.md).",
         ),
     ] = None,
-    data: options.Data = None,
-    input_: options.Input = None,
-    seed: options.Seed = None,
-    settings: options.SettingsFile = None,
-    set_: options.Assignments = None,
-    jobs: options.Jobs = 2,
-    scheduler: options.Scheduler = None,
+    *,
+    given: options.TrainingGiven,
+    workers: options.Workers,
     as_json: options.Json = False,
 ):
     """Compare settings by accuracy, synaptic operations, cores and steps, on a validation part.
 
     Writes sweep.json, sweep.csv and pareto.png.  Points that are there are not computed again.
     """
-    workers = Workers(jobs, scheduler)
-    with options.opened(out, data, seed, settings=settings, assignments=set_, kind=input_) as (
-        folder,
-        resolved,
-    ):
+    with options.opened(out, given) as (folder, resolved):
         found = measure_sweep(folder, resolved, grid, workers, options.say)
         if found.summary["points"]:
             from pipeline.report import figures  # imports Matplotlib

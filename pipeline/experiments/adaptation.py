@@ -1,96 +1,308 @@
-"""The gain of fitting the readout to a person, over people and numbers of digits.
+"""The gain of fitting a network to a person, over people and numbers of digits.
 
 For each person, some recordings of each class are used for training and all others for testing; the
 test recordings do not depend on the number of training recordings.  Several draws of a person are
-averaged, and intervals are over people.
+averaged, and intervals are over people.  What is fitted is the readout on the host, as ``stmnist
+adapt`` does it, or a readout on the chip that learns with PES.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from deploy.check.bundle import Bundle
 from deploy.errors import UserError
+from deploy.network.spec import NetworkSpec
 from deploy.tables import aligned
+from pipeline.experiments.chip_learning import Rule, learn_on_chip
 from pipeline.recordings.events import Recordings
 from pipeline.run.adaptation import Responder, fits
-from pipeline.training.readout import refit
+from pipeline.training.readout import Person, refit
 
-SCHEMA = "stmnist-adaptation/1"
+SCHEMA = "stmnist-adaptation/2"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The plan of a measurement.
+
+    Attributes
+    ----------
+    each : tuple of int
+        Numbers of training recordings of each class.
+    draws : int
+        Number of random draws of the training recordings, for each person.
+    seed : int
+    """
+
+    each: tuple = (1, 2, 5)
+    draws: int = 5
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Case:
+    """A draw of a person's recordings.
+
+    Attributes
+    ----------
+    spec : NetworkSpec
+    scale : float
+        What scores are multiplied by to be the logits that the network was trained with.
+    told : Person
+        The recordings to learn from.
+    rest, others : tuple of ndarray
+        Responses and labels of the person's other recordings, and of other people's.
+    seed : int
+    tuned : callable, optional
+        ``tuned(labels, seed)``: the network with all layers trained further on the recordings to
+        learn from, as the responses of the rest and of the others and the new readout.
+    """
+
+    spec: NetworkSpec
+    scale: float
+    told: Person
+    rest: tuple
+    others: tuple
+    seed: int
+    tuned: Callable | None = None
+
+    def right(self, weights) -> tuple:
+        """Accuracy of a readout on the rest and on the others."""
+        bias = self.spec.layers[-1].bias
+        return tuple(
+            float(((x @ weights.T + bias).argmax(1) == labels).mean())
+            for x, labels in (self.rest, self.others)
+        )
+
+
+def on_host(case: Case) -> dict:
+    """Fit the readout on the host; ``exact`` is the accuracy without rounding to 8 bits."""
+    readout, begun = case.spec.layers[-1], time.process_time()
+    told, kept = case.told, case.spec.rehearsal
+    fit = refit(readout.weights, readout.bias, told, kept, case.seed, case.scale)
+    seconds = time.process_time() - begun
+    chosen = (fit.weights, fit.exact) if fit.helps else (readout.weights, readout.weights)
+    after, others_after = case.right(chosen[0])
+    return {
+        "after": after,
+        "others_after": others_after,
+        "exact": case.right(chosen[1])[0],
+        "used": float(fit.helps),
+        "seconds": seconds,
+    }
+
+
+def with_pes(case: Case) -> dict:
+    """Let a readout learn on the chip; the accuracy on others is that of its weights."""
+    readout, begun = case.spec.layers[-1], time.process_time()
+    told, kept, rest = case.told, case.spec.rehearsal, case.rest[0]
+    scores, weights = learn_on_chip(
+        readout.weights, readout.bias, told, kept, rest, case.scale, Rule(), case.seed
+    )
+    return {
+        "after": float((scores.argmax(1) == case.rest[1]).mean()),
+        "others_after": case.right(weights)[1],
+        "exact": case.right(weights)[0],
+        "used": 1.0,
+        "seconds": time.process_time() - begun,
+    }
+
+
+def all_layers(case: Case) -> dict:
+    """Train all layers further; the network is another one then, and not only its readout."""
+    begun = time.process_time()
+    rest, others, weights = case.tuned(case.told.labels, case.seed)
+    seconds = time.process_time() - begun
+    new = replace(case, rest=(rest, case.rest[1]), others=(others, case.others[1]))
+    after, others_after = new.right(weights)
+    return {
+        "after": after,
+        "others_after": others_after,
+        "exact": after,
+        "used": 1.0,
+        "seconds": seconds,
+    }
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to fit a network to a person.
+
+    Attributes
+    ----------
+    title : str
+    learn : callable
+        From a :class:`Case` to ``after`` and ``others_after``, accuracies on the rest and on
+        others, ``exact``, that on the rest with the weights as the host has them, ``used``, 1 where
+        the network was changed, and the ``seconds`` of processor time that it took.
+    wrong : float
+        Share of the training labels that are replaced by wrong ones, to measure their effect.
+    every : bool
+        Whether it is measured with every number of recordings, or with the largest only.
+    draws : int
+        Draws of a person, at most.
+    chosen_on : int or None
+        The fold of three whose people its parameters were chosen on; it is not measured on them.
+    how : str
+        Its parameters; results with others are measured again.
+    """
+
+    title: str
+    learn: Callable
+    wrong: float = 0.0
+    every: bool = True
+    draws: int = 1_000
+    chosen_on: int | None = None
+    how: str = ""
+
+
+METHODS = {
+    "readout": Method("readout on the host", on_host),
+    "wrong-labels": Method("the same, a tenth of the labels wrong", on_host, 0.1, every=False),
+    "pes": Method(
+        "readout on the chip, PES", with_pes, every=False, draws=1, chosen_on=0, how=repr(Rule())
+    ),
+    "all-layers": Method("all layers on the host, events only", all_layers, every=False, draws=1),
+}
+"""Learning on the chip and in all layers takes seconds for each draw: it is measured on fewer."""
+
+
+@dataclass(frozen=True)
+class Subjects:
+    """People's responses to a network, computed once for all methods.
+
+    Attributes
+    ----------
+    spec : NetworkSpec
+    scale : float
+        See :class:`Case`.
+    people : dict of int to Person
+    others : tuple of ndarray
+        Responses and labels of other people's samples.
+    seed : int
+    tune : callable, optional
+        ``tune(who, learned, judged)`` gives :attr:`Case.tuned` of a draw.
+    """
+
+    spec: NetworkSpec
+    scale: float
+    people: dict
+    others: tuple
+    seed: int
+    tune: Callable | None = None
+
+    @classmethod
+    def of(
+        cls, spec: NetworkSpec, others, recordings: Recordings, plan: Plan, advance=None, tune=None
+    ) -> Subjects:
+        """Run a network on people's recordings and their altered copies.
+
+        Parameters
+        ----------
+        spec : NetworkSpec
+        others : tuple of ndarray
+            What the network is shown of other people's samples, and their labels.
+        recordings : Recordings
+            Of several known writers, with every class from each writer.
+        plan : Plan
+        advance : callable, optional
+            Called with 1 after each person.
+        tune : callable, optional
+            See :attr:`tune`.
+
+        Raises
+        ------
+        UserError
+            Fewer than two writers have enough recordings of each class.
+        """
+        fits(spec, recordings)
+        known = _enough(recordings, len(recordings.sensor.classes), max(plan.each))
+        if len(known) < 2:
+            raise UserError(
+                f"{recordings.source.name}: fewer than two known writers with "
+                f"{max(plan.each) + 1} recordings of each class; give more, or learn from fewer "
+                "(--each)"
+            )
+        responder, people = Responder(spec, plan.seed), {}
+        for who in known:
+            mine = recordings.part(np.flatnonzero(recordings.writers == who))
+            own = responder.responses(responder.shown(mine))
+            # Only recordings that a draw learns from need altered copies.
+            draws = [_drawn(mine.labels, plan, who, draw)[0] for draw in range(plan.draws)]
+            some = np.unique(draws)
+            altered = responder.copies(mine.part(some), [plan.seed, who])
+            copies = np.zeros((len(mine), *altered.shape[1:]))
+            copies[some] = altered
+            people[who] = Person(own, mine.labels, copies)
+            if advance is not None:
+                advance(1)
+        inputs, labels = others
+        elsewhere = responder.responses(inputs), labels
+        return cls(spec, responder.scale, people, elsewhere, plan.seed, tune)
+
+    def measured(self, plan: Plan, method: Method) -> list:
+        """Fit the network to each draw of each person.
+
+        Returns
+        -------
+        list of dict
+            Of each case ``who``, ``each``, ``draw``, ``before``, ``others_before`` and what the
+            method returns.
+        """
+        old, rows = self.spec.layers[-1].weights, []
+        counts = plan.each if method.every else (max(plan.each),)
+        for who, person in self.people.items():
+            for draw in range(min(plan.draws, method.draws)):
+                learned, judged = _drawn(person.labels, plan, who, draw)
+                rng = np.random.default_rng([self.seed, who, draw, 1])
+                rest = person.responses[judged], person.labels[judged]
+                for count in counts:
+                    some = learned[:, :count].ravel()
+                    labels = _mistaken(person.labels[some], method.wrong, rng)
+                    told = Person(person.responses[some], labels, person.copies[some])
+                    tuned = self.tune and self.tune(who, some, judged)
+                    case = Case(self.spec, self.scale, told, rest, self.others, draw, tuned)
+                    before, others_before = case.right(old)
+                    row = {"who": who, "each": count, "draw": draw, "before": before}
+                    rows.append({**row, "others_before": others_before, **method.learn(case)})
+        return rows
 
 
 def measure_adaptation(
-    bundle: Bundle, recordings: Recordings, each=(1, 2, 5), draws=5, wrong=0.0, seed=0, advance=None
+    bundle: Bundle, recordings: Recordings, plan: Plan, methods=("readout",), advance=None
 ) -> dict:
     """Fit a bundle's readout to each person with some recordings, and test it on the others.
 
     Parameters
     ----------
     bundle : Bundle
-    recordings : Recordings
-        Recordings of several known writers, with every class from each writer.
-    each : sequence of int
-        Numbers of training recordings of each class.
-    draws : int
-        Number of random draws of the training recordings, for each person.
-    wrong : float
-        Share of the training labels that are replaced by wrong ones, to measure their effect.
-    seed : int
-    advance : callable, optional
-        Called with 1 after each person.
+    recordings, plan, advance
+        As in :meth:`Subjects.of`.
+    methods : sequence of str
+        Keys of :data:`METHODS`.
 
     Returns
     -------
     dict
-        ``people``, ``each``: for each number of recordings the mean accuracies ``before`` and
-        ``after``, ``gain_points`` with its ``interval95``, the ``worst`` person's gain, the points
-        ``lost`` on the bundle's own check, and the share of fits that were ``used``.
-
-    Raises
-    ------
-    UserError
-        Fewer than two writers have enough recordings of each class.
+        ``methods``: for each of them :func:`summary_of` its cases.
     """
-    people = _enough(recordings, len(bundle.spec.provenance.get("classes", range(10))), max(each))
-    if len(people) < 2:
-        raise UserError(
-            f"{recordings.source.name}: fewer than two known writers with {max(each) + 1} "
-            "recordings of each class; give more, or learn from fewer (--each)"
-        )
-    fits(bundle, recordings.part(np.flatnonzero(recordings.writers == people[0])))
-    responder = Responder(bundle.spec, seed)
-    others = responder.responses(bundle.checks.inputs), bundle.checks.labels
-    rows = {count: [] for count in each}
-    for who in people:
-        mine = recordings.part(np.flatnonzero(recordings.writers == who))
-        person = responder.person(mine, [seed, who])
-        for draw in range(draws):
-            rng = np.random.default_rng([seed, who, draw])
-            learned, judged = _drawn(person.labels, max(each), rng)
-            for count in each:
-                some = learned[:, :count].ravel()
-                labels = _mistaken(person.labels[some], wrong, rng)
-                told = replace(
-                    person, responses=person.responses[some], labels=labels,
-                    copies=person.copies[some],
-                )  # fmt: skip
-                rest = person.responses[judged], person.labels[judged]
-                rows[count].append((who, *_judge(bundle, responder, told, rest, others, draw)))
-        if advance is not None:
-            advance(1)
+    if "all-layers" in methods:
+        raise UserError("all-layers needs the training samples: give --handwriting, and no RUN")
+    others = bundle.checks.inputs, bundle.checks.labels
+    subjects = Subjects.of(bundle.spec, others, recordings, plan, advance)
     return {
         "schema": SCHEMA,
         "bundle": bundle.id,
         "source": recordings.source.name,
         "source_sha256": recordings.source.sha256,
         "simulated": recordings.source.simulated,
-        "seed": seed,
-        "draws": draws,
-        "wrong_labels": wrong,
-        "people": len(people),
-        "each": {str(count): _summary(np.array(found)) for count, found in rows.items()},
+        "seed": plan.seed,
+        "methods": {name: summary_of(subjects.measured(plan, METHODS[name])) for name in methods},
     }
 
 
@@ -104,8 +316,9 @@ def _enough(recordings, classes, most):
     return [who for who in known if counts[who].min() > most]
 
 
-def _drawn(labels, most, rng):
+def _drawn(labels, plan, who, draw):
     """Indices of the training recordings, shape (classes, most), and of the test recordings."""
+    rng, most = np.random.default_rng([plan.seed, who, draw]), max(plan.each)
     order = [rng.permutation(np.flatnonzero(labels == label)) for label in np.unique(labels)]
     learned = np.array([mine[:most] for mine in order])
     return learned, np.concatenate([mine[most:] for mine in order])
@@ -119,44 +332,90 @@ def _mistaken(labels, wrong, rng):
     return labels
 
 
-def _judge(bundle, responder, person, rest, others, seed):
-    """Accuracy on the rest before and after, on others before and after, whether it was used."""
-    readout, kept = bundle.spec.layers[-1], bundle.spec.rehearsal
-    fit = refit(readout.weights, readout.bias, person, kept, seed, responder.scale)
-    new = fit.weights if fit.helps else readout.weights
-    return (
-        *(
-            float(((x @ weights.T + readout.bias).argmax(1) == labels).mean())
-            for x, labels in (rest, others)
-            for weights in (readout.weights, new)
-        ),
-        float(fit.helps),
-    )
+def summary_of(rows) -> dict:
+    """Means over people of the rows of :meth:`Subjects.measured`.
 
-
-def _summary(found):
-    """Of rows (who, before, after, others before, others after, used)."""
-    from scipy import stats
-
-    people = [found[found[:, 0] == who].mean(axis=0) for who in np.unique(found[:, 0])]
-    _, before, after, others_before, others_after, used = np.array(people).T
-    gain = 100 * (after - before)
-    half = stats.t.ppf(0.975, len(gain) - 1) * gain.std(ddof=1) / np.sqrt(len(gain))
+    Returns
+    -------
+    dict
+        ``people``, ``draws``, ``before`` and its ``lowest`` and ``highest`` person, and ``each``:
+        for each number of recordings the mean accuracies ``before``, ``after`` and ``exact``,
+        ``gain_points`` with its ``interval95``, the ``worst`` person's gain, the points ``lost`` on
+        others, the share of cases in which the network was changed (``used``), and the mean
+        ``seconds``.
+    """
+    tables = {}
+    for count in sorted({row["each"] for row in rows}):
+        people = {}
+        for row in rows:
+            if row["each"] == count:
+                people.setdefault(row["who"], []).append(row)
+        tables[count] = {
+            name: np.array([np.mean([row[name] for row in mine]) for mine in people.values()])
+            for name in ("before", "after", "exact", "others_before", "others_after", "used",
+                         "seconds")
+        }  # fmt: skip
+    before = next(iter(tables.values()))["before"]
+    low, high = interval(before)
     return {
+        "people": len(before),
+        "draws": 1 + max(row["draw"] for row in rows),
         "before": float(before.mean()),
-        "after": float(after.mean()),
-        "gain_points": float(gain.mean()),
-        "interval95": [float(gain.mean() - half), float(gain.mean() + half)],
-        "worst": float(gain.min()),
-        "lost": float(100 * (others_before - others_after).mean()),
-        "used": float(used.mean()),
+        "before_interval95": [low, high],
+        "lowest": float(before.min()),
+        "highest": float(before.max()),
+        "each": {str(count): _gain(table) for count, table in tables.items()},
     }
 
 
+def _gain(table):
+    gain = 100 * (table["after"] - table["before"])
+    means = {name: float(table[name].mean()) for name in ("before", "after", "exact")}
+    return {
+        **means,
+        "after_interval95": interval(table["after"]),
+        "gain_points": float(gain.mean()),
+        "interval95": interval(gain),
+        "worst": float(gain.min()),
+        "lost": float(100 * (table["others_before"] - table["others_after"]).mean()),
+        "used": float(table["used"].mean()),
+        "seconds": float(table["seconds"].mean()),
+    }
+
+
+def interval(values) -> list:
+    """95 % confidence interval of a mean over people (Student's t)."""
+    from scipy import stats
+
+    middle, n = float(np.mean(values)), len(values)
+    half = stats.t.ppf(0.975, n - 1) * np.std(values, ddof=1) / np.sqrt(n)
+    return [float(middle - half), float(middle + half)]
+
+
 def adaptation_text(measured: dict) -> str:
-    """The result of :func:`measure_adaptation` as a table."""
+    """The result of :func:`measure_adaptation` as tables."""
+    kind = "simulated " if measured["simulated"] else ""
+    return f"{methods_text(measured)}\n{kind}recordings of {measured['source']}"
+
+
+def methods_text(measured: dict) -> str:
+    """The summaries of several methods as tables."""
+    lines = []
+    for method, found in measured["methods"].items():
+        low, high = found["before_interval95"]
+        lines += [
+            f"{METHODS[method].title}: {found['people']} people, {found['draws']} draws each; "
+            f"before {found['before']:.3f} ({low:.3f} to {high:.3f}; by person "
+            f"{found['lowest']:.3f} to {found['highest']:.3f})",
+            *aligned(_rows(found)),
+            "",
+        ]
+    return "\n".join([*lines, "intervals over people; gain, worst and lost in points"])
+
+
+def _rows(summary):
     rows = [["each class", "before", "after", "gain", "95 %", "worst", "lost", "used"]]
-    for count, row in measured["each"].items():
+    for count, row in summary["each"].items():
         low, high = row["interval95"]
         rows.append(
             [
@@ -165,9 +424,4 @@ def adaptation_text(measured: dict) -> str:
                 f"{row['used']:.0%}",
             ]
         )  # fmt: skip
-    kind = "simulated " if measured["simulated"] else ""
-    note = (
-        f"{measured['people']} people, {measured['draws']} draws each, {kind}recordings of "
-        f"{measured['source']}; gain, worst and lost in points"
-    )
-    return "\n".join([*aligned(rows), note])
+    return rows

@@ -25,9 +25,15 @@ from deploy.tables import aligned
 from deploy.targets.registry import answer
 from pipeline.artifacts import Origin
 from pipeline.experiments.resampling import estimate
-from pipeline.experiments.study import Experiment, Findings, Task, Workers, measure_splits
+from pipeline.experiments.study import (
+    CNN_SETTINGS,
+    Experiment,
+    Task,
+    accuracies,
+    counted,
+    summary_of_splits,
+)
 from pipeline.paper import points_lost
-from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings
 
 SCHEMA = "stmnist-conversion/1"
@@ -42,7 +48,7 @@ class Choice:
     Attributes
     ----------
     row : str
-        Of Table 2: ``"ann-snn"`` runs in NengoDL, ``"loihi"`` on the target fast.
+        Row of Table 2: ``"ann-snn"`` runs in NengoDL, ``"loihi"`` on the target fast.
     title : str
     max_rate : float
         In Hz, of an activation of 1.
@@ -107,18 +113,9 @@ read in the last four fifths of the steps.  ``host layer``: the first convolutio
 """
 
 
-def measure_choices(
-    folder: RunFolder, settings: Settings, splits: int, workers: Workers, say
-) -> Findings:
-    """Measure missing results; see :func:`pipeline.experiments.study.measure_splits`."""
-    experiment = Experiment("conversion", measure, summarise, result_origin)
-    return measure_splits(experiment, folder, settings, splits, workers, say)
-
-
 def result_origin(settings: Settings, dataset: Origin, subject: str = "") -> Origin:
     """The origin of the result of a split."""
-    cnn = ["image", "cnn.architecture", "cnn.epochs", "cnn.batch_size", "cnn.learning_rate"]
-    reads = ["input.kind", *cnn, "snn", "deployment", "presentation"]
+    reads = ["input.kind", *CNN_SETTINGS, "snn", "deployment", "presentation"]
     choices = json.dumps([asdict(choice) for choice in CHOICES])
     contents = {"schema": SCHEMA, "choices": sha256(choices.encode()).hexdigest()}
     return Origin.of(settings, reads, [dataset], contents)
@@ -146,16 +143,15 @@ def measure(task: Task) -> dict:
         recipe = _trained_as(settings, max_rate)
         net = train_rate_network(recipe, dataset.part("train"), task.seed)
         weights[max_rate] = net.weights
-        rates[str(max_rate)] = float(np.mean(net.logits(shown).argmax(1) == labels))
-    found = [
-        _predictions(choice, settings, weights[choice.max_rate], dataset) for choice in CHOICES
-    ]
+        rates[str(max_rate)] = net.logits(shown).argmax(1)
+    found = {
+        index: _predictions(choice, settings, weights[choice.max_rate], dataset)
+        for index, choice in enumerate(CHOICES)
+    }
     return {
-        "seed": task.seed,
-        "n_train": len(dataset.split.train),
-        "n_test": len(labels),
-        "rate": rates,
-        "choices": [float(np.mean(predictions == labels)) for predictions in found],
+        **counted(task, dataset),
+        "rate": accuracies(rates, labels),
+        "choices": list(accuracies(found, labels).values()),
     }
 
 
@@ -174,20 +170,18 @@ def _predictions(choice, settings, weights, dataset):
     return nengodl.predict(chosen, weights, shown, steps)
 
 
-def smoothed(outputs, dt: float = LOIHI.dt) -> np.ndarray:
+def smoothed(outputs) -> np.ndarray:
     """The outputs after a low-pass of :data:`SMOOTHING` seconds, at the last step.
 
     Parameters
     ----------
     outputs : ndarray, shape (n_samples, steps, n_outputs)
-    dt : float
-        Length of a step in seconds.
 
     Returns
     -------
     ndarray, shape (n_samples, n_outputs)
     """
-    keep = np.exp(-dt / SMOOTHING)
+    keep = np.exp(-LOIHI.dt / SMOOTHING)
     weights = (1 - keep) * keep ** np.arange(outputs.shape[1] - 1, -1, -1)
     return np.einsum("t,ntk->nk", weights, outputs)
 
@@ -217,7 +211,7 @@ def summarise(results, simulated: bool) -> dict:
                 "title": choice.title,
                 "accuracy": float(accuracies.mean()),
                 "loss": loss.mean,
-                "loss_ci95": list(loss.interval) if loss.interval else None,
+                "loss_ci95": loss.to_json()["ci95"],
             }
         )
     rates = {
@@ -226,9 +220,7 @@ def summarise(results, simulated: bool) -> dict:
     }
     return {
         "schema": SCHEMA,
-        "simulated": simulated,
-        "seeds": [result["seed"] for result in results],
-        "n_test": results[0]["n_test"],
+        **summary_of_splits(results, simulated),
         "rate_accuracy": rates,
         "choices": rows,
     }
@@ -259,3 +251,6 @@ def choices_text(summary: dict) -> str:
                 rows.append([entry["title"], accuracy, lost, interval])
         lines += ["", *aligned(rows)]
     return "\n".join(lines)
+
+
+EXPERIMENT = Experiment("conversion", measure, summarise, result_origin, choices_text)

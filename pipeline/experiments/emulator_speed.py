@@ -15,12 +15,11 @@ import numpy as np
 from deploy.check.bundle import Bundle
 from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
-from deploy.network.responses import read_output
+from deploy.network.responses import read_output, seconds_per_sample
 from deploy.network.spec import NetworkSpec
 from deploy.network.stream import show, streams_of
 from deploy.tables import aligned
 from deploy.targets.fast.emulation import KERNELS, Emulation, compile_spec
-from pipeline.experiments import emulator_limits
 from pipeline.progress import progress
 
 
@@ -69,7 +68,7 @@ def kernels_here() -> tuple:
     return KERNELS
 
 
-def measure(bundle: Bundle, samples: int | None = None, compare_only: bool = False) -> dict:
+def measure(bundle: Bundle, samples: int | None = None) -> dict:
     """Run reference and fast alternately on a bundle's samples.
 
     Parameters
@@ -77,26 +76,16 @@ def measure(bundle: Bundle, samples: int | None = None, compare_only: bool = Fal
     bundle : Bundle
     samples : int, optional
         Number of samples to use, from the first on.
-    compare_only : bool
-        Leave out the measurements of scaling and limits.
 
     Returns
     -------
     dict
-        That of :func:`compare_speed` with ``simulated``, ``growth`` and, where Numba is,
-        ``limits``.
+        That of :func:`compare_speed` with ``simulated``.
     """
     images = bundle.checks.inputs[:samples]
     with progress("benchmark", len(images)) as advance:
         result = compare_speed(bundle.spec, images, advance)
     result["simulated"] = bundle.spec.provenance.get("simulated")
-    if not compare_only:
-        with progress("growth and limit", 2) as advance:
-            result["growth"] = emulator_limits.growth(bundle.spec, images)
-            advance()
-            if result["kernel"] == "numba":
-                result["limits"] = emulator_limits.limits(bundle.spec, images)
-            advance()
     return result
 
 
@@ -181,7 +170,22 @@ def _pace(turns):
 
 def _rates(spec, emulation, streams):
     shown = emulation.run(streams, spec.presentation.steps, spec.presentation.gap)
-    return {name: emulator_limits.mean_rate(spec, counts) for name, counts in shown.counts.items()}
+    return {name: mean_rate(spec, counts) for name, counts in shown.counts.items()}
+
+
+def mean_rate(spec: NetworkSpec, counts) -> float:
+    """Mean spikes per second of a neuron, while samples are presented and in their gaps.
+
+    A second is the stimulus's own: with events one on the skin, as :mod:`deploy.check.rates` has
+    it, however many steps of the chip stand for it.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    counts : ndarray of int
+        Spikes of each neuron and sample.
+    """
+    return float(np.mean(counts) / seconds_per_sample(spec))
 
 
 def reference_turn(spec, images):
@@ -283,39 +287,8 @@ def speed_text(result: dict) -> str:
         *aligned(rows),
         f"mean rates in Hz, at {result['step_ms']:g} ms a step: {rates}",
     ]
-    lines += _growth(result["growth"]) if "growth" in result else []
-    lines += _limits(result["limits"]) if "limits" in result else []
     return "\n".join(lines)
 
 
 def _row(name, pace, ratios):
     return [name, f"{pace:.0f}", *(f"{ratio:.0f}x" for ratio in ratios)]
-
-
-def _growth(growth):
-    def listed(name, unit):
-        return ", ".join(f"{row[name]:g}{unit} {1e3 * row['seconds']:.0f}" for row in growth[name])
-
-    brightness = ", ".join(
-        f"{row['chip_hz']:.0f} Hz {1e3 * row['seconds']:.0f}" for row in growth["brightness"]
-    )
-    return [
-        "milliseconds for",
-        f"  samples: {listed('samples', '')}",
-        f"  steps a sample: {listed('steps', '')}",
-        f"  mean rate on the chip: {brightness}",
-    ]
-
-
-def _limits(limits):
-    return [
-        f"chip: {limits['compartment_updates_per_second'] / 1e9:.2f} G compartment updates and "
-        f"{limits['synaptic_operations_per_second'] / 1e9:.2f} G synaptic operations a second; "
-        f"updates take {limits['share_of_time_updating']:.0%} of the time",
-        f"limit: this machine adds {limits['adds_per_second_in_cache'] / 1e9:.0f} G weights of "
-        f"{limits['weight_bits']} bits a second in its first cache and "
-        f"{limits['adds_per_second_from_memory'] / 1e9:.1f} G from memory;",
-        "  delivering spikes, padding included, adds "
-        f"{limits['weights_added_per_second'] / 1e9:.1f} G, "
-        f"{limits['share_of_cache_limit']:.0%} of the first",
-    ]

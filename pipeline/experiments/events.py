@@ -17,48 +17,22 @@ from deploy.tables import aligned, p_text
 from deploy.targets.registry import answer
 from pipeline.artifacts import Origin
 from pipeline.experiments.resampling import estimate
-from pipeline.experiments.study import Experiment, Findings, Task, Workers, measure_splits
+from pipeline.experiments.study import Experiment, Task, counted
 from pipeline.inputs.dataset import Dataset
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.steps import EventTable
 from pipeline.recordings.variants import VARIANTS, durations_ns, vary
 from pipeline.run import stages
-from pipeline.run.folder import RunFolder
 from pipeline.run.history import read_history
 from pipeline.run.origins import events_origin, trained_origin
 from pipeline.settings import Settings
 
 SCHEMA = "stmnist-time/1"
 AS_IS = "as-is"
-"""What the other variants are compared with."""
+"""The variant with which the others are compared."""
 
 MEANS = ("operations", "spikes_in", "merged", "share", "accuracy_by_itself", "agreement", "trained")
-"""What is told as a mean over seeds; see :func:`measure`."""
-
-
-def measure_events(
-    folder: RunFolder, settings: Settings, seeds: int, workers: Workers, say
-) -> Findings:
-    """Measure missing or outdated results of all variants and seeds, and write the summary.
-
-    Parameters
-    ----------
-    folder : RunFolder
-        Of the results, locked.
-    settings : Settings
-        With ``input.kind = "events"``.
-    seeds : int
-        How many, from the settings' own on; each is of a split and its trainings.
-    workers, say
-        As in :func:`pipeline.experiments.study.study`.
-
-    Raises
-    ------
-    UserError, CheckFailed
-        As in :func:`pipeline.experiments.study.measure_splits`.
-    """
-    experiment = Experiment("events", measure, summarise, result_origin, tuple(VARIANTS))
-    return measure_splits(experiment, folder, settings, seeds, workers, say)
+"""Values that are averaged over seeds; see :func:`measure`."""
 
 
 def result_origin(settings: Settings, dataset: Origin, subject: str) -> Origin:
@@ -94,7 +68,7 @@ def measure(task: Task) -> dict:
     Returns
     -------
     dict
-        Of the chip (the target fast): ``predictions`` beside the ``labels``, at the end; mean
+        On the chip (the target fast): ``predictions`` beside the ``labels``, at the end; mean
         synaptic ``operations`` as multiples of the paper's CNN's multiply-accumulates;
         ``accuracy_by_itself`` and mean ``share`` of the recording with early decisions.
         ``trained``: accuracy of the network as it was trained, ``agreement``: share of samples to
@@ -117,9 +91,7 @@ def measure(task: Task) -> dict:
     return {
         "schema": SCHEMA,
         "variant": task.subject,
-        "seed": seed,
-        "n_train": len(dataset.split.train),
-        "n_test": len(labels),
+        **counted(task, dataset),
         "labels": labels.tolist(),
         "predictions": found.predictions.tolist(),
         "operations": float(sum(n.mean() for n in found.operations.values()) / CNN_MACS),
@@ -195,8 +167,7 @@ def _loss(whole, varied):
     values = [float(a.mean() - b.mean()) for a, b in pairs]
     got = estimate(values, first["n_train"], first["n_test"])
     return {
-        "mean": got.mean,
-        "ci95": list(got.interval) if got.interval else None,
+        **got.to_json(),
         "p_value": mcnemar(*pairs[0]) if len(pairs) == 1 else got.p_value,
         "values": values,
     }
@@ -254,3 +225,7 @@ def _more(row):
         f"{row['spikes_in']:.0f}",
         f"{100 * row['merged']:.1f}",
     ]
+
+
+EXPERIMENT = Experiment("events", measure, summarise, result_origin, events_text, tuple(VARIANTS))
+"""The experiment; it needs settings with ``input.kind = "events"``."""

@@ -18,16 +18,15 @@ from deploy.targets.registry import answer
 from pipeline.artifacts import Origin
 from pipeline.experiments.resampling import estimate
 from pipeline.experiments.study import (
+    CNN_SETTINGS,
     Experiment,
-    Findings,
     Task,
-    Workers,
-    measure_splits,
+    accuracies,
+    counted,
     summary_of_splits,
 )
 from pipeline.paper import CNN_MACS, points_lost
 from pipeline.run import stages
-from pipeline.run.folder import RunFolder
 from pipeline.run.origins import cnn_origin, events_origin, rates_origin, trained_origin
 from pipeline.settings import Settings
 
@@ -35,32 +34,26 @@ SCHEMA = "stmnist-losses/2"
 STEPS = (100, 50)
 CNNS = ("cnn", "cnn-annealed")
 TRAINED = {"image": "rate-lif", "events": "trained"}
-"""What is trained for the chip, by the kind of input."""
+"""Name of the network that is trained for the chip, by the kind of input."""
 
 PAPERS = {"spiking-lif": "ann-snn", "chip-100": "loihi"}
 """Stages that are models of the paper's Table 2."""
 
 
-def measure_losses(
-    folder: RunFolder, settings: Settings, seeds: int, workers: Workers, say
-) -> Findings:
-    """Measure missing or outdated results; see :func:`pipeline.experiments.study.measure_splits`.
+def refuse(settings: Settings):
+    """Refuse settings that read the output later than the shortest presentation lasts.
 
     Raises
     ------
     UserError
-        The settings read the output later than the shortest presentation lasts, or as there.
     """
     for steps in () if settings.on_events else STEPS:
         settings.with_values({"presentation": {"steps": steps}}, "benchmark losses")
-    experiment = Experiment("losses", measure, summarise, result_origin)
-    return measure_splits(experiment, folder, settings, seeds, workers, say)
 
 
 def result_origin(settings: Settings, dataset: Origin, subject: str = "") -> Origin:
     """The origin of the result of a split."""
-    cnn = ["image", "cnn.architecture", "cnn.epochs", "cnn.batch_size", "cnn.learning_rate"]
-    reads = [*cnn, "deployment", "presentation"]
+    reads = [*CNN_SETTINGS, "deployment", "presentation"]
     return Origin.of(settings, reads, [trained_origin(settings, dataset)], {"schema": SCHEMA})
 
 
@@ -86,10 +79,8 @@ def measure(task: Task) -> dict:
     found = {**networks, **{stage: responses.predictions for stage, responses in chips.items()}}
     return {
         "schema": SCHEMA,
-        "seed": task.seed,
-        "n_train": len(dataset.split.train),
-        "n_test": len(labels),
-        "accuracy": {stage: float(np.mean(p == labels)) for stage, p in found.items()},
+        **counted(task, dataset),
+        "accuracy": accuracies(found, labels),
         "disagreements": {
             stage: float(np.mean(predictions != found[TRAINED[kind]]))
             for stage, predictions in found.items()
@@ -182,11 +173,7 @@ def summarise(results, simulated: bool) -> dict:
 
     def interval(values):
         found = estimate(values, results[0]["n_train"], results[0]["n_test"])
-        return {
-            "mean": found.mean,
-            "ci95": list(found.interval) if found.interval else None,
-            "values": list(map(float, values)),
-        }
+        return {**found.to_json(), "values": list(map(float, values))}
 
     def over_seeds(name):
         return {key: interval([r[name][key] for r in results]) for key in results[0][name]}
@@ -242,3 +229,6 @@ def losses_text(summary: dict) -> str:
         *table(summary["decided_at_median"], 1, 0),
     ]
     return "\n".join(lines)
+
+
+EXPERIMENT = Experiment("losses", measure, summarise, result_origin, losses_text, refuse=refuse)

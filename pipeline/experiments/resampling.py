@@ -33,8 +33,12 @@ class Estimate:
     interval: tuple | None
     p_value: float | None
 
+    def to_json(self) -> dict:
+        """``mean`` and ``ci95``, a list of two, or None for a single split."""
+        return {"mean": self.mean, "ci95": list(self.interval) if self.interval else None}
 
-def estimate(values, n_train: float, n_test: float, confidence: float = 0.95) -> Estimate:
+
+def estimate(values, n_train: float, n_test: float) -> Estimate:
     """Mean over splits, with the corrected resampled t statistic.
 
     Parameters
@@ -43,7 +47,6 @@ def estimate(values, n_train: float, n_test: float, confidence: float = 0.95) ->
         An accuracy, or a difference of two models' accuracies, of each split.
     n_train, n_test : float
         Samples of each split, or their mean where splits differ.
-    confidence : float
 
     Returns
     -------
@@ -63,7 +66,7 @@ def estimate(values, n_train: float, n_test: float, confidence: float = 0.95) ->
         return Estimate(mean, None, None, None)
     sd = float(values.std(ddof=1))
     error = sd * np.sqrt(1 / n + n_test / n_train)
-    reach = float(scipy.stats.t.ppf(0.5 + confidence / 2, n - 1) * error)
+    reach = float(scipy.stats.t.ppf(0.975, n - 1) * error)
     if error > 0:
         p_value = float(2 * scipy.stats.t.sf(abs(mean) / error, n - 1))
     else:

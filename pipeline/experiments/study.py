@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+
 from deploy import __version__
 from deploy.errors import CheckFailed, UserError
 from deploy.files import write_json
@@ -50,7 +52,7 @@ class Findings:
     summary : dict
         Plain values.
     failed : str
-        What of it failed, in one line; empty if nothing did.
+        The failed parts, in one line; empty if nothing failed.
     """
 
     summary: dict
@@ -64,19 +66,19 @@ class Task:
     Attributes
     ----------
     artifact : Artifact
-        Where the result is kept.
+        Artifact of the result.
     origin : Origin
-        What it is made from.
+        Origin of the result.
     settings : Settings
         Those of the origin, and no others.
     recordings : str
         SHA-256 of the recordings.
     networks : NetworkLibrary
-        Where its trained networks are kept.
+        Library of its trained networks.
     split : str
         Kind of its split, see :data:`pipeline.inputs.dataset.KINDS`.
     subject : str
-        What is measured on the split, such as the name of a model; empty if there is one only.
+        Subject of the measurement, such as the name of a model; empty if there is only one.
     """
 
     artifact: Artifact
@@ -94,7 +96,7 @@ class Task:
 
     @property
     def seed(self) -> int:
-        """Of the split and of the trainings on it."""
+        """Seed of the split and of the trainings on it."""
         return self.settings.seed
 
     def dataset(self) -> Dataset:
@@ -107,21 +109,15 @@ class Task:
         """
         return _dataset_of(self.settings, self.recordings, self.split)
 
-    def trained(self, dataset: Dataset, settings: Settings | None = None) -> dict:
-        """Train what the bundle of a run with these settings is made from, unless it is kept.
-
-        Parameters
-        ----------
-        dataset : Dataset
-        settings : Settings, optional
-            Default: the task's own.
+    def trained(self, dataset: Dataset) -> dict:
+        """Train the networks from which a run would make its bundle, unless they are up to date.
 
         Returns
         -------
         dict
             Metrics of the network that is deployed.
         """
-        settings = settings or self.settings
+        settings = self.settings
         with hidden():
             if settings.on_events:
                 return stages.train_on_events(self.networks, settings, dataset, silent)
@@ -135,9 +131,9 @@ def study(label: str, measure: Callable, groups, workers: Workers, say: Callable
     Parameters
     ----------
     label : str
-        Of the progress bar.
+        Label of the progress bar.
     measure : callable
-        Of a module, from a :class:`Task` to its result, a dict.
+        Function of a module, from a :class:`Task` to its result, a dict.
     groups : sequence of sequence of Task
         Those of a group are measured one after the other in one process.
     workers : Workers
@@ -228,27 +224,37 @@ def _dataset_of(settings, recordings, split):
 
 @dataclass(frozen=True)
 class Experiment:
-    """What is measured on each of several splits.
+    """A measurement that is repeated on several splits.
 
     Attributes
     ----------
     name : str
-        Of the summary's file.
+        Name of the summary's file.
     measure : callable
-        From a :class:`Task` to a dict with ``seed``, ``n_train`` and ``n_test``.
+        From a :class:`Task` to a dict with the items of :func:`counted`.
     summarise : callable
         From those dicts and whether the recordings are simulated to a dict.
     origin : callable
         ``origin(settings, dataset_origin, subject) -> Origin`` of a result.
+    text : callable
+        From what ``summarise`` returns to the text that is printed.
     subjects : tuple of str
-        What is measured on each split.
+        Subjects that are measured on each split.
+    refuse : callable
+        Called with the settings; raises UserError if nothing can be measured with them.
     """
 
     name: str
     measure: Callable
     summarise: Callable
     origin: Callable
+    text: Callable
     subjects: tuple = ("",)
+    refuse: Callable = lambda settings: None
+
+
+CNN_SETTINGS = ("image", "cnn.architecture", "cnn.epochs", "cnn.batch_size", "cnn.learning_rate")
+"""Settings on which networks depend that are trained as the CNN is."""
 
 
 def on_split(settings: Settings, seed: int) -> Settings:
@@ -271,20 +277,21 @@ def measure_splits(
     ----------
     experiment : Experiment
     folder : RunFolder
-        Of the results, locked.
+        Folder of the results, locked.
     settings : Settings
     splits : int
-        How many, with the seeds from the settings' own on.
+        Number of splits, with the seeds from the settings' own on.
     workers, say
         As in :func:`study`.
 
     Raises
     ------
     UserError
-        The recordings cannot be read.
+        The recordings cannot be read, or the experiment refuses the settings.
     CheckFailed
         Everything failed.
     """
+    experiment.refuse(settings)
     recordings = recordings_of(settings, workers.processes)
     recordings_fit(recordings, settings)
     folder.save_settings(settings)
@@ -297,7 +304,7 @@ def measure_splits(
     failed = [name for name, result in results.items() if isinstance(result, Failure)]
     whole = [results[task.name] for task in tasks if task.name not in failed]
     if not whole:
-        raise CheckFailed("all of it failed; see above")
+        raise CheckFailed("every measurement failed; see above")
     summary = experiment.summarise(whole, recordings.source.simulated)
     summary["source_sha256"] = recordings.source.sha256
     write_json(folder.path / f"{experiment.name}.json", summary)
@@ -309,7 +316,7 @@ def measure_splits(
 def split_task(
     experiment: Experiment, folder: RunFolder, settings: Settings, recordings: str, subject: str
 ) -> Task:
-    """What is measured of a subject on a split; the settings are those of :func:`on_split`."""
+    """The task of measuring a subject on a split, with settings from :func:`on_split`."""
     seed = settings.seed
     name = f"{subject} of seed {seed}" if subject else f"split {seed}"
     file = f"{subject or 'split'}-{seed:02d}.json"
@@ -325,13 +332,24 @@ def split_task(
     )
 
 
+def counted(task: Task, dataset: Dataset) -> dict:
+    """The seed of a task, and the numbers of training and test samples."""
+    split = dataset.split
+    return {"seed": task.seed, "n_train": len(split.train), "n_test": len(split.test)}
+
+
+def accuracies(predictions: dict, labels) -> dict:
+    """The share of correct predictions of each network or stage, by its name."""
+    return {name: float(np.mean(found == labels)) for name, found in predictions.items()}
+
+
 def summary_of_splits(results, simulated: bool) -> dict:
     """The part of a summary that describes its splits.
 
     Parameters
     ----------
     results : sequence of dict
-        One a split, with ``seed``, ``n_train`` and ``n_test``.
+        One a split, with the items of :func:`counted`.
     simulated : bool
 
     Returns
@@ -348,4 +366,4 @@ def summary_of_splits(results, simulated: bool) -> dict:
 
 
 def silent(line):
-    """Of many trainings at a time the progress bar says enough."""
+    """Print nothing: for many trainings at a time the progress bar suffices."""

@@ -36,7 +36,7 @@ from pipeline.run.stages.training import cnn_artifact, events_artifact, rates_ar
 from pipeline.settings import Settings, parse_assignments, put
 
 TARGET = "fast"
-"""What judges; its answers are those of NengoLoihi's emulator."""
+"""The target that points are judged on; bit-identical to NengoLoihi's emulator."""
 
 POINT_SCHEMA = "stmnist-sweep-point/3"
 SCHEMA = "stmnist-sweep/2"
@@ -75,7 +75,7 @@ class Point:
     ----------
     settings : Settings
     changes : tuple of (str, value)
-        What the grid gave to each of its settings.
+        The values of the settings in the grid.
     cnn : SweepTask or None
         Its CNN; there is none on events.
     network : SweepTask
@@ -103,7 +103,7 @@ def points_of(folder: Path, base: Settings, grid, recordings: Recordings) -> lis
     Parameters
     ----------
     folder : Path
-        Of the sweep.
+        Folder of the sweep.
     base : Settings
         From :func:`base_settings`.
     grid : sequence of str
@@ -332,7 +332,7 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     Parameters
     ----------
     folder : RunFolder
-        Of the sweep, locked.  Workers of a cluster that do not see it train for themselves.
+        Folder of the sweep, locked.  Workers of a cluster that do not see it train for themselves.
     settings : Settings
     grid : sequence of str or None
         As in :func:`points_of`; None for the default of the kind of input.

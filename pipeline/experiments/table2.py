@@ -12,6 +12,8 @@ from pipeline.experiments.study import Findings, Workers, study
 from pipeline.experiments.table2_splits import (
     LOIHI_TARGET,
     MODELS,
+    SECONDS_PER_SAMPLE,
+    WITH_SLAYER,
     Benchmark,
     measure,
     settings_of,
@@ -28,6 +30,7 @@ COMPARISONS = (
     ("cnn", "loihi"),
     ("ann-snn", "loihi"),
     ("cnn", "slayer"),
+    ("slayer-small", "slayer"),
     ("cnn", "own-ann-snn"),
     ("own-ann-snn", "own-loihi"),
     ("own-loihi", "loihi"),
@@ -53,7 +56,7 @@ def measure_table(
     Parameters
     ----------
     folder : RunFolder
-        Of the results, locked; on a cluster, if it can be, one that all workers see.
+        Folder of the results, locked; on a cluster, if possible, one that all workers see.
     settings : Settings
     models : tuple of str
         Keys of :data:`pipeline.experiments.table2_splits.MODELS`.
@@ -61,7 +64,7 @@ def measure_table(
         One of :data:`pipeline.inputs.dataset.KINDS`, ``"both"``, or empty for both where the
         writers are known.
     splits : int
-        Of each kind.
+        Number of splits of each kind.
     workers, say
         As in :func:`pipeline.experiments.study.study`.
 
@@ -81,18 +84,40 @@ def measure_table(
             f"{settings.data.source}: {error}; change --kind, check.samples or the data"
         ) from error
     for model in models:
-        if model != "slayer":  # whose architecture is compared with its frames
+        if model not in WITH_SLAYER:  # whose architecture is compared with its frames
             recordings_fit(recordings, settings_of(settings, model))
     folder.save_settings(settings)
     benchmark = Benchmark(
         *(settings, recordings.source.sha256, folder.path.absolute(), kinds, splits, models)
     )
+    if estimate_of_slayer := _time_of_slayer(benchmark, len(recordings), workers):
+        say(estimate_of_slayer)
     results = study("table 2", measure, benchmark.groups(), workers, say)
     failures = {name: found for name, found in results.items() if isinstance(found, Failure)}
     table = summarise(benchmark, failures)
     write_json(folder.path / "table2.json", table)
     failed = f"{len(failures)} of {len(results)} results failed; the same command tries them again"
     return Findings(table, failed if failures else "")
+
+
+def _time_of_slayer(benchmark, n_recordings, workers):
+    """Estimated time of the missing trainings with SLAYER; None if none is missing."""
+    tasks = [task for group in benchmark.groups() for task in group]
+    missing = [
+        task
+        for task in tasks
+        if task.subject in WITH_SLAYER and not task.artifact.state(task.origin).is_current
+    ]
+    if not missing:
+        return None
+    slayer = benchmark.settings.slayer
+    samples = n_recordings * (1 - benchmark.settings.split.test_fraction)
+    seconds = SECONDS_PER_SAMPLE * samples * slayer.epochs * slayer.bins / 200
+    each, number = seconds / 60, len(missing)
+    line = f"table 2: {number} trainings with SLAYER, about {each:.0f} minutes each"
+    if workers.scheduler is not None:
+        return line
+    return f"{line}, {each * -(-number // workers.processes) / 60:.1f} hours in all"
 
 
 def _kinds(kind, recordings):
@@ -204,7 +229,7 @@ def _compare(kind, a, b, results):
         "a": a,
         "b": b,
         "difference": got.mean,
-        "ci95": list(got.interval) if got.interval else None,
+        "ci95": got.to_json()["ci95"],
         "p_value": got.p_value,
         "n_splits": len(pairs),
         "n_samples": n_test,

@@ -8,6 +8,7 @@ from hashlib import sha256
 import numpy as np
 
 from deploy.errors import UserError
+from deploy.terminal import WARNING
 from pipeline.artifacts import Origin
 from pipeline.inputs.images import tactile_images
 from pipeline.inputs.library import recordings_of
@@ -18,7 +19,7 @@ from pipeline.recordings.steps import EventTable
 from pipeline.settings import SIMULATED, Settings, check_fits
 
 KINDS = ("random", "writers")
-"""Of splits: over samples, as in the paper; or nobody writes both training and test samples."""
+"""Kinds of splits: over samples, as in the paper, or over writers (none in both parts)."""
 
 AT_ONCE = 500
 """Recordings whose frames of events are made at once, which bounds the memory."""
@@ -30,10 +31,10 @@ SPLIT_READS = ("seed", "split")
 """Settings that a split depends on."""
 
 ARRAYS = "arrays"
-"""Where :meth:`Dataset.of_arrays` keeps the images that take the place of recordings."""
+"""File of the images with which :meth:`Dataset.of_arrays` replaces recordings."""
 
 TOO_SMALL = "ask for fewer (SAMPLES, or check.samples) or give more data"
-"""What to do where there are too few samples."""
+"""Remedy for too few samples."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +46,9 @@ class Dataset:
     recordings : Recordings
     split : Split
     origin : Origin
-        What the recordings and their split were made from.
+        Origin of the recordings and of their split.
     settings : Settings
-        How :attr:`inputs` are made; see :meth:`seen_by`.
+        Settings with which :attr:`inputs` are made; see :meth:`seen_by`.
     """
 
     recordings: Recordings
@@ -68,7 +69,7 @@ class Dataset:
         warn : callable, optional
             Called with one line for each file that was left out.
         kind : str
-            Of the split, one of :data:`KINDS`.
+            Kind of the split, one of :data:`KINDS`.
 
         Raises
         ------
@@ -99,7 +100,7 @@ class Dataset:
         classes : sequence of str, optional
             Names of the labels 0, 1, ...; default: the numbers.
         simulated : bool
-            Whether the images are simulated; every result repeats this.
+            True if the images are simulated; every result repeats this.
 
         Raises
         ------
@@ -166,7 +167,7 @@ class Dataset:
 
     @property
     def is_of_arrays(self) -> bool:
-        """Whether the data set has images only; see :meth:`of_arrays`."""
+        """True if the data set has images only; see :meth:`of_arrays`."""
         return ARRAYS in self._made
 
     def part(self, name: str):
@@ -184,7 +185,7 @@ def dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "rand
     recordings_sha256 : str
         Hash of the recordings' content.
     kind : str
-        Of the split, one of :data:`KINDS`.
+        Kind of the split, one of :data:`KINDS`.
     """
     reads = [*SPLIT_READS, "data.skip_bad", "skin"]
     if settings.data.source == SIMULATED:
@@ -309,17 +310,17 @@ def event_warnings(settings: Settings, recordings: Recordings) -> list:
         "polarity, and are one spike with it"
     ]
     if shared > MOST_LOST:
-        lines[0] += "; fewer would with a shorter input.step"
+        lines[0] = WARNING + lines[0] + "; fewer would with a shorter input.step"
     if lost > shared:
         lines.append(
             f"events: {lost - shared:.1%} more come while their taxel rests, for "
             f"{settings.input.rest * step:g} ms after a spike (input.refractory)"
         )
     if empty:
-        lines.append(f"events: {empty} of {len(recordings)} recordings have none")
+        lines.append(f"{WARNING}{empty} of {len(recordings)} recordings have no events")
     if long:
         lines.append(
-            f"events: {long} of {len(recordings)} recordings are longer than {steps} steps of "
+            f"{WARNING}{long} of {len(recordings)} recordings are longer than {steps} steps of "
             f"{step:g} ms, and their ends are not shown; choose more presentation.steps"
         )
     return lines

@@ -110,7 +110,7 @@ def growing(
     Parameters
     ----------
     events : Events
-        Of one recording.
+        Events of one recording.
     taxels : TaxelMap
     ends : sequence of int
         Nanoseconds; an image has the events before its end.

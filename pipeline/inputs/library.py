@@ -31,11 +31,11 @@ def load_recordings(
     source : str
         ``"simulated"``, or the path of a zip or folder of recordings.
     simulation_seed : int
-        Of simulated recordings.
+        Seed of simulated recordings.
     samples_per_digit : int
-        Of simulated recordings; 0 for the published numbers, 6,953 in all.
+        Number of simulated recordings; 0 for the published numbers, 6,953 in all.
     skip_bad : bool
-        Whether to leave out files that cannot be read instead of stopping.
+        True to leave out files that cannot be read instead of stopping.
     jobs : int
         Processes.
     warn : callable, optional
@@ -56,7 +56,8 @@ def load_recordings(
     """
     if source == SIMULATED:
         size = (reading.rows or GRID, reading.columns or GRID)
-        return _simulated(simulation_seed, samples_per_digit, jobs, size, traces)
+        counts = _counts(samples_per_digit)
+        return simulated(simulation_seed, counts, jobs, traces=traces, size=size)
     return _imported(Path(source), skip_bad, jobs, warn, reading)
 
 
@@ -77,7 +78,7 @@ def content_of(settings: Settings) -> str:
     Returns
     -------
     str
-        What ``source.sha256`` of :func:`recordings_of` is.
+        ``source.sha256`` of :func:`recordings_of`.
 
     Raises
     ------
@@ -97,13 +98,24 @@ def _counts(samples_per_digit):
     return [samples_per_digit] * 10 if samples_per_digit else list(SAMPLES_PER_DIGIT)
 
 
-def _simulated(seed, samples_per_digit, jobs, size, traces):
-    counts = _counts(samples_per_digit)
-    key = cache.key_of("simulated", source_of(seed, counts, traces=traces, size=size).sha256)
+def simulated(seed: int, counts, jobs: int, **how) -> Recordings:
+    """Simulated recordings, from the cache if they are in it.
+
+    Parameters
+    ----------
+    seed : int
+    counts : sequence of 10 int
+        Recordings of each digit.
+    jobs : int
+        Processes.
+    **how
+        ``parameters``, ``traces`` and ``size`` of :func:`pipeline.skin.simulate.simulate`.
+    """
+    key = cache.key_of("simulated", source_of(seed, counts, **how).sha256)
     recordings = cache.load(key)
     if recordings is None:
         with progress("simulate", sum(counts)) as advance:
-            recordings = simulate(seed, counts, jobs, advance, traces=traces, size=size)
+            recordings = simulate(seed, counts, jobs, advance, **how)
         cache.store(key, recordings)
     return recordings
 

@@ -104,14 +104,13 @@ def writer_split(writers: np.ndarray, seed: int, test_fraction: float = 0.2) -> 
     return Split(np.flatnonzero(~in_test), np.empty(0, np.int64), test)
 
 
-def hold_out(train: np.ndarray, seed: int, share: float = HELD_OUT):
+def hold_out(train: np.ndarray, seed: int):
     """Hold out some of the training samples, at least one, to select something on them.
 
     Parameters
     ----------
     train : ndarray of int
     seed : int
-    share : float
 
     Returns
     -------
@@ -119,7 +118,7 @@ def hold_out(train: np.ndarray, seed: int, share: float = HELD_OUT):
         In increasing order.
     """
     order = np.random.default_rng([seed, 0x4E1D]).permutation(train)
-    count = max(1, round(share * len(order)))
+    count = max(1, round(HELD_OUT * len(order)))
     return np.sort(order[count:]), np.sort(order[:count])
 
 

@@ -22,7 +22,7 @@ STRANGER_S = 5.0
 """Until a connection must have shown the token; a page does so in milliseconds."""
 
 QUIET_S = 60.0
-"""From one line about files that have run out to the next."""
+"""Seconds between two messages that no file descriptor is left."""
 
 
 class Strangers:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from scipy.special import softmax
 
 from deploy.check.bundle import Bundle
 from deploy.network.decision import confidence
@@ -17,9 +18,38 @@ from deploy.network.responses import read_output, running_sums, score_unit, sett
 from deploy.network.stimulus import EventFrames
 from deploy.targets.fast.emulation import Emulation, compile_spec
 from pipeline.inputs.images import tactile_images
-from pipeline.recordings.events import Events, Source, collect
+from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.recordings.steps import EventTable
 from pipeline.settings import Image
+
+MOST_DRAWN = 4096
+"""Neurons of a layer whose spikes go to the page: more rows than a screen has show nothing."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The confidence that decides early, over the time of a recording.
+
+    Attributes
+    ----------
+    seconds : ndarray of float, shape (n,)
+        From the start of the recording.
+    values : ndarray of float, shape (n,)
+        See :func:`deploy.network.decision.confidence`.
+    classes : ndarray of int, shape (n,)
+        The class with the highest score at these times.
+    """
+
+    seconds: np.ndarray
+    values: np.ndarray
+    classes: np.ndarray
+
+    def first(self, threshold: float | None) -> tuple | None:
+        """Time and class of the decision before the end, or None if there is none."""
+        reached = () if threshold is None else np.flatnonzero(self.values >= threshold)
+        if not len(reached):
+            return None
+        return float(self.seconds[reached[0]]), int(self.classes[reached[0]])
 
 
 @dataclass(frozen=True)
@@ -28,28 +58,36 @@ class Answer:
 
     Attributes
     ----------
-    scores : ndarray of float, shape (10,)
-    confidence : ndarray of float, shape (10,)
+    scores : ndarray of float, shape (classes,)
+    shares : ndarray of float, shape (classes,)
         The same as probabilities (softmax), as the network was trained to read them.
     spikes : dict of str to ndarray of uint8, shape (steps, n_bytes)
         Spikes of each layer at each step of the network's time, eight neurons a byte
         (`numpy.packbits`).
-    sure : bool
-        Whether the confidence is one at which the network decides by itself, before the end.
+    curve : Curve
+        Its last value is the confidence of now.
+    decided : (float, int), optional
+        Time and class of the network's decision, where it was made before the end.
     unit : float
         See :func:`deploy.network.responses.score_unit`.
     """
 
     scores: np.ndarray
-    confidence: np.ndarray
+    shares: np.ndarray
     spikes: dict
-    sure: bool = False
+    curve: Curve
+    decided: tuple | None = None
     unit: float = 1.0
 
     @property
     def decision(self) -> int:
-        """The digit with the highest score."""
+        """The class with the highest score."""
         return int(np.argmax(settled(self.scores, self.unit)))
+
+    @property
+    def confidence(self) -> float:
+        """The confidence of now, from 0 to 1."""
+        return float(self.curve.values[-1])
 
 
 @dataclass(frozen=True)
@@ -82,7 +120,9 @@ class Decider(Protocol):
     first_step : int
         The first one's number; below 0 where the network rests before it is shown anything.
     clocked : bool
-        Whether an answer changes while time passes without an event.
+        True if an answer changes while time passes without an event.
+    threshold : float or None
+        Confidence at which it decides before the end; None where it always decides at the end.
     """
 
     about: str
@@ -90,56 +130,65 @@ class Decider(Protocol):
     steps: int
     first_step: int
     clocked: bool
+    threshold: float | None
 
     def begin(self) -> Deciding:
         """A recording begins."""
 
 
 class _Fast:
-    """What both kinds have in common: a network on the target ``fast``, ready to run."""
+    """The common part of both kinds: a network on the target ``fast``, ready to run."""
 
     clocked = False
 
-    def __init__(self, bundle: Bundle, seed: int):
+    def __init__(self, bundle: Bundle, sensor: Sensor, seed: int):
         self._spec = spec = bundle.spec
+        self._sensor, self._taxels = sensor, TaxelMap.grid(sensor.rows, sensor.columns)
         self._emulation = Emulation(compile_spec(spec, seed))
         self.steps, self.first_step = spec.presentation.period, -spec.presentation.gap
+        limit = spec.presentation.confidence
+        self.threshold = None if limit is None or limit >= 1 else limit  # 1: never reached
         sizes = {layer.name: layer.size for layer in spec.layers}
         sizes["input"] = int(np.prod(spec.input_shape))
-        self.layers = tuple(DrawnLayer(name, sizes[name]) for name in spec.spiking_layers)
+        layers = (DrawnLayer(name, sizes[name]) for name in spec.spiking_layers)
+        self.layers = tuple(layer for layer in layers if layer.neurons <= MOST_DRAWN)
         shape = spec.stimulus.sample_shape(spec.input_shape, spec.presentation.steps)
         self._show(np.zeros((1, *shape)), spec.presentation.steps)  # compiles the kernel
 
-    def begin(self):
-        """Nothing is kept from one answer to the next: each begins at the network's rest."""
-        return self
+    def _recording(self, events):
+        """One recording of the page's sensor."""
+        source = Source("live", "", True)
+        return collect([events], [0], [""], [-1], source, self._taxels, self._sensor)
 
     def _show(self, samples, steps):
-        """The answer to one sample after some of its steps."""
+        """Scores, spikes and accumulated readout of one sample after some of its steps.
+
+        Returns
+        -------
+        scores : ndarray, shape (classes,)
+        spikes : dict
+            See :class:`Answer`.
+        sums : ndarray, shape (steps - readout_start, classes)
+            See :func:`deploy.network.responses.running_sums`.
+        """
         spec, spikes = self._spec, {}
         shown, gap = spec.presentation, spec.presentation.gap
+        drawn = [layer.name for layer in self.layers]
 
         def watch(packed):
-            for name in spec.spiking_layers:
+            for name in drawn:
                 spikes[name] = packed[name][0].copy()
                 spikes[name][gap + steps :] = 0
 
         done = self._emulation.run(spec.stimulus.flat(samples)[None], shown.steps, gap, watch)
         counts = {name: done.counts[name][0] for name in spec.spiking_layers}
         output = done.output[0, :, gap : gap + steps]
-        said = read_output(spec, output, counts)
-        scores = said.scores[0]
-        logits = self._logits(scores, steps)
-        odds = np.exp(logits - logits.max())
-        reached = False
-        if shown.confidence is not None:
-            sums = running_sums(spec, output)[0]
-            reached = confidence(sums, spec.judge, shown.readout_start)[-1] >= shown.confidence
-        return Answer(scores, odds / odds.sum(), spikes, bool(reached), score_unit(spec))
+        scores = read_output(spec, output, counts).scores[0]
+        return scores, spikes, running_sums(spec, output)[0]
 
-    def _logits(self, scores, steps):
-        """What the softmax was taken of when the network was trained."""
-        return scores
+    def _confidence(self, sums):
+        """The confidence that decides early, at each step of the sums."""
+        return confidence(sums, self._spec.judge, self._spec.presentation.readout_start)
 
 
 class ImageDecider(_Fast):
@@ -152,25 +201,50 @@ class ImageDecider(_Fast):
     ----------
     bundle : Bundle
     image : Image
-        How events become an image.
+        Conversion of events to an image.
+    sensor : Sensor
     seed : int
     """
 
-    def __init__(self, bundle: Bundle, image: Image, seed: int = 0):
-        super().__init__(bundle, seed)
+    def __init__(self, bundle: Bundle, image: Image, sensor: Sensor, seed: int = 0):
+        super().__init__(bundle, sensor, seed)
         self._image = image
         self.about = (
             "the part at the left is before it is shown anything. This network is shown the image "
             f"as it is at the moment for {self._spec.presentation.steps} steps of 1 ms, from rest, "
-            "again and again while you write."
+            "again and again while the recording grows."
         )
+
+    def begin(self):
+        """The answers before are kept, for the curve; each begins at the network's rest."""
+        return _ImageDeciding(self)
+
+    def _answer(self, events, time_s, before):
+        recording = self._recording(events)
+        image = tactile_images(recording, self._image.aggregation, self._image.normalisation)
+        scores, spikes, sums = self._show(image, self._spec.presentation.steps)
+        shares, unit = softmax(scores), score_unit(self._spec)
+        # Without a threshold, sums of many steps would always be certain: nothing chose their
+        # scale.  The scores are what the network's softmax was trained on.
+        sure = shares.max() if self.threshold is None else self._confidence(sums)[-1]
+        now = float(events.time_ns[-1] * 1e-9) if np.isinf(time_s) else time_s
+        point = now, sure, int(np.argmax(settled(scores, unit)))
+        columns = zip(*before, point, strict=True)
+        curve = Curve(*map(np.array, columns))
+        return point, Answer(scores, shares, spikes, curve, curve.first(self.threshold), unit)
+
+
+class _ImageDeciding:
+    def __init__(self, decider):
+        self._decider, self._points = decider, []
 
     def answer(self, events: Events, time_s: float) -> Answer | None:
         """See :class:`Deciding`."""
         if len(events) == 0:
             return None
-        image = tactile_images(_alone(events), self._image.aggregation, self._image.normalisation)
-        return self._show(image, self._spec.presentation.steps)
+        point, answer = self._decider._answer(events, time_s, self._points)
+        self._points.append(point)
+        return answer
 
 
 class EventDecider(_Fast):
@@ -182,43 +256,47 @@ class EventDecider(_Fast):
     Parameters
     ----------
     bundle : Bundle
+    sensor : Sensor
     seed : int
     """
 
     clocked = True
 
-    def __init__(self, bundle: Bundle, seed: int = 0):
-        super().__init__(bundle, seed)
+    def __init__(self, bundle: Bundle, sensor: Sensor, seed: int = 0):
+        super().__init__(bundle, sensor, seed)
         milliseconds = 1e3 * self._spec.stimulus.step_seconds
         self.about = (
-            "time runs to the right as it does on the skin. This network feels the events "
+            "time runs to the right as it does on the sensor. This network is given the events "
             f"themselves, in steps of {milliseconds:g} ms, and decides while they come."
         )
+
+    def begin(self):
+        """Answers that do not depend on earlier ones."""
+        return self
 
     def answer(self, events: Events, time_s: float) -> Answer | None:
         """See :class:`Deciding`."""
         if len(events) == 0:
             return None
         shown, seconds = self._spec.presentation, self._spec.stimulus.step_seconds
-        since = (time_s - events.time_ns[0] * 1e-9) / seconds  # steps of the first event on
+        first_s = events.time_ns[0] * 1e-9
+        since = (time_s - first_s) / seconds  # steps of the first event on
         steps = int(min(max(since, 0), shown.steps))
         if steps <= shown.readout_start:
             return None
-        table, rest = EventTable.of(_alone(events)), self._spec.stimulus.rest
+        table, rest = EventTable.of(self._recording(events)), self._spec.stimulus.rest
         frames = table.frames([0], 1e3 * seconds, shown.steps, rest)
-        return self._show(np.moveaxis(frames, 0, 1), steps)
-
-    def _logits(self, scores, steps):
-        """Sums from the first event on, as they were trained."""
-        return scores * (steps - self._spec.presentation.readout_start)
-
-
-def _alone(events):
-    return collect([events], [0], [""], [-1], Source("live", "", True))
+        scores, spikes, sums = self._show(np.moveaxis(frames, 0, 1), steps)
+        ends = first_s + seconds * np.arange(shown.readout_start + 1, steps + 1)
+        curve = Curve(ends, self._confidence(sums), sums.argmax(axis=1))
+        decided = curve.first(self.threshold)
+        # The sums from the first event on are what the network's softmax was trained on.
+        shares = softmax(scores * (steps - shown.readout_start))
+        return Answer(scores, shares, spikes, curve, decided, score_unit(self._spec))
 
 
-def decider_of(bundle: Bundle, image: Image) -> Decider:
+def decider_of(bundle: Bundle, image: Image, sensor: Sensor) -> Decider:
     """The decider for a bundle; compiles what has to be compiled."""
     if isinstance(bundle.spec.stimulus, EventFrames):
-        return EventDecider(bundle)
-    return ImageDecider(bundle, image)
+        return EventDecider(bundle, sensor)
+    return ImageDecider(bundle, image, sensor)

@@ -1,6 +1,6 @@
 """Saving recordings that people wrote, in a folder with the published layout.
 
-``FOLDER/<digit>/w<writer>-<number>.mat``: the number counts up over all digits of a writer.  The
+``FOLDER/<class>/w<writer>-<number>.mat``: the number counts up over all classes of a writer.  The
 list of recordings is always read from these names, so that no other record can be lost or become
 outdated.  A file is never overwritten.
 """
@@ -12,7 +12,7 @@ import os
 import re
 import threading
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,18 +22,33 @@ from deploy.files import (
     creating,
     is_at,
     locked_folder,
+    open_regular,
     refuse_linked_folders,
     remove_abandoned,
 )
-from pipeline.recordings.events import DIGITS, TaxelMap
-from pipeline.recordings.matfile import MatRecording, lookup_table_bytes, recording_bytes
+from pipeline.recordings.events import Events, Sensor, TaxelMap
+from pipeline.recordings.matfile import (
+    BadRecording,
+    MatRecording,
+    lookup_table_bytes,
+    read_limited,
+    read_lookup_table,
+    read_recording,
+    recording_bytes,
+)
 
 WRITERS = 1000
 """Writers are numbered from 1 to one less than this."""
 
+TABLE = "LUT.mat"
+"""Place of each taxel, beside the classes' folders."""
+
 TEMPORARY = ".recording."
 """Start of the name of a recording that is being written.  It is the same for all of them, so that
 what a killed process left is found whatever its number was."""
+
+LONGEST_NAME = 255
+"""Bytes of a folder's name, at most, on the usual file systems."""
 
 _EARLIER = re.compile(r"\.w[0-9]+-[0-9]+\.mat\.")
 _NAME = re.compile(r"w([0-9]{3})-([0-9]{4,9})\.mat")
@@ -41,16 +56,44 @@ _NAME = re.compile(r"w([0-9]{3})-([0-9]{4,9})\.mat")
 
 @dataclass(frozen=True)
 class Kept:
-    """A recording in the folder."""
+    """A recording in the folder.
 
-    digit: int
+    Attributes
+    ----------
+    label : int
+    writer : int
+    number : int
+    place : str
+        The folder of its class.
+    """
+
+    label: int
     writer: int
     number: int
+    place: str
 
     @property
     def name(self) -> str:
         """Its path in the folder."""
-        return f"{self.digit}/w{self.writer:03d}-{self.number:04d}.mat"
+        return f"{self.place}/w{self.writer:03d}-{self.number:04d}.mat"
+
+
+def places_of(classes) -> tuple:
+    """The name of each class's folder: its own, where a folder can have it.
+
+    Recordings that were read from folders have such names; a network from elsewhere may have any.
+    """
+    places = tuple(map(_place, classes))
+    return places if len(set(places)) == len(places) else tuple(map(str, range(len(places))))
+
+
+def _place(name):
+    """A class's name without what a name of a folder cannot have."""
+    name = "".join("_" if c == "/" or not c.isprintable() else c for c in name)
+    name = "_" + name[1:] if name.startswith(".") or not name else name
+    while len(name.encode(errors="replace")) > LONGEST_NAME:
+        name = name[:-1]
+    return name
 
 
 class Keeper:
@@ -60,31 +103,55 @@ class Keeper:
     ----------
     folder : path-like
         Is made if it is not there.
+    sensor : Sensor, optional
+        Of the recordings; default: the published one.
 
     Raises
     ------
     UserError
-        It cannot be written, or another process keeps recordings in it.
+        It cannot be written, another process keeps recordings in it, or they are of another sensor.
     """
 
-    def __init__(self, folder):
+    def __init__(self, folder, sensor: Sensor | None = None):
         self.folder = Path(folder)
+        self.sensor = sensor or Sensor()
+        self._taxels = TaxelMap.grid(self.sensor.rows, self.sensor.columns)
+        self._places = places_of(self.sensor.classes)
         self._guard = threading.Lock()
         self._held = contextlib.ExitStack()
         self._lock = None
         self._hold()
-        self._remove_abandoned()
-        self.look()
+        try:
+            self._refuse_another_sensor()
+            self._remove_abandoned()
+            self.look()
+        except BaseException:
+            self.close()
+            raise
+
+    def _refuse_another_sensor(self):
+        table = self.folder / TABLE
+        try:
+            with open_regular(table) as file:
+                found = read_lookup_table(read_limited(file))
+        except (OSError, BadRecording):
+            return  # of no recordings, or of ones that nobody can read
+        mine = self._taxels
+        if not np.array_equal((found.row, found.column), (mine.row, mine.column)):
+            raise UserError(
+                f"{self.folder}: has recordings of {len(found)} taxels in another arrangement than "
+                f"{self.sensor.rows}x{self.sensor.columns}; choose another folder with --record"
+            )
 
     def _remove_abandoned(self):
         """Remove what a killed process left, of an earlier version too."""
-        for digit in DIGITS:
+        for place in self._places:
             prefixes = {TEMPORARY}
             with contextlib.suppress(OSError):
-                names = os.listdir(self.folder / digit)
+                names = os.listdir(self.folder / place)
                 prefixes |= {found[0] for name in names if (found := _EARLIER.match(name))}
             for prefix in prefixes:
-                remove_abandoned(self.folder / digit, prefix)
+                remove_abandoned(self.folder / place, prefix)
 
     def _hold(self):
         """Hold the folder's lock.  The one that was taken may have been deleted with the folder."""
@@ -116,7 +183,7 @@ class Keeper:
             It cannot be read.
         """
         try:
-            found = _list(self.folder)
+            found = _list(self.folder, self._places)
         except OSError as error:
             raise UserError(
                 f"{self.folder}: cannot be read ({error.strerror}); check its permissions"
@@ -136,12 +203,34 @@ class Keeper:
         """Numbers of the writers of whom there are recordings, in order."""
         return sorted({kept.writer for kept in self._kept})
 
-    def counts(self, writer: int) -> list:
-        """Recordings of each digit by a writer."""
-        counts = Counter(kept.digit for kept in self._kept if kept.writer == writer)
-        return [counts[digit] for digit in range(10)]
+    def counts(self, writer: int | None = None) -> list:
+        """Recordings of each class by a writer, or by all of them."""
+        counts = Counter(kept.label for kept in self._kept if writer in (None, kept.writer))
+        return [counts[label] for label in range(len(self._places))]
 
-    def save(self, digit: int, recording: MatRecording) -> Kept:
+    @property
+    def kept(self) -> list:
+        """The recordings of all writers, in order."""
+        return list(self._kept)
+
+    def read(self, kept: Kept) -> Events:
+        """The events of a recording.
+
+        Raises
+        ------
+        UserError
+            It is not there any more, or damaged.
+        """
+        path = self.folder / kept.name
+        try:
+            with open_regular(path) as file:
+                return read_recording(read_limited(file), len(self._taxels)).events
+        except OSError as error:
+            raise UserError(f"{path}: cannot be read ({error.strerror})") from error
+        except BadRecording as error:
+            raise UserError(f"{path}: {error}; delete it") from error
+
+    def save(self, label: int, recording: MatRecording) -> Kept:
         """Write a recording; when this returns it is on the disk.
 
         Raises
@@ -152,19 +241,20 @@ class Keeper:
         with self._guard:
             self._hold()
             self.look()
-            table = self.folder / "LUT.mat"
+            table = self.folder / TABLE
             if not table.exists():
                 with contextlib.suppress(FileExistsError):
-                    _create(table, lookup_table_bytes(TaxelMap()))
+                    _create(table, lookup_table_bytes(self._taxels))
             content = recording_bytes(recording)
             mine = [kept.number for kept in self._kept if kept.writer == recording.writer]
-            kept = Kept(digit, recording.writer, max(mine, default=0) + 1)
+            number, place = max(mine, default=0) + 1, self._places[label]
+            kept = Kept(label, recording.writer, number, place)
             while True:  # until a name is free: others may put files here
                 try:
                     _create(self.folder / kept.name, content)
                     break
                 except FileExistsError:
-                    kept = Kept(digit, recording.writer, kept.number + 1)
+                    kept = replace(kept, number=kept.number + 1)
             self.look()
             return kept
 
@@ -194,15 +284,15 @@ class Keeper:
 
 
 def asked_next(counts, each: int, seed) -> int | None:
-    """The digit to ask for next.
+    """The class to ask for next.
 
-    The digits come in one random order, ``each`` of every digit; those that are there already are
+    The classes come in one random order, ``each`` of every class; those that are there already are
     left out, so that a session goes on after a break, an undo or a restart.
 
     Parameters
     ----------
-    counts : sequence of 10 int
-        What is there.
+    counts : sequence of int
+        What is there of each class.
     each : int
     seed : int or sequence of int
         The same one gives the same order.
@@ -212,23 +302,23 @@ def asked_next(counts, each: int, seed) -> int | None:
     int or None
         None when all are there.
     """
-    rest = Counter({digit: n for digit, n in enumerate(counts)})
-    for digit in np.random.default_rng(seed).permutation(np.repeat(np.arange(10), each)):
-        if rest[int(digit)] == 0:
-            return int(digit)
-        rest[int(digit)] -= 1
+    rest, order = Counter(dict(enumerate(counts))), np.repeat(np.arange(len(counts)), each)
+    for label in np.random.default_rng(seed).permutation(order).tolist():
+        if rest[label] == 0:
+            return label
+        rest[label] -= 1
     return None
 
 
-def _list(folder):
+def _list(folder, places):
     """The recordings in a folder; files of other names are ignored."""
     found = []
-    for digit in DIGITS:
+    for label, place in enumerate(places):
         with contextlib.suppress(FileNotFoundError, NotADirectoryError):
-            for name in os.listdir(folder / digit):
+            for name in os.listdir(folder / place):
                 match = _NAME.fullmatch(name)
                 if match and int(match[1]) > 0:
-                    found.append(Kept(int(digit), int(match[1]), int(match[2])))
+                    found.append(Kept(label, int(match[1]), int(match[2]), place))
     return found
 
 
@@ -256,5 +346,5 @@ def _create(path, content):
         with contextlib.suppress(OSError):
             path.unlink()
         raise UserError(
-            f"{path}: cannot write ({error.strerror}); check the disk and label the digit again"
+            f"{path}: cannot write ({error.strerror}); check the disk and label it again"
         ) from error

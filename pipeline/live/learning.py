@@ -14,17 +14,21 @@ from pathlib import Path
 
 import numpy as np
 
+from deploy import limits
 from deploy.check.bundle import Bundle
 from deploy.errors import UserError
 from deploy.files import read_arrays, write_arrays
 from pipeline.live.deciding import Decider, decider_of
-from pipeline.recordings.events import Events, Sensor, Source, collect
-from pipeline.run.adaptation import Responder
+from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
+from pipeline.run.adaptation import COPIES, Responder
 from pipeline.settings import Image
 from pipeline.training.readout import Person, refit
 
 LATEST = 10
-"""Of so many digits the page says how many were right."""
+"""Number of the last digits for which the page counts correct answers."""
+
+LARGEST = 256 << 20
+"""Bytes of all that is kept of a writer."""
 
 FEWEST = 2
 """Digits from which on a readout is fitted: cross-validation needs one to leave out."""
@@ -37,12 +41,12 @@ class Learnt:
     Attributes
     ----------
     names : tuple of str
-        Of the recordings that were learned from.
+        Names of the recordings that were learned from.
     labels : ndarray of int, shape (n,)
     responses : ndarray, shape (n, 1 + copies, inputs)
         To each recording and to altered copies of it.
     right : ndarray of bool, shape (n,)
-        Whether the readout of the time was right, before it learned from the digit.
+        True where the readout was right before it learned from the digit.
     weights : ndarray, shape (classes, inputs), or None
         The writer's own readout; None while the bundle's is as good.
     """
@@ -87,23 +91,25 @@ class Learner:
     ----------
     bundle : Bundle
     image : Image
-        How events become images.
+        Conversion of events to images.
     folder : path-like
-        Of the recordings; a writer's readout is kept beside them.
+        Folder of the recordings; a writer's readout is kept beside them.
+    sensor : Sensor
     """
 
-    def __init__(self, bundle: Bundle, image: Image, folder):
+    def __init__(self, bundle: Bundle, image: Image, folder, sensor: Sensor):
         self._bundle, self._image, self._folder = bundle, image, Path(folder)
+        self._sensor, self._taxels = sensor, TaxelMap.grid(sensor.rows, sensor.columns)
         self._responder = Responder(bundle.spec, image=image)
         self._writers, self._deciders = {}, {}
         self._guard = threading.Lock()
 
     @classmethod
-    def of(cls, bundle: Bundle, image: Image, folder) -> Learner | None:
+    def of(cls, bundle: Bundle, image: Image, folder, sensor: Sensor) -> Learner | None:
         """A learner, or None for a bundle whose readout cannot be fitted."""
         if bundle.spec.rehearsal is None or bundle.spec.layers[-1].neurons is not None:
             return None
-        return cls(bundle, image, folder)
+        return cls(bundle, image, folder, sensor)
 
     def decider(self, writer: int) -> Decider | None:
         """The network with a writer's readout, or None where it is the bundle's; takes no time."""
@@ -118,7 +124,7 @@ class Learner:
         return self.state(writer)
 
     def state(self, writer: int) -> dict:
-        """How far learning has come, for the page."""
+        """The progress of learning, for the page."""
         known = self._known(writer)
         latest = known.right[-LATEST:]
         return {
@@ -137,13 +143,12 @@ class Learner:
         ----------
         writer : int
         name : str
-            Of the recording.
+            Name of the recording.
         label : int
         events : Events
         """
-        recording = collect(
-            [events], [label], [name], [writer], Source("live", "", True), sensor=Sensor()
-        )
+        source = Source("live", "", True)
+        recording = collect([events], [label], [name], [writer], source, self._taxels, self._sensor)
         responder, spec = self._responder, self._bundle.spec
         own = responder.responses(responder.shown(recording))
         copies = responder.copies(recording, [writer, len(self._known(writer))])
@@ -186,7 +191,9 @@ class Learner:
             return
         readout = replace(spec.layers[-1], weights=weights)
         own = replace(spec, layers=(*spec.layers[:-1], readout))
-        self._deciders[writer] = decider_of(replace(self._bundle, spec=own), self._image)
+        self._deciders[writer] = decider_of(
+            replace(self._bundle, spec=own), self._image, self._sensor
+        )
 
     def _path(self, writer):
         return self._folder / f".readout-w{writer:03d}.npz"
@@ -197,27 +204,30 @@ class Learner:
         return self._writers[writer]
 
     def _read(self, writer):
-        """What was kept; nothing if that is of another network, or damaged."""
+        """The stored digits; none if they belong to another network or are damaged."""
         if not self._path(writer).exists():
             return Learnt()
+        readout = self._bundle.spec.layers[-1]
         try:
-            arrays = read_arrays(self._path(writer), "")
+            arrays = read_arrays(self._path(writer), "", LARGEST)
             names, labels, right = arrays["names"], arrays["labels"], arrays["right"]
-            responses, weights = arrays["responses"].astype(float), arrays.get("weights")
+            responses, weights = arrays["responses"], arrays.get("weights")
             fits = (
                 str(arrays["bundle"]) == self._bundle.id
                 and names.ndim == labels.ndim == right.ndim == 1
-                and len(names) == len(labels) == len(right) == len(responses)
-                and responses.ndim == 3
-                and np.isfinite(responses).all()
+                and len(names) == len(labels) == len(right)
+                and responses.shape == (len(names), 1 + COPIES, readout.weights.shape[1])
                 and (labels.dtype.kind, right.dtype.kind, names.dtype.kind) == ("i", "b", "U")
-                and (weights is None or weights.shape == self._bundle.spec.layers[-1].weights.shape)
+                and np.isin(labels, np.arange(readout.size)).all()
+                and _are_numbers(responses)
+                and (weights is None or weights.shape == readout.weights.shape)
+                and (weights is None or _are_numbers(weights))
             )
         except (UserError, KeyError, ValueError, AttributeError, TypeError):
             return Learnt()
         if not fits:
             return Learnt()
-        return Learnt(tuple(names.tolist()), labels, responses, right, weights)
+        return Learnt(tuple(names.tolist()), labels, responses.astype(float), right, weights)
 
     def _keep(self, writer):
         """Write what is known of a writer; nothing of one of whom nothing is."""
@@ -235,3 +245,8 @@ class Learner:
             right=np.asarray(known.right, bool),
             **own,
         )
+
+
+def _are_numbers(array):
+    """True if all values of an array are finite and of a usual size."""
+    return array.dtype.kind == "f" and bool((np.abs(array) <= limits.MAGNITUDE).all())

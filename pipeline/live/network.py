@@ -1,18 +1,25 @@
-"""The network of the page: from a run or from a bundle, if it is for the page's skin."""
+"""The network of the page, from a run or from a bundle, and the sensor that it is for."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from deploy.check.bundle import Bundle, read_bundle
 from deploy.errors import UserError
-from pipeline.recordings.events import GRID
+from deploy.files import read_json
+from deploy.network.stimulus import EventFrames
+from pipeline.recordings.events import GRID, Sensor
+from pipeline.recordings.words import is_written
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Image, read_settings
 
 SHIPPED = Path(__file__).with_name("bundle")
 """The bundle on events that comes with this package; ``make shipped-bundle`` makes it, from the
 settings of ``shipped.toml``."""
+
+RECORD = "written"
+"""Folder for recordings of digits; of other data the start of its name."""
 
 
 def network_of_bundle(folder: Path) -> tuple | None:
@@ -53,28 +60,83 @@ def _with_images(bundle, otherwise):
         ) from error
 
 
-def fits_the_page(bundle: Bundle):
-    """Refuse a network that is not for the page's skin and the ten digits.
-
-    Raises
-    ------
-    UserError
-        It is for other taxels or classes.
-    """
-    shape, classes = bundle.spec.input_shape[:2], bundle.spec.layers[-1].size
-    if (*shape, classes) != (GRID, GRID, 10):
-        raise UserError(
-            f"{bundle.path}: made for {shape[0]}x{shape[1]} taxels and {classes} classes; the "
-            f"page's skin has {GRID}x{GRID} taxels, for the ten digits"
-        )
+def facts_of_run(run: RunFolder) -> dict:
+    """Facts about the recordings of a run; none if the folder is not a run."""
+    try:
+        facts = read_json(run.dataset, "") if run.experiment.exists() else {}
+    except UserError:
+        return {}
+    return facts if isinstance(facts.get("sensor"), dict) else {}
 
 
-def about(bundle: Bundle, folder, outdated: str | None = None) -> dict:
-    """The page's description of its network and of the folder of recordings.
+def sensor_of(bundle: Bundle, facts: dict) -> Sensor:
+    """The sensor and the classes of a network.
 
     Parameters
     ----------
     bundle : Bundle
+    facts : dict
+        Of its run's recordings (:func:`pipeline.recordings.facts.facts_of`); empty where there is
+        no run.
+
+    Raises
+    ------
+    UserError
+        The network reads something else than the events of a sensor or their image.
+    """
+    spec = bundle.spec
+    on_events = isinstance(spec.stimulus, EventFrames)
+    if len(spec.input_shape) != 3 or spec.input_shape[2] != (2 if on_events else 1):
+        raise UserError(
+            f"{bundle.path}: its input has the shape {spec.input_shape}; the page needs a network "
+            "on images with one channel, or on ON and OFF events"
+        )
+    rows, columns, _ = spec.input_shape
+    polarities = facts.get("sensor", {}).get("polarities")
+    if polarities not in (1, 2):
+        polarities = 1 if on_events and not bundle.checks.inputs[..., 1].any() else 2
+    return Sensor(rows, columns, polarities, classes=_classes(spec))
+
+
+def _classes(spec):
+    """Names of the network's classes; their numbers where it has none."""
+    n = spec.layers[-1].size
+    said = spec.provenance.get("classes")
+    are_names = isinstance(said, list) and all(isinstance(name, str) for name in said)
+    return tuple(said) if are_names and len(set(said)) == n else tuple(map(str, range(n)))
+
+
+def record_folder(bundle: Bundle, sensor: Sensor) -> str:
+    """The default folder of recordings: a separate one for each data set.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    sensor : Sensor
+    """
+    if is_digits(sensor):
+        return RECORD
+    name = re.sub(r"[^\w-]+", "-", Path(name_of(bundle)).stem).strip("-")
+    return f"{RECORD}-{name[:40]}" if name else f"{RECORD}-{sensor.rows}x{sensor.columns}"
+
+
+def is_digits(sensor: Sensor) -> bool:
+    """True for ST-MNIST's sensor, on which people write digits."""
+    return is_written(sensor.classes) and (sensor.rows, sensor.columns) == (GRID, GRID)
+
+
+def name_of(bundle: Bundle) -> str:
+    """The name of the data set that a network was trained on."""
+    return str(bundle.spec.provenance.get("source", "recordings of unknown origin"))
+
+
+def about(bundle: Bundle, sensor: Sensor, folder, outdated: str | None = None) -> dict:
+    """The page's description of its network, its sensor and the folder of recordings.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    sensor : Sensor
     folder : path-like
     outdated : str, optional
         Why the bundle is outdated, if it is.
@@ -84,6 +146,11 @@ def about(bundle: Bundle, folder, outdated: str | None = None) -> dict:
         "architecture": bundle.spec.architecture,
         "outdated": outdated,
         "bundle": bundle.id[:12],
-        "trained_on": bundle.spec.provenance.get("source", "recordings of unknown origin"),
+        "trained_on": name_of(bundle),
         "simulated": bool(bundle.spec.provenance.get("simulated", False)),
+        "rows": sensor.rows,
+        "columns": sensor.columns,
+        "polarities": sensor.polarities,
+        "classes": list(sensor.classes),
+        "digits": is_written(sensor.classes),
     }

@@ -1,8 +1,10 @@
-"""The web server of the page and its messages, on this machine only.
+"""The web server of the page and its messages: on this machine only, or on an address asked for.
 
 Every address starts with a token that is drawn anew each time, so that neither another user of the
 machine nor a page from elsewhere can write here; names that point to this machine but are not its
-own (DNS rebinding) and pages of another origin are refused before anything else is processed.
+own (DNS rebinding) and pages of another origin are refused before anything else is processed.  On
+an address of the network the token is the only thing that keeps others out, and it is not
+encrypted.
 """
 
 from __future__ import annotations
@@ -10,6 +12,8 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 import contextlib
+import errno
+import ipaddress
 import itertools
 import json
 import logging
@@ -34,20 +38,35 @@ from pipeline.live.connections import (
     say_when_files_run_out,
 )
 from pipeline.live.keeping import Keeper
-from pipeline.live.session import EACH, LONGEST_S, PAUSE_S, BadMessage, Session, problem
+from pipeline.live.qr import qr_code
+from pipeline.live.session import (
+    EACH,
+    LONGEST_S,
+    MOST_TAXELS,
+    PAUSE_S,
+    BadMessage,
+    Session,
+    problem,
+)
+from pipeline.skin.writing import START_S
 
 HOST = "127.0.0.1"
+"""Default address of the page, which no other machine reaches."""
+
 LARGEST = 64 * 1024
 """Bytes of a message."""
 
 APART_S = 0.012
-"""From one answer to the next, at least: more than a screen shows would only take time away."""
+"""Minimum seconds between two answers: more than the screen shows would waste time."""
 
 PAGES = 8
 """Pages that may be open at a time."""
 
 WAITING = 128
 """Connections that wait to be accepted."""
+
+PICTURE = "qr.svg"
+"""Name of the QR code of the page's address."""
 
 PAGE = Path(__file__).with_name("page")
 _KINDS = {
@@ -76,14 +95,17 @@ class Guard:
     Parameters
     ----------
     app : ASGI application
+    host : str
+        As it stands in an address.
     port : int
     """
 
-    def __init__(self, app, port):
+    def __init__(self, app, host, port):
         self._app = app
-        hosts = [f"{name}:{port}" for name in (HOST, "localhost")]
+        names = [host, "localhost"] if host == HOST else [host.lower()]
+        hosts = [f"{name}:{port}" for name in names]
         if port == 80:
-            hosts += [HOST, "localhost"]
+            hosts += names
         self._hosts = {host.encode() for host in hosts}
         self._origins = {b"http://" + host for host in self._hosts}
         policy = _POLICY.format(sockets=" ".join(f"ws://{host}" for host in hosts))
@@ -141,19 +163,25 @@ class Live:
     make_learner : callable, optional
         Gives the :class:`~pipeline.live.learning.Learner`, or None for a network that cannot be
         fitted; called after ``make_decider``.
+    make_tests : callable, optional
+        Gives the list of :class:`~pipeline.live.examples.Example` of the network's check; called
+        when the network is ready.
     """
 
     def __init__(
-        self, make_decider, keeper: Keeper, p, about: dict, seed: int = 0, make_learner=None
-    ):
+        self, make_decider, keeper: Keeper, p, about: dict, seed: int = 0, make_learner=None,
+        make_tests=None,
+    ):  # fmt: skip
         self._make_learner = make_learner or (lambda: None)
+        self._make_tests = make_tests or list
         # Of its own: a decision does not wait until a digit has been learned.
         self._study_thread = concurrent.futures.ThreadPoolExecutor(1, "learning")
         self._make_decider = make_decider
         self._keeper, self._p, self._about, self._seed = keeper, p, about, seed
         self._pages, self._numbers = 0, itertools.count(1)
         self._thread = concurrent.futures.ThreadPoolExecutor(1, "network")
-        self._decider = None
+        self._decider = self._tests = None
+        self.picture = None  # of the address, for other devices
         self._files = {file.name: file for file in PAGE.iterdir() if file.suffix in _KINDS}
         self.strangers = Strangers()
         self.token = secrets.token_urlsafe(18)
@@ -164,6 +192,7 @@ class Live:
         say_when_files_run_out(asyncio.get_running_loop())
         work = asyncio.get_running_loop().run_in_executor(self._thread, self._make_both)
         self._decider = asyncio.ensure_future(work)
+        self._tests = asyncio.ensure_future(self._tests_when_ready())
         try:
             yield
         finally:
@@ -173,8 +202,17 @@ class Live:
     def _make_both(self):
         return self._make_decider(), self._make_learner()
 
-    def app(self, port: int):
-        """The ASGI application, for a port that is known by now."""
+    async def _tests_when_ready(self):
+        """The samples of the check and, where there are none, the reason."""
+        try:
+            await asyncio.shield(self._decider)
+            loop = asyncio.get_running_loop()
+            return await loop.run_in_executor(self._study_thread, self._make_tests), ""
+        except Exception as error:  # the page says so; everything else works without them
+            return [], str(error)
+
+    def app(self, host: str, port: int):
+        """The ASGI application, for an address that is known by now."""
         routes = [
             Route("/{token}/", self._page),
             Route("/{token}/{name}", self._page),
@@ -183,7 +221,7 @@ class Live:
         handlers = {404: lambda request, error: _missing()}
         app = Starlette(routes=routes, lifespan=self.lifespan, exception_handlers=handlers)
         app.router.redirect_slashes = False
-        return Guard(app, port)
+        return Guard(app, host, port)
 
     def _knows(self, connection):
         token = connection.path_params["token"]
@@ -195,7 +233,10 @@ class Live:
     async def _page(self, request: Request):
         if not self._knows(request):
             return _missing()
-        file = self._files.get(request.path_params.get("name", "index.html"))
+        name = request.path_params.get("name", "index.html")
+        if name == PICTURE and self.picture is not None:
+            return Response(self.picture, media_type=_KINDS[".svg"])
+        file = self._files.get(name)
         if file is None:
             return _missing()
         return Response(file.read_bytes(), media_type=_KINDS[file.suffix])
@@ -206,7 +247,8 @@ class Live:
             return
         await socket.accept()
         if self._pages >= PAGES:
-            await _say(socket, [problem(f"{PAGES} pages are open already; close one of them")])
+            text = f"{PAGES} pages are open already; close one of them and reload this page"
+            await _say(socket, [problem(text)])
             await socket.close(1013, "too many pages")
             return
         self._pages += 1
@@ -219,10 +261,14 @@ class Live:
 
     async def _talk(self, socket):
         session = Session(next(self._numbers), self._keeper, self._p, self._seed)
-        await _say(socket, [{"type": "hello", **self._about, **_LIMITS}, session.state()])
+        hello = {"type": "hello", **self._about, **_LIMITS, "shared": self.picture is not None}
+        await _say(socket, [hello, session.state()])
         wake, study = asyncio.Event(), asyncio.Event()
-        answering = asyncio.create_task(self._answer(socket, session, wake, study))
-        studying = asyncio.create_task(self._study(socket, session, study))
+        tasks = [
+            asyncio.create_task(self._answer(socket, session, wake, study)),
+            asyncio.create_task(self._study(socket, session, study)),
+            asyncio.create_task(self._exhibit(socket, session)),
+        ]
         try:
             while True:
                 message = await socket.receive()
@@ -239,8 +285,14 @@ class Live:
             await _say(socket, [problem(f"a message was refused: {error}")])
             await socket.close(1008, "a message was refused")
         finally:
-            answering.cancel()
-            studying.cancel()
+            for task in tasks:
+                task.cancel()
+
+    async def _exhibit(self, socket, session):
+        """Say which examples there are as soon as they are known."""
+        tests, reason = await asyncio.shield(self._tests)
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+            await _say(socket, [{**session.show(tests), "reason": reason}])
 
     async def _study(self, socket, session, study):
         """One lesson at a time, in order."""
@@ -272,6 +324,7 @@ class Live:
             "layers": layers,
             "steps": decider.steps,
             "first_step": decider.first_step,
+            "threshold": decider.threshold,
         }
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             await _say(socket, [ready, session.state()])
@@ -289,7 +342,13 @@ class Live:
                     await asyncio.sleep(APART_S)
 
 
-_LIMITS = {"longest_s": LONGEST_S, "pause_s": PAUSE_S, "most_each": EACH}
+_LIMITS = {
+    "longest_s": LONGEST_S,
+    "pause_s": PAUSE_S,
+    "start_s": START_S,
+    "most_each": EACH,
+    "most_taxels": MOST_TAXELS,
+}
 
 
 async def _say(socket, messages):
@@ -302,26 +361,37 @@ def _missing():
     return PlainTextResponse(text, 404)
 
 
-def listen(port: int) -> socket.socket:
-    """A socket on this machine's own address.
+def listen(port: int, host: str = HOST) -> socket.socket:
+    """A socket on an address of this machine.
 
     Parameters
     ----------
     port : int
         0 for one that is free.
+    host : str
+        One address or name of this machine, not all of them: the page answers to this one only.
 
     Raises
     ------
     UserError
-        The port is in use, or may not be used.
+        The port is in use, or may not be used; the address is none of this machine.
     """
-    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    where = "choose an address of this machine, such as 'hostname -I' or 'ip address' lists"
+    try:
+        family, _, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    except (OSError, UnicodeError) as error:
+        raise UserError(f"--host {host!r}: no such address ({error}); {where}") from error
+    if ipaddress.ip_address(place[0].partition("%")[0]).is_unspecified:
+        raise UserError(f"--host {host!r}: stands for all addresses; {where}")
+    listening = socket.socket(family, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        listening.bind((HOST, port))
+        listening.bind(place)
         listening.listen(WAITING)
     except OSError as error:
         listening.close()
+        if error.errno == errno.EADDRNOTAVAIL:
+            raise UserError(f"--host {host!r}: {error.strerror}; {where}") from error
         raise UserError(
             f"port {port}: {error.strerror}; another 'stmnist live' may be running: "
             "choose another port with --port, or --port 0 for any that is free"
@@ -330,17 +400,31 @@ def listen(port: int) -> socket.socket:
 
 
 class Server(uvicorn.Server):
-    """Uvicorn's, that says when it listens and that another thread can end."""
+    """Uvicorn's, that says when it listens and that another thread can end.
 
-    def __init__(self, live: Live, listening: socket.socket, when_listening=None):
+    Parameters
+    ----------
+    live : Live
+    listening : socket.socket
+        From :func:`listen`.
+    when_listening : callable, optional
+        Takes the page's address.
+    host : str
+        As given to :func:`listen`.
+    """
+
+    def __init__(self, live: Live, listening, when_listening=None, host: str = HOST):
         self._listening, self._when_listening = listening, when_listening
         self.strangers = live.strangers
         port = listening.getsockname()[1]
-        self.url = f"http://{HOST}:{port}/{live.token}/"
+        host = f"[{host}]" if ":" in host else host
+        self.url = f"http://{host}:{port}/{live.token}/"
+        if host != HOST:
+            live.picture = qr_code(self.url).svg
         self.listens = threading.Event()
         super().__init__(
             uvicorn.Config(
-                live.app(port),
+                live.app(host, port),
                 log_level="error",
                 access_log=False,
                 http=protocol_of(live.strangers),

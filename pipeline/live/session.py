@@ -6,14 +6,16 @@ sends:
 ``pen``      ``now`` and ``points`` [[t, right, down, pressure, touches], ...], times in
              milliseconds of the page's own clock, places in taxels
 ``clear``    forget what is being written
-``label``    ``digit``: what was written; keeps the recording
+``label``    ``label``: the class of what was written, from 0; keeps the recording
+``example``  ``now``, ``origin`` (``"test"`` or ``"kept"``) and ``label`` (or null for any): plays a
+             recording that is there already, which is not kept again
 ``undo``     remove the writer's last recording
 ``learning`` ``on``: whether the network learns this writer's handwriting
 ``forget``   forget what the network has learned of this writer
 ``writer``   ``number`` (or null for a new one), ``handedness``, ``each`` (0: no session): who
-             writes, and how many of each digit are wanted
+             writes, and how many of each class are wanted
 
-and it receives: ``events``, ``cleared``, ``saved``, ``undone``, ``learned``,
+and it receives: ``events``, ``cleared``, ``saved``, ``undone``, ``learned``, ``examples``,
 ``writer`` and ``problem``.
 Any other message raises :class:`BadMessage`.
 """
@@ -32,10 +34,10 @@ import numpy as np
 
 from deploy.errors import UserError, line_of
 from pipeline.live.deciding import Answer, Decider
+from pipeline.live.examples import KEPT, TEST, Examples, Replayed
 from pipeline.live.keeping import WRITERS, Keeper, asked_next
 from pipeline.recordings.events import Events
 from pipeline.recordings.matfile import MatRecording, Written
-from pipeline.skin.parameters import Parameters
 from pipeline.skin.writing import MARGIN, START_S, PenPoint, Writing
 
 if TYPE_CHECKING:
@@ -55,12 +57,16 @@ machine is busy and its way is still to come."""
 POINTS = 512
 """Points that a message may hold."""
 
+MOST_TAXELS = 4096
+"""Taxels of a skin that one can write on: more take the machine longer to simulate than a page with
+its network leaves it (0.15 s of processor time a second for so many)."""
+
 SKIN_RATE = 2.0
 """Seconds of the skin that are simulated for a page in each second, on average: a hand needs one.
 At once it may be the whole of the longest recording."""
 
 EACH = 1000
-"""Recordings of each digit that a session may ask for."""
+"""Recordings of each class that a session may ask for."""
 
 
 class BadMessage(ValueError):
@@ -93,7 +99,7 @@ class Allowance:
         self.left = self.at_once
 
     def take(self, n: int, now_s: float) -> bool:
-        """Whether ``n`` more are allowed; if so they count."""
+        """Count ``n`` more if they are allowed; return whether they are."""
         if now_s > self.at_s:
             since = now_s - self.at_s
             self.left = min(self.left + since * self.per_second, self.at_once)
@@ -109,34 +115,53 @@ class Allowance:
 
 
 class OpenRecording:
-    """What is being written."""
+    """What is being written, or an example that is being played.
 
-    def __init__(self, number, seed, begun_ms, deciding, p: Parameters):
+    Parameters
+    ----------
+    number : int
+    begun_ms : float
+        Time of the first touch on the page's clock.
+    deciding : Deciding
+    writing : Writing or Replayed
+    seed : sequence of int
+        Of the skin's noise.
+    example : Example, optional
+        What is played.
+    """
+
+    def __init__(self, number, begun_ms, deciding, writing, seed=(), example=None):
         self.number, self.seed, self.deciding = number, seed, deciding
-        self.writing = Writing(seed, p)
+        self.writing, self.example = writing, example
         self.pen = []
         self.down = False
         self.spoiled = False  # points of it were lost
-        self.kept = False
-        self.decision, self.since_s, self.sure_s = None, None, None
+        self.saved = False
+        self.decision, self.since_s = None, None
+        self._longest_s = LONGEST_S if example is None else writing.settled_s
         self._begun_ms = begun_ms
 
+    @property
+    def kept(self):
+        """Whether it is in a folder already, so that nothing can be written on it."""
+        return self.saved or self.example is not None
+
     def time_s(self, page_ms):
-        """From the page's clock to the recording's."""
+        """Convert a time of the page's clock to the recording's."""
         return START_S + (page_ms - self._begun_ms) / 1e3
 
     def page_ms(self, time_s):
-        """From the recording's clock to the page's."""
+        """Convert a time of the recording's clock to the page's."""
         return self._begun_ms + (time_s - START_S) * 1e3
 
     @property
     def over(self):
         """Whether its time is up."""
-        return self.writing.time_s >= LONGEST_S - 2e-3
+        return self.writing.time_s >= self._longest_s - 2e-3
 
     @property
     def settled(self):
-        """Whether nothing can happen before the pen comes back."""
+        """True if nothing can happen before the pen returns."""
         return self.over or self.writing.time_s >= self.writing.settled_s - 2e-3
 
     def point(self, page_ms, right, down, pressure, touches):
@@ -155,7 +180,7 @@ class OpenRecording:
 
     def advance(self, page_ms) -> Events:
         """Let time pass: to now, or as far as the pen is known while it may still be moving."""
-        until = min(self.time_s(page_ms), LONGEST_S)
+        until = min(self.time_s(page_ms), self._longest_s)
         if self.down:
             until = min(until, max(self.pen[-1][0], until - REST_S))
         else:
@@ -164,7 +189,7 @@ class OpenRecording:
 
     def finish(self) -> Events:
         """Let the skin come to rest."""
-        return self.writing.advance(min(self.writing.settled_s, LONGEST_S))
+        return self.writing.advance(min(self.writing.settled_s, self._longest_s))
 
 
 class Session:
@@ -177,7 +202,7 @@ class Session:
     keeper : Keeper
     p : pipeline.skin.parameters.Parameters
     seed : int
-        With the number, of the skin's noise and of the order of the digits.
+        With the number, of the skin's noise and of the order of classes and examples.
     now : callable, optional
         The time of day as a `datetime.datetime` with its zone.
     """
@@ -185,7 +210,8 @@ class Session:
     def __init__(self, number, keeper: Keeper, p, seed=0, now=None):
         self._number, self._keeper, self._p, self._seed = number, keeper, p, seed
         self._now = now or (lambda: datetime.datetime.now().astimezone())
-        self._decider = self._learner = None
+        self._decider = self._learner = self._examples = None
+        self._sensor = keeper.sensor
         self._learns, self._lessons = True, []
         self._recordings = 0
         self._each, self._handedness = 0, ""
@@ -201,8 +227,18 @@ class Session:
         self._decider, self._learner = decider, learner
         self._study("recall", self.writer)
 
+    def show(self, tests) -> dict:
+        """The recordings of the network's check are there (or none): the message ``examples``.
+
+        Parameters
+        ----------
+        tests : list of pipeline.live.examples.Example
+        """
+        self._examples = Examples(self._keeper, tests, [self._seed, 3, self._number])
+        return {"type": "examples", "test": self._examples.counts()}
+
     def lessons(self) -> list:
-        """What is to be learned next, in order: functions for another thread, each at most once.
+        """The next lessons in order: functions for another thread, each returned once.
 
         Each gives the message ``learned``.
         """
@@ -216,7 +252,7 @@ class Session:
 
     @property
     def clocked(self) -> bool:
-        """Whether the network may answer otherwise though nothing has happened."""
+        """True if the network may answer differently although nothing has happened."""
         return self._decider is not None and self._decider.clocked
 
     def state(self) -> dict:
@@ -233,6 +269,7 @@ class Session:
             "done": done,
             "asked": asked if self._each else None,
             "saved": len(self._keeper),
+            "kept": self._keeper.counts(),
             "learns": self._learner is not None and self._learns,
             "can_learn": self._learner is not None,
         }
@@ -281,7 +318,7 @@ class Session:
             return [problem(line_of(error))]
 
     def ask(self):
-        """What the network is to answer next: a function for another thread, or None.
+        """The next answer of the network: a function for another thread, or None.
 
         The function gives the message ``answer``, or None if there is nothing to say.
         """
@@ -301,7 +338,7 @@ class Session:
         now_ms, points = _number(message, "now"), message.get("points")
         if not isinstance(points, list) or len(points) > POINTS:
             raise BadMessage(f"points: not a list of at most {POINTS}")
-        points = [_point(point) for point in points]
+        points = [_point(point, self._sensor) for point in points]
         if any(point[0] > now_ms + 1000 for point in points):
             raise BadMessage("points: later than now")
         if self._decider is None:
@@ -321,7 +358,7 @@ class Session:
                 replies.append({"type": "cleared", "recording": self.recording.number})
             if self.recording is not None and not self.recording.kept:
                 self.recording.point(*point)
-        if self.recording is not None and not self.recording.kept:
+        if self.recording is not None and not self.recording.saved:
             replies.append(self._passed(self.recording.advance, now_ms))
         return replies
 
@@ -336,16 +373,47 @@ class Session:
     def _begin(self, page_ms):
         self._recordings += 1
         seed = (self._seed, 2, self._number, self._recordings)
+        sensor = self._sensor
+        writing = Writing(seed, self._p, (sensor.rows, sensor.columns), sensor.polarities)
+        self.recording = OpenRecording(
+            self._recordings, page_ms, self._deciding(), writing, seed=seed
+        )
+
+    def _deciding(self):
         own = self._learner.decider(self.writer) if self._learner and self._learns else None
-        deciding = (own or self._decider).begin()
-        self.recording = OpenRecording(self._recordings, seed, page_ms, deciding, self._p)
+        return (own or self._decider).begin()
+
+    def _example(self, message, now_s):
+        now_ms, origin, label = _number(message, "now"), message.get("origin"), message.get("label")
+        if origin not in (TEST, KEPT):
+            raise BadMessage(f"origin: neither {TEST} nor {KEPT}")
+        if label is not None:
+            label = self._class(message)
+        if self._decider is None or self._examples is None:
+            return [problem("the examples are not ready yet; wait a moment and try again")]
+        example = self._examples.draw(origin, label)
+        self._recordings += 1
+        self.recording = OpenRecording(
+            self._recordings, now_ms, self._deciding(), Replayed(example.events), example=example
+        )
+        return [
+            {
+                "type": "cleared",
+                "recording": self._recordings,
+                "example": {"name": example.name, "label": example.label, "origin": origin},
+            }
+        ]
+
+    def _class(self, message):
+        return _whole(message, "label", 0, len(self._sensor.classes) - 1)
 
     def _passed(self, advance, *until):
         """Let time pass on the skin, which counts: the message with the events of it."""
         recording = self.recording
         begun_s = recording.writing.time_s
         events = advance(*until)
-        self._skin.charge(recording.writing.time_s - begun_s)
+        if recording.example is None:
+            self._skin.charge(recording.writing.time_s - begun_s)
         return {
             "type": "events",
             "recording": recording.number,
@@ -362,10 +430,11 @@ class Session:
         return [{"type": "cleared", "recording": None}]
 
     def _label(self, message, now_s):
-        digit = _whole(message, "digit", 0, 9)
-        recording = self.recording
+        label, recording = self._class(message), self.recording
+        if recording is not None and recording.example is not None:
+            return [problem("an example is kept already; write one yourself to keep it")]
         if recording is None or recording.kept:
-            return [problem("nothing is written; write a digit first, then say what it was")]
+            return [problem("nothing is written; write first, then say what it was")]
         recording.lift()
         replies = [self._passed(recording.finish)]
         events = recording.writing.events
@@ -381,12 +450,13 @@ class Session:
             seed=recording.seed,
             pen=np.array(recording.pen),
         )
-        kept = self._keeper.save(digit, MatRecording(events, True, self.writer, written))
-        recording.kept = True
-        self._study("learn", self.writer, kept.name, digit, events)
+        taxels = self._sensor.rows * self._sensor.columns
+        kept = self._keeper.save(label, MatRecording(events, True, self.writer, written, taxels))
+        recording.saved = True
+        self._study("learn", self.writer, kept.name, label, events)
         saved = {
             "type": "saved",
-            "digit": digit,
+            "label": label,
             "recording": recording.number,
             "name": kept.name,
             "events": len(events),
@@ -398,7 +468,7 @@ class Session:
         if removed is None:
             return [problem(f"writer {self.writer} has no recording to remove")]
         self._study("forget", self.writer, removed.name)
-        return [{"type": "undone", "digit": removed.digit, "name": removed.name}, self.state()]
+        return [{"type": "undone", "label": removed.label, "name": removed.name}, self.state()]
 
     def _learning(self, message, now_s):
         on = message.get("on")
@@ -452,6 +522,7 @@ _HANDLERS = {
     "pen": Session._pen,
     "clear": Session._clear,
     "label": Session._label,
+    "example": Session._example,
     "undo": Session._undo,
     "writer": Session._who,
     "learning": Session._learning,
@@ -467,8 +538,7 @@ def problem(text: str) -> dict:
 def _answer(recording, events, time_s, said: Answer):
     if said.decision != recording.decision:
         recording.decision, recording.since_s = said.decision, time_s
-    if said.sure and recording.sure_s is None:
-        recording.sure_s = time_s
+    curve = said.curve
     return {
         "type": "answer",
         "recording": recording.number,
@@ -476,9 +546,12 @@ def _answer(recording, events, time_s, said: Answer):
         "events": len(events),
         "decision": said.decision,
         "since_s": recording.since_s - START_S,
-        "sure_s": None if recording.sure_s is None else recording.sure_s - START_S,
-        "scores": [float(score) for score in said.scores],
-        "confidence": [float(share) for share in said.confidence],
+        "confidence": said.confidence,
+        "curve": [(curve.seconds - START_S).round(4).tolist(), curve.values.round(4).tolist()],
+        "decided": None
+        if said.decided is None
+        else {"s": said.decided[0] - START_S, "label": said.decided[1]},
+        "shares": said.shares.round(4).tolist(),
         "spikes": {
             name: base64.b64encode(rows.tobytes()).decode() for name, rows in said.spikes.items()
         },
@@ -499,7 +572,7 @@ def _whole(message, name, least, most):
     return value
 
 
-def _point(values):
+def _point(values, sensor):
     if not isinstance(values, list) or len(values) != 5:
         raise BadMessage("points: not five values each")
     *numbers, touches = values
@@ -508,10 +581,13 @@ def _point(values):
     time_ms, right, down, pressure = numbers
     if abs(time_ms) > 1e12:
         raise BadMessage("points: a time is out of range")
-    if not all(-MARGIN <= place <= 9 + MARGIN for place in (right, down)):
+    places = zip((right, down), (sensor.columns, sensor.rows), strict=True)
+    if not all(-MARGIN <= place <= side - 1 + MARGIN for place, side in places):
         raise BadMessage("points: a place is outside the skin")
     if not 0 <= pressure <= 1:
         raise BadMessage("points: a pressure is not from 0 to 1")
     if touches not in (0, 1):
         raise BadMessage("points: touches is neither 0 nor 1")
+    if sensor.rows * sensor.columns > MOST_TAXELS:
+        raise BadMessage(f"points: a skin of more than {MOST_TAXELS} taxels is not simulated")
     return time_ms, right, down, pressure, bool(touches)

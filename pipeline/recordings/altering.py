@@ -46,7 +46,7 @@ def alter(how: Alteration, rng, samples: int, sample, step, row, column, polarit
     Returns
     -------
     sample, step, row, column, polarity : ndarray
-        Of the events that are left; steps are fractions.
+        Properties of the remaining events; steps are fractions.
     """
     kept, step, place = _altered(how, rng, samples, sample, step, row, column, size)
     return sample[kept], step[kept], place[kept, 0], place[kept, 1], polarity[kept]
@@ -102,7 +102,7 @@ def altered_recordings(
 
 
 def _altered(how, rng, samples, sample, step, row, column, size):
-    """Which events are left, and of each its step and its (row, column) in whole taxels."""
+    """Which events remain, and the step and (row, column), in whole taxels, of each."""
     pace = np.exp(rng.normal(0, how.stretch, samples))
     step = step * pace[sample] + rng.uniform(0, 1, samples)[sample]
     kept = rng.random(len(sample)) >= rng.uniform(0, how.drop, samples)[sample]

@@ -17,7 +17,7 @@ import warnings
 import zipfile
 import zlib
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 from joblib import delayed
@@ -25,9 +25,9 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from deploy.errors import SeveralErrors, UserError
 from deploy.files import open_regular, replacing, sha256_of
-from deploy.terminal import printable
+from deploy.terminal import WARNING, printable
 from pipeline.jobs import results_of
-from pipeline.recordings import sensors
+from pipeline.recordings import labelled, sensors
 from pipeline.recordings.budget import MOST_FILES, Spent
 from pipeline.recordings.eventfile import SUFFIXES as EVENT_SUFFIXES
 from pipeline.recordings.eventfile import read_events
@@ -64,7 +64,7 @@ READ_ERRORS = (
     *(OSError, EOFError, RuntimeError, ValueError, KeyError, zipfile.BadZipFile),
     *(zlib.error, lzma.LZMAError),
 )
-"""What reading a member of a damaged zip raises."""
+"""Errors that reading a member of a damaged zip raises."""
 
 
 @dataclass(frozen=True)
@@ -80,12 +80,16 @@ class Listing:
         Member path of ``LUT.mat``.
     refused : tuple of (str, str)
         Member path and reason of what can't be a recording.
+    parts : dict of str to Part
+        Of recordings that are parts of a file, which part; see
+        :mod:`pipeline.recordings.labelled`.
     """
 
     path: Path
     recordings: tuple
     lookup_table: str | None
     refused: tuple
+    parts: dict = field(default_factory=dict)
 
 
 def list_source(path) -> Listing:
@@ -120,14 +124,20 @@ def list_source(path) -> Listing:
             tables.append(name)
         else:
             recordings.append((name, member.parts[-2] if len(member.parts) >= 2 else ""))
-    recordings, strays = _of_classes(_of_main_kinds(recordings))
-    refused += strays + _empty_classes(recordings, files, folders)
+    parts, used, unread = labelled.divided(
+        [name for name, _ in recordings], lambda name: _reader(path).read(name)
+    )
+    whole = [entry for entry in recordings if entry[0] not in used]
+    recordings, strays = _of_classes(_of_main_kinds(whole))
+    recordings += [(name, of_class) for name, (of_class, _) in parts.items()]
+    refused += strays + unread + _empty_classes(recordings, files, folders)
     if not recordings and not refused:
         raise UserError(
             f"{path}: holds no recordings; expected a folder for each class with .mat, .npz or "
             "other files of events, <digit>/*.mat in the ST-MNIST archive"
         )
-    kinds = sorted({PurePosixPath(name).suffix.lower() for name, _ in recordings})
+    places = {name: part for name, (_, part) in parts.items()}
+    kinds = sorted({_suffix(places[n].file if n in places else n) for n, _ in recordings})
     if len(kinds) > 1:
         raise UserError(f"{path}: holds both {' and '.join(kinds)} recordings; keep one kind")
     if len(recordings) > MOST_FILES:
@@ -136,25 +146,31 @@ def list_source(path) -> Listing:
             "of it"
         )
     recordings.sort(key=lambda entry: (sensors.class_order(entry[1]), entry[0]))
-    return Listing(path, tuple(recordings), min(tables, default=None), tuple(refused))
+    table = min(tables, default=None)
+    return Listing(path, tuple(recordings), table, tuple(refused), places)
+
+
+def _suffix(name):
+    return PurePosixPath(name).suffix.lower()
 
 
 def _of_main_kinds(recordings):
     """Without files of other formats where there are .mat or .npz files, such as a table."""
-    main = [
-        entry for entry in recordings if PurePosixPath(entry[0]).suffix.lower() in (".mat", ".npz")
-    ]
-    return main or recordings
+    main = [entry for entry in recordings if _suffix(entry[0]) in (".mat", ".npz")]
+    return main or [e for e in recordings if _suffix(e[0]) != ".csv"] or recordings
 
 
 def _of_classes(recordings):
-    """What lies in folders of classes, and what lies elsewhere with the reason to refuse it."""
+    """The files in folders of classes, and all others with the reason to refuse them."""
     folders = Counter(PurePosixPath(name).parent for name, _ in recordings)
     above = {folder for leaf in folders for folder in leaf.parents}
     names = Counter(name for _, name in recordings)
     of_digits = set(DIGITS) <= set(names)
     kept, strays = [], []
     for file, name in recordings:
+        if of_user := labelled.class_of_user_file(file):
+            kept.append((file, of_user))
+            continue
         # One file in a folder of its own beside the ten digits makes no eleventh class.
         if of_digits and name not in DIGITS and (names[name] < 2 or not name):
             strays.append((file, "is not in a folder named for a digit, 0 to 9, as the others are"))
@@ -193,11 +209,11 @@ def read_source(
     jobs : int
         Processes.
     skip_bad : bool
-        Whether to continue without refused files; they are in ``source.left_out``.
+        True to continue without refused files; they are in ``source.left_out``.
     progress : callable, optional
         ``progress(label, total)``, a context manager that yields ``advance(n)``.
     reading : pipeline.recordings.sensors.Reading
-        What is not to be found out.
+        Properties that are given and not detected.
 
     Returns
     -------
@@ -211,11 +227,12 @@ def read_source(
     """
     listing = list_source(path)
     refused, read = list(listing.refused), []
-    chunks = [
-        listing.recordings[start : start + CHUNK]
-        for start in range(0, len(listing.recordings), CHUNK)
-    ]
-    work = _read_chunks(listing.path, [[name for name, _ in chunk] for chunk in chunks], jobs)
+    parts = listing.parts
+    # The parts of a file one after the other, so that it is read once.
+    entries = sorted(listing.recordings, key=lambda e: parts[e[0]].file if e[0] in parts else "")
+    chunks = [entries[start : start + CHUNK] for start in range(0, len(entries), CHUNK)]
+    names = [[parts.get(name, name) for name, _ in chunk] for chunk in chunks]
+    work = _read_chunks(listing.path, names, jobs)
     spent = Spent()
     with contextlib.closing(work), _shown(progress, "import", len(listing.recordings)) as advance:
         for chunk, results in zip(chunks, work, strict=True):
@@ -227,6 +244,9 @@ def read_source(
                 else:
                     read.append((name, of_class, result))
             advance(len(chunk))
+    if parts:
+        place = {name: index for index, (name, _) in enumerate(listing.recordings)}
+        read.sort(key=lambda entry: place[entry[0]])
     taxels = None
     if listing.lookup_table is not None:
         try:
@@ -273,14 +293,14 @@ def left_out_lines(path, recordings: Recordings) -> list:
     Parameters
     ----------
     path : path-like
-        Of the source.
+        Path of the source.
     recordings : Recordings
         From :func:`read_source`, now or at an earlier time.
     """
     left_out = recordings.source.left_out
-    lines = [f"{path}: left out {line}" for line in left_out[:LISTED]]
+    lines = [f"{WARNING}{path}: left out {line}" for line in left_out[:LISTED]]
     if len(left_out) > LISTED:
-        lines.append(f"{path}: left out {len(left_out) - LISTED} more")
+        lines.append(f"{WARNING}{path}: left out {len(left_out) - LISTED} more")
     return lines
 
 
@@ -342,6 +362,8 @@ def export_zip(path, folder, progress=None) -> int:
         name, reason = listing.refused[0]
         raise UserError(f"{folder}: {name} {reason}; move it away")
     root, reader = PurePosixPath("data_submission"), _Reader(listing.path)
+    if listing.parts:
+        raise UserError(f"{folder}: its recordings are parts of longer files; use it as it is")
     names = [name for name, _ in listing.recordings]
     with (
         replacing(path) as file,
@@ -493,7 +515,7 @@ def _read_chunks(path, chunks, jobs):
 
 
 def _read_carefully(path, names):
-    """As :func:`_read_members`, in a process that may die; halves show which file it dies of."""
+    """Do :func:`_read_members` in a process that may die; halving finds the file that kills it."""
     try:
         return next(results_of([delayed(_read_members)(path, names)], 2))
     except TerminatedWorkerError:
@@ -518,17 +540,31 @@ def read_file(name: str, content: bytes):
 def _read_members(path, names):
     """Read some members: each recording, or the reason to refuse it, and its size in bytes.
 
+    Parameters
+    ----------
+    path : Path
+    names : list of str or pipeline.recordings.labelled.Part
+
     Raises
     ------
     UserError
         They alone hold more than a source may.
     """
-    reader, results, spent = _reader(path), [], Spent()
+    reader, results, spent, before = _reader(path), [], Spent(), None
     for name in names:
         content = b""
         try:
-            content = reader.read(name)
-            result = read_file(name, content)
+            if isinstance(name, labelled.Part):
+                if name.file != before:
+                    content = reader.read(name.file)
+                    whole = read_events(content, name.file, labelled.MOST_EVENTS)
+                    before = name.file
+                result = name.of(whole)
+            else:
+                content = reader.read(name)
+                result = read_file(name, content)
+                if labelled.class_of_user_file(name):
+                    result = replace(result, writer=labelled.user_of(name))
         except BadRecording as error:
             result = str(error)
         except MemoryError:
@@ -545,10 +581,6 @@ def _refuse_too_much(path, spent):
             f"{path}: holds {spent.too_much}; give a part of it, such as fewer recordings of each "
             "class"
         )
-
-
-def _first(refused):
-    return sorted(refused)[:LISTED]
 
 
 def _refusals(path, refused, total):
@@ -568,7 +600,10 @@ def _refusals(path, refused, total):
         lines.append(f"{len(files)} of {total} files refused: {_short(name)}{also} {reason}")
     if len(kinds) > LISTED:
         lines.append(f"and files refused for {len(kinds) - LISTED} more reasons")
-    remedy = "mend them, or leave them out with --skip-bad"
+    remedy = (
+        "mend them, or leave them out: --skip-bad of 'stmnist data import', else --set "
+        "data.skip_bad=true"
+    )
     if len(lines) == 1:
         return [f"{path}: {lines[0]}; {remedy}"]
     head = f"{len(refused)} of {total} files refused, for {len(kinds)} reasons; {remedy}"

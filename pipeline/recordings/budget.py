@@ -1,4 +1,4 @@
-"""How much a whole source of recordings may hold, so that none takes all time and memory.
+"""Limits of the size of a source of recordings, so that none takes all time and memory.
 
 Each file is bounded by itself (:mod:`pipeline.recordings.mat5`); a thousand of them are not.
 """
@@ -26,7 +26,7 @@ UNPACKED = 1032
 
 @dataclass
 class Spent:
-    """What has been read of a source.
+    """Amount of data that was read from a source.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Spent:
 
     @property
     def too_much(self) -> str | None:
-        """What there is too much of, or None."""
+        """The limit that is exceeded, or None."""
         if self.events > MOST_EVENTS:
             return f"more than {MOST_EVENTS:,} events in all"
         if self.bytes > MOST_BYTES:

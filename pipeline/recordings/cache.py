@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,8 @@ from pipeline.recordings.events import (
 )
 from pipeline.recordings.stored import problem_with
 
+_SHA256 = re.compile("[0-9a-f]{64}")
+
 FORMAT = 4
 """Raise it with any change of what is stored or of how recordings are read."""
 
@@ -29,7 +32,7 @@ LARGEST = 1 << 34
 
 
 def folder() -> Path:
-    """Where the cache is: ``$STMNIST_CACHE``, or ``stmnist`` in the user's cache folder."""
+    """The folder of the cache: ``$STMNIST_CACHE``, or ``stmnist`` in the user's cache folder."""
     if os.environ.get("STMNIST_CACHE"):  # empty is not the current folder
         return Path(os.environ["STMNIST_CACHE"])
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stmnist"
@@ -116,7 +119,8 @@ def recall(fingerprint: str) -> str | None:
     path = folder() / f"source-{fingerprint[:24]}.json"
     if not path.exists():
         return None
-    return read_json(path, "delete it and run the command again").get("sha256")
+    sha256 = read_json(path, "delete it and run the command again").get("sha256")
+    return sha256 if isinstance(sha256, str) and _SHA256.fullmatch(sha256) else None
 
 
 def _path(key):

@@ -34,12 +34,12 @@ MAX_PLACE = 16_383
 """Highest coordinate that any sensor has; what a network is shown is smaller."""
 
 ROW_ORDERS = ("xytp", "xypt", "txyp")
-"""In which a row of four numbers may have them; Tonic's, that of Tonic's DVS Gesture, DV's."""
+"""Orders of columns in rows of four numbers: Tonic's, that of Tonic's DVS Gesture, DV's."""
 
 
 @dataclass(frozen=True)
 class EventRecording:
-    """What one file or array holds, in order of time.
+    """The events of one file or array, in order of time.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class EventRecording:
         Parameters
         ----------
         rows : int
-            Of the sensor.
+            Number of rows of the sensor.
         time_ns : ndarray of int64, shape (n,)
             From :func:`pipeline.recordings.timeunits.to_ns`.
         """
@@ -81,7 +81,7 @@ class EventRecording:
         return Events(time_ns, taxel, self.polarity, np.ones(len(taxel)))
 
 
-def recording_of(events, unit: str = "") -> EventRecording:
+def recording_of(events, unit: str = "", most: int = MAX_EVENTS) -> EventRecording:
     """Check events and bring them into order of time.
 
     Parameters
@@ -91,6 +91,8 @@ def recording_of(events, unit: str = "") -> EventRecording:
         the order is told by what stands in them, see :data:`ROW_ORDERS`.
     unit : str
         Of the times; empty if it is not known.
+    most : int
+        Events that there may be.
 
     Raises
     ------
@@ -110,8 +112,8 @@ def recording_of(events, unit: str = "") -> EventRecording:
         raise BadRecording(f"has arrays of different lengths: {listed}")
     if lengths == {0}:
         raise BadRecording("is empty: no events")
-    if max(lengths) > MAX_EVENTS:
-        raise BadRecording(f"has {max(lengths)} events, more than {MAX_EVENTS}")
+    if max(lengths) > most:
+        raise BadRecording(f"has {max(lengths)} events, more than {most}")
     x, y, t, p = (arrays[name] for name in ARRAYS)
     t = _times(t)
     for name, places in (("x", x), ("y", y)):
@@ -130,7 +132,7 @@ def recording_of(events, unit: str = "") -> EventRecording:
 
 
 def _times(t):
-    """As whole numbers where they are whole, else as floating point."""
+    """Convert values to integers if all are whole numbers, else to floating point."""
     if t.dtype.kind == "u" and t.dtype.itemsize == 8 and (t > np.uint64(2**63 - 1)).any():
         raise BadRecording("has a time past every clock's")
     if t.dtype.kind in "iub":
@@ -199,7 +201,7 @@ def by_name(columns: dict) -> dict:
 
 
 def _order_of(rows):
-    """Which column of rows of four numbers is which: the first order that the numbers allow."""
+    """Determine the order of the columns: the first one that the numbers allow."""
     if rows.dtype.kind not in "fiub" or rows.dtype.itemsize > 8 or not len(rows):
         return "xytp"
     flags = [set(np.unique(column[:1000]).tolist()) <= {-1, 0, 1} for column in rows.T]

@@ -3,7 +3,7 @@
 ``.npz``     four arrays x, y, t, p, or one array, structured or with rows of four numbers
 ``.npy``     one such array
 ``.csv``     a line an event, four columns, with their names in the first line or without
-``.bin``     the layout of N-MNIST: five bytes an event
+``.bin``     the layout of N-MNIST and N-Caltech101: five bytes an event
 ``.aedat``   AEDAT 3.1, the layout of DVS Gesture
 ``.aedat4``, ``.raw``, ``.dat``   of iniVation's and Prophesee's cameras, read with faery
 
@@ -34,21 +34,25 @@ SUFFIXES = (".npz", ".npy", ".csv", ".bin", ".aedat", *CAMERA_SUFFIXES)
 """Ends of the names of files of events."""
 
 MOST_ARRAYS = 16
-"""Of a .npz file."""
+"""Largest number of arrays in a .npz file."""
 
 LARGEST_EVENT = 64
 """Bytes of an event in an array: eight fields of eight bytes."""
 
 
-def read_events(content: bytes, name: str = "recording.npz") -> EventRecording:
+def read_events(
+    content: bytes, name: str = "recording.npz", most: int = MAX_EVENTS
+) -> EventRecording:
     """Read a recording.
 
     Parameters
     ----------
     content : bytes
-        Of a file.
+        Content of a file.
     name : str
         The file's name, whose end tells its format.
+    most : int
+        Events of an ``.aedat`` or ``.bin`` file.
 
     Raises
     ------
@@ -60,20 +64,27 @@ def read_events(content: bytes, name: str = "recording.npz") -> EventRecording:
     if suffix in CAMERA_SUFFIXES:
         return read_camera(content, suffix)
     if suffix == ".bin":
-        return recording_of(_nmnist(content), "us")
+        return recording_of(_nmnist(content), "us", most)
     if suffix == ".aedat":
-        return recording_of(_aedat3(content), "us")
+        return recording_of(_aedat3(content), "us", most)
     if suffix == ".npz":
         return _npz(content)
     return recording_of({".npy": _npy, ".csv": _csv}[suffix](content))
 
 
+NMNIST_OVERFLOW, NMNIST_LAP = 240, 2**13
+"""The y of an entry that is no event, and by how many microseconds it puts later events off."""
+
+
 def _nmnist(content):
-    """Of N-MNIST (Orchard et al., 2015): x, y, and 24 bits of which the first is the polarity."""
+    """Of N-MNIST and N-Caltech101 (Orchard et al., 2015): x, y, polarity and 23 bits of time."""
     if len(content) % 5:
         raise BadRecording("is not a whole number of events of five bytes, as N-MNIST has them")
     values = np.frombuffer(content, np.uint8).reshape(-1, 5).astype(np.int64)
     time = (values[:, 2] & 0x7F) << 16 | values[:, 3] << 8 | values[:, 4]
+    overflows = values[:, 1] == NMNIST_OVERFLOW
+    time = (time + NMNIST_LAP * np.cumsum(overflows))[~overflows]
+    values = values[~overflows]
     return {"x": values[:, 0], "y": values[:, 1], "t": time, "p": values[:, 2] >> 7}
 
 

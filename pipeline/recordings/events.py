@@ -28,12 +28,12 @@ DIGITS = tuple("0123456789")
 
 @dataclass(frozen=True)
 class Sensor:
-    """What recordings were made with, and of what; by default the published ones.
+    """The sensor and the classes of recordings; by default those of ST-MNIST.
 
     Attributes
     ----------
     rows, columns : int
-        Of the tactile image.  There may be places without a taxel.
+        Size of the tactile image.  Some places may have no taxel.
     polarities : int
         2 for ON and OFF events, 1 if there are only ON events.
     duration_s : float
@@ -93,7 +93,7 @@ EVENT_DTYPES = {
 
 @dataclass(frozen=True)
 class Source:
-    """Where recordings come from.
+    """The source of recordings.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What is said of recordings: of a whole source, and of one file."""
+"""Facts about recordings: about a whole source and about one file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pipeline.recordings.timeunits import UNIT_NAMES, recognised, to_ns
 
 
 def facts_of(recordings: Recordings) -> dict:
-    """As plain values: the source, the sensor, and how many recordings there are of each class.
+    """The source, the sensor and the number of recordings of each class, as plain values.
 
     Where the classes are the digits they are also in a list of their own.
     """
@@ -52,7 +52,7 @@ def facts_with_events(recordings: Recordings) -> dict:
 
 
 def reading_text(recordings: Recordings) -> str:
-    """What was found in a source, in a line: numbers, sizes, how long recordings last, the unit."""
+    """Summary of a source in one line: numbers, sizes, durations and the unit of times."""
     events, offsets, sensor = recordings.events, recordings.offsets, recordings.sensor
     some = np.diff(offsets) > 0
     first, last = (
@@ -62,7 +62,7 @@ def reading_text(recordings: Recordings) -> str:
     lasts = (last - first) * 1e-9 if some.any() else np.zeros(1)
     parts = [
         f"{len(recordings)} recordings",
-        f"{sensor.rows} rows x {sensor.columns} columns",
+        size_text(sensor),
         f"{len(sensor.classes)} classes",
         f"{lasts.min():.2g} to {lasts.max():.2g} s",
     ]
@@ -71,15 +71,19 @@ def reading_text(recordings: Recordings) -> str:
     return ", ".join(parts)
 
 
+def size_text(sensor: Sensor) -> str:
+    """Rows and columns in words."""
+    rows, columns = sensor.rows, sensor.columns
+    return f"{rows} row{'s'[: rows != 1]} x {columns} column{'s'[: columns != 1]}"
+
+
 def recordings_text(facts: dict, recordings: Recordings) -> str:
     """:func:`facts_with_events` of recordings in a few lines."""
     sensor = recordings.sensor
     kind = "simulated recordings" if facts["simulated"] else "recordings"
     if facts["written"]:
         kind = "recordings, written by hand on the simulated skin,"
-    of_each = facts.get("samples_per_digit") or ", ".join(
-        f"{printable(name)} {count}" for name, count in facts["samples_per_class"].items()
-    )
+    of_each = facts.get("samples_per_digit") or _of_classes(facts["samples_per_class"])
     of_what = "digit" if "samples_per_digit" in facts else "class"
     source = printable(facts["source"])
     text = f"{facts['samples']} {kind} in {source}; of each {of_what}: {of_each}\n"
@@ -92,6 +96,17 @@ def recordings_text(facts: dict, recordings: Recordings) -> str:
     return text
 
 
+MOST_NAMED = 12
+"""Classes whose recordings are counted one by one in a line."""
+
+
+def _of_classes(counts):
+    """Number of recordings of each class; the range if there are many classes."""
+    if len(counts) > MOST_NAMED:
+        return f"{min(counts.values())} to {max(counts.values())} (stmnist data stats)"
+    return ", ".join(f"{printable(name)} {count}" for name, count in counts.items())
+
+
 def facts_of_file(path: Path, time_unit: str = "") -> dict:
     """Counts and times of one recording: columns as in the file, the others physical events.
 
@@ -99,7 +114,7 @@ def facts_of_file(path: Path, time_unit: str = "") -> dict:
     ----------
     path : Path
     time_unit : str
-        Of a file of events; empty to be told from the times.
+        Unit of times in a file of events; empty to infer it from the times.
 
     Raises
     ------
@@ -120,7 +135,7 @@ def facts_of_file(path: Path, time_unit: str = "") -> dict:
     if isinstance(recording, EventRecording):
         unit = time_unit or recording.unit or recognised([recording.time])
         if not unit:
-            raise UserError(f"{path}: its times are in no unit that fits; give --time-unit")
+            raise UserError(f"{path}: no unit fits its times; give --time-unit")
         events = events(int(recording.y.max()) + 1, to_ns(recording.time, unit))
         rows, columns = recording.size or (recording.y.max() + 1, recording.x.max() + 1)
         found = {"sensor": {"rows": int(rows), "columns": int(columns)}, "time_unit": unit}

@@ -34,7 +34,7 @@ LATEST_S = 60.0
 milliseconds."""
 
 MAX_TAXELS = 65536
-"""Of any array: as many as an event can tell apart."""
+"""Largest number of taxels of any array, since events cannot address more."""
 
 MAX_SIDE = 256
 """Rows and columns of any array."""
@@ -55,7 +55,7 @@ class Written:
     handedness : str
         ``"left"``, ``"right"``, or empty where it was not told.
     seed : tuple of int
-        Of what the skin's noise was drawn with.
+        Seed of the skin's noise.
     pen : ndarray of float, shape (n, 5)
         Time in seconds, place in taxels (down, right), pressure and touch (1 or 0) of each point
         of the pen as it came (:class:`pipeline.skin.writing.PenPoint`).
@@ -98,9 +98,9 @@ def read_recording(content: bytes, n_taxels: int | None = N_TAXELS) -> MatRecord
     Parameters
     ----------
     content : bytes
-        Of a MATLAB 5 or 7.3 file.
+        Content of a MATLAB 5 or 7.3 file.
     n_taxels : int or None
-        Of the array; None for any.
+        Number of taxels of the array; None for any.
 
     Returns
     -------
@@ -165,7 +165,7 @@ def events_of(spiketrain, n_taxels: int | None = N_TAXELS) -> Events:
     ----------
     spiketrain : array_like, shape (n_taxels + 1, n)
     n_taxels : int or None
-        Of the array; None for any.
+        Number of taxels of the array; None for any.
 
     Raises
     ------

@@ -49,7 +49,7 @@ def write_recordings(
     writers : sequence of int, optional
         Who made each recording, from 0.
     simulated : bool
-        Whether the recordings are simulated; every result repeats this.
+        True if the recordings are simulated; every result repeats this.
 
     Returns
     -------

@@ -42,9 +42,9 @@ class Settled:
     taxels : TaxelMap
     sensor : Sensor
     labels : list of int
-        Of ``kept``.
+        Labels of ``kept``.
     problems : list of str
-        What is wrong with all of them together.
+        Problems of all of them together.
     time_unit : str
         In which the times of files of events were read.
     """
@@ -71,14 +71,14 @@ def class_order(name: str):
 
 @dataclass(frozen=True)
 class Reading:
-    """What the user specifies about the files, instead of having it detected.
+    """Properties of files that the user specifies instead of having them detected.
 
     Attributes
     ----------
     rows, columns : int
-        Of the sensor, after :attr:`downsample`; 0 for as found.
+        Size of the sensor, after :attr:`downsample`; 0 for as found.
     time_unit : str
-        Of files of events, one of :data:`pipeline.recordings.timeunits.UNITS`; empty for as found.
+        Unit in files of events, of :data:`pipeline.recordings.timeunits.UNITS`; empty for as found.
     downsample : int
         Side of the square of pixels of a file of events that becomes one taxel.
     """
@@ -98,7 +98,7 @@ def settle(path, read, lookup: TaxelMap | None = None, reading: Reading = AS_FOU
     Parameters
     ----------
     path : path-like
-        Of the source, for messages.
+        Path of the source, for messages.
     read : list of (str, str, MatRecording or EventRecording)
         Name of the file, class and content of each; all of the same kind.
     lookup : TaxelMap, optional
@@ -155,7 +155,7 @@ def _sensor_of(kept, rows, columns):
 
 
 def _of_camera(path, read, reading):
-    """Of files with the column and row of each event."""
+    """The sensor of files with the column and row of each event."""
     side = reading.downsample
     if side > 1:
         read = [(f, n, replace(r, x=r.x // side, y=r.y // side)) for f, n, r in read]
@@ -274,7 +274,7 @@ SMALLEST_SENSOR = 6
 
 
 def _counts_from_1(read):
-    """Whether no recording of some has an event in the first row or column."""
+    """True if no recording has an event in the first row or column."""
     return (
         len(read) > 1
         and all(r.x.min() > 0 and r.y.min() > 0 for _, _, r in read)
@@ -283,7 +283,7 @@ def _counts_from_1(read):
 
 
 def _from_addresses(path, read, lookup, rows, columns):
-    """Of files in the published layout, with a row for each taxel."""
+    """The sensor of files in the published layout, with a row for each taxel."""
     counts = Counter(recording.n_taxels for _, _, recording in read)
     n = len(lookup) if lookup is not None else counts.most_common(1)[0][0] if counts else N_TAXELS
     kept, refused = [], []
@@ -312,12 +312,12 @@ def _duration_s(latest_ns):
 
 
 def too_small(recordings) -> str | None:
-    """What is wrong with the numbers of recordings in the classes; see :func:`too_few`."""
+    """Problems with the numbers of recordings in the classes; see :func:`too_few`."""
     return too_few(recordings.labels, recordings.sensor.classes)
 
 
 def too_few(labels, classes) -> str | None:
-    """What is wrong with the numbers of recordings in the classes, if anything.
+    """Find problems with the numbers of recordings in the classes.
 
     A class that has one recording can be trained or tested, not both.
 

@@ -53,9 +53,18 @@ class EventTable:
     def __len__(self):
         return len(self.offsets) - 1
 
+    def followed_by(self, other: EventTable) -> EventTable:
+        """The recordings of two tables of one size, first these."""
+        columns = ("time_ms", "row", "column", "polarity")
+        joined = {
+            name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in columns
+        }
+        offsets = np.concatenate([self.offsets, self.offsets[-1] + other.offsets[1:]])
+        return EventTable(**joined, offsets=offsets, size=self.size)
+
     @property
     def duration_ms(self) -> np.ndarray:
-        """From a recording's first event to its last, float32, shape (n_samples,)."""
+        """Time from a recording's first event to its last, float32, shape (n_samples,)."""
         last = np.maximum(self.offsets[1:] - 1, 0)
         some = np.diff(self.offsets) > 0
         return np.where(some, self.time_ms[last] if len(self.time_ms) else 0, 0).astype("f4")
@@ -110,7 +119,7 @@ def spike_frames(
     sample, step, row, column, polarity : ndarray, shape (n_events,)
         Steps may be fractions, which are rounded down.
     samples, steps : int
-        How many there are.
+        Numbers of samples and steps.
     size : (int, int)
         Rows and columns.
     rest : int

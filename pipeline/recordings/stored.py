@@ -8,7 +8,7 @@ from pipeline.recordings.matfile import LATEST_S, MAX_SIDE, MAX_TAXELS
 
 
 def problem_with(arrays: dict) -> str | None:
-    """What is wrong with the arrays of a set of recordings.
+    """Find a problem with the arrays of a set of recordings.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def problem_with(arrays: dict) -> str | None:
 
 
 def _are_whole(array, least, most):
-    """Whether all are whole numbers from ``least`` to ``most``, or without end where it is None."""
+    """True if all are whole numbers from ``least`` to ``most`` (None: no upper limit)."""
     if array.dtype.kind not in "iu":
         return False
     if array.size == 0:

@@ -94,7 +94,7 @@ OWN_LABELS = {
     for name, label in LABELS.items()
     if name not in ("on", "off")
 }
-"""Of recordings other than the digits, whose places are not the paper's X and Y."""
+"""The table of recordings other than digits, whose positions are not the paper's X and Y."""
 
 LONGEST_HEAD = 20
 """Characters of a class's name above its column."""

@@ -33,7 +33,7 @@ def recognised(times) -> str:
     Parameters
     ----------
     times : sequence of ndarray
-        Of each recording, in order.
+        Times of each recording, in order.
 
     Returns
     -------

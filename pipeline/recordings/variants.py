@@ -19,7 +19,7 @@ VARIANTS = {
     "shuffled": "times shuffled among a recording's events",
     "counts": "only how many events each taxel has of each polarity",
 }
-"""What is left of the events, by name."""
+"""Description of the information that remains in the events, by name."""
 
 
 def vary(recordings: Recordings, variant: str, seed: int, lasts_ns: float) -> Recordings:
@@ -30,9 +30,9 @@ def vary(recordings: Recordings, variant: str, seed: int, lasts_ns: float) -> Re
     recordings : Recordings
     variant : str
     seed : int
-        Of what is shuffled.
+        Seed of the shuffling.
     lasts_ns : float
-        How long a recording of counts lasts, see :func:`only_counts`.
+        Duration of a recording of counts, see :func:`only_counts`.
     """
     if variant == "no-polarity":
         return without_polarity(recordings)
@@ -48,7 +48,7 @@ def vary(recordings: Recordings, variant: str, seed: int, lasts_ns: float) -> Re
 
 
 def durations_ns(recordings: Recordings) -> np.ndarray:
-    """From each recording's first event to its last, 0 without events, shape (n_samples,)."""
+    """Time from each recording's first event to its last, 0 without events, shape (n_samples,)."""
     first, last = _ends(recordings)
     return last - first
 

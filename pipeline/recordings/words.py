@@ -6,17 +6,12 @@ from pipeline.recordings.events import DIGITS
 
 
 def is_written(classes) -> bool:
-    """Whether the classes are the ten digits, which people write."""
+    """True if the classes are the ten digits, which people write."""
     return tuple(classes) == DIGITS
 
 
-def class_word(classes) -> str:
-    """``"digit"`` or ``"class"``."""
-    return "digit" if is_written(classes) else "class"
-
-
 def recording_word(classes) -> str:
-    """What lasts until a network decides: ``"writing"``, or ``"recording"``."""
+    """The word for the period until a network decides: ``"writing"``, or ``"recording"``."""
     return "writing" if is_written(classes) else "recording"
 
 

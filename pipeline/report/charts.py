@@ -47,7 +47,7 @@ def line_chart(
     description : str
         Read out in place of the picture.
     mark : float, optional
-        Where on the x axis an upright line stands.
+        Position of an upright line on the x axis.
     """
     x = np.concatenate([np.asarray(s.x, float) for s in series])
     y = np.concatenate([np.ravel([*s.y, *np.ravel(s.intervals)]) for s in series])
@@ -71,6 +71,28 @@ def line_chart(
             at = points.split(",")
             marks.append(f'<circle class="dot s{number}" cx="{at[0]}" cy="{at[1]}" r="3"/>')
         marks.append(f'<polyline class="line s{number}" points="{points}"/>')
+    return _svg(WIDTH, HEIGHT, marks, description)
+
+
+def scatter(points, x_label: str, y_label: str, description="") -> Markup:
+    """Pairs of values on two equal axes from 0, with the line on which they would be equal.
+
+    Parameters
+    ----------
+    points : sequence of (x, y)
+        Not negative.
+    x_label, y_label : str
+    description : str
+    """
+    points = np.asarray(points, float).reshape(-1, 2)
+    high = max(points.max(initial=0), 1e-9)
+    x_axis, y_axis = _Axis(0, high, LEFT, WIDTH - RIGHT), _Axis(0, high, HEIGHT - BOTTOM, TOP)
+    dots = "".join(f"M{x_axis(x):.1f} {y_axis(y):.1f}h0" for x, y in points)
+    marks = [
+        _axes(x_axis, y_axis, x_label, y_label),
+        _segment("axis", x_axis.start, y_axis.start, x_axis.end, y_axis.end),
+        f'<path class="points" d="{dots}"/>',
+    ]
     return _svg(WIDTH, HEIGHT, marks, description)
 
 
@@ -212,9 +234,9 @@ def _segment(name, x1, y1, x2, y2):
     return f'<line class="{name}" x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"/>'
 
 
-def _text(x, y, text, anchor, name="label"):
+def _text(x, y, text, anchor):
     return (
-        f'<text class="{name}" x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
+        f'<text class="label" x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
     )
 
 

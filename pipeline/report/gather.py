@@ -11,7 +11,7 @@ from deploy.check.results import is_share, read_result
 from deploy.errors import UserError
 from deploy.files import read_json
 from deploy.preflight.plan import make_plan
-from pipeline.experiments.table2_splits import split_path
+from pipeline.experiments.table2_splits import WITH_SLAYER, split_path
 from pipeline.inputs.library import recordings_of
 from pipeline.progress import progress
 from pipeline.report.over_time import probabilities
@@ -98,9 +98,18 @@ def gather(
         replays=replays,
         over_time=probabilities(bundle, browsed, settings.seed) if browsed else {},
         others=_others(folder, bundle),
+        rates=_rates(folder, bundle),
         beside=beside and _beside(beside, bundle, settings),
         outdated=outdated(status_of(folder, settings)),
     )
+
+
+def _rates(folder, bundle):
+    """Rates of neurons in the trained network and on the chip, if the ladder is of this bundle."""
+    if not folder.ladder.exists():
+        return {}
+    ladder = read_json(folder.ladder, REMEDY)
+    return ladder.get("rates", {}) if ladder.get("bundle") == bundle.id else {}
 
 
 def _others(folder, bundle):
@@ -124,7 +133,7 @@ def _beside(folder, bundle, settings):
 
 
 def _metrics(path):
-    """What a training measured, or an error that names the file."""
+    """The metrics of a training, or an error that names the file."""
     metrics = read_json(path, REMEDY)
     accuracy, count = metrics.get("accuracy"), metrics.get("n_test")
     told = isinstance(accuracy, dict) and "test" in accuracy and type(count) is int and count > 0
@@ -176,7 +185,7 @@ def _read_benchmark(folder, recordings, say):
 
 
 def _of_rows(folder, rows):
-    """Answers of the random splits by model, and SLAYER's learning curve."""
+    """Answers of the random splits by model, and SLAYER's learning curves."""
     answers, curves = {}, {}
     for row in rows:
         results = [
@@ -188,6 +197,6 @@ def _of_rows(folder, rows):
                 np.concatenate([result[key] for result in results])
                 for key in ("labels", "predictions")
             )
-        if row["model"] == "slayer" and results:
-            curves[f"SNN-SLAYER, split {row['indices'][0]}"] = results[0]["history"]
+        if row["model"] in WITH_SLAYER and results:
+            curves[f"{row['title']}, split {row['indices'][0]}"] = results[0]["history"]
     return answers, curves

@@ -22,7 +22,7 @@ def names_beside(names, classes: int) -> list:
     Parameters
     ----------
     names : sequence of str or None
-        Of the classes; None for numbers from 0.
+        Names of the classes; None for numbers from 0.
     classes : int
 
     Returns

@@ -24,7 +24,7 @@ def final_probabilities(spec, scores) -> np.ndarray:
     ----------
     spec : NetworkSpec
     scores : array_like, shape (..., classes)
-        Of a check's result: means over the steps.  A network on events is trained on their sum.
+        Scores of a check's result: means over the steps.  Training on events uses their sum.
     """
     steps = 1 if spec.stimulus.held else spec.presentation.steps - spec.presentation.readout_start
     return softmax(steps * np.asarray(scores, float))

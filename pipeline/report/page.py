@@ -22,7 +22,7 @@ from pipeline.paper import TABLE1
 from pipeline.recordings import table1
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.steps import EventTable
-from pipeline.recordings.words import is_written, recording_word
+from pipeline.recordings.words import is_written
 from pipeline.report import charts
 from pipeline.report.matrix import confusion_shares
 from pipeline.report.over_time import final_probabilities
@@ -58,9 +58,9 @@ class Inputs:
     table2 : dict or None
         See :func:`pipeline.experiments.table2.summarise`.
     table2_settings : Settings or None
-        What it was measured with.
+        Settings of the measurement.
     answers : dict of str to (labels, predictions)
-        Of the benchmark's random splits, for the confusion matrices.
+        Predictions on the benchmark's random splits, for the confusion matrices.
     plan : dict or None
         Cores and what they hold.
     replays : dict of int to Replay
@@ -74,6 +74,9 @@ class Inputs:
         :mod:`pipeline.report.over_time`.
     others : list of dict
         Check results of the bundle on other recordings.
+    rates : dict of str to list of (float, float)
+        For each layer rates of neurons in the trained network and on the chip, in spikes per
+        second; see :func:`pipeline.run.diagnosis.rate_points`.
     """
 
     name: str
@@ -92,6 +95,7 @@ class Inputs:
     outdated: dict = field(default_factory=dict)
     over_time: dict = field(default_factory=dict)
     others: list = field(default_factory=list)
+    rates: dict = field(default_factory=dict)
 
 
 def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
@@ -129,12 +133,13 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         other_settings=_other_settings(inputs),
         name=inputs.name,
         classes=inputs.recordings.sensor.classes,
-        of_digits=is_written(inputs.recordings.sensor.classes),
-        what=recording_word(inputs.recordings.sensor.classes),
+        of_digits=_of_digits(inputs.recordings),
+        what=_word(inputs.recordings),
         summary=class_summary(inputs.recordings),
         network=_network(inputs),
         browser=_browser(inputs),
         others=inputs.others,
+        rates=_rate_charts(inputs.rates),
         source=inputs.recordings.source,
         n_recordings=len(inputs.recordings),
         n_taxels=len(inputs.recordings.taxels),
@@ -175,6 +180,15 @@ def choose_samples(result: dict, stream_length: int) -> list:
     return chosen
 
 
+def _of_digits(recordings):
+    """True if recordings are written digits in the layout of ST-MNIST, not of a camera."""
+    return is_written(recordings.sensor.classes) and not recordings.source.time_unit
+
+
+def _word(recordings):
+    return "writing" if _of_digits(recordings) else "recording"
+
+
 BROWSED_WRONG, BROWSED_RIGHT = 16, 8
 """Samples of the browser, at most."""
 
@@ -188,7 +202,7 @@ def browsed_samples(result: dict) -> list:
 
 
 def class_summary(recordings: Recordings) -> list:
-    """Of each class: its name, recordings, and means of events and of seconds a recording."""
+    """Name, number of recordings, mean events and mean seconds of each class."""
     events, n = recordings.events, len(recordings)
     on = np.bincount(recordings.sample_of_event, events.polarity > 0, n)
     off = np.bincount(recordings.sample_of_event, events.polarity <= 0, n)
@@ -305,7 +319,7 @@ def _title(stage):
 
 def trained_title(settings: Settings) -> str:
     """The name of the network that was trained for the chip."""
-    return NETWORKS[REFERENCES[settings.network][1 if settings.network == "image" else 0]][0]
+    return NETWORKS[REFERENCES[settings.network][:2][-1]][0]
 
 
 def _other_settings(inputs):
@@ -387,7 +401,7 @@ def _table1(recordings):
 
 
 def _step(inputs):
-    """What a step of the presentation is, in words."""
+    """The duration of a step of the presentation, in words."""
     return f"steps of {1000 * inputs.bundle.spec.stimulus.step_seconds:g} ms"
 
 
@@ -426,7 +440,7 @@ def _while_written(inputs):
     while_written = result.get("while_written")
     if not while_written:
         return None
-    n, what = result["n_samples"], recording_word(inputs.recordings.sensor.classes)
+    n, what = result["n_samples"], _word(inputs.recordings)
     series = [
         charts.Series(
             _title(result["target"]),
@@ -461,12 +475,30 @@ def _while_written(inputs):
 
 
 def _early(by_itself):
-    """What deciding by itself brings, unless the network waits for the end of each recording."""
+    """Results of early decisions, unless the network waits for the end of each recording."""
     return by_itself if by_itself and by_itself["confidence"] < 1 else None
 
 
+def _rate_charts(rates):
+    """Chart for each layer: rates of neurons in the trained network and on the chip."""
+    return [
+        {
+            "title": layer,
+            "n": len(points),
+            "chart": charts.scatter(
+                points,
+                "trained network, spikes per second",
+                "on the chip",
+                f"Rates of {len(points)} neurons of {layer}, trained against on the chip",
+            ),
+        }
+        for layer, points in rates.items()
+        if points
+    ]
+
+
 def _learning_curves(histories):
-    """Of each network accuracy and loss, on training and on held-out samples, on one axis each."""
+    """Accuracy and loss of each network on training and held-out samples."""
     parts = {"": "training", "val_": "validation", "test_": "test, only watched"}
     curves = []
     for name, rows in histories.items():
@@ -496,6 +528,7 @@ def _confusions(inputs):
             ("cnn", "CNN"),
             ("ann-snn", "ANN-SNN"),
             ("slayer", "SNN-SLAYER"),
+            ("slayer-small", "SNN-SLAYER, smaller initial weights"),
             ("events", "Trained on events"),
         )
         if name in inputs.answers

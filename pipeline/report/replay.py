@@ -38,7 +38,7 @@ def replay(bundle: Bundle, index: int, seed: int = 0) -> Replay:
     ----------
     bundle : Bundle
     index : int
-        Of the sample in the bundle's check.
+        Index of the sample in the bundle's check.
     seed : int
 
     Returns

@@ -70,13 +70,13 @@ class Responder:
 
     @property
     def scale(self) -> float:
-        """What scores are multiplied by to be the logits that the network was trained with."""
+        """Factor from scores to the logits with which the network was trained."""
         shown = self.spec.presentation
         on_events = isinstance(self.spec.stimulus, EventFrames)
         return float(shown.steps - shown.readout_start) if on_events else 1.0
 
     def shown(self, recordings: Recordings) -> np.ndarray:
-        """What the network is shown of recordings."""
+        """The samples that the network receives for recordings."""
         stimulus = self.spec.stimulus
         if isinstance(stimulus, EventFrames):
             table, steps = EventTable.of(recordings), self.spec.presentation.steps
@@ -86,7 +86,7 @@ class Responder:
         return tactile_images(recordings, self._image.aggregation, self._image.normalisation)
 
     def outputs(self, samples):
-        """What reaches the readout at each step.
+        """The input of the readout at each step.
 
         Parameters
         ----------
@@ -118,7 +118,7 @@ class Responder:
         return self.responses(self.shown(altered)).reshape(n, COPIES, -1)
 
     def person(self, recordings: Recordings, seed) -> Person:
-        """What a refit needs of a person's recordings."""
+        """The responses to a person's recordings that a refit needs."""
         own = self.responses(self.shown(recordings))
         return Person(own, recordings.labels, self.copies(recordings, seed))
 
@@ -130,12 +130,12 @@ def with_rehearsal(spec: NetworkSpec, inputs, labels, train, seed: int) -> Netwo
     ----------
     spec : NetworkSpec
     inputs : ndarray
-        What it is shown of all samples.
+        Input of the network for all samples.
     labels : ndarray of int
     train : ndarray of int
         Indices of the training samples.
     seed : int
-        Of which are drawn.
+        Seed of the draw of samples.
     """
     if spec.layers[-1].neurons is not None or len(spec.layers) < 2:
         return spec
@@ -147,7 +147,7 @@ def with_rehearsal(spec: NetworkSpec, inputs, labels, train, seed: int) -> Netwo
 
 @dataclass(frozen=True)
 class Adapted:
-    """What fitting a bundle's readout to a person came to.
+    """The result of fitting a bundle's readout to a person.
 
     Attributes
     ----------
@@ -171,11 +171,11 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
     ----------
     bundle : Bundle
     recordings : Recordings
-        Of the person, all classes among them.
+        Recordings of the person, of every class.
     writer : str
         Who it is, for the new network's provenance.
     seed : int
-        Of the altered copies and the folds of the cross-validation.
+        Seed of the augmented copies and of the folds of the cross-validation.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
         cannot be fitted.
     """
     spec = bundle.spec
-    fits(bundle, recordings)
+    fits(spec, recordings)
     if spec.rehearsal is None:
         raise UserError(
             f"{bundle.path}: keeps no samples of its training (bundles of earlier versions do "
@@ -221,16 +221,16 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
     return Adapted(_sure_enough(adapted, responder, recordings), fit, before, after)
 
 
-def fits(bundle: Bundle, recordings: Recordings):
-    """Refuse recordings that a bundle's readout cannot be fitted to.
+def fits(spec: NetworkSpec, recordings: Recordings):
+    """Refuse recordings that a network's readout cannot be fitted to.
 
     Raises
     ------
     UserError
     """
     source, sensor = recordings.source.name, recordings.sensor
-    rows, columns = bundle.spec.input_shape[:2]
-    known = tuple(bundle.spec.provenance.get("classes", DIGITS))
+    rows, columns = spec.input_shape[:2]
+    known = tuple(spec.provenance.get("classes", DIGITS))
     if (sensor.rows, sensor.columns) != (rows, columns):
         raise UserError(
             f"{source}: recordings of {sensor.rows}x{sensor.columns} taxels; the network is for "
@@ -272,13 +272,13 @@ def _sure_enough(spec, responder, recordings):
 
 
 def text_of(adapted: Adapted, place) -> str:
-    """What :func:`adapt` came to, in lines.
+    """The result of :func:`adapt` as text.
 
     Parameters
     ----------
     adapted : Adapted
     place : path-like or None
-        Where the new bundle is.
+        Folder of the new bundle.
     """
     fit, lines = adapted.fit, []
     for who, before, after in (

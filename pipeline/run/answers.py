@@ -30,8 +30,9 @@ REFERENCES = {
     "image": ("cnn", "rate-lif", "spiking-lif"),
     "events": ("trained",),
     "nir": ("nir",),
+    "retrained": ("nir", "trained"),
 }
-"""Which of them there are, by `Settings.network`."""
+"""The reference stages by `Settings.network`."""
 
 
 def reference_result(
@@ -89,6 +90,29 @@ def training_versions() -> dict:
     """Versions of the packages that only these networks need."""
     names = ("tensorflow", "nengo-dl")
     return {name.replace("-", "_"): importlib.metadata.version(name) for name in names}
+
+
+def event_rates(settings, weights, bundle) -> dict:
+    """Firing rates of the network trained on events, each sample from rest.
+
+    Parameters
+    ----------
+    settings : Settings
+    weights : dict
+    bundle : Bundle
+        Its samples are answered.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n_samples, n_neurons)
+        In spikes per second of the recording.
+    """
+    from pipeline.training.events import EventRecipe, TrainedOnEvents
+
+    frames = bundle.checks.inputs.astype(np.uint8)
+    spikes = TrainedOnEvents(EventRecipe.of(settings), weights).answers(frames).spikes
+    seconds = frames.shape[1] * bundle.spec.stimulus.step_seconds
+    return {name: counts / seconds for name, counts in spikes.items()}
 
 
 def _on_events(settings, weights, bundle, advance):

@@ -14,12 +14,15 @@ from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
-from deploy.tables import aligned, p_text
+from deploy.tables import SIGNIFICANCE, aligned, p_text, star
 from deploy.targets.registry import TARGETS
 from deploy.terminal import printable
 from pipeline.artifacts import DELETE_IT
 from pipeline.paper import CNN_MACS
+from pipeline.recordings.events import DIGITS
+from pipeline.recordings.words import is_written, shortened
 from pipeline.run.answers import REFERENCES
+from pipeline.run.elsewhere import FOLDER as OTHERS
 from pipeline.run.folder import RunFolder
 from pipeline.run.status import outdated, status_of
 from pipeline.settings import Settings, read_settings
@@ -35,6 +38,9 @@ ORDER = (*NETWORKS, *TARGETS)
 COUNTED = ("emulator", "fast", "simreal", "nengo", "loihi")
 """Stages whose spikes give the operations and decision times; the first available one is used.  The
 first two have identical spikes; a board does not report the spikes of all layers."""
+
+LONGEST_SOURCE = 12
+"""Characters of the name of other recordings in a stage's name."""
 
 WIDTH = 80
 """Width of the text in columns."""
@@ -116,6 +122,8 @@ def _read_run(path, whole):
                 results[stage] = result
             else:
                 stale.append(stage)
+    if not whole:
+        results |= _on_other_recordings(folder, bundle.id)
     if not results:
         option = " --whole" if whole else ""
         old = " of its bundle, only of an earlier one" if stale else ""
@@ -135,6 +143,17 @@ def _read_run(path, whole):
     )
 
 
+def _on_other_recordings(folder, bundle_id):
+    """Results on other recordings, see :mod:`pipeline.run.elsewhere`: each a stage of its own."""
+    found = {}
+    for file in sorted((folder.path / "checks" / OTHERS).glob("*.json")):
+        result = read_result(file, DELETE_IT)
+        if result["bundle"] == bundle_id and "data" in result:
+            name = shortened(Path(result["data"]["source"]).name, LONGEST_SOURCE)
+            found[f"{result['target']} on {name}, {result['n_samples']}"] = result
+    return found
+
+
 def compare_runs(runs) -> dict:
     """Compare runs.
 
@@ -148,12 +167,12 @@ def compare_runs(runs) -> dict:
     dict
         Ready for JSON: ``runs``, each with its ``name`` and the costs of an inference (see
         :func:`inference`); the ``settings`` that differ, each with its ``name`` and ``values`` in
-        the order of the runs; the ``stages`` of at least two runs, each with ``accuracies`` (None
-        for a run without it) and ``differences``, one for every pair (see :func:`difference`).
+        the order of the runs (None of a run that does not read it); the ``stages`` of at least two
+        runs, each with ``accuracies`` (None for a run without it) and ``differences``, one for
+        every pair (see :func:`difference`).
     """
-    flat = [run.settings.flat() for run in runs]
-    read = set().union(*(run.settings.relevant() for run in runs))
-    found = [stage for stage in ORDER if sum(stage in run.results for run in runs) > 1]
+    others = sorted(set().union(*(run.results for run in runs)) - set(ORDER))
+    found = [s for s in (*ORDER, *others) if sum(s in run.results for run in runs) > 1]
     return {
         "schema": SCHEMA,
         "runs": [
@@ -165,13 +184,20 @@ def compare_runs(runs) -> dict:
             }
             for run in runs
         ],
-        "settings": [
-            {"name": name, "values": [values[name] for values in flat]}
-            for name in flat[0]
-            if name in read and any(values[name] != flat[0][name] for values in flat)
-        ],
+        "settings": _different_settings(runs),
         "stages": [_stage(stage, runs) for stage in found],
     }
+
+
+def _different_settings(runs):
+    """Settings that at least two runs read and that differ between these; None where unread."""
+    read = [run.settings.relevant() for run in runs]
+    different = []
+    for name in runs[0].settings.flat():
+        values = [settings.get(name) for settings in read]
+        if len({repr(value) for value in values if value is not None}) > 1:
+            different.append({"name": name, "values": values})
+    return different
 
 
 def inference(run: Run) -> dict:
@@ -193,6 +219,7 @@ def inference(run: Run) -> dict:
         "input": run.settings.input.kind,
         "architecture": spec.architecture,
         "simulated": spec.provenance.get("simulated"),
+        "classes": list(spec.provenance.get("classes", DIGITS)),
         "neurons": sum(layer.size for layer in spec.layers if layer.neurons is not None),
         "cores": run.cores,
         "chips": run.chips,
@@ -255,7 +282,10 @@ def difference(a: Run, b: Run, stage: str) -> dict:
     """
     first, second = a.results[stage], b.results[stage]
     labels_a, labels_b = ({s["id"]: s["label"] for s in r["samples"]} for r in (first, second))
-    sources = [run.spec.provenance.get("source_sha256") for run in (a, b)]
+    sources = [
+        result.get("data", {}).get("sha256", run.spec.provenance.get("source_sha256"))
+        for run, result in ((a, first), (b, second))
+    ]
     paired = labels_a == labels_b and (None in sources or sources[0] == sources[1])
     value = {"difference": second["accuracy"] - first["accuracy"], "paired": paired}
     if not paired:
@@ -315,7 +345,9 @@ def _settings_lines(compared, letters, width):
 def _accuracy_lines(compared, letters):
     if not compared["stages"]:
         return ["no stage has been answered by two of the runs; 'stmnist ladder RUN' lets them"]
-    rows = [["stage", "", "accuracy", "95 % interval", f"less {letters[0]}", "won", "lost", "p"]]
+    rows = [
+        ["stage", "", "accuracy", "95 % interval", f"less {letters[0]}", "won", "lost", "p", ""]
+    ]
     unpaired = False
     for stage in compared["stages"]:
         against = {d["b"]: d for d in stage["differences"] if d["a"] == 0}
@@ -340,6 +372,8 @@ def _accuracy_lines(compared, letters):
         *aligned(rows, left=2),
         "won, lost: samples that the run alone, or A alone, got right; p: McNemar's test",
     ]
+    if any(cells[-1] for cells in rows):
+        lines.append(f"*: p below {SIGNIFICANCE:g}, more than chance explains")
     if unpaired:
         lines.append("unpaired: the two answered different samples; p by Fisher's exact test")
     return lines
@@ -347,9 +381,14 @@ def _accuracy_lines(compared, letters):
 
 def _difference_cells(value):
     if value is None:
-        return ["", "", "", ""]
+        return [""] * 5
     counts = [str(value["only_b"]), str(value["only_a"])] if value["paired"] else ["unpaired", ""]
-    return [f"{round(value['difference'], 3) + 0.0:+.3f}", *counts, p_text(value["p"])]
+    return [
+        f"{round(value['difference'], 3) + 0.0:+.3f}",
+        *counts,
+        p_text(value["p"]),
+        star(value["p"]),
+    ]
 
 
 def _inference_lines(runs, letters, width):
@@ -362,6 +401,8 @@ def _inference_lines(runs, letters, width):
     def early(name, form):
         return lambda run: run["writing"] and form.format(run["writing"][name])
 
+    of_digits = all(is_written(run["classes"]) for run in runs)
+    what = "writing" if of_digits else "recording"
     rows = [
         ["an inference", *letters],
         row("input", given("input")),
@@ -371,24 +412,27 @@ def _inference_lines(runs, letters, width):
         row("chips", given("chips")),
         row("counted on", given("counted_on")),
         row("synaptic operations", given("synaptic_operations", "{:,.0f}")),
-        row("times the CNN's", given("operations_per_mac", "{:.2f}")),
+        *([row("times the CNN's", given("operations_per_mac", "{:.2f}"))] if of_digits else []),
         row("steps shown", given("steps")),
         row("for good from step", given("decided_at_median", "{:g}")),
         row("that is, ms", given("decided_after_ms", "{:,.0f}")),
-        row("by itself after", early("share", "{:.0%} of writing")),
+        row("by itself after", early("share", f"{{:.0%}} of {what}")),
         row("accuracy then", early("accuracy", "{:.3f}")),
     ]
     lines = _fitted([cells for cells in rows if any(cells[1:])], width)
-    lines.append(f"times the CNN's: the {CNN_MACS:,} multiply-accumulates of the paper's")
+    if of_digits:
+        lines.append(f"times the CNN's: the {CNN_MACS:,} multiply-accumulates of the paper's")
     if any(run["decided_at_median"] is not None for run in runs):
         lines.append("for good: half the samples' decisions no longer change from this step on")
     if len({run["input"] for run in runs}) > 1:
-        lines.append("ms: of an image after the whole writing, of events while it goes on")
+        lines.append(f"ms: of an image after the whole {what}, of events while it goes on")
     return lines
 
 
 def _plain(value):
     """A setting's value for a table."""
+    if value is None:
+        return ""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, (list, tuple)):

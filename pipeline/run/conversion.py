@@ -74,9 +74,9 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) 
                 placement="host" if first else "chip",
                 neurons=Neurons("lif", 1 / snn.max_rate(index), snn.tau_rc, snn.tau_ref),
                 synapse=None if first else deployment.synapse or None,
-                weights=kernel.T if folded.layer.kind == "dense" else kernel,
+                weights=folded.layer.deployed_weights(kernel),
                 bias=bias,
-                **geometry(folded, deployment.pop_type),
+                **folded.geometry(deployment.pop_type),
             )
         )
     layers.append(_readout(settings, output, weights, range_of))
@@ -90,26 +90,8 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) 
     )
 
 
-def geometry(folded, pop_type):
-    """The parameters of a bundle's layer that the architecture determines."""
-    geometry = dict(
-        name=folded.name,
-        kind="dense",
-        input_shape=folded.input_shape,
-        shape=folded.shape,
-        kernel=0,
-        block_shape=None,
-        pop_type=pop_type,
-        pool=folded.pool,
-    )
-    if folded.layer.kind == "conv":
-        for name in ("kind", "kernel", "stride", "padding"):
-            geometry[name] = getattr(folded.layer, name)
-    return geometry
-
-
 def _readout(settings, folded, weights, range_of):
-    common = geometry(folded, settings.deployment.pop_type)
+    common = folded.geometry(settings.deployment.pop_type)
     kernel = weights["output.kernel"].T.astype(float)
     bias = weights["output.bias"].astype(float)
     if settings.deployment.readout == "host":

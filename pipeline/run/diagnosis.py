@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from deploy.check.rates import firing_rates, silent_share
+from deploy.check.rates import silent_share
 from deploy.network.spec import DT, NetworkSpec
 from deploy.tables import aligned
 
@@ -116,17 +116,17 @@ def fidelity(layer: str, rates, activations, max_rate: float, tau_ref: float) ->
     )
 
 
-def layers_json(spec: NetworkSpec, images, activations: dict, seed: int = 0, advance=None) -> list:
+def layers_json(spec: NetworkSpec, rates: dict, activations: dict) -> list:
     """Compare every layer with neurons; each result has the attributes of :class:`LayerFidelity`.
 
     Parameters
     ----------
-    spec, images, seed, advance
-        As in :func:`deploy.check.rates.firing_rates`.
+    spec : NetworkSpec
+    rates : dict of str to ndarray, shape (n_samples, n_neurons)
+        On the chip in the readout window, from :func:`deploy.check.rates.firing_rates`.
     activations : dict of str to ndarray, shape (n_samples, n_neurons)
         Activations of the rate-based network on the same images.
     """
-    rates = firing_rates(spec, images, seed, spec.presentation.readout_start, advance)
     neurons = {layer.name: layer.neurons for layer in spec.layers}
     return [
         asdict(
@@ -140,6 +140,33 @@ def layers_json(spec: NetworkSpec, images, activations: dict, seed: int = 0, adv
         )
         for name in activations
     ]
+
+
+POINTS = 300
+"""Pairs of rates that are kept of a layer."""
+
+
+def rate_points(trained: dict, chip: dict) -> dict:
+    """Rates in the trained network and on the chip, of neurons and samples drawn at random.
+
+    Parameters
+    ----------
+    trained, chip : dict of str to ndarray, shape (n_samples, n_neurons)
+        In spikes per second.
+
+    Returns
+    -------
+    dict of str to list of [float, float]
+        At most :data:`POINTS` pairs for each layer of ``trained``, of neurons that fire on the
+        sample in one of the networks.
+    """
+    points, rng = {}, np.random.default_rng(0)
+    for name, expected in trained.items():
+        pairs = np.stack([np.ravel(expected), np.ravel(chip[name])], axis=1)
+        firing = np.flatnonzero((pairs > 0).any(axis=1))
+        chosen = rng.choice(firing, min(POINTS, len(firing)), replace=False)
+        points[name] = pairs[chosen].round(2).tolist()
+    return points
 
 
 def least_faithful(layers: list) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from deploy.check.bundle import Bundle, CheckSet
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
+from deploy.terminal import WARNING
 from pipeline.inputs.images import tactile_images
 from pipeline.inputs.library import load_recordings
 from pipeline.inputs.splits import draw_check_samples
@@ -21,7 +22,7 @@ from pipeline.run.ladder import confusion_matrix
 from pipeline.settings import Image, Settings
 
 FOLDER = "other"
-"""In a run's folder of results."""
+"""Name of the folder in a run's results."""
 
 
 def recordings_for(
@@ -35,7 +36,7 @@ def recordings_for(
     source : str
         Path of a zip or folder.
     settings : Settings
-        Of the bundle's run, by which files are read; the defaults where there is no run.
+        Settings of the bundle's run for reading files; the defaults if there is no run.
     jobs : int
         Processes.
     warn : callable, optional
@@ -73,8 +74,8 @@ def recordings_for(
     labels = np.array([number.get(name, -1) for name in sensor.classes])[recordings.labels]
     if warn is not None and recordings.source.sha256 == bundle.spec.provenance.get("source_sha256"):
         warn(
-            f"{source}: the network was trained on a part of these recordings; its accuracy on "
-            "them says little about others"
+            f"{WARNING}{source}: the network was trained on a part of these recordings; its "
+            "accuracy on them says little about others"
         )
     return replace(recordings, labels=labels, sensor=replace(sensor, classes=tuple(known)))
 
@@ -90,11 +91,11 @@ def shown_instead(
     recordings : Recordings
         From :func:`recordings_for`.
     samples : int or None
-        How many, drawn at random; 0 for all, None for 200 at most.
+        Number of samples drawn at random; 0 for all, None for 200 at most.
     seed : int
-        Of the draw.
+        Seed of the draw.
     image : Image
-        How events become images, where the bundle does not say.
+        Conversion of events to images, if the bundle does not have it.
 
     Raises
     ------
@@ -137,7 +138,7 @@ def told_of(result: dict, recordings: Recordings, chosen: np.ndarray) -> dict:
         See :func:`deploy.check.results.result_of`.
     recordings : Recordings
     chosen : ndarray of int
-        Which of them were shown, in the order of the result's samples.
+        Indices of the presented samples, in the order of the result's samples.
     """
     classes, source = recordings.sensor.classes, recordings.source
     labels = np.array([sample["label"] for sample in result["samples"]])
@@ -170,7 +171,7 @@ def _right(right, mine):
 
 
 def result_path(bundle: Bundle, recordings: Recordings, samples: int, target: str) -> Path:
-    """Where such a result is kept: beside the bundle, a file for each set of recordings."""
+    """File of such a result: beside the bundle, one for each set of recordings."""
     name = "".join(c if c.isalnum() or c in "-_." else "-" for c in recordings.source.name)[:60]
     file = f"{name}-{recordings.source.sha256[:8]}-{samples}-{target}.json"
     return bundle.path.absolute().parent / "checks" / FOLDER / file

@@ -10,7 +10,6 @@ from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import EventFrames
 from models.architecture import parse
 from models.integers import on_loihi
-from pipeline.run.conversion import geometry
 from pipeline.settings import Settings
 from pipeline.training.events import EventRecipe, network_of
 
@@ -61,15 +60,14 @@ def spec_of_events(
     integers, layers = network.integers(), []
     for folded in architecture.folded[:-1]:
         chip = on_loihi(integers[folded.name], LOIHI.dt)
-        convolution = folded.layer.kind == "conv"
         layers.append(
             Layer(
                 placement="chip",
                 neurons=Neurons("lif", LOIHI.dt, chip.tau_rc, 0.0, chip.min_voltage),
                 synapse=chip.tau_s or None,
-                weights=chip.weights if convolution else chip.weights.T,
+                weights=folded.layer.deployed_weights(chip.weights),
                 bias=chip.bias,
-                **geometry(folded, pop_type),
+                **folded.geometry(pop_type),
             )
         )
     readout = architecture.folded[-1]
@@ -80,7 +78,7 @@ def spec_of_events(
             synapse=None,
             weights=weights["output.kernel"].T,
             bias=np.zeros(readout.shape),
-            **geometry(readout, pop_type),
+            **readout.geometry(pop_type),
         )
     )
     return NetworkSpec(

@@ -58,6 +58,7 @@ def train(
     seed: int,
     checkpoint: Checkpoint | None = None,
     advance=None,
+    start: dict | None = None,
 ) -> TrainedOnEvents:
     """Train a network on events.
 
@@ -66,11 +67,13 @@ def train(
     settings : Settings
         With ``input.kind = "events"``.
     samples : Apart
-    seed, checkpoint, advance
+    seed, checkpoint, advance, start
         As in :func:`pipeline.training.events.train_events`.
     """
     recipe, (table, labels, learn, _) = EventRecipe.of(settings), samples
-    return train_events(recipe, table, labels, learn, seed, checkpoint=checkpoint, advance=advance)
+    return train_events(
+        recipe, table, labels, learn, seed, checkpoint=checkpoint, advance=advance, start=start
+    )
 
 
 def choose(settings: Settings, samples: Apart, trained: TrainedOnEvents, seed: int) -> Threshold:

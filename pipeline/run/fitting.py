@@ -18,9 +18,10 @@ from pipeline.inputs.dataset import TOO_SMALL, split_of
 from pipeline.inputs.library import recordings_of
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.events import Recordings, Sensor
-from pipeline.recordings.facts import reading_text
+from pipeline.recordings.facts import reading_text, size_text
 from pipeline.recordings.sensors import too_small
 from pipeline.recordings.steps import EventTable
+from pipeline.run.chip_fit import chip_problems
 from pipeline.settings import SIMULATED, Settings, check_fits
 
 LARGEST_MAP = 14
@@ -60,12 +61,12 @@ def fitted(
     recordings : Recordings, optional
         Those that the settings name, if they were read already.
     check : bool
-        Whether samples of a check will be drawn.
+        True if samples of a check will be drawn.
 
     Returns
     -------
     Settings
-        The same object where nothing was to be chosen; simulated recordings need nothing.
+        The same object where nothing was to be chosen; for simulated recordings nothing is.
 
     Raises
     ------
@@ -73,10 +74,14 @@ def fitted(
         With a line for each thing that cannot be done.
     """
     if settings.data.source == SIMULATED and recordings is None:
+        if problems := chip_problems(settings):
+            raise SeveralErrors(problems)
         return settings
     if recordings is None:
         recordings = recordings_of(settings, jobs, say)
     problems, changes = [], {}
+    if len(recordings.sensor.classes) < 2:  # there is no network to choose
+        raise SeveralErrors([f"{settings.data.source}: {too_small(recordings)}"])
     _architecture(settings, recordings, changes)
     if settings.on_events:
         _presentation(settings, recordings, changes)
@@ -106,12 +111,12 @@ def fitted(
 
 
 def chosen_text(before: Settings, after: Settings, recordings: Recordings) -> list:
-    """What :func:`fitted` has chosen, a line for each thing that changes what is trained."""
+    """The choices of :func:`fitted`, one line for each that changes the training."""
     lines, name = [], "events.architecture" if after.on_events else "cnn.architecture"
     architecture, sensor = after.flat()[name], recordings.sensor
     if architecture != before.flat()[name]:
         lines.append(
-            f"{architecture}: chosen for {sensor.rows} rows x {sensor.columns} columns and "
+            f"{architecture}: chosen for {size_text(sensor)} and "
             f"{len(sensor.classes)} classes (another: --set {name}=...)"
         )
     if after.presentation != before.presentation:
@@ -206,7 +211,7 @@ def default_duration() -> float:
 
 
 def _test_samples(settings, recordings, problems):
-    """How many samples the test split has; none with a problem if there can be no split."""
+    """Number of samples in the test split; 0, with a problem, if there can be no split."""
     shares = settings.split
     try:
         split = split_of(
@@ -225,4 +230,4 @@ def _unfit(settings, recordings):
         check_fits(settings, sensor.rows, sensor.columns, len(sensor.classes), source)
     except (UserError, NotationError) as error:
         return [str(error)]
-    return []
+    return chip_problems(settings)

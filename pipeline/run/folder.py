@@ -63,6 +63,11 @@ class RunFolder:
         return self.path / "bundle"
 
     @property
+    def nir(self) -> Path:
+        """The folder of a NIR graph that was trained further: the graph and its metrics."""
+        return self.path / "nir"
+
+    @property
     def ladder(self) -> Path:
         """The file of the loss ladder."""
         return self.path / "ladder.json"
@@ -73,11 +78,11 @@ class RunFolder:
         return (folder / "whole" if whole else folder) / f"{stage}.json"
 
     def network(self, name: str, origin: Origin) -> Path:
-        """The folder of a trained network, ``"cnn"`` or ``"snn"``, or of its ``"threshold"``.
+        """The folder of a network, ``"cnn"``, ``"nir"`` or ``"snn"``, or of its ``"threshold"``.
 
         A run has only one of each, independently of the origin.
         """
-        return self.cnn if name == "cnn" else self.snn
+        return {"cnn": self.cnn, "nir": self.nir}.get(name, self.snn)
 
     @property
     def artifacts(self) -> dict:

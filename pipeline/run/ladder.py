@@ -8,29 +8,30 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from deploy.check.bundle import Bundle
+from deploy.check.rates import firing_rates
 from deploy.check.results import compare_results, loss_text, read_result
-from deploy.tables import aligned, p_text
+from deploy.files import understood
+from deploy.tables import SIGNIFICANCE, aligned, p_text, star
 from deploy.targets.registry import TARGETS
-from pipeline.artifacts import Artifact
+from deploy.terminal import WARNING
+from pipeline.artifacts import DELETE_IT, Artifact
 from pipeline.progress import progress
+from pipeline.progress import stages as numbered
 from pipeline.recordings.events import DIGITS
 from pipeline.recordings.words import recording_word
 from pipeline.run import stages
-from pipeline.run.answers import REFERENCES
-from pipeline.run.diagnosis import layers_json, layers_text, least_faithful
+from pipeline.run.answers import REFERENCES, event_rates
+from pipeline.run.diagnosis import layers_json, layers_text, least_faithful, rate_points
 from pipeline.run.fitting import fitted
 from pipeline.run.folder import RunFolder
 from pipeline.run.origins import ladder_origin
-from pipeline.settings import Settings
+from pipeline.settings import SIMULATED, Settings
 
 BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
 """Targets whose existing results are included, but which the ladder does not run."""
 
 SLOW = tuple(name for name, target in TARGETS.items() if target.slow and name != "emulator")
 """Stages of the ladder on the whole test split that take minutes."""
-
-SIGNIFICANT = 0.05
-"""McNemar's p below which a difference is taken for more than chance."""
 
 TRAINED = ("rate-lif", "trained")
 """The network from which the bundle is made; later losses are caused by the conversion."""
@@ -82,6 +83,27 @@ def measure_ladder(
         See :func:`ladder_json`.
     """
     settings = fitted(settings, jobs, say, dataset and dataset.recordings)
+    with numbered(_bars(settings)):
+        return _measured(run, settings, jobs, whole, slow, say, dataset, asked)
+
+
+def _bars(settings):
+    """The stages that a progress bar can be of."""
+    recordings = ["simulate"] if settings.data.source == SIMULATED else []
+    layers = [] if settings.network == "nir" else ["compare layers"]
+    return [*recordings, *TRAINING_BARS[settings.network], "check", *layers]
+
+
+TRAINING_BARS = {
+    "image": ("train cnn", "train rate-lif"),
+    "events": ("train events",),
+    "nir": ("simulate nir",),
+    "retrained": ("simulate nir", "train events"),
+}
+"""Progress bars while the network of a run is trained or read, by the kind of network."""
+
+
+def _measured(run, settings, jobs, whole, slow, say, dataset, asked):
     dataset, bundle = stages.make_bundle(run, settings, jobs, say, dataset)
     asked = asked or ladder_stages(settings.network, whole)
     left_out = ()
@@ -97,10 +119,12 @@ def measure_ladder(
     artifact, origin = ladder_artifact(run, whole), ladder_origin(results)
     state = artifact.state(origin)
     if state.is_current:
+        with understood(artifact.record, DELETE_IT):
+            ladder_text(state.record, limit=-100.0, by_chance=True)  # what can be shown is whole
         return state.record
-    layers = _layers(run, settings, bundle)
+    layers, points = _layers(run, settings, bundle)
     table = ladder_json(results, layers, left_out, dataset.recordings.sensor.classes)
-    return artifact.write(origin, table)
+    return artifact.write(origin, {**table, "rates": points})
 
 
 def ladder_artifact(run: RunFolder, whole: bool = False) -> Artifact:
@@ -108,17 +132,27 @@ def ladder_artifact(run: RunFolder, whole: bool = False) -> Artifact:
     return Artifact("ladder-whole", run.whole_ladder) if whole else Artifact("ladder", run.ladder)
 
 
-def _layers(run: RunFolder, settings: Settings, bundle: Bundle) -> list:
-    """How faithful each layer is on the bundle's samples; None without a rate-based network."""
-    if settings.network != "image":
-        return None  # there is no rate-based network to compare the chip's rates with
-    from pipeline.training.networks import TrainedRates  # imports TensorFlow only if needed
+def _layers(run: RunFolder, settings: Settings, bundle: Bundle) -> tuple:
+    """How faithful each layer is on the bundle's samples, and its rates in both networks.
 
-    images = bundle.checks.inputs
-    trained = TrainedRates(settings, stages.read_weights(run.snn, settings))
-    with progress("compare layers", len(images)) as advance:
-        activations = trained.activations(images)
-        return layers_json(bundle.spec, images, activations, settings.seed, advance)
+    Without a rate-based network the first is None; of a NIR graph there is neither.
+    """
+    if settings.network == "nir":
+        return None, {}
+    spec, inputs = bundle.spec, bundle.checks.inputs
+    start = spec.presentation.readout_start
+    weights = stages.read_weights(run.snn, settings)
+    with progress("compare layers", len(inputs)) as advance:
+        rates = firing_rates(spec, inputs, settings.seed, start, advance)
+        if settings.on_events:
+            trained = event_rates(settings, weights, bundle)
+            return None, rate_points(trained, rates)
+        from pipeline.training.networks import TrainedRates  # imports TensorFlow only if needed
+
+        activations = TrainedRates(settings, weights).activations(inputs)
+    fastest = {layer.name: 1 / layer.neurons.amplitude for layer in spec.layers if layer.neurons}
+    trained = {name: values * fastest[name] for name, values in activations.items()}
+    return layers_json(spec, rates, activations), rate_points(trained, rates)
 
 
 @dataclass(frozen=True)
@@ -240,7 +274,7 @@ def ladder_json(results, layers=None, left_out=(), classes=None) -> dict:
 
 
 def early_text(value: dict, row: dict, classes=DIGITS) -> str:
-    """What deciding by itself costs and saves, in a line.
+    """Accuracy and time of early decisions, in one line.
 
     Parameters
     ----------
@@ -263,11 +297,11 @@ def early_text(value: dict, row: dict, classes=DIGITS) -> str:
 
 
 def losing_stages(ladder: dict, limit: float, by_chance: bool = False) -> list:
-    """What loses more than ``limit`` points after the trained network, as (from, to, points).
+    """Find the stages that lose more than ``limit`` points, as (from, to, points).
 
     That is the rate-based network, or the one trained on events.  Each stage against the one above
     it, and the last one against the trained network.  Losses that chance explains (McNemar's test,
-    p of :data:`SIGNIFICANT` or more) count only with ``by_chance``.
+    p of :data:`SIGNIFICANCE` or more) count only with ``by_chance``.
     """
     stages = [row["stage"] for row in ladder["rows"]]
     trained = next((index for index, name in enumerate(stages) if name in TRAINED), None)
@@ -280,7 +314,7 @@ def losing_stages(ladder: dict, limit: float, by_chance: bool = False) -> list:
     drops = [
         (a["stage"], b["stage"], 100 * (a["accuracy"] - b["accuracy"]))
         for a, b, p_value in pairs
-        if by_chance or p_value < SIGNIFICANT
+        if by_chance or p_value < SIGNIFICANCE
     ]
     return [(a, b, points) for a, b, points in drops if points > limit + 1e-9]
 
@@ -298,15 +332,16 @@ def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> st
         Warn of losses that chance explains too.
     """
     what = "simulated samples" if ladder["simulated"] else "samples"
-    table = [["stage", "accuracy", "95 % interval", "change", "disagree", "McNemar p"]]
+    table = [["stage", "accuracy", "95 % interval", "change", "disagree", "McNemar p", ""]]
     for row in ladder["rows"]:
         low, high = row["accuracy_ci95"]
-        cells = [row["stage"], f"{row['accuracy']:.3f}", f"{low:.3f} to {high:.3f}", "", "", ""]
+        cells = [row["stage"], f"{row['accuracy']:.3f}", f"{low:.3f} to {high:.3f}", *[""] * 4]
         if row["drop"] is not None:
             cells[3:] = [
                 f"{0.0 - round(row['drop'], 3):+.3f}",  # a loss is negative, and nothing is +0.000
                 str(row["disagreements"]),
                 p_text(row["mcnemar_p"]),
+                star(row["mcnemar_p"]),
             ]
         table.append(cells)
     first, last = ladder["rows"][0], ladder["rows"][-1]
@@ -316,6 +351,8 @@ def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> st
         f"from {first['stage']} to {last['stage']}: "
         + points_text(100 * (first["accuracy"] - last["accuracy"])),
     ]
+    if any(cells[-1] for cells in table):
+        lines.append(f"*: p below {SIGNIFICANCE:g}, more than chance explains")
     for stage in (row["stage"] for row in ladder["rows"]):
         if stage in TARGETS and TARGETS[stage].note:
             lines.append(f"{stage}: {TARGETS[stage].note}")
@@ -326,7 +363,7 @@ def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> st
     lines += ladder.get("losses", [])
     losing = losing_stages(ladder, limit, by_chance)
     for a, b, points in losing:
-        lines.append(f"{b} loses {points:.1f} points on {a}, more than {limit:g}")
+        lines.append(f"{WARNING}{b} loses {points:.1f} points on {a}, more than {limit:g}")
     if losing and ladder["layers"]:
         lines += ["", layers_text(ladder["layers"])]
     return "\n".join(lines)

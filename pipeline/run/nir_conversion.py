@@ -25,14 +25,15 @@ from deploy.network.responses import Responses, read_output
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes, Stimulus, last_steps
 from models.integers import on_loihi
-from models.nir_graph import SNNTORCH_STEP, NirNetwork, read_nir
-from models.nir_layers import NirLayer, chosen, fired, layers_of
+from models.nir_graph import SNNTORCH_STEP, NirError, NirNetwork, read_nir
+from models.nir_layers import NirLayer, chosen, fired, layers_of, rounded
 from models.nir_simulator import AT_ONCE, simulate
+from pipeline import paper
 from pipeline.inputs.dataset import Dataset
 from pipeline.inputs.splits import hold_out
 from pipeline.progress import progress
 from pipeline.run.folder import RunFolder
-from pipeline.settings import Settings
+from pipeline.settings import SIMULATED, Settings
 
 CALIBRATED_ON = 48
 """Training samples on which the scales of the weights are chosen."""
@@ -40,17 +41,24 @@ CALIBRATED_ON = 48
 DECIDED_ON = 300
 """Training samples, at most, on which the confidence is chosen at which the network decides."""
 
+RESETTING = ("IF", "LIF", "CubaLIF")
+"""Nodes whose voltage a spike resets."""
+
 FROM_REST = {"gap": 0, "stream_length": 1}
-"""How an imported network is shown its samples unless the user says otherwise: each from rest, as
-it was trained.  After a gap neurons and readout have settled under their biases, which cost one
-network trained with Norse eight points."""
+"""Default presentation of samples to an imported network: each from rest.
+Trainings in PyTorch start every sample with the neurons' state at rest (``reset_hidden`` of
+snnTorch, a state of None in Norse), so that this is what the network was trained for.  A board
+begins each stream by loading the network, so there it means one loading a sample."""
+
+RESET_ON = 200
+"""Training samples, at most, on which a reset by subtraction is compared with that of the chip."""
 
 AGAIN = "give it again with 'stmnist convert RUN --nir FILE'"
 
 
 @dataclass(frozen=True)
 class Stepped:
-    """How a graph's time is cut into the chip's steps.
+    """Division of a graph's time into the chip's steps.
 
     Attributes
     ----------
@@ -65,7 +73,7 @@ class Stepped:
 
     @classmethod
     def of(cls, settings: Settings, network: NirNetwork) -> Stepped:
-        """What the settings say, and where they say nothing what the graph shows."""
+        """The values of the settings, or those of the graph where the settings have none."""
         nir, by_snntorch = settings.nir, network.written_by_snntorch
         seconds = settings.input.step / 1000 if settings.on_events else LOIHI.dt
         if nir.step:
@@ -103,7 +111,7 @@ def settings_of_nir(path, step: float | None = None, kind: str | None = None) ->
     """
     path = Path(path)
     network = read_nir(path)
-    nir = {"file": str(path.absolute()), "sha256": sha256_of(path), "step": 0.0}
+    nir = {"file": str(path.absolute()), "sha256": sha256_of(path), "step": 0.0, "retrain": False}
     if (exported := exported_here(network, path)) is not None:
         return {**_settings_of_export(exported), "nir": nir}
     kind = kind or _kind_of(path, network.input_shape)
@@ -151,7 +159,7 @@ def _settings_of_export(spec):
 
 
 def _kind_of(path, shape):
-    """What an input of this shape is fed."""
+    """The kind of input for this shape."""
     if len(shape) == 3 and shape[0] in (1, 2):
         return "image" if shape[0] == 1 else "events"
     if len(shape) == 1:
@@ -205,13 +213,16 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     network = read_nir(source)
     if sha256_of(source) != settings.nir.sha256:
         raise UserError(f"{source}: has changed; {AGAIN}")
-    fits(network, dataset, source)
+    fits(network, _fed_shape(dataset), len(dataset.recordings.sensor.classes), source)
     stepped = Stepped.of(settings, network)
-    exported = exported_here(network, source)
+    exported, cost = exported_here(network, source), None
     if exported is None:
         layers = layers_of(network, stepped.seconds, stepped.method, _fed_shape(dataset))
         for line in _notes(network, layers, stepped):
             say(f"nir: {line}")
+        if any(node.kind in RESETTING for node in network.nodes):
+            cost = reset_cost(network, stepped, settings, dataset)
+            say(f"nir: {_reset_text(cost)}")
     else:
         layers = exported.layers
         say("nir: exported from a bundle; what NIR leaves out is taken from the file's metadata")
@@ -230,6 +241,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
         "epochs": 0,
         "step_seconds": stepped.seconds,
         "method": stepped.method,
+        "reset_by_subtraction": cost,
         "decides_by_itself": _threshold(network, stepped, layers, settings, dataset),
         "versions": {"numpy": np.__version__},
     }
@@ -253,16 +265,54 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     return metrics
 
 
-def fits(network: NirNetwork, dataset: Dataset, source):
+def refuse_early(settings: Settings):
+    """Refuse a graph that no recordings could make fit, before anything is written.
+
+    Parameters
+    ----------
+    settings : Settings
+        With ``nir.file``.
+
+    Raises
+    ------
+    UserError
+        Naming the file and the node, or its layer's nodes, and an alternative.
+    """
+    source = settings.nir.file
+    network = read_nir(source)
+    if exported_here(network, source) is not None:
+        return
+    if settings.data.source == SIMULATED:
+        skin = settings.skin.rows or paper.ROWS, settings.skin.columns or paper.COLUMNS
+        fits(network, (*skin, 2 if settings.on_events else 1), paper.CLASSES, source)
+    stepped, area = Stepped.of(settings, network), settings.stimulus.area
+    try:
+        first, *others = layers_of(network, stepped.seconds, stepped.method)
+        height = 1.0 if area is None else area / LOIHI.dt
+        for layer in (replace(first, weights=first.weights * height), *others):
+            if layer.spiking:
+                rounded(layer)
+    except NirError as error:
+        raise UserError(f"{source}: {error}") from error
+
+
+def fits(network: NirNetwork, fed_shape, classes: int, source):
     """Refuse a graph for another sensor or other classes.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    fed_shape : tuple of int
+        (rows, columns, channels) of what the run feeds it.
+    classes : int
+    source : path-like
 
     Raises
     ------
     UserError
         Saying what it should be for.
     """
-    rows, columns, channels = _fed_shape(dataset)
-    shape, classes = network.input_shape, len(dataset.recordings.sensor.classes)
+    (rows, columns, channels), shape = fed_shape, network.input_shape
     if shape not in ((channels, rows, columns), (channels * rows * columns,)):
         what = "events" if channels == 2 else "an image"
         raise UserError(
@@ -282,17 +332,12 @@ def _fed_shape(dataset):
 
 
 def _notes(network, layers, stepped):
-    """What a user should know of the conversion, a line each."""
+    """Warnings about the conversion, one line each."""
     by_snntorch = network.written_by_snntorch
     yield str(stepped) + (", as snnTorch's exporter writes it" if by_snntorch else "")
-    if by_snntorch:
-        yield (
-            "a graph does not say how snnTorch resets: the chip resets to zero; train with "
-            "reset_mechanism='zero', resets by subtraction lose spikes"
-        )
     for layer in layers:
         windows = [n for n in network.nodes if n.name in layer.nodes and "Conv" in n.kind]
-        if layer.kind == "dense" and windows and len(windows[0].input_shape) > 1:
+        if layer.spiking and layer.kind == "dense" and windows and len(windows[0].input_shape) > 1:
             yield (
                 f"{layer}: its windows are not the chip's (square kernels, equal strides, no "
                 "padding or 'same'), so that it takes the memory of a dense layer"
@@ -302,6 +347,48 @@ def _notes(network, layers, stepped):
             yield f"{node}: the chip's neurons leak, at least 1/4096 of the voltage a step"
         if node.kind == "CubaLI":
             yield f"{node}: only its longer time constant is kept"
+
+
+def reset_cost(network: NirNetwork, stepped: Stepped, settings, dataset) -> dict:
+    """Effect of a reset by subtraction on a graph's answers to training samples.
+
+    A graph does not record how its network was trained to reset; the chip resets to ``v_reset``.
+
+    Returns
+    -------
+    dict
+        ``samples``; ``accuracy`` with the chip's reset and ``accuracy_subtracting``; ``agreement``
+        of their predictions; ``spikes``, those by subtraction for each one of the chip's reset.
+    """
+    rng = np.random.default_rng([settings.seed, 0x5EB])
+    some = np.sort(rng.permutation(dataset.split.train)[:RESET_ON])
+    late = "subtract-late" if network.written_by_snntorch else "subtract"
+    start = 0 if settings.on_events else settings.presentation.readout_start
+    predictions, spikes = {}, {}
+    for reset in ("value", late):
+        outputs, counts = _outputs(network, stepped, dataset.inputs[some], settings, reset=reset)
+        predictions[reset] = outputs[:, start:].mean(1).argmax(1)
+        spikes[reset] = sum(int(count.sum()) for count in counts.values())
+    labels = dataset.labels[some]
+    return {
+        "samples": len(some),
+        "accuracy": float((predictions["value"] == labels).mean()),
+        "accuracy_subtracting": float((predictions[late] == labels).mean()),
+        "agreement": float((predictions["value"] == predictions[late]).mean()),
+        "spikes": spikes[late] / max(spikes["value"], 1),
+    }
+
+
+def _reset_text(cost):
+    here, there = cost["accuracy"], cost["accuracy_subtracting"]
+    text = (
+        f"neurons reset to v_reset; with a reset by subtraction the accuracy on {cost['samples']} "
+        f"training samples is {there:.3f} instead of {here:.3f}, {cost['agreement']:.1%} of the "
+        f"answers are the same, and there are {cost['spikes']:.2f} times as many spikes"
+    )
+    if there <= here:
+        return text
+    return text + "; if it was trained so, train it with a reset to zero"
 
 
 def _threshold(network, stepped, layers, settings, dataset):
@@ -321,7 +408,7 @@ def _threshold(network, stepped, layers, settings, dataset):
 # --- the graph as written -------------------------------------------------------------------------
 
 
-def _outputs(network, stepped, inputs, settings, advance=None):
+def _outputs(network, stepped, inputs, settings, advance=None, reset="value"):
     """Outputs (n_samples, steps, classes), and spikes (n_samples, neurons) of each node by name."""
     outputs, counts = [], []
     for start in range(0, len(inputs), AT_ONCE):
@@ -332,7 +419,7 @@ def _outputs(network, stepped, inputs, settings, advance=None):
             shown = graph_inputs(network, spikes.reshape(*spikes.shape[:2], *part.shape[1:]), 0)
         else:
             shown = graph_inputs(network, part, settings.steps)
-        found = simulate(network, shown, stepped.seconds, stepped.method)
+        found = simulate(network, shown, stepped.seconds, stepped.method, reset)
         outputs.append(found.outputs.reshape(*found.outputs.shape[:2], -1))
         counts.append({n: _in_places(s.sum(1, dtype=np.int64)) for n, s in found.spikes.items()})
         if advance is not None:
@@ -342,7 +429,7 @@ def _outputs(network, stepped, inputs, settings, advance=None):
 
 
 def graph_inputs(network: NirNetwork, inputs, steps: int) -> np.ndarray:
-    """What a run's network is shown, as a graph takes it.
+    """Samples of a run in the form of a graph's input.
 
     Parameters
     ----------
@@ -386,11 +473,14 @@ def graph_result(run: RunFolder, settings: Settings, bundle: Bundle, advance=Non
     """
     begun, network, inputs = (
         time.perf_counter(),
-        read_nir(kept_graph(run.snn)),
+        read_nir(kept_graph(run.snn if settings.network == "nir" else run.nir)),
         bundle.checks.inputs,
     )
     outputs, counts = _outputs(network, Stepped.of(settings, network), inputs, settings, advance)
-    responses = _responses(bundle.spec, network, inputs, outputs, counts)
+    spec = bundle.spec
+    if settings.network == "retrained":  # its judge was trained with it, not with the graph
+        spec = replace(spec, judge=None, presentation=replace(spec.presentation, confidence=None))
+    responses = _responses(spec, network, inputs, outputs, counts)
     samples = records_of(bundle.checks, responses)
     extra = {"versions": {"numpy": np.__version__}}
     seconds = time.perf_counter() - begun
@@ -420,7 +510,11 @@ def _sizes(spec):
 
 
 def deployed_nir(
-    folder: Path, metrics: dict, settings: Settings, dataset: Dataset, provenance: dict
+    folder: Path,
+    confidence: float | None,
+    settings: Settings,
+    dataset: Dataset,
+    provenance: dict,
 ) -> NetworkSpec:
     """Describe a run's graph as the chip gets it; see :func:`spec_of_nir`.
 
@@ -428,18 +522,17 @@ def deployed_nir(
     ----------
     folder : Path
         Of the network.
-    metrics : dict
-        As :func:`take_over` gives them.
+    confidence : float or None
+        At which the network decides by itself; None where it does not.
     settings, dataset, provenance
     """
     network = read_nir(kept_graph(folder))
-    early = metrics["decides_by_itself"]
-    presentation = settings.presented(early and early["confidence"])
+    presentation = settings.presented(confidence)
     if (exported := exported_here(network, kept_graph(folder))) is not None:
         fed = (settings.stimulus, dataset.inputs.shape[-3:])
         if fed != (exported.stimulus, exported.input_shape):
             raise UserError(
-                f"{settings.nir.file}: exported from a bundle that is fed otherwise than these "
+                f"{settings.nir.file}: exported from a bundle with another input than these "
                 f"settings say ({exported.stimulus}); {AGAIN}"
             )
         return replace(exported, presentation=presentation, provenance=provenance)
@@ -493,7 +586,7 @@ def spec_of_nir(
     made = []
     for index, layer in enumerate(layers):
         if not layer.spiking:
-            made.append(_readout(layer, pop_type))
+            made.append(_readout(layer, presentation, pop_type))
             continue
         factor = height if index == 0 else 1.0
         scaled = replace(layer, weights=layer.weights * factor)
@@ -522,14 +615,17 @@ def _on_chip(layer: NirLayer, integers, height, pop_type) -> Layer:
     )
 
 
-def _readout(layer: NirLayer, pop_type) -> Layer:
+def _readout(layer: NirLayer, presentation, pop_type) -> Layer:
+    read = np.arange(presentation.readout_start, presentation.steps) + 1
+    # The host's bias is the same at each step: it gets the mean of the graph's.
+    bias = layer.bias - layer.fading * np.mean(layer.keep_u**read)
     synapse = -LOIHI.dt / np.log(layer.keep_u) if layer.keep_u > 0 else None
     return Layer(
         placement="host",
         neurons=None,
         synapse=synapse and float(synapse),
         weights=layer.weights.T,
-        bias=layer.bias,
+        bias=bias,
         **_geometry(layer, pop_type),
     )
 

@@ -30,8 +30,12 @@ def rates_origin(settings: Settings, cnn: Origin) -> Origin:
 
 
 def events_origin(settings: Settings, dataset: Origin) -> Origin:
-    """Origin of the network trained on events, which does not depend on the presentation."""
-    return Origin.of(settings, ["input", "events"], [dataset])
+    """Origin of the network trained on events: from new weights, or from those of a NIR graph.
+
+    The former does not depend on the presentation.
+    """
+    start = nir_origin(settings, dataset) if settings.network == "retrained" else dataset
+    return Origin.of(settings, ["input", "events"], [start])
 
 
 def threshold_origin(settings: Settings, events: Origin) -> Origin:
@@ -43,14 +47,15 @@ def threshold_origin(settings: Settings, events: Origin) -> Origin:
 
 
 def nir_origin(settings: Settings, dataset: Origin) -> Origin:
-    """Of a NIR graph that was taken over, with its accuracy and threshold."""
+    """Origin of an imported NIR graph, with its accuracy and threshold."""
     shown = ["presentation.steps"] if settings.on_events else ["presentation", "image"]
-    return Origin.of(settings, ["input", "nir.sha256", "nir.step", "nir.method", *shown], [dataset])
+    graph = ["nir.sha256", "nir.step", "nir.method", "nir.retrain"]
+    return Origin.of(settings, ["input", *graph, *shown], [dataset])
 
 
 def trained_origin(settings: Settings, dataset: Origin) -> Origin:
     """Of what the bundle is made from: rate-based network, threshold on events, or NIR graph."""
-    if settings.nir.file:
+    if settings.network == "nir":
         return nir_origin(settings, dataset)
     if settings.on_events:
         return threshold_origin(settings, events_origin(settings, dataset))

@@ -1,4 +1,4 @@
-"""Which folder may become a run, and what is left of one when a command fails."""
+"""Checks of the folder of a run, and its removal when a command fails."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import difflib
 from pathlib import Path
 
 from deploy.errors import UserError
+from deploy.interrupts import at_the_end
 
 LOCK = ".lock"
 
@@ -18,7 +19,7 @@ def refuse_other_folders(path: Path, of_results: bool = False):
     ----------
     path : Path
     of_results : bool
-        Whether it is a benchmark's, which may hold results of an interrupted one: only a bundle is
+        True for a benchmark's, which may hold results of an interrupted one: only a bundle is
         refused.
 
     Raises
@@ -35,7 +36,7 @@ def refuse_other_folders(path: Path, of_results: bool = False):
         raise UserError(f"{path}: is a bundle, not a run; {meant or 'give another folder as RUN'}")
     if held and not of_results:
         raise UserError(
-            f"{path}: is no run (it has no experiment.toml) and not empty (it has {held[0]!r}); "
+            f"{path}: is not a run (it has no experiment.toml) and not empty (it has {held[0]!r}); "
             "give a new folder as RUN"
         )
 
@@ -45,14 +46,19 @@ def nothing_left_of_a_failure(path: Path):
     """Remove the folder of a run again if what is done in it fails before anything is kept."""
     made = [folder for folder in (path, *path.parents) if not folder.exists()]
     had_lock = (path / LOCK).exists()
-    try:
-        yield
-    except BaseException:
+
+    def leave():
         with contextlib.suppress(OSError):
             if {entry.name for entry in path.iterdir()} <= {LOCK} and not had_lock:
                 (path / LOCK).unlink(missing_ok=True)
             for folder in made:
                 folder.rmdir()  # an OSError if something is in it
+
+    try:
+        with at_the_end(leave):
+            yield
+    except BaseException:
+        leave()
         raise
 
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
 from deploy.check.results import read_result
 from deploy.errors import UserError
-from deploy.files import read_json, sha256_of
+from deploy.files import read_json, sha256_of, understood
 from deploy.tables import aligned
 from deploy.targets.registry import TARGETS
+from deploy.terminal import WARNING
 from pipeline.artifacts import DELETE_IT, MISSING, OUTDATED, Change, Origin, State
 from pipeline.inputs.dataset import ARRAYS, SPLIT_READS, dataset_origin
 from pipeline.inputs.library import content_of
@@ -140,7 +142,8 @@ def outdated_note(path) -> str | None:
     name = path.relative_to(run.path).with_suffix("").as_posix()
     if name not in reasons:
         return None
-    return f"{path}: outdated, {reasons[name]}; 'stmnist ladder {run.path}' makes it again"
+    remedy = f"'stmnist ladder {run.path}' makes it again"
+    return f"{WARNING}{path}: outdated, {reasons[name]}; {remedy}"
 
 
 def status_text(run: RunFolder, found) -> str:
@@ -166,7 +169,8 @@ def status_text(run: RunFolder, found) -> str:
 def _dataset_origin(run, settings):
     """The origin of the dataset with the current settings, or the stored one without recordings."""
     recorded = read_json(run.dataset, DELETE_IT).get("made_from") if run.dataset.exists() else None
-    contents = recorded.get("contents", {}) if isinstance(recorded, dict) else {}
+    contents = recorded.get("contents") if isinstance(recorded, dict) else None
+    contents = contents if isinstance(contents, dict) else {}
     if ARRAYS in contents:
         return Origin.of(settings, SPLIT_READS, contents={ARRAYS: contents[ARRAYS]})
     try:
@@ -179,28 +183,37 @@ def _dataset_origin(run, settings):
 
 
 def _networks(run, settings, dataset):
+    graph = []
     if settings.nir.file:
         origin = nir_origin(settings, dataset)
-        state = nir_artifact(run, origin).state(origin)
-        return [Status(state, _accuracy(state.record), state.record.get("seconds"))]
+        graph = [_status(nir_artifact(run, settings, origin), origin)]
+    if settings.network == "nir":
+        return graph
     if settings.on_events:
         events = events_origin(settings, dataset)
-        network = events_artifact(run, events).state(events)
+        network = _status(events_artifact(run, events), events)
         origin = threshold_origin(settings, events)
-        threshold = _follows(threshold_artifact(run, origin).state(origin), network)
-        return [
-            Status(network, seconds=network.record.get("seconds")),
-            Status(threshold, _accuracy(threshold.record)),
-        ]
+        threshold = _status(threshold_artifact(run, origin), origin)
+        follows = _follows(threshold.state, network.state)
+        return [*graph, network, Status(follows, threshold.accuracy)]
     cnn = cnn_origin(settings, dataset)
     rates = rates_origin(settings, cnn)
-    states = [cnn_artifact(run, cnn).state(cnn), rates_artifact(run, rates).state(rates)]
-    return [Status(s, _accuracy(s.record), s.record.get("seconds")) for s in states]
+    return [_status(cnn_artifact(run, cnn), cnn), _status(rates_artifact(run, rates), rates)]
 
 
-def _accuracy(metrics):
-    accuracy = metrics.get("accuracy")
-    return accuracy.get("test") if isinstance(accuracy, dict) else None
+def _status(artifact, origin):
+    """The state of a trained network, with what its record says of accuracy and duration."""
+    state = artifact.state(origin)
+    with understood(artifact.record, DELETE_IT):
+        accuracy = state.record.get("accuracy", {}).get("test")
+        return Status(state, _number(accuracy), _number(state.record.get("seconds")))
+
+
+def _number(value):
+    """A finite number, or None."""
+    if value is None or (type(value) in (int, float) and math.isfinite(value)):
+        return value
+    raise ValueError(f"{str(value)[:40]!r} is no number")
 
 
 def _answers(run, settings, bundle, whole):
@@ -232,8 +245,9 @@ def _ladder(run, results, checks, whole):
     artifact = ladder_artifact(run, whole)
     if not artifact.record.exists():
         return [] if whole else [Status(State(artifact.name, MISSING))]
-    rows = read_json(artifact.record, DELETE_IT).get("rows", [])
-    stages = [row["stage"] for row in rows]
+    record = read_json(artifact.record, DELETE_IT)
+    with understood(artifact.record, DELETE_IT):
+        stages = [str(row["stage"]) for row in record["rows"]]
     there = [results[stage] for stage in stages if stage in results]
     state = artifact.state(ladder_origin(there))
     for check in checks:

@@ -23,7 +23,7 @@ from deploy.tables import aligned
 from pipeline.recordings.events import N_TAXELS, TICK_NS, Events
 
 SIGNATURE_SEED = 2020
-"""Of the random search for signatures; part of the simulated hardware, not of a data set."""
+"""Seed of the random search for signatures: a property of the hardware, not of a data set."""
 
 LONGEST_BURST = 6
 """Ticks after which a taxel's reports can no longer belong to the same event."""
@@ -73,7 +73,7 @@ def _most_shared(one, other):
 
 
 def bursts(time_ns, taxel, polarity, p) -> Events:
-    """What the decoder reports when nothing is lost on the wire: the short way.
+    """Reports of the decoder when nothing is lost on the wire, computed directly.
 
     An event at ``t`` whose pulses are ``w`` wide is seen at every tick from ``t`` to just before
     ``t + w``.
@@ -107,7 +107,7 @@ class Decoder:
         self._waiting = np.empty(0), np.empty(0, int), np.empty(0, int)
 
     def advance(self, time_ns, taxel, polarity, until_ns) -> Events:
-        """What is reported of the events up to a time; later ones wait for the next call.
+        """Reports of the events up to a time; later events wait for the next call.
 
         Parameters
         ----------
@@ -159,7 +159,7 @@ def encode(time_ns, taxel, polarity, p, start_ns, n_ticks) -> np.ndarray:
     start_ns : int
         Time of the first sample, on the grid.
     n_ticks : int
-        What is sent outside these samples is lost.
+        Pulses outside these samples are lost.
 
     Returns
     -------
@@ -175,7 +175,7 @@ def encode(time_ns, taxel, polarity, p, start_ns, n_ticks) -> np.ndarray:
 
 
 def decode(wire, p, start_ns) -> Events:
-    """Which taxel fired when, from the samples of the wire.
+    """Decode which taxel fired at which time from the samples of the wire.
 
     Each sample is limited to a pulse's height, so that where many signatures meet no other one is
     seen that was not sent; then the wire is correlated with every signature at every tick.  Ticks
@@ -217,7 +217,7 @@ def decode(wire, p, start_ns) -> Events:
 
 
 def round_trip(at_once, noise, trials, rng, p) -> dict:
-    """How well events come through the wire when many taxels fire within one signature's length.
+    """Errors of the wire when many taxels fire within the length of one signature.
 
     Parameters
     ----------
@@ -278,7 +278,7 @@ def wire_losses(trials: int, seed: int, p, advance=None) -> list:
     Parameters
     ----------
     trials : int
-        Of each condition.
+        Number of trials of each condition.
     seed : int
     p : parameters
         As there.

@@ -1,4 +1,4 @@
-"""From a moving pen to the signal of every taxel: contact, film, gain, vibration, noise.
+"""The signal of every taxel under a moving pen: contact, film, gain, vibration, noise.
 
 A whole recording goes through :func:`press` at once; where a pen is written with right now, the
 same equations take it piece by piece (:func:`pressure`, :func:`landings`, :class:`Shaking`).
@@ -19,7 +19,7 @@ NOTHING = 2.0**-150
 
 
 def press(motion, gain, least, rng, p, size=(GRID, GRID)):
-    """What the taxels that a pen reaches feel of it, before the film creeps.
+    """The pressure of a pen on the taxels that it reaches, before the film creeps.
 
     The force of the tip (0.5 mm, half a taxel) spreads in the film and its cover; over the taxels
     it falls off as a Gaussian of standard deviation ``p.spread``.  Where the pen comes down or
@@ -29,7 +29,7 @@ def press(motion, gain, least, rng, p, size=(GRID, GRID)):
     ----------
     motion : pipeline.skin.handwriting.Motion
     gain : ndarray of float, shape (n_taxels,)
-        Of each taxel.
+        Gain of each taxel.
     least : float
         Taxels that feel less all the time are left out.
     rng : numpy.random.Generator
@@ -42,7 +42,7 @@ def press(motion, gain, least, rng, p, size=(GRID, GRID)):
     taxels : ndarray of int, shape (n,)
     felt : ndarray of float32, shape (n_times, n)
     speed : ndarray of float, shape (n_times,)
-        Of the tip, in taxels per second.
+        Speed of the tip, in taxels per second.
     """
     step = motion.time_s[1] - motion.time_s[0]
     places = TaxelMap.grid(*size)
@@ -122,7 +122,7 @@ class Creep:
         Parameters
         ----------
         felt : ndarray of float32, shape (n_times, n)
-            Of all taxels, or the first n where the others are not touched any more.
+            Forces on all taxels, or on the first n if the others are no longer touched.
         """
         late = self._late[: felt.shape[1]]
         change = np.empty_like(late)
@@ -143,7 +143,7 @@ def scrape(signal, speed, rng, p):
     ----------
     signal : ndarray of float32, shape (n_times, n_taxels)
     speed : ndarray of float, shape (n_times,)
-        Of the tip, in taxels per second.
+        Speed of the tip, in taxels per second.
     rng : numpy.random.Generator
     p : pipeline.skin.parameters.Skin
     """
@@ -192,10 +192,10 @@ def landings(force, least) -> np.ndarray:
 
 
 def strength(rng, p) -> float:
-    """How strongly the pen's coming down or lifting shakes the skin, in one recording."""
+    """Strength of the transients when the pen lands or lifts, in one recording."""
     return p.jolt * np.exp(p.jolt_spread * rng.standard_normal())
 
 
 def jolt(rng, n, n_taxels) -> np.ndarray:
-    """What each taxel feels of ``n`` landings of unit strength, shape (n, n_taxels)."""
+    """The signal of each taxel for ``n`` landings of unit strength, shape (n, n_taxels)."""
     return rng.standard_exponential((n, n_taxels))

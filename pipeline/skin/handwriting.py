@@ -59,7 +59,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Writer:
-    """What stays the same from digit to digit of one person.
+    """The habits of one person, the same for all digits.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Writer:
     size : float
         Logarithm of this person's factor on the height and the width of digits.
     down, right : float
-        Where this person writes, off the usual place, in taxels.
+        Offset from the usual place where this person writes, in taxels.
     tempo, force, scrape : float
         Logarithm of the factor on the speed, the force, and the vibration of the sliding tip.
     sloppiness : float
@@ -194,7 +194,7 @@ def write(digit: int, who: Writer, rng, shapes: ShapeModel) -> tuple:
 
 
 def placing(who: Writer, rng, p, form, width):
-    """How a digit's box comes to lie on the skin this time.
+    """The position and size of a digit's box on the skin in one trial.
 
     Parameters
     ----------

@@ -10,7 +10,6 @@ import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
-from deploy.files import write_json
 from pipeline.skin import shape_model
 from pipeline.skin.shape_model import ShapeModel
 
@@ -39,7 +38,7 @@ class Trials:
 
 @dataclass(frozen=True)
 class Kinematics:
-    """How a digit becomes a movement."""
+    """Parameters of the movement with which a digit is written."""
 
     speed: float
     lift_s: float
@@ -55,7 +54,7 @@ class Kinematics:
 
 @dataclass(frozen=True)
 class Skin:
-    """How the film and the taxels take up a force."""
+    """Parameters of the film and of the taxels under a force."""
 
     spread: float
     creep: float
@@ -84,7 +83,7 @@ class Receptor:
 
 @dataclass(frozen=True)
 class Aces:
-    """How the decoder reports an event."""
+    """Parameters of the ACES signatures and of their decoder."""
 
     pulses: int
     signature_s: float
@@ -98,7 +97,7 @@ class Aces:
 
 @dataclass(frozen=True)
 class Form:
-    """What was fitted for one digit.
+    """Parameters that were fitted for one digit.
 
     Attributes
     ----------
@@ -133,11 +132,11 @@ class Parameters:
     Attributes
     ----------
     writers, trials, kinematics, skin, receptor, aces
-        What was set by hand.
+        Parameters that were set by hand.
     forms : tuple of Form
-        What was fitted to Table 1, of each digit.
+        Parameters of each digit that were fitted to Table 1.
     shapes : ShapeModel
-        What was estimated from people's handwriting.
+        Model that was estimated from people's handwriting.
     """
 
     writers: Writers
@@ -158,7 +157,7 @@ class Parameters:
 
 
 CALIBRATION = Path(__file__).with_name("calibration.json")
-"""What was fitted, beside ``parameters.toml``, what was set."""
+"""File of the fitted parameters; ``parameters.toml`` has those that were set by hand."""
 
 
 @functools.cache
@@ -169,20 +168,6 @@ def load() -> Parameters:
     sections = {name: section(**_tuples(values[name])) for name, section in _SECTIONS.items()}
     forms = tuple(Form(**fitted[str(digit)]) for digit in range(10))
     return Parameters(**sections, forms=forms, shapes=shape_model.load())
-
-
-def write_calibration(path, parameters: Parameters, about: dict):
-    """Write what was fitted, with how it was.
-
-    Parameters
-    ----------
-    path : path-like
-    parameters : Parameters
-    about : dict
-        How the fit was made.
-    """
-    forms = {str(digit): vars(form) for digit, form in enumerate(parameters.forms)}
-    write_json(path, {"fit": about, "forms": forms})
 
 
 _SECTIONS = {

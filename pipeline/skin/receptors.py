@@ -11,7 +11,7 @@ import numpy as np
 
 
 class Receptors:
-    """What taxels remember from one moment to the next.
+    """The state of the taxels between two calls.
 
     Between two samples the signal is taken as a straight line; an event stands at the first look
     of the taxel's clock at which the threshold has been crossed.
@@ -46,7 +46,7 @@ class Receptors:
         Parameters
         ----------
         signal : ndarray of float, shape (n_times, n)
-            Of all channels, or the first n where the others have ended.
+            Signals of all channels, or of the first n if the others have ended.
 
         Returns
         -------

@@ -11,10 +11,10 @@ from pipeline.skin.handwriting import Trace
 from pipeline.skin.shape_model import DIGITS, POINTS, Allograph, ShapeModel, resampled
 
 MOST_ALLOGRAPHS = 10
-"""Of one number of strokes, to begin with; those too rare are dissolved."""
+"""Initial maximum for each number of strokes; rare allographs are dissolved."""
 
 LEAST_DIGITS, LEAST_WRITERS = 15, 3
-"""Of an allograph: what fewer people did would describe them and not how people write."""
+"""Minimum of digits and writers for an allograph: fewer would describe individuals."""
 
 MOST_COMPONENTS = 12
 EXPLAINED = 0.97
@@ -27,11 +27,11 @@ def estimate(traces, seed: int = 0, about: dict | None = None) -> ShapeModel:
     Parameters
     ----------
     traces : sequence of Trace
-        Of all ten digits, with their writers.
+        Trajectories of all ten digits, with their writers.
     seed : int
-        Of where the search for allographs begins.
+        Seed of the start of the search for allographs.
     about : dict, optional
-        Where the trajectories come from.
+        Source of the trajectories.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def _spread(of_writer):
 
 
 def slant_of(strokes) -> float:
-    """How far a digit leans to the right: the slope of right against up, by least squares."""
+    """The slant of a digit: the slope of right against up, by least squares."""
     points = np.concatenate(strokes)
     down, right = (points - points.mean(axis=0)).T
     return float(-(down * right).sum() / max((down**2).sum(), 1e-9))
@@ -215,7 +215,7 @@ def _root(covariance):
 
 
 def _loyalty(usage):
-    """How often a person's digit is of the person's own way.
+    """Estimate how often a person's digit is of the person's habitual way.
 
     If a share ``q`` is of a habit that is drawn as people write, and the rest is drawn so each
     time, two digits of a person are of the same way with the chance ``s + q^2 (1 - s)``, where

@@ -48,7 +48,7 @@ class Allograph:
     Attributes
     ----------
     share : float
-        Of the digits that are written in this way.
+        Share of the digits that are written in this way.
     points : tuple of int
         Positions of each stroke; :data:`POINTS` in all.
     mean : ndarray, shape (n,)
@@ -100,12 +100,12 @@ class Allograph:
 
 @dataclass(frozen=True)
 class ShapeModel:
-    """How people write the ten digits.
+    """A statistical model of how people write the ten digits.
 
     Attributes
     ----------
     allographs : tuple of tuple of Allograph
-        Of each digit.
+        Allographs of each digit.
     loyalty : tuple of float
         Of each digit, the share that a person writes in the way that is this person's habit; the
         rest is written in any way, as often as people write so.

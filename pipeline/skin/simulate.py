@@ -29,7 +29,7 @@ STEP_S = 3.27e-3 / 3
 """Time step of motion and contact; events stand on a finer grid within it."""
 
 ARRAY_SEED = 2020
-"""Of the taxels' gains: like the paper, every data set is recorded with the same array."""
+"""Seed of the taxels' gains: as in the paper, one array records every data set."""
 
 BATCH = 128
 """Recordings whose film and receptors are simulated together.
@@ -40,7 +40,7 @@ Fixed, so that the bytes do not depend on the processes.
 
 @dataclass(frozen=True)
 class Sample:
-    """What is to be recorded: a digit by a writer, or as a trace shows it."""
+    """A sample to be recorded: a digit by a writer, or a given trace."""
 
     digit: int
     index: int
@@ -64,7 +64,7 @@ class Touch:
     taxels : ndarray of int, shape (n,)
     felt : ndarray of float32, shape (n_times, n)
     speed : ndarray of float, shape (n_times,)
-        Of the tip, in taxels per second.
+        Speed of the tip, in taxels per second.
     skin : pipeline.skin.parameters.Skin
         As rough as it is in this recording.
     off : float
@@ -146,7 +146,7 @@ def simulate(
 
 
 def source_of(seed=0, samples_per_digit=None, parameters=None, traces=None, size=SIZE) -> Source:
-    """What :func:`simulate` of the same arguments will give, by name and hash, without the work."""
+    """The source (name and hash) of what :func:`simulate` returns for the same arguments."""
     parameters = parameters or settings.load()
     content = [VERSION, int(seed), _counts(samples_per_digit), parameters.fingerprint()]
     if tuple(size) != SIZE:
@@ -327,7 +327,7 @@ def _receive(touches, p):
 
 
 def _stretches(ends, first):
-    """From one recording's end to the next: rows, and the columns of those that still go on.
+    """Rows between the ends of two recordings, and the columns of those that continue.
 
     Parameters
     ----------

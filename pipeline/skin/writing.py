@@ -14,17 +14,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.recordings.events import GRID, N_TAXELS, Events
+from pipeline.recordings.events import Events
 from pipeline.skin import aces, contact
 from pipeline.skin.handwriting import on_skin
 from pipeline.skin.receptors import Receptors
-from pipeline.skin.simulate import ARRAY_SEED, STEP_S, array_gain
+from pipeline.skin.simulate import ARRAY_SEED, SIZE, STEP_S, array_gain
 
 START_S = 0.2
 """Time at which the pen first touches the skin; 0.197 s in the one real recording at hand."""
 
 USUAL_PRESSURE = 0.5
-"""What a pointer without a sensor of pressure reports (W3C, Pointer Events, ``pressure``)."""
+"""Pressure that a pointer without a pressure sensor reports (W3C, Pointer Events, ``pressure``)."""
 
 WEAKEST, STRONGEST = 0.3, 2.0
 """Bounds of a pen's force, as multiples of the usual one."""
@@ -34,18 +34,18 @@ MARGIN = 2.0
 
 
 class PenPoint(NamedTuple):
-    """Where the pen was.
+    """A position of the pen.
 
     Attributes
     ----------
     time_s : float
         From the start of the recording.
     down, right : float
-        Of the tip in taxels; 0 is the centre of the first row or column.
+        Position of the tip in taxels; 0 is the centre of the first row or column.
     pressure : float
         From 0 to 1, :data:`USUAL_PRESSURE` where nothing measures it.
     touches : bool
-        Whether the pen is on the skin from this point on.
+        True if the pen is on the skin from this point on.
     """
 
     time_s: float
@@ -61,28 +61,34 @@ class Writing:
     Parameters
     ----------
     seed : sequence of int
-        Of what differs from one recording to the next: gains, thresholds, clocks, noise.
+        Seed of everything that differs between recordings: gains, thresholds, clocks, noise.
     p : pipeline.skin.parameters.Parameters
+    size : (int, int)
+        Rows and columns of the skin.  The taxels, and how far a force spreads over them, are the
+        same on every skin.
+    polarities : int
+        1 for taxels that report only ON events.
     """
 
-    def __init__(self, seed, p):
+    def __init__(self, seed, p, size=SIZE, polarities=2):
         rng = np.random.default_rng(seed)
-        gain = array_gain(np.random.default_rng(ARRAY_SEED), p.skin)
-        gain = gain * np.exp(p.skin.gain_drift * rng.standard_normal(N_TAXELS))
+        gain = array_gain(np.random.default_rng(ARRAY_SEED), p.skin, size)
+        n_taxels = len(gain)
+        gain = gain * np.exp(p.skin.gain_drift * rng.standard_normal(n_taxels))
         off = np.mean([form.off for form in p.forms])
         off = p.receptor.threshold * np.exp(off + p.receptor.off_spread * rng.standard_normal())
-        clock = np.exp(p.receptor.clock * np.abs(rng.standard_normal(N_TAXELS)))
-        self._p, self._rng = p, rng
+        clock = np.exp(p.receptor.clock * np.abs(rng.standard_normal(n_taxels)))
+        self._p, self._rng, self._size, self._polarities = p, rng, size, polarities
         self._usual = np.exp(np.mean([form.force for form in p.forms]))
         rough = np.exp(p.trials.scrape * rng.standard_normal())
         self._skin = replace(p.skin, scrape=p.skin.scrape * rough)
         self._strength = contact.strength(rng, p.skin)
         self._shaking = contact.Shaking(gain, STEP_S, p.skin)
-        self._film = contact.Creep(N_TAXELS, STEP_S, p.skin)
+        self._film = contact.Creep(n_taxels, STEP_S, p.skin)
         self._receptors = Receptors(
-            np.zeros(N_TAXELS, np.float32),
-            on=np.full(N_TAXELS, p.receptor.threshold, np.float32),
-            off=np.full(N_TAXELS, off, np.float32),
+            np.zeros(n_taxels, np.float32),
+            on=np.full(n_taxels, p.receptor.threshold, np.float32),
+            off=np.full(n_taxels, off, np.float32),
             step_s=STEP_S,
             refractory_s=p.receptor.refractory_s * clock,
             poll_s=p.receptor.poll_s * clock,
@@ -96,7 +102,7 @@ class Writing:
 
     @property
     def time_s(self) -> float:
-        """How far the recording has come."""
+        """The time that the recording has reached."""
         return START_S + self._row * STEP_S
 
     @property
@@ -127,8 +133,8 @@ class Writing:
         """
         if not np.isfinite(point[:4]).all():
             raise ValueError("a point of the pen is not four finite numbers")
-        inside = [-MARGIN <= place <= GRID - 1 + MARGIN for place in (point.down, point.right)]
-        if not all(inside):
+        places = zip((point.down, point.right), self._size, strict=True)
+        if not all(-MARGIN <= place <= side - 1 + MARGIN for place, side in places):
             raise ValueError("a point of the pen is outside the skin")
         before = self._points[-1] if self._points else None
         earliest = self.time_s if before is None else max(self.time_s, before.time_s)
@@ -165,12 +171,14 @@ class Writing:
         )
         felt = np.concatenate([[self._last[2]], force])
         lands = contact.landings(felt, contact.LANDED * self._usual) - 1
-        jolts = self._strength * contact.jolt(self._rng, len(lands), N_TAXELS)
-        signal = contact.pressure(down, right, force, self._skin)
+        jolts = self._strength * contact.jolt(self._rng, len(lands), self._size[0] * self._size[1])
+        signal = contact.pressure(down, right, force, self._skin, self._size)
         self._shaking.advance(signal, zip(lands, jolts, strict=True))
         self._film.advance(signal)
         contact.scrape(signal, speed / STEP_S, self._rng, self._skin)
         seconds, taxel, polarity = self._receptors.advance(signal)
+        if self._polarities == 1:
+            seconds, taxel, polarity = (a[polarity > 0] for a in (seconds, taxel, polarity))
         self._row += n
         self._last = down[-1], right[-1], force[-1]
         self._forget()

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deploy.errors import UserError
-from deploy.files import read_arrays, write_arrays
+from deploy.files import read_arrays, understood, write_arrays
 
 REMEDY = "delete it to train from the start"
 
@@ -46,8 +45,8 @@ def train_epochs(
     train : callable
         ``train(epoch) -> dict``, ``loss`` and ``accuracy`` of an epoch, counted from 0.
     epochs : int
-    state : dict of str to tf.Variable
-        All variables that the next epoch depends on.
+    state : dict of str to tf.Variable or ndarray
+        All values that the next epoch depends on.
     checkpoint : Checkpoint, optional
         If it has the state of this training, the training resumes from it; the result is the same
         as without the interruption.
@@ -75,7 +74,7 @@ def train_epochs(
         row = {"epoch": epoch + 1, **train(epoch), "seconds": time.perf_counter() - begun}
         history.append(row | (watch() if watch else {}))
         if checkpoint is not None:
-            arrays = {name: variable.numpy() for name, variable in state.items()}
+            arrays = {name: np.asarray(variable) for name, variable in state.items()}
             text = {"key": checkpoint.key, "history": json.dumps(history)}
             texts = {name: np.array(value) for name, value in text.items()}
             write_arrays(checkpoint.path, **texts, **arrays)
@@ -85,23 +84,27 @@ def train_epochs(
 
 
 def _resumed(checkpoint, state, epochs):
-    """The history of an earlier session, after assigning its state to the variables."""
+    """The history of an earlier session, after restoring its state."""
     path = checkpoint.path
     if not path.exists():
         return []
     kept = read_arrays(path, REMEDY)
-    try:
+    with understood(path, REMEDY):
         if "key" not in kept or str(kept["key"]) != checkpoint.key:
             return []
         history = json.loads(str(kept["history"]))
         if len(history) > epochs:
             return []
+        if [row["epoch"] for row in history] != list(range(1, len(history) + 1)):
+            raise ValueError("epochs that do not follow each other")
+        _note(history)
         for name, variable in state.items():
-            variable.assign(kept[name])
+            if isinstance(variable, np.ndarray):
+                variable[...] = kept[name]
+            else:
+                variable.assign(kept[name])
         return history
-    except (KeyError, ValueError) as error:
-        raise UserError(f"{path}: damaged checkpoint ({error}); {REMEDY}") from error
 
 
 def _note(history):
-    return f"accuracy {history[-1]['accuracy']:.3f}"
+    return f"accuracy {history[-1]['accuracy']:.3f}" if history else ""

@@ -75,7 +75,7 @@ class EventRecipe:
     early, price, budget : float
         See the module's docstring.
     stretch, drop, turn, shift, scale, shear : float
-        How training samples are altered, each time anew; see
+        Augmentation of training samples, drawn anew in each epoch; see
         :class:`pipeline.recordings.altering.Alteration`.
     """
 
@@ -103,7 +103,7 @@ class EventRecipe:
 
     @property
     def alteration(self) -> Alteration:
-        """How training samples are altered."""
+        """The augmentation of training samples."""
         return Alteration(*(getattr(self, entry.name) for entry in fields(Alteration)))
 
     def altered(self, rng, table: EventTable, indices) -> tuple:
@@ -215,6 +215,7 @@ def train_events(
     validation=(),
     checkpoint: Checkpoint | None = None,
     advance=None,
+    start: dict | None = None,
 ) -> TrainedOnEvents:
     """Train a network on events.
 
@@ -235,6 +236,9 @@ def train_events(
         same result as without the interruption.
     advance : callable, optional
         ``advance(1, note)`` after each epoch, including those of an earlier session.
+    start : dict, optional
+        Weights to begin with, by the names of :meth:`models.spiking.SpikingNetwork.get_weights`;
+        default: random ones, drawn with the seed.
 
     Returns
     -------
@@ -248,7 +252,7 @@ def train_events(
     train = np.asarray(train)[np.diff(table.offsets)[train] > 0]
     if not len(train):
         raise UserError("no training sample has an event; give other recordings")
-    trainer = _Trainer(recipe, table, np.asarray(labels), train, seed)
+    trainer = _Trainer(recipe, table, np.asarray(labels), train, seed, start)
     history = train_epochs(
         trainer.epoch,
         recipe.epochs,
@@ -259,6 +263,29 @@ def train_events(
     )
     judge = train_judge(*trainer.outputs_of(train), seed)
     return TrainedOnEvents(recipe, {**trainer.weights(), **judge.arrays()}, history)
+
+
+def tune_events(recipe: EventRecipe, weights: dict, table: EventTable, labels, train, seed: int):
+    """Train all layers of a trained network further.
+
+    Parameters
+    ----------
+    recipe : EventRecipe
+        With the epochs and the learning rate of the further training.
+    weights : dict
+        Of the network to begin with, see :attr:`TrainedOnEvents.weights`.
+    table, labels, train, seed
+        As in :func:`train_events`; a sample whose index occurs several times counts as often.
+
+    Returns
+    -------
+    dict
+        The weights afterwards, without a confidence estimator.
+    """
+    trainer = _Trainer(recipe, table, np.asarray(labels), np.asarray(train), seed, weights)
+    for epoch in range(recipe.epochs):
+        trainer.epoch(epoch)
+    return trainer.weights()
 
 
 def answer_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> Answers:
@@ -355,7 +382,7 @@ def _now(variables):
 class _Trainer:
     """The network, the optimiser, the running mean of the weights, and the compiled steps."""
 
-    def __init__(self, recipe, table, labels, train, seed):
+    def __init__(self, recipe, table, labels, train, seed, start=None):
         make_deterministic(seed)
         self.recipe, self.table, self.labels, self.seed = recipe, table, labels, seed
         self.train = train
@@ -372,7 +399,10 @@ class _Trainer:
             global_clipnorm=5.0,
         )
         self.optimizer.build(self.variables)
-        self._calibrate()
+        if start is None:
+            self._calibrate()
+        else:
+            self.network.set_weights(start)
         self.mean = [tf.Variable(variable) for variable in self.variables]
         samples = recipe.batch_size
         given = (

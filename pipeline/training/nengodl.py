@@ -18,6 +18,7 @@ import warnings
 import nengo
 import numpy as np
 
+from deploy.network.numpy1 import put_back_for_nengo
 from models.architecture import parse
 from models.cnn import build_cnn, set_weights
 from models.keras2 import tf
@@ -64,6 +65,28 @@ def keras_of_its_time():
 with warnings.catch_warnings(), keras_of_its_time():
     warnings.simplefilter("ignore")
     import nengo_dl
+
+put_back_for_nengo()
+_build_filters = nengo_dl.process_builders.LinearFilterBuilder.build_pre
+
+
+def _build_filters_of_nengo_3(self, signals, config):
+    """Nengo 4 gives a filter's matrix D as many dimensions as its state; NengoDL expects one."""
+    make_step = nengo.LinearFilter.make_step
+
+    def with_flat_d(*arguments, **options):
+        step = make_step(*arguments, **options)
+        step.D = step.D.ravel()
+        return step
+
+    nengo.LinearFilter.make_step = with_flat_d
+    try:
+        _build_filters(self, signals, config)
+    finally:
+        nengo.LinearFilter.make_step = make_step
+
+
+nengo_dl.process_builders.LinearFilterBuilder.build_pre = _build_filters_of_nengo_3
 
 # Suppress messages about missing GPUs and about functions that are traced for each network.
 warnings.filterwarnings("ignore", "No GPU support", module="nengo_dl")
@@ -122,45 +145,6 @@ def run(
             if advance is not None:
                 advance(min(batch, len(images) - (len(results) - 1) * batch))
     return np.concatenate(results)[: len(images)]
-
-
-@contextlib.contextmanager
-def open_trainer(settings: Settings, weights: dict, data, batch: int):
-    """Open NengoDL's own training of the rate-based network, for comparison.
-
-    It is slower than :mod:`pipeline.training.networks`, which is measured against it.
-
-    Parameters
-    ----------
-    settings : Settings
-    weights : dict
-        Initial weights.
-    data : (images, labels)
-        Samples beyond the last full batch are not used.
-    batch : int
-
-    Yields
-    ------
-    callable
-        ``train_epoch() -> loss``; the simulator stays open between calls.
-    """
-    converter, source, output = _convert(settings, weights, nengo.LIFRate, None, False)
-    count = len(data[0]) // batch * batch
-    images = np.asarray(data[0][:count], np.float32).reshape(count, 1, -1)
-    labels = np.asarray(data[1][:count]).reshape(count, 1, 1)
-    with nengo_dl.Simulator(
-        converter.net, minibatch_size=batch, progress_bar=False, seed=settings.seed
-    ) as simulator:
-        simulator.compile(
-            tf.keras.optimizers.RMSprop(settings.cnn.learning_rate),
-            loss={output: tf.keras.losses.SparseCategoricalCrossentropy(from_logits=True)},
-        )
-
-        def train_epoch():
-            history = simulator.fit({source: images}, {output: labels}, verbose=0).history
-            return history["loss"][-1]
-
-        yield train_epoch
 
 
 def predict(settings: Settings, weights: dict, images, steps: int) -> np.ndarray:

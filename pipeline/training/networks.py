@@ -20,7 +20,6 @@ from models.cnn import (
 )
 from models.keras2 import as_written, tf
 from models.lif import DT, RateLIF, gain_for
-from models.quantised import OnChipConv2D, OnChipDense
 from pipeline.settings import Settings
 from pipeline.training.threads import one_thread_each
 
@@ -184,25 +183,15 @@ def build_rate_network(settings: Settings) -> tf.keras.Model:
             spike_costs=costs and costs[index],
         )
 
-    def sums(index, layer, name):
-        gain = gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
-        if layer.kind == "dense":
-            return OnChipDense(layer.units, gain, name=name)
-        return OnChipConv2D(
-            layer.filters,
-            layer.kernel,
-            gain,
-            strides=layer.stride,
-            padding=layer.padding,
-            name=name,
-        )
+    def gain(index):
+        return gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
 
     for rate in snn.max_rates:
         try:
             gain_for(rate, snn.tau_rc, snn.tau_ref)
         except ValueError as error:
             raise UserError(f"settings: snn.max_rates: {error}") from error
-    return build_cnn(architecture, neurons, sums if on_chip else None)
+    return build_cnn(architecture, neurons, gain if on_chip else None)
 
 
 def _spike_costs(settings, architecture):
@@ -281,9 +270,9 @@ def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
 
 
 def _reach(activations) -> float:
-    """What a layer's activations reach, whatever their scale; 1 for a layer that is silent.
+    """The value that a layer's activations reach; 1 for a silent layer.
 
-    Of activations that are nearly all 0 it is the largest one.
+    If nearly all activations are 0, it is the largest one.
     """
     reach = float(np.percentile(activations, PERCENTILE)) or float(np.max(activations, initial=0))
     return reach or 1.0

@@ -21,12 +21,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize
+from threadpoolctl import threadpool_limits
 
 from deploy.network.rehearsal import Rehearsal
 
 PULLS = (3e-4, 3e-3)
 REHEARSALS = (0.3, 1.0, 3.0)
-"""What the cross-validation chooses from."""
+"""Strengths of regularisation and of rehearsal among which cross-validation chooses."""
 
 FOLDS = 5
 
@@ -49,10 +50,10 @@ class Person:
     Attributes
     ----------
     responses : ndarray, shape (n, inputs)
-        Of the samples as they are.
+        Responses to the samples as they are.
     labels : ndarray of int, shape (n,)
     copies : ndarray, shape (n, n_copies, inputs)
-        Of copies altered like training samples; they are only learned from.
+        Responses to augmented copies, which are used for training only.
     """
 
     responses: np.ndarray
@@ -77,6 +78,8 @@ class Refit:
     ----------
     weights : ndarray, shape (classes, inputs)
         On 255 levels.
+    exact : ndarray, shape (classes, inputs)
+        Before they were rounded to these.
     pull, rehearsal : float
         As chosen; see the module's description.
     before, after : ndarray of bool, shape (n_samples,)
@@ -87,6 +90,7 @@ class Refit:
     """
 
     weights: np.ndarray
+    exact: np.ndarray
     pull: float
     rehearsal: float
     before: np.ndarray
@@ -96,11 +100,13 @@ class Refit:
 
     @property
     def helps(self) -> bool:
-        """Whether the person's samples are better told and hardly any others are lost."""
+        """True if the person's samples gain accuracy and the others lose almost none."""
         lost = self.kept_before.mean() - self.kept_after.mean()
         return bool(self.after.sum() > self.before.sum() and lost <= MOST_LOST)
 
 
+# Products of a few hundred rows: several threads wait for each other 12 times as long as they take.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: float = 1.0):
     """Refit a readout and choose how far by cross-validation.
 
@@ -112,9 +118,9 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
     person : Person
     kept : Rehearsal
     seed : int
-        Of the folds.
+        Seed of the folds.
     scale : float
-        What scores are multiplied by to be the logits that the network was trained with.
+        Factor from scores to the logits that the network was trained with.
 
     Returns
     -------
@@ -132,7 +138,8 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
         log_p, kept_after = np.empty_like(before), np.empty(len(kept), bool)
         for fold in range(folds.max() + 1):
             inside, out = kept_folds != fold, kept_folds == fold
-            refitted = problem.solve(*person.learned(folds != fold), inside, pull, rehearsal)
+            learned = person.learned(folds != fold)
+            refitted = in_8_bits(problem.solve(*learned, inside, pull, rehearsal))
             log_p[folds == fold] = problem.log_odds(refitted, person.responses[folds == fold])
             log_kept = problem.log_odds(refitted, kept.responses[out])
             kept_after[out] = _right(log_kept, kept.labels[out])
@@ -146,8 +153,10 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
     pull, rehearsal, after, kept_after = best
     everything = np.ones(len(kept), bool)
     own = person.learned(np.arange(len(person)))
+    exact = problem.solve(*own, everything, pull, rehearsal)
     return Refit(
-        weights=problem.solve(*own, everything, pull, rehearsal),
+        weights=in_8_bits(exact),
+        exact=exact,
         pull=pull,
         rehearsal=rehearsal,
         before=_right(before, person.labels),
@@ -185,7 +194,7 @@ class _Problem:
         return _log_softmax(self._logits(weights, responses))
 
     def solve(self, responses, labels, kept, pull, rehearsal):
-        """The refitted weights, in 8 bits."""
+        """The refitted weights."""
         units = self._directions / self._unit
         mine, others = responses @ units, self._kept[kept] @ units
         logits = self._logits(self.weights, responses), self._kept_logits[kept]
@@ -207,7 +216,7 @@ class _Problem:
             options={"maxiter": 100, "ftol": 1e-7},
         )  # fmt: skip
         change = found.x.reshape(len(self.weights), -1) @ units.T / self._scale
-        return in_8_bits(self.weights + change)
+        return self.weights + change
 
 
 def _folds(labels, seed):

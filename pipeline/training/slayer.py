@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from models.architecture import parse
-from models.keras2 import tf
-from models.slayer import SlayerNetwork, SpikeResponse, spike_count_loss, spike_counts
+from models.slayer import SlayerNetwork, SpikeResponse
 from pipeline.paper import DURATION_S
 from pipeline.settings import Slayer
 from pipeline.training.checkpoint import Checkpoint, train_epochs
+
+STATE = 2
+"""Version of the arrays in a checkpoint; a checkpoint of another version is overwritten."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ def train_slayer(
     UserError
         The checkpoint is damaged.
     """
-    trainer = _Trainer(settings, frames, labels, seed, duration_s)
+    trainer = Trainer(settings, frames, labels, seed, duration_s)
     kept = None
     if checkpoint is not None:
         key = _identity(settings, labels, train, test, seed, duration_s)
@@ -94,8 +96,7 @@ def train_slayer(
         watch,
         advance,
     )
-    kernels = [kernel.numpy() for kernel in trainer.network.kernels]
-    return TrainedSlayer(kernels, history, trainer.count(test))
+    return TrainedSlayer(trainer.network.kernels, history, trainer.count(test))
 
 
 def spike_response(settings: Slayer, duration_s: float = DURATION_S) -> SpikeResponse:
@@ -103,64 +104,79 @@ def spike_response(settings: Slayer, duration_s: float = DURATION_S) -> SpikeRes
     return SpikeResponse(duration_s / settings.bins, settings.tau_s, settings.tau_r)
 
 
-class _Trainer:
-    """The network, the optimiser, and the compiled steps."""
+class Trainer:
+    """The network and the optimiser."""
 
     def __init__(self, settings, frames, labels, seed, duration_s):
-        self.settings, self.seed, self.labels = settings, seed, labels
+        self.settings, self.seed, self.frames, self.labels = settings, seed, frames, labels
         architecture = parse(settings.architecture)
         neuron = spike_response(settings, duration_s)
         scales = settings.conv_scale, settings.dense_scale
-        self.network = network = SlayerNetwork(architecture, neuron, seed, *scales)
-        self.optimizer = tf.keras.optimizers.Adam(settings.learning_rate, amsgrad=True)
-        self.optimizer.build(network.kernels)
-        outputs = np.eye(network.architecture.outputs, dtype=np.float32)[labels]
+        self.network = SlayerNetwork(architecture, neuron, seed, *scales)
+        self.optimizer = Adam(self.network.kernels, settings.learning_rate)
+        outputs = np.eye(architecture.outputs, dtype=np.float32)[labels]
         self.desired = settings.false_count + outputs * (settings.true_count - settings.false_count)
-        # On the CPU even if there is a GPU: the frames stay in host memory as bytes.
-        with tf.device("CPU"):
-            frames = tf.constant(frames)
-
-        @tf.function(autograph=False)
-        def step(indices, desired):
-            with tf.GradientTape() as tape:
-                response, potential = network(tf.gather(frames, indices))
-                loss = spike_count_loss(response, potential, desired, network.neuron)
-            gradients = tape.gradient(loss, network.kernels)
-            self.optimizer.apply_gradients(zip(gradients, network.kernels, strict=True))
-            return loss, spike_counts(potential, network.neuron)
-
-        @tf.function(autograph=False)
-        def count(indices):
-            _, potential = network(tf.gather(frames, indices))
-            return spike_counts(potential, network.neuron)
-
-        self._step, self._count = step, count
 
     def epoch(self, train, epoch):
         """Train for one epoch; returns the mean loss and the share of right answers."""
         order = np.random.default_rng([self.seed, epoch, 0x51A]).permutation(train)
         loss, right = 0.0, 0
-        for batch in self._batches(order):
-            batch_loss, counts = self._step(batch, self.desired[batch])
-            loss += float(batch_loss) * len(batch)
-            right += int(np.sum(counts.numpy().argmax(1) == self.labels[batch]))
+        for start in range(0, len(order), self.settings.batch_size):
+            batch = order[start : start + self.settings.batch_size]
+            batch_loss, counts, gradients = self.network.gradients(
+                self.frames[batch], self.desired[batch]
+            )
+            self.optimizer.apply(gradients)
+            loss += batch_loss * len(batch)
+            right += int(np.sum(counts.argmax(1) == self.labels[batch]))
         return {"loss": loss / len(order), "accuracy": right / len(order)}
 
     def count(self, indices):
         """Spike counts of the outputs, shape (n, outputs)."""
-        return np.concatenate([self._count(batch).numpy() for batch in self._batches(indices)])
-
-    def _batches(self, indices):
-        size = self.settings.batch_size
-        return (indices[start : start + size] for start in range(0, len(indices), size))
+        return self.network.counts(self.frames[i] for i in indices)
 
     @property
     def state(self):
-        """All variables that the next epoch depends on, by name."""
-        kinds = {"kernel": self.network.kernels, "optimizer": self.optimizer.variables}
-        return {
-            f"{kind}{i}": v for kind, variables in kinds.items() for i, v in enumerate(variables)
-        }
+        """All arrays that the next epoch depends on, by name; they are changed in place."""
+        kernels = {f"kernel{i}": kernel for i, kernel in enumerate(self.network.kernels)}
+        return kernels | self.optimizer.state
+
+
+class Adam:
+    """Adam with the AMSGrad variant, as in Keras (Reddi, Kale and Kumar 2018, Algorithm 2).
+
+    Parameters
+    ----------
+    weights : list of ndarray of float32
+        Changed in place by :meth:`apply`.
+    learning_rate : float
+
+    Attributes
+    ----------
+    state : dict of str to ndarray
+        Its own arrays, by name, changed in place.
+    """
+
+    BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-7
+
+    def __init__(self, weights, learning_rate: float):
+        self.weights, self.learning_rate = weights, learning_rate
+        self.state = {"updates": np.zeros((), np.int64)}
+        for i, array in enumerate(weights):
+            for name in ("mean", "square", "largest"):
+                self.state[f"{name}{i}"] = np.zeros_like(array)
+
+    def apply(self, gradients):
+        """Update the weights with their gradients, a list of arrays of the same shapes."""
+        self.state["updates"] += 1
+        n = int(self.state["updates"])
+        rate = self.learning_rate * np.sqrt(1 - self.BETA_2**n) / (1 - self.BETA_1**n)
+        for i, (array, gradient) in enumerate(zip(self.weights, gradients, strict=True)):
+            mean, square, largest = (self.state[f"{k}{i}"] for k in ("mean", "square", "largest"))
+            mean += (gradient - mean) * np.float32(1 - self.BETA_1)
+            square += (gradient**2 - square) * np.float32(1 - self.BETA_2)
+            np.maximum(largest, square, out=largest)
+            array -= np.float32(rate) * mean / (np.sqrt(largest) + np.float32(self.EPSILON))
 
 
 def _identity(settings, labels, train, test, seed, duration_s):
@@ -168,4 +184,4 @@ def _identity(settings, labels, train, test, seed, duration_s):
     plain = {**asdict(settings), "epochs": None, "seed": seed}
     parts = [np.asarray(part).astype(int) for part in (labels, train, test)]
     sums = [int(np.dot(part, np.arange(1, len(part) + 1)) % (1 << 61)) for part in parts]
-    return json.dumps([plain, asdict(spike_response(settings, duration_s)), sums])
+    return json.dumps([STATE, plain, asdict(spike_response(settings, duration_s)), sums])

@@ -13,7 +13,6 @@ from tests.command import environment, process_of
 
 WORKERS = """
     import sys
-    from deploy import interrupts
     from pipeline.jobs import run_jobs
     from tests.deploy.test_children import say_and_wait
     {before}

@@ -28,7 +28,7 @@ def bundle(tmp_path_factory):
         ),
         (OSError("no more"), 2, "no more; check the path and its permissions"),
         (MemoryError(), 2, "not enough memory for this; ask for less, or close other programs"),
-        (KeyboardInterrupt(), 130, "interrupted; the same command goes on where it stopped"),
+        (KeyboardInterrupt(), 130, "interrupted; the same command continues where it stopped"),
     ],
 )  # fmt: skip
 def test_every_error_is_one_line_and_a_status(monkeypatch, capsys, error, status, line):

@@ -1,12 +1,16 @@
 import os
+import shutil
 import time
 import zipfile
 
 import numpy as np
 import pytest
 
+from deploy.check.bundle import write_bundle
+from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.files import (
+    locked_folder,
     read_arrays,
     read_json,
     remove_abandoned,
@@ -14,6 +18,7 @@ from deploy.files import (
     write_arrays,
     write_json,
 )
+from tests.deploy.networks import random_checks, small_spec
 
 
 def test_round_trips(tmp_path):
@@ -157,3 +162,26 @@ def test_what_is_being_written_is_nobody_elses(tmp_path):
         file.write(b'{"written": "last"}')
     assert read_json(tmp_path / "a.json", "") == {"written": "last"}
     assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_a_locked_folder_that_was_deleted_is_not_made_again_by_what_is_written(tmp_path):
+    """What is written then would be half of what was there, and the lock is no lock any more."""
+    run = tmp_path / "run"
+    spec = small_spec()
+    bundle = write_bundle(tmp_path / "bundle", spec, random_checks(spec, 3))
+    with locked_folder(run, "taken"):
+        write_json(run / "cnn" / "a.json", {})
+        shutil.rmtree(run)
+        for write in (
+            lambda: write_json(run / "cnn" / "a.json", {}),
+            lambda: write_bundle(run / "bundle", spec, bundle.checks),
+            lambda: run_check(bundle, "fast", run / "checks" / "fast.json"),
+        ):
+            with pytest.raises(UserError, match="was deleted or moved"):
+                write()
+            assert not run.exists()
+        run.mkdir()
+        (run / ".lock").touch()  # another one's
+        with pytest.raises(UserError, match="was deleted or moved"):
+            write_json(run / "cnn" / "a.json", {})
+    write_json(run / "cnn" / "a.json", {})

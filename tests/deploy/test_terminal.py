@@ -2,6 +2,7 @@
 
 import ast
 import contextlib
+import io
 import os
 import subprocess
 import sys
@@ -174,3 +175,60 @@ def test_nothing_is_printed_past_the_escaping():
     ]
     assert set(found) == {"deploy/terminal.py", "deploy/targets/fast/kernel_numba.py",
                           "deploy/cli.py", "deploy/fastloihi/kernel_numba.py"}  # fmt: skip
+
+
+class Terminal(io.StringIO):
+    """A stream that says that it is a terminal."""
+
+    def isatty(self):
+        return True
+
+
+LINES = {
+    "stmnist: own/: no such file": 31,
+    "does not fit: layer dense1": 31,
+    "warning: 3 recordings have no events": 33,
+    "rate-lif: warning: conv1: 60.0% silent": 33,
+    "emulator  0.700  0.600 to 0.800  -0.100  20  0.002  *": 1,
+    "nengo     0.800  0.700 to 0.900  +0.000   0  1.000": None,
+}
+
+
+def terminals(monkeypatch):
+    """Standard output and error that are terminals; from within a test, which pytest captures."""
+    for name in ("NO_COLOR", "TERM"):
+        monkeypatch.delenv(name, raising=False)
+    streams = Terminal(), Terminal()
+    monkeypatch.setattr(sys, "stdout", streams[0])
+    monkeypatch.setattr(sys, "stderr", streams[1])
+    return streams
+
+
+def test_errors_warnings_and_significant_differences_have_colours(monkeypatch):
+    streams = terminals(monkeypatch)
+    for line, code in LINES.items():
+        expected = line if code is None else f"\x1b[{code}m{line}\x1b[0m"
+        for print_, stream in zip((show, remark), streams, strict=True):
+            stream.truncate(0), stream.seek(0)
+            print_(line)
+            assert stream.getvalue() == expected + "\n"
+
+
+@pytest.mark.parametrize(("name", "value"), [("NO_COLOR", "1"), ("TERM", "dumb")])
+def test_colours_can_be_switched_off(monkeypatch, name, value):
+    _, error = terminals(monkeypatch)
+    monkeypatch.setenv(name, value)
+    remark("\n".join(LINES))
+    assert error.getvalue() == "\n".join(LINES) + "\n"
+
+
+def test_no_colours_in_a_file_and_none_from_a_name(monkeypatch):
+    _, error = terminals(monkeypatch)
+    remark("warning: \x1b[32mgreen")
+    assert error.getvalue() == "\x1b[33mwarning: \\x1b[32mgreen\x1b[0m\n"
+    result = subprocess.run(
+        [sys.executable, "-m", "pipeline", "data", "inspect", "nowhere.mat"],
+        cwd=ROOT, env=environment(), capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert result.returncode == 2
+    assert "\x1b" not in result.stderr

@@ -218,6 +218,53 @@ def test_huge_arrays_are_not_made(tmp_path, path):
         read_nir(path)
 
 
+@pytest.mark.parametrize(("count", "kind"), [(10**6, h5py.string_dtype()), (500, "S1000000")])
+def test_texts_without_end_are_not_read(tmp_path, path, count, kind):
+    """A few bytes that say so are a million texts, or 500 MB."""
+    with h5py.File(path, "r+") as file:
+        file.create_dataset("node/nodes/texts", (count,), kind, chunks=(1,))
+    with pytest.raises(NirError, match="too long a text"):
+        read_nir(path)
+
+
+def passing_graphs(count):
+    """Graphs of nothing but an input and an output, each connected to all of them."""
+    tree = tree_of((4,), *[("NIRGraph", tree_of((4,)))] * count)
+    names = list(tree["nodes"])
+    return {**tree, "edges": [(a, b) for a in names for b in names]}
+
+
+LONG = tree_of((4,), *[("Scale", {"scale": 1.0})] * 300)
+
+
+@pytest.mark.parametrize(
+    ("tree", "told"),
+    [
+        (passing_graphs(20), "connected to itself"),
+        (tree_of((4,), ("NIRGraph", LONG), ("NIRGraph", LONG)), "more than 500 nodes"),
+        ({**tree_of((4,), lif()), "edges": 5.0}, "no pairs"),
+        ({**tree_of((4,), lif()), "edges": np.zeros((2, 2, 2))}, "no pairs"),
+        ({**tree_of((4,), lif()), "edges": np.zeros((20_000, 2))}, "more than 10000 edges"),
+        (tree_of((np.inf,), lif()), "Input"),
+        (tree_of((4,), ("Flatten", {"start_dim": [0, 0]}), lif()), "start_dim"),
+        (tree_of((4,), ("Flatten", {"start_dim": 0.5}), lif()), "start_dim"),
+    ],
+    ids=range(8),
+)
+def test_graphs_of_odd_parts_are_refused(tree, told):
+    with pytest.raises(NirError, match=told):
+        read_nir(Graph(tree))
+
+
+def test_nodes_of_nodes_that_all_lead_to_each_other_do_not_multiply():
+    """Each graph that only passes on is replaced by edges from all before it to all after it."""
+    tree = tree_of((4,), *[lif()] * 60, ("NIRGraph", tree_of((4,))), *[lif()] * 60)
+    names = list(tree["nodes"])
+    tree["edges"] = [(a, "n60") for a in names[1:61]] + [("n60", b) for b in names[62:-1]]
+    with pytest.raises(NirError, match="60 nodes before and 60 after"):
+        read_nir(Graph(tree))
+
+
 def test_a_crash_of_the_reading_process_is_a_line(path, monkeypatch, tmp_path):
     package = tmp_path / "models"
     package.mkdir()

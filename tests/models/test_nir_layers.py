@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.nir_graph import NirError
-from models.nir_layers import chosen, fired, layers_of, rounded
+from models.nir_layers import chosen, currents, fired, layers_of, moments_of, rounded
 from models.nir_simulator import METHODS, simulate
 from tests.models.nir_graphs import affine, conv, cuba_lif, lif, network_of, spikes
 
@@ -235,6 +235,50 @@ def test_the_scale_is_chosen_on_samples():
     assert error(chosen(layer, inputs)) < error(rounded(layer))
 
 
+def test_rounding_is_made_up_for_where_inputs_are_active_together():
+    """Of 127, 0.4 and 0.4 the latter two always come together: 1 and 0, not 0 and 0."""
+    network = network_of(
+        (3,),
+        ("Linear", {"weight": np.array([[0.4 / 127, 1.0, 0.4 / 127]])}),
+        ("Threshold", {"threshold": 1.0}),
+    )
+    (layer,) = layers_of(network, 0.001)
+    inputs = np.zeros((1, 80, 3))
+    inputs[0, ::8] = [1, 0, 1]
+    inputs[0, 4::8] = [0, 1, 0]
+    found = rounded(layer, 1.0, moments_of(layer, inputs)).weights.ravel()
+    assert rounded(layer).weights.ravel().tolist() == [0, 127, 0]
+    assert sorted(found[[0, 2]]) == [0, 1]
+    assert found[1] == 127
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_compensated_weights_add_up_better_and_keep_the_largest(seed):
+    rng = np.random.default_rng(seed)
+    network = network_of(
+        (2, 8, 8),
+        ("AvgPool2d", {"kernel_size": 2, "stride": 2, "padding": 0}),
+        conv(rng, 4, 2, 3),
+        lif(0.02, 8.0),
+        ("Flatten", {"start_dim": 0}),
+        affine(rng, 5, 16),
+        lif(0.02, 8.0),
+    )
+    signal = in_places(spikes(rng, 4, 100, (2, 8, 8), 0.2))
+    for layer in layers_of(network, 0.001):
+        near, made_up = rounded(layer), rounded(layer, 1.0, moments_of(layer, signal))
+        unit = layer.pool**2 * 128 * 2.0**near.exponent / near.threshold
+        real = currents(layer, layer.weights / layer.pool**2, signal)
+
+        def error(integers, layer=layer, signal=signal, unit=unit, real=real):
+            added = currents(layer, integers.weights * unit / layer.pool**2, signal)
+            return np.square(np.cumsum(added - real, 1)).mean()
+
+        assert np.abs(made_up.weights).max() == 127
+        assert error(made_up) < error(near)
+        signal = fired(layer, signal)
+
+
 def test_what_cannot_be_on_the_chip_is_named():
     rng = np.random.default_rng(0)
     two = lif(np.array([0.01, 0.02]), 1.0)
@@ -251,3 +295,21 @@ def test_what_cannot_be_on_the_chip_is_named():
     huge = ("Linear", {"weight": np.full((2, 3), 1e6)})
     with pytest.raises(NirError, match="too large"):
         rounded(layers_of(network_of((3,), huge, lif()), 0.001)[0])
+
+
+@pytest.mark.parametrize(
+    ("weight", "threshold", "bias", "told"),
+    [
+        (1.0, 1e-310, 0.0, "no numbers"),
+        (1e9, 1e-3, 0.0, "too large"),
+        (5e-324, 1.0, 0.0, "too small"),
+        (1.0, 1.0, 1e9, "biases too large"),
+        (127.0, 1.0, 1e5, "biases too large"),
+    ],
+)
+def test_numbers_past_all_integers_are_refused(weight, threshold, bias, told):
+    """Divided by a threshold of nearly 0, or beside a threshold that would round to 0."""
+    dense = ("Affine", {"weight": np.full((2, 3), weight), "bias": np.full(2, bias)})
+    network = network_of((3,), dense, ("Threshold", {"threshold": threshold}))
+    with np.errstate(all="ignore"), pytest.raises(NirError, match=told):
+        rounded(layers_of(network, 0.001)[0])

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from models.nir_graph import NirError
-from models.nir_simulator import run_node, simulate
+from models.nir_simulator import RESETS, run_node, simulate
 from tests.models.nir_graphs import affine, conv, cuba_lif, lif, network_of
 
 H = 0.002
@@ -55,6 +55,23 @@ def test_steps_by_hand():
     assert simulate(network, np.ones((1, 4, 1)), H, "euler").outputs[0, :, 0].tolist() == [
         0, 0, 1, 0,
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("r", "value", "subtract", "late"),
+    [
+        # 0.95 a step; value: 0.95, 1.425; subtract: 0.95, 1.425, 0.2125 + 0.95, 0.08 + 0.95, 0.97;
+        # late: 0.95, 1.425, 0.7125 - 1 + 0.95, 1.28, 0.59
+        (1.9, [0, 1, 0, 1, 0], [0, 1, 1, 1, 0], [0, 1, 0, 1, 0]),
+        # 0.79 a step; late: 0.79, 1.185, 0.5925 - 1 + 0.79, 0.98, 1.28
+        (1.58, [0, 1, 0, 1, 0], [0, 1, 0, 1, 0], [0, 1, 0, 0, 1]),
+    ],
+)
+def test_resets_by_hand(r, value, subtract, late):
+    network = network_of((1,), lif(2 * H, r))
+    for reset, wanted in zip(RESETS, (value, subtract, late), strict=True):
+        found = simulate(network, np.ones((1, 5, 1)), H, "euler", reset).outputs[0, :, 0]
+        assert found.tolist() == wanted, reset
 
 
 def test_integrate_and_fire_and_thresholds_by_hand():

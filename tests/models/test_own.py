@@ -206,13 +206,13 @@ def test_other_files(tmp_path, content, words):
 def test_no_file_and_a_folder(tmp_path):
     with pytest.raises(ModelFileError, match="No such file"):
         read_own_model(tmp_path / "model.keras")
-    with pytest.raises(ModelFileError, match="a folder, not a Keras model file"):
+    with pytest.raises(ModelFileError, match="a folder"):
         read_own_model(tmp_path)
 
 
 def test_weights_alone(files):
     for which in KERAS:
-        with pytest.raises(ModelFileError, match="weights without the network"):
+        with pytest.raises(ModelFileError, match="weights"):
             read_own_model(files[which] / "only.weights.h5")
 
 
@@ -347,7 +347,7 @@ def test_an_archive_that_unpacks_to_more_than_it_should(tmp_path, monkeypatch):
     path = tmp_path / "model.keras"
     write_archive(path, b" " * (keras_file.MAX_DESCRIPTION + 1), b"")
     assert path.stat().st_size < 20_000
-    with pytest.raises(ModelFileError, match=r"config\.json is larger than 8 MiB"):
+    with pytest.raises(ModelFileError, match=r"config\.json.* 8 MiB"):
         read_own_model(path)
     monkeypatch.setattr(keras_file, "MAX_FILE", 1000)
     with pytest.raises(ModelFileError, match="larger than"):
@@ -368,9 +368,9 @@ def description(*layers, shape=(4, 4, 1)):
 
 
 def test_too_many_layers_nesting_and_sizes():
-    with pytest.raises(ModelFileError, match="has 502 layers, not 1 to 500"):
+    with pytest.raises(ModelFileError, match=r"502 layers.* 500"):
         keras_file._chain(description(*[("Flatten", {})] * 501))
-    with pytest.raises(ModelFileError, match="description is damaged"):
+    with pytest.raises(ModelFileError, match="damaged"):
         keras_file._json("[" * 100_000)
     with pytest.raises(ModelFileError, match="not an image"):
         as_architecture(SavedModel((10**9, 10**9, 10**9), ()))

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models import architecture, slayer
-from models.keras2 import tf
+from models import architecture, slayer, slayer_kernels
+from pipeline.training.slayer import Adam
 
 NEURON = slayer.SpikeResponse(tau_s=0.04, tau_r=0.02, theta=2.0)
 STEPS = 30
@@ -65,23 +65,27 @@ class Reference:
         return self.neuron.scale_rho * np.where(x < 0, np.exp(-abs(x)), 2 - np.exp(-abs(x)))
 
 
-def conv2d(frames, kernel):
-    rows, columns = (frames.shape[i] - kernel.shape[i - 1] + 1 for i in (1, 2))
-    out = np.zeros((len(frames), rows, columns, kernel.shape[3]))
-    for i in range(kernel.shape[0]):
-        for j in range(kernel.shape[1]):
-            out += frames[:, i : i + rows, j : j + columns] @ kernel[i, j]
+def weigh(response, kernel, folded=None):
+    """The weighted sums of a layer, of shape (steps, ...)."""
+    if kernel.ndim == 2:
+        return response.reshape(len(response), -1) @ kernel
+    layer = folded.layer
+    frames = np.pad(response, [(0, 0), *layer.pads(folded.pooled_shape), (0, 0)])
+    out = np.zeros((len(frames), *folded.shape))
+    for y, x in np.ndindex(folded.shape[:2]):
+        row, column = y * layer.stride, x * layer.stride
+        window = frames[:, row : row + layer.kernel, column : column + layer.kernel]
+        out[:, y, x] = np.tensordot(window, kernel, 3)
     return out
 
 
-def weigh(response, kernel):
-    if kernel.ndim == 2:
-        return response.reshape(len(response), -1) @ kernel
-    return conv2d(response, kernel)
-
-
-def noisy_current(seed, shape):
-    return np.random.default_rng(seed).normal(1, 1.5, shape)
+def pooled(response, size):
+    """Means over windows that do not overlap."""
+    if size == 1:
+        return response
+    rows, columns = (n // size for n in response.shape[1:3])
+    inside = response[:, : rows * size, : columns * size]
+    return inside.reshape(len(response), rows, size, columns, size, -1).mean((2, 4))
 
 
 @pytest.fixture(scope="module")
@@ -89,110 +93,84 @@ def reference():
     return Reference(NEURON, STEPS)
 
 
-def test_spike_response_is_the_convolution_with_the_kernel(reference):
-    spikes = (np.random.default_rng(0).random((STEPS, 3, 2)) < 0.2).astype(np.float32)
-    response = slayer.spike_response(tf.constant(spikes), NEURON)
-    np.testing.assert_allclose(response, convolve(reference.eps, spikes), atol=1e-5)
+def one_layer(weights, seed):
+    """A network of an output layer alone, with the input spikes (steps, 1, 1, n) of a sample."""
+    network = slayer.SlayerNetwork(
+        architecture.parse(f"1x1x{len(weights)}-{weights.shape[1]}o"), NEURON
+    )
+    network.kernels[0][:] = weights
+    spikes = np.random.default_rng(seed).random((STEPS, 1, 1, len(weights))) < 0.2
+    return network, spikes
 
 
 def test_a_single_spike_gives_the_kernel_of_unit_peak():
-    spikes = np.zeros((STEPS, 1), np.float32)
+    spikes = np.zeros((STEPS, 1, 1, 1))
     spikes[0] = 1
-    response = slayer.spike_response(tf.constant(spikes), NEURON).numpy()[:, 0]
-    assert response.argmax() == 4  # tau_s is 4 steps
-    assert response.max() == pytest.approx(1, abs=1e-6)
+    network, _ = one_layer(np.ones((1, 2)), 0)
+    potential = network.layers(spikes)[0][0][:, 0]
+    assert potential.argmax() == 4  # tau_s is 4 steps
+    assert potential.max() == pytest.approx(1, abs=1e-6)
 
 
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_fire_agrees_with_numpy(reference, seed):
-    current = noisy_current(seed, (STEPS, 2, 3)).astype(np.float32).astype(float)
+def test_a_layer_fires_as_in_numpy(reference, seed):
+    weights = np.random.default_rng([seed, 1]).normal(0.5, 1, (6, 5)).astype(np.float32)
+    network, arriving = one_layer(weights, seed)
+    current = weigh(convolve(reference.eps, arriving.astype(float)), weights.astype(float))
     spikes, potential = reference.fire(current)
     if np.abs(potential - NEURON.theta).min() < 1e-4:
         return  # too close to call in single precision
-    response, got = slayer.fire(tf.constant(current, tf.float32), NEURON)
+    ((got, fired),) = network.layers(arriving)
     np.testing.assert_allclose(got, potential, atol=1e-4)
-    np.testing.assert_allclose(response, convolve(reference.eps, spikes), atol=1e-4)
-    counts = slayer.spike_counts(got, NEURON)
-    np.testing.assert_array_equal(counts, spikes.sum(0))
-
-
-def test_fire_spikes_at_all(reference):
-    spikes, _ = reference.fire(noisy_current(0, (STEPS, 50)))
-    assert 0.05 < spikes.mean() < 0.5
+    np.testing.assert_array_equal(fired, spikes)
+    np.testing.assert_array_equal(network.counts([arriving]), [spikes.sum(0)])
 
 
 def test_refractory_response_separates_spikes():
     """By hand: 3 - 4 k/2 exp(1 - k/2) is 2 or more again from k = 8 steps after a spike on."""
-    _, potential = slayer.fire(tf.fill((17, 1), 3.0), NEURON)
-    spikes = np.flatnonzero(potential.numpy()[:, 0] >= NEURON.theta)
-    assert spikes.tolist() == [0, 8, 16]
+    decay = np.exp(-1 / 4)
+    network, _ = one_layer(np.full((1, 2), 3 / (np.e / 4 * decay / (1 - decay) ** 2)), 0)
+    ((_, spikes),) = network.layers(np.ones((140, 1, 1, 1)))  # a potential of 3 after 60 steps
+    assert set(np.diff(np.flatnonzero(spikes[60:, 0]))) == {8}
 
 
-def test_credit_is_rho_times_the_correlation_with_the_kernel(reference):
-    rng = np.random.default_rng(1)
-    current = tf.constant(noisy_current(1, (STEPS, 4)), tf.float32)
-    error = rng.normal(size=(STEPS, 4))
-    with tf.GradientTape() as tape:
-        tape.watch(current)
-        response, potential = slayer.fire(current, NEURON)
-    delta = tape.gradient(response, current, tf.constant(error, tf.float32))
-    expected = reference.rho(potential.numpy()) * correlate(reference.eps, error)
-    np.testing.assert_allclose(delta, expected, atol=1e-5)
+@pytest.mark.parametrize("distance", [0.0, 0.3, -1.7, 20.0, -60.0])
+def test_the_escape_rate_has_the_accuracy_of_a_float32(distance):
+    potential = np.full((2, 1), NEURON.theta * (1 + distance), np.float32)
+    error, traces = np.ones((2, 1), np.float32), np.zeros((2, 16), np.float32)
+    slayer_kernels.assign_credit(error, potential, traces, NEURON.credit)
+    expected = np.exp(-abs(float(potential[0, 0]) - NEURON.theta) / NEURON.theta) / NEURON.theta
+    kernel = np.e / 4 * np.exp(-1 / 4)  # t = 1, tau_s = 4 steps
+    assert error[0, 0] == pytest.approx(max(expected, 2.0**-64 / NEURON.theta) * kernel, rel=1e-6)
 
 
-def test_credit_is_the_derivative_of_smooth_spikes(reference):
-    """Finite differences: rho is the derivative of its antiderivative, refractory part held."""
-    current = noisy_current(2, (STEPS, 2))
-    _, potential = reference.fire(current)
-    held = potential - current
-    error = np.random.default_rng(3).normal(size=current.shape)
-
-    def functional(current):
-        return (error * convolve(reference.eps, reference.smooth_spike(current + held))).sum()
-
-    numeric = np.zeros_like(current)
-    for index in np.ndindex(current.shape):
-        step = np.zeros_like(current)
-        step[index] = 1e-5
-        numeric[index] = (functional(current + step) - functional(current - step)) / 2e-5
-    x = tf.constant(current, tf.float32)
-    with tf.GradientTape() as tape:
-        tape.watch(x)
-        response, _ = slayer.fire(x, NEURON)
-    np.testing.assert_allclose(
-        tape.gradient(response, x, tf.constant(error, tf.float32)), numeric, atol=1e-4
-    )
+NETWORKS = {
+    "two convolutions": ("5x5x2-3c2-4c3-3o", 16),
+    "pooling, stride, padding": ("9x7x2-4c3s2p-2a-5c2p-3o", 60),
+    "pooling before dense layers": ("7x7x2-8c3p-3a-6-3o", 16),
+    "channels of several groups": ("4x4x9-3c2-3o", 16),
+}
 
 
-def test_errors_do_not_flow_through_the_potential():
-    x = tf.constant(noisy_current(4, (STEPS, 2)), tf.float32)
-    with tf.GradientTape() as tape:
-        tape.watch(x)
-        _, potential = slayer.fire(x, NEURON)
-        loss = tf.reduce_sum(potential)
-    assert tape.gradient(loss, x) is None
+@pytest.fixture(scope="module", params=NETWORKS.values(), ids=NETWORKS)
+def small(request):
+    notation, scale = request.param
+    parsed = architecture.parse(notation)
+    network = slayer.SlayerNetwork(parsed, NEURON, 7, conv_scale=scale, dense_scale=28)
+    shape = (2, STEPS, *parsed.input_shape)
+    return network, (np.random.default_rng(5).random(shape) < 0.1).astype(np.uint8)
 
 
-ARCHITECTURE = architecture.parse("5x5x2-3c2-4c3-3o")
-
-
-@pytest.fixture(scope="module")
-def small():
-    network = slayer.SlayerNetwork(ARCHITECTURE, NEURON, 7, conv_scale=8, dense_scale=14)
-    events = (np.random.default_rng(5).random((2, STEPS, 5, 5, 2)) < 0.1).astype(np.uint8)
-    return network, events
-
-
-def forward(reference, kernels, sample, smooth_around=None):
+def forward(reference, network, kernels, sample, smooth_around=None):
     """All layers for one sample.
 
     With ``smooth_around`` (the potentials of an earlier call) spikes are those of the earlier call
     plus the change of the smooth spike, whose derivative there is rho.
     """
     response, held, potentials, spikes = convolve(reference.eps, sample.astype(float)), [], [], []
-    for i, kernel in enumerate(kernels):
-        current = weigh(response, kernel)
+    for i, (folded, kernel) in enumerate(zip(network.architecture.folded, kernels, strict=True)):
+        current = weigh(pooled(response, folded.pool), kernel, folded)
         if smooth_around is None:
             fired, potential = reference.fire(current)
         else:
@@ -209,34 +187,42 @@ def forward(reference, kernels, sample, smooth_around=None):
 
 def test_network_agrees_with_numpy_layer_by_layer(reference, small):
     network, events = small
-    layers = network.layers(events)
-    kernels = [k.numpy().astype(float) for k in network.kernels]
-    for n, sample in enumerate(events):
-        expected = forward(reference, kernels, sample)
-        for (response, potential), spikes in zip(layers, expected["spikes"], strict=True):
+    kernels = [k.astype(float) for k in network.kernels]
+    for sample in events:
+        expected = forward(reference, network, kernels, sample)
+        layers = zip(network.layers(sample), expected["spikes"], expected["potential"], strict=True)
+        for (potential, fired), spikes, expected_potential in layers:
             assert spikes.sum() >= 5, "a layer that hardly fires tests nothing"
-            np.testing.assert_array_equal(potential[:, n] >= NEURON.theta, spikes)
-            np.testing.assert_allclose(response[:, n], convolve(reference.eps, spikes), atol=1e-4)
+            np.testing.assert_array_equal(fired, spikes)
+            np.testing.assert_allclose(potential, expected_potential, atol=2e-4)
+
+
+def test_parts_of_the_time_make_no_difference(small, monkeypatch):
+    network, events = small
+    desired = np.eye(3, dtype=np.float32)[[0, 1]] * 8
+    whole = network.gradients(events, desired)
+    monkeypatch.setattr(slayer, "PART", 7)
+    loss, counts, gradients = network.gradients(events, desired)
+    assert loss == pytest.approx(whole[0])
+    np.testing.assert_array_equal(counts, whole[1])
+    for got, expected in zip(gradients, whole[2], strict=True):
+        np.testing.assert_allclose(got, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
 
 
 def test_weight_gradients_agree_with_finite_differences(reference, small):
     """Of the loss's gradient through all layers, in both kinds of weights."""
     network, events = small
     desired = np.array([[8.0, 1, 1], [1, 1, 8]], np.float32)
-    with tf.GradientTape() as tape:
-        response, potential = network(events)
-        loss = slayer.spike_count_loss(response, potential, desired, NEURON)
-    gradients = tape.gradient(loss, network.kernels)
-
-    kernels = [k.numpy().astype(float) for k in network.kernels]
-    bases = [forward(reference, kernels, sample) for sample in events]
+    loss, _, gradients = network.gradients(events, desired)
+    kernels = [k.astype(float) for k in network.kernels]
+    bases = [forward(reference, network, kernels, sample) for sample in events]
     errors = [(b["spikes"][-1].sum(0) - d) / STEPS for b, d in zip(bases, desired, strict=True)]
     expected_loss = np.mean([0.5 * STEPS * (e**2).sum() for e in errors])
-    assert float(loss) == pytest.approx(expected_loss, rel=1e-5)
+    assert loss == pytest.approx(expected_loss, rel=1e-5)
 
     def functional(kernels):
         outputs = [
-            forward(reference, kernels, sample, base)["response"]
+            forward(reference, network, kernels, sample, base)["response"]
             for sample, base in zip(events, bases, strict=True)
         ]
         return np.mean([(o * e).sum() for o, e in zip(outputs, errors, strict=True)])
@@ -255,23 +241,23 @@ def test_weight_gradients_agree_with_finite_differences(reference, small):
 
 
 def test_training_lowers_the_loss(small):
-    _, events = small
-    network = slayer.SlayerNetwork(ARCHITECTURE, NEURON, 7, conv_scale=8, dense_scale=14)
+    network, events = small
+    before = [kernel.copy() for kernel in network.kernels]
     desired = np.array([[8.0, 1, 1], [1, 1, 8]], np.float32)
-    optimizer = tf.keras.optimizers.Adam(0.02)
-    losses = []
+    optimizer, losses = Adam(network.kernels, 0.02), []
     for _ in range(40):
-        with tf.GradientTape() as tape:
-            response, potential = network(events)
-            loss = slayer.spike_count_loss(response, potential, desired, NEURON)
-        losses.append(float(loss))
-        gradients = tape.gradient(loss, network.kernels)
-        optimizer.apply_gradients(zip(gradients, network.kernels, strict=True))
+        loss, _, gradients = network.gradients(events, desired)
+        losses.append(loss)
+        optimizer.apply(gradients)
+    for kernel, value in zip(network.kernels, before, strict=True):
+        kernel[:] = value
     assert min(losses[-5:]) < losses[0] / 4
 
 
 def test_the_same_seed_gives_the_same_weights():
-    one, two, other = (slayer.SlayerNetwork(ARCHITECTURE, seed=s) for s in (1, 1, 2))
+    one, two, other = (
+        slayer.SlayerNetwork(architecture.parse("5x5x2-3c2-3o"), seed=s) for s in (1, 1, 2)
+    )
     for a, b, c in zip(one.kernels, two.kernels, other.kernels, strict=True):
         np.testing.assert_array_equal(a, b)
         assert not np.array_equal(a, c)

@@ -16,7 +16,7 @@ from tests.command import ROOT
 from tests.nir_networks import compare, frames
 
 PYTHON = ROOT / ".venv-nir" / "bin" / "python"
-EPOCHS = 5
+EPOCHS = 3
 
 pytestmark = [
     pytest.mark.slow,
@@ -45,10 +45,10 @@ def test_a_trained_network_answers_as_in_pytorch(package, options, shown, tmp_pa
     subprocess.run(list(map(str, arguments)), check=True, timeout=3600)
     compare.convert(graph, run, "--step", "20", *options)
     found = compare.figures(graph, answers, run)
-    assert found["pytorch"] > 0.5
+    assert found["pytorch"] > 0.6
     assert found["graph"] > 0.99  # 32 bits there, 64 here: a spike may fall on another step
-    assert found["fast"] > found["pytorch"] - 0.03
-    assert found["agreement"] > 0.85
+    assert found["fast"] > found["pytorch"] - 0.02
+    assert found["agreement"] > 0.94
     bundle = read_bundle(run / "bundle")
     some = bundle.checks.inputs[:4]
     hashes = (answer(bundle.spec, some, target).spike_hashes for target in ("fast", "emulator"))

@@ -3,9 +3,8 @@
     python -m tests.peers loihi --emulator fast      (or nengo-loihi, or both)
     python -m tests.peers dl
 
-Of NengoLoihi's, exit status 0 if all passed but for those that `loihi.KNOWN` explains, which must
-fail.  NengoDL's status is that of pytest: some of its tests fail with current versions.  Further
-options go to pytest.  The tests need pytest-rng, pytest-allclose and pytest-plt
+Exit status 0 if all passed but for those that ``KNOWN`` in `loihi` and `dl` explains, which must
+fail.  Further options go to pytest.  The tests need pytest-rng, pytest-allclose and pytest-plt
 (``requirements.txt``), which ``make setup-peers`` installs into a folder of their own.
 """
 

@@ -5,17 +5,28 @@ they need of that is here.
 """
 
 import os
+import subprocess
+import types
 
 os.environ.setdefault("TF_USE_LEGACY_KERAS", "1")
 
-import numpy as np
+import nengo
 import pytest
 
 from models.keras2 import tf
 from pipeline.training import nengodl  # noqa: F401  (the substitutions of NengoDL's world)
+from tests.peers import old
 
-if not hasattr(np, "in1d"):  # which NumPy 2.4 removed and some tests call
-    setattr(np, "in1d", np.isin)  # noqa: B010
+pytest.warns = old.warns
+nengo.networks.Oscillator = old.oscillator
+
+SETUP = "looks for setup.py, which the package does not ship"
+KNOWN = {
+    "test_setup::test_setup_compat[feature_version0]": SETUP,
+    "test_setup::test_setup_compat[feature_version1]": SETUP,
+    "test_version::test_nengo_version_check": "NengoDL 3.6 knows no Nengo after 3.2",
+}
+"""Tests that fail on current versions."""
 
 OPTIONS = {"--dtype": "float32", "--unroll-simulation": 1, "--device": None}
 
@@ -33,9 +44,18 @@ def pytest_configure(config):
 
 
 def pytest_collection_modifyitems(items):
+    old.expect_failures(items, KNOWN)
     for item in items:
+        if item.path.stem == "test_tensor_graph":
+            item.module.subprocess = types.SimpleNamespace(run=_run, PIPE=subprocess.PIPE)
         if {"performance", "gpu"} & set(item.keywords):
             item.add_marker(pytest.mark.skip(reason="needs a certain machine"))
+
+
+def _run(command, **options):
+    """Start a script in a Python of its own that has this project's import of NengoDL."""
+    code = "import runpy, sys, pipeline.training.nengodl; runpy.run_path(sys.argv[1])"
+    return subprocess.run([command[0], "-c", code, *command[1:]], **options)
 
 
 @pytest.fixture(scope="session")

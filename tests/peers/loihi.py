@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from deploy.network.loihi_import import nengo_loihi  # the substitutions come first
+from tests.peers import old
 
 import nengo_loihi.builder.builder  # isort: skip
 import nengo_loihi.emulator  # isort: skip
@@ -28,7 +29,6 @@ KNOWN = {
     "test_connection::test_neurons_to_ensemble_transform[True-True]": FILT,
     "test_connection::test_neurons_to_ensemble_transform[True-False]": FILT,
     "test_connection::test_neurons_to_ensemble_transform[False-True]": FILT,
-    "test_interface::test_no_warn_on_current_version": "pytest.warns(None), gone since pytest 8",
 }
 """Tests that fail here on NengoLoihi's own emulator too."""
 
@@ -49,6 +49,7 @@ def pytest_configure(config):
         config.addinivalue_line("markers", marker)
     config.addinivalue_line("markers", "slow")
     _put_back_convolutions()
+    pytest.warns = old.warns
     emulator = nengo_loihi.emulator.EmulatorInterface
     emulator.strict = True  # overflows are errors
     nengo_loihi.set_defaults()
@@ -84,12 +85,10 @@ def _both(config):
 
 
 def pytest_collection_modifyitems(items):
+    old.expect_failures(items, KNOWN)
     for item in items:
         if "target_loihi" in item.keywords:
             item.add_marker(pytest.mark.skip(reason="runs on a board only"))
-        name = f"{item.path.stem}::{item.name}"
-        if name in KNOWN:
-            item.add_marker(pytest.mark.xfail(reason=KNOWN[name], strict=True))
         if item.path.stem == "test_conv" and hasattr(item, "module"):
             item.module.pickle = types.SimpleNamespace(load=_drawn_images)
             item.module.open = lambda *arguments: contextlib.nullcontext()

@@ -157,3 +157,11 @@ def test_a_setting_remakes_what_depends_on_it_and_nothing_else(setting, remade):
             found.append(made)
         one, two = found
         assert {name for name in one if one[name] != two[name]} == set(expected.split())
+
+
+def test_a_reason_is_of_a_bearable_length():
+    """A damaged record may have any value."""
+    origin = Origin({"cnn.epochs": 3}, {})
+    (change,) = origin.changes_since({"settings": {"cnn.epochs": "x" * 10_000}, "contents": {}})
+    assert len(str(change)) < 200
+    assert "x" * 50 in str(change)

@@ -16,7 +16,7 @@ from pipeline.settings import (
     read_settings,
     write_settings,
 )
-from tests.command import call
+from tests.command import call, missing
 
 
 def test_the_papers_numbers_are_the_defaults():
@@ -48,69 +48,75 @@ def test_round_trip(tmp_path_factory, seed, source, rates, skip):
 
 
 BAD = [
-    ("epochs", {"epochs": 3}, "unknown setting 'epochs'; known here: .*cnn"),
-    (
-        "cnn.epoch",
-        {"cnn": {"epoch": 3}},
-        "unknown setting 'cnn.epoch', did you mean 'cnn.epochs'\?; known here: .*epochs",
-    ),
-    ("section", {"cnn": 3}, r"'cnn' is a section, write it as \[cnn\]"),
-    ("text", {"cnn": {"epochs": "3"}}, "'cnn.epochs' must be a whole number, not '3'"),
-    ("fraction", {"cnn": {"epochs": 3.5}}, "'cnn.epochs' must be a whole number, not 3.5"),
-    ("boolean", {"cnn": {"epochs": True}}, "'cnn.epochs' must be a whole number, not True"),
-    ("number", {"data": {"source": 3}}, "'data.source' must be text .*, not 3"),
-    ("no UTF-8", {"data": {"source": "\udcff.zip"}}, "'data.source' must be text"),
-    ("no boolean", {"data": {"skip_bad": 1}}, "'data.skip_bad' must be true or false, not 1"),
-    ("no list", {"snn": {"max_rates": 100}}, "'snn.max_rates' must be a list"),
-    ("list of text", {"snn": {"max_rates": ["a"]}}, "'snn.max_rates' must be a number"),
-    ("nan", {"cnn": {"learning_rate": float("nan")}}, "'cnn.learning_rate' must be a number"),
-    ("inf", {"snn": {"tau_rc": float("inf")}}, "'snn.tau_rc' must be a number"),
-    ("table", {"seed": {"x": 1}}, "'seed' must be a whole number"),
-    ("negative seed", {"seed": -1}, "'seed' must be from 0"),
-    ("huge seed", {"seed": 2**31}, "'seed' must be from 0"),
-    ("aggregation", {"image": {"aggregation": "total"}}, "one of count, columns"),
-    ("normalisation", {"image": {"normalisation": "mean"}}, "one of max, sum"),
-    ("all test", {"split": {"test_fraction": 1.0}}, "between 0 and 1"),
-    ("no test", {"split": {"test_fraction": 0}}, "between 0 and 1"),
-    ("all validation", {"split": {"validation_fraction": 1}}, "from 0 to below 1"),
-    ("no epochs", {"cnn": {"epochs": 0}}, "'cnn.epochs' must be from 1 to"),
-    ("noise", {"snn": {"noise": -1}}, "'snn.noise' must be from 0 to"),
-    ("no batch", {"cnn": {"batch_size": 0}}, "'cnn.batch_size' must be from 1 to"),
-    ("rate 0", {"cnn": {"learning_rate": 0}}, "'cnn.learning_rate' must be above 0"),
-    ("recipe", {"snn": {"recipe": "magic"}}, "one of loihi, paper"),
-    ("three rates", {"snn": {"max_rates": [1, 2, 3]}}, "1 to 2 rates above 0"),
-    ("no rates", {"snn": {"max_rates": []}}, "1 to 2 rates above 0"),
-    ("rate of nothing", {"snn": {"max_rates": [0]}}, "1 to 2 rates above 0"),
-    ("rate too high", {"snn": {"max_rates": [1000]}}, r"below 1 / snn.tau_ref = 1000"),
-    ("tau_ref", {"snn": {"tau_ref": 0}}, "'snn.tau_ref' must be from 1e-09 to 1 "),
-    ("placement", {"deployment": {"first_layer": "gpu"}}, "one of chip, host"),
-    ("readout", {"deployment": {"readout": "gpu"}}, "one of chip, host"),
-    ("input rate", {"deployment": {"input_rate": 1001}}, "above 0, at most 1000"),
-    ("phase", {"deployment": {"input_phase": 1}}, "from 0 to below 1"),
-    ("synapse", {"deployment": {"synapse": -1}}, "'deployment.synapse' must be from 0 to 1000 "),
-    ("pop type", {"deployment": {"pop_type": 8}}, "16 or 32"),
-    ("pop 16 of 6", {"deployment": {"pop_type": 16}}, "filters on the chip come in multiples of 4"),
-    ("no steps", {"presentation": {"steps": -1}}, "'presentation.steps' must be from 0 to 10000"),
-    ("gap", {"presentation": {"gap": -1}}, "'presentation.gap' must be from 0 to 10000"),
-    ("late readout", {"presentation": {"steps": 15}}, r"below presentation.steps \(15\)"),
-    ("no stream", {"presentation": {"stream_length": 0}}, "from 1 to 1000000"),
-    ("no samples", {"check": {"samples": 0}}, "'check.samples' must be from 1 to"),
-    ("notation", {"cnn": {"architecture": "10x10-6p2-10o"}}, r"token 2 \('6p2'\)"),
-    ("other image", {"cnn": {"architecture": "12x12-6c4-10o"}}, "tactile image of 10x10"),
-    (
-        "no convolution",
-        {"cnn": {"architecture": "10x10-10o"}},
-        "a layer of neurons before its output",
-    ),
-    ("nine outputs", {"cnn": {"architecture": "10x10-6c4-9o"}}, "10x10 and 10 classes, such as"),
+    ({"epochs": 3}, "cnn"),
+    ({"cnn": {"epoch": 3}}, "'cnn.epochs'", "batch_size"),
+    ({"cnn": 3}, "[cnn]"),
+    ({"cnn": {"epochs": "3"}}, "'3'"),
+    ({"cnn": {"epochs": 3.5}}, "3.5"),
+    ({"cnn": {"epochs": True}}, "True"),
+    ({"data": {"source": 3}},),
+    ({"data": {"source": "\udcff.zip"}},),
+    ({"data": {"skip_bad": 1}}, "true", "false"),
+    ({"snn": {"max_rates": 100}}, "list"),
+    ({"snn": {"max_rates": ["a"]}}, "number"),
+    ({"cnn": {"learning_rate": float("nan")}},),
+    ({"snn": {"tau_rc": float("inf")}},),
+    ({"snn": {"tau_rc": 1e300}},),
+    ({"seed": {"x": 1}},),
+    ({"seed": -1}, 0),
+    ({"seed": 2**31}, 0),
+    ({"input": {"kind": "frames"}}, "image", "events"),
+    ({"image": {"aggregation": "total"}}, "count", "columns"),
+    ({"image": {"normalisation": "mean"}}, "max", "sum"),
+    ({"split": {"test_fraction": 1.0}}, 0, 1),
+    ({"split": {"test_fraction": 0}}, 0, 1),
+    ({"split": {"validation_fraction": 1}}, 0, 1),
+    ({"cnn": {"epochs": 0}}, 1),
+    ({"snn": {"noise": -1}}, 0),
+    ({"cnn": {"batch_size": 0}}, 1),
+    ({"cnn": {"learning_rate": 0}}, 0),
+    ({"snn": {"recipe": "magic"}}, "loihi", "paper"),
+    ({"snn": {"max_rates": [1, 2, 3]}}, "1 to 2"),
+    ({"snn": {"max_rates": []}}, "1 to 2"),
+    ({"snn": {"max_rates": [0]}}, "1 to 2"),
+    ({"snn": {"max_rates": [1000]}}, "snn.tau_ref", 1000),
+    ({"snn": {"tau_ref": 0}}, "1e-09"),
+    ({"deployment": {"first_layer": "gpu"}}, "chip", "host"),
+    ({"deployment": {"readout": "gpu"}}, "chip", "host"),
+    ({"deployment": {"input_rate": 1001}}, 1000),
+    ({"deployment": {"input_phase": 1}}, 0),
+    ({"deployment": {"synapse": -1}}, 1000),
+    ({"deployment": {"pop_type": 8}}, 16, 32),
+    ({"deployment": {"pop_type": 16}}, "multiples of 4"),
+    ({"presentation": {"steps": -1}}, 10000),
+    ({"presentation": {"gap": -1}}, 10000),
+    ({"presentation": {"gap": 10**22}},),
+    ({"presentation": {"steps": 15}}, "presentation.readout_start", 15),
+    ({"presentation": {"stream_length": 0}}, 1000000),
+    ({"check": {"samples": 0}}, 1),
+    ({"check": {"samples": 10**12}}, 1000000),
+    ({"cnn": {"architecture": "10x10-6p2-10o"}}, "6p2"),
+    ({"cnn": {"architecture": "12x12-6c4-10o"}}, "10x10"),
+    ({"cnn": {"architecture": "10x10-10o"}},),
+    ({"cnn": {"architecture": "10x10-6c4-9o"}}, "10 classes"),
 ]
 
 
-@pytest.mark.parametrize(("changes", "message"), [b[1:] for b in BAD], ids=[b[0] for b in BAD])
-def test_a_wrong_setting_is_named(changes, message):
-    with pytest.raises(UserError, match=message) as caught:
+def dotted(changes):
+    """The name of a changed setting."""
+    ((name, value),) = changes.items()
+    return f"{name}.{dotted(value)}" if isinstance(value, dict) and name != "seed" else name
+
+
+@pytest.mark.parametrize("case", BAD, ids=lambda case: f"{dotted(case[0])}-{case[1:]}")
+def test_a_wrong_setting_is_named(case):
+    changes, *facts = case
+    with pytest.raises(UserError) as caught:
         Settings().with_values(changes, "my.toml")
-    assert str(caught.value).startswith("my.toml: ")
+    line = str(caught.value)
+    assert line.startswith("my.toml: ")
+    assert len(line.splitlines()) == 1
+    assert missing(line, dotted(changes), *facts) == []
 
 
 def test_a_whole_number_will_do_for_a_fraction():

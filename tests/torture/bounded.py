@@ -9,7 +9,10 @@ import time
 from dataclasses import dataclass
 
 SECONDS = 20
-"""No input takes longer."""
+"""Of processor time: no input takes more, however busy the machine is."""
+
+PATIENCE = 180
+"""Seconds after which a command that takes no processor time counts as blocked."""
 
 MEMORY = 2 << 30
 """Bytes that no input takes more of, resident."""
@@ -19,6 +22,9 @@ ADDRESSES = 12 << 30
 
 LINE = 3000
 """Characters of an error's line at most."""
+
+MISTAKES = 16
+"""Lines at most, one for each kind of mistake in a set of recordings."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +37,11 @@ class Outcome:
         Exit status; a signal's number with a minus.
     out, err : str
     seconds : float
+        Of processor time, that of its children included.
     memory : int
         Largest resident size in bytes.
+    blocked : bool, optional
+        Whether it was killed because it had not ended after `PATIENCE`.
     """
 
     status: int
@@ -40,11 +49,14 @@ class Outcome:
     err: str
     seconds: float
     memory: int
+    blocked: bool = False
 
     @property
     def finding(self):
         """What is wrong with it, in a few words, or None."""
         lines = [line for line in self.err.splitlines() if line.startswith("stmnist: ")]
+        if self.blocked:
+            return f"had not ended after {PATIENCE} s"
         if self.seconds > SECONDS:
             return f"took {self.seconds:.0f} s"
         if self.memory > MEMORY:
@@ -57,10 +69,13 @@ class Outcome:
             return None
         if self.status != 2:
             return f"status {self.status}: {self.err.strip()[-200:]}"
-        if len(lines) != 1 or self.err.rstrip().splitlines()[-1] != lines[0]:
-            return f"not one line: {self.err.strip()[-200:]!r}"
-        if len(lines[0]) > LINE:
-            return f"a line of {len(lines[0])} characters"
+        last = self.err.rstrip().splitlines()[-max(len(lines), 1) :]
+        if not lines or last != lines or len(lines) > MISTAKES:
+            return f"{len(lines)} lines: {self.err.strip()[-200:]!r}"
+        if len(lines) > 1 and len({line.split(": ")[1] for line in lines}) > 1:
+            return f"lines of more than one source: {self.err.strip()[-200:]!r}"
+        if max(map(len, lines)) > LINE:
+            return f"a line of {max(map(len, lines))} characters"
         return None
 
 
@@ -94,7 +109,7 @@ def run(arguments, folder, seconds=SECONDS, streams=None):
     folder : Path
         Where it works; its output, temporary files and cache are there too.
     seconds : float
-        After these and some grace it is killed.
+        Of processor time after which the kernel ends it.
     streams : dict of int to str, optional
         Of standard output (1) and error (2): `CLOSED` or `FULL`.
 
@@ -106,9 +121,9 @@ def run(arguments, folder, seconds=SECONDS, streams=None):
     begun = time.monotonic()
     child = os.fork()
     if child == 0:
-        _become(arguments, folder, out, err, streams or {})
+        _become(arguments, folder, out, err, streams or {}, seconds)
     try:
-        status, usage = _wait(child, begun + seconds + 2)
+        status, usage, blocked = _wait(child, begun + max(PATIENCE, seconds))
     except BaseException:  # an interruption of the campaign: the child does not outlive it
         os.killpg(child, signal.SIGKILL)
         raise
@@ -116,12 +131,13 @@ def run(arguments, folder, seconds=SECONDS, streams=None):
         status=os.waitstatus_to_exitcode(status),
         out=out.read_text(errors="replace"),
         err=err.read_text(errors="replace"),
-        seconds=time.monotonic() - begun,
+        seconds=usage.ru_utime + usage.ru_stime,
         memory=usage.ru_maxrss << 10,
+        blocked=blocked,
     )
 
 
-def _become(arguments, folder, out, err, streams):
+def _become(arguments, folder, out, err, streams, seconds):
     """Never returns."""
     status = 70
     try:
@@ -142,6 +158,7 @@ def _become(arguments, folder, out, err, streams):
             sys.stderr = sys.__stderr__ = None
         resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        resource.setrlimit(resource.RLIMIT_CPU, (int(seconds) + 1, int(seconds) + 2))
         os.chdir(folder)
         os.environ["STMNIST_CACHE"] = str(folder / "cache")
         from pipeline.commands.main import main
@@ -166,9 +183,9 @@ def _wait(child, end):
     while True:
         pid, status, usage = os.wait4(child, os.WNOHANG)
         if pid:
-            return status, usage
+            return status, usage, False
         if time.monotonic() > end:
             os.killpg(child, signal.SIGKILL)
             _, status, usage = os.wait4(child, 0)
-            return status, usage
+            return status, usage, True
         time.sleep(0.005)

@@ -1,4 +1,5 @@
-"""Programs of the machine that hold, flood or abuse the connections of ``stmnist live``."""
+"""Programs that hold, flood or abuse the connections of ``stmnist live``, and damaged files of a
+writer in the folder of its recordings."""
 
 import contextlib
 import json
@@ -9,15 +10,24 @@ import socket
 import subprocess
 import sys
 import time
+import zipfile
 from urllib.parse import urlsplit
 
+import numpy as np
+
+from deploy.check.bundle import read_bundle
+
 from ..command import ROOT
+from . import damage
 
 FILES = 256
 """Files that the server may have open."""
 
 PATIENCE = 5.0
-"""Seconds within which the page must be there, and a stroke be answered."""
+"""Seconds within which the page must be there, and a stroke be answered, on an idle machine."""
+
+WRITER = 7
+"""Who writes on the page."""
 
 SHARE = 0.6
 """Of a core, at most, while only silent connections are there."""
@@ -34,6 +44,8 @@ def attacked(rng, folder, base):
     from websockets.sync.client import connect
 
     folder.mkdir(parents=True)
+    if rng.random() < 0.5:
+        _keep_damaged(rng, folder / "written", base)
     with _served(folder, base) as (server, url):
         port, path = urlsplit(url).port, urlsplit(url).path
         held, findings = [], []
@@ -44,15 +56,14 @@ def attacked(rng, folder, base):
                 # Each once: those with the token together leave room for two of the eight pages.
                 for index in rng.permutation(len(ATTACKS))[: int(rng.integers(1, 4))]:
                     held += ATTACKS[index](rng, port, path)
+                patience = PATIENCE * _slowness()
                 begun, used = time.monotonic(), _cpu(server)
-                _get(port, path)
-                page.send(json.dumps({"type": "writer", "number": 7, "each": 0}))
-                _until(page, "writer", PATIENCE)
-                seconds = time.monotonic() - begun
-                if seconds > PATIENCE:
-                    findings.append(f"the page took {seconds:.1f} s")
-                with connect(address, proxy=None, open_timeout=PATIENCE) as other:
-                    _until(other, "ready", PATIENCE)
+                _get(port, path, patience)
+                page.send(json.dumps({"type": "writer", "number": WRITER, "each": 0}))
+                _until(page, "writer", patience)
+                _until(page, "learned", 10 * patience, writer=WRITER)
+                with connect(address, proxy=None, open_timeout=patience) as other:
+                    _until(other, "ready", patience)
                 time.sleep(2)
                 if (share := (_cpu(server) - used) / (time.monotonic() - begun)) > SHARE:
                     findings.append(f"takes {share:.0%} of a core")
@@ -79,6 +90,33 @@ def attacked(rng, folder, base):
     if len(err) > 5000:
         findings.append(f"{len(err)} characters on standard error")
     return findings
+
+
+def _keep_damaged(rng, folder, base):
+    """What is kept of a writer's handwriting, damaged, or a pipe or link in its place."""
+    bundle, path = read_bundle(base / "run" / "bundle"), folder / f".readout-w{WRITER:03d}.npz"
+    weights, n = bundle.spec.layers[-1].weights, 5
+    given = {
+        "bundle": np.array(bundle.id),
+        "names": np.array([f"3/w007-{index:04d}.mat" for index in range(n)]),
+        "labels": rng.integers(0, 10, n),
+        "right": rng.random(n) < 0.5,
+        "responses": rng.random((n, 11, weights.shape[1])).astype(np.float32),
+        "weights": weights,
+    }
+    folder.mkdir(parents=True)
+    way = rng.random()
+    if way < 0.1:
+        os.mkfifo(path)
+    elif way < 0.2:
+        path.symlink_to("/dev/zero")
+    else:
+        with zipfile.ZipFile(path, "w") as archive:
+            for key, array in damage.arrays(rng, given).items():
+                with archive.open(key + ".npy", "w") as stream:
+                    np.lib.format.write_array(stream, np.asarray(array), allow_pickle=True)
+        if way < 0.4:
+            path.write_bytes(damage.some_bytes(rng, path.read_bytes()))
 
 
 @contextlib.contextmanager
@@ -119,17 +157,29 @@ def _cpu(server):
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def _get(port, path):
-    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as page:
+def _slowness():
+    """How much longer than alone a program takes now, because others use the machine too."""
+    begun, used = time.monotonic(), time.process_time()
+    while time.process_time() - used < 0.2:
+        pass
+    return max(1.0, (time.monotonic() - begun) / 0.2)
+
+
+def _get(port, path, patience):
+    with socket.create_connection(("127.0.0.1", port), timeout=patience) as page:
         page.sendall(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
         assert page.recv(4096).startswith(b"HTTP/1.1 200"), "the page is not served"
 
 
-def _until(page, kind, seconds):
-    end = time.monotonic() + seconds
+def _until(page, kind, seconds, **values):
+    """Read messages up to one of a kind with some values."""
+    wanted, end = {"type": kind, **values}, time.monotonic() + seconds
     while time.monotonic() < end:
-        if json.loads(page.recv(timeout=max(end - time.monotonic(), 0.01)))["type"] == kind:
+        message = json.loads(page.recv(timeout=max(end - time.monotonic(), 0.01)))
+        if wanted.items() <= message.items():
             return
+        if message["type"] == "problem":
+            raise ValueError(message["text"])
     raise TimeoutError(f"no {kind} in {seconds:g} s")
 
 

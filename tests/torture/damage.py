@@ -59,13 +59,13 @@ def value(rng, given):
             elif way == 1 and isinstance(holder, dict):
                 holder[f"{key}x"] = holder[key]
             elif way == 2:
-                holder[key] = _pick(rng, OTHERS)
+                holder[key] = pick(rng, OTHERS)
             elif way == 3 and isinstance(holder[key], list) and holder[key]:
                 holder[key] = holder[key] * int(rng.integers(2, 40))
             elif isinstance(holder[key], str):
-                holder[key] = _pick(rng, TEXTS)
+                holder[key] = pick(rng, TEXTS)
             else:
-                holder[key] = _pick(rng, NUMBERS)
+                holder[key] = pick(rng, NUMBERS)
         except (KeyError, IndexError):
             continue
     return given
@@ -81,6 +81,23 @@ def json_text(rng, given):
     return text.encode("utf-8", errors="surrogatepass")
 
 
+def huge_json(rng):
+    """The bytes of a JSON file that is nested, long or large past all use."""
+    way = int(rng.integers(0, 5))
+    if way == 0:
+        depth = int(rng.choice([100, 900, 960, 100_000]))
+        return b'{"made_from": {"settings": ' + b'{"a": ' * depth + b"1" + b"}" * depth + b"}}"
+    if way == 1:
+        return b'{"samples": [' + b"0, " * 3_000_000 + b"0]}"
+    if way == 2:
+        return b'{"accuracy": ' + b"9" * 1_000_000 + b"}"
+    if way == 3:
+        return b'{"made_from": {"settings": {' + b", ".join(
+            b'"a%d": %d' % (n, n) for n in range(200_000)
+        ) + b'}, "contents": {}}}'  # fmt: skip
+    return b'{"a": "' + b"x" * (300 << 20) + b'"}'
+
+
 def arrays(rng, given):
     """Named arrays, one of which is another."""
     given = {name: np.array(array) for name, array in given.items()}
@@ -91,7 +108,7 @@ def arrays(rng, given):
     elif way == 1:
         given[name + "x"] = array
     elif way == 2 and array.dtype.kind == "f" and array.size:
-        array.flat[int(rng.integers(0, array.size))] = _pick(rng, (math.nan, math.inf, 1e300, -1e9))
+        array.flat[int(rng.integers(0, array.size))] = pick(rng, (math.nan, math.inf, 1e300, -1e9))
     elif way == 3:
         given[name] = np.resize(array, [int(n) for n in rng.integers(0, 9, rng.integers(0, 5))])
     elif way == 4:
@@ -129,7 +146,7 @@ def toml_text(rng, lines):
         index = int(rng.integers(0, len(lines)))
         name, equals, _ = lines[index].partition(" = ")
         if equals:
-            lines[index] = f"{name} = {_toml(_pick(rng, NUMBERS + OTHERS + TEXTS))}"
+            lines[index] = f"{name} = {_toml(pick(rng, NUMBERS + OTHERS + TEXTS))}"
         elif rng.random() < 0.3:
             lines.insert(index, lines[int(rng.integers(0, len(lines)))])
     return "\n".join(lines).encode("utf-8", errors="surrogatepass")
@@ -143,7 +160,8 @@ def _toml(given):
     return json.dumps(given, ensure_ascii=False)
 
 
-def _pick(rng, values):
+def pick(rng, values):
+    """One of some values."""
     return values[int(rng.integers(0, len(values)))]
 
 

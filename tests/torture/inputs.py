@@ -21,11 +21,13 @@ from deploy.files import read_arrays, read_json
 
 from ..deploy.fast_networks import random_spec
 from . import damage
+from .graphs import graph
+from .records import record
 
 SHARES = {
-    "mat5": 0.2, "mat73": 0.105, "zip": 0.1, "bundle": 0.22, "settings": 0.13, "result": 0.06,
-    "run": 0.04, "links": 0.03, "network": 0.05,
-    "cache": 0.03, "pipe": 0.03, "source": 0.005,
+    "mat5": 0.15, "mat73": 0.095, "zip": 0.09, "bundle": 0.18, "settings": 0.1, "result": 0.05,
+    "run": 0.03, "links": 0.03, "network": 0.05, "cache": 0.03, "pipe": 0.03, "source": 0.005,
+    "graph": 0.06, "record": 0.07, "person": 0.03,
 }  # fmt: skip
 """Of each kind in a campaign."""
 
@@ -429,6 +431,43 @@ def pipe(rng, folder, base):
     return verbs[int(rng.integers(0, len(verbs)))]
 
 
+def person(rng, folder, base):
+    """Recordings of another person, or the bundle, with something wrong, and what reads both."""
+    path, damaged = folder / "st.zip", rng.random() < 0.6
+    with zipfile.ZipFile(path, "w") as archive:
+        for digit in range(10):
+            for index in range(2):
+                buffer = io.BytesIO()
+                odd = damaged and rng.random() < 0.08
+                given = odd_variables(rng) if odd else {"spiketrain": spiketrain(20 + digit, rng)}
+                given.setdefault("writer", float(rng.choice([7, 7, 7, 8])))
+                scipy.io.savemat(buffer, given)
+                archive.writestr(f"{digit}/{index}.mat", buffer.getvalue())
+    if damaged:
+        shutil.copytree(base.run / "bundle", folder / "bundle")
+    else:
+        bundle(rng, folder, base)
+    (folder / "cache").symlink_to(base.run.parent / "cache")
+    verbs = [
+        ["adapt", folder / "bundle", "--data", path, "--writer", 7, "--jobs", 1],
+        ["adapt", folder / "bundle", "--data", path, "--jobs", 1],
+        ["check", "run", folder / "bundle", "--target", "fast", "--data", path, "--jobs", 1],
+        ["check", "run", folder / "bundle", "--target", "nengo", "--data", path, "--samples", 2,
+         "--jobs", 1],
+        ["animate", _with_bundle(folder, base), "--out", folder / "a.gif", "--jobs", 1],
+    ]  # fmt: skip
+    return verbs[int(rng.choice([0, 0, 1, 2, 2, 3, 4]))]
+
+
+def _with_bundle(folder, base):
+    """A run that has the folder's bundle."""
+    run = folder / "run"
+    shutil.copytree(base.run, run)
+    shutil.rmtree(run / "bundle")
+    shutil.copytree(folder / "bundle", run / "bundle")
+    return run
+
+
 ELSEWHERE = b"somebody else's"
 """Content of a file that no command may change."""
 
@@ -476,4 +515,5 @@ KINDS = {
     "mat5": mat5, "mat73": mat73, "zip": zipped, "bundle": bundle, "settings": settings,
     "result": result, "run": run_folder, "links": links,
     "network": network, "cache": cache, "pipe": pipe, "source": source,
+    "graph": graph, "record": record, "person": person,
 }  # fmt: skip

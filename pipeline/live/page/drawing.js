@@ -31,32 +31,43 @@ function fitted(canvas) {
   return { context, width, height };
 }
 
-// Taxel addresses run down the columns.
-const row = (taxel) => taxel % 10;
-const column = (taxel) => Math.floor(taxel / 10);
+// The sensor: taxels are counted down the columns.
+let rows = 10;
+let columns = 10;
+export function setSensor(sensor) {
+  ({ rows, columns } = sensor);
+}
+const row = (taxel) => taxel % rows;
+const column = (taxel) => Math.floor(taxel / rows);
+const DOTS = 4096; // taxels that are drawn while nothing happens: of more one sees none
 
 // Returns whether something on it still moves.
-export function drawSkin(canvas, strokes, flashes, now) {
-  const { context, width } = fitted(canvas);
-  const cell = width / 10;
+export function drawSkin(canvas, strokes, counts, flashes, now) {
+  const { context, width, height } = fitted(canvas);
+  const [wide, high] = [width / columns, height / rows];
+  const cell = Math.min(wide, high);
+  const place = (taxel) => [(column(taxel) + 0.5) * wide, (row(taxel) + 0.5) * high];
   let moves = false;
+  if (!strokes.length) fillTaxels(context, counts, wide, high, 0.3); // of an example the pen is unknown
   context.fillStyle = colour("--rest");
-  for (let taxel = 0; taxel < 100; taxel++) {
-    context.beginPath();
-    context.arc((column(taxel) + 0.5) * cell, (row(taxel) + 0.5) * cell, cell * 0.07, 0, 7);
-    context.fill();
-  }
+  if (flashes.length <= DOTS)
+    for (let taxel = 0; taxel < flashes.length; taxel++) {
+      context.beginPath();
+      context.arc(...place(taxel), Math.max(cell * 0.07, 0.7), 0, 7);
+      context.fill();
+    }
   context.strokeStyle = colour("--trace");
   context.lineWidth = cell * 0.5;
   context.lineCap = context.lineJoin = "round";
   for (const stroke of strokes) {
     context.beginPath();
-    for (const [right, down] of stroke) context.lineTo((right + 0.5) * cell, (down + 0.5) * cell);
-    if (stroke.length === 1) context.lineTo((stroke[0][0] + 0.5) * cell, (stroke[0][1] + 0.5) * cell);
+    for (const [right, down] of stroke) context.lineTo((right + 0.5) * wide, (down + 0.5) * high);
+    if (stroke.length === 1) context.lineTo((stroke[0][0] + 0.5) * wide, (stroke[0][1] + 0.5) * high);
     context.stroke();
   }
-  flashes.forEach(({ on, off }, taxel) => {
-    const [x, y] = [(column(taxel) + 0.5) * cell, (row(taxel) + 0.5) * cell];
+  flashes.forEach((flash, taxel) => {
+    if (flash === null) return;
+    const { on, off } = flash;
     for (const [since, name] of [[on, "--on"], [off, "--off"]]) {
       let left = 1 - (now - since) / FLASH_MS;
       if (since === -Infinity) continue;
@@ -67,12 +78,12 @@ export function drawSkin(canvas, strokes, flashes, now) {
       context.beginPath();
       if (name === "--on") {
         context.fillStyle = colour(name);
-        context.arc(x, y, cell * 0.22, 0, 7);
+        context.arc(...place(taxel), cell * 0.22, 0, 7);
         context.fill();
       } else {
         context.strokeStyle = colour(name);
         context.lineWidth = cell * 0.09;
-        context.arc(x, y, cell * 0.34, 0, 7);
+        context.arc(...place(taxel), cell * 0.34, 0, 7);
         context.stroke();
       }
       context.globalAlpha = 1;
@@ -81,82 +92,128 @@ export function drawSkin(canvas, strokes, flashes, now) {
   return moves;
 }
 
+const SPANS = [2, 4, 10, 20, 60]; // seconds that a time axis may have
+const span = (time) => SPANS.find((seconds) => time <= seconds) ?? time;
+const [LEFT, BELOW] = [4, 20];
+const across = (canvas, last, left = LEFT) => (seconds) =>
+  left + (seconds / last) * (canvas.clientWidth - left - LEFT);
+
 // Only what is new, as long as everything else stands where it stood.
 const raster = { key: null, drawn: 0 };
 export function drawRaster(canvas, events, time, afresh) {
-  const last = time > 4 ? 10 : time > 2 ? 4 : 2;
+  const last = span(time);
   const key = `${last} ${canvas.clientWidth} ${canvas.clientHeight} ${devicePixelRatio}`;
   if (afresh || key !== raster.key || events.taxel.length < raster.drawn) {
     Object.assign(raster, { key, drawn: 0 });
     drawAxes(canvas, last);
   }
   const context = canvas.getContext("2d");
-  const { x, tall } = scales(canvas, last);
+  const x = across(canvas, last);
+  const tall = (canvas.clientHeight - BELOW) / (rows * columns);
   for (const [polarity, name] of [[-1, "--off"], [1, "--on"]]) {
     context.fillStyle = colour(name);
     for (let i = raster.drawn; i < events.taxel.length; i++) {
       if (events.polarity[i] !== polarity) continue;
       // ON stands, OFF lies: told apart without colour.
       const [wide, high] = polarity > 0 ? [2, Math.max(1.4 * tall, 4)] : [4, Math.max(0.7 * tall, 2)];
-      context.fillRect(x(events.ns[i] * 1e-9), (events.taxel[i] + 0.5) * tall - high / 2, wide, high);
+      context.fillRect(x(events.s[i]), (events.taxel[i] + 0.5) * tall - high / 2, wide, high);
     }
   }
   raster.drawn = events.taxel.length;
 }
 
-function scales(canvas, last) {
-  const [left, below] = [4, 20];
-  const { clientWidth: width, clientHeight: height } = canvas;
-  const x = (seconds) => left + (seconds / last) * (width - 2 * left);
-  return { left, below, x, tall: (height - below) / 100 };
-}
-
-function drawAxes(canvas, last) {
+function drawAxes(canvas, last, left = LEFT) {
   const { context, width, height } = fitted(canvas);
-  const { left, below, x } = scales(canvas, last);
+  const x = across(canvas, last, left);
   context.fillStyle = colour("--paper");
-  context.fillRect(left, 0, width - 2 * left, height - below);
+  context.fillRect(left, 0, width - left - LEFT, height - BELOW);
   context.font = "12px system-ui, sans-serif";
-  context.textAlign = "center";
   for (let tick = 0; tick <= last; tick += last / 4) {
     context.fillStyle = colour("--line");
-    context.fillRect(x(tick) - 0.5, 0, 1, height - below);
+    context.fillRect(x(tick) - 0.5, 0, 1, height - BELOW);
     context.fillStyle = colour("--soft");
     context.textAlign = tick === 0 ? "left" : tick === last ? "right" : "center";
     context.fillText(`${tick} s`, x(tick), height - 5);
   }
+  return { context, x, width, height };
+}
+
+// answer: of the network, or null; threshold: null where it decides at the end.
+export function drawCurve(canvas, answer, threshold, time) {
+  const left = 44;
+  const { context, x, width, height } = drawAxes(canvas, span(time), left);
+  const y = (share) => 4 + (1 - share) * (height - BELOW - 4);
+  context.textAlign = "right";
+  context.textBaseline = "middle";
+  for (const share of [0, 0.5, 1]) {
+    context.fillStyle = colour("--line");
+    context.fillRect(left, y(share) - 0.5, width - left - LEFT, 1);
+    context.fillStyle = colour("--soft");
+    context.fillText(`${100 * share} %`, left - 4, Math.max(y(share), 7));
+  }
+  context.textBaseline = "alphabetic";
+  if (threshold !== null) {
+    context.strokeStyle = colour("--off");
+    context.lineWidth = 1.5;
+    context.setLineDash([6, 4]);
+    context.beginPath();
+    context.moveTo(left, y(threshold));
+    context.lineTo(width - LEFT, y(threshold));
+    context.stroke();
+    context.setLineDash([]);
+  }
+  if (answer === null) return;
+  const [seconds, values] = answer.curve;
+  context.strokeStyle = context.fillStyle = colour("--on");
+  context.lineWidth = 2;
+  context.beginPath();
+  seconds.forEach((at, i) => context.lineTo(x(at), y(values[i])));
+  context.stroke();
+  context.beginPath();
+  context.arc(x(seconds.at(-1)), y(values.at(-1)), 3, 0, 7);
+  context.fill();
+  if (answer.decided === null) return;
+  const at = x(answer.decided.s);
+  context.fillStyle = colour("--ink");
+  context.fillRect(at - 1, y(1), 2, y(0) - y(1));
+  context.textAlign = at > width / 2 ? "right" : "left";
+  context.fillText(`${answer.decided.s.toFixed(2)} s`, at + (at > width / 2 ? -5 : 5), y(0) - 5);
 }
 
 export function drawImage(canvas, counts) {
-  const { context, width } = fitted(canvas);
-  const cell = width / 10;
-  const most = Math.max(1, ...counts);
+  const { context, width, height } = fitted(canvas);
   context.fillStyle = colour("--paper");
-  context.fillRect(0, 0, width, width);
-  context.fillStyle = colour("--on");
-  counts.forEach((count, taxel) => {
-    context.globalAlpha = count / most;
-    context.fillRect(column(taxel) * cell, row(taxel) * cell, cell + 0.5, cell + 0.5);
-  });
-  context.globalAlpha = 1;
+  context.fillRect(0, 0, width, height);
+  fillTaxels(context, counts, width / columns, height / rows, 1);
   context.strokeStyle = colour("--line");
   context.lineWidth = 1;
-  context.strokeRect(0.5, 0.5, width - 1, width - 1);
+  context.strokeRect(0.5, 0.5, width - 1, height - 1);
 }
 
-// rows: for each step the spikes of eight neurons a byte; returns how many there are.
-export function drawLayer(canvas, rows, neurons, steps, firstStep) {
+function fillTaxels(context, counts, wide, high, opacity) {
+  const most = counts.reduce((a, b) => Math.max(a, b), 1);
+  context.fillStyle = colour("--on");
+  counts.forEach((count, taxel) => {
+    if (count === 0) return;
+    context.globalAlpha = (opacity * count) / most;
+    context.fillRect(column(taxel) * wide, row(taxel) * high, wide + 0.5, high + 0.5);
+  });
+  context.globalAlpha = 1;
+}
+
+// packed: for each step the spikes of eight neurons a byte; returns how many there are.
+export function drawLayer(canvas, packed, neurons, steps, firstStep) {
   const { context, width, height } = fitted(canvas);
   const wide = width / steps;
   const tall = height / neurons;
-  const bytes = rows.length / steps;
+  const bytes = packed.length / steps;
   let spikes = 0;
   context.fillStyle = colour("--panel");
   context.fillRect(0, 0, -firstStep * wide, height);
   context.fillStyle = colour("--ink");
   for (let step = 0; step < steps; step++)
     for (let place = 0; place < bytes; place++) {
-      const eight = rows[step * bytes + place];
+      const eight = packed[step * bytes + place];
       if (eight === 0) continue;
       for (let bit = 0; bit < 8; bit++)
         if (eight & (128 >> bit)) {

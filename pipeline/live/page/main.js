@@ -1,23 +1,28 @@
 // The page: what comes from the server and from the person, and what is shown of it.
 
-import { drawImage, drawLayer, drawRaster, drawSkin, onColours } from "./drawing.js";
+import { drawCurve, drawImage, drawLayer, drawRaster, drawSkin, onColours, setSensor } from "./drawing.js";
 import { Link } from "./link.js";
 import { Pen } from "./pen.js";
 
 const $ = (id) => document.getElementById(id);
-const DIGITS = [...Array(10).keys()];
 const BY_ITSELF_MS = 1000;
 const LAYERS_MS = 60;
 const REMEMBERED = "stmnist-writer";
+const SCORES = 5; // classes with the highest scores that are shown where all have no room
+const BUTTONS = 12; // classes from which on their buttons are a list to search
+const SHORT = 3; // characters of a name that is shown large
 
 history.scrollRestoration = "manual"; // a page that begins anew begins at the skin
 
 const link = new Link();
+let about = null; // the data set: rows, columns, classes and the like
 let ready = null; // what the network is like, once it is ready
 let writer = null; // who writes, and what is asked for
-let recording = null; // the number of what is being written
+let tests = null; // test samples of each class, once they are known
+let recording = null; // the number of what is being written or played
 let kept = false;
-let strokes, flashes, events, counts;
+let strokes = [], flashes = [], counts = [];
+let events = { s: [], taxel: [], polarity: [] };
 let time = 0;
 let answer = null; // the latest, until it is shown
 let byItself = null;
@@ -26,20 +31,102 @@ let lastCounted = -Infinity;
 const stale = { skin: true, rest: true, all: true };
 
 function forget() {
+  const taxels = about === null ? 0 : about.rows * about.columns;
   strokes = [];
-  flashes = DIGITS.flatMap(() => DIGITS.map(() => ({ on: -Infinity, off: -Infinity })));
-  events = { ns: [], taxel: [], polarity: [] };
-  counts = Array(100).fill(0);
+  flashes = Array(taxels).fill(null);
+  events = { s: [], taxel: [], polarity: [] };
+  counts = Array(taxels).fill(0);
   time = 0;
   answer = shown = null;
   kept = false;
   clearTimeout(byItself);
-  $("announce").textContent = "";
+  $("announce").textContent = $("shown").textContent = "";
   showDecision(null);
   showLayers(null);
   stale.skin = stale.rest = stale.all = true;
   draw();
 }
+
+// ---- the data set's own words
+
+function describe() {
+  const { rows, columns, classes, digits } = about;
+  const taxels = rows * columns;
+  document.title = digits ? "Write a digit on the skin" : `${about.trained_on}: draw on the sensor`;
+  $("title").textContent = digits ? "Write a digit" : document.title;
+  $("feels").textContent = digits ? `${taxels} taxels:` : `A simulated skin, ${rows} x ${columns} taxels:`;
+  $("falls").hidden = about.polarities === 1;
+  $("hint").textContent = !canDraw() ? "Show me an example" : digits ? "Write here, large" : "Draw here, large";
+  $("keep-title").textContent = digits ? "It was a …" : "It was …";
+  $("keep-say").textContent = `Press the ${digits ? "digit that you wrote" : "class that you drew"}, and the recording is kept.`;
+  $("each-title").textContent = digits ? "Of each digit" : "Of each class";
+  if (digits)
+    $("session-say").textContent = "The page asks for digits in a random order and keeps what you write; stop and go on whenever you like.";
+  const drawing = hand();
+  $("learn-title").textContent = `learn ${drawing}`;
+  $("forget").textContent = `Forget ${drawing}`;
+  const long = classes.some((name) => [...name].length > SHORT);
+  document.body.classList.toggle("long", long);
+  document.body.classList.toggle("many", classes.length > BUTTONS);
+  const style = document.documentElement.style;
+  style.setProperty("--rows", rows);
+  style.setProperty("--columns", columns);
+  style.setProperty("--buttons", Math.min(classes.length, 10));
+  $("search").hidden = classes.length <= BUTTONS;
+  $("search").placeholder = `Search ${classes.length} classes`;
+  $("labels").replaceChildren(...classes.map(labelButton));
+  $("scores").replaceChildren(...classes.slice(0, classes.length > (long ? 6 : 10) ? SCORES : 10).map(scoreItem));
+  const keys = classes.map((_, label) => keyOf(label)).filter((key) => key !== null);
+  $("keys").textContent = keys.length
+    ? `${keys[0]} to ${keys.at(-1)} keep what was drawn as ${digits ? "that digit" : "that class"},`
+    : "";
+  const any = digits ? "any digit" : "any class";
+  $("example-class").replaceChildren(
+    new Option(any, ""), ...classes.map((name, label) => new Option(name, label)),
+  );
+}
+
+const hand = (whose = "my") => about.digits ? `${whose} handwriting` : whose === "my" ? "how I draw" : "how you draw";
+const canDraw = () => about.rows * about.columns <= about.most_taxels;
+
+function labelButton(name, label) {
+  const button = document.createElement("button");
+  button.type = "button";
+  button.id = `label-${label}`;
+  const key = keyOf(label);
+  if (key !== null && key !== name) {
+    const shortcut = document.createElement("kbd");
+    shortcut.textContent = key;
+    button.append(shortcut, " ");
+  }
+  button.append(name);
+  button.setAttribute("aria-label", `It was ${about.digits ? "a " : ""}${name}`);
+  button.addEventListener("click", () => keep(label));
+  return button;
+}
+
+// A name of one character is its own key; otherwise the first nine classes have the digits 1 to 9.
+function keyOf(label) {
+  if (about.classes.every((name) => /^[0-9]$/.test(name))) return about.classes[label];
+  return label < 9 ? String(label + 1) : null;
+}
+
+function scoreItem() {
+  const item = document.createElement("li");
+  item.innerHTML = '<span></span><span class="track"><div class="bar"></div></span>';
+  return item;
+}
+
+$("search").addEventListener("input", () => {
+  const sought = $("search").value.trim().toLocaleLowerCase();
+  for (const [label, button] of [...$("labels").children].entries())
+    button.hidden = !about.classes[label].toLocaleLowerCase().includes(sought);
+});
+$("search").addEventListener("keydown", (event) => {
+  if (event.key !== "Enter") return;
+  event.preventDefault();
+  [...$("labels").children].find((button) => !button.hidden)?.click();
+});
 
 // ---- from the person
 
@@ -62,23 +149,9 @@ const pen = new Pen($("skin"), (points, now) => {
   link.send({ type: "pen", now, points });
 });
 
-for (const digit of DIGITS) {
-  const button = document.createElement("button");
-  button.type = "button";
-  button.id = `label-${digit}`;
-  button.textContent = digit;
-  button.setAttribute("aria-label", `It was a ${digit}`);
-  button.addEventListener("click", () => label(digit));
-  $("labels").append(button);
-  const item = document.createElement("li");
-  item.innerHTML = '<span></span><span class="track"><div class="bar"></div></span><span></span>';
-  item.firstChild.textContent = digit;
-  $("scores").append(item);
-}
-
-function label(digit) {
+function keep(label) {
   clearTimeout(byItself);
-  link.send({ type: "label", digit });
+  link.send({ type: "label", label });
 }
 
 function clear() {
@@ -95,9 +168,23 @@ $("forget").addEventListener("click", () => link.send({ type: "forget" }));
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;
   if (event.target.matches("input, select, textarea")) return;
-  if (/^[0-9]$/.test(event.key)) label(Number(event.key));
+  const label = about?.classes.findIndex((_, label) => keyOf(label) === event.key) ?? -1;
+  if (label >= 0) keep(label);
+  else if (event.key === "e") $("examples").requestSubmit();
   else if (event.key === "c" || event.key === "Escape") clear();
   else if (event.key === "u") link.send({ type: "undo" });
+});
+
+$("examples").addEventListener("submit", (event) => {
+  event.preventDefault();
+  if ($("example").disabled) return;
+  const label = $("example-class").value;
+  link.send({
+    type: "example",
+    now: performance.now(),
+    origin: $("example-from").value,
+    label: label === "" ? null : Number(label),
+  });
 });
 
 function tellWriter(each) {
@@ -122,14 +209,26 @@ $("handedness").addEventListener("change", () => tellWriter(writer?.each ?? 0));
 
 // ---- from the server
 
-link.on("hello", (about) => {
+link.on("hello", (message) => {
+  about = message;
+  setSensor(about);
+  describe();
   $("folder").textContent = about.folder;
-  const hands = about.simulated
+  const hands = about.simulated && about.digits
     ? `${about.trained_on}: it has seen simulated hands only, and is less often right with real ones`
     : about.trained_on;
   $("trained").textContent = `Network ${about.architecture}, trained on ${hands}.`
     + (about.outdated ? ` ${about.outdated}.` : "");
   $("each").max = about.most_each;
+  $("share").hidden = !about.shared;
+  if (about.shared) $("qr").src = "qr.svg";
+  forget();
+});
+
+link.on("examples", (message) => {
+  tests = message.test;
+  $("example").title = message.reason ? `No test samples: ${message.reason}` : "Key: e";
+  showExamples();
 });
 
 link.on("ready", (network) => {
@@ -137,15 +236,19 @@ link.on("ready", (network) => {
   for (const { name, neurons } of network.layers) {
     const part = document.createElement("div");
     const title = document.createElement("h3");
-    title.append(`${name}: ${neurons} neurons`, document.createElement("span"));
+    title.append(`${name} (${neurons})`, document.createElement("span"));
     const canvas = document.createElement("canvas");
     canvas.setAttribute("role", "img");
     canvas.setAttribute("aria-label", `Spikes of layer ${name}`);
     part.append(title, canvas);
     $("layers").append(part);
   }
+  showDecided(null);
   $("about").textContent = `One row for each neuron, every mark is a spike; ${network.about}`;
-  $("status").textContent = "Ready: write on the square with finger, pen or mouse.";
+  $("status").textContent = canDraw()
+    ? `Ready: ${about.digits ? "write" : "draw"} on the sensor with finger, pen or mouse.`
+    : "Ready: this sensor is too large to be drawn on; look at examples.";
+  pen.sensor = canDraw() ? about : null;
   $("status").classList.add("ready");
   document.body.dataset.ready = "yes";
   draw();
@@ -154,8 +257,9 @@ link.on("ready", (network) => {
 link.on("cleared", (message) => {
   const started = strokes.slice(-1); // the stroke that began it is here already
   forget();
-  if (message.recording !== null) strokes = started;
+  if (message.recording !== null && !message.example) strokes = started;
   recording = message.recording;
+  if (message.example) showExample(message.example);
   $("hint").classList.toggle("gone", recording !== null);
   complain(null);
 });
@@ -163,12 +267,13 @@ link.on("cleared", (message) => {
 link.on("events", (message) => {
   if (message.recording !== recording) return;
   const now = performance.now();
-  time = message.time_s;
+  time = message.time_s - about.start_s;
   message.taxel.forEach((taxel, i) => {
-    events.ns.push(message.ns[i]);
+    events.s.push(message.ns[i] * 1e-9 - about.start_s);
     events.taxel.push(taxel);
     events.polarity.push(message.polarity[i]);
     counts[taxel]++;
+    flashes[taxel] ??= { on: -Infinity, off: -Infinity };
     flashes[taxel][message.polarity[i] > 0 ? "on" : "off"] = now;
   });
   pen.settled = message.settled;
@@ -191,7 +296,7 @@ link.on("answer", (message) => {
 link.on("saved", (message) => {
   kept = true;
   clearTimeout(byItself); // the last events of what is kept now came just before
-  $("told").textContent = `Kept as a ${message.digit}: ${message.name}, ${message.events} events.`;
+  $("told").textContent = `Kept as ${named(message.label)}: ${message.name}, ${message.events} events.`;
   complain(null);
 });
 
@@ -199,12 +304,12 @@ link.on("learned", (message) => {
   if (message.writer !== writer?.number) return;
   $("learned").dataset.digits = message.digits;
   $("learned").textContent = message.digits
-    ? `Learning your handwriting: ${message.digits} digits, ${message.right} of the last ${message.of} right before they were learned${message.own_readout ? "" : "; your own readout is not better yet"}.`
-    : "Nothing learned of your handwriting yet: write, and press the digit.";
+    ? `Learning ${hand("your")}: ${message.digits} ${about.digits ? "digit" : "recording"}${message.digits === 1 ? "" : "s"}, ${message.right} of the last ${message.of} right before they were learned${message.own_readout ? "" : "; your own readout is not better yet"}.`
+    : `Nothing learned of ${hand("your")} yet: ${about.digits ? "write, and press the digit" : "draw, and press the class"}.`;
 });
 
 link.on("undone", (message) => {
-  $("told").textContent = `Removed the last, a ${message.digit}: ${message.name}.`;
+  $("told").textContent = `Removed the last, ${named(message.label)}: ${message.name}.`;
 });
 
 link.on("writer", (state) => {
@@ -220,6 +325,7 @@ link.on("writer", (state) => {
   );
   $("handedness").value = state.handedness;
   showSession();
+  showExamples();
   if (first) recall();
   else remember();
 });
@@ -275,7 +381,7 @@ function settle() {
   announce();
   clearTimeout(byItself);
   if (writer?.asked !== null && !kept && events.taxel.length && $("by-itself").checked)
-    byItself = setTimeout(() => label(writer.asked), BY_ITSELF_MS);
+    byItself = setTimeout(() => keep(writer.asked), BY_ITSELF_MS);
 }
 
 // For who does not see the page: one sentence when the pen is lifted, not one an event.
@@ -288,36 +394,89 @@ function showSession() {
   const runs = writer.each > 0;
   $("session").hidden = runs;
   $("asking").hidden = !runs;
-  for (const digit of DIGITS) $(`label-${digit}`).classList.toggle("asked", runs && digit === writer.asked);
+  for (const [label, button] of [...$("labels").children].entries())
+    button.classList.toggle("asked", runs && label === writer.asked);
   if (!runs) return;
-  const all = 10 * writer.each;
-  $("asked").replaceChildren(writer.asked === null ? "All done, thank you." : "Please write a ");
+  const all = about.classes.length * writer.each;
+  const please = about.digits ? "Please write a " : "Please draw: ";
+  $("asked").replaceChildren(writer.asked === null ? "All done, thank you." : please);
   if (writer.asked !== null) {
-    const digit = document.createElement("b");
-    digit.textContent = writer.asked;
-    $("asked").append(digit);
+    const asked = document.createElement("b");
+    asked.textContent = about.classes[writer.asked];
+    $("asked").append(asked);
   }
   $("progress").max = all;
   $("progress").value = writer.done;
-  $("done").textContent = `Writer ${writer.number}: ${writer.done} of ${all} digits.`;
+  $("done").textContent = `Writer ${writer.number}: ${writer.done} of ${all} ${about.digits ? "digits" : "recordings"}.`;
 }
 
-function percent(share) {
-  return `${Math.round(100 * share)} %`;
+function named(label) {
+  const name = about.classes[label];
+  return about.digits ? `${name === "8" ? "an" : "a"} ${name}` : name;
 }
+
+// Which examples there are: test samples, recordings of the folder, or neither.
+function showExamples() {
+  if (tests === null || writer === null) return;
+  const of = { test: tests, kept: writer.kept };
+  const from = $("example-from");
+  for (const option of from.options) option.disabled = !of[option.value].some((n) => n > 0);
+  if (from.selectedOptions[0].disabled) {
+    const other = [...from.options].find((option) => !option.disabled);
+    if (other) from.value = other.value;
+  }
+  const there = of[from.value];
+  for (const option of [...$("example-class").options].slice(1))
+    option.disabled = there[Number(option.value)] === 0;
+  if ($("example-class").selectedOptions[0].disabled) $("example-class").value = "";
+  $("example").disabled = from.selectedOptions[0].disabled;
+}
+$("example-from").addEventListener("change", showExamples);
+
+function showExample(example) {
+  kept = true;
+  const where = example.origin === "test" ? "a test sample" : "kept here";
+  $("shown").textContent = `Example ${example.name}, ${where}: it is ${named(example.label)}.`;
+  $("shown").dataset.label = example.label;
+  pen.watch();
+}
+
+// The confidence is always below 1, and is not rounded to it.
+function percent(share) {
+  return `${Math.min(Math.round(100 * share), 99)} %`;
+}
+
+const exact = (share) => `${(100 * share).toFixed(1)} %`;
 
 function showDecision(message) {
-  $("decision").textContent = message === null ? "" : message.decision;
+  if (about === null) return;
+  const { classes } = about;
+  $("decision").textContent = message === null ? "" : classes[message.decision];
   $("decision").dataset.events = message === null ? 0 : message.events; // that it is the answer to
-  $("confidence").textContent = message === null ? "" : `${percent(message.confidence[message.decision])} sure`;
-  const early = message?.sure_s == null ? "" : `; sure enough after ${message.sure_s.toFixed(2)} s`;
-  $("since").textContent = message === null ? "" : `since ${message.since_s.toFixed(2)} s after the first touch${early}`;
-  [...$("scores").children].forEach((item, digit) => {
-    const share = message === null ? 0 : message.confidence[digit];
-    item.classList.toggle("best", message !== null && digit === message.decision);
-    item.children[1].firstChild.style.transform = `scaleX(${share})`;
-    item.lastChild.textContent = message === null ? "" : percent(share);
+  $("confidence").textContent = message === null ? "" : `${percent(message.confidence)} sure`;
+  $("since").textContent = message === null ? "" : `since ${message.since_s.toFixed(2)} s`;
+  showDecided(message);
+  const items = [...$("scores").children];
+  let best = classes.map((_, label) => label);
+  if (classes.length > items.length && message !== null)
+    best = best.sort((a, b) => message.shares[b] - message.shares[a]);
+  items.forEach((item, i) => {
+    const label = best[i];
+    item.firstChild.textContent = message === null && classes.length > items.length ? "" : classes[label];
+    item.classList.toggle("best", message !== null && label === message.decision);
+    const share = message === null ? 0 : message.shares[label];
+    item.lastChild.firstChild.style.transform = `scaleX(${share})`;
   });
+}
+
+function showDecided(message) {
+  const threshold = ready?.threshold ?? null;
+  const decided = message?.decided ?? null;
+  $("decided").dataset.s = decided === null ? "" : decided.s;
+  if (decided !== null)
+    $("decided").textContent = `Decided for ${named(decided.label)} after ${decided.s.toFixed(2)} s, at ${exact(threshold)}.`;
+  else if (threshold === null) $("decided").textContent = "How sure the network is, over time; it decides at the end.";
+  else $("decided").textContent = `How sure the network is, over time; it decides at ${exact(threshold)}.`;
 }
 
 function showLayers(message) {
@@ -325,8 +484,8 @@ function showLayers(message) {
   ready.layers.forEach(({ name, neurons }, i) => {
     const part = $("layers").children[i];
     const text = message === null ? "" : atob(message.spikes[name]);
-    const rows = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
-    const spikes = drawLayer(part.querySelector("canvas"), rows, neurons, ready.steps, ready.first_step);
+    const packed = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
+    const spikes = drawLayer(part.querySelector("canvas"), packed, neurons, ready.steps, ready.first_step);
     part.querySelector("span").textContent = message === null ? "" : `${spikes} spikes`;
   });
 }
@@ -347,7 +506,7 @@ function draw() {
   drawing = true;
   requestAnimationFrame(() => {
     drawing = false;
-    if (stale.skin) stale.skin = drawSkin($("skin"), strokes, flashes, performance.now());
+    if (stale.skin) stale.skin = drawSkin($("skin"), strokes, counts, flashes, performance.now());
     if (stale.rest) {
       stale.rest = false;
       if (answer !== null && answer !== shown) {
@@ -358,6 +517,7 @@ function draw() {
         afterPaint(answer.last_ms);
       }
       drawRaster($("raster"), events, time, stale.all);
+      drawCurve($("curve"), shown, ready?.threshold ?? null, time);
       stale.all = false;
       drawImage($("image"), counts);
       $("count").textContent = events.taxel.length ? `${events.taxel.length} events` : "";

@@ -9,6 +9,7 @@ export class Pen {
   constructor(canvas, tell) {
     this.canvas = canvas;
     this.tell = tell;
+    this.sensor = null; // rows and columns, while one can write
     this.pointer = null;
     this.settled = true;
     this.told = -Infinity;
@@ -29,6 +30,7 @@ export class Pen {
   }
 
   down(event) {
+    if (this.sensor === null) return;
     if (event.pointerId === this.pointer) this.up(event); // its end was never told
     if (this.pointer !== null || (event.pointerType === "mouse" && event.button !== 0)) return;
     this.pointer = event.pointerId;
@@ -69,13 +71,14 @@ export class Pen {
 
   point(event, touches) {
     const box = this.canvas.getBoundingClientRect();
-    const place = (share) => Math.min(Math.max(10 * share - 0.5, -BEYOND), 9 + BEYOND);
+    const place = (share, side) =>
+      Math.min(Math.max(side * share - 0.5, -BEYOND), side - 1 + BEYOND);
     // A finger's pressure is rarely measured: 0 or 1 says nothing.
     const told = event.pressure > 0 && (event.pointerType === "pen" || event.pressure < 1);
     return [
       this.time(event),
-      place((event.clientX - box.left) / box.width),
-      place((event.clientY - box.top) / box.height),
+      place((event.clientX - box.left) / box.width, this.sensor.columns),
+      place((event.clientY - box.top) / box.height, this.sensor.rows),
       told ? event.pressure : 0.5,
       touches,
     ];
@@ -86,6 +89,12 @@ export class Pen {
     this.settled = false;
     this.told = performance.now();
     this.tell(points, this.told);
+  }
+
+  // An example passes too, though nobody writes.
+  watch() {
+    this.settled = false;
+    this.beat();
   }
 
   // Time passes on the skin too while the pen rests, and for a moment after it is lifted.

@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 from matplotlib.figure import Figure
 
@@ -27,7 +28,7 @@ LONGEST_NAME = 32
 
 
 def writer_for(path) -> AbstractMovieWriter:
-    """What writes a file of that name.
+    """The writer for a file of that name.
 
     Raises
     ------
@@ -39,9 +40,24 @@ def writer_for(path) -> AbstractMovieWriter:
         return PillowWriter(fps=FRAMES_A_SECOND)
     if suffix != ".mp4":
         raise UserError(f"{path}: the name must end in .gif or .mp4")
+    if not FFMpegWriter.isAvailable() and (program := _packaged_ffmpeg()):
+        rcParams["animation.ffmpeg_path"] = program
     if not FFMpegWriter.isAvailable():
-        raise UserError(f"{path}: needs ffmpeg, which is not on this machine; choose a .gif")
+        raise UserError(
+            f"{path}: needs ffmpeg, which is not on this machine; install it "
+            "(pip install 'stmnist-loihi[video]'), or choose a .gif"
+        )
     return FFMpegWriter(fps=FRAMES_A_SECOND)
+
+
+def _packaged_ffmpeg():
+    """The program in the package imageio-ffmpeg; None without it."""
+    try:
+        import imageio_ffmpeg
+
+        return imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError):
+        return None
 
 
 def animate(path, bundle: Bundle, recordings: Recordings, index: int, advance=None):
@@ -58,7 +74,7 @@ def animate(path, bundle: Bundle, recordings: Recordings, index: int, advance=No
     recordings : Recordings
         Those of the bundle.
     index : int
-        Of the sample in the check.
+        Index of the sample in the check.
     advance : callable, optional
         Called after each picture.
 
@@ -112,7 +128,7 @@ def animate(path, bundle: Bundle, recordings: Recordings, index: int, advance=No
     shown_for = np.concatenate([moments, np.ones(STILL)])
 
     def parts(share):
-        """How far the recording and the probabilities have come, each from 0 to 1 of its time."""
+        """Progress of the recording and of the probabilities, each from 0 to 1."""
         if on_events:
             return min(1.0, share * max(end, lasts) / lasts), min(
                 1.0, share * max(end, lasts) / end

@@ -27,7 +27,7 @@ def recording(recordings: Recordings, index: int) -> Figure:
     ----------
     recordings : Recordings
     index : int
-        Which of them.
+        Index of the recording.
     """
     events, sensor = recordings[index], recordings.sensor
     figure = Figure(figsize=(10, 7), layout="constrained")
@@ -60,7 +60,7 @@ def events_by_taxel(recordings: Recordings, index: int) -> Figure:
     ----------
     recordings : Recordings
     index : int
-        Which of them.
+        Index of the recording.
     """
     events, taxels = recordings[index], recordings.taxels
     figure = Figure(figsize=(11, 9), layout="constrained")
@@ -82,7 +82,7 @@ def events_by_taxel(recordings: Recordings, index: int) -> Figure:
 
 
 def layout(taxels: TaxelMap) -> Figure:
-    """Where each taxel lies: address in bold, (X, Y) below it, 1-based (paper, Figure 1)."""
+    """The position of each taxel: address in bold, (X, Y) below it, 1-based (paper, Figure 1)."""
     figure = Figure(figsize=(7, 7), layout="constrained")
     axes = figure.subplots()
     for taxel, (x, y) in enumerate(zip(taxels.row, taxels.column, strict=True)):
@@ -101,7 +101,7 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
     recordings : Recordings
     per_digit : int
     seed : int
-        Of the draw.
+        Seed of the draw.
     """
     rng = np.random.default_rng(seed)
     digits = np.unique(recordings.labels)

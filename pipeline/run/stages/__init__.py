@@ -1,6 +1,7 @@
 """The stages of a run: each reads the artifacts of the previous one and runs only if outdated."""
 
-from pipeline.run.nir_conversion import settings_of_nir
+from pipeline.run.nir_conversion import refuse_early, settings_of_nir
+from pipeline.run.nir_training import settings_of_retrained
 from pipeline.run.stages.answering import answer, answer_all
 from pipeline.run.stages.bundling import convert, make_bundle, on_test_split, spec_of
 from pipeline.run.stages.opening import open_dataset
@@ -25,8 +26,10 @@ __all__ = [
     "open_dataset",
     "read_model",
     "read_weights",
+    "refuse_early",
     "settings_of_model",
     "settings_of_nir",
+    "settings_of_retrained",
     "spec_of",
     "train",
     "train_all",

@@ -6,7 +6,9 @@ from dataclasses import asdict, replace
 
 from deploy import __version__
 from deploy.check.bundle import Bundle, CheckSet, read_bundle, write_bundle
+from deploy.files import understood
 from deploy.network.spec import NetworkSpec
+from pipeline.artifacts import DELETE_IT
 from pipeline.inputs.dataset import Dataset
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.run.adaptation import with_rehearsal
@@ -84,24 +86,33 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
 
 def spec_of(place: Place, settings: Settings, dataset: Dataset, provenance: dict) -> NetworkSpec:
     """The trained network of a run or library, as the chip gets it."""
-    if settings.nir.file:
+    if settings.network == "nir":
         network = nir_origin(settings, dataset.origin)
-        metrics = nir_artifact(place, network).state(network).record
-        folder = place.network("snn", network)
-        return deployed_nir(folder, metrics, settings, dataset, provenance)
+        graph = nir_artifact(place, settings, network)
+        confidence = _confidence(graph, network)
+        return deployed_nir(graph.record.parent, confidence, settings, dataset, provenance)
     if settings.on_events:
         from pipeline.run.event_conversion import deployed_on_events
 
         network = events_origin(settings, dataset.origin)
         origin = threshold_origin(settings, network)
-        chosen = threshold_artifact(place, origin).state(origin).record["decides_by_itself"]
+        confidence = _confidence(threshold_artifact(place, origin), origin)
         weights = read_weights(place.network("snn", network), settings)
-        return deployed_on_events(settings, weights, chosen["confidence"], provenance)
+        return deployed_on_events(settings, weights, confidence, provenance)
     from pipeline.run.conversion import deployed
 
     network = rates_origin(settings, cnn_origin(settings, dataset.origin))
     weights = read_weights(place.network("snn", network), settings)
     return deployed(settings, weights, provenance, dataset.part("train"))
+
+
+def _confidence(artifact, origin):
+    """The confidence for early decisions in a network's record, or None."""
+    with understood(artifact.record, DELETE_IT):
+        chosen = artifact.state(origin).record["decides_by_itself"]
+        if chosen is not None and not 0 <= chosen["confidence"] <= 1:
+            raise ValueError("a confidence that is not from 0 to 1")
+        return chosen and float(chosen["confidence"])
 
 
 def on_test_split(settings: Settings, dataset: Dataset, bundle: Bundle) -> Bundle:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from deploy.errors import UserError
+from deploy.terminal import WARNING
 from pipeline.inputs.dataset import (
     TOO_SMALL,
     Dataset,
@@ -86,11 +87,12 @@ def _notes(run, settings, recordings):
             yield f"{run.path}: a new run, on simulated recordings (others: --data)"
     elif (before := run.resolve_settings(None, {}).input.kind) != settings.input.kind:
         yield (
-            f"{run.path}: was a run of input.kind {before!r}; its network and bundle are replaced "
-            "(name another folder to keep both)"
+            f"{WARNING}{run.path}: was a run of input.kind {before!r}; its network and bundle are "
+            "replaced (name another folder to keep both)"
         )
     classes = recordings.sensor.classes
     missing = sorted(set(range(len(classes))) - set(recordings.labels.tolist()))
     if missing:
         names = ", ".join(classes[label] for label in missing)
-        yield f"{settings.data.source}: no recordings of {names}; their outputs learn nothing"
+        problem = f"no recordings of {names}; their outputs learn nothing"
+        yield f"{WARNING}{settings.data.source}: {problem}"

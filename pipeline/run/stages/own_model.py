@@ -19,7 +19,7 @@ three layers with Keras's first weights the best had gone 0.06 of it by luck, on
 
 
 SPREAD = (1e-3, 1e4)
-"""From the least to the largest logit of a sample, in networks whose logits mean something."""
+"""Limits of the difference between the largest and smallest logit of a sample."""
 
 
 def read_model(path: Path) -> tuple:

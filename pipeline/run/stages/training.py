@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
-from deploy.files import read_arrays, write_arrays
+from deploy.files import read_arrays, understood, write_arrays
 from deploy.network.decision import Judge
 from models.architecture import parse
 from pipeline.artifacts import Artifact, Origin
 from pipeline.inputs.dataset import Dataset
 from pipeline.progress import progress
-from pipeline.run import nir_conversion
+from pipeline.run import nir_conversion, nir_training
 from pipeline.run.answers import training_versions
 from pipeline.run.diagnosis import activity, fastest_rate, training_lines
 from pipeline.run.folder import DELETE_ITS_FOLDER, NetworkLibrary, RunFolder
@@ -40,7 +40,9 @@ def train_all(place: Place, settings: Settings, dataset: Dataset, say=print):
     """Train what the bundle is made from, unless it is current."""
     if settings.nir.file:
         take_over_nir(place, settings, dataset, say)
-    elif settings.on_events:
+    if settings.network == "nir":
+        return
+    if settings.on_events:
         train_on_events(place, settings, dataset, say)
     else:
         train(place, settings, dataset, say)
@@ -50,7 +52,7 @@ def train_all(place: Place, settings: Settings, dataset: Dataset, say=print):
 def take_over_nir(place: Place, settings: Settings, dataset: Dataset, say=print) -> dict:
     """Make the user's NIR graph the run's network, unless it is current; return its metrics."""
     origin = nir_origin(settings, dataset.origin)
-    artifact = nir_artifact(place, origin)
+    artifact = nir_artifact(place, settings, origin)
     if (done := _current(artifact, origin, say, "reading")) is not None:
         return done
     view = origin.view(settings)
@@ -76,11 +78,11 @@ def train(place: Place, settings: Settings, dataset: Dataset, say=print) -> dict
     else:
         from pipeline.training.networks import train_cnn  # TensorFlow takes seconds to import
 
-        data, watched = seen.part("train"), seen.part("validation")
+        data, watched = seen.part("train"), _watched(seen)
         with _timed("cnn", view.cnn.epochs) as timed:
             trained = train_cnn(view, data, view.seed, watched, timed.advance)
         seconds = timed.seconds
-    _write_network(artifact.record.parent, trained)
+    _write_network(artifact.record.parent, _told(trained, seen))
     metrics = _metrics(trained, seen, seconds)
     _say_accuracy("cnn", metrics, say)
     return artifact.write(origin, metrics)
@@ -99,10 +101,10 @@ def train_rates(place: Place, settings: Settings, dataset: Dataset, say=print) -
     view = origin.view(settings)
     seen = dataset.seen_by(view)
     start = read_weights(place.network("cnn", cnn), view)
-    data, watched = seen.part("train"), seen.part("validation")
+    data, watched = seen.part("train"), _watched(seen)
     with _timed("rate-lif", snn_recipe(view.snn).epochs) as timed:
         trained = train_rate_network(view, data, view.seed, start, watched, timed.advance)
-    _write_network(artifact.record.parent, trained)
+    _write_network(artifact.record.parent, _told(trained, seen))
     metrics = _metrics(trained, seen, timed.seconds)
     metrics["neurons"] = _neurons(view, trained, data[0])
     _say_accuracy("rate-lif", metrics, say)
@@ -138,8 +140,14 @@ def train_event_network(place: Place, settings: Settings, dataset: Dataset, say=
     samples = event_training.set_apart(dataset.seen_by(view), view.seed)
     folder = artifact.record.parent
     checkpoint = event_training.Checkpoint(folder / "checkpoint.npz", origin.key)
+    start = None
+    if view.network == "retrained":
+        graph = nir_artifact(place, view, nir_origin(settings, dataset.origin)).record.parent
+        start, lines = nir_training.start(graph, view, samples)
+        for line in lines:
+            say(f"nir: {line}")
     with _timed("events", view.events.epochs) as timed:
-        trained = event_training.train(view, samples, view.seed, checkpoint, timed.advance)
+        trained = event_training.train(view, samples, view.seed, checkpoint, timed.advance, start)
     _write_network(folder, trained)
     training = {"epochs": len(trained.history), "seconds": timed.seconds}
     written = artifact.write(origin, {**training, "versions": training_versions()})
@@ -170,9 +178,12 @@ def choose_threshold(place: Place, settings: Settings, dataset: Dataset, say=pri
     trained = event_training.trained_network(view, read_weights(folder, view))
     samples = event_training.set_apart(seen, view.seed)
     chosen = event_training.choose(view, samples, trained, view.seed)
-    training = events_artifact(place, trained_from).state(trained_from).record
-    metrics = _metrics(trained, seen, training["seconds"])
-    metrics["epochs"] = training["epochs"]
+    training = events_artifact(place, trained_from)
+    with understood(training.record, DELETE_ITS_FOLDER):
+        record = training.state(trained_from).record
+        seconds, epochs = float(record["seconds"]), int(record["epochs"])
+    metrics = _metrics(trained, seen, seconds)
+    metrics["epochs"] = epochs
     metrics["decides_by_itself"] = {**chosen._asdict(), "samples": len(samples.held)}
     _say_accuracy("events", metrics, say)
     if chosen.confidence < 1:
@@ -198,9 +209,9 @@ def cnn_artifact(place: Place, origin: Origin) -> Artifact:
     return Artifact("cnn", folder / "metrics.json", (folder / "weights.npz",))
 
 
-def nir_artifact(place: Place, origin: Origin) -> Artifact:
-    """A copy of the NIR graph, and its metrics."""
-    folder = place.network("snn", origin)
+def nir_artifact(place: Place, settings: Settings, origin: Origin) -> Artifact:
+    """A copy of the NIR graph, and its metrics; beside the network that is trained from it."""
+    folder = place.network("snn" if settings.network == "nir" else "nir", origin)
     return Artifact("nir", folder / "metrics.json", (nir_conversion.kept_graph(folder),))
 
 
@@ -268,6 +279,30 @@ class _timed:
     def __exit__(self, *error):
         self.seconds = time.perf_counter() - self._begun
         return self._bar.__exit__(*error)
+
+
+MOST_WATCHED = 500
+"""Test samples on which a network is watched while it is trained."""
+
+
+def _watched(dataset):
+    """Held-out samples for the learning curve: validation samples, else some of the test samples.
+
+    Nothing depends on them.
+    """
+    if (validation := dataset.part("validation")) is not None:
+        return validation
+    index = dataset.split.test
+    index = index[:: max(1, -(-len(index) // MOST_WATCHED))]
+    return (dataset.inputs[index], dataset.labels[index]) if len(index) else None
+
+
+def _told(trained, dataset):
+    """A network whose history says where it was watched on test samples."""
+    if len(dataset.split.validation):
+        return trained
+    rows = [{k.replace("val_", "test_"): v for k, v in row.items()} for row in trained.history]
+    return replace(trained, history=rows)
 
 
 def _write_network(folder, trained):

@@ -8,7 +8,7 @@ from deploy import cli
 from deploy.check.results import compare_results, loss_text, read_result
 from deploy.errors import UserError
 from deploy.files import write_json
-from tests.command import call
+from tests.command import call, missing
 
 
 def result(predictions=(0, 1, 2, 3), labels=(0, 1, 2, 3), target="nengo", **changes):
@@ -144,7 +144,7 @@ def test_limits_and_exit_status(run, pair, capsys, options, status, message):
     assert found == status
     assert message in err
     if status < 2:
-        assert "2 of 4 predictions differ" in out
+        assert "2 of 4 predictions" in out
         assert "x/1" in out
 
 
@@ -165,5 +165,5 @@ def test_a_loss_that_is_no_chance_is_said():
     assert loss_text(trained, result(many, many, target="fast")) is None
     assert loss_text(trained, result((1, *many[1:]), many, target="fast")) is None
     line = loss_text(trained, result((0,) * 40, many, target="fast"))
-    assert "fast is significantly less accurate than cnn" in line
+    assert missing(line, "fast", "cnn", "significant") == []
     assert "0.100, not 1.000" in line

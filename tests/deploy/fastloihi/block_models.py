@@ -40,6 +40,8 @@ def random_model(seed) -> Model:
         discretize_model(model)
         for block in blocks:
             _exaggerate(rng, block)
+    for block in blocks:
+        _divide(rng, block)
     return model
 
 
@@ -120,17 +122,34 @@ def _probe(rng, blocks):
 
 
 def _exaggerate(rng, block):
-    """What discretising alone never gives: overflow, and weights that 16 bits do not hold."""
+    """What discretising alone never gives: overflow, weights of more than 16 bits, and so on."""
     compartment = block.compartment
     for synapse in block.synapses:
         if not synapse.learning and rng.rand() < 0.3:
             up = 1 + rng.randint(12)
             for weights in synapse.weights:
                 weights <<= up
+        if synapse.learning and rng.rand() < 0.5:
+            synapse.format(weight_bits=rng.randint(3, 8))
+            synapse._lr_int, synapse._lr_exp = 1 + rng.randint(7), rng.randint(-7, 5)
+            synapse.train_epoch, synapse.learn_epoch = 1 + rng.randint(3), 1 + rng.randint(4)
     if rng.rand() < 0.2:
         compartment.vmin = -(2 ** rng.randint(8, 32)) + 1
     if rng.rand() < 0.2:
         compartment.bias <<= 8
+
+
+def _divide(rng, block):
+    """Give the first compartments of a block other constants than the rest."""
+    compartment, n = block.compartment, block.n_neurons
+    for name in ("refract_delay", "vmin", "vmax", "decay_u", "decay_v"):
+        if rng.rand() < 0.2:
+            value = getattr(compartment, name)
+            values = np.array(np.broadcast_to(value, (n,)))
+            first = slice(rng.randint(n + 1))
+            lower = np.minimum(values[first] / 2, 2**22 if compartment.discretize_info else 5)
+            values[first] = values[first] + 1 if name == "refract_delay" else lower
+            setattr(compartment, name, values)
 
 
 def random_calls(emulator, seed, n_calls=3, longest=30):

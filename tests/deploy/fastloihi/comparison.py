@@ -48,6 +48,9 @@ def assert_same(expected, found, where=""):
         equal_nan = value.dtype.kind == "f"
         same = np.array_equal(value, other, equal_nan=equal_nan)
         assert same, f"{where}: {name} differs at {np.flatnonzero(value != other)[:5]}"
+        if equal_nan:
+            zero = (value == 0) & (np.signbit(value) != np.signbit(other))
+            assert not zero.any(), f"{where}: {name}: sign of 0 at {np.flatnonzero(zero)[:5]}"
 
 
 class Outcome(collections.namedtuple("Outcome", "warnings error")):

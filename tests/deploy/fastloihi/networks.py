@@ -6,6 +6,7 @@ import nengo
 import numpy as np
 
 from deploy.network.loihi_import import nengo_loihi
+from pipeline.experiments import network_speed
 
 
 def channel(n=40):
@@ -39,18 +40,8 @@ def recurrent(n=40):
 
 def learning(n=40):
     """PES on the chip: the error is worked out on the host at every step."""
-    with nengo.Network(seed=1) as network:
-        wave = nengo.Node(lambda t: np.sin(20 * t))
-        error, result = nengo.Node(size_in=1), nengo.Node(size_in=1)
-        a = nengo.Ensemble(n, 1)
-        nengo.Connection(wave, a)
-        learned = nengo.Connection(
-            a, result, function=lambda x: 0, learning_rule_type=nengo.PES(1e-3)
-        )
-        nengo.Connection(result, error)
-        nengo.Connection(wave, error, transform=-1)
-        nengo.Connection(error, learned.learning_rule)
-        return network, [nengo.Probe(result, synapse=0.02)]
+    network, probe = network_speed.learning(n)
+    return network, [probe]
 
 
 def feedback(n=40):

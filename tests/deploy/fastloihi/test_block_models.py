@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import warnings
 
 import nengo
@@ -16,6 +18,7 @@ from deploy.fastloihi import FastEmulator
 from deploy.fastloihi.link import LOG
 from nengo_loihi.emulator.interface import EmulatorInterface
 
+from tests.command import ROOT, environment
 from tests.deploy.fastloihi.block_models import feed, random_calls, random_model
 from tests.deploy.fastloihi.comparison import Outcome, assert_same, state_of
 
@@ -89,7 +92,7 @@ def test_many_steps_in_one_call_are_those_of_the_emulator(seed):
 def test_a_strict_emulator_stops_in_the_same_place_with_the_same_error(seed):
     plain, fast = two_emulators(seed) or reject()
     for emulator in (plain, fast):
-        emulator.compartment.strict = emulator.synapses.strict = True
+        emulator.compartment.strict, emulator.synapses.strict = seed % 3 != 0, seed % 3 != 1
     failed, _ = run_both(plain, fast, seed, each_step=False)
     event(f"failed: {failed}")
     if failed:  # and goes on from there with the same state
@@ -123,6 +126,17 @@ def test_a_warning_that_is_an_error_ends_the_step_where_the_emulator_ends_it(see
             return
 
 
+@settings(max_examples=15, **PROFILE)
+@given(seed=SEEDS)
+def test_after_a_step_of_nengo_loihis_own_the_kernel_goes_on(seed):
+    """A warning might be an error, so that NengoLoihi does the step; it is none."""
+    plain, fast = two_emulators(seed) or reject()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", "what nobody says", UserWarning)
+        run_both(plain, fast, seed, each_step=False)
+    assert type(fast) is FastEmulator
+
+
 def test_more_warnings_than_the_log_holds_are_all_given():
     """A model that overflows at every step."""
     for seed in range(1000):
@@ -141,10 +155,13 @@ def test_more_warnings_than_the_log_holds_are_all_given():
 def test_a_call_is_cut_where_it_would_take_too_much_memory(monkeypatch):
     plain, fast = two_emulators(5)
     fast._link.at_once = 7
+    run, seen = fast._link.run, []
+    monkeypatch.setattr(fast._link, "run", lambda *given: seen.append(given[1]) or run(*given))
     run_both(plain, fast, 5, each_step=False)
+    assert max(seen) == 7
 
 
-@pytest.mark.parametrize("seed", [2, 3, 5, 8])
+@pytest.mark.parametrize("seed", [2, 3, 5, 8, 11, 19, 20, 24, 27, 40, 48, 55])
 def test_an_emulator_can_be_taken_over_and_handed_back_between_steps(seed):
     from deploy.fastloihi.emulator import hand_over, take_over
 
@@ -158,6 +175,7 @@ def test_an_emulator_can_be_taken_over_and_handed_back_between_steps(seed):
             if number % 2:
                 hand_over(fast, "a test")
                 assert type(fast) is EmulatorInterface
+                assert_same(state_of(plain), state_of(fast), f"before call {number}")
         assert Outcome.of(lambda n=steps: plain.run_steps(n)) == Outcome.of(
             lambda n=steps: fast.run_steps(n)
         )
@@ -165,3 +183,21 @@ def test_an_emulator_can_be_taken_over_and_handed_back_between_steps(seed):
             take_over(fast)
             assert type(fast) is FastEmulator
         assert_same(state_of(plain), state_of(fast), f"after call {number}")
+
+
+def test_no_place_outside_of_an_array_is_used():
+    """The kernel as plain Python, where NumPy refuses what compiled code would not notice."""
+    code = """
+import numpy as np
+from tests.deploy.fastloihi.test_block_models import run_both, two_emulators
+from deploy.fastloihi import link
+link.LOG = 4
+np.seterr(all="ignore")  # Python tells of integers that wrap
+for seed in (3, 5, 19, 27, 48, 55):
+    run_both(*two_emulators(seed), seed, each_step=False, n_calls=1)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT, env=environment(NUMBA_DISABLE_JIT="1"), capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr

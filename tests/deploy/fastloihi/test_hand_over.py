@@ -126,6 +126,68 @@ def decay_beyond_12_bits(parts):
     parts.finish = lambda: parts.block.compartment.decay_v.__iadd__(4096)
 
 
+def negative_decay(parts):
+    parts.finish = lambda: parts.block.compartment.decay_v.__imul__(-1)
+
+
+def learning_rate_beyond_32_bits(parts):
+    parts.synapse.set_learning(tracing_mag=20.0)
+    parts.finish = lambda: setattr(parts.synapse, "_lr_int", 2**31)
+
+
+def trace_beyond_32_bits(parts):
+    parts.synapse.set_learning(tracing_mag=20.0)
+    parts.finish = lambda: setattr(parts.synapse, "tracing_mag", 2**30)
+
+
+def trace_of_an_axon_that_is_not_there(parts):
+    """It has no weights, and so only the trace would notice."""
+    parts.synapse.axon_compartment_bases = [0] * N + [-1]
+    parts.synapse.set_learning(tracing_mag=20.0)
+    parts.axon.set_compartment_axon_map(np.array([0, 1, 2, 3, 4, N]))
+
+
+def row_of_weights_that_is_missing(parts):
+    parts.synapse.set_learning(tracing_mag=20.0)
+    parts.finish = lambda: setattr(parts.synapse, "n_axons", N + 1)
+
+
+def bases_that_are_too_few(parts):
+    parts.synapse.axon_compartment_bases = [0] * (N - 1)
+
+
+def one_weight_for_several_compartments(parts):
+    def finish():
+        parts.synapse.weights[5] = parts.synapse.weights[5][:, :1]
+
+    parts.finish = finish
+
+
+def axon_of_another_class(parts):
+    class Twice(Axon):
+        def map_spikes(self, spikes):
+            return 2 * super().map_spikes(spikes)
+
+    parts.axon.__class__ = Twice
+
+
+def synapse_of_another_class(parts):
+    class Shifted(Synapse):
+        def axon_weights_indices(self, axon, atom=0):
+            weights, indices = super().axon_weights_indices(axon, atom)
+            return weights, indices[::-1]
+
+    parts.synapse.__class__ = Shifted
+
+
+def negative_compartment(parts):
+    parts.finish = lambda: parts.synapse.indices[5].__isub__(1)
+
+
+def negative_atom(parts):
+    parts.axon.set_compartment_axon_map(np.arange(N), atoms=np.array([0, 0, 0, 0, 0, -1]))
+
+
 def noise_beyond_32_bits(parts):
     def finish():
         parts.block.compartment.enable_noise[:] = True
@@ -163,6 +225,10 @@ def negative_number_of_a_neuron(parts):
     parts.spikes[3] = [-1]
 
 
+def spikes_in_two_dimensions(parts):
+    parts.finish = lambda: parts.input.add_spikes(7, np.array([[0, 1], [2, 3]]))
+
+
 def spikes_as_booleans(parts):
     def finish():
         parts.axon.set_compartment_axon_map(np.arange(N))
@@ -186,13 +252,29 @@ AT_ONCE = [
     weights_of_double_precision,
     lowest_voltage_of_32_bits,
     decay_beyond_12_bits,
+    negative_decay,
+    learning_rate_beyond_32_bits,
+    trace_beyond_32_bits,
+    trace_of_an_axon_that_is_not_there,
+    row_of_weights_that_is_missing,
+    bases_that_are_too_few,
+    one_weight_for_several_compartments,
+    axon_of_another_class,
+    synapse_of_another_class,
+    negative_compartment,
+    negative_atom,
     noise_beyond_32_bits,
     probe_of_something_else,
     probe_of_nothing,
     probe_of_one_number,
     input_of_another_class,
 ]
-IN_A_STEP = [spike_of_a_neuron_that_is_not_there, negative_number_of_a_neuron, spikes_as_booleans]
+IN_A_STEP = [
+    spike_of_a_neuron_that_is_not_there,
+    negative_number_of_a_neuron,
+    spikes_in_two_dimensions,
+    spikes_as_booleans,
+]
 
 
 def made(kind, change):
@@ -249,12 +331,183 @@ def test_more_spikes_than_a_sum_of_16_bits_holds(monkeypatch):
     assert type(fast) is FastEmulator
 
 
-def test_a_voltage_without_a_positive_counterpart_is_left_to_nengo_loihi(monkeypatch):
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_sum_of_one_more_than_16_bits_hold(sign):
+    """32 times 1024, in a block whose weights have no power of two in common."""
+
+    def many(parts):
+        def finish():
+            for weights in parts.synapse.weights:
+                weights[:] = 1
+            parts.synapse.weights[0][:] = sign * 1024
+
+        parts.finish, parts.spikes = finish, [[0] * 32, [0] * 33, [1]]
+
+    plain, _ = made(EmulatorInterface, many)
+    fast, _ = made(FastEmulator, many)
+    for _ in range(4):
+        for chip in (plain, fast):
+            chip.step()
+        assert_same(state_of(plain), state_of(fast))
+    assert type(fast) is FastEmulator
+
+
+def test_a_compartment_without_a_refractory_period_can_be_held_all_the_same():
+    def relu(parts):
+        parts.block.compartment.configure_relu(tau_ref=0)
+
+    plain, fast = (made(kind, relu)[0] for kind in (EmulatorInterface, FastEmulator))
+    for chip in (plain, fast):
+        chip.compartment.ref_count[::2] = 3
+        chip.run_steps(5)
+    assert_same(state_of(plain), state_of(fast))
+
+
+def test_what_is_no_number_stays_none():
+    def floating(parts):
+        parts.discretized = False
+
+    plain, fast = (made(kind, floating)[0] for kind in (EmulatorInterface, FastEmulator))
+    for chip in (plain, fast):
+        chip.compartment.voltage[1] = np.nan
+        chip.run_steps(3)
+    assert np.isnan(fast.compartment.voltage[1])
+    assert_same(state_of(plain), state_of(fast))
+
+
+def test_a_trace_may_be_127():
+    def learns(parts):
+        parts.synapse.set_learning()
+        parts.finish = lambda: setattr(parts.synapse, "tracing_mag", 127)
+        parts.spikes = [[0, 1], [], [], [2, 3]]
+
+    plain, fast = (made(kind, learns)[0] for kind in (EmulatorInterface, FastEmulator))
+    for _ in range(6):
+        assert Outcome.of(plain.step) == Outcome.of(fast.step)
+        assert_same(state_of(plain), state_of(fast))
+    assert 127 in np.concatenate([*fast.synapses.traces.values()])
+
+
+def test_weights_that_reached_their_limit_before_are_not_clipped_again():
+    """Those of one axon go on to grow; one warning is given, although all are at the limit."""
+
+    def learns(parts):
+        def finish():
+            parts.synapse.tracing_mag, parts.synapse._lr_int, parts.synapse._lr_exp = 50, 7, 4
+
+        parts.synapse.set_learning()
+        parts.finish, parts.spikes = finish, [range(N)] * 12 + [[0]] * 28
+
+    plain, fast = (made(kind, learns)[0] for kind in (EmulatorInterface, FastEmulator))
+    for chip in (plain, fast):
+        for errors in chip.synapses.pes_errors.values():
+            errors[:] = 100
+    for _ in range(40):
+        expected = Outcome.of(plain.step)
+        assert expected == Outcome.of(fast.step)
+        assert_same(state_of(plain), state_of(fast))
+    assert [message for message, *_ in expected.warnings].count("Clipping learning weights") == 1
+    (synapse,) = fast.synapses.traces
+    assert len(np.unique(np.abs(synapse.weights))) == 1
+
+
+def test_spikes_for_the_step_before_the_first_never_arrive():
+    plain, fast = (made(kind, lambda parts: None)[0] for kind in (EmulatorInterface, FastEmulator))
+    for chip in (plain, fast):
+        chip.inputs[0].spikes[0] = np.array([1, 2])
+        chip.run_steps(3)
+    assert_same(state_of(plain), state_of(fast))
+
+
+@pytest.mark.parametrize("tau_ref", [0, 0.001])
+def test_a_voltage_at_the_threshold_does_not_fire(tau_ref):
+    def high(parts):
+        parts.block.compartment.configure_lif(tau_ref=tau_ref)
+        parts.finish = lambda: parts.block.compartment.vth.fill(2**23 - 1)
+
+    scout, plain, fast = (
+        made(kind, high)[0] for kind in (EmulatorInterface, EmulatorInterface, FastEmulator)
+    )
+    scout.run_steps(5)
+    reached = scout.compartment.voltage.copy()
+    assert reached.all()
+    for chip in (plain, fast):
+        chip.run_steps(4)
+        chip.compartment.vth[:] = reached
+        chip.step()
+    assert_same(state_of(plain), state_of(fast))
+    assert np.array_equal(fast.compartment.voltage, reached)
+    assert type(fast) is FastEmulator
+
+
+def test_random_numbers_of_another_kind_are_left_to_nengo_loihi(monkeypatch):
+    monkeypatch.setattr(emulator, "_said", set())
+    plain, _ = made(EmulatorInterface, lambda parts: None)
+    fast, _ = made(FastEmulator, lambda parts: None)
+    plain.step()
+    fast.step()
+    plain.rng = np.random.RandomState(np.random.PCG64(1))
+    with pytest.warns(NotAccelerated):
+        fast.rng = np.random.RandomState(np.random.PCG64(1))
+    assert type(fast) is EmulatorInterface
+    for chip in (plain, fast):
+        chip.run_steps(5)
+    assert plain.rng.randint(1000) == fast.rng.randint(1000)
+
+
+@pytest.mark.parametrize("name", ["compartment", "synapses", "probes"])
+def test_a_state_of_a_class_of_somebody_elses_is_left_as_it_is(name, monkeypatch):
+    monkeypatch.setattr(emulator, "_said", set())
+    plain, _ = made(EmulatorInterface, lambda parts: None)
+    part = getattr(plain, name)
+    part.__class__ = type("Own", (type(part),), {})
+    with pytest.warns(NotAccelerated):
+        emulator.take_over(plain)
+    assert type(plain) is EmulatorInterface
+
+
+def test_weights_that_learn_may_be_mapped():
+    def mapped(parts):
+        parts.synapse.set_learning(tracing_mag=20.0)
+        parts.synapse.axon_to_weight_map = {i: (i + 1) % N for i in range(N)}
+
+    plain, _ = made(EmulatorInterface, mapped)
+    fast, _ = made(FastEmulator, mapped)
+    for chip in (plain, fast):
+        for errors in chip.synapses.pes_errors.values():
+            errors[:] = 50
+        Outcome.of(lambda chip=chip: chip.run_steps(12))
+    assert_same(state_of(plain), state_of(fast))
+    assert type(fast) is FastEmulator
+
+
+def test_what_is_handed_over_can_be_written_to():
+    fast, _ = made(FastEmulator, lambda parts: None)
+    arrays = [fast.compartment.vmin, next(iter(fast.synapses.slices)).weights[0]]
+    assert not any(array.flags.writeable for array in arrays)
+    emulator.hand_over(fast, "a test")
+    assert all(array.flags.writeable for array in arrays)
+
+
+def test_floating_point_that_learns_is_left_to_nengo_loihi_on_numpy_1(monkeypatch):
+    def learns(parts):
+        parts.discretized = False
+        parts.synapse.set_learning(tracing_mag=20.0)
+
+    assert type(made(FastEmulator, learns)[0]) is FastEmulator
+    monkeypatch.setattr(emulator, "_said", set())
+    monkeypatch.setattr(np, "__version__", "1.26.4")
+    chip, said = made(FastEmulator, learns)
+    assert (type(chip), said) == (EmulatorInterface, 1)
+
+
+@pytest.mark.parametrize("name", ["voltage", "current"])
+def test_a_value_without_a_positive_counterpart_is_left_to_nengo_loihi(name, monkeypatch):
     monkeypatch.setattr(emulator, "_said", set())
     plain, _ = made(EmulatorInterface, lambda parts: None)
     fast, _ = made(FastEmulator, lambda parts: None)
     for chip in (plain, fast):
-        chip.compartment.voltage[1] = -(2**31)
+        getattr(chip.compartment, name)[1] = -(2**31)
     plain.run_steps(5)
     with pytest.warns(NotAccelerated):
         fast.run_steps(5)

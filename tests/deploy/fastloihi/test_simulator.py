@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from nengo.exceptions import SimulatorClosed, ValidationError
 
+from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
+from deploy.network.stream import show
 from stmnist import FastSimulator, accelerate
 
 pytest.importorskip("numba")
@@ -19,6 +21,7 @@ from nengo_loihi.emulator.interface import EmulatorInterface
 
 from deploy.fastloihi import FastEmulator, NotAccelerated, emulator
 from tests.command import ROOT, environment
+from tests.deploy.fast_networks import images_for, random_spec
 from tests.deploy.fastloihi.comparison import Outcome, assert_same, state_of
 from tests.deploy.fastloihi.networks import NETWORKS, channel, convolution, feedback, learning
 
@@ -58,6 +61,19 @@ def test_a_network_gives_the_same_in_every_bit(name, target):
     found = run(FastSimulator, NETWORKS[name], target=target)
     assert any(np.any(values) for values in expected[0])
     assert_same_run(expected, found)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 5, 6, 7])
+def test_the_networks_on_which_the_target_fast_is_tried(seed):
+    spec, runs = random_spec(seed), []
+    for convert in (lambda simulator: simulator, accelerate):
+        built = build(spec)
+        with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as simulator:
+            chip = convert(simulator).sims["emulator"]
+            shown = [s.output for s in show(built, simulator, images_for(spec, 2))]
+            runs.append((shown, state_of(chip)))
+    assert type(chip) is FastEmulator
+    assert_same_run(*runs)
 
 
 @pytest.mark.parametrize("precompute", [True, False])

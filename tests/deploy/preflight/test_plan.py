@@ -12,6 +12,7 @@ from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan, plan_text, require_fit
 from deploy.preflight.resources import LIMITS, synapse_words
+from tests.command import missing
 from tests.deploy.networks import conv, paper_spec, readout, small_spec
 
 
@@ -108,13 +109,13 @@ def test_too_many_compartments_names_layer_limit_excess_and_remedy():
         "layer conv1, part 0: 1536 compartments, 512 more than the 1024 of a core; "
         "give the layer a block_shape of at most 1024 neurons"
     ]
-    with pytest.raises(UserError, match="does not fit: layer conv1, part 0: 1536 compartments"):
+    with pytest.raises(UserError, match=r"conv1.* 1536 compartments"):
         require_fit(spec)
 
 
 def test_too_many_input_axons():
     plan = make_plan(spec_of((1, 68), shape=(70, 70, 1), block_shape=(3, 3, 1)))
-    assert any("4900 input axons, 804 more than the 4096" in line for line in plan.problems)
+    assert any(not missing(line, "4900 input axons", 4096) for line in plan.problems)
 
 
 def test_too_many_chips():
@@ -122,7 +123,7 @@ def test_too_many_chips():
     plan = make_plan(spec)
     assert len(plan.cores) == 81 + 64
     assert plan.chips == 2
-    assert "145 cores need 2 chips, 1 more than the 1 asked for" in plan.problems[-1]
+    assert missing(plan.problems[-1], "145 cores", "2 chips") == []
     assert make_plan(spec, chips=2).problems == []
 
 
@@ -140,7 +141,7 @@ def test_pop16_limits(layers, message):
 
 def test_pop16_can_address_fewer_axons():
     plan = make_plan(spec_of((4, 30), shape=(36, 36, 1), pop_type=16, block_shape=(7, 7, 4)))
-    assert any("1296 input axons, 272 more than the 1024" in line for line in plan.problems)
+    assert any(not missing(line, "1296 input axons", 1024) for line in plan.problems)
 
 
 def test_registers_that_may_not_be_shared_are_a_warning():
@@ -149,8 +150,7 @@ def test_registers_that_may_not_be_shared_are_a_warning():
     plan = make_plan(replace(spec, layers=(spec.layers[0], split, spec.layers[2])))
     assert plan.problems == []
     (warning,) = plan.warnings
-    assert "AxonCfg registers if populations cannot share them" in warning
-    assert "issue 326" in warning
+    assert missing(warning, "AxonCfg registers", 326) == []
     core = plan.cores[0]
     assert core.used["AxonCfg registers"] <= LIMITS["AxonCfg registers"] < core.unshared_axon_cfgs
 
@@ -162,8 +162,8 @@ def test_weights_that_can_overflow_are_a_warning():
     plan = make_plan(replace(spec, layers=(alike, *spec.layers[1:])))
     assert plan.problems == []
     one_step, current = plan.warnings
-    assert "one step's input can wrap around" in one_step
-    assert "the current can wrap around" in current
+    assert "input can wrap" in one_step
+    assert "current can wrap" in current
     assert plan.cores[0].worst_input == 900 * 254 * 64  # of 8 bits one is the sign
 
 

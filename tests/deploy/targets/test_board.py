@@ -1,12 +1,14 @@
 """Target loihi, with the NxSDK stand-in where a board would be."""
 
 import json
+import os
 import signal
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from deploy import interrupts
 from deploy.check.bundle import read_bundle
 from deploy.check.results import compare_results, read_result
 from deploy.check.run import run_check
@@ -318,3 +320,23 @@ def test_200_samples_of_the_papers_network_equal_the_emulators(nxsdk, tmp_path):
     assert len({sample["prediction"] for sample in executed["samples"]}) > 2
     assert same_answers(executed, emulated)
     assert json.loads((tmp_path / "loihi.json").read_text())["hardware"]["connections"] == 8
+
+
+def test_ctrl_c_disconnects_from_the_board(nxsdk, bundle, monkeypatch):
+    closed = []
+
+    def interrupted(*_):
+        os.kill(os.getpid(), signal.SIGINT)
+        raise AssertionError("Ctrl-C was not heard")
+
+    monkeypatch.setattr(hardware, "respond", interrupted)
+    monkeypatch.setattr(hardware, "_close", lambda sim: closed.append(sim))
+    before = signal.signal(signal.SIGINT, interrupts._End("deploy"))
+    try:
+        streams = [bundle.spec.fed(bundle.checks.inputs[:3])]
+        with pytest.raises(KeyboardInterrupt):
+            list(targets.run_loihi(bundle.spec, streams))
+        assert isinstance(signal.getsignal(signal.SIGINT), interrupts._End)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert len(closed) == 1

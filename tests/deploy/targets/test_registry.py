@@ -12,7 +12,7 @@ from deploy.network.build import build
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import ImageCurrent, ImageSpikes
 from deploy.preflight.plan import make_plan, require_fit
-from deploy.targets.registry import _loihi_simulator, answer, target_named
+from deploy.targets.registry import TARGETS, _loihi_simulator, answer, target_named
 from tests.deploy.fast_networks import random_spec
 from tests.deploy.networks import conv, paper_spec, random_checks, readout, small_spec
 
@@ -154,8 +154,8 @@ def test_what_nengo_loihi_cannot_build_is_one_error():
         answer(spec, np.zeros((1, 6, 6, 1)), "emulator")
 
 
-CHIPS = ("emulator", "fast")
-"""The targets with the chip's integers that run anywhere."""
+ANYWHERE = tuple(name for name, target in TARGETS.items() if not target.hardware)
+"""The targets that need no board."""
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ def test_what_no_integers_can_hold_is_refused_alike(spec):
     shape = spec.stimulus.sample_shape(spec.input_shape, spec.presentation.steps)
     lines = set()
     for run in (
-        *(lambda target=target: answer(spec, np.zeros((1, *shape)), target) for target in CHIPS),
+        *(lambda target=target: answer(spec, np.zeros((1, *shape)), target) for target in ANYWHERE),
         lambda: make_plan(spec),
         lambda: require_fit(spec),  # asked before a board is looked for
     ):
@@ -197,7 +197,7 @@ def test_population_axons_of_16_bits_and_filters_not_in_fours():
     spec = paper_spec()
     first = replace(spec.layers[0], pop_type=16)
     spec = replace(spec, layers=(first, *spec.layers[1:]))
-    for target in CHIPS:
+    for target in ANYWHERE:
         with pytest.raises(UserError, match="NengoLoihi cannot build this network"):
             answer(spec, np.zeros((1, 10, 10, 1)), target)
 

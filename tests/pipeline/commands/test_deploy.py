@@ -7,6 +7,7 @@ import pytest
 
 from deploy.check.run import run_check
 from pipeline.commands.main import main
+from tests.command import missing
 from tests.deploy.networks import bundle_at, small_spec
 from tests.deploy.preflight.test_plan import spec_of
 
@@ -27,7 +28,7 @@ def test_plan(bundle, capsys):
     status, out, _ = run(capsys, "deploy", "plan", bundle.path)
     assert status == 0
     assert "conv2[0]" in out
-    assert "firing rates on the emulator, 3 samples" in out
+    assert "3 samples" in out
 
 
 def test_plan_as_json(bundle, capsys):
@@ -57,9 +58,9 @@ def test_plan_refuses_what_will_not_fit(capsys, tmp_path):
     big = bundle_at(tmp_path / "bundle", spec_of((24, 3), block_shape=(8, 8, 24)), 2)
     status, out, err = run(capsys, "deploy", "plan", big.path)
     assert status == 2
-    assert "layer conv1, part 0: 1536 compartments, 512 more than the 1024" in err
+    assert missing(err, "conv1", "1536 compartments", 1024) == []
     assert len(err.strip().splitlines()) == 1
-    assert "does not fit" in out
+    assert "1536 compartments" in out
 
 
 def test_export_with_inputs(bundle, capsys, tmp_path):
@@ -69,7 +70,7 @@ def test_export_with_inputs(bundle, capsys, tmp_path):
         "--out", tmp_path / "network.nir", "--inputs", tmp_path / "in.npz",
     )  # fmt: skip
     assert status == 0
-    assert "input spikes of 7 samples" in out
+    assert "7 samples" in out
     assert "conv1_neurons" in nir.read(str(tmp_path / "network.nir")).nodes
     with np.load(tmp_path / "in.npz", allow_pickle=False) as arrays:
         assert arrays["spikes"].shape == (7, 35, 1, 6, 6)
@@ -99,7 +100,7 @@ def test_energy_of_another_bundle(bundle, capsys, tmp_path):
     run_check(other, "emulator", result)
     status, _, err = run(capsys, "deploy", "energy", bundle.path, result)
     assert status == 2
-    assert "of another bundle" in err
+    assert "another bundle" in err
 
 
 def test_check_run_takes_board_options_for_a_board_only(bundle, capsys):
@@ -107,7 +108,7 @@ def test_check_run_takes_board_options_for_a_board_only(bundle, capsys):
         capsys, "check", "run", bundle.path, "--target", "emulator", "--partition", "nahuku32"
     )
     assert status == 2
-    assert "--partition is for --target loihi, not for emulator" in err
+    assert missing(err, "--partition", "loihi", "emulator") == []
 
 
 def test_check_run_without_nxsdk(bundle, capsys):
@@ -122,7 +123,7 @@ def test_export_to_lava(bundle, capsys, tmp_path):
         capsys, "deploy", "export", bundle.path, "--format", "lava", "--out", wanted
     )
     assert status == 0
-    assert "input spikes of 7 samples" in out
+    assert "7 samples" in out
     with np.load(wanted, allow_pickle=False) as archive:
         assert archive["spikes.input"].shape == (7, 35, 5)  # 36 pixels in 5 bytes
 
@@ -133,4 +134,4 @@ def test_export_to_lava_takes_no_second_file(bundle, capsys, tmp_path):
         "--out", tmp_path / "a.npz", "--inputs", tmp_path / "b.npz",
     )  # fmt: skip
     assert status == 2
-    assert "--inputs is for NIR" in err
+    assert "--inputs" in err

@@ -1,15 +1,21 @@
 """Options that verbs share."""
 
+import io
+import sys
+from pathlib import Path
+
 import pytest
 
 from deploy.errors import UserError
 from pipeline.commands import options
+from pipeline.commands.completion import data_sets
 from tests.command import call
 
 
 def test_options_go_before_what_is_set(tmp_path):
-    given = {"seed": 3, "samples": 50, "assignments": ["check.samples=100", "cnn.epochs=7"]}
-    with options.opened(tmp_path / "run", **given) as (folder, resolved):
+    assignments = ["check.samples=100", "cnn.epochs=7"]
+    given = options.Given(seed=3, samples=50, assignments=assignments)
+    with options.opened(tmp_path / "run", given) as (folder, resolved):
         assert folder.path == tmp_path / "run"
         assert (resolved.seed, resolved.check.samples, resolved.cnn.epochs) == (3, 50, 7)
 
@@ -20,11 +26,12 @@ def test_options_go_before_what_is_set(tmp_path):
         ("--samples", {"samples": 50}, "check"),
         ("--steps", {"steps": 50}, "presentation"),
         ("--data", {"data": "simulated"}, "data"),
-        ("--input", {"kind": "events"}, "input"),
+        ("--input", {"input": "events"}, "input"),
     ],
 )
 def test_a_section_given_a_value_beside_an_option_is_refused(tmp_path, option, given, section):
-    opened = options.opened(tmp_path / "run", assignments=[f"{section}=100"], **given)
+    given = options.Given(assignments=[f"{section}=100"], **given)
+    opened = options.opened(tmp_path / "run", given)
     with pytest.raises(UserError, match=f"^{option}: '{section}' has a value of its own"), opened:
         pass
 
@@ -41,3 +48,62 @@ def test_an_option_that_is_a_setting_s_name(tmp_path, capsys):
     assert "--set events.epochs=5" in capsys.readouterr().err
     assert call("ladder", tmp_path / "run", "--nonsense") == 2
     assert "settings are given" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("words", "told"), [
+    ("ladder runs/x --input frames", ["--input", "frames", "image, events"]),
+    ("ladder runs/x --samples many", ["--samples", "whole number"]),
+    ("ladder runs/x --jobs many", ["--jobs", "'many' is not a whole number"]),
+    ("ladder runs/x --limit much", ["--limit", "number"]),
+    ("ladder runs/x --set epochs=5", ["cnn.epochs"]),
+    ("ladder runs/x --set cnn.epoch=5", ["cnn.epochs"]),
+    ("ladder runs/x --epoch 5", ["--set cnn.epochs=5"]),
+    ("ladder runs/x more", ["more"]),
+    ("lader runs/x", ["ladder"]),
+    ("check run runs/x --target chip", ["chip", "emulator"]),
+    ("deploy export runs/x --format onnx --out x", ["--format", "onnx", "nir", "lava"]),
+    ("data import x --time-unit h", ["--time-unit", "'h'", "ms"]),
+    ("data import x --downsample 0", ["--downsample", "0"]),
+    ("live runs/x --port 70000", ["--port", "65535"]),
+    ("benchmark table2 --splits 0", ["--splits", "1"]),
+])  # fmt: skip
+def test_a_slip_is_one_line_in_the_user_s_words(words, told, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert call(*words.split()) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert all(word in line for word in told)
+    for leak in ("Input should", "Value error", "literal", "parse string", "pydantic"):
+        assert leak not in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_data_sets_of_the_machine_are_offered(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("own", "own/press", ".hidden", "runs/a", "runs/b"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "people.zip").touch()
+    (tmp_path / "notes.txt").touch()
+    (tmp_path / "runs/a/experiment.toml").write_text('[data]\nsource = "/far/gestures.zip"\n')
+    (tmp_path / "runs/b/experiment.toml").write_text("damaged [")
+    offered = data_sets("")
+    assert offered == ["simulated", "/far/gestures.zip", "own/", "people.zip", "runs/"]
+    assert data_sets("o") == ["own/"]
+    assert data_sets("own/") == ["own/press/"]
+    assert data_sets("nowhere/x") == []
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_the_next_command_is_suggested_at_a_terminal_only(monkeypatch, capsys):
+    options.suggest("report", "runs/a")
+    assert capsys.readouterr() == ("", "")
+    error = Terminal()
+    monkeypatch.setattr(sys, "stderr", error)
+    options.suggest("report", "runs/a")
+    assert error.getvalue() == ""  # the answer goes to a file or a pipe
+    monkeypatch.setattr(sys, "stdout", Terminal())
+    options.suggest("ladder", Path("runs/my own"), "--data", "a b.zip")
+    assert error.getvalue() == "next: stmnist ladder 'runs/my own' --data 'a b.zip'\n"

@@ -8,7 +8,7 @@ import pytest
 
 from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
-from pipeline.experiments.adaptation import _mistaken, _summary, measure_adaptation
+from pipeline.experiments.adaptation import Plan, _mistaken, measure_adaptation, summary_of
 from pipeline.live.network import SHIPPED
 from pipeline.recordings.archive import write_zip
 from pipeline.skin.simulate import simulate
@@ -31,22 +31,23 @@ def test_over_people(recordings, tmp_path, capsys):
     assert call("benchmark", "adapt", SHIPPED, "--data", tmp_path / "three.zip", *arguments) == 0
     measured = json.loads(capsys.readouterr().out)
     assert measured == json.loads(out.read_text())
-    assert (measured["people"], measured["simulated"]) == (3, True)
-    assert set(measured["each"]) == {"1", "2"}
-    for row in measured["each"].values():
+    found = measured["methods"]["readout"]
+    assert (found["people"], measured["simulated"]) == (3, True)
+    assert set(found["each"]) == {"1", "2"}
+    for row in found["each"].values():
         assert row["interval95"][0] <= row["gain_points"] <= row["interval95"][1]
         assert row["gain_points"] == pytest.approx(100 * (row["after"] - row["before"]))
         assert row["worst"] <= row["gain_points"]
     # The judged recordings are the same, so the accuracy before is.
-    assert measured["each"]["1"]["before"] == measured["each"]["2"]["before"]
+    assert found["each"]["1"]["before"] == found["each"]["2"]["before"]
 
 
 def test_too_few(recordings):
     with pytest.raises(UserError, match="fewer than two known writers"):
-        measure_adaptation(BUNDLE, recordings, each=(3,))
+        measure_adaptation(BUNDLE, recordings, Plan(each=(3,)))
     nobody = replace(recordings, writers=np.full(len(recordings), -1))
     with pytest.raises(UserError, match="fewer than two known writers"):
-        measure_adaptation(BUNDLE, nobody, each=(1,))
+        measure_adaptation(BUNDLE, nobody, Plan(each=(1,)))
 
 
 @pytest.mark.parametrize("each", ["0", "x", "1,,2"])
@@ -56,12 +57,21 @@ def test_bad_numbers(each, capsys):
 
 
 def test_a_summary_by_hand():
-    rows = [(1, 0.5, 0.7, 0.9, 0.9, 1), (1, 0.5, 0.6, 0.9, 0.8, 1), (2, 0.9, 0.85, 0.9, 0.9, 0)]
-    found = _summary(np.array(rows))
-    assert (found["before"], found["after"]) == pytest.approx((0.7, 0.75))
-    assert (found["gain_points"], found["worst"], found["lost"]) == pytest.approx((5, -5, 2.5))
-    assert found["used"] == 0.5
-    assert found["interval95"] == pytest.approx([5 - 12.706 * 10, 5 + 12.706 * 10], abs=0.1)
+    names = ["who", "before", "after", "exact", "others_before", "others_after", "used", "seconds"]
+    cases = [
+        (1, 0.5, 0.7, 0.7, 0.9, 0.9, 1, 0.1),
+        (1, 0.5, 0.6, 0.6, 0.9, 0.8, 1, 0.3),
+        (2, 0.9, 0.85, 0.87, 0.9, 0.9, 0, 0.2),
+    ]
+    found = summary_of(
+        [{"each": 5, "draw": 0, **dict(zip(names, case, strict=True))} for case in cases]
+    )
+    assert (found["people"], found["lowest"], found["highest"]) == (2, 0.5, 0.9)
+    row = found["each"]["5"]
+    assert (row["before"], row["after"], row["exact"]) == pytest.approx((0.7, 0.75, 0.76))
+    assert (row["gain_points"], row["worst"], row["lost"]) == pytest.approx((5, -5, 2.5))
+    assert (row["used"], row["seconds"]) == pytest.approx((0.5, 0.2))
+    assert row["interval95"] == pytest.approx([5 - 12.706 * 10, 5 + 12.706 * 10], abs=0.1)
 
 
 def test_mistaken_labels():

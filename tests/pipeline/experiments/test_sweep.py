@@ -79,12 +79,11 @@ def test_the_threshold_on_events_is_not_shared_by_points_of_other_steps(tmp_path
 @pytest.mark.parametrize(
     ("entry", "problem"),
     [
-        ("presentation.steps", "expected section.name=value"),
-        ("presentation.steps=", "expected section.name=value"),
-        ("presentation.steps=30,,50", "expected section.name=value"),
-        ("presentation.stops=30", "unknown setting 'presentation.stops'"),
-        ("presentation.steps=30,many", "'presentation.steps' must be a whole number"),
-        ("presentation.steps=5", "'presentation.readout_start' must be"),
+        ("presentation.steps", "--grid"),
+        ("presentation.steps=", "--grid"),
+        ("presentation.steps=30,,50", "--grid"),
+        ("presentation.steps=30,many", "'presentation.steps'"),
+        ("presentation.steps=5", "'presentation.readout_start'"),
         ("seed=0,1", "different samples"),
         ("split.test_fraction=0.2,0.3", "different samples"),
     ],
@@ -291,10 +290,10 @@ def test_a_sweep_is_resumed(tiny_sweep, tmp_path, capsys):
     assert {**again, "seconds": 0} == {**expected, "seconds": 0}
     summary = json.loads(capsys.readouterr().out)
     assert summary == read_json(folder / "sweep.json", "")
-    np.testing.assert_equal(
-        [p["accuracy"] for p in summary["points"]],
-        [p["accuracy"] for p in read_json(tiny_sweep / "sweep.json", "")["points"]],
-    )
+    resumed, whole = (read_json(f / "sweep.json", "")["points"] for f in (folder, tiny_sweep))
+    np.testing.assert_equal([p["accuracy"] for p in resumed], [p["accuracy"] for p in whole])
+    # The file is the same but for times: its keys are in the same order too.
+    assert [list(point) for point in resumed] == [list(point) for point in whole]
 
 
 def test_a_failed_point_is_reported_and_the_others_stand(tiny_sweep, tmp_path, capsys):
@@ -350,5 +349,5 @@ def test_a_wrong_grid_is_one_line_and_leaves_nothing(tmp_path, capsys):
     folder = tmp_path / "out"
     grid = ("--grid", "presentation.stops=1", "--set", "data.samples_per_digit=12")
     assert call("sweep", folder, *grid) == 2
-    assert "unknown setting 'presentation.stops'" in capsys.readouterr().err
+    assert "presentation.stops" in capsys.readouterr().err
     assert not folder.exists()

@@ -10,6 +10,7 @@ from pipeline.commands import main as cli
 from pipeline.commands.benchmark import BY_DEFAULT
 from pipeline.experiments import table2 as table2_command
 from pipeline.experiments import table2_splits as table2
+from pipeline.experiments.study import Workers
 from pipeline.experiments.table2 import summarise, table_text
 from pipeline.experiments.table2_splits import MODELS
 from pipeline.jobs import Failure
@@ -46,11 +47,14 @@ def store(benchmark, model, index, right, samples=None, kind="random"):
 
 
 def test_models_that_share_a_training_are_a_group(benchmark):
-    models = ("cnn", "slayer", "loihi", "events", "events-loihi")
+    models = ("cnn", "slayer", "slayer-small", "loihi", "events", "events-loihi")
     asked = replace(benchmark, models=models, kinds=("random", "writers"), splits=2)
     groups = asked.groups()
     assert [[task.subject for task in group] for group in groups] == (
-        4 * [["cnn", "loihi"]] + 4 * [["events", "events-loihi"]] + 4 * [["slayer"]]
+        4 * [["cnn", "loihi"]]
+        + 4 * [["events", "events-loihi"]]
+        + 4 * [["slayer"]]
+        + 4 * [["slayer-small"]]
     )
     assert [(group[0].split, group[0].seed) for group in groups[:4]] == [
         ("random", 0), ("random", 1), ("writers", 0), ("writers", 1)
@@ -72,14 +76,15 @@ def test_models_that_share_a_training_are_a_group(benchmark):
         ("input", {"refractory": 20}, {"events", "events-loihi"}),
         ("input", {"kind": "events"}, set()),
         ("events", {"epochs": 3}, {"events", "events-loihi"}),
-        ("slayer", {"epochs": 3}, {"slayer"}),
+        ("slayer", {"epochs": 3}, {"slayer", "slayer-small"}),
+        ("slayer", {"conv_scale": 50.0}, {"slayer"}),
         ("image", {"aggregation": "signed"}, {"cnn", "ann-snn", "loihi", "events-loihi"}),
     ],
 )
 def test_a_setting_redoes_what_depends_on_it(benchmark, section, change, redone):
     settings = Settings().with_values({section: change}, "test")
     other = replace(benchmark, settings=settings)
-    models = ("cnn", "ann-snn", "loihi", "slayer", "events", "events-loihi")
+    models = ("cnn", "ann-snn", "loihi", "slayer", "slayer-small", "events", "events-loihi")
 
     def origins(of):
         return {model: of.task("random", 0, model).origin for model in models}
@@ -173,6 +178,15 @@ def test_a_worker_with_other_recordings_is_found_out(benchmark):
         table2.measure(other.task("random", 0, "cnn"))
 
 
+def test_the_time_of_trainings_that_are_missing(benchmark):
+    asked = replace(benchmark, models=("cnn", "slayer"), splits=3)
+    line = table2_command._time_of_slayer(asked, 6953, Workers(2))
+    assert "3 trainings" in line
+    store(asked, "slayer", 1, [1, 0])
+    assert "2 trainings" in table2_command._time_of_slayer(asked, 6953, Workers(2))
+    assert table2_command._time_of_slayer(replace(asked, models=("cnn",)), 6953, Workers(2)) is None
+
+
 def test_a_row_that_was_not_run_says_so(benchmark):
     table = summarise(benchmark)
     assert table["rows"][0]["accuracy_mean"] is None
@@ -247,7 +261,8 @@ def test_the_rows_on_events(tmp_path, monkeypatch, capsys):
 
 
 def test_what_takes_long_is_only_run_if_asked_for():
-    assert set(MODELS) - set(BY_DEFAULT) == {"slayer", "events", "events-loihi"}
+    slow = {"slayer", "slayer-small", "events", "events-loihi"}
+    assert set(MODELS) - set(BY_DEFAULT) == slow
 
 
 def test_a_failing_split_ends_with_status_1(tmp_path, monkeypatch, capsys):
@@ -258,7 +273,7 @@ def test_a_failing_split_ends_with_status_1(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(table2_command, "measure", fail)
     status, said = run(capsys, "--out", str(tmp_path / "out"), "--models", "cnn", *SMALL)
     assert status == 1
-    assert "1 of 1 results failed" in said.err
+    assert "1 of 1 " in said.err
     assert "the disk is on fire" in said.out
 
 

@@ -6,37 +6,53 @@ from contextlib import closing, contextmanager
 import numpy as np
 import pytest
 
-from pipeline.live.deciding import Answer, DrawnLayer
+from pipeline.live.deciding import Answer, Curve, DrawnLayer
+from pipeline.recordings.events import DIGITS, Sensor
 from pipeline.skin import parameters
 
 
 class Parrot:
-    """Decides for the number of events, modulo 10."""
+    """Decides for the number of events, modulo that of the classes; early, after some of them."""
 
     about = "It is shown nothing."
     layers = (DrawnLayer("input", 100),)
-    steps, first_step, clocked = 3, -1, False
+    steps, first_step, clocked, threshold = 3, -1, False, 0.9
+
+    def __init__(self, classes=10):
+        self.classes = classes
 
     def begin(self):
         return self
 
     def answer(self, events, time_s):
-        confidence = np.full(10, 0.01)
-        confidence[len(events) % 10] = 0.91
-        return Answer(np.log(confidence), confidence, {"input": np.zeros((3, 13), np.uint8)})
+        shares = np.full(self.classes, 0.1 / self.classes)
+        label = len(events) % self.classes
+        shares[label] += 0.9
+        seconds, values = events.time_ns * 1e-9, np.linspace(0.1, 1, len(events))
+        curve = Curve(seconds, values, np.full(len(events), label))
+        spikes = {"input": np.zeros((3, 13), np.uint8)}
+        return Answer(np.log(shares), shares, spikes, curve, curve.first(self.threshold))
 
 
 @contextmanager
-def served(folder, make_decider=Parrot, make_learner=None):
+def served(folder, make_decider=None, make_learner=None, tests=(), sensor=None, host=None):
     """A server in a thread, and its keeper."""
     from pipeline.live.keeping import Keeper
-    from pipeline.live.server import Live, Server, listen
+    from pipeline.live.server import HOST, Live, Server, listen
 
-    about = {"folder": str(folder), "architecture": "x", "bundle": "0", "trained_on": "simulated"}
-    with closing(Keeper(folder)) as keeper:
-        about["simulated"] = True
-        live = Live(make_decider, keeper, parameters.load(), about, make_learner=make_learner)
-        server = Server(live, listen(0))
+    sensor, host = sensor or Sensor(), host or HOST
+    make_decider = make_decider or (lambda: Parrot(len(sensor.classes)))
+    about = {
+        **{"folder": str(folder), "architecture": "x", "bundle": "0", "trained_on": "simulated"},
+        **{"simulated": True, "classes": sensor.classes, "digits": sensor.classes == DIGITS},
+        **{name: getattr(sensor, name) for name in ("rows", "columns", "polarities")},
+    }
+    with closing(Keeper(folder, sensor)) as keeper:
+        live = Live(
+            make_decider, keeper, parameters.load(), about,
+            make_learner=make_learner, make_tests=lambda: list(tests),
+        )  # fmt: skip
+        server = Server(live, listen(0, host), host=host)
         thread = threading.Thread(target=server.run, daemon=True)
         thread.start()
         assert server.listens.wait(120)

@@ -9,17 +9,21 @@ import signal
 import socket
 import subprocess
 import sys
+import urllib.request
 
 import pytest
 
 from deploy.check.bundle import read_bundle
+from deploy.errors import UserError
 from pipeline.live.network import SHIPPED
 from pipeline.recordings.archive import read_source
 from tests.command import call, environment
 from tests.pipeline.live.conftest import stroke
 
 pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
+pytest.importorskip("segno", reason="the extra 'live' is not installed")
 sync_client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
+from pipeline.live.qr import qr_code  # noqa: E402
 
 
 def address(process):
@@ -38,7 +42,7 @@ def write_and_label(page, digit):
     next(message for message in messages if message["type"] == "ready")
     for message in stroke():
         page.send(json.dumps(message))
-    page.send(json.dumps({"type": "label", "digit": digit}))
+    page.send(json.dumps({"type": "label", "label": digit}))
     return next(message for message in messages if message["type"] in ("saved", "problem"))
 
 
@@ -47,10 +51,10 @@ def live(tiny_run, tmp_path):
     """Starts the command in a group of its own, which Ctrl-C reaches from a background too."""
     processes = []
 
-    def begin(run=tiny_run):
+    def begin(run=tiny_run, *options):
         kept = tmp_path / "kept"
         named = () if run is None else (run,)
-        arguments = ("live", *named, "--port", 0, "--no-browser", "--record", kept)
+        arguments = ("live", *named, "--port", 0, "--no-browser", "--record", kept, *options)
         process = subprocess.Popen(
             [sys.executable, "-m", "pipeline", *map(str, arguments)],
             env=environment(),
@@ -107,6 +111,18 @@ def test_without_a_run_it_has_the_network_of_the_package_and_learns(live):
     assert list(kept.glob(".readout-w001.npz"))
 
 
+def test_another_address_is_printed_with_its_qr_code(live, capsys):
+    process, _ = live(None, "--host", "127.0.0.2")
+    url = process.stdout.readline().split()[1]
+    assert url.startswith("http://127.0.0.2:")
+    code = qr_code(url).text.splitlines()
+    assert [process.stdout.readline().rstrip("\n") for _ in code] == code
+    with socket_of(url) as page:
+        assert json.loads(page.recv(timeout=300))["shared"] is True
+    assert call("live", "--host", "0.0.0.0", "--no-browser") == 2
+    assert "--host" in capsys.readouterr().err
+
+
 def test_a_killed_server_has_lost_nothing(live):
     process, kept = live()
     with socket_of(address(process)) as page:
@@ -131,7 +147,7 @@ def test_a_full_disk_is_said_and_nothing_half_is_kept(live):
         assert not list(kept.rglob("*.mat"))
         assert len(list(kept.rglob("*"))) <= 2  # the lock, and a folder at most
         resource.prlimit(process.pid, resource.RLIMIT_FSIZE, room)
-        page.send(json.dumps({"type": "label", "digit": 4}))  # what was written is still there
+        page.send(json.dumps({"type": "label", "label": 4}))  # what was written is still there
         while (message := json.loads(page.recv(timeout=300)))["type"] not in ("saved", "problem"):
             pass
     assert message["type"] == "saved"
@@ -184,3 +200,28 @@ def test_without_the_extra_it_says_what_to_install(tmp_path):
     assert "live" in done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "written").exists()
+
+
+def test_from_python(tiny_run, tmp_path):
+    code = (
+        "from stmnist import live\n"
+        f"live({str(tiny_run)!r}, port=0, record={str(tmp_path / 'kept')!r}, open_browser=False)"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], env=environment(), text=True, start_new_session=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    try:
+        with urllib.request.urlopen(address(process), timeout=60) as page:
+            assert 'id="skin"' in page.read().decode()
+    finally:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+
+
+def test_from_python_a_folder_without_a_network_is_an_error(tmp_path):
+    from pipeline.live.serving import live
+
+    with pytest.raises(UserError, match="has no bundle"):
+        live(tmp_path / "nothing", port=0, open_browser=False)

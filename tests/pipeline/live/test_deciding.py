@@ -13,7 +13,7 @@ from deploy.targets.registry import answer as answers_of
 from pipeline.inputs.dataset import inputs_of
 from pipeline.inputs.images import tactile_images
 from pipeline.live.deciding import EventDecider, decider_of
-from pipeline.recordings.events import Events
+from pipeline.recordings.events import Events, Sensor
 from pipeline.settings import Image, Settings
 from pipeline.skin.simulate import simulate
 from tests.deploy import networks
@@ -26,7 +26,7 @@ def bundle(tiny_run):
 
 @pytest.fixture(scope="module")
 def decider(bundle):
-    return decider_of(bundle, Image())
+    return decider_of(bundle, Image(), Sensor())
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,9 @@ def test_it_decides_on_part_of_a_recording_and_not_on_nothing(decider, recording
     events = recordings[0]
     part = Events(*(getattr(events, n)[:40] for n in ("time_ns", "taxel", "polarity", "columns")))
     said = decider.begin().answer(part, 0.5)
-    assert said.confidence.sum() == pytest.approx(1)
+    assert said.shares.sum() == pytest.approx(1)
+    assert said.confidence == said.shares.max()  # nothing decides early
+    assert said.decided is None
     assert 0 <= said.decision <= 9
     assert decider.begin().answer(Events(*(np.empty(0),) * 4), 0.2) is None
 
@@ -82,7 +84,7 @@ def clocked():
 def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
     clocked, recordings
 ):
-    decider = decider_of(clocked, Image())
+    decider = decider_of(clocked, Image(), Sensor())
     assert isinstance(decider, EventDecider)
     assert decider.clocked
     spec = clocked.spec.with_presentation(stream_length=1)
@@ -107,11 +109,18 @@ def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
         at_the_end = deciding.answer(events, math.inf)
         np.testing.assert_array_equal(at_the_end.scores, expected.scores[index])
         summed = expected.scores[index] * 200
-        assert at_the_end.confidence.max() == pytest.approx(confidence(summed))
-        assert at_the_end.sure == (confidence(summed) >= spec.presentation.confidence)
+        assert at_the_end.shares.max() == pytest.approx(confidence(summed))
+        assert at_the_end.confidence == pytest.approx(confidence(summed))
+        # The moment of the early decision is the step of the check, whenever the page asks.
+        stopped = expected.stopped_at[index]
+        if confidence(summed) >= spec.presentation.confidence or stopped < 200:
+            assert at_the_end.decided[0] == pytest.approx(first_s + 0.01 * stopped)
+            assert at_the_end.decided[1] == expected.decisions[index, stopped - 1]
+        else:
+            assert at_the_end.decided is None
 
 
 def test_before_the_first_step_is_over_an_events_bundle_says_nothing(clocked, recordings):
     events = recordings[0]
     first_s = events.time_ns[0] * 1e-9
-    assert decider_of(clocked, Image()).answer(events, first_s + 0.01) is None
+    assert decider_of(clocked, Image(), Sensor()).answer(events, first_s + 0.01) is None

@@ -5,6 +5,8 @@ import os
 import shutil
 import stat
 from collections import Counter
+from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ import pytest
 from deploy.errors import UserError
 from pipeline.live.keeping import Keeper, asked_next
 from pipeline.recordings.archive import read_source
-from pipeline.recordings.events import Events
+from pipeline.recordings.events import Events, Sensor
 from pipeline.recordings.matfile import MatRecording, Written, read_recording
 
 
@@ -73,8 +75,8 @@ def test_undo_takes_the_writers_own_last_one(keeper):
     keeper.save(3, recording(1))
     keeper.save(8, recording(1))
     keeper.save(5, recording(2))
-    assert keeper.undo(1).digit == 8
-    assert keeper.undo(1).digit == 3
+    assert keeper.undo(1).label == 8
+    assert keeper.undo(1).label == 3
     assert keeper.undo(1) is None
     assert len(keeper) == 1
     assert [path.name for path in keeper.folder.rglob("w*.mat")] == ["w002-0001.mat"]
@@ -207,3 +209,40 @@ def test_what_is_there_already_is_not_asked_for():
     assert asked_next(counts, 3, 0) == 6
     counts[6] = 9
     assert asked_next(counts, 3, 0) is None
+
+
+NAMES = ("über die ganze Fläche", "a/b", "..", "x" * 300, "x" * 301, "")
+"""Of classes; all but the first are no names of folders."""
+
+
+def test_classes_of_any_name_have_folders_of_their_own(tmp_path):
+    sensor = Sensor(9, 12, classes=NAMES)
+    with closing(Keeper(tmp_path / "kept", sensor)) as keeper:
+        for label in range(len(NAMES)):
+            kept = keeper.save(label, replace(recording(taxel=107), n_taxels=108))
+            assert (keeper.folder / kept.name).parent.parent == keeper.folder
+            assert keeper.read(kept).taxel.tolist() == [107, 107]
+        assert keeper.counts() == [1] * len(NAMES)
+        assert len({kept.place for kept in keeper.kept}) == len(NAMES)
+    plain = Sensor(9, 12, classes=NAMES[:1])
+    with closing(Keeper(tmp_path / "plain", plain)) as keeper:
+        assert keeper.save(0, replace(recording(), n_taxels=108)).place == NAMES[0]
+
+
+def test_recordings_of_another_sensor_are_not_mixed_with_these(keeper):
+    keeper.save(3, recording())
+    keeper.close()
+    with pytest.raises(UserError, match="--record"):
+        Keeper(keeper.folder, Sensor(9, 12))
+    with closing(Keeper(keeper.folder)) as again:  # nothing holds the folder
+        assert len(again) == 1
+
+
+def test_a_recording_that_is_gone_or_damaged_is_said(keeper):
+    kept = keeper.save(3, recording())
+    (keeper.folder / kept.name).write_bytes(b"no recording")
+    with pytest.raises(UserError, match="not a MAT file"):
+        keeper.read(kept)
+    (keeper.folder / kept.name).unlink()
+    with pytest.raises(UserError, match="cannot be read"):
+        keeper.read(kept)

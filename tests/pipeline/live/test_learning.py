@@ -1,6 +1,7 @@
 """Learning a writer's handwriting on the page, with the network that comes with the package."""
 
 import json
+import os
 from contextlib import closing
 
 import numpy as np
@@ -12,6 +13,7 @@ from pipeline.live.keeping import Keeper
 from pipeline.live.learning import Learner
 from pipeline.live.network import SHIPPED
 from pipeline.live.session import BadMessage, Session
+from pipeline.recordings.events import Sensor
 from pipeline.settings import Image
 from pipeline.skin import handwriting, parameters
 from pipeline.skin.handwriting import Trace
@@ -38,7 +40,7 @@ def strange():
 
 
 def learner_of(folder):
-    return Learner(BUNDLE, Image(), folder)
+    return Learner(BUNDLE, Image(), folder, Sensor())
 
 
 def taught(learner, recordings, writer=1):
@@ -95,12 +97,83 @@ def test_what_is_of_another_network_or_damaged_is_not_used(strange, tmp_path):
     assert learner_of(tmp_path).recall(1)["digits"] == 0
 
 
+@pytest.fixture(scope="module")
+def kept(strange, tmp_path_factory):
+    """The arrays that are kept of a writer of two digits."""
+    folder = tmp_path_factory.mktemp("kept")
+    learner = learner_of(folder)
+    for name, label in (("one", 3), ("two", 5)):
+        learner.learn(1, name, label, strange[6])
+    with np.load(folder / ".readout-w001.npz") as arrays:
+        return dict(arrays)
+
+
+READOUT = BUNDLE.spec.layers[-1]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("responses", lambda a: a[:, :, :-1]),
+        ("responses", lambda a: a[:, :-1]),
+        ("responses", lambda a: np.where(a == a.max(), np.nan, a)),
+        ("responses", lambda a: a + 1e30),
+        ("responses", lambda a: a.astype("U5")),
+        ("responses", lambda a: a[:, :, :1] * 1j),
+        ("labels", lambda a: a + 10),
+        ("labels", lambda a: a - 99),
+        ("labels", lambda a: a[:, None]),
+        ("names", lambda a: a[:1]),
+        ("right", lambda a: a.astype(float)),
+        ("weights", lambda a: np.full(READOUT.weights.shape, np.nan)),
+        ("weights", lambda a: np.full(READOUT.weights.shape, "x")),
+        ("weights", lambda a: np.ones((3, 3))),
+    ],
+)
+def test_a_kept_readout_of_odd_values_is_not_used(kept, tmp_path, name, value):
+    """Only what a person's digits can have given; the recordings themselves are safe elsewhere."""
+    np.savez(tmp_path / ".readout-w001.npz", **{**kept, name: value(kept.get(name))})
+    learner = learner_of(tmp_path)
+    assert learner.recall(1)["digits"] == 0
+    assert learner.decider(1) is None
+
+
+def test_a_kept_readout_past_all_use_is_not_read(kept, tmp_path, monkeypatch):
+    np.savez(tmp_path / ".readout-w001.npz", **kept)
+    assert learner_of(tmp_path).recall(1)["digits"] == 2
+    monkeypatch.setattr("pipeline.live.learning.LARGEST", 1000)
+    assert learner_of(tmp_path).recall(1)["digits"] == 0
+
+
+@pytest.mark.parametrize("make", ["link", "nowhere", "pipe", "folder"])
+def test_what_is_in_the_place_of_a_kept_readout_is_not_changed(strange, tmp_path, make):
+    precious, path = tmp_path / "precious", tmp_path / "written" / ".readout-w001.npz"
+    precious.write_bytes(b"somebody else's")
+    path.parent.mkdir()
+    if make == "pipe":
+        os.mkfifo(path)
+    elif make == "folder":
+        path.mkdir()
+    else:
+        path.symlink_to(precious if make == "link" else tmp_path / "nowhere")
+    learner = learner_of(path.parent)
+    assert learner.recall(1)["digits"] == 0
+    if make in ("pipe", "folder"):
+        with pytest.raises(UserError, match="not a file"):
+            learner.learn(1, "one", 3, strange[6])
+    else:
+        assert learner.learn(1, "one", 3, strange[6])["digits"] == 1
+        assert not path.is_symlink()
+    assert precious.read_bytes() == b"somebody else's"
+    assert not (tmp_path / "nowhere").exists()
+
+
 def test_a_network_that_cannot_be_fitted_learns_nothing(tmp_path):
     from dataclasses import replace
 
     forgetful = replace(BUNDLE, spec=replace(BUNDLE.spec, rehearsal=None))
-    assert Learner.of(forgetful, Image(), tmp_path) is None
-    assert Learner.of(BUNDLE, Image(), tmp_path) is not None
+    assert Learner.of(forgetful, Image(), tmp_path, Sensor()) is None
+    assert Learner.of(BUNDLE, Image(), tmp_path, Sensor()) is not None
 
 
 class Notes:
@@ -141,13 +214,13 @@ def write(session, start_ms):
 
 def test_each_labelled_digit_is_a_lesson_unless_learning_is_off(session):
     write(session, 1000.0)
-    saved = say(session, {"type": "label", "digit": 4})
+    saved = say(session, {"type": "label", "label": 4})
     name = next(reply["name"] for reply in saved if reply["type"] == "saved")
     assert session.notes.asked == [("recall", 1), ("learn", 1, name)]
     assert session.lessons() == []
     assert say(session, {"type": "learning", "on": False})[0]["learns"] is False
     write(session, 9000.0)
-    say(session, {"type": "label", "digit": 4})
+    say(session, {"type": "label", "label": 4})
     assert len(session.notes.asked) == 2
     say(session, {"type": "undo"})
     say(session, {"type": "forget"})
@@ -166,7 +239,7 @@ def test_learning_changes_nothing_that_is_recorded(tmp_path, strange):
             session.begin(Parrot(), learner)
             session.clock = 0.0
             write(session, 1000.0)
-            say(session, {"type": "label", "digit": 4})
+            say(session, {"type": "label", "label": 4})
             kept.append((keeper.folder / "4" / "w001-0001.mat").read_bytes())
     assert kept[0] == kept[1]
 

@@ -16,16 +16,19 @@ from deploy.errors import UserError
 from deploy.targets.registry import answer as answers_of
 from pipeline.inputs.images import tactile_images
 from pipeline.recordings.archive import read_source, write_zip
+from pipeline.recordings.events import Events, Sensor
 from pipeline.recordings.matfile import read_recording
 from pipeline.settings import Image
 from pipeline.skin import handwriting, parameters, simulate, unipen
 from tests.command import call
+from tests.own_sensor import CLASSES
 from tests.pipeline.live.conftest import served
 
 pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
 
+from pipeline.live.examples import Example
 from pipeline.live.keeping import Keeper
-from pipeline.live.server import PAGE
+from pipeline.live.server import PAGE, PAGES
 from pipeline.live.session import Session
 from tests import robot
 
@@ -132,7 +135,7 @@ def test_twenty_digits_of_real_hands(browser, shared_data, tmp_path):
     def make_decider():
         from pipeline.live.deciding import decider_of
 
-        return decider_of(bundle, Image())
+        return decider_of(bundle, Image(), Sensor())
 
     def motion_of(trace):
         place = np.array([4.7, 4.8])
@@ -193,6 +196,10 @@ def test_twenty_digits_of_real_hands(browser, shared_data, tmp_path):
     print(f"at exactly their own pace {known} of {len(some)}")
     assert known / len(some) > check - 0.1  # new writers, and a standard error of three points
     assert right / len(chosen) > 0.4  # on a machine so busy that strokes are torn, too
+
+
+OWN = Sensor(9, 12, classes=CLASSES)
+"""A sensor of somebody's own."""
 
 
 @pytest.fixture
@@ -352,22 +359,23 @@ def test_a_pen_that_lands_before_the_page_is_clear_goes_on_writing(page):
 
 
 def test_everything_but_writing_goes_by_keyboard(page):
-    robot.write(page, digit(7))
+    robot.replay(page, digit(7))
     settled(page)
     page.locator("body").press("7")
     until(page, "document.querySelector('#saved').textContent === '1'")
     assert "Kept as a 7" in page.inner_text("#told")
     page.locator("body").press("u")
     until(page, "document.querySelector('#saved').textContent === '0'")
-    robot.write(page, digit(1))
+    robot.replay(page, digit(1))
     settled(page)
     page.locator("body").press("c")
     until(page, "document.querySelector('#decision').textContent === ''")
     reached = set()
-    for _ in range(30):
+    for _ in range(40):
         page.keyboard.press("Tab")
         reached.add(page.evaluate("document.activeElement.id"))
-    wanted = {"clear", "undo", "writer", "handedness", "each", "by-itself", "start"}
+    wanted = {"clear", "undo", "example-class", "example-from", "by-itself", "start"}
+    wanted |= {"writer", "handedness", "each"}
     assert wanted | {f"label-{number}" for number in range(10)} <= reached
     page.fill("#each", "3")  # digits typed there label nothing
     assert page.inner_text("#saved") == "0"
@@ -402,17 +410,22 @@ def test_keeping_by_itself_complains_of_nothing(page):
     page.fill("#each", "1")
     page.click("#start")
     page.wait_for_selector("#asking:not([hidden])")
-    for done in (1, 2, 3):
-        robot.write(page, digit(int(page.inner_text("#asked b"))))
+    for done in range(1, 7):
+        robot.replay(page, digit(int(page.inner_text("#asked b"))))
         until(page, f"document.querySelector('#progress').value === {done}")
     assert messages(page, "problem") == []
 
 
+@pytest.mark.parametrize("sensor", [Sensor(), OWN])
 @pytest.mark.parametrize("size", [(1280, 800), (1920, 1080)])
-def test_decision_spikes_and_labels_are_on_one_screen(browser, server, size):
+def test_decision_spikes_and_labels_are_on_one_screen(browser, tmp_path, size, sensor):
     width, height = size
-    with page_of(browser, server, viewport={"width": width, "height": height}) as page:
-        for part in ("#skin", "#decision", "#layers canvas", "#label-9"):
+    with (
+        served(tmp_path / "kept", sensor=sensor) as server,
+        page_of(browser, server, viewport={"width": width, "height": height}) as page,
+    ):
+        last = f"#label-{len(sensor.classes) - 1}"
+        for part in ("#skin", "#decision", "#curve", "#layers canvas", "#example", last):
             box = page.locator(part).first.bounding_box()
             assert box["y"] + box["height"] <= height, part
         assert page.locator("main").bounding_box()["width"] >= 0.85 * width
@@ -443,23 +456,148 @@ def test_a_finger_writes_on_a_phone_and_the_page_does_not_scroll(browser, server
     assert len(server.keeper) == 1
 
 
+@pytest.mark.parametrize("sensor", [Sensor(), OWN])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_no_part_is_too_wide_and_every_part_says_what_it_is(browser, server, scheme):
+def test_no_part_is_too_wide_and_every_part_says_what_it_is(browser, tmp_path, scheme, sensor):
     options = {"viewport": {"width": 390, "height": 800}, "color_scheme": scheme}
-    with page_of(browser, server, reduced_motion="reduce", **options) as page:
-        robot.write(page, digit(2))
+    with (
+        served(tmp_path / "kept", None, Counting, sensor=sensor, host="127.0.0.2") as server,
+        page_of(browser, server, reduced_motion="reduce", **options) as page,
+    ):
+        robot.replay(page, digit(2))
         settled(page)
-        for width in (390, 768, 1280):
+        for width in (390, 768, 1280, 1920):
             page.set_viewport_size({"width": width, "height": 800})
             assert page.evaluate("document.documentElement.scrollWidth") == width
-            sections = page.locator("main section")
+            beyond = page.evaluate(
+                "[...document.querySelectorAll('main section *')].filter(e => e.offsetParent &&"
+                " e.getBoundingClientRect().right > innerWidth + 1).map(e => e.id || e.tagName)"
+            )
+            assert beyond == []
+            sections = page.locator("main section:visible")
             for index in range(sections.count()):
-                assert sections.nth(index).locator(".say").inner_text().strip()
+                assert sections.nth(index).locator(".say").first.inner_text().strip()
             small = page.evaluate(
                 "[...document.querySelectorAll('button')].filter(b => b.offsetParent &&"
                 " (b.offsetHeight < 40 || b.offsetWidth < 40)).map(b => b.id)"
             )
             assert small == []
+
+
+def test_the_confidence_is_one_value_and_its_curve_shows_the_decision(page):
+    robot.replay(page, digit(8))
+    settled(page)
+    last = messages(page, "answer")[-1]
+    seconds, values = last["curve"]
+    assert last["confidence"] == pytest.approx(values[-1], abs=1e-4)
+    assert page.inner_text("#confidence") == "99 % sure"  # the stand-in's is 1 in the end
+    reached = seconds[next(i for i, value in enumerate(values) if value >= 0.9)]
+    shown = float(page.locator("#decided").get_attribute("data-s"))
+    assert shown == pytest.approx(reached, abs=1e-3)
+    drawn = """() => {
+      const canvas = document.querySelector("#curve"), context = canvas.getContext("2d");
+      return new Set(context.getImageData(0, 0, canvas.width, canvas.height).data).size;
+    }"""
+    assert page.evaluate(drawn) > 20
+    page.click("#clear")
+    until(page, "document.querySelector('#decided').dataset.s === ''")
+
+
+def test_a_sensor_and_classes_of_ones_own(browser, tmp_path):
+    with (
+        served(tmp_path / "kept", sensor=OWN) as server,
+        page_of(browser, server) as page,
+    ):
+        box = page.locator("#skin").bounding_box()
+        assert box["width"] / box["height"] == pytest.approx(12 / 9, rel=0.03)
+        words = page.inner_text("body").lower()
+        assert "digit" not in words
+        assert "handwriting" not in words
+        robot.replay(page, digit(0))
+        settled(page)
+        assert page.inner_text("#decision") in CLASSES
+        assert page.locator("#label-2").inner_text().endswith(CLASSES[2])
+        page.locator("body").press("3")
+        until(page, "document.querySelector('#saved').textContent === '1'")
+        robot.replay(page, digit(1))
+        settled(page)
+        label(page, 0)
+    kept = read_source(server.keeper.folder, jobs=1)
+    assert kept.ids == (f"{CLASSES[0]}/w001-0002", f"{CLASSES[2]}/w001-0001")
+    assert (kept.sensor.rows, kept.sensor.columns) == (9, 12)
+    assert len(np.unique(kept[1].taxel)) > 20
+
+
+def test_many_classes_are_searched(browser, tmp_path):
+    names = tuple(f"Klasse {n} mit Übergröße und {'x' * (n % 20)}" for n in range(300))
+    with (
+        served(tmp_path / "kept", sensor=Sensor(classes=names)) as server,
+        page_of(browser, server) as page,
+    ):
+        robot.replay(page, digit(3))
+        settled(page)
+        page.fill("#search", "klasse 217 ")
+        assert page.locator("#labels button:visible").count() == 1
+        page.press("#search", "Enter")
+        until(page, "document.querySelector('#saved').textContent === '1'")
+        assert page.locator("#scores li").count() < 20
+        assert page.evaluate("document.documentElement.scrollWidth") == 1280
+    assert [kept.label for kept in server.keeper.kept] == [217]
+
+
+def test_an_example_is_played_at_its_own_pace_and_kept_no_second_time(browser, tmp_path):
+    time_ns = 200_000_000 + 20_000_000 * np.arange(40)
+    line = Events(time_ns, 10 * np.arange(40) % 100, np.tile([1, -1], 20), np.ones(40))
+    tests = [Example(line, 3, "3/0007"), Example(line, 4, "4/0001")]
+    with (
+        served(tmp_path / "kept", tests=tests) as server,
+        page_of(browser, server) as page,
+    ):
+        until(page, "!document.querySelector('#example').disabled")
+        page.select_option("#example-class", "4")
+        begun = page.evaluate("performance.now()")
+        page.click("#example")
+        settled(page)
+        assert page.evaluate("performance.now()") - begun > 780
+        assert page.locator("#shown").get_attribute("data-label") == "4"
+        assert page.inner_text("#count") == "40 events"
+        assert max(len(m["ns"]) for m in messages(page, "events")) < 40  # not all at once
+        page.click("#label-4")
+        page.wait_for_selector("#problem:not([hidden])")
+        assert len(server.keeper) == 0
+        robot.replay(page, digit(1))
+        settled(page)
+        label(page, 1)
+        page.select_option("#example-from", "kept")
+        page.locator("body").press("e")
+        until(page, "document.querySelector('#shown').dataset.label === '1'")
+        settled(page)
+        assert len(server.keeper) == 1
+
+
+def test_a_sensor_too_large_to_draw_on_shows_examples(browser, tmp_path):
+    line = Events(200_000_000 + 1000 * np.arange(300), np.arange(300), np.ones(300), np.ones(300))
+    with (
+        served(tmp_path / "k", sensor=Sensor(128, 128), tests=[Example(line, 3, "3/1")]) as server,
+        page_of(browser, server) as page,
+    ):
+        robot.replay(page, digit(1))
+        until(page, "!document.querySelector('#example').disabled")
+        assert messages(page, "events") == []
+        page.click("#example")
+        settled(page)
+        assert page.inner_text("#count") == "300 events"
+
+
+def test_other_devices_are_shown_the_way(browser, tmp_path):
+    with (
+        served(tmp_path / "kept", host="127.0.0.2") as server,
+        page_of(browser, server) as page,
+    ):
+        assert page.url.startswith("http://127.0.0.2:")
+        until(page, "document.querySelector('#qr').naturalWidth > 100")
+        robot.replay(page, digit(1))
+        settled(page)
 
 
 def test_the_page_says_when_the_server_has_gone(browser, tmp_path):
@@ -470,6 +608,23 @@ def test_the_page_says_when_the_server_has_gone(browser, tmp_path):
         threading.Timer(0.1, lambda: setattr(server, "should_exit", True)).start()
         until(page, "document.querySelector('#status').textContent === 'Not connected.'")
         assert "What was kept is safe" in page.inner_text("#problem")
+        context.close()
+
+
+def test_one_page_too_many_says_so(browser, tmp_path):
+    with served(tmp_path / "kept") as server:
+        context = browser.new_context()
+        first, last = context.new_page(), context.new_page()
+        robot.opened(first, server.url)
+        first.evaluate(
+            "n => Promise.all(Array.from({length: n}, () => new Promise(opened => {"
+            " const address = new URL('pen', location.href); address.protocol = 'ws:';"
+            " new WebSocket(address).onmessage = opened; })))",
+            PAGES - 1,
+        )
+        last.goto(server.url)
+        until(last, "document.querySelector('#status').textContent === 'Not connected.'")
+        assert f"{PAGES} pages" in last.inner_text("#problem")
         context.close()
 
 

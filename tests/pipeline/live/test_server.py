@@ -3,6 +3,7 @@
 import errno
 import http.client
 import json
+import logging.handlers
 import socket
 import time
 from contextlib import ExitStack
@@ -19,6 +20,7 @@ sync_client = pytest.importorskip("websockets.sync.client", reason="websockets i
 from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 
 from pipeline.live.connections import STRANGERS  # noqa: E402
+from pipeline.live.qr import qr_code  # noqa: E402
 from pipeline.live.server import LARGEST, PAGES, listen  # noqa: E402
 
 
@@ -148,7 +150,7 @@ def test_the_own_page_is_welcome_and_a_digit_is_kept(server):
         assert messages[0]["type"] == "hello"
         write(page)
         messages = read_until(page, "answer")
-        page.send(json.dumps({"type": "label", "digit": 1}))
+        page.send(json.dumps({"type": "label", "label": 1}))
         saved = read_until(page, "saved")[-1]
     assert (server.keeper.folder / saved["name"]).is_file()
     assert len(server.keeper) == 1
@@ -172,7 +174,7 @@ def is_well(server):
 
 
 @pytest.mark.parametrize(
-    "message", ["{", '{"type": "rm"}', b"\x00\x01", '{"type": "label", "digit": 99}']
+    "message", ["{", '{"type": "rm"}', b"\x00\x01", '{"type": "label", "label": 99}']
 )
 def test_a_malformed_message_is_refused_and_the_server_stays_up(server, message):
     with connect(server) as page:
@@ -226,7 +228,7 @@ def test_two_pages_write_two_recordings_that_do_not_mix(server):
             other.send(json.dumps(theirs))
         columns = []
         for page, digit in ((one, 1), (other, 7)):
-            page.send(json.dumps({"type": "label", "digit": digit}))
+            page.send(json.dumps({"type": "label", "label": digit}))
             told = [m for m in read_until(page, "saved") if m["type"] == "events"]
             columns.append([taxel // 10 for message in told for taxel in message["taxel"]])
     assert np.median(columns[0]) <= 2  # landing shakes taxels everywhere a little
@@ -361,8 +363,10 @@ def test_files_that_run_out_are_one_line_and_not_a_traceback_each():
     assert loop.others == 1
 
 
-def test_odd_requests_are_refused_without_a_word_on_the_terminal(server, capfd):
+def test_odd_requests_are_refused_without_a_word_on_the_terminal(server, monkeypatch):
     port, own = parts(server)
+    logged = logging.handlers.BufferingHandler(1000)  # the terminal's is older than this test
+    monkeypatch.setattr(logging.getLogger("uvicorn.error"), "handlers", [logged])
     for name in ("x" * 300, "%ff", "%00", "a/../index.html"):
         assert get(server, own + name)[0] == 404
     with socket.create_connection(("127.0.0.1", port), timeout=120) as raw:
@@ -376,4 +380,78 @@ def test_odd_requests_are_refused_without_a_word_on_the_terminal(server, capfd):
         while raw.recv(4096):
             pass
     assert is_well(server)
-    assert "Traceback" not in capfd.readouterr().err
+    assert [record.getMessage() for record in logged.buffer] == []
+
+
+@pytest.fixture
+def shared(tmp_path):
+    with served(tmp_path / "shared", host="127.0.0.2") as server:
+        yield server
+
+
+def ask_of(shared, host, origin=None, name=""):
+    """Status and body of a request to the shared address, under the name of a host."""
+    port, own = parts(shared)
+    connection = http.client.HTTPConnection("127.0.0.2", port, timeout=120)
+    headers = {"Host": host.format(port=port)}
+    if origin is not None:
+        headers["Origin"] = origin.format(port=port)
+    connection.request("GET", own + name, headers=headers)
+    response = connection.getresponse()
+    body = response.read()
+    connection.close()
+    return response.status, body
+
+
+def test_an_address_asked_for_is_the_only_one_answered_to(shared):
+    here = "127.0.0.2:{port}"
+    assert ask_of(shared, here)[0] == 200
+    assert ask_of(shared, here, f"http://{here}")[0] == 200
+    for other in (
+        "127.0.0.1:{port}",
+        "localhost:{port}",
+        "127.0.0.2",
+        "127.0.0.2:1",
+        "0.0.0.0:{port}",
+    ):
+        assert ask_of(shared, other)[0] == 403
+        assert ask_of(shared, here, f"http://{other}")[0] == 403
+    port, own = parts(shared)
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", port))
+    address = f"ws://127.0.0.2:{port}{own}pen"
+    with sync_client.connect(address, proxy=None) as page:
+        assert read_until(page, "ready")[0]["shared"] is True
+    with pytest.raises(InvalidStatus):
+        sync_client.connect(address.replace(own, "/wrong/"), proxy=None)
+
+
+def test_the_qr_code_is_of_the_whole_address_and_behind_the_token(shared, server):
+    status, picture = ask_of(shared, "127.0.0.2:{port}", name="qr.svg")
+    assert status == 200
+    assert picture == qr_code(shared.url).svg
+    assert picture != qr_code(shared.url[:-2]).svg
+    assert shared.url.startswith("http://127.0.0.2:")
+    assert get(server, parts(server)[1] + "qr.svg")[0] == 404  # to itself the page needs none
+    text = qr_code(shared.url).text
+    assert max(map(len, text.splitlines())) <= 80
+    assert set(text) <= set(" ▀▄█\n")
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "", "203.0.113.7", "no such host", "x" * 300])
+def test_an_address_that_cannot_be_served_is_said(host):
+    with pytest.raises(UserError, match="--host"):
+        listen(0, host)
+
+
+def test_examples_that_cannot_be_read_are_said_and_the_rest_works(tmp_path):
+    def tests():
+        raise UserError("own: has changed since the network was trained")
+        yield
+
+    with served(tmp_path / "kept", tests=tests()) as server, connect(server) as page:
+        said = read_until(page, "examples")[-1]
+        assert "has changed" in said["reason"]
+        assert sum(said["test"]) == 0
+        write(page)
+        assert read_until(page, "answer")

@@ -4,9 +4,12 @@ import base64
 import gc
 import json
 import tracemalloc
+from contextlib import closing
 
+import numpy as np
 import pytest
 
+from pipeline.live.examples import Example
 from pipeline.live.keeping import Keeper
 from pipeline.live.session import (
     LONGEST_S,
@@ -16,6 +19,7 @@ from pipeline.live.session import (
     OpenRecording,
     Session,
 )
+from pipeline.recordings.events import Events, Sensor
 from pipeline.recordings.matfile import read_recording
 from pipeline.skin import parameters
 from tests.pipeline.live.conftest import Parrot, stroke
@@ -59,7 +63,7 @@ def test_events_come_while_writing_and_are_those_that_are_kept(session, keeper):
     events = of(replies, "events")
     assert sum(bool(reply["ns"]) for reply in events) > 5  # not all at the end
     assert events[-1]["settled"]
-    replies += say(session, {"type": "label", "digit": 1})
+    replies += say(session, {"type": "label", "label": 1})
     saved = of(replies, "saved")[0]
     read = read_recording((keeper.folder / saved["name"]).read_bytes())
     for name, column in (("ns", "time_ns"), ("taxel", "taxel"), ("polarity", "polarity")):
@@ -76,7 +80,12 @@ def test_the_answer_is_to_all_events_so_far(session):
     n = sum(len(reply["ns"]) for reply in of(replies, "events"))
     answer = session.ask()()
     assert (answer["events"], answer["decision"]) == (n, n % 10)
-    assert sum(answer["confidence"]) == pytest.approx(1)
+    assert sum(answer["shares"]) == pytest.approx(1)
+    seconds, values = answer["curve"]
+    assert answer["confidence"] == values[-1] == pytest.approx(1)
+    early = next(s for s, value in zip(seconds, values, strict=True) if value >= 0.9)
+    assert answer["decided"]["s"] == pytest.approx(early, abs=1e-3)
+    assert 0 < early < seconds[-1]
     assert len(base64.b64decode(answer["spikes"]["input"])) == 3 * 13
     last = max(ns for reply in of(replies, "events") for ns in reply["ns"])
     assert answer["last_ms"] == pytest.approx(1000 + (last * 1e-9 - 0.2) * 1e3)
@@ -101,8 +110,8 @@ def test_a_pause_begins_another_recording_and_a_short_one_does_not(session):
 
 def test_a_kept_recording_is_not_written_on(session, keeper):
     written(session)
-    say(session, {"type": "label", "digit": 1})
-    again = say(session, {"type": "label", "digit": 1})
+    say(session, {"type": "label", "label": 1})
+    again = say(session, {"type": "label", "label": 1})
     assert "nothing is written" in of(again, "problem")[0]["text"]
     assert len(keeper) == 1
     assert of(written(session, start_ms=1400.0), "cleared")
@@ -111,25 +120,25 @@ def test_a_kept_recording_is_not_written_on(session, keeper):
 def test_a_recording_ends_and_the_next_stroke_begins_another(session, keeper):
     replies = written(session, seconds=LONGEST_S + 2, per_message=10)
     assert of(replies, "events")[-1]["over"]
-    say(session, {"type": "label", "digit": 1})
+    say(session, {"type": "label", "label": 1})
     read = read_recording(next(keeper.folder.rglob("w*.mat")).read_bytes())
     assert read.events.time_ns[-1] < LONGEST_S * 1e9
     replies = written(session, start_ms=1000.0 * (LONGEST_S + 4))
     assert of(replies, "cleared")
-    assert say(session, {"type": "label", "digit": 2})[1]["type"] == "saved"
+    assert say(session, {"type": "label", "label": 2})[1]["type"] == "saved"
 
 
 def test_clear_forgets(session, keeper):
     written(session)
     assert say(session, {"type": "clear"}) == [{"type": "cleared", "recording": None}]
-    assert of(say(session, {"type": "label", "digit": 1}), "problem")
+    assert of(say(session, {"type": "label", "label": 1}), "problem")
     assert len(keeper) == 0
 
 
 def test_what_is_said_while_the_pen_is_down_lifts_it(session, keeper):
     for message in list(stroke())[:8]:
         say(session, message)
-    assert of(say(session, {"type": "label", "digit": 4}), "saved")
+    assert of(say(session, {"type": "label", "label": 4}), "saved")
     assert len(keeper) == 1
 
 
@@ -140,7 +149,7 @@ def test_a_session_asks_for_every_digit_and_goes_on_after_a_break(session, keepe
         asked.append(state["asked"])
         start = 10_000.0 * len(asked)
         written(session, start_ms=start)
-        state = of(say(session, {"type": "label", "digit": state["asked"]}), "writer")[0]
+        state = of(say(session, {"type": "label", "label": state["asked"]}), "writer")[0]
         if len(asked) == 5:  # another page, later
             session = Session(2, keeper, P)
             session.begin(Parrot())
@@ -149,7 +158,7 @@ def test_a_session_asks_for_every_digit_and_goes_on_after_a_break(session, keepe
     assert sorted(asked) == list(range(10))
     assert state["done"] == 10
     undone = say(session, {"type": "undo"})
-    assert undone[0]["digit"] == asked[-1]
+    assert undone[0]["label"] == asked[-1]
     assert undone[1]["asked"] == asked[-1]
     read = read_recording(next(keeper.folder.rglob("w003-0001.mat")).read_bytes())
     assert (read.writer, read.written.handedness) == (3, "right")
@@ -181,9 +190,9 @@ POINT = [1.0, 4.0, 4.0, 0.5, 1]
         json.dumps({"type": ["pen"]}),
         json.dumps({"type": "save"}),
         json.dumps({"type": "label"}),
-        json.dumps({"type": "label", "digit": 10}),
-        json.dumps({"type": "label", "digit": True}),
-        json.dumps({"type": "label", "digit": "../../1"}),
+        json.dumps({"type": "label", "label": 10}),
+        json.dumps({"type": "label", "label": True}),
+        json.dumps({"type": "label", "label": "../../1"}),
         json.dumps({"type": "writer", "number": 0, "each": 1}),
         json.dumps({"type": "writer", "number": "../1", "each": 1}),
         json.dumps({"type": "writer", "number": 1, "each": 10**9}),
@@ -218,14 +227,14 @@ def test_a_thousand_strokes_a_second_are_not_kept(session, keeper):
         replies += session.handle(message, n * 1e-3)
     assert 1 <= len(of(replies, "problem")) <= 2
     assert "faster than a hand" in of(replies, "problem")[0]["text"]
-    refused = session.handle(json.dumps({"type": "label", "digit": 1}), 5.0)
+    refused = session.handle(json.dumps({"type": "label", "label": 1}), 5.0)
     assert "not kept" in of(refused, "problem")[0]["text"]
     assert len(keeper) == 0
     later = Clock()
     later.now_s = 6.0
     for message in stroke(start_ms=20_000.0):  # and an honest hand is welcome afterwards
         say(session, message, later)
-    assert of(say(session, {"type": "label", "digit": 1}, later), "saved")
+    assert of(say(session, {"type": "label", "label": 1}, later), "saved")
 
 
 def test_an_allowance_fills_up_again_but_not_beyond_a_second():
@@ -279,16 +288,16 @@ def test_a_new_writer_has_a_number_of_their_own(session, keeper):
 def test_a_disk_that_fails_is_said_and_the_digit_can_be_kept_again(session, keeper, monkeypatch):
     written(session)
 
-    def fails(folder):
+    def fails(folder, places=()):
         raise OSError(5, "Input/output error", str(folder))
 
     with monkeypatch.context() as patched:
         patched.setattr("pipeline.live.keeping._list", fails)
-        text = of(say(session, {"type": "label", "digit": 1}), "problem")[0]["text"]
+        text = of(say(session, {"type": "label", "label": 1}), "problem")[0]["text"]
         assert "Input/output error" in text
         patched.setattr(Keeper, "save", lambda keeper, *given: fails("disk"))
-        assert "disk: " in of(say(session, {"type": "label", "digit": 1}), "problem")[0]["text"]
-    assert of(say(session, {"type": "label", "digit": 1}), "saved")
+        assert "disk: " in of(say(session, {"type": "label", "label": 1}), "problem")[0]["text"]
+    assert of(say(session, {"type": "label", "label": 1}), "saved")
 
 
 def test_a_clock_that_leaps_simulates_no_more_than_a_hand_needs(session, monkeypatch):
@@ -316,7 +325,7 @@ def test_a_clock_that_leaps_simulates_no_more_than_a_hand_needs(session, monkeyp
     later.now_s = 30.0  # an honest hand is welcome afterwards
     for message in stroke(start_ms=9e6):
         say(session, message, later)
-    assert of(say(session, {"type": "label", "digit": 1}, later), "saved")
+    assert of(say(session, {"type": "label", "label": 1}, later), "saved")
 
 
 def test_a_hand_that_writes_all_the_time_is_never_too_fast(session):
@@ -327,3 +336,67 @@ def test_a_hand_that_writes_all_the_time_is_never_too_fast(session):
 def test_requests_that_come_faster_than_a_hand_are_refused(session):
     asks = [session.handle('{"type": "undo"}', 1.0)[0]["text"] for _ in range(30)]
     assert sum("too many requests" in text for text in asks) == 20
+
+
+LINE = Events(205_000_000 + 20_000_000 * np.arange(40), np.arange(40), [1, -1] * 20, [1] * 40)
+
+
+def test_an_example_goes_its_own_pace_and_is_kept_no_second_time(session, keeper):
+    assert session.show([Example(LINE, 7, "7/0001")])["test"] == [0] * 7 + [1, 0, 0]
+    clock = Clock()
+    clock.now_s = 0.0
+    ask = {"type": "example", "now": 5000.0, "origin": "test", "label": 7}
+    begun = say(session, ask, clock)[0]
+    assert begun["example"] == {"name": "7/0001", "label": 7, "origin": "test"}
+    told = []
+    for now in np.arange(5010.0, 6000.0, 50.0).tolist():
+        part = of(say(session, {"type": "pen", "now": now, "points": []}, clock), "events")[0]
+        told += part["ns"]
+        assert told == [ns for ns in LINE.time_ns.tolist() if ns < 1e6 * (now - 5000) + 2e8]
+    assert part["settled"]
+    assert session.ask()()["events"] == 40
+    assert of(say(session, {"type": "label", "label": 7}, clock), "problem")
+    assert len(keeper) == 0
+    start = stroke(start_ms=9000.0)
+    assert of([r for m in start for r in say(session, m, clock)], "cleared")
+    assert of(say(session, {"type": "label", "label": 1}, clock), "saved")
+    assert session.state()["kept"][1] == 1
+    again = say(session, {**ask, "origin": "kept", "label": None, "now": 20_000.0}, clock)[0]
+    assert again["example"]["label"] == 1
+    assert of(say(session, {**ask, "label": 3}, clock), "problem")
+
+
+@pytest.mark.parametrize(
+    "change", [{"origin": "../x"}, {"label": 10}, {"label": "7"}, {"now": None}]
+)
+def test_an_example_that_no_page_would_ask_for_is_refused(session, change):
+    session.show([Example(LINE, 7, "7/0001")])
+    ask = {"type": "example", "now": 5000.0, "origin": "test", "label": 7, **change}
+    with pytest.raises(BadMessage):
+        session.handle(json.dumps(ask), 0.0)
+
+
+def test_a_sensor_of_ones_own(tmp_path):
+    with closing(Keeper(tmp_path / "kept", Sensor(9, 12, 1, classes=("a", "b c")))) as keeper:
+        session = Session(1, keeper, P)
+        session.begin(Parrot(2))
+        events = of(written(session, right=11.0), "events")
+        assert {p for reply in events for p in reply["polarity"]} == {1}
+        saved = of(say(session, {"type": "label", "label": 1}), "saved")[0]
+        assert saved["name"] == "b c/w001-0001.mat"
+        read = read_recording((keeper.folder / saved["name"]).read_bytes(), 108)
+        assert np.median(read.events.taxel // 9) >= 10
+        for message in (
+            {"type": "label", "label": 2},
+            {"type": "pen", "now": 9.0, "points": [[9.0, 4.0, 10.5, 0.5, 1]]},
+        ):
+            with pytest.raises(BadMessage):
+                session.handle(json.dumps(message), 1000.0)
+
+
+def test_a_sensor_too_large_to_simulate_is_not_written_on(tmp_path):
+    with closing(Keeper(tmp_path / "kept", Sensor(65, 64))) as keeper:
+        session = Session(1, keeper, P)
+        session.begin(Parrot())
+        with pytest.raises(BadMessage, match="4096"):
+            written(session)

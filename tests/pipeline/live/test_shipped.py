@@ -8,7 +8,8 @@ import pytest
 from deploy.check.bundle import read_bundle
 from deploy.files import read_json
 from deploy.targets.registry import answer
-from pipeline.live.network import SHIPPED, fits_the_page
+from pipeline.live.network import SHIPPED, sensor_of
+from pipeline.recordings.events import Sensor
 from pipeline.settings import read_settings
 from pipeline.skin.simulate import source_of
 from tests.command import ROOT, call
@@ -35,7 +36,7 @@ def test_it_is_of_its_recipe_and_of_the_built_in_recordings(bundle):
 
 def test_it_is_small_and_has_all_that_the_page_needs(bundle):
     assert sum(file.stat().st_size for file in SHIPPED.iterdir()) <= 300_000
-    fits_the_page(bundle)
+    assert sensor_of(bundle, {}) == Sensor()
     assert bundle.spec.rehearsal is not None
     assert bundle.spec.judge is not None
 

@@ -1,3 +1,5 @@
+import json
+
 import numpy as np
 import pytest
 
@@ -142,6 +144,15 @@ def test_an_import_with_files_left_out_does_not_pass_for_a_clean_one(own, tmp_pa
         assert facts_of(read)["files_left_out"] == 1
     with pytest.raises(UserError, match=r"3/bad\.mat"):
         sources.load_recordings(str(path), jobs=1)
+
+
+@pytest.mark.parametrize("value", [5, None, ["a"], "../../etc", "A" * 64])
+def test_a_noted_hash_that_is_none_is_forgotten(own, value):
+    cache.remember("f" * 64, "0" * 64)
+    assert cache.recall("f" * 64) == "0" * 64
+    (path,) = cache.folder().glob("source-*.json")
+    path.write_text(json.dumps({"sha256": value}))
+    assert cache.recall("f" * 64) is None
 
 
 def test_simulated_recordings_are_cached_by_seed_and_number(own, monkeypatch):

@@ -62,6 +62,15 @@ def test_picked_events_are_those_of_the_samples(table):
     assert (row[4], column[4], polarity[4]) == (0, 0, 1)
 
 
+def test_two_tables_as_one(table):
+    both = table.followed_by(table)
+    assert len(both) == 4
+    for first, second in ((0, 2), (1, 3)):
+        one, other = (both.frames([index], 10, 5) for index in (first, second))
+        np.testing.assert_array_equal(one, other)
+        np.testing.assert_array_equal(one, table.frames([first], 10, 5))
+
+
 def test_recordings_without_events_give_empty_frames():
     table = EventTable.of(recordings([], ROWS, []))
     np.testing.assert_allclose(table.duration_ms, [0, 42, 0])

@@ -98,3 +98,17 @@ def test_confusions_of_nothing_and_of_everything(matrix):
     drawn = confusion_cells(matrix, list("0123456789"))
     shades = [cell["shade"] for _, cells in drawn["rows"] for cell in cells]
     assert 0 <= min(shades) <= max(shades) <= 75
+
+
+def test_equal_rates_are_dots_on_the_line():
+    svg = charts.scatter([(0, 0), (50, 50), (100, 100), (0, 100)], "trained", "chip")
+    tree = ElementTree.fromstring(svg)
+    line = tree.findall(".//*[@class='axis']")[-1]
+    ends = [float(line.get(name)) for name in ("x1", "y1", "x2", "y2")]
+    dots = re.findall(r"M([\d.]+) ([\d.]+)h0", tree.find(".//*[@class='points']").get("d"))
+    assert [tuple(map(float, dot)) for dot in dots] == [
+        tuple(ends[:2]),
+        ((ends[0] + ends[2]) / 2, (ends[1] + ends[3]) / 2),
+        tuple(ends[2:]),
+        (ends[0], ends[3]),
+    ]

@@ -14,8 +14,10 @@ from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.preflight.plan import make_plan
 from pipeline.experiments import table2_splits as table2
+from pipeline.inputs.library import recordings_of
 from pipeline.report import page as report
 from pipeline.report.replay import replay
+from pipeline.run.history import read_history
 from pipeline.settings import read_settings, write_settings
 from tests.command import call
 
@@ -118,6 +120,28 @@ def test_it_is_whole_and_needs_nothing_else(html):
     assert "url(" not in page
     assert "None" not in outline.text.replace("None is a figure", "")
     assert "nan" not in outline.text.split()
+
+
+def test_rates_of_each_layer_and_curves_of_held_out_samples(html, tiny_run):
+    page = html.read_text()
+    drawn = re.findall(r'<path class="points" d="([^"]*)"', page)
+    rates = json.loads((tiny_run / "ladder.json").read_text())["rates"]
+    assert [d.count("M") for d in drawn] == [len(points) for points in rates.values()]
+    assert len(drawn) == 2
+    for network in ("cnn", "snn"):
+        rows = read_history(tiny_run / network / "history.csv")
+        assert {"loss", "accuracy", "test_loss", "test_accuracy"} <= set(rows[0])
+    curve = page.split('aria-label="Learning curve of CNN, loss"')[1].split("</svg>")[0]
+    assert curve.count("<polyline") == 2
+
+
+def test_rates_of_another_bundle_are_left_out(tiny_run, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(tiny_run, run)
+    ladder = json.loads((run / "ladder.json").read_text())
+    (run / "ladder.json").write_text(json.dumps({**ladder, "bundle": "0" * 64}))
+    assert call("report", run, "--out", tmp_path / "r.html") == 0
+    assert 'class="points"' not in (tmp_path / "r.html").read_text()
 
 
 def test_it_says_what_was_measured(html, tiny_run):
@@ -225,3 +249,11 @@ def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
             assert times.max(initial=0) < 12
         # Nothing is shown in the gap, and the image is there from step 0.
         assert played.spikes["input"][0].min() >= 0
+
+
+def test_digits_of_a_camera_are_not_st_mnist(tiny_run):
+    """Such as N-MNIST: its classes are digits, but no paper's table is about its recordings."""
+    ours = recordings_of(read_settings(tiny_run / "experiment.toml"))
+    camera = replace(ours, source=replace(ours.source, time_unit="us"))
+    assert [report._of_digits(r) for r in (ours, camera)] == [True, False]
+    assert [report._word(r) for r in (ours, camera)] == ["writing", "recording"]

@@ -11,12 +11,14 @@ from deploy.check.results import read_result
 from deploy.check.run import run_check
 from deploy.files import read_json
 from pipeline.run.diagnosis import (
+    POINTS,
     activity,
     fastest_rate,
     fidelity,
     layers_json,
     layers_text,
     least_faithful,
+    rate_points,
     training_lines,
 )
 from tests.deploy.networks import bundle_at, random_checks, small_spec
@@ -91,7 +93,7 @@ def test_a_layer_against_its_own_rates_is_perfect():
     rates = firing_rates(spec, images, start=spec.presentation.readout_start)
     amplitudes = {layer.name: layer.neurons.amplitude for layer in spec.layers if layer.neurons}
     own = {name: values * amplitudes[name] for name, values in rates.items()}
-    for layer in layers_json(spec, images, own):
+    for layer in layers_json(spec, rates, own):
         assert layer["correlation"] == pytest.approx(1)
         assert layer["worst_error"] == pytest.approx(0)
         assert layer["chip"] == layer["rate_network"]
@@ -121,4 +123,18 @@ def test_a_runs_metrics_and_ladder_hold_the_diagnosis(tiny_run):
     # Activations and firing rates are of the same neurons in the same order, or this is near 0.
     assert all(layer["correlation"] > 0.6 for layer in ladder["layers"])
     assert ladder["least_faithful_layer"] in neurons
+    for name, points in ladder["rates"].items():
+        trained, chip = np.transpose(points)
+        assert len(points) > 100
+        assert np.corrcoef(trained, chip)[0, 1] > 0.5, name
     assert ladder["bundle"] == read_result(tiny_run / "checks" / "emulator.json")["bundle"]
+
+
+def test_points_are_pairs_of_the_same_neuron_and_sample():
+    trained = {"conv1": np.array([[0.0, 10.0], [20.0, 0.0]])}
+    chip = {"conv1": np.array([[0.0, 11.0], [22.0, 3.0]]), "conv2": np.zeros((2, 3))}
+    points = rate_points(trained, chip)
+    assert sorted(points["conv1"]) == [[0.0, 3.0], [10.0, 11.0], [20.0, 22.0]]
+    many = {"conv1": np.full((100, 50), 2.0)}
+    assert len(rate_points(many, many)["conv1"]) == POINTS
+    assert rate_points({"conv2": np.zeros((2, 3))}, chip) == {"conv2": []}

@@ -17,7 +17,7 @@ def told(monkeypatch):
     """What training and the choice of the threshold are given, in the place of both."""
     told = {}
 
-    def train_events(recipe, table, labels, train, seed, checkpoint=None, advance=None):
+    def train_events(recipe, table, labels, train, seed, checkpoint, advance, start):
         told.update(recipe=recipe, learn=train, seed=seed, checkpoint=checkpoint)
         return TrainedOnEvents(recipe, {})
 

@@ -1,15 +1,20 @@
 """Defaults that fit recordings of one's own, and everything that does not fit told at once."""
 
+import shutil
+
 import numpy as np
 import pytest
 
 from deploy.errors import SeveralErrors
+from deploy.preflight.plan import make_plan
 from models.architecture import parse
 from pipeline.inputs.library import load_recordings
 from pipeline.recordings.events import Sensor
 from pipeline.recordings.own import write_recordings
+from pipeline.run.chip_fit import chip_problems, untrained
 from pipeline.run.fitting import architecture_for, fitted
 from pipeline.settings import Settings
+from tests.deploy.networks import paper_spec
 from tests.own_sensor import CLASSES, gestures, write_folder
 
 SIZES = [
@@ -86,3 +91,59 @@ def test_what_was_chosen_stays_and_is_held_against_the_recordings(own):
 def test_simulated_recordings_need_nothing():
     settings = Settings()
     assert fitted(settings) is settings
+
+
+@pytest.mark.parametrize(
+    ("kind", "architecture", "resource"),
+    [
+        ("image", "100x100-40-4o", "input axons"),
+        ("events", "60x60x2-40-4o", "input axons"),
+    ],
+)
+def test_what_no_core_can_hold_is_told_before_training(kind, architecture, resource):
+    section = "cnn" if kind == "image" else "events"
+    changes = {"input": {"kind": kind}, section: {"architecture": architecture}}
+    problems = chip_problems(settings_of("own", **changes))
+    assert all(line.startswith(f"{architecture}: layer dense1") for line in problems)
+    assert any(resource in line and "4096" in line for line in problems)
+
+
+@pytest.mark.parametrize("kind", ["image", "events"])
+@pytest.mark.parametrize("size", [(1, 8), (9, 12), (34, 34), (1, 200)])
+def test_the_chosen_architectures_fit_the_chip(size, kind):
+    for n in (2, 300):
+        sensor = Sensor(*size, classes=tuple(map(str, range(n))))
+        section = "cnn" if kind == "image" else "events"
+        architecture = architecture_for(sensor, kind == "events")
+        changes = {"input": {"kind": kind}, section: {"architecture": architecture}}
+        assert chip_problems(settings_of("own", **changes)) == []
+
+
+def test_an_untrained_network_needs_what_the_trained_one_needs():
+    spec = untrained(Settings().cnn.architecture, False, Settings().deployment)
+    assert [core.used for core in make_plan(spec).cores] == [
+        core.used for core in make_plan(paper_spec()).cores
+    ]
+
+
+def test_the_sensor_s_and_the_chip_s_problems_come_together(own):
+    wrong = settings_of(own, cnn={"architecture": "9x12-100c4-40-4o"}, check={"samples": 50})
+    with pytest.raises(SeveralErrors) as caught:
+        fitted(wrong)
+    lines = caught.value.lines
+    assert any("50 samples" in line for line in lines)
+    assert any("layer dense1" in line and "5400 input axons" in line for line in lines)
+
+
+def test_the_network_on_simulated_recordings_must_fit_the_chip_too():
+    with pytest.raises(SeveralErrors, match="input axons"):
+        fitted(Settings().with_values({"cnn": {"architecture": "10x10-100c4-40-10o"}}))
+
+
+def test_one_class_is_told_as_such(tmp_path):
+    folder = write_folder(tmp_path / "own", per_class=3)
+    for name in CLASSES[1:]:
+        shutil.rmtree(folder / name)
+    for kind in ("image", "events"):
+        with pytest.raises(SeveralErrors, match="one class only"):
+            fitted(settings_of(folder, input={"kind": kind}))

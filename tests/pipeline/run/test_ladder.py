@@ -1,3 +1,5 @@
+import re
+
 import pytest
 
 from deploy.errors import UserError
@@ -101,7 +103,7 @@ def test_a_stage_that_loses_too_much_brings_the_layers():
     assert ladder["least_faithful_layer"] == "conv2"
     assert losing_stages(ladder, 1) == [("rate-lif", "emulator", pytest.approx(30))]
     text = ladder_text(ladder, 1)
-    assert "emulator loses 30.0 points on rate-lif, more than 1" in text
+    assert re.search(r"emulator .*\b30\.0 points .*rate-lif", text)
     assert "lowest correlation: conv2" in text
     assert "conv2       0.8700        0.500      0.0100" in text
     assert "conv2" not in ladder_text(ladder, 30)  # at the limit is not above it

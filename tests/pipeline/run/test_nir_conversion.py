@@ -6,21 +6,37 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
+from deploy.files import read_json
 from deploy.network.nir import deployed_network, nir_graph, write_nir
 from deploy.network.spec import Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes
 from deploy.preflight.plan import make_plan
-from deploy.targets.registry import answer
+from deploy.targets.registry import TARGETS, answer
 from models.nir_graph import read_nir
 from models.nir_layers import chosen, fired, layers_of
+from models.nir_simulator import simulate
+from pipeline.live.deciding import decider_of
+from pipeline.recordings.events import Sensor
+from pipeline.recordings.steps import EventTable
 from pipeline.run.nir_conversion import Stepped, settings_of_nir, spec_of_nir
+from pipeline.settings import Image
+from pipeline.skin.simulate import simulate as simulated_skin
 from tests.command import call as stmnist
-from tests.deploy.networks import host_first_spec, paper_spec, random_checks, small_spec
+from tests.deploy.networks import (
+    events_spec,
+    host_first_spec,
+    paper_spec,
+    random_checks,
+    random_frames,
+    small_spec,
+)
 from tests.models.nir_graphs import affine, conv, cuba_lif, lif, network_of, spikes
 
 nir = pytest.importorskip("nir")
 
+SIMULATORS = tuple(name for name, target in TARGETS.items() if not target.hardware)
 FRESH = Presentation(steps=60, gap=0, readout_start=0, stream_length=1)
 STEPPED = Stepped(0.001, "euler")
 
@@ -87,6 +103,23 @@ def test_spikes_are_the_chosen_integers_one_by_one():
         assert late.min() > 0
 
 
+def test_biases_of_a_filtered_readout_fade_in():
+    """Without spikes the score is the mean of the graph's output over the steps."""
+    network = network_of(
+        (2, 2, 2),
+        ("Flatten", {}),
+        ("Affine", {"weight": np.eye(3, 8), "bias": np.zeros(3)}),
+        lif(0.01, 12.0),
+        ("Affine", {"weight": np.eye(3), "bias": np.array([1.0, -2.0, 0.5])}),
+        ("LI", {"tau": 0.02, "r": 2.0, "v_leak": np.array([0.0, 0.3, 0.1])}),
+        ("Affine", {"weight": np.array([[1.0, 2, 0], [0, 1, 0], [0, 0, 1]]), "bias": np.ones(3)}),
+    )
+    frames = np.zeros((1, 60, 2, 2, 2), np.uint8)
+    spec = spec_of_nir(network, STEPPED, EventFrames(0.001, 0), FRESH, frames, {})
+    graph = simulate(network, np.zeros((1, 60, 2, 2, 2)), 0.001, "euler").outputs
+    np.testing.assert_allclose(answer(spec, frames, "fast").scores, graph.mean(1), atol=1e-9)
+
+
 def test_an_image_is_held():
     """Without rounding of rates: a pixel of 1 spikes every other step with twice the weight."""
     network = network_of((1, 2, 2), ("Flatten", {}), ("Linear", {"weight": np.eye(4)}),
@@ -100,7 +133,7 @@ def test_an_image_is_held():
     assert found[2] == found[3] == 0
 
 
-@pytest.mark.parametrize("make", [small_spec, paper_spec, host_first_spec])
+@pytest.mark.parametrize("make", [small_spec, paper_spec, host_first_spec, events_spec])
 def test_round_trip_through_nir(make, tmp_path):
     spec = make()
     write_nir(tmp_path / "network.nir", spec)
@@ -110,11 +143,23 @@ def test_round_trip_through_nir(make, tmp_path):
     for one, other in zip(back.layers, spec.layers, strict=True):
         np.testing.assert_allclose(one.weights, other.weights, rtol=1e-15)
         np.testing.assert_array_equal(one.bias, other.bias)
-    checks = random_checks(spec, 3)
+    held = spec.stimulus.held
+    inputs = random_checks(spec, 3).inputs if held else random_frames(spec, 3, share=0.2)
     if make is not paper_spec:
-        for target in ("nengo", "emulator", "fast"):
-            hashes = (answer(s, checks.inputs, target).spike_hashes for s in (spec, back))
+        for target in SIMULATORS:
+            hashes = (answer(s, inputs, target).spike_hashes for s in (spec, back))
             np.testing.assert_array_equal(*hashes)
+
+
+def test_an_exported_description_that_divides_by_zero_is_refused():
+    spec = small_spec()
+    graph = nir_graph(spec)
+    description = json.loads(graph.metadata["deployed"])
+    description["layers"][-1]["pool"] = 0
+    graph.metadata["deployed"] = json.dumps(description)
+    network = read_nir(graph)
+    with pytest.raises(UserError, match="deployed"):
+        deployed_network({n.name: n.parameters for n in network.nodes}, network.metadata)
 
 
 def test_an_imported_network_survives_the_round_trip(tmp_path):
@@ -124,8 +169,10 @@ def test_an_imported_network_survives_the_round_trip(tmp_path):
     graph = read_nir(nir_graph(spec))
     back = deployed_network({n.name: n.parameters for n in graph.nodes}, graph.metadata)
     assert back == replace(spec, provenance={})
-    one, other = (answer(s, frames, "fast") for s in (spec, back))
-    np.testing.assert_array_equal(one.spike_hashes, other.spike_hashes)
+    for target in SIMULATORS:
+        one, other = (answer(s, frames, target) for s in (spec, back))
+        np.testing.assert_array_equal(one.spike_hashes, other.spike_hashes)
+        np.testing.assert_array_equal(one.scores, other.scores)
     write_nir(tmp_path / "n.nir", spec)
     changes = settings_of_nir(tmp_path / "n.nir")
     assert changes["input"] == {"kind": "events", "step": 20.0, "refractory": 0.0}
@@ -150,6 +197,10 @@ def test_a_run_of_a_graph(tmp_path, capsys):
     assert stmnist("convert", run, "--nir", file, *few) == 0
     said = capsys.readouterr().err
     assert "hardly better than chance" in said
+    cost = read_json(run / "snn" / "metrics.json", "")["reset_by_subtraction"]
+    assert cost["samples"] == 64
+    assert cost["spikes"] > 1
+    assert 0 <= cost["agreement"] <= 1
     file.unlink()  # the run has its own copy
     assert stmnist("ladder", run, "--json", "--jobs", "1") == 0
     answered = capsys.readouterr()
@@ -161,19 +212,38 @@ def test_a_run_of_a_graph(tmp_path, capsys):
     assert stmnist("status", run) == 0
     assert "outdated" not in capsys.readouterr().out
     assert stmnist("report", run) == 0
+    assert stmnist("deploy", "energy", run / "bundle") == 0
+    assert "emulator" in (run / "report.html").read_text()
+    decides_as_its_check(read_bundle(run / "bundle"))
+
+
+def decides_as_its_check(bundle):
+    """The live page's decisions on whole recordings are those of ``fast``."""
+    recordings = simulated_skin(3, [1] * 10, jobs=1)
+    stimulus, steps = bundle.spec.stimulus, bundle.spec.presentation.steps
+    frames = EventTable.of(recordings).frames(
+        np.arange(10), 1000 * stimulus.seconds, steps, stimulus.rest
+    )
+    expected = answer(bundle.spec, np.moveaxis(frames, 0, 1), "fast")
+    decider = decider_of(bundle, Image(), Sensor())
+    for index in range(10):
+        said = decider.begin().answer(recordings[index], 4.0)
+        np.testing.assert_array_equal(said.scores, expected.scores[index])
+        assert said.decision == expected.predictions[index]
 
 
 BAD = [
     (["--nir", "missing.nir"], "cannot read"),
     (["--nir", "text.nir"], "not a NIR file"),
     (["--nir", "small.nir", "--model", "x.keras"], "--model and --nir"),
-    (["--nir", "small.nir", "--retrain"], "--retrain"),
     (["--step", "20"], "--nir FILE"),
+    (["--retrain"], "--nir FILE"),
     (["--nir", "small.nir", "--step", "5000"], "'input.step' must be"),
     (["--nir", "small.nir", "--step", "200"], "shorter than the step"),
     (["--nir", "small.nir", "--input", "image"], "for an input of 2 x 10 x 10"),
     (["--nir", "small.nir", "--set", "skin.rows=12", "--set", "skin.columns=12"], "2 x 12 x 12"),
     (["--nir", "nine.nir"], "puts out 9 values"),
+    (["--nir", "large.nir"], "large.nir: layer output (nodes"),
 ]
 
 
@@ -181,12 +251,17 @@ BAD = [
 def test_mistakes_are_one_line(options, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "text.nir").write_text("hello")
-    for name, outputs in (("small.nir", 10), ("nine.nir", 9)):
+    for name, outputs, weight in (
+        ("small.nir", 10, 1.0),
+        ("nine.nir", 9, 1.0),
+        ("large.nir", 10, 1e7),
+    ):
+        weights = np.full((outputs, 2, 10, 10), weight)
         nir.write(
             name,
             nir.NIRGraph.from_list(
                 nir.Input({"input": np.array([2, 10, 10])}),
-                nir.Conv2d((10, 10), np.ones((outputs, 2, 10, 10)), 1, 0, 1, 1, np.zeros(outputs)),
+                nir.Conv2d((10, 10), weights, 1, 0, 1, 1, np.zeros(outputs)),
                 nir.LIF(*(np.full((outputs, 1, 1), x) for x in (0.1, 8.0, 0.0, 1.0))),
                 nir.Output({"output": np.array([outputs, 1, 1])}),
             ),
@@ -195,8 +270,7 @@ def test_mistakes_are_one_line(options, message, tmp_path, monkeypatch, capsys):
     assert stmnist("convert", tmp_path / "run", *options, *few) == 2
     last = capsys.readouterr().err.strip().splitlines()[-1]
     assert message in last
-    assert not (tmp_path / "run" / "bundle").exists()
-    assert not (tmp_path / "run" / "snn").exists()
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_graph_that_was_changed_is_refused(tmp_path):

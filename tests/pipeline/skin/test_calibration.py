@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deploy.errors import CheckFailed
 from deploy.files import read_json
-from pipeline.commands import skin
-from pipeline.experiments.difficulty import AIM, RECORD
 from pipeline.paper import TABLE1
 from pipeline.recordings import table1
 from pipeline.skin import parameters
-from pipeline.skin.calibration import BOUNDS, LEFT_OUT, calibrate, cells, step
 from pipeline.skin.simulate import simulate, source_of
-from tests.command import call
+from tools import calibration
+from tools.calibration import BOUNDS, LEFT_OUT, calibrate, cells, step
+from tools.difficulty import AIM, RECORD
 
 
 @pytest.fixture(scope="module")
@@ -47,14 +47,14 @@ def test_table_1_comes_out(built_in, digit):
 def test_the_fit_is_of_what_is_simulated():
     fit = json.loads(parameters.CALIBRATION.read_text())["fit"]
     assert fit["recordings_sha256"] == source_of(fit["seed"]).sha256, (
-        "the simulation has changed since it was fitted; run: stmnist data calibrate"
+        "the simulation has changed since it was fitted; run: python -m tools.calibration"
     )
 
 
 def test_the_recordings_are_about_as_hard_as_the_papers():
-    record = read_json(RECORD, "run: stmnist data difficulty --store")
+    record = read_json(RECORD, "run: python -m tools.difficulty --store")
     assert record["source_sha256"] == source_of(0).sha256, (
-        "the simulation has changed since this was measured; run: stmnist data difficulty --store"
+        "the simulation has changed since then; run: python -m tools.difficulty --store"
     )
     assert len(record["accuracies"]) == 10
     assert AIM[0] <= np.mean(record["accuracies"]) <= AIM[1]
@@ -119,12 +119,18 @@ def test_a_fit_gets_better():
     assert worst.strain < 0.7 * before[0].strain
 
 
-def test_check_says_what_is_past_its_limit(monkeypatch, capsys):
-    # So few recordings are bound to miss.
-    few = [2] * 10
-    monkeypatch.setattr(skin, "SAMPLES_PER_DIGIT", few)
-    monkeypatch.setattr(skin, "simulate", lambda *a, **k: simulate(0, few, jobs=1))
-    assert call("data", "calibrate", "--check") == 1
-    printed = capsys.readouterr()
-    assert "of the limit" in printed.out
-    assert "past their limits" in printed.err
+def test_what_is_fitted_is_read_back(tmp_path):
+    path = tmp_path / "calibration.json"
+    calibration.write_calibration(path, parameters.load(), {"seed": 3, "rounds": 2})
+    stored = json.loads(path.read_text())
+    assert stored["fit"]["seed"] == 3
+    assert stored["forms"] == json.loads(parameters.CALIBRATION.read_text())["forms"]
+
+
+def test_a_check_fails_if_a_cell_exceeds_its_limit(monkeypatch, capsys):
+    few = [2] * 10  # so few recordings exceed some limit
+    monkeypatch.setattr(calibration, "SAMPLES_PER_DIGIT", few)
+    monkeypatch.setattr(calibration, "simulate", lambda *a, **k: simulate(0, few, jobs=1))
+    with pytest.raises(CheckFailed, match=r"^\d+ cells"):
+        calibration.main(check=True)
+    assert "of the limit" in capsys.readouterr().out

@@ -205,3 +205,37 @@ def test_two_strokes_leave_what_is_between_them_untouched():
     assert (np.isin(column, (0, 1, 2))).sum() > 20
     assert (np.isin(column, (7, 8, 9))).sum() > 20
     assert (np.isin(column, (4, 5))).sum() < 6  # at most a jolt
+
+
+def drawn(size, polarities=2):
+    """Events of a line over a skin, from near its first taxel to near its last."""
+    writing = Writing([1], P, size, polarities)
+    for share in np.linspace(0, 1, 30):
+        down, right = (share * (side - 1) for side in size)
+        writing.point(PenPoint(START_S + 0.5 * share, down, right, 0.5, True))
+        writing.advance(START_S + 0.5 * share)
+    writing.advance(START_S + 0.6)
+    return writing
+
+
+@pytest.mark.parametrize("size", [(9, 12), (1, 30), (40, 3)])
+def test_a_skin_of_any_size_feels_the_whole_line(size):
+    events = drawn(size).events
+    columns, rows = np.divmod(events.taxel, size[0])
+    assert rows.max() < size[0]
+    assert columns.max() < size[1]
+    early, late = (events.time_ns * 1e-9 < START_S + 0.1), (events.time_ns * 1e-9 > START_S + 0.4)
+    for place, side in ((rows, size[0]), (columns, size[1])):
+        assert np.median(place[late]) - np.median(place[early]) >= 0.5 * (side - 1)
+
+
+def test_a_sensor_of_one_polarity_reports_no_fall():
+    assert set(drawn((9, 12)).events.polarity) == {1, -1}
+    assert set(drawn((9, 12), 1).events.polarity) == {1}
+
+
+def test_a_pen_beyond_a_small_skin_is_refused():
+    writing = Writing([1], P, (3, 12))
+    writing.point(PenPoint(0.3, 2.0, 11.0, 0.5, True))
+    with pytest.raises(ValueError, match="outside"):
+        writing.point(PenPoint(0.4, 8.0, 11.0, 0.5, True))

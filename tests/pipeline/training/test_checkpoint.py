@@ -1,5 +1,6 @@
 """What an interruption leaves, and which training takes it up."""
 
+import numpy as np
 import pytest
 
 from deploy.errors import UserError
@@ -93,5 +94,27 @@ def test_a_checkpoint_of_other_variables_is_damaged(tmp_path):
     Training().run(path)
     other = Training()
     other.state = {"product": tf.Variable(1.0)}
-    with pytest.raises(UserError, match=r"state\.npz: damaged checkpoint"):
+    with pytest.raises(UserError, match=r"state\.npz: damaged"):
         other.run(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("history", "5"),
+        ("history", "[5]"),
+        ("history", '[{"epoch": 2, "accuracy": 0.5}]'),
+        ("history", '[{"epoch": 1, "accuracy": "high"}]'),
+        ("history", '[{"epoch": 1}]'),
+        ("history", "[" * 900 + "]" * 900),
+        ("sum", "x"),
+    ],
+)
+def test_a_checkpoint_of_odd_values_is_damaged(tmp_path, name, value):
+    path = tmp_path / "state.npz"
+    Training().run(path, epochs=1)
+    with np.load(path) as kept:
+        arrays = {**kept, name: np.array(value)}
+    np.savez(path, **arrays)
+    with pytest.raises(UserError, match=r"state\.npz: damaged"):
+        Training().run(path)

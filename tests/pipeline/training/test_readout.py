@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from deploy.network.rehearsal import Rehearsal
 from pipeline.training import readout
@@ -42,6 +43,8 @@ def test_a_person_who_differs_is_told_better_and_others_nearly_as_well(world):
     own[1] = 0.75 * centres[2] + 0.25 * centres[1] + 0.7 * rng.standard_normal(INPUTS)
     fit = refit(weights, bias, person_of(rng, own, 6), kept)
     assert fit.helps
+    np.testing.assert_array_equal(in_8_bits(fit.exact), fit.weights)
+    assert len(np.unique(fit.exact)) > len(np.unique(fit.weights))
     assert fit.after.mean() > fit.before.mean()
     unseen = clouds(rng, own, 100)
     gain = right(fit.weights, bias, *unseen) - right(weights, bias, *unseen)
@@ -151,3 +154,22 @@ def test_a_rehearsal_that_cannot_be(change, problem):
     again = Rehearsal.from_arrays(kept.arrays(), 4, 10)
     np.testing.assert_array_equal(again.labels, kept.labels)
     assert Rehearsal.from_arrays({}, 4, 10) is None
+
+
+def test_it_computes_in_one_thread(world, monkeypatch):
+    """Several took twelve times as long: the page's fit has to be there within two seconds."""
+    rng, centres, weights, bias, kept = world
+    threads = []
+    minimize = readout.minimize
+
+    def watched(*given, **options):
+        threads.append(
+            {lib["num_threads"] for lib in threadpool_info() if lib["user_api"] == "blas"}
+        )
+        return minimize(*given, **options)
+
+    monkeypatch.setattr(readout, "minimize", watched)
+    with threadpool_limits(2, user_api="blas"):
+        refit(weights, bias, person_of(rng, centres, 2), kept)
+    assert threads
+    assert set.union(*threads) == {1}

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from models.architecture import parse
+from models.keras2 import tf
 from models.slayer import SlayerNetwork
 from pipeline.settings import Slayer
 from pipeline.training import slayer
-from pipeline.training.slayer import spike_response, train_slayer
+from pipeline.training.slayer import Adam, spike_response, train_slayer
 from tests.untraced import untraced
 
 SETTINGS = Slayer(
@@ -37,10 +38,10 @@ def trained(data):
 def layer_spikes(settings, kernels, frames, duration_s=2.0):
     """Spikes of every layer of a trained network, shape (n_samples, bins, ...) each."""
     network = SlayerNetwork(parse(settings.architecture), spike_response(settings, duration_s))
-    for variable, kernel in zip(network.kernels, kernels, strict=True):
-        variable.assign(kernel)
-    theta = network.neuron.theta
-    return [np.moveaxis(u.numpy() >= theta, 0, 1) for _, u in network.layers(frames)]
+    for own, kernel in zip(network.kernels, kernels, strict=True):
+        own[:] = kernel
+    layers = zip(*(network.layers(frame) for frame in frames), strict=True)
+    return [np.array([spikes for _, spikes in samples]) for samples in layers]
 
 
 def test_it_learns(trained):
@@ -76,6 +77,19 @@ def test_time_is_that_of_the_recordings(trained, data):
         np.testing.assert_array_equal(mine, expected)
 
 
+def test_the_optimiser_is_that_of_keras():
+    rng = np.random.default_rng(0)
+    weights = [rng.normal(size=shape).astype(np.float32) for shape in ((3, 2), (4,))]
+    variables = [tf.Variable(array) for array in weights]
+    ours, keras = Adam(weights, 0.05), tf.keras.optimizers.Adam(0.05, amsgrad=True)
+    for scale in (1.0, 100.0, 0.01, 1.0):  # the largest square is not the latest
+        gradients = [scale * rng.normal(size=w.shape).astype(np.float32) for w in weights]
+        ours.apply(gradients)
+        keras.apply_gradients(zip(map(tf.constant, gradients), variables, strict=True))
+    for array, variable in zip(weights, variables, strict=True):
+        np.testing.assert_allclose(array, variable.numpy(), rtol=1e-5, atol=1e-6)
+
+
 def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):
     def interrupt(n, note):
         seen.append(n)
@@ -89,7 +103,7 @@ def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):
     resumed = train_slayer(SETTINGS, *data, 3, tmp_path / "state.npz", interrupt)
     assert seen[3:] == [3, 1, 1, 1]
     for got, expected in zip(resumed.kernels, trained.kernels, strict=True):
-        np.testing.assert_allclose(got, expected, atol=1e-5)
+        np.testing.assert_array_equal(got, expected)
     np.testing.assert_array_equal(resumed.counts, trained.counts)
 
 

@@ -20,19 +20,31 @@ to round is the parameters, and moves every parameter by a damped step towards i
 bounds that keep the digits on the array.  Steps get shorter from round to round, since the SDs hang
 on a few long recordings and jump about.  The round whose worst cell is best is kept.  The CNN is
 not asked: how hard the recordings are follows from ``parameters.toml``, which was set once.
+
+``python -m tools.calibration`` fits; with ``--check`` it compares the fit with Table 1.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import typer
 
+from deploy.errors import CheckFailed
+from deploy.files import write_json
 from deploy.tables import aligned
-from pipeline.paper import TABLE1
+from deploy.terminal import show
+from pipeline.commands import options
+from pipeline.commands.data import SimulationSeed
+from pipeline.commands.main import run_tool
+from pipeline.paper import SAMPLES_PER_DIGIT, TABLE1
+from pipeline.progress import progress
 from pipeline.recordings import table1
-from pipeline.skin.parameters import Form, Parameters
-from pipeline.skin.simulate import simulate
+from pipeline.skin.parameters import CALIBRATION, Form, Parameters, load
+from pipeline.skin.simulate import simulate, source_of
 
 LIMITS = {
     "on": (0.10, 0.25),
@@ -42,7 +54,7 @@ LIMITS = {
     "x_range": (0.5, None),
     "y_range": (0.5, None),
 }
-"""How far mean and SD may be off: relative for the counts, in taxels for places and ranges."""
+"""Limits of the errors of mean and SD: relative for counts, in taxels for places and ranges."""
 
 LEFT_OUT = frozenset({(3, "off", "sd")})
 """Cells that aren't fitted.
@@ -207,3 +219,53 @@ def calibrate(parameters: Parameters, rounds=12, seed=0, jobs=2, counts=None, ad
 def rounded(form: Form) -> Form:
     """The values as they are stored."""
     return Form(**{name: round(value, 4) for name, value in vars(form).items()})
+
+
+def write_calibration(path, parameters: Parameters, about: dict):
+    """Write what was fitted, with how it was.
+
+    Parameters
+    ----------
+    path : path-like
+    parameters : Parameters
+    about : dict
+        How the fit was made.
+    """
+    forms = {str(digit): vars(form) for digit, form in enumerate(parameters.forms)}
+    write_json(path, {"fit": about, "forms": forms})
+
+
+def main(
+    rounds: Annotated[int, typer.Option(help="Rounds of the fit.", min=1)] = 8,
+    seed: SimulationSeed = 0,
+    check: Annotated[
+        bool, typer.Option("--check", help="Do not fit; exit 1 if a cell exceeds its limit.")
+    ] = False,
+    out: Annotated[
+        Path, typer.Option(help="File for the fit.", show_default="the one that is read")
+    ] = CALIBRATION,
+    jobs: options.Jobs = 2,
+):
+    """Fit the simulated recordings to the paper's Table 1, or check the fit.
+
+    The simulation reads the file that is written by default.
+    """
+    fitted = load()
+    if not check:
+        with progress("calibrate", rounds * sum(SAMPLES_PER_DIGIT)) as advance:
+            fitted, _ = calibrate(fitted, rounds, seed, jobs, advance=advance)
+        content = source_of(seed, parameters=fitted).sha256
+        about = {"seed": seed, "rounds": rounds, "recordings_sha256": content}
+        write_calibration(out, fitted, about)
+    with progress("simulate", sum(SAMPLES_PER_DIGIT)) as advance:
+        recordings = simulate(seed, jobs=jobs, advance=advance, parameters=fitted)
+    found = cells(table1.table(recordings))
+    past = [cell for cell in found if cell.strain > 1]
+    show(cells_text(found[:8]))
+    show(f"seed {seed}: {len(found) - len(past)} of {len(found)} cells within their limits")
+    if past:
+        raise CheckFailed(f"{len(past)} cells of Table 1 are past their limits")
+
+
+if __name__ == "__main__":
+    run_tool(main)

@@ -2,25 +2,31 @@
 
 The simulated people's variation (``parameters.toml``) was set once so that this accuracy is near
 the paper's 0.89; it is not fitted to any other network.
+
+``python -m tools.difficulty``
 """
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated
+
 import numpy as np
+import typer
 
 from deploy.files import write_json
 from pipeline.artifacts import Origin
+from pipeline.commands import options
+from pipeline.commands.main import run_tool
 from pipeline.experiments.study import (
     Experiment,
-    Findings,
     Task,
-    Workers,
+    counted,
     measure_splits,
     summary_of_splits,
 )
 from pipeline.paper import TABLE2
 from pipeline.run import stages
-from pipeline.run.folder import RunFolder
 from pipeline.run.origins import cnn_origin
 from pipeline.settings import Settings
 from pipeline.skin.parameters import CALIBRATION
@@ -31,30 +37,6 @@ AIM = (0.86, 0.92)
 
 RECORD = CALIBRATION.with_name("difficulty.json")
 """The last measurement on the built-in recordings, with their hash."""
-
-
-def measure_difficulty(
-    folder: RunFolder, settings: Settings, splits: int, workers: Workers, say
-) -> Findings:
-    """Measure the random splits that have no result yet, and write the summary of all.
-
-    Parameters
-    ----------
-    folder : RunFolder
-        Of the results, locked.
-    settings : Settings
-    splits : int
-        How many, from the settings' own seed on.
-    workers, say
-        As in :func:`pipeline.experiments.study.study`.
-
-    Raises
-    ------
-    UserError, CheckFailed
-        As in :func:`pipeline.experiments.study.measure_splits`.
-    """
-    experiment = Experiment("difficulty", measure, summarise, result_origin)
-    return measure_splits(experiment, folder, settings, splits, workers, say)
 
 
 def result_origin(settings: Settings, dataset: Origin, subject: str = "") -> Origin:
@@ -68,9 +50,7 @@ def measure(task: Task) -> dict:
     metrics = stages.train(task.networks, task.settings, dataset, lambda line: None)
     return {
         "schema": SCHEMA,
-        "seed": task.seed,
-        "n_train": len(dataset.split.train),
-        "n_test": metrics["n_test"],
+        **counted(task, dataset),
         "accuracy": metrics["accuracy"]["test"],
     }
 
@@ -98,6 +78,32 @@ def difficulty_text(summary: dict) -> str:
     )
 
 
-def store(summary: dict):
-    """Save a measurement with the simulation's settings, in :data:`RECORD`."""
-    write_json(RECORD, summary)
+EXPERIMENT = Experiment("difficulty", measure, summarise, result_origin, difficulty_text)
+
+
+def main(
+    out: Annotated[
+        Path, typer.Option(help="Folder of the results; splits with a result are not run again.")
+    ] = Path("runs/difficulty"),
+    splits: Annotated[int, typer.Option(help="Random 80-20 splits.", min=1)] = 10,
+    *,
+    given: options.DataGiven,
+    store: Annotated[
+        bool, typer.Option("--store", help="Save the result with the simulation's settings.")
+    ] = False,
+    workers: options.Workers,
+    as_json: options.Json = False,
+):
+    """Measure the accuracy of the paper's CNN on the recordings, with the paper's protocol.
+
+    An interrupted measurement continues with the remaining splits.
+    """
+    with options.opened(out, given) as (folder, resolved):
+        found = measure_splits(EXPERIMENT, folder, resolved, splits, workers, options.say)
+    if store and not found.failed:
+        write_json(RECORD, found.summary)
+    options.conclude(found, difficulty_text, as_json)
+
+
+if __name__ == "__main__":
+    run_tool(main)

@@ -1,17 +1,27 @@
-"""The scaling of the cost of the target ``fast``, and the limits of its kernel with Numba."""
+"""The scaling of the cost of the target ``fast``, and the limits of its kernel with Numba.
+
+``python -m tools.emulator_limits BUNDLE``
+"""
 
 from __future__ import annotations
 
 import time
 from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Optional
 
 import numpy as np
+import typer
 
-from deploy.network.responses import seconds_per_sample
+from deploy.check.bundle import read_bundle
 from deploy.network.spec import NetworkSpec
 from deploy.targets.fast.arrays import State
 from deploy.targets.fast.emulation import Emulation, compile_spec
 from deploy.targets.fast.wiring import wiring
+from pipeline.commands import options
+from pipeline.commands.main import run_tool
+from pipeline.experiments.emulator_speed import kernels_here, mean_rate
+from pipeline.progress import progress
 
 
 def growth(spec: NetworkSpec, images) -> dict:
@@ -77,21 +87,6 @@ def _chip_rate(spec, emulation, streams):
     counts = emulation.run(streams, spec.presentation.steps, spec.presentation.gap).counts
     on_chip = [counts[layer.label] for layer in emulation.program.network.layers]
     return mean_rate(spec, np.concatenate([c.reshape(-1) for c in on_chip]))
-
-
-def mean_rate(spec: NetworkSpec, counts) -> float:
-    """Mean spikes per second of a neuron, while samples are presented and in their gaps.
-
-    A second is the stimulus's own: with events one on the skin, as :mod:`deploy.check.rates` has
-    it, however many steps of the chip stand for it.
-
-    Parameters
-    ----------
-    spec : NetworkSpec
-    counts : ndarray of int
-        Spikes of each neuron and sample.
-    """
-    return float(np.mean(counts) / seconds_per_sample(spec))
 
 
 def limits(spec: NetworkSpec, images) -> dict:
@@ -185,3 +180,62 @@ def _adds(dtype, length):
         add(a, b, times)
         seconds.append(time.perf_counter() - begun)
     return length * times / min(seconds)
+
+
+def growth_text(growth: dict) -> list:
+    """The result of :func:`growth`, as lines."""
+
+    def listed(name, unit):
+        return ", ".join(f"{row[name]:g}{unit} {1e3 * row['seconds']:.0f}" for row in growth[name])
+
+    brightness = ", ".join(
+        f"{row['chip_hz']:.0f} Hz {1e3 * row['seconds']:.0f}" for row in growth["brightness"]
+    )
+    return [
+        "milliseconds for",
+        f"  samples: {listed('samples', '')}",
+        f"  steps a sample: {listed('steps', '')}",
+        f"  mean rate on the chip: {brightness}",
+    ]
+
+
+def limits_text(limits: dict) -> list:
+    """The result of :func:`limits`, as lines."""
+
+    return [
+        f"chip: {limits['compartment_updates_per_second'] / 1e9:.2f} G compartment updates and "
+        f"{limits['synaptic_operations_per_second'] / 1e9:.2f} G synaptic operations a second; "
+        f"updates take {limits['share_of_time_updating']:.0%} of the time",
+        f"limit: this machine adds {limits['adds_per_second_in_cache'] / 1e9:.0f} G weights of "
+        f"{limits['weight_bits']} bits a second in its first cache and "
+        f"{limits['adds_per_second_from_memory'] / 1e9:.1f} G from memory;",
+        "  delivering spikes, padding included, adds "
+        f"{limits['weights_added_per_second'] / 1e9:.1f} G, "
+        f"{limits['share_of_cache_limit']:.0%} of the first",
+    ]
+
+
+def main(
+    bundle: options.Bundle = Path("runs/default/bundle"),
+    samples: Annotated[
+        Optional[int],  # noqa: UP045 - Typer reads the annotation at run time
+        typer.Option(help="Use only the first samples of the bundle's check.", min=1),
+    ] = None,
+    as_json: options.Json = False,
+):
+    """Measure how the time of the target fast grows, and what limits its kernel with Numba."""
+    opened = read_bundle(options.bundle_in(bundle))
+    images = opened.checks.inputs[:samples]
+    with progress("growth and limits", 2) as advance:
+        measured = {"growth": growth(opened.spec, images)}
+        advance()
+        if "numba" in kernels_here():
+            measured["limits"] = limits(opened.spec, images)
+        advance()
+    lines = growth_text(measured["growth"])
+    lines += limits_text(measured["limits"]) if "limits" in measured else []
+    options.tell(measured, lambda _: "\n".join(lines), as_json)
+
+
+if __name__ == "__main__":
+    run_tool(main)

@@ -1,0 +1,235 @@
+"""Figures that the documents quote, from the files in ``results/``.
+
+A figure stands between marks, and the documentation command writes it there:
+
+- ``<!-- figure: FILE PATH FORMAT -->0.891<!-- /figure -->``, one value of a JSON file: the path's
+  words lead through objects by key, through lists by the ``model`` or ``row`` of an entry, and the
+  format is Python's, with ``100*`` before it for points;
+- a table or the output of a command, by a name of :data:`TABLES`.
+
+Results know the recordings that they were measured on by hash.  Where these are not the built-in
+recordings of today, the table says so.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from deploy.errors import UserError
+from deploy.files import read_json
+from pipeline.experiments.choices import choices_text
+from pipeline.experiments.events import events_text
+from pipeline.experiments.losses import losses_text
+from pipeline.experiments.table2 import table_text
+from pipeline.experiments.table2_splits import MODELS
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+FOLDER = ROOT / "results"
+TABLE2 = ("table2-images", "table2-slayer", "table2-events", "table2-simulated")
+"""Files with rows of Table 2; of a row that several have, the first is shown."""
+
+EARLIER = "earlier recordings"
+
+
+def recordings_now() -> str:
+    """SHA-256 of the built-in recordings, as their calibration has stored it."""
+    return _read(ROOT / "pipeline" / "skin" / "calibration.json")["fit"]["recordings_sha256"]
+
+
+def result(name: str) -> dict:
+    """The content of a result file, by its name without ``.json``."""
+    return _read(FOLDER / f"{name}.json")
+
+
+def recordings_of(content: dict):
+    """SHA-256 of the recordings of a result; None if it does not say."""
+    return content.get("source_sha256") or content.get("recordings_sha256")
+
+
+def is_present(content: dict) -> bool:
+    """Whether a result was measured on the built-in recordings of today."""
+    return recordings_of(content) == recordings_now()
+
+
+def with_figures(text: str) -> str:
+    """A document with the values between the marks of single figures written anew."""
+
+    def write(found):
+        return f"<!-- figure: {found[1]} -->{figure(found[1])}<!-- /figure -->"
+
+    return re.sub(r"<!-- figure: ([^>]*?) -->.*?<!-- /figure -->", write, text, flags=re.DOTALL)
+
+
+def figure(address: str) -> str:
+    """One value, as text.
+
+    Parameters
+    ----------
+    address : str
+        File, path and format, such as ``losses-simulated loss chip-50 mean 100*.2f``.
+
+    Raises
+    ------
+    ValueError
+        The result has no such value.
+    """
+    name, *path, layout = address.split()
+    try:
+        value = result(name)
+        for word in path:
+            value = _entry(value, word)
+        points = layout.startswith("100*")
+        return format(100 * value if points else value, layout.removeprefix("100*"))
+    except (KeyError, IndexError, StopIteration, TypeError, ValueError, UserError) as error:
+        raise ValueError(f"figure {address!r}: {error!r}") from error
+
+
+def _entry(value, word):
+    if isinstance(value, dict):
+        return value[word]
+    if word.isdigit():
+        return value[int(word)]
+    return next(entry for entry in value if word in (entry.get("model"), entry.get("row")))
+
+
+def table2_markdown() -> str:
+    """Table 2 with random splits and splits with new writers, next to the paper's figures."""
+    lines = ["| | random splits | new writers | paper, real data |", "|---|---|---|---|"]
+    for name, model in MODELS.items():
+        paper = "" if model.paper is None else f"{model.paper[0]:.2f} ({model.paper[1]:.2f})"
+        cells = [_cell(name, key) for key in ("rows", "writer_rows")]
+        lines.append(f"| {model.title} | {' | '.join(cells)} | {paper} |")
+    return "\n".join(lines)
+
+
+def _cell(model, key):
+    """Mean (SD) over the splits of a row; how many where they are not ten; their recordings."""
+    for name in TABLE2:
+        if not (FOLDER / f"{name}.json").exists():
+            continue
+        content = result(name)
+        for row in content[key]:
+            if row["model"] == model and row["per_split"]:
+                sd = row["accuracy_sd"]
+                text = f"{row['accuracy_mean']:.3f}" + (f" ({sd:.3f})" if sd is not None else "")
+                splits = len(row["per_split"])
+                notes = [f"{splits} split{'s' * (splits > 1)}"] * (splits != 10)
+                notes += [EARLIER] * (not is_present(content))
+                return ", ".join([text, *notes])
+    return "not measured"
+
+
+def losses_markdown() -> str:
+    """Points lost from the CNN to the chip, next to the paper's."""
+    content = result("losses-simulated")
+    here = "here" if is_present(content) else f"here, {EARLIER}"
+    lines = [f"| points lost, 95 % interval | {here} | paper |", "|---|---|---|"]
+    for stage, title, paper in (
+        ("spiking-lif", "CNN to spiking network (NengoDL)", "2"),
+        ("chip-100", "CNN to chip, presented for 100 steps", "3"),
+        ("chip-50", "CNN to chip, presented for 50 steps, half the operations", ""),
+    ):
+        loss = content["loss"][stage]
+        low, high = (100 * bound for bound in loss["ci95"])
+        lines.append(f"| {title} | {100 * loss['mean']:.2f} ({low:.2f} to {high:.2f}) | {paper} |")
+    return "\n".join(lines)
+
+
+def events_markdown() -> str:
+    """The network on events over seeds, on simulated hands and on real pen trajectories."""
+    content, now = result("events-seeds"), recordings_now()
+    of_hands = content["sha256"]["simulated hands"]
+    hands = "simulated writers" if of_hands == now else "earlier simulated writers"
+    groups = {"simulated hands": [], "real pen trajectories": []}
+    for name, run in content["runs"].items():
+        groups[name.partition(",")[0]].append(run)
+    simulated, real = groups.values()
+    heads = "recordings", "trained", "chip", "operations", "agreement"
+    heads = [*heads, "early decision after", "its accuracy"]
+    keys = "trained", "fast", "operations", "agreement", "share", "accuracy_by_itself"
+
+    def cells(pick):
+        values = dict(
+            zip(keys, (pick([run[key] for run in simulated]) for key in keys), strict=True)
+        )
+        return _of_events(values)
+
+    mean, low, high = cells(lambda v: sum(v) / len(v)), cells(min), cells(max)
+    rows = [
+        [f"{hands}, mean of {len(simulated)} seeds", *mean],
+        ["lowest and highest of them", *(f"{a}, {b}" for a, b in zip(low, high, strict=True))],
+        *(
+            [f"**real pen trajectories**, seed {seed}", *_of_events(run)]
+            for seed, run in enumerate(real)
+        ),
+    ]
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _of_events(run):
+    return [
+        f"{run['trained']:.3f}",
+        f"{run['fast']:.3f}",
+        f"{run['operations']:.2f}",
+        f"{run['agreement']:.1%}".replace("%", " %"),
+        f"{run['share']:.0%}".replace("%", " %"),
+        f"{run['accuracy_by_itself']:.3f}",
+    ]
+
+
+def _table2_output(name, command):
+    content = result(name)
+    _, rows = table_text(content).split("\n\n", 1)
+    return _output(command, rows, content)
+
+
+def _output(command, text, content, built_in=True):
+    """What a command printed, in a block; the recordings if they should be today's and are not."""
+    block = f"```\n$ {command}\n{text.rstrip()}\n```"
+    return "\n".join([block, *(_note(content) if built_in else [])])
+
+
+def _note(content):
+    if is_present(content):
+        return []
+    earlier = (recordings_of(content) or "unknown")[:8]
+    return ["", f"(Measured on {EARLIER}, SHA-256 `{earlier}...`.)"]
+
+
+TABLES = {
+    "table 2": table2_markdown,
+    "output of table2": lambda: _table2_output("table2-images", "stmnist benchmark table2"),
+    "earlier output of table2": lambda: _table2_output(
+        "table2-simulated", "stmnist benchmark table2"
+    ),
+    "output of table2 on events": lambda: _table2_output(
+        "table2-events", "stmnist benchmark table2 --models events,events-loihi"
+    ),
+    "losses": losses_markdown,
+    "output of losses": lambda: _text("losses-simulated", "stmnist benchmark losses", losses_text),
+    "output of conversion": lambda: _text(
+        "conversion-simulated", "stmnist benchmark conversion", choices_text
+    ),
+    "output of events": lambda: _text("events-simulated", "stmnist benchmark events", _rows),
+    "output of events with pen trajectories": lambda: _text(
+        "events-pen", "stmnist benchmark events --data pen.zip --out runs/time-pen", _rows, False
+    ),
+    "events over seeds": events_markdown,
+}
+"""What is inserted between the marks of a name, as Markdown."""
+
+
+def _text(name, command, text_of, built_in=True):
+    content = result(name)
+    return _output(command, text_of(content), content, built_in)
+
+
+def _rows(content):
+    """The rows of :func:`events_text` without what the columns mean, which the page explains."""
+    return events_text(content).partition("\n\nas-is:")[0]
+
+
+def _read(path):
+    return read_json(path, "it is a file of the repository: restore it")

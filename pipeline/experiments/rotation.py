@@ -1,0 +1,344 @@
+"""Networks for people whose handwriting nothing was fitted to, in rotation over people.
+
+The people of a file of pen trajectories are divided into folds.  For each fold the model of
+handwriting is estimated from all other people, a network is trained on recordings simulated with
+it, and the fold's own trajectories are pressed on the same simulated skin.  The simulation's
+calibration is the built-in one.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from deploy.errors import CheckFailed, UserError
+from deploy.files import sha256_of, write_json
+from pipeline.artifacts import Artifact, Origin
+from pipeline.experiments.adaptation import METHODS, Plan, Subjects, methods_text, summary_of
+from pipeline.experiments.study import Findings, Task, Workers, study
+from pipeline.inputs.dataset import Dataset, dataset_origin, split_of
+from pipeline.inputs.library import simulated
+from pipeline.jobs import Failure
+from pipeline.paper import SAMPLES_PER_DIGIT
+from pipeline.recordings.events import Recordings, Source
+from pipeline.recordings.steps import EventTable
+from pipeline.run import stages
+from pipeline.run.adaptation import Responder, with_rehearsal
+from pipeline.run.folder import NetworkLibrary, RunFolder
+from pipeline.run.origins import bundle_origin, events_origin
+from pipeline.settings import SIMULATED, Settings
+from pipeline.skin import parameters, shape_fit, unipen
+from pipeline.skin.simulate import source_of
+
+SCHEMA = "stmnist-rotation/1"
+
+NETWORK = ("fold", "fitted", "accuracy", "n_train", "n_test", "training_sha256", "people_sha256")
+"""Values of the summary for the network of each fold."""
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Some people of a file, and what a network for them is trained on.
+
+    Attributes
+    ----------
+    index : int
+    traces : tuple of Trace
+        The pen trajectories of the fold's people.
+    parameters : Parameters
+        Those of the simulation, with the model of handwriting of the other people.
+    fitted : int
+        How many people the model was estimated from.
+    """
+
+    index: int
+    traces: tuple
+    parameters: parameters.Parameters
+    fitted: int
+
+    def source(self, settings: Settings) -> Source:
+        """Name and hash of :meth:`training`, without simulating it."""
+        return source_of(*_training(settings), parameters=self.parameters)
+
+    def training(self, settings: Settings) -> Dataset:
+        """Recordings simulated with the model of the other people's handwriting, and their split.
+
+        Parameters
+        ----------
+        settings : Settings
+            Their number is ``data.samples_per_digit``, their seed ``data.simulation_seed``.
+        """
+        recordings = simulated(*_training(settings), 1, parameters=self.parameters)
+        shares = settings.split.test_fraction, settings.split.validation_fraction
+        split = split_of(recordings, settings.seed, *shares)
+        origin = dataset_origin(settings, recordings.source.sha256)
+        return Dataset(recordings, split, origin, settings)
+
+    def people_source(self, settings: Settings) -> Source:
+        """Name and hash of :meth:`people`, without simulating them."""
+        return source_of(*self._pressed(settings), **self._how)
+
+    def people(self, settings: Settings) -> Recordings:
+        """The fold's trajectories, each pressed on the skin once."""
+        return simulated(*self._pressed(settings), 1, **self._how)
+
+    @property
+    def _how(self):
+        return {"parameters": self.parameters, "traces": self.traces}
+
+    def _pressed(self, settings):
+        counts = np.bincount([trace.digit for trace in self.traces], minlength=10)
+        return settings.data.simulation_seed, counts
+
+
+def fold_of(pen: Path, index: int, folds: int, most: int = 0) -> Fold:
+    """Fold number ``index`` of the people of a file: every ``folds``-th of them.
+
+    Parameters
+    ----------
+    pen : Path
+        UNIPEN file.
+    index, folds : int
+    most : int
+        Of the others the model is estimated from no more than so many, the first ones; 0: from
+        all.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, or too few people remain to estimate the model from.
+    """
+    traces = unipen.read(pen)
+    writers = sorted({trace.writer for trace in traces if trace.writer >= 0})
+    people = set(writers[index::folds])
+    others = [writer for writer in writers if writer not in people]
+    others = set(others[: most or None])
+    try:
+        shapes = shape_fit.estimate([trace for trace in traces if trace.writer in others])
+    except ValueError as error:
+        raise UserError(
+            f"{pen}: {error} of the {len(others)} writers that fold {index} leaves; "
+            "give a file of more people, or more folds"
+        ) from error
+    return Fold(
+        index,
+        tuple(trace for trace in traces if trace.writer in people),
+        replace(parameters.load(), shapes=shapes),
+        len(others),
+    )
+
+
+def _training(settings):
+    """Seed and counts of the recordings to train on."""
+    each = settings.data.samples_per_digit
+    return settings.data.simulation_seed, [each] * 10 if each else list(SAMPLES_PER_DIGIT)
+
+
+@dataclass(frozen=True)
+class Rotation:
+    """Measurements on the people of a file.
+
+    Attributes
+    ----------
+    pen : Path
+        UNIPEN file.
+    plan : Plan
+    folds : int
+    most : int
+        See :func:`fold_of`.
+    methods : tuple of str
+        Keys of :data:`pipeline.experiments.adaptation.METHODS`.
+    """
+
+    pen: Path
+    plan: Plan
+    folds: int = 3
+    most: int = 0
+    methods: tuple = ("readout",)
+
+
+def measure_rotation(
+    rotation: Rotation, folder: RunFolder, settings: Settings, workers: Workers, say
+) -> Findings:
+    """Measure missing or outdated folds, and write the summary over all people.
+
+    Parameters
+    ----------
+    rotation : Rotation
+    folder : RunFolder
+        Of the results, locked.
+    settings : Settings
+        Of the networks, on simulated recordings.
+    workers, say
+        As in :func:`pipeline.experiments.study.study`.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read or has too few people.
+    CheckFailed
+        Everything failed.
+    """
+    if settings.data.source != SIMULATED:
+        raise UserError(
+            "the networks are trained on simulated recordings; leave out data.source, or give "
+            "RUN and --data to measure a network that there is"
+        )
+    if "all-layers" in rotation.methods and not settings.on_events:
+        raise UserError("all-layers is only for networks on events (--input events)")
+    groups = []
+    for index in range(rotation.folds):
+        fold = fold_of(rotation.pen, index, rotation.folds, rotation.most)
+        tasks = [
+            _task(rotation, fold, method, folder, settings)
+            for method in rotation.methods
+            if METHODS[method].chosen_on != index
+        ]
+        groups.append(tasks)
+    folder.save_settings(settings)
+    results = study("adapt", partial(_measure, rotation), groups, workers, say)
+    failed = [name for name, result in results.items() if isinstance(result, Failure)]
+    whole = [result for result in results.values() if not isinstance(result, Failure)]
+    if not whole:
+        raise CheckFailed("all of it failed; see above")
+    summary = {
+        "schema": SCHEMA,
+        "pen_sha256": sha256_of(rotation.pen),
+        "simulated": True,
+        "input": settings.input.kind,
+        "folds": rotation.folds,
+        "seed": rotation.plan.seed,
+        "networks": [
+            {name: value for name, value in result.items() if name in NETWORK}
+            for result in whole
+            if result["method"] == whole[0]["method"]
+        ],
+        "methods": {
+            method: summary_of(
+                [row for result in whole if result["method"] == method for row in result["rows"]]
+            )
+            for method in dict.fromkeys(result["method"] for result in whole)
+        },
+    }
+    write_json(folder.path / "adapt.json", summary)
+    again = f"{', '.join(failed)} failed; the same command tries again" if failed else ""
+    return Findings(summary, again)
+
+
+def _task(rotation, fold, method, folder, settings):
+    root, plan = folder.path.absolute(), rotation.plan
+    source = fold.source(settings).sha256
+    contents = {
+        "schema": SCHEMA,
+        "people": fold.people_source(settings).sha256,
+        "method": method,
+        "plan": json.dumps([plan.each, plan.draws, plan.seed]),
+    }
+    if how := METHODS[method].how:
+        contents["how"] = how
+    made = bundle_origin(settings, dataset_origin(settings, source))
+    origin = Origin.of(settings, uses=[made], contents=contents)
+    return Task(
+        artifact=Artifact(f"{method}, fold {fold.index}", root / f"{method}-{fold.index}.json"),
+        origin=origin,
+        settings=origin.view(settings),
+        recordings=source,
+        networks=NetworkLibrary(root / "networks"),
+        subject=f"{fold.index} {method}",
+    )
+
+
+def _measure(rotation, task):
+    """Fit the network of a fold to the fold's people; the methods of a fold share both."""
+    index, method = task.subject.split()
+    origin = bundle_origin(task.settings, dataset_origin(task.settings, task.recordings))
+    key = origin.key, rotation.pen, int(index)
+    if key not in _PREPARED:
+        _PREPARED.clear()
+        _PREPARED[key] = _prepared(rotation, task, int(index))
+    about, subjects = _PREPARED[key]
+    return {
+        "schema": SCHEMA,
+        "method": method,
+        **about,
+        "rows": subjects.measured(rotation.plan, METHODS[method]),
+    }
+
+
+_PREPARED = {}
+
+
+def _prepared(rotation, task, index):
+    """Train the network of a fold, unless it is kept, and run it on the fold's people."""
+    fold = fold_of(rotation.pen, index, rotation.folds, rotation.most)
+    settings, dataset = task.settings, fold.training(task.settings)
+    metrics = task.trained(dataset)
+    train = dataset.split.train
+    spec = stages.spec_of(task.networks, settings, dataset, {})
+    spec = with_rehearsal(spec, dataset.inputs, dataset.labels, train, settings.seed)
+    people = fold.people(settings)
+    about = {
+        "fold": fold.index,
+        "fitted": fold.fitted,
+        "accuracy": metrics["accuracy"],
+        "n_train": len(train),
+        "n_test": len(dataset.split.test),
+        "training_sha256": dataset.recordings.source.sha256,
+        "people_sha256": people.source.sha256,
+    }
+    tune = None
+    if settings.on_events:
+        network = events_origin(settings, dataset.origin)
+        weights = stages.read_weights(task.networks.network("snn", network), settings)
+        tune = _Tuning(settings, dataset, people, weights, spec.presentation.confidence)
+    return about, Subjects.of(spec, dataset.part("test"), people, rotation.plan, tune=tune)
+
+
+TUNING_EPOCHS, TUNING_RATE = 2, 1e-3
+
+HALF = 500
+"""Training samples, and as many repetitions of a person's, in an epoch of tuning all layers."""
+
+
+@dataclass(frozen=True)
+class _Tuning:
+    """Trains all layers of a network further, half on a person's and half on training samples."""
+
+    settings: Settings
+    dataset: Dataset
+    people: Recordings
+    weights: dict
+    confidence: float
+
+    def __call__(self, who, learned, judged):
+        mine = np.flatnonzero(self.people.writers == who)
+        return partial(self._tuned, mine[learned], mine[judged])
+
+    def _tuned(self, learned, judged, labels, seed):
+        from pipeline.run.event_conversion import deployed_on_events
+        from pipeline.training.events import EventRecipe, tune_events  # TensorFlow
+
+        epochs = {"epochs": TUNING_EPOCHS, "learning_rate": TUNING_RATE}
+        recipe = replace(EventRecipe.of(self.settings), **epochs)
+        train, test = self.dataset.split.train, self.dataset.split.test
+        some = np.random.default_rng([seed, 0xA11]).permutation(train)[:HALF]
+        own = self.people.part(learned)
+        table = EventTable.of(own).followed_by(EventTable.of(self.dataset.recordings.part(some)))
+        both = np.concatenate([labels, self.dataset.labels[some]])
+        every = len(own) + np.arange(len(some))
+        train = np.concatenate([np.resize(np.arange(len(own)), len(some)), every])
+        weights = {**self.weights, **tune_events(recipe, self.weights, table, both, train, seed)}
+        spec = deployed_on_events(self.settings, weights, self.confidence, {})
+        responder = Responder(spec)
+        rest = responder.responses(responder.shown(self.people.part(judged)))
+        others = responder.responses(self.dataset.inputs[test])
+        return rest, others, spec.layers[-1].weights
+
+
+def rotation_text(summary: dict) -> str:
+    """The result of :func:`measure_rotation` as tables."""
+    return f"{methods_text(summary)}\nreal pen trajectories pressed on the simulated skin"

@@ -1,0 +1,210 @@
+"""Recordings that the page shows as examples: the samples of the network's check, or kept ones.
+
+An example is played at its own pace to the same decider that answers to a pen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deploy.check.bundle import Bundle
+from deploy.errors import UserError
+from deploy.network.stimulus import EventFrames
+from pipeline.inputs.library import recordings_of
+from pipeline.live.keeping import Keeper
+from pipeline.recordings.events import Events, Recordings
+from pipeline.run.folder import RunFolder
+from pipeline.settings import read_settings
+from pipeline.skin.writing import START_S
+
+TEST, KEPT = "test", "kept"
+"""Sources of examples: the network's check, or the page's folder."""
+
+AFTERWARDS_S = 0.05
+"""Time from an example's last event to its end."""
+
+
+@dataclass(frozen=True)
+class Example:
+    """A recording to be shown.
+
+    Attributes
+    ----------
+    events : Events
+        Of the page's sensor, whose taxels are counted column by column; the first event is at
+        :data:`pipeline.skin.writing.START_S`.
+    label : int
+    name : str
+    """
+
+    events: Events
+    label: int
+    name: str
+
+
+class Examples:
+    """Examples in random order; none comes again before all of its class have been shown.
+
+    Parameters
+    ----------
+    keeper : Keeper
+    tests : list of Example
+    seed : sequence of int
+    """
+
+    def __init__(self, keeper: Keeper, tests, seed):
+        self._keeper, self._tests = keeper, tests
+        self._rng, self._decks = np.random.default_rng(seed), {}
+
+    def counts(self) -> list:
+        """Samples of the check, of each class."""
+        n = len(self._keeper.sensor.classes)
+        return np.bincount(np.array([e.label for e in self._tests], int), minlength=n).tolist()
+
+    def draw(self, origin: str, label: int | None = None) -> Example:
+        """The next example.
+
+        Parameters
+        ----------
+        origin : str
+            :data:`TEST` or :data:`KEPT`.
+        label : int, optional
+            Default: any.
+
+        Raises
+        ------
+        UserError
+            There is none, or its file cannot be read.
+        """
+        there = self._tests if origin == TEST else self._keeper.kept
+        fitting = {e.name: e for e in there if label is None or e.label == label}
+        if not fitting:
+            raise UserError("there is no example of that; choose another class")
+        deck = [name for name in self._decks.get((origin, label), ()) if name in fitting]
+        if not deck:
+            deck = self._rng.permutation(sorted(fitting)).tolist()
+        chosen = fitting[deck.pop()]
+        self._decks[origin, label] = deck
+        if origin == TEST:
+            return chosen
+        return Example(_from_start(self._keeper.read(chosen)), chosen.label, chosen.name)
+
+
+class Replayed:
+    """A recording that is there already, in the place of a :class:`~pipeline.skin.writing.Writing`.
+
+    Parameters
+    ----------
+    events : Events
+    """
+
+    def __init__(self, events: Events):
+        self._every = events
+        self.time_s = START_S
+        last_s = events.time_ns[-1] * 1e-9 if len(events) else START_S
+        self.settled_s = float(last_s) + AFTERWARDS_S
+
+    @property
+    def events(self) -> Events:
+        """Everything so far."""
+        return self._between(0, self.time_s)
+
+    def advance(self, until_s: float) -> Events:
+        """Let time pass and return the events of it."""
+        begun_s, self.time_s = self.time_s, max(self.time_s, until_s)
+        return self._between(begun_s, self.time_s)
+
+    def _between(self, begun_s, until_s):
+        first, end = np.searchsorted(self._every.time_ns, np.array([begun_s, until_s]) * 1e9)
+        return Events(*(getattr(self._every, name)[first:end] for name in vars(self._every)))
+
+
+def check_examples(run: RunFolder, bundle: Bundle) -> list:
+    """The samples of a network's check: as recorded, where its run has the recordings.
+
+    Parameters
+    ----------
+    run : RunFolder
+        The folder around the bundle, which may be no run.
+    bundle : Bundle
+
+    Raises
+    ------
+    UserError
+        There are none, with the reason.
+    """
+    try:
+        if not run.experiment.exists():
+            raise UserError(f"{bundle.path}: is a bundle without its run and recordings")
+        return recorded_examples(run, bundle)
+    except UserError:
+        if not (tests := bundle_examples(bundle)):
+            raise
+        return tests
+
+
+def recorded_examples(run: RunFolder, bundle: Bundle) -> list:
+    """The samples of a run's check, as they were recorded.
+
+    Raises
+    ------
+    UserError
+        The recordings are not there any more, or are others than the network was trained on.
+    """
+    settings = read_settings(run.experiment)
+    recordings = recordings_of(settings)
+    if recordings.source.sha256 != bundle.spec.provenance.get("source_sha256"):
+        raise UserError(f"{settings.data.source}: has changed since the network was trained")
+    index = {name: i for i, name in enumerate(recordings.ids)}
+    some = [index[name] for name in bundle.checks.ids if name in index]
+    part = recordings.part([i for i in some if recordings.offsets[i] < recordings.offsets[i + 1]])
+    return [
+        Example(_from_start(_column_by_column(part, i)), int(part.labels[i]), part.ids[i])
+        for i in range(len(part))
+    ]
+
+
+def _column_by_column(recordings: Recordings, index):
+    """Events of a recording with the taxels numbered as the page does it."""
+    events, taxels = recordings[index], recordings.taxels
+    number = taxels.column * recordings.sensor.rows + taxels.row
+    return replace(events, taxel=number[events.taxel])
+
+
+def bundle_examples(bundle: Bundle) -> list:
+    """The samples of a bundle's check: of one on events, to the step; of one on images, none.
+
+    An image does not tell when its events were.
+    """
+    stimulus, checks = bundle.spec.stimulus, bundle.checks
+    if not isinstance(stimulus, EventFrames):
+        return []
+    step_ns = round(1e9 * stimulus.step_seconds)
+    return [
+        Example(_from_start(_events_of(frames, step_ns)), int(label), name)
+        for frames, label, name in zip(checks.inputs, checks.labels, checks.ids, strict=True)
+        if frames.any()
+    ]
+
+
+def _events_of(frames, step_ns):
+    """Frames, shape (steps, rows, columns, 2), as events in the middle of their steps.
+
+    Those of the first step are at its start, from which the network counts.
+    """
+    step, row, column, polarity = np.nonzero(frames)
+    return Events(
+        step * step_ns + np.where(step > 0, step_ns // 2, 0),
+        column * frames.shape[1] + row,
+        np.where(polarity == 0, 1, -1),
+        np.ones(len(step)),
+    )
+
+
+def _from_start(events):
+    """With the first event at the time of a pen's first touch."""
+    if not len(events):
+        return events
+    return replace(events, time_ns=events.time_ns - events.time_ns[0] + round(START_S * 1e9))

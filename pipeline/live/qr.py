@@ -1,0 +1,32 @@
+"""QR codes of the page's address, for the camera of another device."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+
+import segno
+
+
+@dataclass(frozen=True)
+class QRCode:
+    """A QR code.
+
+    Attributes
+    ----------
+    svg : bytes
+        Black on white, whatever is behind it.
+    text : str
+        For a terminal, two modules a character.
+    """
+
+    svg: bytes
+    text: str
+
+
+def qr_code(url: str) -> QRCode:
+    """The QR code of an address."""
+    code, svg, text = segno.make_qr(url, error="m"), io.BytesIO(), io.StringIO()
+    code.save(svg, kind="svg", light="white", scale=8, svgclass=None, lineclass=None)
+    code.terminal(text, compact=True)
+    return QRCode(svg.getvalue(), text.getvalue())

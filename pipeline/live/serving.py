@@ -1,0 +1,137 @@
+"""The live page of a run or a bundle, for the command and from Python."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import webbrowser
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+from deploy.errors import UserError
+from deploy.interrupts import orderly
+from deploy.terminal import remark, show
+from pipeline.live.network import (
+    about,
+    facts_of_run,
+    network_of_bundle,
+    network_of_run,
+    record_folder,
+    sensor_of,
+)
+from pipeline.run.folder import RunFolder
+from pipeline.run.status import outdated_note
+from pipeline.skin import parameters
+
+PORT = 8765
+
+
+def live(run, port: int = PORT, record=None, host: str | None = None, open_browser: bool = True):
+    """Serve the live page of a run until it is interrupted.
+
+    Parameters
+    ----------
+    run : path-like
+        Folder of a run or of a bundle.
+    port, record, host, open_browser
+        As of :func:`serve`.
+
+    Raises
+    ------
+    UserError
+        There is no network, or the port is in use.
+    """
+    run = Path(run)
+
+    def network():
+        found = network_of_bundle(run) or network_of_run(RunFolder(run))
+        if found is None:
+            raise UserError(f"{run}: has no bundle; make it with 'stmnist ladder {run}'")
+        return found
+
+    serve(network, port, record, host, open_browser)
+
+
+def serve(
+    network: Callable,
+    port: int = PORT,
+    record=None,
+    host: str | None = None,
+    open_browser: bool = True,
+    say=remark,
+):
+    """Serve the live page of a network until it is interrupted.
+
+    Parameters
+    ----------
+    network : callable
+        Gives the bundle and how events become its images; called once the port is known to be free.
+    port : int
+        0 for any free one.
+    record : path-like, optional
+        Folder for the recordings; default: :func:`pipeline.live.network.record_folder`.
+    host : str, optional
+        Address of this machine; default: for this machine only.
+    open_browser : bool
+    say : callable
+        Called with lines about what happens.
+
+    Raises
+    ------
+    UserError
+        A package is missing, the port is in use, or the page cannot show this network.
+    """
+    try:
+        from pipeline.live.keeping import Keeper
+        from pipeline.live.qr import qr_code
+        from pipeline.live.server import HOST, Live, Server, listen
+    except ImportError as error:
+        raise UserError(
+            f"the page needs {error.name}: pip install 'stmnist-loihi[live]', or make setup"
+        ) from error
+    host = host or HOST
+    with contextlib.ExitStack() as opened:
+        # Said now, not when the network is trained: a port that is in use.
+        listening = opened.enter_context(closing(listen(port, host)))
+        bundle, image = network()
+        folder = RunFolder(bundle.path.parent)
+        sensor = sensor_of(bundle, facts_of_run(folder))
+        record = Path(record or record_folder(bundle, sensor))
+        keeper = opened.enter_context(closing(Keeper(record, sensor)))
+        note = outdated_note(bundle.path)
+        if note is not None:
+            say(note)
+
+        def make_decider():
+            from pipeline.live.deciding import decider_of  # Nengo: a second that the page can spare
+
+            return decider_of(bundle, image, sensor)
+
+        def make_learner():
+            from pipeline.live.learning import Learner
+
+            return Learner.of(bundle, image, record, sensor)
+
+        def make_tests():
+            from pipeline.live.examples import check_examples
+
+            return check_examples(folder, bundle)
+
+        def when_listening(url):
+            show(f"live: {url}", flush=True)
+            if host != HOST:
+                show(qr_code(url).text, flush=True)
+            if open_browser:  # in a thread: some browsers return when they are closed
+                threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+
+        told = about(bundle, sensor, record, note)
+        page = Live(
+            make_decider, keeper, parameters.load(), told,
+            make_learner=make_learner, make_tests=make_tests,
+        )  # fmt: skip
+        with orderly():
+            try:
+                Server(page, listening, when_listening, host).run()
+            finally:
+                say(f"live: ended; {len(keeper)} recordings are kept in {record}")

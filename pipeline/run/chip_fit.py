@@ -1,0 +1,98 @@
+"""A check, before training, that the chip can hold a network of an architecture."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.stimulus import EventFrames, ImageCurrent, ImageSpikes
+from models.architecture import parse
+from pipeline.settings import Deployment, Settings
+
+REMEDIES = {
+    "compartments": "choose fewer neurons",
+    "input axons": "let the layer have fewer inputs: a convolution with a stride, or an averaging "
+    "such as 4a, before it",
+    "output axons": "choose fewer filters, or fewer neurons in the layer after it",
+    "AxonCfg registers": "choose fewer filters, or fewer neurons in the layer after it",
+    "synapse words": "choose fewer filters, or a smaller kernel",
+}
+
+
+def chip_problems(settings: Settings) -> list:
+    """Why the cores of the chip cannot hold the network that the settings describe.
+
+    NengoLoihi's builder makes the blocks of an untrained network of the same architecture; what a
+    core must hold does not depend on the values of the weights.
+
+    Parameters
+    ----------
+    settings : Settings
+
+    Returns
+    -------
+    list of str
+        One line for each layer and limit, with the excess and a remedy; empty if the network fits,
+        and for a network from a NIR graph, which is compared with the chip when it is read.
+    """
+    default = Settings()
+    section = "events" if settings.on_events else "cnn"
+    text, usual = (getattr(s, section).architecture for s in (settings, default))
+    if settings.nir.file or (text, settings.deployment) == (usual, default.deployment):
+        return []
+    return list(_problems(text, settings.on_events, settings.deployment))
+
+
+@functools.lru_cache(maxsize=8)
+def _problems(text, on_events, deployment):
+    from deploy.preflight.plan import excesses  # imports NengoLoihi, which takes seconds
+
+    return tuple(
+        f"{text}: layer {excess.layer} needs {excess.used} {excess.resource} on {excess.cores} of "
+        f"its {excess.of_cores} core{'' if excess.of_cores == 1 else 's'}, a core has "
+        f"{excess.limit}; {REMEDIES[excess.resource]}"
+        for excess in excesses(untrained(text, on_events, deployment))
+    )
+
+
+def untrained(text: str, on_events: bool, deployment: Deployment) -> NetworkSpec:
+    """A network with random weights.
+
+    Parameters
+    ----------
+    text : str
+        Its architecture.
+    on_events : bool
+        Whether its input is events, not images.
+    deployment : pipeline.settings.Deployment
+    """
+    architecture, rng, layers = parse(text), np.random.default_rng(0), []
+    first, *_, output = parts = architecture.folded
+    stimulus = EventFrames() if on_events else ImageSpikes()
+    if not on_events and deployment.first_layer == "host":
+        stimulus = ImageCurrent()
+    for folded in parts:
+        on_host = not on_events and deployment.first_layer == "host" and folded is first
+        on_host |= folded is output and (on_events or deployment.readout == "host")
+        shape = architecture.weight_shapes[f"{folded.name}.kernel"]
+        weights = rng.uniform(0.5, 1.0, shape)
+        layers.append(
+            Layer(
+                placement="host" if on_host else "chip",
+                neurons=None if folded is output and on_host else Neurons("lif", 0.01),
+                synapse=None if on_host else deployment.synapse or None,
+                weights=folded.layer.deployed_weights(weights),
+                bias=np.zeros(shape[-1]),
+                **folded.geometry(deployment.pop_type),
+            )
+        )
+    return NetworkSpec(
+        architecture=str(architecture),
+        input_shape=architecture.input_shape,
+        stimulus=stimulus,
+        layers=tuple(layers),
+        presentation=Presentation(),
+        provenance={},
+    )

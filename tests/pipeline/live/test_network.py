@@ -1,0 +1,67 @@
+"""The sensor, the classes and the folder that the page has for a network."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.check.bundle import Bundle, read_bundle
+from deploy.errors import UserError
+from pipeline.live.network import SHIPPED, about, facts_of_run, record_folder, sensor_of
+from pipeline.recordings.events import Sensor
+from pipeline.run.folder import RunFolder
+from tests.own_sensor import CLASSES
+
+BUNDLE = read_bundle(SHIPPED)
+
+
+def changed(shape=(9, 12, 2), inputs=None, **provenance) -> Bundle:
+    """The package's bundle with another description; its layers are not looked at here."""
+    spec = replace(BUNDLE.spec, provenance={**BUNDLE.spec.provenance, **provenance})
+    object.__setattr__(spec, "input_shape", shape)
+    checks = BUNDLE.checks if inputs is None else replace(BUNDLE.checks, inputs=inputs)
+    return replace(BUNDLE, spec=spec, checks=checks)
+
+
+def test_the_network_of_the_package_is_for_digits():
+    sensor = sensor_of(BUNDLE, {})
+    assert sensor == Sensor()
+    assert record_folder(BUNDLE, sensor) == "written"
+    assert about(BUNDLE, sensor, "written")["digits"] is True
+
+
+def test_a_data_set_of_ones_own_has_its_words_and_a_folder_of_its_own():
+    names = [*CLASSES, *(f"Klasse {n}" for n in range(6))]
+    bundle = changed(classes=names, source="Über/own data (2).zip")
+    sensor = sensor_of(bundle, {"sensor": {"polarities": 1}})
+    assert sensor == Sensor(9, 12, 1, classes=tuple(names))
+    assert record_folder(bundle, sensor) == "written-own-data-2"
+    told = about(bundle, sensor, "x")
+    assert (told["classes"], told["digits"], told["rows"]) == (names, False, 9)
+    assert record_folder(changed(source="../.."), sensor) == "written-9x12"
+
+
+def test_without_names_classes_are_numbers():
+    for said in (None, "0123456789", ["a"] * 10, [1] * 10, ["a", "b"]):
+        assert sensor_of(changed(classes=said), {}).classes == Sensor().classes
+
+
+def test_polarities_are_those_of_the_check_where_no_run_says():
+    frames = np.zeros((3, 5, 9, 12, 2), np.uint8)
+    frames[..., 0] = 1
+    assert sensor_of(changed(inputs=frames), {}).polarities == 1
+    assert sensor_of(changed(), {}).polarities == 2
+
+
+@pytest.mark.parametrize("shape", [(100,), (10, 10, 1), (10, 10, 3)])
+def test_a_network_that_reads_no_sensor_is_refused(shape):
+    with pytest.raises(UserError, match="shape"):
+        sensor_of(changed(shape), {})
+
+
+def test_the_facts_of_a_run_that_is_none_or_damaged_are_nothing(tiny_run, tmp_path):
+    assert facts_of_run(RunFolder(tiny_run))["sensor"]["polarities"] == 2
+    assert facts_of_run(RunFolder(tmp_path)) == {}
+    (tmp_path / "experiment.toml").write_text("")
+    (tmp_path / "dataset.json").write_text("[")
+    assert facts_of_run(RunFolder(tmp_path)) == {}

@@ -1,0 +1,287 @@
+"""Measure the figures of README and docs again: the files in ``results/``.
+
+``python -m tools.results --list`` says which files are current, why others are not, and how long
+each takes; ``python -m tools.results`` measures those that are not, quick ones first, and
+``python -m tools.results losses`` only that one.  Each measurement is a command of ``stmnist`` that
+continues where it was interrupted, in a folder below ``--work``.  Afterwards
+``python -m pipeline.commands.documentation`` writes the figures into the documents.
+"""
+
+from __future__ import annotations
+
+import datetime
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deploy.errors import UserError
+from deploy.files import read_json
+from deploy.tables import aligned
+from pipeline.artifacts import CURRENT, Artifact, Origin
+from pipeline.commands.figures import FOLDER
+from pipeline.commands.main import run_tool
+from pipeline.inputs.library import recordings_of
+from pipeline.settings import Settings
+
+IMAGES = "cnn,ann-snn,loihi,own-ann-snn,own-loihi"
+ARCHITECTURES = (
+    "10x10-6c4-24c3-10o,10x10-12c4s2-64-10o,10x10-12c3-2a-48-10o,10x10-8c3s2p-24c3p-10o,"
+    "10x10-16c3s2p-32-10o,10x10-8c4s2-32c3-10o,10x10-12c4s3-48-10o,10x10-6c4-16c3s2-10o"
+)
+SEEDS = 5
+"""Of the networks on events."""
+
+CHIP = ("tensorflow", "numpy", "nengo", "nengo-dl", "nengo-loihi")
+SLAYER = ("numpy", "numba")
+
+
+@dataclass(frozen=True)
+class Work:
+    """Where and how a result is measured.
+
+    Attributes
+    ----------
+    folder : Path
+        Of everything that is measured.
+    jobs : int
+        Processes.
+    pen : str
+        File of pen trajectories; empty if there is none.
+    """
+
+    folder: Path
+    jobs: int
+    pen: str = ""
+
+    def run(self, *words):
+        """Run a command of ``stmnist``.
+
+        Raises
+        ------
+        UserError
+            It failed; it has printed why.
+        """
+        words = [str(word) for word in words]
+        status = subprocess.run([sys.executable, "-m", "pipeline", *words]).returncode
+        if status:
+            raise UserError(f"stmnist {' '.join(words)}: exit status {status}")
+
+    def summary(self, file: str, *words) -> dict:
+        """Run a command with the option ``--out``; the content of a file that it writes there."""
+        path = self.folder / file
+        self.run(*words, "--out", path.parent, "--jobs", self.jobs)
+        return read_json(path, "delete it and run the command again")
+
+    def pen_recordings(self) -> Path:
+        """The pen trajectories as recordings, which are simulated if they are not there.
+
+        Raises
+        ------
+        UserError
+            There is no file of pen trajectories.
+        """
+        path = self.folder / "pen.zip"
+        if path.exists():
+            return path
+        if not self.pen:
+            raise UserError("pen trajectories are needed: --pen pendigits-train.unipen")
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.run("data", "simulate", "--handwriting", self.pen, "--out", path)
+        return path
+
+
+@dataclass(frozen=True)
+class Result:
+    """A file in ``results/``.
+
+    Attributes
+    ----------
+    name : str
+        Without ``.json``.
+    minutes : int
+        Expected on two cores of which nothing else makes use.
+    measure : callable
+        From a :class:`Work` to the content of the file.
+    packages : tuple of str
+        That its figures depend on, beside this one.
+    pen : bool
+        Whether it needs pen trajectories.
+    """
+
+    name: str
+    minutes: int
+    measure: Callable
+    packages: tuple
+    pen: bool = False
+
+    @property
+    def artifact(self) -> Artifact:
+        """The file."""
+        return Artifact(self.name, FOLDER / f"{self.name}.json")
+
+    def origin(self, recordings: str) -> Origin:
+        """What it is made from: the built-in recordings and versions."""
+        versions = {f"version of {package}": version(package) for package in self.packages}
+        return Origin.of(Settings(), contents={"recordings": recordings, **versions})
+
+
+def _table2(models):
+    """Measure rows of Table 2, on ten random splits and ten with new writers."""
+
+    def measure(work):
+        words = ("benchmark", "table2", "--models", models)
+        table = work.summary("table2/table2.json", *words)
+        asked = models.split(",")
+        for key in ("rows", "writer_rows"):
+            table[key] = [row for row in table[key] if row["model"] in asked]
+        table["comparisons"] = [c for c in table["comparisons"] if {c["a"], c["b"]} <= {*asked}]
+        return table
+
+    return measure
+
+
+def _benchmark(verb):
+    return lambda work: work.summary(f"{verb}/{verb}.json", "benchmark", verb)
+
+
+def _events_with_pen(work):
+    words = ("benchmark", "events", "--data", work.pen_recordings())
+    return work.summary("events-pen/events.json", *words)
+
+
+def _sweep(*words):
+    def measure(work):
+        folder = work.folder / ("architectures" if words else "sweep")
+        work.run("sweep", folder, *words, "--jobs", work.jobs)
+        return read_json(folder / "sweep.json", "delete it and run the command again")
+
+    return measure
+
+
+def _events(work):
+    words = ("benchmark", "events", "--seeds", SEEDS)
+    return work.summary("events/events.json", *words)
+
+
+def _events_over_seeds(work):
+    """Each seed of the unchanged events, from the results behind the two benchmarks of variants."""
+    hands, pens = _events(work), _events_with_pen(work)
+    runs = {
+        f"simulated hands, seed {seed}": _run_on_events(work, "events", seed)
+        for seed in range(SEEDS)
+    }
+    runs["real pen trajectories, seed 0"] = _run_on_events(work, "events-pen", 0)
+    sources = {
+        "simulated hands": hands["source_sha256"],
+        "real pen trajectories": pens["source_sha256"],
+    }
+    return {"simulated": True, "sha256": sources, "runs": runs}
+
+
+def _run_on_events(work, folder, seed):
+    path = work.folder / folder / f"as-is-{seed:02d}.json"
+    content = read_json(path, "delete it and run the command again")
+    right = [a == b for a, b in zip(content["labels"], content["predictions"], strict=True)]
+    keys = ("trained", "operations", "agreement", "share", "accuracy_by_itself", "confidence")
+    kept = {key: content[key] for key in (*keys, "n_test")}
+    return {"fast": sum(right) / len(right), **kept}
+
+
+RESULTS = (
+    Result("losses-simulated", 10, _benchmark("losses"), CHIP),
+    Result("conversion-simulated", 10, _benchmark("conversion"), CHIP),
+    Result("architectures", 10, _sweep("--grid", f"cnn.architecture={ARCHITECTURES}"), CHIP),
+    Result("table2-images", 12, _table2(IMAGES), CHIP),
+    Result("events-pen", 13, _events_with_pen, CHIP, pen=True),
+    Result("sweep", 15, _sweep(), CHIP),
+    Result("table2-events", 55, _table2("events,events-loihi"), CHIP),
+    Result("events-simulated", 65, _events, CHIP),
+    Result("events-seeds", 1, _events_over_seeds, CHIP, pen=True),
+    Result("table2-slayer", 270, _table2("slayer,slayer-small"), SLAYER),
+)
+"""All that is measured, in this order: quick ones first, events-seeds after its parts."""
+
+
+def states(recordings: str, results=RESULTS) -> list:
+    """The results, each with its :class:`pipeline.artifacts.State`."""
+    return [(result, result.artifact.state(result.origin(recordings))) for result in results]
+
+
+def listing(found) -> str:
+    """The states as a table, with the time that the results take that are not current."""
+    rows = [["result", "state", "minutes", "why"]]
+    for result, state in found:
+        why = state.reasons() or ("needs --pen" if result.pen and not state.is_current else "")
+        rows.append([result.name, state.state, str(result.minutes), why])
+    left = sum(result.minutes for result, state in found if state.state != CURRENT)
+    return "\n".join([*aligned(rows), f"{left / 60:.1f} hours for those that are not current"])
+
+
+def measure(result: Result, work: Work, recordings: str) -> dict:
+    """Measure a result and write its file, with what it was made from, on what and when."""
+    begun = time.time()
+    content = {key: value for key, value in result.measure(work).items() if key != "made_from"}
+    content["measured"] = {
+        "processor": processor(),
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+        "ended": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "seconds_of_this_session": round(time.time() - begun),
+    }
+    return result.artifact.write(result.origin(recordings), content)
+
+
+def processor() -> str:
+    """Name of this machine's processor."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        return next(line.partition(":")[2].strip() for line in lines if "model name" in line)
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine()
+
+
+def main(
+    names: Annotated[
+        list[str] | None, typer.Argument(help="Results; default: all that are not current.")
+    ] = None,
+    list_: Annotated[bool, typer.Option("--list", help="Only list them and their states.")] = False,
+    work: Annotated[
+        Path, typer.Option(help="Folder of what is being measured; kept, to continue there.")
+    ] = Path("runs/results"),
+    jobs: Annotated[int, typer.Option(help="Processes.", min=1)] = 2,
+    pen: Annotated[
+        str, typer.Option(help="UNIPEN file of real handwriting, for results on it.")
+    ] = "",
+):
+    """Measure the files in results/ that are missing or out of date, quick ones first."""
+    known = {result.name: result for result in RESULTS}
+    if unknown := [name for name in names or () if name not in known]:
+        raise UserError(f"{unknown[0]}: no such result; there are {', '.join(known)}")
+    recordings = recordings_of(Settings(), jobs).source.sha256
+    found = states(recordings, [known[name] for name in names] if names else RESULTS)
+    print(listing(found))
+    if list_:
+        return
+    for result, state in found:
+        if state.is_current:
+            continue
+        if result.pen and not pen:
+            print(f"{result.name}: left out; it needs --pen", file=sys.stderr)
+            continue
+        print(f"{result.name}: some {result.minutes} minutes", flush=True)
+        # What other versions have measured must not be taken for a result of these.
+        folder = work / result.origin(recordings).key[:16]
+        measure(result, Work(folder, jobs, pen), recordings)
+
+
+if __name__ == "__main__":
+    run_tool(main)
