@@ -103,6 +103,26 @@ def test_a_command_that_fails_leaves_no_result(two, tmp_path):
     assert of(results.states("a" * 64, two)) == [CURRENT, MISSING]
 
 
+def test_splits_with_slayer_are_kept_also_if_the_others_are_interrupted(tmp_path, monkeypatch):
+    def interrupted(work, file, *words):
+        folder = work.folder / "table2" / "splits" / "random-01"
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "slayer.json").write_text('{"accuracy": 0.5}')
+        raise UserError("interrupted")
+
+    monkeypatch.setattr(results, "KEPT", tmp_path / "kept")
+    monkeypatch.setattr(results.Work, "summary", interrupted)
+    earlier = tmp_path / "kept" / "random-00" / "slayer-small.json"
+    earlier.parent.mkdir(parents=True)
+    earlier.write_text('{"accuracy": 0.75}')
+    with pytest.raises(UserError, match="interrupted"):
+        results._slayer(results.Work(tmp_path / "work", 1))
+    splits = tmp_path / "work" / "table2" / "splits"
+    assert json.loads((splits / "random-00" / "slayer-small.json").read_text())["accuracy"] == 0.75
+    kept = tmp_path / "kept" / "random-01" / "slayer.json"
+    assert json.loads(kept.read_text())["accuracy"] == 0.5
+
+
 def test_every_result_has_a_name_of_its_own():
     names = [result.name for result in results.RESULTS]
     assert len(set(names)) == len(names)

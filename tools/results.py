@@ -24,7 +24,7 @@ from typing import Annotated
 import typer
 
 from deploy.errors import UserError
-from deploy.files import read_json
+from deploy.files import read_json, write_json
 from deploy.tables import aligned
 from pipeline.artifacts import CURRENT, Artifact, Origin
 from pipeline.commands.figures import FOLDER
@@ -40,8 +40,21 @@ ARCHITECTURES = (
 SEEDS = 5
 """Of the networks on events."""
 
+DRAWS = 5
+"""Of the recordings that are learned of each person."""
+
+ADAPTED = "readout,wrong-labels,pes,all-layers"
+"""Ways of fitting a network on events to a person."""
+
+SMALLER = ("--set", "data.samples_per_digit=400", "--set", "events.epochs=30")
+"""Recordings and epochs of networks on events that are trained for a fold of people."""
+
 CHIP = ("tensorflow", "numpy", "nengo", "nengo-dl", "nengo-loihi")
 SLAYER = ("numpy", "numba")
+
+
+KEPT = FOLDER / "slayer"
+"""Results of splits with SLAYER: ``random-00/slayer.json`` and so on."""
 
 
 @dataclass(frozen=True)
@@ -82,21 +95,25 @@ class Work:
         return read_json(path, "delete it and run the command again")
 
     def pen_recordings(self) -> Path:
-        """The pen trajectories as recordings, which are simulated if they are not there.
+        """The pen trajectories as recordings, which are simulated if they are not there."""
+        path = self.folder / "pen.zip"
+        if path.exists():
+            return path
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.run("data", "simulate", "--handwriting", self.pen_file(), "--out", path)
+        return path
+
+    def pen_file(self) -> str:
+        """The file of pen trajectories.
 
         Raises
         ------
         UserError
-            There is no file of pen trajectories.
+            None was given.
         """
-        path = self.folder / "pen.zip"
-        if path.exists():
-            return path
         if not self.pen:
             raise UserError("pen trajectories are needed: --pen pendigits-train.unipen")
-        self.folder.mkdir(parents=True, exist_ok=True)
-        self.run("data", "simulate", "--handwriting", self.pen, "--out", path)
-        return path
+        return self.pen
 
 
 @dataclass(frozen=True)
@@ -149,6 +166,31 @@ def _table2(models):
     return measure
 
 
+def _slayer(work):
+    """Rows of Table 2 with SLAYER; continues with the splits that the repository has.
+
+    A split takes a quarter of an hour, so that each is kept once it is measured.
+    """
+    splits = work.folder / "table2" / "splits"
+    for path in _of_slayer(KEPT):
+        if not (splits / path).exists():
+            _copy(path, KEPT, splits)
+    try:
+        return _table2("slayer,slayer-small")(work)
+    finally:
+        for path in _of_slayer(splits):
+            _copy(path, splits, KEPT)
+
+
+def _of_slayer(folder):
+    return [path.relative_to(folder) for path in folder.glob("*/slayer*.json")]
+
+
+def _copy(path, source, target):
+    (target / path).parent.mkdir(parents=True, exist_ok=True)
+    write_json(target / path, read_json(source / path, "delete it and run the command again"))
+
+
 def _benchmark(verb):
     return lambda work: work.summary(f"{verb}/{verb}.json", "benchmark", verb)
 
@@ -156,6 +198,17 @@ def _benchmark(verb):
 def _events_with_pen(work):
     words = ("benchmark", "events", "--data", work.pen_recordings())
     return work.summary("events-pen/events.json", *words)
+
+
+def _adapt(kind, methods, *settings):
+    """Measure networks for people to whom nothing was fitted, before and after fitting them."""
+
+    def measure(work):
+        words = ("benchmark", "adapt", "--handwriting", work.pen_file(), "--input", kind)
+        words += ("--methods", methods, "--draws", DRAWS)
+        return work.summary(f"adapt-{kind}/adapt.json", *words, *settings)
+
+    return measure
 
 
 def _sweep(*words):
@@ -202,11 +255,13 @@ RESULTS = (
     Result("architectures", 10, _sweep("--grid", f"cnn.architecture={ARCHITECTURES}"), CHIP),
     Result("table2-images", 12, _table2(IMAGES), CHIP),
     Result("events-pen", 13, _events_with_pen, CHIP, pen=True),
+    Result("adapt-images", 10, _adapt("image", "readout,wrong-labels"), CHIP, pen=True),
+    Result("adapt-events", 30, _adapt("events", ADAPTED, *SMALLER), CHIP, pen=True),
     Result("sweep", 15, _sweep(), CHIP),
     Result("table2-events", 55, _table2("events,events-loihi"), CHIP),
     Result("events-simulated", 65, _events, CHIP),
     Result("events-seeds", 1, _events_over_seeds, CHIP, pen=True),
-    Result("table2-slayer", 270, _table2("slayer,slayer-small"), SLAYER),
+    Result("table2-slayer", 270, _slayer, SLAYER),
 )
 """All that is measured, in this order: quick ones first, events-seeds after its parts."""
 
