@@ -21,7 +21,7 @@ from pipeline.settings import Settings, describe
 ROOT = Path(__file__).resolve().parent.parent.parent
 FILES = (
     *("README.md", "docs/commands.md", "docs/settings.md"),
-    *("docs/benchmarks.md", "docs/events.md", "docs/training.md"),
+    *("docs/adapt.md", "docs/benchmarks.md", "docs/events.md", "docs/live.md", "docs/training.md"),
 )
 """Where the parts stand, from the root of the repository."""
 

@@ -26,8 +26,8 @@ from pipeline.experiments.table2_splits import MODELS
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 FOLDER = ROOT / "results"
-TABLE2 = ("table2-images", "table2-slayer", "table2-events", "table2-simulated")
-"""Files with rows of Table 2; of a row that several have, the first is shown."""
+TABLE2 = ("table2-images", "table2-slayer", "table2-events")
+"""Files with rows of Table 2."""
 
 EARLIER = "earlier recordings"
 
@@ -44,7 +44,12 @@ def result(name: str) -> dict:
 
 def recordings_of(content: dict):
     """SHA-256 of the recordings of a result; None if it does not say."""
-    return content.get("source_sha256") or content.get("recordings_sha256")
+    made_from = (content.get("made_from") or {}).get("contents", {})
+    return (
+        content.get("source_sha256")
+        or content.get("recordings_sha256")
+        or made_from.get("recordings")
+    )
 
 
 def is_present(content: dict) -> bool:
@@ -179,6 +184,40 @@ def _of_events(run):
     ]
 
 
+FITTED = {
+    "readout": "readout on the host",
+    "wrong-labels": "the same, a tenth of the labels wrong",
+    "pes": "readout on the chip, PES",
+    "all-layers": "all layers, on the host",
+}
+"""What the ways of :mod:`pipeline.experiments.adaptation` fit to a person."""
+
+
+def adaptation_markdown(name: str) -> str:
+    """A network for people to whom nothing was fitted, before and after it is fitted to each.
+
+    Parameters
+    ----------
+    name : str
+        A result of ``stmnist benchmark adapt --handwriting``.
+    """
+    heads = ("fitted", "people, draws", "of each digit", "before", "after", "gain, points")
+    heads = [*heads, "worst person", "lost", "changed"]
+    lines = [heads, ["---"] * len(heads)]
+    for method, found in result(name)["methods"].items():
+        for count, row in found["each"].items():
+            low, high = row["interval95"]
+            cells = [
+                *(FITTED[method], f"{found['people']}, {found['draws']}", count),
+                *(f"{row['before']:.3f}", f"{row['after']:.3f}"),
+                f"{row['gain_points']:+.1f} ({low:+z.1f} to {high:+z.1f})",
+                *(format(row["worst"], "+z.1f"), format(row["lost"], "z.1f")),
+                f"{row['used']:.0%}".replace("%", " %"),
+            ]
+            lines.append(cells)
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
 def _table2_output(name, command):
     content = result(name)
     _, rows = table_text(content).split("\n\n", 1)
@@ -201,9 +240,6 @@ def _note(content):
 TABLES = {
     "table 2": table2_markdown,
     "output of table2": lambda: _table2_output("table2-images", "stmnist benchmark table2"),
-    "earlier output of table2": lambda: _table2_output(
-        "table2-simulated", "stmnist benchmark table2"
-    ),
     "output of table2 on events": lambda: _table2_output(
         "table2-events", "stmnist benchmark table2 --models events,events-loihi"
     ),
@@ -217,6 +253,8 @@ TABLES = {
         "events-pen", "stmnist benchmark events --data pen.zip --out runs/time-pen", _rows, False
     ),
     "events over seeds": events_markdown,
+    "adaptation on events": lambda: adaptation_markdown("adapt-events"),
+    "adaptation on images": lambda: adaptation_markdown("adapt-images"),
 }
 """What is inserted between the marks of a name, as Markdown."""
 

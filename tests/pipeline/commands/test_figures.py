@@ -66,13 +66,6 @@ def test_a_row_says_its_recordings_and_how_many_splits_there_are(folder):
     assert paper == "0.81 (0.01)"
 
 
-def test_a_later_measurement_takes_the_place_of_an_earlier_one(folder):
-    store(folder, "table2-simulated", BEFORE)
-    assert figures.EARLIER in row_of("CNN")[0]
-    store(folder, "table2-images", NOW)
-    assert row_of("CNN")[0] == "0.891 (0.006)"
-
-
 def test_the_calibration_knows_the_built_in_recordings():
     assert len(figures.recordings_now()) == 64
 
