@@ -80,13 +80,13 @@ def _hardware(result):
     text = (
         f"\nboard {board['board'] or 'of the cluster'}, partition {board['partition'] or 'none'}, "
         f"NxSDK {result['versions']['nxsdk']}, {board['connections']} connections; "
-        f"a sample: {phases}"
+        f"per sample: {phases}"
     )
     text += (
-        f"\nspikes of {result['samples_unlike_fast']} samples are not those of the chip's integers "
-        "(target fast): lost on the way, or the board computes otherwise"
+        f"\nspikes of {result['samples_unlike_fast']} samples differ from those of the target "
+        "fast: some were lost, or the board computes differently"
         if result["samples_unlike_fast"]
-        else "\nevery spike is that of the chip's integers (target fast)"
+        else "\nall spikes are identical to those of the target fast"
     )
     if "power" in result:
         power = result["power"]
