@@ -35,7 +35,7 @@ def summary(result: dict) -> str:
 
 
 def others_text(result: dict) -> str:
-    """A result on other recordings than the bundle's own: :func:`summary`, classes and writers."""
+    """Format a result on other recordings: :func:`summary`, classes and writers."""
     named = result["classes"]
     short = {name: name if len(name) <= 40 else name[:26] + "…" + name[-13:] for name in named}
     lines = [

@@ -192,7 +192,7 @@ class Excess:
 
 
 def excesses(spec: NetworkSpec) -> List[Excess]:
-    """The limits of a core that a network exceeds, whatever the values of its weights are.
+    """The limits of a core that a network exceeds, independently of the values of its weights.
 
     Raises
     ------
@@ -311,7 +311,7 @@ def _pop16_problems(placed):
 
 
 def _lost_weights(spec, cores):
-    """Layers of whose weights nothing is left in the chip's integers."""
+    """Layers whose weights all become 0 in the chip's integers."""
     for layer in spec.layers:
         parts = [core for core in cores if core.layer == layer.name]
         if parts and layer.weights.any() and not any(core.worst_input for core in parts):
