@@ -1,7 +1,7 @@
-"""Is this host one that the bundle runs on?  Asked before anything else is imported.
+"""Check that the bundle can run on this host, before anything else is imported.
 
-Only the standard library is imported here: with versions that do not fit, importing NengoLoihi is
-what fails, and it fails with a traceback.
+Only the standard library is imported here, because with unsuitable versions the import of
+NengoLoihi fails with a traceback.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def complaint():
     Returns
     -------
     str or None
-        None if it is fit.
+        None if the bundle can run.
     """
     if sys.version_info < OLDEST_PYTHON or version is None:
         found = ".".join(str(n) for n in sys.version_info[:3])

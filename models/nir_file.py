@@ -1,14 +1,14 @@
-"""NIR files read as data: groups, numbers and texts of an HDF5 file, as plain nested values.
+"""Read NIR files as data: groups, numbers and texts of an HDF5 file, as plain nested values.
 
 NIR (Neuromorphic Intermediate Representation; Pedersen et al., Nature Communications 15, 8122,
 2024) is written by the package ``nir`` as HDF5: a group ``node`` that describes the graph, with one
-group a node below ``nodes``, and the pairs of names ``edges``.  What the nodes mean is not decided
-here but in :mod:`models.nir_graph`.
+group for each node below ``nodes``, and the pairs of names ``edges``.  :mod:`models.nir_graph`
+interprets the nodes.
 
 Nothing in a file is executed, and the package ``nir`` is not needed: only groups, numbers and texts
 in the file itself are read.  Links to other files, virtual and external storage, and filters other
-than HDF5's usual ones, which would be plug-ins, are refused.  The file is opened in a process of
-its own (:mod:`models.apart`); run as a script, this module is that process.
+than HDF5's usual ones, which would be plug-ins, are refused.  The file is opened in a separate
+process (:mod:`models.apart`); this module, run as a script, is that process.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 class NirError(UserError):
-    """A file or graph is no NIR, or holds what cannot be used; the message is one line."""
+    """A file or graph is not NIR, or has parts that cannot be used; the message is one line."""
 
 
 def shown(text) -> str:
-    """Text from a file, quoted, on one line and not too long to be printed."""
+    """Text from a file for a message: quoted, on one line, and shortened."""
     text = repr(str(text)[:60])
     return text if len(text) <= 80 else text[:77] + "...'"
 
@@ -61,13 +61,14 @@ def read_nir_file(path) -> dict:
     Returns
     -------
     dict
-        As ``nir.NIRGraph.to_dict()`` gives it: a ``type``, ``nodes`` by name, ``edges``, and
-        whatever else is there.  Numbers are arrays, texts are ``str``.
+        As ``nir.NIRGraph.to_dict()`` returns it: a ``type``, ``nodes`` by name, ``edges``, and
+        further entries.  Numbers are arrays, texts are ``str``.
 
     Raises
     ------
     NirError
-        No such file, not NIR, damaged, too large, or with links to other files or plug-ins.
+        The file is missing, not NIR, damaged or too large, or it has links to other files or
+        plug-ins.
     """
     path = Path(path)
     try:
@@ -90,18 +91,19 @@ def read_nir_file(path) -> dict:
 
 
 def read_content(content: bytes) -> tuple:
-    """Read a file's content in this process, which a damaged one may end.
+    """Read a file's content in this process, which a damaged file may crash.
 
     Returns
     -------
     tree : dict
-        Groups as dicts; instead of an array ``["array", its name]``, of a text ``["text", text]``.
+        Groups as dicts; an array is replaced by ``["array", its name]``, a text by ``["text",
+        text]``.
     arrays : dict of str to ndarray
 
     Raises
     ------
     NirError
-        As :func:`read_nir_file`, but for what is wrong with the file itself.
+        As :func:`read_nir_file`, except for errors of opening the file.
     """
     if not content.startswith(_HDF5):
         raise NirError(f"not a NIR file, which is HDF5; {REMEDY}")
@@ -123,7 +125,7 @@ def read_content(content: bytes) -> tuple:
 
 
 class _Reader:
-    """Reads groups and datasets, and no more than a file may hold."""
+    """Reads groups and datasets within the limits for a file."""
 
     def __init__(self):
         self.arrays = {}

@@ -1,12 +1,12 @@
-"""NIR graphs: what of them can be used, checked node by node, as a chain of layers.
+"""Read NIR graphs as a chain of nodes, each of which is validated.
 
 Pedersen et al., "Neuromorphic intermediate representation: A unified instruction set for
 interoperable brain-inspired computing", Nature Communications 15, 8122 (2024), gives the nodes'
-equations; they stand with each node in :mod:`models.nir_simulator`.  Shapes are those of NIR and
+equations, which are repeated in :mod:`models.nir_simulator`.  Shapes are those of NIR and
 PyTorch: channels first.
 
-A graph can be used if it is a chain from one input to one output.  Graphs within the graph are
-opened.  Parameters of neurons may be given as one value, or as one a neuron.
+A graph can be used if it is a chain from one input to one output.  Subgraphs are replaced by their
+nodes.  Parameters of neurons may be one value, or one value for each neuron.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ class Node:
     kind : str
         NIR's name of the node's class, such as ``"LIF"``.
     input_shape, shape : tuple of int
-        Of what goes in and comes out; images as (channels, rows, columns).
+        Shapes of input and output; images as (channels, rows, columns).
     parameters : dict
-        By NIR's names.  Those of neurons are arrays of the node's shape, weights and biases arrays
-        as NIR has them (a bias that is missing is zero), ``padding`` a pair (before, after) for
-        each dimension, ``stride``, ``dilation`` and ``kernel_size`` a number for each.
+        By NIR's names.  Those of neurons are arrays of the node's shape.  Weights and biases are
+        arrays as in NIR (a missing bias is zero).  ``padding`` is a pair (before, after) for each
+        dimension, ``stride``, ``dilation`` and ``kernel_size`` a number for each.
     """
 
     name: str
@@ -73,16 +73,16 @@ class Node:
 
 @dataclass(frozen=True)
 class NirNetwork:
-    """A NIR graph that is a chain of nodes, read and checked.
+    """A NIR graph that is a chain of nodes, read and validated.
 
     Attributes
     ----------
     input_shape : tuple of int
-        Of what goes in at each step: (channels, rows, columns), or flat.
+        Shape of the input at each step: (channels, rows, columns), or flat.
     nodes : tuple of Node
-        In order, without input and output.
+        In order, without the input and output nodes.
     metadata : dict
-        Of the graph; nothing in it is checked.
+        Metadata of the graph; not validated.
     """
 
     input_shape: tuple
@@ -91,16 +91,16 @@ class NirNetwork:
 
     @property
     def outputs(self) -> int:
-        """Number of values that come out."""
+        """Number of output values."""
         return math.prod(self.nodes[-1].shape)
 
     @property
     def written_by_snntorch(self) -> bool:
-        """True if the neurons' parameters are as snnTorch's exporter makes them.
+        """True if the neurons' parameters have the form that snnTorch's exporter writes.
 
-        snnTorch has no time: a neuron keeps a share beta of its potential a step.  Its exporter
-        writes tau = h / (1 - beta) and r = tau / h with h = 0.1 ms, so that a forward Euler step of
-        h gives the network's own step again.
+        snnTorch has no time unit: a share beta of a neuron's potential remains after each step.
+        Its exporter writes tau = h / (1 - beta) and r = tau / h with h = 0.1 ms, so that a forward
+        Euler step of h is identical to the network's own step.
         """
         neurons = [node for node in self.nodes if node.kind in ("LIF", "CubaLIF")]
         pairs = [(node["r"], node["tau" if node.kind == "LIF" else "tau_mem"]) for node in neurons]
@@ -125,8 +125,8 @@ def read_nir(source) -> NirNetwork:
     Raises
     ------
     NirError
-        It is no NIR graph, or one that cannot be used: not a chain, with unknown nodes, or with
-        shapes or values that do not fit.  One line that names the file, the node, and what to do.
+        The source is not a NIR graph, or cannot be used: it is not a chain, or has unknown nodes,
+        or shapes or values that do not fit.  The message names the file, the node and a remedy.
     """
     if hasattr(source, "to_dict") and hasattr(source, "nodes"):
         return _network(source.to_dict())
@@ -169,7 +169,7 @@ def _network(tree) -> NirNetwork:
 
 
 def _opened(tree, prefix="", depth=0) -> tuple:
-    """Nodes by name and edges, those of graphs within the graph in their places."""
+    """Nodes by name, and edges, with subgraphs replaced by their nodes and edges."""
     if depth > 5:
         raise NirError("has graphs more than five deep; write it as one graph")
     nodes, edges = tree.get("nodes"), tree.get("edges")
@@ -240,7 +240,7 @@ def _ends(nodes, kind, where=""):
 
 
 def _chain(nodes, edges) -> tuple:
-    """Name of the input, and the names between it and the output in order."""
+    """Name of the input node, and names of the nodes between input and output, in order."""
     (first,), (last,) = _ends(nodes, "Input"), _ends(nodes, "Output")
     after = {name: sorted(b for a, b in edges if a == name) for name in nodes}
     _refuse_recurrence(nodes, after)
@@ -298,7 +298,7 @@ def _kind(node) -> str:
 
 
 def _input_shape(name, node, later) -> tuple:
-    """The shape of an input; a dimension of 1 in front of it, of samples, is left out."""
+    """The shape of an input; a leading dimension of 1, that of samples, is left out."""
     shape = node.get("shape")
     if shape is None and isinstance(node.get("input_type"), dict):
         shape = node["input_type"].get("input")
@@ -322,7 +322,7 @@ def _input_shape(name, node, later) -> tuple:
 
 
 class _Values:
-    """Reads a node's values and refuses those that cannot be."""
+    """Reads a node's values and refuses invalid ones."""
 
     def __init__(self, where, values):
         self.where, self.values = where, values

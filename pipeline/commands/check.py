@@ -109,7 +109,7 @@ def run(
     board: Board,
     as_json: options.Json = False,
 ):
-    """Let a target answer the bundle's samples; an interrupted check continues where it stopped."""
+    """Run a target on the bundle's samples; an interrupted check continues where it stopped."""
     chosen = options_for(target, **vars(board))
     if others.samples is not None and others.data is None:
         raise UserError("--samples: needs other recordings; give them with --data FILE")
@@ -162,7 +162,7 @@ def _on_others(bundle, target, others, seed, out, check):
 
 
 def compare_checks(
-    a: Annotated[Path, typer.Argument(help="A result, JSON.")],
+    a: Annotated[Path, typer.Argument(help="A check result (JSON).")],
     b: Annotated[Path, typer.Argument(help="Another result of the same bundle.")],
     max_disagreements: Annotated[
         Optional[int],  # noqa: UP045

@@ -282,7 +282,8 @@ def speed_text(result: dict) -> str:
     rates = ", ".join(f"{name} {rate:.0f}" for name, rate in result["mean_rates_hz"].items())
     lines = [
         f"{result['n_samples']} {kind} of {result['gap_per_sample']} blank and "
-        f"{result['steps_per_sample']} shown steps, one thread, medians of {result['turns']} turns",
+        f"{result['steps_per_sample']} presentation steps, one thread, medians of "
+        f"{result['turns']} turns",
         f"identical: {verdict}",
         *aligned(rows),
         f"mean rates in Hz, at {result['step_ms']:g} ms a step: {rates}",

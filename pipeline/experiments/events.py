@@ -183,11 +183,11 @@ def events_text(summary: dict) -> str:
     seeds = max(len(row["seeds"]) for row in summary["variants"].values())
     heads = ["", "accuracy", "95 %", "points lost", "p"]
     accuracy = [heads, *([name, *_judged(row)] for name, row in summary["variants"].items())]
-    heads = ["", "operations", "share", "then right", "agreement", "trained", "spikes in", "merged"]
+    heads = ["", "operations", "early at", "early right", "agree", "trained", "spikes in", "merged"]
     more = [heads, *([name, *_more(row)] for name, row in summary["variants"].items())]
     return "\n".join(
         [
-            f"What time is worth: networks on events of {what}, {seeds} "
+            f"Value of timing: networks on events of {what}, {seeds} "
             f"seed{'s' if seeds > 1 else ''}, each on the whole test split of {summary['n_test']}",
             "",
             *aligned(accuracy),
@@ -195,11 +195,11 @@ def events_text(summary: dict) -> str:
             *aligned(more),
             "",
             *(f"{name}: {VARIANTS[name]}" for name in summary["variants"]),
-            "accuracy at the end, on the target fast, in %; points lost: as-is less this one",
-            f"operations: of an inference, in multiples of the paper's CNN's {CNN_MACS:,}",
-            "share: of the writing, in %, until it decides by itself; then right: accuracy of that",
-            "agreement: same answer of fast and the trained network, in %; trained: its accuracy",
-            "spikes in: shown of a sample; merged: events that are no spike of their own, in %",
+            "accuracy: at the end, on the target fast, in %; points lost: as-is minus this variant",
+            f"operations: synaptic, per inference, in multiples of the paper's CNN's {CNN_MACS:,}",
+            "early at: share of the writing at the early decision, in %; early right: its accuracy",
+            "agree: same answer of fast and the trained network, in %; trained: its accuracy",
+            "spikes in: input spikes per sample; merged: events without a spike of their own, in %",
         ]
     )
 

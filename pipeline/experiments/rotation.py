@@ -204,7 +204,7 @@ def measure_rotation(
     failed = [name for name, result in results.items() if isinstance(result, Failure)]
     whole = [result for result in results.values() if not isinstance(result, Failure)]
     if not whole:
-        raise CheckFailed("all of it failed; see above")
+        raise CheckFailed("every fold failed; see above")
     summary = {
         "schema": SCHEMA,
         "pen_sha256": sha256_of(rotation.pen),

@@ -30,7 +30,7 @@ def sweep_text(sweep: dict) -> str:
     short, points, lines = short_names(sweep["names"]), sweep["points"], []
     if points:
         kind = "simulated validation samples" if points[0]["simulated"] else "validation samples"
-        figures = ["accuracy", "95 % interval", "operations", "cores", "shown", "decided"]
+        figures = ["accuracy", "95 % interval", "operations", "cores", "presented", "decided"]
         figures += ["trained", "cnn"]
         rows = [["", "#", *figures, *(short[name] for name in sweep["names"])]]
         for number, point in enumerate(points, 1):
@@ -55,8 +55,8 @@ def sweep_text(sweep: dict) -> str:
             *aligned(rows),
             "* on the Pareto front: no other point is at least as good in accuracy, operations,",
             "cores and steps and better in one of them",
-            f"operations: synaptic, an inference, in multiples of the paper CNN's {CNN_MACS:,};",
-            "shown: steps; decided: step from which half the samples' decisions stay",
+            f"operations: synaptic, per inference, in multiples of the paper's CNN's {CNN_MACS:,};",
+            "presented: steps per sample; decided: step from which half of the decisions are final",
         ]
     for point in sweep["failed"]:
         what = ", ".join(f"{k}={_value(v)}" for k, v in point["changes"].items())

@@ -241,10 +241,10 @@ def table_text(table: dict) -> str:
     what = "simulated recordings" if table["simulated"] else "recordings"
     lines = [f"Table 2 of the paper, on {what}; mean (SD) of the accuracy over splits"]
     if table["simulated"]:
-        lines.append("The paper's figures are of real recordings and not to be compared as equals.")
+        lines.append("The paper's figures are for real recordings and cannot be compared directly.")
     for key, heading in (
         ("rows", "random 80-20 splits, as in the paper"),
-        ("writer_rows", "writers of the test samples not in training"),
+        ("writer_rows", "new writers in the test set"),
     ):
         if not table[key]:
             continue
@@ -255,12 +255,12 @@ def table_text(table: dict) -> str:
         for c in table["comparisons"]:
             interval = "" if c["ci95"] is None else f"  [{_signed(c['ci95'])}]  p {_p(c)}"
             lines.append(
-                f"  {c['split']:<8} {c['a']} less {c['b']}: {c['difference']:+.3f}{interval}"
+                f"  {c['split']:<8} {c['a']} minus {c['b']}: {c['difference']:+.3f}{interval}"
             )
     lines.append("")
     lines.append(
-        f"In the place of Loihi stands the target '{table['loihi_target']}', "
-        f"{table['check_samples']} test samples a split."
+        f"The target '{table['loihi_target']}' replaces Loihi, on {table['check_samples']} test "
+        "samples per split."
     )
     for failure in table["failures"]:
         lines.append(f"FAILED: {failure['result']}: {failure['error']}")

@@ -267,7 +267,7 @@ def _wrong_with(images, labels, classes):
     if labels.min() < 0 or labels.max() >= n_classes:
         return f"labels from {labels.min()} to {labels.max()}, not from 0 to {n_classes - 1}"
     if classes is not None and len(set(map(str, classes))) < len(classes):
-        return "two classes of one name"
+        return "two classes of the same name"
     return None
 
 
@@ -302,18 +302,20 @@ def event_warnings(settings: Settings, recordings: Recordings) -> list:
     table, step, steps = EventTable.of(recordings), settings.input.step, settings.steps
     empty = int(np.sum(np.diff(table.offsets) == 0))
     if empty == len(recordings):
-        raise UserError(f"{recordings.source.name}: no recording has an event; give others")
+        raise UserError(
+            f"{recordings.source.name}: no recording has an event; use other recordings"
+        )
     long = int(np.sum(table.duration_ms >= step * steps))
     shared, lost = table.lost(step), table.lost(step, settings.input.rest)
     lines = [
-        f"events: {shared:.1%} share a step of {step:g} ms with another one of their taxel and "
-        "polarity, and are one spike with it"
+        f"events: {shared:.1%} are merged into one spike with another event of their taxel and "
+        f"polarity in the same step of {step:g} ms"
     ]
     if shared > MOST_LOST:
-        lines[0] = WARNING + lines[0] + "; fewer would with a shorter input.step"
+        lines[0] = WARNING + lines[0] + "; a shorter input.step merges fewer"
     if lost > shared:
         lines.append(
-            f"events: {lost - shared:.1%} more come while their taxel rests, for "
+            f"events: {lost - shared:.1%} more are ignored in their taxel's refractory period, "
             f"{settings.input.rest * step:g} ms after a spike (input.refractory)"
         )
     if empty:
@@ -321,7 +323,7 @@ def event_warnings(settings: Settings, recordings: Recordings) -> list:
     if long:
         lines.append(
             f"{WARNING}{long} of {len(recordings)} recordings are longer than {steps} steps of "
-            f"{step:g} ms, and their ends are not shown; choose more presentation.steps"
+            f"{step:g} ms, and their ends are not presented; choose more presentation.steps"
         )
     return lines
 

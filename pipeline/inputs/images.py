@@ -53,7 +53,7 @@ def aggregate(recordings: Recordings, aggregation: str = "count") -> np.ndarray:
     elif aggregation in ("on", "off"):
         weights = (events.polarity == (1 if aggregation == "on" else -1)).astype(float)
     else:
-        raise ValueError(f"aggregation {aggregation!r} is none of {', '.join(AGGREGATIONS)}")
+        raise ValueError(f"aggregation {aggregation!r} is not one of {', '.join(AGGREGATIONS)}")
     taxels, sensor = recordings.taxels, recordings.sensor
     cell = recordings.sample_of_event * len(taxels) + events.taxel
     total = np.bincount(cell, weights, minlength=len(recordings) * len(taxels))
@@ -82,7 +82,9 @@ def normalise(images: np.ndarray, normalisation: str = "max") -> np.ndarray:
         Unknown normalisation.
     """
     if normalisation not in NORMALISATIONS:
-        raise ValueError(f"normalisation {normalisation!r} is none of {', '.join(NORMALISATIONS)}")
+        raise ValueError(
+            f"normalisation {normalisation!r} is not one of {', '.join(NORMALISATIONS)}"
+        )
     if normalisation == "none":
         return images.astype(float)
     if normalisation == "sqrt-max":

@@ -210,9 +210,9 @@ class ImageDecider(_Fast):
         super().__init__(bundle, sensor, seed)
         self._image = image
         self.about = (
-            "the part at the left is before it is shown anything. This network is shown the image "
-            f"as it is at the moment for {self._spec.presentation.steps} steps of 1 ms, from rest, "
-            "again and again while the recording grows."
+            "the left part is before the presentation. While the recording grows, the current "
+            "image is presented to this network again and again, for "
+            f"{self._spec.presentation.steps} steps of 1 ms from rest."
         )
 
     def begin(self):
@@ -266,8 +266,8 @@ class EventDecider(_Fast):
         super().__init__(bundle, sensor, seed)
         milliseconds = 1e3 * self._spec.stimulus.step_seconds
         self.about = (
-            "time runs to the right as it does on the sensor. This network is given the events "
-            f"themselves, in steps of {milliseconds:g} ms, and decides while they come."
+            "time runs to the right as it does on the sensor. This network receives the events, "
+            f"in steps of {milliseconds:g} ms, and decides while they arrive."
         )
 
     def begin(self):

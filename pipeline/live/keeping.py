@@ -160,7 +160,7 @@ class Keeper:
         self._lock = None
         self._held.close()
         taken = (
-            f"{self.folder}: another 'stmnist live' keeps recordings there; "
+            f"{self.folder}: another 'stmnist live' saves recordings there; "
             "end it, or choose another folder with --record"
         )
         with contextlib.ExitStack() as stack:
@@ -168,7 +168,7 @@ class Keeper:
                 lock = stack.enter_context(locked_folder(self.folder, taken))
             except OSError as error:
                 raise UserError(
-                    f"{self.folder}: cannot keep recordings there ({error.strerror}); "
+                    f"{self.folder}: cannot save recordings there ({error.strerror}); "
                     "choose another folder with --record"
                 ) from error
             refuse_linked_folders(self.folder)

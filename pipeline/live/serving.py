@@ -134,4 +134,4 @@ def serve(
             try:
                 Server(page, listening, when_listening, host).run()
             finally:
-                say(f"live: ended; {len(keeper)} recordings are kept in {record}")
+                say(f"live: ended; {len(keeper)} recordings are saved in {record}")

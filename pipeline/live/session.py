@@ -432,17 +432,17 @@ class Session:
     def _label(self, message, now_s):
         label, recording = self._class(message), self.recording
         if recording is not None and recording.example is not None:
-            return [problem("an example is kept already; write one yourself to keep it")]
+            return [problem("this example is saved already; only your own recordings can be saved")]
         if recording is None or recording.kept:
-            return [problem("nothing is written; write first, then say what it was")]
+            return [problem("nothing is written; write first, then press its class")]
         recording.lift()
         replies = [self._passed(recording.finish)]
         events = recording.writing.events
         if len(events) == 0:
-            return [*replies, problem("no taxel has felt anything; write with more pressure")]
+            return [*replies, problem("no taxel has an event; write with more pressure")]
         if recording.spoiled:
             return [*replies, problem(
-                "not kept: strokes came faster than a hand can write and were left out; write again"
+                "not saved: strokes came faster than a person can write; write again"
             )]  # fmt: skip
         written = Written(
             time=self._now().isoformat(timespec="seconds"),
@@ -515,7 +515,7 @@ class Session:
         if now_s < self._complained_s + 1:
             return []
         self._complained_s = now_s
-        return [problem("strokes come faster than a hand can write; some were left out")]
+        return [problem("strokes come faster than a person can write; some were left out")]
 
 
 _HANDLERS = {

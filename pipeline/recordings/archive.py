@@ -601,7 +601,7 @@ def _refusals(path, refused, total):
     if len(kinds) > LISTED:
         lines.append(f"and files refused for {len(kinds) - LISTED} more reasons")
     remedy = (
-        "mend them, or leave them out: --skip-bad of 'stmnist data import', else --set "
+        "correct them, or leave them out: --skip-bad of 'stmnist data import', else --set "
         "data.skip_bad=true"
     )
     if len(lines) == 1:

@@ -145,7 +145,7 @@ def _beside(folder, bundle, settings):
     other, kinds = read_bundle(folder.bundle), ("image", "events")
     if (read_settings(folder.experiment).input.kind, settings.input.kind) != kinds:
         raise UserError(
-            f"{folder.path}: what is shown beside is a run of images, and beside one of events"
+            f"{folder.path}: --beside needs a run on images, and a report of a run on events"
         )
     made_from = [b.spec.provenance.get("source_sha256") for b in (other, bundle)]
     if made_from[0] != made_from[1]:
@@ -159,7 +159,7 @@ def _metrics(path):
     accuracy, count = metrics.get("accuracy"), metrics.get("n_test")
     told = isinstance(accuracy, dict) and "test" in accuracy and type(count) is int and count > 0
     if not told or not all(map(is_share, accuracy.values())):
-        raise UserError(f"{path}: says no accuracy on the test split; {REMEDY}")
+        raise UserError(f"{path}: has no accuracy on the test split; {REMEDY}")
     return metrics
 
 
@@ -195,7 +195,7 @@ def _read_benchmark(folder, recordings, say):
         return None, None, {}, {}
     table = read_json(path, REMEDY)
     if table.get("source_sha256") != recordings.source.sha256:
-        say(f"report: {path} is of other recordings and left out")
+        say(f"report: {path} is for other recordings and left out")
         return None, None, {}, {}
     try:
         answers, curves = _of_rows(folder, table["rows"])

@@ -275,7 +275,7 @@ def _browser(inputs):
                 "events": _events_chart(recordings, recording),
                 "chances": charts.line_chart(
                     series,
-                    "milliseconds since the sample was shown",
+                    "milliseconds since the start of the presentation",
                     "probability",
                     (0.0, 1.0),
                     f"Probability of the classes over time, sample {sample['id']}",
@@ -421,7 +421,7 @@ def _anytime(inputs):
     return {
         "chart": charts.line_chart(
             series,
-            f"{_step(inputs)} since the sample was shown",
+            f"{_step(inputs)} since the start of the presentation",
             "accuracy",
             description="Accuracy if the decision were taken at each step",
         ),
@@ -499,7 +499,7 @@ def _rate_charts(rates):
 
 def _learning_curves(histories):
     """Accuracy and loss of each network on training and held-out samples."""
-    parts = {"": "training", "val_": "validation", "test_": "test, only watched"}
+    parts = {"": "training", "val_": "validation", "test_": "test, not used in training"}
     curves = []
     for name, rows in histories.items():
         for measure in ("accuracy", "loss"):

@@ -52,8 +52,8 @@ class Responder:
         readout = spec.layers[-1]
         if readout.neurons is not None or len(spec.layers) < 2:
             raise UserError(
-                "the readout is a layer of neurons on the chip; only one on the host can be fitted "
-                "(deployment.readout = 'host')"
+                "the readout is a layer of neurons on the chip; only a readout on the host can be "
+                "fitted (deployment.readout = 'host')"
             )
         inputs = readout.weights.shape[1]
         through = replace(
@@ -187,8 +187,8 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
     fits(spec, recordings)
     if spec.rehearsal is None:
         raise UserError(
-            f"{bundle.path}: keeps no samples of its training (bundles of earlier versions do "
-            "not); delete it and make it again with 'stmnist convert'"
+            f"{bundle.path}: has no responses to training samples (made by an earlier version); "
+            "delete it and make it again with 'stmnist convert'"
         )
     try:
         responder = Responder(spec, seed)
@@ -238,8 +238,8 @@ def fits(spec: NetworkSpec, recordings: Recordings):
         )
     if sensor.classes != known:
         raise UserError(
-            f"{source}: recordings of the classes {_listed(sensor.classes)}; the network tells "
-            f"{_listed(known)}: give recordings of those"
+            f"{source}: recordings of the classes {_listed(sensor.classes)}; the network "
+            f"distinguishes {_listed(known)}: give recordings of these classes"
         )
     counts = np.bincount(recordings.labels, minlength=len(known))
     if not counts.all():
@@ -287,7 +287,7 @@ def text_of(adapted: Adapted, place) -> str:
     ):
         lines.append(f"{who}: {_share(before)} before, {_share(after)} after")
     if place is None:
-        lines.append("that does not help: nothing was changed")
+        lines.append("no improvement: nothing was changed")
     else:
         lines.append(f"bundle: written to {place}")
     return "\n".join(lines)

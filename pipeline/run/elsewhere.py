@@ -56,7 +56,7 @@ def recordings_for(
     sensor = recordings.sensor
     if (sensor.rows, sensor.columns) != (rows, columns):
         raise UserError(
-            f"{source}: of {sensor.rows} rows x {sensor.columns} columns, the network of "
+            f"{source}: has {sensor.rows} rows x {sensor.columns} columns, but the network of "
             f"{bundle.path} is for {rows} x {columns}"
         )
     known = list(map(str, bundle.spec.provenance.get("classes") or ()))
@@ -67,8 +67,8 @@ def recordings_for(
     if unknown:
         listed = ", ".join(map(repr, unknown[:5])) + (", ..." if len(unknown) > 5 else "")
         raise UserError(
-            f"{source}: has classes that the network of {bundle.path} does not know: {listed}; it "
-            f"knows {', '.join(map(repr, known[:5]))}{', ...' if len(known) > 5 else ''}"
+            f"{source}: has classes that the network of {bundle.path} does not have: {listed}; "
+            f"its classes are {', '.join(map(repr, known[:5]))}{', ...' if len(known) > 5 else ''}"
         )
     number = {name: index for index, name in enumerate(known)}
     labels = np.array([number.get(name, -1) for name in sensor.classes])[recordings.labels]

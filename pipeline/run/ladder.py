@@ -287,10 +287,10 @@ def early_text(value: dict, row: dict, classes=DIGITS) -> str:
     """
     early = value["by_itself"]
     if early["confidence"] >= 1:
-        return f"{row['stage']} waits for the end of each recording before it decides"
+        return f"{row['stage']}: no early decisions, it decides at the end of each recording"
     return (
-        f"{row['stage']} decides by itself, at a confidence of {early['confidence']:.4f}: after "
-        f"{early['share_of_writing_mean']:.0%} of the {recording_word(classes)} on average, "
+        f"{row['stage']}: early decision at a confidence of {early['confidence']:.4f}, after "
+        f"{early['share_of_writing_mean']:.0%} of the {recording_word(classes)} on average: "
         f"accuracy {early['accuracy']:.3f}, "
         + points_text(100 * (row["accuracy"] - early["accuracy"]))
     )
@@ -346,7 +346,7 @@ def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> st
         table.append(cells)
     first, last = ladder["rows"][0], ladder["rows"][-1]
     lines = [
-        f"Loss ladder, {ladder['n_samples']} {what}, each stage on the same ones",
+        f"Loss ladder, {ladder['n_samples']} {what}, the same for each stage",
         *aligned(table),
         f"from {first['stage']} to {last['stage']}: "
         + points_text(100 * (first["accuracy"] - last["accuracy"])),

@@ -109,7 +109,7 @@ def animate(path, bundle: Bundle, recordings: Recordings, index: int, advance=No
     end = step * (start + len(chances))
     scores.set(xlim=(0, end), ylim=(0, 1.02), xlabel="seconds", title="probability")
     if not on_events:
-        scores.set_xlabel("seconds since the image was shown")
+        scores.set_xlabel("seconds since the start of the presentation")
     picture = image.imshow(
         np.zeros((recordings.sensor.rows, recordings.sensor.columns)), "gray_r", vmin=0, vmax=1
     )

@@ -188,14 +188,14 @@ def choose_threshold(place: Place, settings: Settings, dataset: Dataset, say=pri
     _say_accuracy("events", metrics, say)
     if chosen.confidence < 1:
         say(
-            f"threshold: the network decides at a confidence of {chosen.confidence:.4f}, after "
+            f"threshold: early decision at a confidence of {chosen.confidence:.4f}, after "
             f"{chosen.share:.0%} of a recording on {len(samples.held)} held-out samples"
         )
     else:
         fewest = event_training.FEWEST_HELD
         few = len(samples.held) < fewest
         say(
-            "threshold: the network waits for the end of each recording"
+            "threshold: no early decisions, the network decides at the end of each recording"
             + few
             * f", since {len(samples.held)} held-out samples are fewer than the {fewest} on "
             "which a confidence may be chosen (more: split.validation_fraction)"

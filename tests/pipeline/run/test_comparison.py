@@ -140,7 +140,7 @@ def test_time_to_decide_of_events():
     assert compared["runs"][1]["decided_after_ms"] == pytest.approx(120)  # steps of 10 ms
     text = runs_text(compared)
     assert "82% of writing" in text
-    assert text.endswith("of an image after the whole writing, of events while it goes on")
+    assert text.endswith("from the end of the writing for an image, from its start for events")
     assert "image" in text
     assert "events" in text
 
@@ -156,10 +156,10 @@ def test_the_table():
         "seed                  0  1",
         "",
         "accuracy on 8 simulated samples",
-        "stage     accuracy   95 % interval  less A  won  lost      p",
+        "stage     accuracy   95 % interval  minus A  won  lost      p",
         "cnn    A     0.625  0.306 to 0.863",
-        "       B     0.500  0.215 to 0.785  -0.125    3     4  1.000",
-        "won, lost: samples that the run alone, or A alone, got right; p: McNemar's test",
+        "       B     0.500  0.215 to 0.785   -0.125    3     4  1.000",
+        "won, lost: samples that only this run, or only A, got right; p: McNemar's test",
         "",
         "an inference                A                B",
         "input                   image            image",
@@ -167,7 +167,7 @@ def test_the_table():
         "neurons                   136              136",
         "cores                       2                3",
         "chips                       1                1",
-        "steps shown                30               30",
+        "steps of presentation      30               30",
         "times the CNN's: the 43,104 multiply-accumulates of the paper's",
         "",
         "B: left out, of an earlier bundle: fast",
