@@ -515,10 +515,26 @@ def read_arrays(path, remedy, most=limits.ARRAY_BYTES):
     return arrays
 
 
-def sha256_of(path):
-    """Hexadecimal SHA-256 of a file's content."""
+def sha256_of(path, most=limits.FILE_BYTES):
+    """Hexadecimal SHA-256 of a file's content.
+
+    Parameters
+    ----------
+    path : path-like
+    most : int
+        Largest number of bytes: a sparse file of terabytes takes no space and hours to hash.
+
+    Raises
+    ------
+    UserError
+        The file is larger.
+    OSError
+        The file cannot be read.
+    """
     digest = hashlib.sha256()
     with open_regular(path) as file:
+        if os.fstat(file.fileno()).st_size > most:
+            raise UserError(f"{path}: larger than {most:,} bytes; choose another file")
         for block in iter(lambda: file.read(1 << 20), b""):
             digest.update(block)
     return digest.hexdigest()

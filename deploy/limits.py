@@ -32,6 +32,9 @@ LAYERS = 100
 ARRAY_BYTES = 1 << 30
 """Largest number of bytes of all arrays in a file."""
 
+FILE_BYTES = ARRAY_BYTES + (1 << 24)
+"""Largest number of bytes of a file that is hashed: its arrays, and what describes them."""
+
 TEXT_BYTES = 1 << 28
 """Largest number of bytes of a JSON file."""
 

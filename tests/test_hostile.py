@@ -1,5 +1,6 @@
 """What campaigns of damaged and hostile input found, one small case each; see tests/torture."""
 
+import io
 import json
 import os
 import re
@@ -257,6 +258,26 @@ def test_a_file_larger_than_any_of_its_kind(refused, tmp_path, monkeypatch):
         ("train", tmp_path / "run", "--settings", path),
     ):
         assert re.search("large: .*larger", refused(*command))
+
+
+def test_sparse_files_of_terabytes_are_not_hashed(refused, tmp_path, tiny_run):
+    """They take no space on the disk, but hours to read."""
+    recordings, bundle = tmp_path / "st.zip", tmp_path / "bundle"
+    shutil.copytree(tiny_run / "bundle", bundle)
+    os.truncate(bundle / "weights.npz", 1 << 40)
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        archive.writestr("3/a.mat", b"x")
+    with open(recordings, "wb") as file:
+        file.seek(1 << 40)  # a zip is found from its end
+        file.write(content.getvalue())
+    (tmp_path / "folder" / "3").mkdir(parents=True)
+    (tmp_path / "folder" / "3" / "a.mat").touch()
+    os.truncate(tmp_path / "folder" / "3" / "a.mat", 1 << 40)
+    assert "st.zip: is larger than" in refused("data", "import", recordings, "--jobs", 1)
+    assert "a.mat is larger" in refused("data", "import", tmp_path / "folder", "--jobs", 1)
+    for command in (("check", "run", bundle, "--target", "fast"), ("deploy", "plan", bundle)):
+        assert "weights.npz: larger than" in refused(*command)
 
 
 def test_a_folder_that_has_vanished(tmp_path):

@@ -28,7 +28,7 @@ from deploy.files import open_regular, replacing, sha256_of
 from deploy.terminal import WARNING, printable
 from pipeline.jobs import results_of
 from pipeline.recordings import labelled, sensors
-from pipeline.recordings.budget import MOST_FILES, Spent
+from pipeline.recordings.budget import MOST_BYTES, MOST_FILES, Spent
 from pipeline.recordings.eventfile import SUFFIXES as EVENT_SUFFIXES
 from pipeline.recordings.eventfile import read_events
 from pipeline.recordings.events import DIGITS, Recordings, Source, TaxelMap, collect
@@ -145,9 +145,25 @@ def list_source(path) -> Listing:
             f"{path}: holds {len(recordings):,} recordings, more than {MOST_FILES:,}; give a part "
             "of it"
         )
+    _refuse_too_large(path, recordings)
     recordings.sort(key=lambda entry: (sensors.class_order(entry[1]), entry[0]))
     table = min(tables, default=None)
     return Listing(path, tuple(recordings), table, tuple(refused), places)
+
+
+def _refuse_too_large(path, recordings):
+    """Refuse a source of more bytes on the disk than its recordings may have when unpacked."""
+    if path.is_dir():
+        files = {path / name for name, _ in recordings}
+        sizes = [file.stat().st_size for file in files if file.is_file()]
+        size = sum(size for size in sizes if size <= LARGEST)  # others are refused and not read
+    else:
+        size = path.stat().st_size
+    if size > MOST_BYTES:
+        raise UserError(
+            f"{path}: is larger than {MOST_BYTES:,} bytes; give a part of it, such as fewer "
+            "recordings of each class"
+        )
 
 
 def _suffix(name):
@@ -390,9 +406,16 @@ def content_hash(path) -> str:
     """SHA-256 over a source's content: of the zip, or of every recording of a folder."""
     path = Path(path)
     if not path.is_dir():
-        return sha256_of(path)
-    files = {name: sha256_of(path / name) for name, _ in _members(path) if _is_recording(name)}
+        return sha256_of(path, MOST_BYTES)
+    names = [name for name, _ in _members(path) if _is_recording(name)]
+    files = {name: _hash_of_member(path / name) for name in names}
     return hashlib.sha256(json.dumps(files, sort_keys=True).encode()).hexdigest()
+
+
+def _hash_of_member(path):
+    """The hash of a file, or the size of one that is refused as too large."""
+    size = path.stat().st_size
+    return f"{size} bytes" if size > LARGEST else sha256_of(path)
 
 
 def fingerprint(path) -> str:
