@@ -407,8 +407,11 @@ def content_hash(path) -> str:
     path = Path(path)
     if not path.is_dir():
         return sha256_of(path, MOST_BYTES)
-    names = [name for name, _ in _members(path) if _is_recording(name)]
-    files = {name: _hash_of_member(path / name) for name in names}
+    files = {
+        name: problem or _hash_of_member(path / name)
+        for name, problem in _members(path)
+        if problem or _is_recording(name)
+    }
     return hashlib.sha256(json.dumps(files, sort_keys=True).encode()).hexdigest()
 
 
@@ -421,10 +424,13 @@ def _hash_of_member(path):
 def fingerprint(path) -> str:
     """A cheap stand-in for the content hash: names, sizes and times of change."""
     path = Path(path)
-    files = [path]
+    files = [(path, None)]
     if path.is_dir():
-        files = [path / name for name, _ in _members(path) if _is_recording(name)]
-    stats = [(str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns) for f in files]
+        files = [(path / name, why) for name, why in _members(path) if why or _is_recording(name)]
+    stats = [
+        (str(f), why) if why else (str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns)
+        for f, why in files
+    ]
     return hashlib.sha256(json.dumps(stats).encode()).hexdigest()
 
 
