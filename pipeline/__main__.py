@@ -1,4 +1,4 @@
-"""``python -m pipeline``, and the command ``stmnist``: what must stand before the imports."""
+"""``python -m pipeline``, and the command ``stmnist``: steps that must precede the imports."""
 
 import gc
 import os
@@ -14,10 +14,10 @@ command's last line."""
 
 
 def hear_threads():
-    """Say what threads raise, but not how joblib's trips over jobs that are being given up.
+    """Report errors of threads, except a harmless one of joblib when its jobs are cancelled.
 
-    Of jobs that no worker has yet its thread looks up some that it has just dropped (a KeyError;
-    loky 3.6), and ends, as it was about to.
+    Its thread looks up jobs that it has just removed (a KeyError; loky 3.6).  The thread ends, as
+    intended.
     """
     hook = threading.excepthook
 

@@ -1,4 +1,4 @@
-"""Completion of the values of options in the shell."""
+"""Completion of option values in the shell."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def live(
 
 
 def _network(run, given, jobs):
-    """The bundle, made if it is not there or otherwise asked for, and how events become images."""
+    """The bundle, made if it is missing or if settings were given, and the conversion to images."""
     asked = given != options.Given()
     if run is None:
         run = DEFAULT_RUN if asked else SHIPPED

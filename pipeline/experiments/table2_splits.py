@@ -101,7 +101,7 @@ class Benchmark:
     source_sha256 : str
         SHA-256 of the recordings that the settings name.
     folder : Path
-        Folder of the results; on a cluster one that all workers see.
+        Folder of the results; on a cluster one that all workers can access.
     kinds : tuple of str
         ``"random"``, ``"writers"``.
     splits : int
@@ -118,7 +118,7 @@ class Benchmark:
     models: tuple
 
     def groups(self) -> list:
-        """The results asked for; those of a group share trained networks.
+        """The requested results in groups that share trained networks.
 
         Returns
         -------
@@ -154,7 +154,7 @@ class Benchmark:
         )
 
     def results(self, kind: str, model: str) -> list:
-        """The results of a model that are current, asked for this time or at an earlier one."""
+        """The current results of a model, whether requested now or earlier."""
         found = []
         for index in splits_there(self.folder, kind, model):
             task = self.task(kind, index, model)
@@ -248,7 +248,7 @@ def measure(task: Task) -> dict:
 
 
 def _on_chip_or_before(task, dataset):
-    """Samples shown, predictions and training history of a model that a run has too."""
+    """Test samples, predictions and training history of a model that a run also has."""
     settings, model, test = task.settings, task.subject, dataset.split.test
     if model == "cnn":
         stages.train(task.networks, settings, dataset, silent)
