@@ -1,8 +1,8 @@
-"""The sensor of a set of recordings: rows, columns, duration and classes, as found.
+"""Determine the sensor of a set of recordings: rows, columns, duration and classes.
 
-Recordings in the published layout with a hundred taxels and digits for classes are ST-MNIST's, and
-have its ten classes and its two seconds whatever is in them.  Of all others what counts is what is
-there, unless the settings say how many rows and columns there are.
+Recordings in the published layout with a hundred taxels and digits as classes are treated as
+ST-MNIST's: they have its ten classes and its two seconds, independently of their content.  For all
+others the values are those found, unless the settings specify rows and columns.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ class Settled:
     kept : list of (str, Events)
         Name of the file and events of each recording that fits.
     refused : list of (str, str)
-        Name of the file and reason of those that do not.
+        Name of the file and reason for each recording that does not fit.
     taxels : TaxelMap
     sensor : Sensor
     labels : list of int
         Labels of ``kept``.
     problems : list of str
-        Problems of all of them together.
+        Problems of the recordings as a whole.
     time_unit : str
-        In which the times of files of events were read.
+        Unit in which the times of files of events were read.
     """
 
     kept: list
@@ -78,7 +78,8 @@ class Reading:
     rows, columns : int
         Size of the sensor, after :attr:`downsample`; 0 for as found.
     time_unit : str
-        Unit in files of events, of :data:`pipeline.recordings.timeunits.UNITS`; empty for as found.
+        Unit in files of events, one of :data:`pipeline.recordings.timeunits.UNITS`; empty:
+        inferred.
     downsample : int
         Side of the square of pixels of a file of events that becomes one taxel.
     """
@@ -108,7 +109,7 @@ def settle(path, read, lookup: TaxelMap | None = None, reading: Reading = AS_FOU
     Raises
     ------
     UserError
-        Rows and columns cannot be known, or are fewer than the look-up table has.
+        Rows and columns cannot be determined, or are fewer than the look-up table has.
     """
     rows, columns = reading.rows, reading.columns
     if lookup is not None:
@@ -143,7 +144,7 @@ def _settled(kept, refused, taxels, sensor, problems=(), time_unit=""):
 
 
 def _sensor_of(kept, rows, columns):
-    """The sensor with the polarities, the duration and the classes that are there."""
+    """The sensor with the polarities, the duration and the classes that were found."""
     everything = [events for _, _, events in kept]
     return Sensor(
         rows,
@@ -215,7 +216,7 @@ MIXED_UNITS = (
 
 
 def _elsewhere(read, reading):
-    """Files whose events cannot be of the same sensor as the others', each with the reason."""
+    """Files whose events cannot be from the same sensor as the others, each with the reason."""
     reasons = {}
     for file, _, recording in read:
         for what, places, given in (
@@ -245,9 +246,9 @@ def _elsewhere(read, reading):
 
 
 def _larger(extents):
-    """Indices of recordings, fewer than half, that reach far past all others in both directions.
+    """Indices of recordings, fewer than half, with far larger coordinates in both directions.
 
-    Where a sensor's recordings are sorted by how far they reach, no gap is wide.
+    If recordings of one sensor are sorted by their largest coordinate, no gap is wide.
     """
     if len(extents) < 4:
         return []
@@ -319,7 +320,7 @@ def too_small(recordings) -> str | None:
 def too_few(labels, classes) -> str | None:
     """Find problems with the numbers of recordings in the classes.
 
-    A class that has one recording can be trained or tested, not both.
+    A class with one recording can be used for training or for testing, but not for both.
 
     Parameters
     ----------

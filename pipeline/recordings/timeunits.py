@@ -57,7 +57,7 @@ def recognised(times) -> str:
 def strangers(times) -> list:
     """Indices of recordings whose times cannot be in the unit of the others.
 
-    Recordings with a single event have no duration, and are nobody's strangers.
+    Recordings with a single event have no duration, and fit any unit.
     """
     spans = np.array([span_of(time) for time in times])
     some = np.flatnonzero(spans > 0)
@@ -69,10 +69,10 @@ def strangers(times) -> list:
 
 
 def to_ns(time: np.ndarray, unit: str) -> np.ndarray:
-    """Times in nanoseconds, from the first event where they are not from a recording's start.
+    """Times in nanoseconds, relative to the first event if they are not relative to the start.
 
-    A camera's clock runs from when it was switched on, or from 1970: times past the longest
-    recording are counted from the first event.
+    A camera's clock starts when it is switched on, or in 1970.  Times that are larger than the
+    longest duration of a recording are therefore counted from the first event.
     """
     seconds = UNITS[unit]
     if time[-1] * seconds > LATEST_S:

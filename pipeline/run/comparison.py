@@ -190,7 +190,7 @@ def compare_runs(runs) -> dict:
 
 
 def _different_settings(runs):
-    """Settings that at least two runs read and that differ between these; None where unread."""
+    """Settings that at least two runs read and that differ; None for runs that do not read them."""
     read = [run.settings.relevant() for run in runs]
     different = []
     for name in runs[0].settings.flat():

@@ -77,10 +77,10 @@ def train(
 
 
 def choose(settings: Settings, samples: Apart, trained: TrainedOnEvents, seed: int) -> Threshold:
-    """Choose the confidence at which the network decides by itself, on the samples held back.
+    """Choose the confidence for early decisions on the held-out samples.
 
-    On fewer than :data:`FEWEST_HELD` none is chosen, and the network waits for the end of each
-    recording (a confidence of 1).
+    With fewer than :data:`FEWEST_HELD` samples none is chosen, and the network decides at the end
+    of each recording (a confidence of 1).
     """
     table, labels, _, held = samples
     chosen = trained.threshold(table, labels, held, settings.steps, seed)

@@ -88,7 +88,7 @@ def measure_ladder(
 
 
 def _bars(settings):
-    """The stages that a progress bar can be of."""
+    """The stages that have progress bars."""
     recordings = ["simulate"] if settings.data.source == SIMULATED else []
     layers = [] if settings.network == "nir" else ["compare layers"]
     return [*recordings, *TRAINING_BARS[settings.network], "check", *layers]
@@ -133,9 +133,9 @@ def ladder_artifact(run: RunFolder, whole: bool = False) -> Artifact:
 
 
 def _layers(run: RunFolder, settings: Settings, bundle: Bundle) -> tuple:
-    """How faithful each layer is on the bundle's samples, and its rates in both networks.
+    """Fidelity of each layer on the bundle's samples, and its rates in both networks.
 
-    Without a rate-based network the first is None; of a NIR graph there is neither.
+    Without a rate-based network the fidelity is None; for a NIR graph both are None.
     """
     if settings.network == "nir":
         return None, {}
@@ -299,9 +299,10 @@ def early_text(value: dict, row: dict, classes=DIGITS) -> str:
 def losing_stages(ladder: dict, limit: float, by_chance: bool = False) -> list:
     """Find the stages that lose more than ``limit`` points, as (from, to, points).
 
-    That is the rate-based network, or the one trained on events.  Each stage against the one above
-    it, and the last one against the trained network.  Losses that chance explains (McNemar's test,
-    p of :data:`SIGNIFICANCE` or more) count only with ``by_chance``.
+    Stages from the trained network on (the rate-based network, or the one trained on events) are
+    compared with the stage above, and the last one also with the trained network.  Losses that are
+    not significant (McNemar's test, p of :data:`SIGNIFICANCE` or more) count only with
+    ``by_chance``.
     """
     stages = [row["stage"] for row in ladder["rows"]]
     trained = next((index for index, name in enumerate(stages) if name in TRAINED), None)
@@ -320,7 +321,7 @@ def losing_stages(ladder: dict, limit: float, by_chance: bool = False) -> list:
 
 
 def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> str:
-    """The ladder as a table, with the layers under it where a stage loses too much.
+    """The ladder as a table, followed by the layers if a stage loses too much.
 
     Parameters
     ----------
@@ -329,7 +330,7 @@ def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> st
     limit : float
         Points that a stage after the rate-based network may lose.
     by_chance : bool
-        Warn of losses that chance explains too.
+        Also warn of losses that are not significant.
     """
     what = "simulated samples" if ladder["simulated"] else "samples"
     table = [["stage", "accuracy", "95 % interval", "change", "disagree", "McNemar p", ""]]
