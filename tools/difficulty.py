@@ -1,7 +1,7 @@
-"""The accuracy of the paper's CNN on recordings, under the paper's protocol.
+"""The accuracy of the paper's CNN on recordings, with the paper's protocol.
 
-The simulated people's variation (``parameters.toml``) was set once so that this accuracy is near
-the paper's 0.89; it is not fitted to any other network.
+The variation of the simulated writers (``parameters.toml``) was set once so that this accuracy is
+near the paper's 0.89; it is not fitted to any other network.
 
 ``python -m tools.difficulty``
 """
@@ -56,7 +56,7 @@ def measure(task: Task) -> dict:
 
 
 def summarise(results, simulated: bool) -> dict:
-    """Mean and SD over splits; SD is None for one."""
+    """Mean and SD over splits; SD is None for one split."""
     accuracies = [result["accuracy"] for result in results]
     return {
         "schema": SCHEMA,

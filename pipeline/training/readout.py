@@ -7,12 +7,11 @@ of the weights minimises
         + pull / 2 * |D|^2
 
 with the responses in units of their usual length, so that ``pull`` has the same meaning for all
-networks.
-It is a multinomial logistic regression regularised towards the old weights (a Gaussian prior around
-them; C. Chelba and A. Acero, "Adaptation of maximum entropy capitalizer: little data can help
-a lot", EMNLP 2004), and the kept
-training samples prevent forgetting (rehearsal; A. Robins, Connection Science 7, 1995).
-``rehearsal`` and ``pull`` are chosen by cross-validation on the person's own samples.
+networks.  This is a multinomial logistic regression with a regularisation towards the old weights
+(a Gaussian prior around them; C. Chelba and A. Acero, "Adaptation of maximum entropy capitalizer:
+little data can help a lot", EMNLP 2004).  The kept training samples prevent forgetting (rehearsal;
+A. Robins, Connection Science 7, 1995).  ``rehearsal`` and ``pull`` are chosen by cross-validation
+on the person's own samples.
 """
 
 from __future__ import annotations
