@@ -179,7 +179,7 @@ def _umask():
 
 
 def open_regular(path, mode="rb", **options):
-    """Open a file for reading; refuse a pipe, which could block forever.
+    """Open a file for reading; refuse a pipe or a device, which could block or be read forever.
 
     Parameters
     ----------
@@ -190,14 +190,15 @@ def open_regular(path, mode="rb", **options):
     Raises
     ------
     OSError
-        The file cannot be opened, or is a pipe.
+        The file cannot be opened, or is a pipe or a device.
     """
 
     def opener(name, flags):
         handle = os.open(name, flags | os.O_NONBLOCK | os.O_NOCTTY)
-        if stat.S_ISFIFO(os.fstat(handle).st_mode):
+        kind = os.fstat(handle).st_mode
+        if not (stat.S_ISREG(kind) or stat.S_ISDIR(kind)):  # Python refuses a directory itself
             os.close(handle)
-            raise OSError(errno.EINVAL, "a pipe, not a file", name)
+            raise OSError(errno.EINVAL, "a pipe or a device, not a file", name)
         return handle
 
     return open(str(path), mode, opener=opener, **options)

@@ -270,6 +270,7 @@ def test_a_folder_that_has_vanished(tmp_path):
     assert done.stderr.startswith("stmnist: ")
 
 
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")])
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -282,7 +283,7 @@ def test_a_folder_that_has_vanished(tmp_path):
         ["check", "run", "{bundle}", "--target", "fast"],
     ],
 )
-def test_a_pipe_without_a_writer_is_not_waited_for(refused, tmp_path, arguments):
+def test_a_pipe_or_a_device_is_not_read(refused, tmp_path, arguments, make):
     bundle = tmp_path / "bundle"
     bundle.mkdir()
     for path in (
@@ -291,7 +292,7 @@ def test_a_pipe_without_a_writer_is_not_waited_for(refused, tmp_path, arguments)
         tmp_path / "a.keras",
         bundle / "MANIFEST.json",
     ):
-        os.mkfifo(path)
+        make(path)
     names = {"pipe": tmp_path / "a", "run": tmp_path / "run", "bundle": bundle}
     line = refused(*(argument.format(**names) for argument in arguments))
     assert "a pipe" in line

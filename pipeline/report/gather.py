@@ -26,6 +26,9 @@ from pipeline.settings import read_settings
 
 REMEDY = "delete it and make it again"
 
+FASTEST = 1e6
+"""Spikes per second that no neuron reaches."""
+
 
 def gather(
     folder: RunFolder, benchmark: Path, jobs: int, say, beside: RunFolder | None = None
@@ -109,7 +112,25 @@ def _rates(folder, bundle):
     if not folder.ladder.exists():
         return {}
     ladder = read_json(folder.ladder, REMEDY)
-    return ladder.get("rates", {}) if ladder.get("bundle") == bundle.id else {}
+    if ladder.get("bundle") != bundle.id:
+        return {}
+    rates = ladder.get("rates", {})
+    if not isinstance(rates, dict) or not all(map(_is_rates, rates.values())):
+        raise UserError(f"{folder.ladder}: 'rates' is not pairs of firing rates; {REMEDY}")
+    return rates
+
+
+def _is_rates(pairs):
+    """Whether a value of a file is a list of pairs of firing rates, in spikes per second."""
+    try:
+        rates = np.array(pairs, float).reshape(-1, 2)
+    except (TypeError, ValueError, OverflowError):
+        return False
+    return (
+        isinstance(pairs, list)
+        and len(rates) == len(pairs)
+        and bool(np.all((rates >= 0) & (rates <= FASTEST)))
+    )
 
 
 def _others(folder, bundle):

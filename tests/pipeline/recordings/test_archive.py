@@ -381,5 +381,5 @@ def test_what_is_in_a_folder_and_is_no_file_is_said(tmp_path, make, said, name):
 @pytest.mark.parametrize("read", [read_source, list_source])
 def test_a_pipe_is_not_waited_for(tmp_path, read):
     os.mkfifo(tmp_path / "st.zip")
-    with pytest.raises(UserError, match=r"st\.zip: not a zip archive.*a pipe, not a file"):
+    with pytest.raises(UserError, match=r"st\.zip: not a zip archive.*a pipe"):
         read(tmp_path / "st.zip")
