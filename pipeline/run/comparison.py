@@ -218,6 +218,7 @@ def inference(run: Run) -> dict:
     return {
         "input": run.settings.input.kind,
         "architecture": spec.architecture,
+        "input_shape": list(spec.input_shape),
         "simulated": spec.provenance.get("simulated"),
         "classes": list(spec.provenance.get("classes", DIGITS)),
         "neurons": sum(layer.size for layer in spec.layers if layer.neurons is not None),
@@ -401,8 +402,7 @@ def _inference_lines(runs, letters, width):
     def early(name, form):
         return lambda run: run["writing"] and form.format(run["writing"][name])
 
-    of_digits = all(is_written(run["classes"]) for run in runs)
-    what = "writing" if of_digits else "recording"
+    of_digits = all(is_written(*run["input_shape"][:2], run["classes"]) for run in runs)
     rows = [
         ["an inference", *letters],
         row("input", given("input")),
@@ -416,7 +416,7 @@ def _inference_lines(runs, letters, width):
         row("steps shown", given("steps")),
         row("for good from step", given("decided_at_median", "{:g}")),
         row("that is, ms", given("decided_after_ms", "{:,.0f}")),
-        row("by itself after", early("share", f"{{:.0%}} of {what}")),
+        row("by itself after", early("share", "{:.0%} of recording")),
         row("accuracy then", early("accuracy", "{:.3f}")),
     ]
     lines = _fitted([cells for cells in rows if any(cells[1:])], width)
@@ -425,7 +425,7 @@ def _inference_lines(runs, letters, width):
     if any(run["decided_at_median"] is not None for run in runs):
         lines.append("for good: half the samples' decisions no longer change from this step on")
     if len({run["input"] for run in runs}) > 1:
-        lines.append(f"ms: of an image after the whole {what}, of events while it goes on")
+        lines.append("ms: of an image after the whole recording, of events while it goes on")
     return lines
 
 
