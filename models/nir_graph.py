@@ -28,17 +28,17 @@ FILTERS = ("LI", "CubaLI")
 """Nodes with a state whose output is not spikes."""
 
 MAX_NODES = 500
-"""Nodes of a graph, those of the graphs within it included."""
+"""Maximum number of nodes of a graph, including subgraphs."""
 
 MAX_EDGES = 10_000
 """Edges of a graph; a chain has one fewer than nodes."""
 
 MAX_DIMENSIONS = 7
-"""Dimensions of an input that are looked at; more than 4 cannot be used."""
+"""Maximum number of dimensions of an input that are read; more than 4 cannot be used."""
 
 SNNTORCH_STEP = 1e-4
-"""Seconds: the time step that snnTorch's exporter writes time constants for, whatever the network
-was trained on."""
+"""Time step in seconds for which snnTorch's exporter writes time constants, independently of the
+training."""
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,7 @@ FLOOR = -(2**23) + 1
 """The chip's lowest voltage, since NIR has none."""
 
 CLIPS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
-"""Shares of a layer's largest weight that 127 may stand for; larger weights are cut to it."""
+"""Shares of a layer's largest weight that may become 127; larger weights are clipped."""
 
 MOMENTS_EVERY = 4
 """Steps from one moment of the voltage to the next that counts for the rounding of weights."""
@@ -73,7 +73,7 @@ DAMPING = 0.01
 """Added to the diagonal of the moments, in units of its mean."""
 
 MOST_MOMENTS = 2000
-"""Inputs of a neuron, at most, with which the rounding of weights is compensated."""
+"""Maximum number of inputs of a neuron for which the rounding of weights is compensated."""
 
 MAX_BIAS = BIAS_MANTISSA * 2**7
 WEIGHT_EXPONENTS = 8

@@ -9,8 +9,8 @@ from deploy import children, interrupts
 from deploy.terminal import prepare, remark
 
 QUIET = "ignore:resource_tracker:UserWarning"
-"""joblib's process that tidies up after workers tells of what an interruption left to it, after the
-command's last line."""
+"""joblib's process that cleans up after workers prints a message about an interruption, after the
+command's last line; this is suppressed."""
 
 
 def hear_threads():

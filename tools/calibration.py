@@ -19,7 +19,7 @@ A round simulates the whole data set with the same seed, so that only the parame
 rounds.  It changes every parameter by a damped step towards its cell, within bounds that keep the
 digits on the array.  Steps become smaller from round to round, because the SDs depend on a few long
 recordings and vary strongly.  The result is the round with the best worst cell.  The CNN is not
-used:  the difficulty of the recordings follows from ``parameters.toml``, which was set once.
+used: the difficulty of the recordings follows from ``parameters.toml``, which was set once.
 
 ``python -m tools.calibration`` fits; with ``--check`` it compares the fit with Table 1.
 """
@@ -72,7 +72,7 @@ BOUNDS = {
     "spread": (0.3, 3.0),
     "off": (-1.2, 0.5),
 }
-"""A digit has to lie on the array; the others only must not run away."""
+"""Bounds of the parameters: a digit must be on the array, and the others must not diverge."""
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from pipeline.skin.parameters import CALIBRATION
 
 SCHEMA = "stmnist-difficulty/1"
 AIM = (0.86, 0.92)
-"""Mean accuracy that the built-in recordings are meant to give; the paper has 0.89 (Table 2)."""
+"""Intended mean accuracy on the built-in recordings; the paper has 0.89 (Table 2)."""
 
 RECORD = CALIBRATION.with_name("difficulty.json")
 """The last measurement on the built-in recordings, with their hash."""

@@ -38,13 +38,13 @@ ARCHITECTURES = (
     "10x10-16c3s2p-32-10o,10x10-8c4s2-32c3-10o,10x10-12c4s3-48-10o,10x10-6c4-16c3s2-10o"
 )
 SEEDS = 5
-"""Of the networks on events."""
+"""Seeds of the networks on events."""
 
 DRAWS = 5
-"""Of the recordings that are learned of each person."""
+"""Draws of the recordings to which a network is fitted, for each person."""
 
 ADAPTED = "readout,wrong-labels,pes,all-layers"
-"""Ways of fitting a network on events to a person."""
+"""Methods of fitting a network on events to a person."""
 
 SMALLER = ("--set", "data.samples_per_digit=400", "--set", "events.epochs=30")
 """Recordings and epochs of networks on events that are trained for a fold of people."""
@@ -263,7 +263,7 @@ RESULTS = (
     Result("events-seeds", 1, _events_over_seeds, CHIP, pen=True),
     Result("table2-slayer", 270, _slayer, SLAYER),
 )
-"""All that is measured, in this order: quick ones first, events-seeds after its parts."""
+"""All results, in the order of measurement: quick ones first, events-seeds after its parts."""
 
 
 def states(recordings: str, results=RESULTS) -> list:

@@ -23,7 +23,7 @@ FILES = (
     *("README.md", "docs/commands.md", "docs/settings.md"),
     *("docs/adapt.md", "docs/benchmarks.md", "docs/events.md", "docs/live.md", "docs/training.md"),
 )
-"""Where the parts stand, from the root of the repository."""
+"""Files with generated parts, relative to the root of the repository."""
 
 
 def commands() -> str:

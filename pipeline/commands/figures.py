@@ -191,7 +191,7 @@ FITTED = {
     "pes": "readout on the chip, PES",
     "all-layers": "all layers, on the host",
 }
-"""What the ways of :mod:`pipeline.experiments.adaptation` fit to a person."""
+"""The part of the network that each method of :mod:`pipeline.experiments.adaptation` fits."""
 
 
 def adaptation_markdown(name: str) -> str:
@@ -268,7 +268,7 @@ TABLES = {
     "adaptation on events": lambda: adaptation_markdown("adapt-events"),
     "adaptation on images": lambda: adaptation_markdown("adapt-images"),
 }
-"""What is inserted between the marks of a name, as Markdown."""
+"""Content between the marks of each name, as Markdown."""
 
 
 def _text(name, command, text_of, built_in=True):

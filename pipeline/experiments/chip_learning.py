@@ -32,7 +32,7 @@ LATENCY = 8
 """Steps after which a spike sent by the host has reached the decoded output that the host reads."""
 
 EPOCH = 4
-"""Steps between two changes of the weights, on the chip's fixed raster."""
+"""Steps between two changes of the weights, on the chip's fixed grid."""
 
 USUAL = 99.5
 """Percentile of the responses to training samples that is sent as the most spikes."""

@@ -108,7 +108,7 @@ def points_of(folder: Path, base: Settings, grid, recordings: Recordings) -> lis
         From :func:`base_settings`.
     grid : sequence of str
         Such as ``"presentation.steps=50,100"`` or ``"snn.max_rates=[100,150],[150,150]"``; a single
-        number stands for a list of one.
+        number is taken as a list of one.
     recordings : Recordings
         Recordings that the settings name.
 

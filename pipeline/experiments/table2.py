@@ -144,7 +144,7 @@ def summarise(benchmark: Benchmark, failures=None) -> dict:
     Returns
     -------
     dict
-        Plain values: ``simulated``, ``splits`` (asked for this time), ``rows`` (those of random
+        Plain values: ``simulated``, ``splits`` (the requested number), ``rows`` (those of random
         splits, the paper's protocol), ``writer_rows``, ``comparisons``, ``failures``.
     """
     results = {(kind, name): benchmark.results(kind, name) for kind in KINDS for name in MODELS}

@@ -34,7 +34,7 @@ from pipeline.settings import Settings
 
 SCHEMA = "stmnist-table2-split/1"
 LOIHI_TARGET = "fast"
-"""The target that stands for the chip; bit-identical to NengoLoihi's emulator."""
+"""The target that replaces the chip; bit-identical to NengoLoihi's emulator."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Model:
 
     @property
     def paper(self) -> tuple | None:
-        """Mean and SD in the paper's Table 2, if it is there."""
+        """Mean and SD in the paper's Table 2, or None."""
         return TABLE2.get(self.name)
 
 
@@ -82,7 +82,7 @@ WITH_SLAYER = ("slayer", "slayer-small")
 """Models trained with SLAYER: with the initial weights of its authors' code, and of a tenth."""
 
 SLOW = (*ON_EVENTS, *WITH_SLAYER)
-"""Models that are not run unless asked for."""
+"""Models that are only run on request."""
 
 SMALL_CONV_SCALE = 10.0
 """``slayer.conv_scale`` of ``slayer-small``."""

@@ -25,7 +25,7 @@ AT_ONCE = 500
 """Recordings whose frames of events are made at once, which bounds the memory."""
 
 MOST_LOST = 0.1
-"""Share of the events that may be lost to steps that are too long before a line says so."""
+"""Share of merged events above which a warning is printed."""
 
 SPLIT_READS = ("seed", "split")
 """Settings that a split depends on."""

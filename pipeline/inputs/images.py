@@ -8,10 +8,11 @@ aggregation
     ``signed``   ON minus OFF events
     ``on``, ``off``  events of one polarity
 normalisation
-    ``max``      divided by the image's largest magnitude (default) ``sum``      divided by the sum
-    of magnitudes ``sqrt-max`` square root of the magnitude, then as ``max``; reduces the effect of
-    very active taxels ``none``     unchanged; counts would spike too often for the chip, except at
-    a low
+    ``max``      divided by the image's largest magnitude (default)
+    ``sum``      divided by the sum of magnitudes
+    ``sqrt-max`` square root of the magnitude, then as ``max``; reduces the effect of very active
+                 taxels
+    ``none``     unchanged; counts would spike too often for the chip, except at a low
                  ``deployment.input_rate``
 """
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 HELD_OUT = 0.1
-"""Share of the training samples by which a choice is made where nothing else is for it."""
+"""Share of the training samples that is held out if there are no validation samples."""
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,12 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from deploy.terminal import remark
 
 STRANGERS = 32
-"""Connections without the token at a time: many times what a browser opens for a page, and a small
-part of the files that a process may have open."""
+"""Maximum number of simultaneous connections without the token: many times the
+number that a browser opens for a page, and a small part of the files that a process may have
+open."""
 
 STRANGER_S = 5.0
-"""Until a connection must have shown the token; a page does so in milliseconds."""
+"""Seconds until a connection must have sent the token; a page sends it in milliseconds."""
 
 QUIET_S = 60.0
 """Seconds between two messages that no file descriptor is left."""

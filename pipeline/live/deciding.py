@@ -23,7 +23,8 @@ from pipeline.recordings.steps import EventTable
 from pipeline.settings import Image
 
 MOST_DRAWN = 4096
-"""Neurons of a layer whose spikes go to the page: more rows than a screen has show nothing."""
+"""Maximum number of neurons of a layer whose spikes are sent to the page, limited by the rows of a
+screen."""
 
 
 @dataclass(frozen=True)

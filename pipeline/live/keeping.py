@@ -45,7 +45,7 @@ TABLE = "LUT.mat"
 
 TEMPORARY = ".recording."
 """Start of the name of a recording that is being written.  It is the same for all of them, so that
-what a killed process left is found whatever its number was."""
+the files of killed processes are found."""
 
 LONGEST_NAME = 255
 """Bytes of a folder's name, at most, on the usual file systems."""

@@ -28,10 +28,10 @@ LATEST = 10
 """Number of the last digits for which the page counts correct answers."""
 
 LARGEST = 256 << 20
-"""Bytes of all that is kept of a writer."""
+"""Maximum number of bytes of the data of a writer."""
 
 FEWEST = 2
-"""Digits from which on a readout is fitted: cross-validation needs one to leave out."""
+"""Minimum number of digits for fitting a readout, which cross-validation needs."""
 
 
 @dataclass(frozen=True)

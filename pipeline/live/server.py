@@ -1,4 +1,4 @@
-"""The web server of the page and its messages: on this machine only, or on an address asked for.
+"""The web server of the page and its messages, on this machine only or on a given address.
 
 Every address starts with a token that is drawn at each start, so that neither another user of the
 machine nor a page of another server can write here.  Requests for other host names that point to
@@ -50,13 +50,13 @@ from pipeline.live.session import (
 from pipeline.skin.writing import START_S
 
 HOST = "127.0.0.1"
-"""Default address of the page, which no other machine reaches."""
+"""Default address of the page, which other machines cannot reach."""
 
 LARGEST = 64 * 1024
 """Bytes of a message."""
 
 APART_S = 0.012
-"""Minimum seconds between two answers: more than the screen shows would waste time."""
+"""Minimum seconds between two answers, because a screen cannot display more."""
 
 PAGES = 8
 """Pages that may be open at a time."""

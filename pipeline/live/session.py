@@ -44,29 +44,29 @@ if TYPE_CHECKING:
     from pipeline.live.learning import Learner  # Nengo: a second that the page can spare
 
 LONGEST_S = 10.0
-"""A recording takes no longer.  The published ones last 2 s; not everybody writes as fast, and a
-network on events hears the first 2 s only."""
+"""Maximum duration of a recording.  The published ones last 2 s; some people write
+more slowly, and a network on events receives the first 2 s only."""
 
 PAUSE_S = 1.5
-"""A pen that comes down after so long begins another recording."""
+"""Pause in seconds after which a touch of the pen begins another recording."""
 
 REST_S = 0.25
-"""A pen of which nothing has come for so long rests where it was; before that it may be that the
-machine is busy and its way is still to come."""
+"""Seconds without a message after which the pen is taken to rest; before, messages
+may be delayed by a busy machine."""
 
 POINTS = 512
-"""Points that a message may hold."""
+"""Maximum number of points in a message."""
 
 MOST_TAXELS = 4096
-"""Taxels of a skin that one can write on: more take the machine longer to simulate than a page with
-its network leaves it (0.15 s of processor time a second for so many)."""
+"""Maximum number of taxels of a skin to write on: with more, the simulation would take too long
+beside the page and its network (0.15 s of processor time per second for this number)."""
 
 SKIN_RATE = 2.0
-"""Seconds of the skin that are simulated for a page in each second, on average: a hand needs one.
-At once it may be the whole of the longest recording."""
+"""Mean number of seconds of the skin that may be simulated for a page per second; a person needs
+one.  At one moment it may be the whole of the longest recording."""
 
 EACH = 1000
-"""Recordings of each class that a session may ask for."""
+"""Maximum number of recordings of each class in a session."""
 
 
 class BadMessage(ValueError):

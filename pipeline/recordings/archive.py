@@ -52,7 +52,7 @@ LISTED = 10
 """Number of reasons, and of files that were left out, that are listed individually."""
 
 NAMED = 3
-"""Refused files that a line names."""
+"""Maximum number of refused files that are named in a line."""
 
 LONGEST_NAME = 120
 """Characters of a name in a message."""

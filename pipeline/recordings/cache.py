@@ -25,10 +25,10 @@ from pipeline.recordings.stored import problem_with
 _SHA256 = re.compile("[0-9a-f]{64}")
 
 FORMAT = 4
-"""Raise it with any change of what is stored or of how recordings are read."""
+"""Version of the format; increase it with any change of the stored data or of the reading."""
 
 LARGEST = 1 << 34
-"""Bytes of a set of recordings: the published one takes a hundredth of it."""
+"""Maximum number of bytes of a set of recordings, a hundred times that of the published one."""
 
 
 def folder() -> Path:

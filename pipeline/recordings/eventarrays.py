@@ -25,7 +25,7 @@ NAMES = {
     "t": ("t", "time", "timestamp", "ts", "t_s", "t_ms", "t_us", "t_ns"),
     "p": ("p", "polarity", "pol", "on"),
 }
-"""Names of fields and of columns that stand for each of them, in any case; one may say the unit."""
+"""Alternative names of fields and columns, in upper or lower case; some include the unit."""
 
 MAX_EVENTS = 5_000_000
 """Events of one recording."""

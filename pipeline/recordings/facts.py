@@ -97,7 +97,7 @@ def recordings_text(facts: dict, recordings: Recordings) -> str:
 
 
 MOST_NAMED = 12
-"""Classes whose recordings are counted one by one in a line."""
+"""Maximum number of classes whose recordings are counted separately in a line."""
 
 
 def _of_classes(counts):

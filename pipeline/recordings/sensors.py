@@ -271,7 +271,7 @@ SIZE_GAP = 1.8
 """Factor by which recordings of a larger sensor reach further than those of a smaller one."""
 
 SMALLEST_SENSOR = 6
-"""Rows or columns below which how far recordings reach tells nothing of a sensor."""
+"""Number of rows or columns below which the largest coordinates do not identify a sensor."""
 
 
 def _counts_from_1(read):

@@ -12,11 +12,11 @@ UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 UNIT_NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 
 SHORTEST_S = 0.02
-"""A recording of a gesture or a saccade lasts longer; so a unit in which most recordings were
-shorter is not theirs."""
+"""Minimum duration of a recording of a gesture or a saccade, in seconds; a unit with which most
+recordings would be shorter is excluded."""
 
 MIXED = 100
-"""Factor past which durations are not of one unit; units are 1,000 apart."""
+"""Factor between durations above which their units differ; units differ by a factor of 1,000."""
 
 
 def span_of(time) -> float:

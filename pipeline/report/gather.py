@@ -27,7 +27,7 @@ from pipeline.settings import read_settings
 REMEDY = "delete it and make it again"
 
 FASTEST = 1e6
-"""Spikes per second that no neuron reaches."""
+"""Spikes per second, an upper bound for all neurons."""
 
 
 def gather(

@@ -35,7 +35,7 @@ ZERO_MEANS = {
     **{f"snn.{name}": "0: the recipe's own" for name in ("epochs", "batch_size", "learning_rate")},
 }
 FRAMES = 6
-"""Pictures of a tactile image in the making."""
+"""Number of pictures of the growing tactile image."""
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def _word(recordings):
 
 
 BROWSED_WRONG, BROWSED_RIGHT = 16, 8
-"""Samples of the browser, at most."""
+"""Maximum number of samples of the browser."""
 
 
 def browsed_samples(result: dict) -> list:
@@ -288,7 +288,7 @@ def _browser(inputs):
 
 
 SHOWN_CLASSES = 4
-"""Classes whose probability is drawn: the likeliest at the end, and the right one."""
+"""Number of classes whose probability is drawn: the most likely at the end, and the right one."""
 
 
 def _events_chart(recordings, recording):

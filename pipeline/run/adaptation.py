@@ -23,13 +23,13 @@ from pipeline.settings import Image
 from pipeline.training.readout import Person, Refit, refit
 
 KEPT = 500
-"""Training samples whose responses a bundle keeps."""
+"""Number of training samples whose responses are in a bundle."""
 
 COPIES = 10
-"""Altered copies of each sample of a person."""
+"""Number of augmented copies of each sample of a person."""
 
 AT_ONCE = 64
-"""Samples that are run side by side, which bounds the memory."""
+"""Number of samples that are run in parallel, which limits the memory."""
 
 
 class Responder:

@@ -16,7 +16,8 @@ from pipeline.training.events import EventRecipe, TrainedOnEvents, train_events
 
 __all__ = ["Apart", "Checkpoint", "choose", "set_apart", "train", "trained_network"]
 FEWEST_HELD = 100
-"""Samples on which a confidence may be chosen: of fewer, half a point is not even one sample."""
+"""Minimum number of samples for choosing a confidence; with fewer, half a percentage point is less
+than one sample."""
 
 
 class Apart(NamedTuple):

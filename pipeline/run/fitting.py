@@ -29,10 +29,11 @@ LARGEST_MAP = 14
 """Rows and columns of the first convolution's output on images, at most, on average."""
 
 EVENT_MAP = 5
-"""The same of a network on events, whose first layer is as coarse in the default network."""
+"""The same for a network on events, as in the first layer of the default network."""
 
 FEWEST_STEPS, MOST_STEPS = 50, 400
-"""Steps for which events are shown; longer recordings get longer steps."""
+"""Minimum and maximum number of steps of a presentation of events; longer recordings get longer
+steps."""
 
 OPERATIONS_AN_EVENT = 1.5
 """Synaptic operations that a network on events may take, in multiples of what its first layer takes

@@ -39,19 +39,19 @@ CALIBRATED_ON = 48
 """Training samples on which the scales of the weights are chosen."""
 
 DECIDED_ON = 300
-"""Training samples, at most, on which the confidence is chosen at which the network decides."""
+"""Maximum number of training samples on which the confidence for early decisions is chosen."""
 
 RESETTING = ("IF", "LIF", "CubaLIF")
 """Nodes whose voltage a spike resets."""
 
 FROM_REST = {"gap": 0, "stream_length": 1}
-"""Default presentation of samples to an imported network: each from rest.
-Trainings in PyTorch start every sample with the neurons' state at rest (``reset_hidden`` of
-snnTorch, a state of None in Norse), so that this is what the network was trained for.  A board
-begins each stream by loading the network, so there it means one loading a sample."""
+"""Default presentation of samples to an imported network: each from rest.  Trainings in PyTorch
+start every sample with the neurons' state at rest (``reset_hidden`` of snnTorch, a state of None in
+Norse), so that this is what the network was trained for.  A board begins each stream by loading the
+network, so there it means one loading a sample."""
 
 RESET_ON = 200
-"""Training samples, at most, on which a reset by subtraction is compared with that of the chip."""
+"""Maximum number of training samples on which the two resets are compared."""
 
 AGAIN = "give it again with 'stmnist convert RUN --nir FILE'"
 

@@ -35,13 +35,13 @@ TRAINABLE = ("LIF", "CubaLIF")
 """Nodes whose neurons are those of the network on events."""
 
 SCALED_ON = 256
-"""Training samples, at most, on which the size of the outputs is chosen."""
+"""Maximum number of training samples on which the scale of the outputs is chosen."""
 
 NO_BUDGET = 1000.0
 """Budget of synaptic operations in multiples of the CNN's: none for a user's network."""
 
 SCALES = 2.0 ** np.arange(-12, 9)
-"""Factors of the outputs that are tried."""
+"""Candidate factors of the outputs."""
 
 
 def settings_of_retrained(path, step: float | None = None, kind: str | None = None) -> dict:

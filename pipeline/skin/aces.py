@@ -30,7 +30,7 @@ LONGEST_BURST = 6
 """Ticks after which a taxel's reports can no longer belong to the same event."""
 
 FIRST_LOOK = 4
-"""Pulses that are correlated at every tick; the rest only where these are there."""
+"""Number of pulses that are correlated at every tick; the others only where these are found."""
 
 
 @functools.cache

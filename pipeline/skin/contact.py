@@ -15,7 +15,7 @@ LANDED = 0.1
 """Share of the greatest force at which the pen counts as on the skin."""
 
 NOTHING = 2.0**-150
-"""Half of float32's smallest number: added to one of them, it is rounded away."""
+"""Half of float32's smallest number, which has no effect when it is added."""
 
 
 def press(motion, gain, least, rng, p, size=(GRID, GRID)):

@@ -108,7 +108,7 @@ NOBODY = Writer(
     scrape=0.0,
     sloppiness=1.0,
 )
-"""A writer without any traits, to hold the pen for recorded handwriting."""
+"""A writer without any traits, for recorded handwriting."""
 
 
 def writers(rng, p, shapes: ShapeModel) -> tuple:

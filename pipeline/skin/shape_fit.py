@@ -18,7 +18,7 @@ LEAST_DIGITS, LEAST_WRITERS = 15, 3
 
 MOST_COMPONENTS = 12
 EXPLAINED = 0.97
-"""Share of the variance that an allograph's components explain, if so many are enough."""
+"""Share of the variance that an allograph's components explain, within their maximum number."""
 
 
 def estimate(traces, seed: int = 0, about: dict | None = None) -> ShapeModel:

@@ -20,13 +20,13 @@ from pipeline.skin.contact import Creep, press, scrape
 from pipeline.skin.receptors import Receptors
 
 VERSION = 6
-"""Goes into the hash of the recordings; raise it with any change of what is simulated."""
+"""Part of the hash of the recordings; increase it with any change of the simulation."""
 
 SIZE = (GRID, GRID)
 """Rows and columns of the paper's array."""
 
 STEP_S = 3.27e-3 / 3
-"""Time step of motion and contact; events stand on a finer grid within it."""
+"""Time step of motion and contact; events have a finer grid."""
 
 ARRAY_SEED = 2020
 """Seed of the taxels' gains: as in the paper, one array records every data set."""

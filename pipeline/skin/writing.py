@@ -22,7 +22,7 @@ from pipeline.skin.receptors import Receptors
 from pipeline.skin.simulate import ARRAY_SEED, SIZE, STEP_S, array_gain
 
 START_S = 0.2
-"""Time at which the pen first touches the skin; 0.197 s in the one real recording at hand."""
+"""Time at which the pen first touches the skin; 0.197 s in the one available real recording."""
 
 USUAL_PRESSURE = 0.5
 """Pressure that a pointer without a pressure sensor reports (W3C, Pointer Events, ``pressure``)."""

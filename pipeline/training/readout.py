@@ -33,14 +33,14 @@ FOLDS = 5
 
 MOST_DIRECTIONS = 96
 """Directions of the responses in which the weights may change, those of the largest variance: a
-layer of many neurons would take minutes, and has no more than that to tell."""
+layer of many neurons would take minutes without a gain."""
 
 LEVELS = 127
 """The largest weight in integers: 8 bits with the sign."""
 
 MOST_LOST = 0.015
-"""Share of the kept samples that a refit may lose in cross-validation; what others lose is about
-this."""
+"""Maximum loss of accuracy on the kept samples in cross-validation, similar to the loss of other
+people."""
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,10 @@ from pipeline.recordings.words import shortened
 from pipeline.report.over_time import probabilities
 
 FRAMES, FRAMES_A_SECOND, STILL = 48, 16, 12
-"""Pictures in all, in a second, and at the end, where nothing moves any more."""
+"""Number of frames in total, per second, and at the end, where nothing moves."""
 
 SHOWN_CLASSES = 6
-"""Classes whose probability is drawn: the likeliest at the end, and the right one."""
+"""Number of classes whose probability is drawn: the most likely at the end, and the right one."""
 
 LONGEST_NAME = 32
 

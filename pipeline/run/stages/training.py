@@ -282,7 +282,7 @@ class _timed:
 
 
 MOST_WATCHED = 500
-"""Test samples on which a network is watched while it is trained."""
+"""Maximum number of test samples for the learning curve."""
 
 
 def _watched(dataset):
