@@ -267,7 +267,7 @@ class EventDecider(_Fast):
         milliseconds = 1e3 * self._spec.stimulus.step_seconds
         self.about = (
             "time runs to the right as it does on the sensor. This network is given the events "
-            f"themselves, in steps of {milliseconds:g} ms, and decides while they come."
+            f"themselves, in steps of {milliseconds:g} ms, while they come."
         )
 
     def begin(self):

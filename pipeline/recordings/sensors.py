@@ -245,9 +245,10 @@ def _elsewhere(read, reading):
 
 
 def _larger(extents):
-    """Indices of recordings, fewer than half, that reach far past all others in both directions.
+    """Indices of recordings that reach far past all others in both directions.
 
-    Where a sensor's recordings are sorted by how far they reach, no gap is wide.
+    Where a sensor's recordings are sorted by how far they reach, no gap is wide.  If half of them
+    or more reach further, they count only if each recording fills one of the two sizes.
     """
     if len(extents) < 4:
         return []
@@ -256,15 +257,26 @@ def _larger(extents):
         order = np.sort(extents[:, axis])
         gaps = order[1:] / order[:-1]
         at = int(np.argmax(gaps))
-        few = len(order) - 1 - at
-        if gaps[at] < SIZE_GAP or order[at] < SMALLEST_SENSOR or 2 * few >= len(order):
+        if gaps[at] < SIZE_GAP or order[at] < SMALLEST_SENSOR:
             continue
         large = extents[:, axis] > order[at]
+        if 2 * large.sum() >= len(order) and not (
+            _filled(extents[large]) and _filled(extents[~large])
+        ):
+            continue
         others = extents[~large].max(axis=0)
         if (extents[large] >= SIZE_GAP * others).all():
             return np.flatnonzero(large).tolist()
     return []
 
+
+def _filled(extents):
+    """True if each recording has events up to the last rows and columns, or nearly."""
+    return bool((extents >= FILLED * extents.max(axis=0)).all())
+
+
+FILLED = 0.8
+"""Share of the rows and columns up to which a recording fills its sensor."""
 
 SIZE_GAP = 1.8
 """Factor by which recordings of a larger sensor reach further than those of a smaller one."""
