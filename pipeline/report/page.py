@@ -271,6 +271,7 @@ def _browser(inputs):
                 "answered": classes[sample["prediction"]],
                 "probability": float(chances[-1, sample["prediction"]]),
                 "decided_ms": decided * step_ms,
+                "undecided": sample.get("stopped_at") == spec.presentation.steps,
                 "image": _frames(inputs, recording, 1)[0]["chart"],
                 "events": _events_chart(recordings, recording),
                 "chances": charts.line_chart(
