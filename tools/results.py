@@ -14,6 +14,7 @@ import os
 import platform
 import subprocess
 import sys
+import textwrap
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -276,9 +277,13 @@ def listing(found) -> str:
     rows = [["result", "state", "minutes", "why"]]
     for result, state in found:
         why = state.reasons() or ("needs --pen" if result.pen and not state.is_current else "")
-        rows.append([result.name, state.state, str(result.minutes), why])
+        first, *more = textwrap.wrap(why, 40) or [""]
+        rows.append([result.name, state.state, f"{result.minutes:>7}", first])
+        rows += [["", "", "", line] for line in more]
     left = sum(result.minutes for result, state in found if state.state != CURRENT)
-    return "\n".join([*aligned(rows), f"{left / 60:.1f} hours for those that are not current"])
+    return "\n".join(
+        [*aligned(rows, left=4), f"{left / 60:.1f} hours for those that are not current"]
+    )
 
 
 def measure(result: Result, work: Work, recordings: str) -> dict:

@@ -16,7 +16,7 @@ from ..files import locked, make_folder, open_own, write_json
 from ..network.responses import Responses
 from ..network.spec import NetworkSpec
 from ..network.stream import streams_of
-from ..targets.registry import answer, target_named
+from ..targets.registry import answer, refuse_unfit, target_named
 from .bundle import Bundle, CheckSet
 from .results import result_of, versions
 
@@ -213,6 +213,7 @@ def open_check(
     target_named(target)
     if type(seed) is not int or not 0 <= seed < 2**31:  # a bundle may say anything
         raise UserError(f"seed {seed}: must be from 0 to {2**31 - 1}")
+    refuse_unfit(bundle.spec, target, seed)
     out = Path(out)
     if out.exists() and not out.is_file():  # checked now, before the samples are run
         raise UserError(f"{out}: cannot write (not a file); choose another --out")

@@ -21,6 +21,7 @@ from deploy.files import read_json
 from pipeline.experiments.choices import choices_text
 from pipeline.experiments.events import events_text
 from pipeline.experiments.losses import losses_text
+from pipeline.experiments.sweep_text import sweep_text
 from pipeline.experiments.table2 import table_text
 from pipeline.experiments.table2_splits import MODELS
 
@@ -218,6 +219,12 @@ def adaptation_markdown(name: str) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
+def _sweep_output(name, command):
+    content = result(name)
+    table = sweep_text(content).partition("\n* on the Pareto front")[0]
+    return _output(command, table, content)
+
+
 def _table2_output(name, command):
     content = result(name)
     _, rows = table_text(content).split("\n\n", 1)
@@ -253,6 +260,11 @@ TABLES = {
         "events-pen", "stmnist benchmark events --data pen.zip --out runs/time-pen", _rows, False
     ),
     "events over seeds": events_markdown,
+    "output of sweep": lambda: _sweep_output("sweep", "stmnist sweep runs/sweep"),
+    "output of sweep of architectures": lambda: _sweep_output(
+        "architectures",
+        "stmnist sweep runs/architectures --grid cnn.architecture=10x10-6c4-24c3-10o,...",
+    ),
     "adaptation on events": lambda: adaptation_markdown("adapt-events"),
     "adaptation on images": lambda: adaptation_markdown("adapt-images"),
 }

@@ -189,27 +189,30 @@ def opened(path: Path, given: Given, changes: dict | None = None, fit=None):
         yield folder, resolved
 
 
-def fit_recordings(jobs: int, check: bool = True):
+def fit_recordings(jobs: int, until: str):
     """The ``fit`` of :func:`opened`, which also announces the data of a new run.
 
     Parameters
     ----------
     jobs : int
         Number of processes for recordings that are not in the cache.
-    check : bool
-        True if samples of a check will be drawn.
+    until : str
+        How far the command goes, as in :func:`pipeline.run.stages.bars`.
     """
 
     def fit(folder, settings):
         from pipeline.inputs.library import recordings_of
+        from pipeline.progress import stages
         from pipeline.run.fitting import chosen_text, fitted, new_run_text
+        from pipeline.run.stages import bars
 
         if settings.data.source == SIMULATED:
             return fitted(settings, jobs)
-        recordings = recordings_of(settings, jobs)  # what is left out is told when they are used
+        with stages(bars(settings, until)):
+            recordings = recordings_of(settings, jobs)  # what is left out is told later
         is_new = not folder.experiment.exists()
         try:
-            chosen = fitted(settings, jobs, None, recordings, check)
+            chosen = fitted(settings, jobs, None, recordings, check=until != "train")
         except SeveralErrors as error:
             if not is_new:
                 raise

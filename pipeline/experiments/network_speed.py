@@ -111,12 +111,12 @@ class Case:
 
 
 CASES = (
-    Case("channel, two ensembles of 1,000", channel, 4000),
+    Case("channel, 2 ensembles of 1,000", channel, 4000),
     Case("integrator of 1,000", integrator, 4000),
-    Case("recurrent, 1,000 x 1,000 neurons", recurrent, 1000),
+    Case("recurrent, 1,000 x 1,000", recurrent, 1000),
     Case("PES, 1,000 neurons", learning, 400),
     Case("PES, 100 neurons", lambda: learning(100), 1000),
-    Case("three convolutions, 3,488 compartments", convolutions, 400),
+    Case("3 convolutions, 3,488 neurons", convolutions, 400),
 )
 
 
@@ -219,7 +219,7 @@ def _measure(case, turns):
 
 def networks_text(result: dict) -> str:
     """The result as a table."""
-    rows = [["network", "steps", "emulator", "whole run", "us a step", "Nengo's host", "emulator"]]
+    rows = [["network", "steps", "emulator", "run", "us/step", "host", "emulator"]]
     rows += [
         [
             row["network"],
@@ -235,10 +235,10 @@ def networks_text(result: dict) -> str:
     verdict = "every voltage, current and spike" if result["identical"] else "NO: they differ"
     return "\n".join(
         [
-            "FastSimulator beside NengoLoihi's Simulator: how many times as fast, in processor "
-            f"time of one thread, medians of {result['turns']} turns",
+            "FastSimulator beside NengoLoihi's Simulator: how many times as fast, in",
+            f"processor time of one thread, medians of {result['turns']} turns",
             f"identical: {verdict}",
             *aligned(rows),
-            "the last two: shares of the whole run with FastSimulator",
+            "host is Nengo's; the last two: shares of the whole run with FastSimulator",
         ]
     )

@@ -9,8 +9,8 @@ from deploy.check.bundle import Bundle, read_bundle
 from deploy.errors import UserError
 from deploy.files import read_json
 from deploy.network.stimulus import EventFrames
-from pipeline.recordings.events import GRID, Sensor
-from pipeline.recordings.words import is_written
+from pipeline.recordings.events import Sensor
+from pipeline.recordings.words import are_digits, is_written
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Image, read_settings
 
@@ -114,15 +114,10 @@ def record_folder(bundle: Bundle, sensor: Sensor) -> str:
     bundle : Bundle
     sensor : Sensor
     """
-    if is_digits(sensor):
+    if is_written(sensor.rows, sensor.columns, sensor.classes):
         return RECORD
     name = re.sub(r"[^\w-]+", "-", Path(name_of(bundle)).stem).strip("-")
     return f"{RECORD}-{name[:40]}" if name else f"{RECORD}-{sensor.rows}x{sensor.columns}"
-
-
-def is_digits(sensor: Sensor) -> bool:
-    """True for ST-MNIST's sensor, on which people write digits."""
-    return is_written(sensor.classes) and (sensor.rows, sensor.columns) == (GRID, GRID)
 
 
 def name_of(bundle: Bundle) -> str:
@@ -152,5 +147,5 @@ def about(bundle: Bundle, sensor: Sensor, folder, outdated: str | None = None) -
         "columns": sensor.columns,
         "polarities": sensor.polarities,
         "classes": list(sensor.classes),
-        "digits": is_written(sensor.classes),
+        "digits": are_digits(sensor.classes),
     }

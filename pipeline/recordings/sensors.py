@@ -246,9 +246,10 @@ def _elsewhere(read, reading):
 
 
 def _larger(extents):
-    """Indices of recordings, fewer than half, with far larger coordinates in both directions.
+    """Indices of recordings with far larger coordinates than the others in both directions.
 
-    If recordings of one sensor are sorted by their largest coordinate, no gap is wide.
+    If recordings of one sensor are sorted by their largest coordinate, no gap is wide.  Half of the
+    recordings or more are returned only if each recording fills one of the two sizes.
     """
     if len(extents) < 4:
         return []
@@ -257,15 +258,26 @@ def _larger(extents):
         order = np.sort(extents[:, axis])
         gaps = order[1:] / order[:-1]
         at = int(np.argmax(gaps))
-        few = len(order) - 1 - at
-        if gaps[at] < SIZE_GAP or order[at] < SMALLEST_SENSOR or 2 * few >= len(order):
+        if gaps[at] < SIZE_GAP or order[at] < SMALLEST_SENSOR:
             continue
         large = extents[:, axis] > order[at]
+        if 2 * large.sum() >= len(order) and not (
+            _filled(extents[large]) and _filled(extents[~large])
+        ):
+            continue
         others = extents[~large].max(axis=0)
         if (extents[large] >= SIZE_GAP * others).all():
             return np.flatnonzero(large).tolist()
     return []
 
+
+def _filled(extents):
+    """True if each recording has events up to the last rows and columns, or nearly."""
+    return bool((extents >= FILLED * extents.max(axis=0)).all())
+
+
+FILLED = 0.8
+"""Share of the rows and columns up to which a recording fills its sensor."""
 
 SIZE_GAP = 1.8
 """Factor by which recordings of a larger sensor reach further than those of a smaller one."""

@@ -145,9 +145,10 @@ def table1_text(recordings, against_paper: bool = False) -> str:
     name = printable(recordings.source.name)
     if recordings.source.simulated and "simulated" not in name:
         name += " (simulated)"
-    classes = recordings.sensor.classes
-    rows = [["", *shortened_apart([classes[digit] for digit in ours], LONGEST_HEAD)]]
-    for measure, label in (LABELS if is_written(classes) else OWN_LABELS).items():
+    sensor = recordings.sensor
+    written = is_written(sensor.rows, sensor.columns, sensor.classes)
+    rows = [["", *shortened_apart([sensor.classes[digit] for digit in ours], LONGEST_HEAD)]]
+    for measure, label in (LABELS if written else OWN_LABELS).items():
         decimals = 2 if measure[0] in "xy" else 0
         rows.append([label, *(_cell(row[measure], decimals) for row in ours.values())])
         if against_paper and measure in MEASURES:

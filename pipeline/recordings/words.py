@@ -1,18 +1,18 @@
-"""The words for recordings and their classes in messages: written digits or the user's own."""
+"""The names of classes in messages, and whether they are digits written on a skin."""
 
 from __future__ import annotations
 
-from pipeline.recordings.events import DIGITS
+from pipeline.recordings.events import DIGITS, GRID
 
 
-def is_written(classes) -> bool:
-    """True if the classes are the ten digits, which people write."""
+def are_digits(classes) -> bool:
+    """True if the classes are the ten digits."""
     return tuple(classes) == DIGITS
 
 
-def recording_word(classes) -> str:
-    """The word for the period until a network decides: ``"writing"``, or ``"recording"``."""
-    return "writing" if is_written(classes) else "recording"
+def is_written(rows: int, columns: int, classes) -> bool:
+    """True for digits on ST-MNIST's sensor, to which the paper's figures apply."""
+    return are_digits(classes) and rows == columns == GRID
 
 
 def shortened(name: str, width: int) -> str:

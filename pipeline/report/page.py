@@ -22,7 +22,7 @@ from pipeline.paper import TABLE1
 from pipeline.recordings import table1
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.steps import EventTable
-from pipeline.recordings.words import is_written
+from pipeline.recordings.words import are_digits
 from pipeline.report import charts
 from pipeline.report.matrix import confusion_shares
 from pipeline.report.over_time import final_probabilities
@@ -182,7 +182,7 @@ def choose_samples(result: dict, stream_length: int) -> list:
 
 def _of_digits(recordings):
     """True if recordings are written digits in the layout of ST-MNIST, not from a camera."""
-    return is_written(recordings.sensor.classes) and not recordings.source.time_unit
+    return are_digits(recordings.sensor.classes) and not recordings.source.time_unit
 
 
 def _word(recordings):
@@ -271,6 +271,7 @@ def _browser(inputs):
                 "answered": classes[sample["prediction"]],
                 "probability": float(chances[-1, sample["prediction"]]),
                 "decided_ms": decided * step_ms,
+                "undecided": sample.get("stopped_at") == spec.presentation.steps,
                 "image": _frames(inputs, recording, 1)[0]["chart"],
                 "events": _events_chart(recordings, recording),
                 "chances": charts.line_chart(
