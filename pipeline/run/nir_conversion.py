@@ -339,12 +339,18 @@ def _notes(network, layers, stepped):
         windows = [n for n in network.nodes if n.name in layer.nodes and "Conv" in n.kind]
         if layer.spiking and layer.kind == "dense" and windows and len(windows[0].input_shape) > 1:
             yield (
-                f"{layer}: its windows are not the chip's (square kernels, equal strides, no "
-                "padding or 'same'), so that it takes the memory of a dense layer"
+                f"{layer}: takes the memory of a dense layer, since its windows are not the chip's "
+                "(square kernels, equal strides, no padding or 'same') or its neurons' parameters "
+                "differ within a channel"
             )
     for node in network.nodes:
         if node.kind == "IF":
             yield f"{node}: the chip's neurons leak, at least 1/4096 of the voltage a step"
+            if stepped.seconds < 1 and (node["r"] == 1).all():
+                yield (
+                    f"{node}: its input is multiplied by the step, as NIR says; Norse and others "
+                    "add the whole of it at each step: then give --set nir.step=1000"
+                )
         if node.kind == "CubaLI":
             yield f"{node}: only its longer time constant is kept"
 
