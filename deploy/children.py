@@ -14,10 +14,10 @@ import threading
 import time
 
 PARENT = "STMNIST_PARENT"
-"""Variable of the environment in which a process that starts one of ours can name itself."""
+"""Environment variable with the id of a process that starts one of ours."""
 
 LOOK_S = 1.0
-"""Between two looks at the parent, where the kernel does not tell (or Python is 3.8)."""
+"""Seconds between two checks of the parent, if the kernel does not report its end."""
 
 
 def end_with(parent: int):

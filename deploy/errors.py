@@ -3,7 +3,7 @@
 from .terminal import printable
 
 LONGEST = 2400
-"""Characters of an error's line; one file's content must not fill the screen."""
+"""Maximum number of characters of an error message, which may quote the content of a file."""
 
 
 def one_line(message) -> str:

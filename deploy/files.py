@@ -131,8 +131,9 @@ def _name_exclusively(temporary, path):
 
 
 ABANDONED_S = 0.5
-"""Age of what may be abandoned: just made, before :func:`claim`, a file is not locked yet.  Shorter
-than a command takes to start, so that the next one removes what a killed one left."""
+"""Age in seconds from which a file may be abandoned: before :func:`claim` a new
+file is not locked.  Shorter than a command takes to start, so that the next one removes what a
+killed one left."""
 
 
 def claim(handle):

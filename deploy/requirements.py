@@ -21,7 +21,7 @@ PACKAGES = {
     "nengo": ((3, 1), (5,), "NengoLoihi 1.1 works with Nengo 3.1 to 4.1"),
     "nengo-loihi": ((1, 1), (1, 2), "the bundle was made with NengoLoihi 1.1"),
 }
-"""Package: oldest version that will do, first one that will not, and why."""
+"""For each package: oldest supported version, first unsupported version, and the reason."""
 
 
 def complaint():

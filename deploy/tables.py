@@ -29,7 +29,7 @@ def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> List[str]:
 
 
 WIDTH = 80
-"""Columns of a terminal that a table may take."""
+"""Maximum width of a table in characters."""
 
 
 def in_blocks(rows: Sequence[Sequence[str]], left: int = 1, width: int = WIDTH) -> List[str]:
@@ -63,7 +63,7 @@ def in_blocks(rows: Sequence[Sequence[str]], left: int = 1, width: int = WIDTH) 
 
 
 SIGNIFICANCE = 0.05
-"""p-value below which a difference is taken for more than chance."""
+"""p-value below which a difference is significant."""
 
 
 def star(p_value: float) -> str:

@@ -12,7 +12,7 @@ import os
 import sys
 
 COLUMNS = (20, 1000)
-"""Widths of a terminal that are believed.  At a width of 0 a help text is empty, and at a thousand
+"""Accepted widths of a terminal.  At a width of 0 a help text is empty, and at a thousand
 million it takes 20 s."""
 
 
@@ -28,7 +28,7 @@ ERRORS = ("stmnist: ", "deploy: ", "does not fit: ")
 """Beginnings of lines that are printed in red at a terminal."""
 
 WARNING = "warning: "
-"""Beginning of a line that is printed in yellow; a name and a colon may stand before it."""
+"""Beginning of a line that is printed in yellow; a name and a colon may precede it."""
 
 SIGNIFICANT = " *"
 """End of a line with a statistically significant difference, which is printed in bold."""

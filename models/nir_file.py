@@ -51,6 +51,16 @@ def shown(text) -> str:
     return text if len(text) <= 80 else text[:77] + "...'"
 
 
+def _where(parents, name) -> str:
+    """A group or dataset as a message names it: a node, a node's value, or another place."""
+    nodes = [part for part in parents[1:] if part != "nodes"]
+    if parents[1:2] != ("nodes",):
+        return shown("/".join((*parents, name)))
+    if parents[-1] == "nodes":
+        return f"node {shown('.'.join((*nodes, name)))}"
+    return f"node {shown('.'.join(nodes))}: its {shown(name)}"
+
+
 def read_nir_file(path) -> dict:
     """The graph in a NIR file as nested dicts.
 
@@ -131,32 +141,31 @@ class _Reader:
         self.arrays = {}
         self.numbers, self.objects = MAX_NUMBERS, MAX_OBJECTS
 
-    def group(self, names, group, depth=0):
-        if depth > MAX_DEPTH:
+    def group(self, names, group, parents=()):
+        if len(parents) > MAX_DEPTH:
             raise NirError(f"has groups more than {MAX_DEPTH} deep; {REMEDY}")
         found = {}
         for name in names:
             self.objects -= 1
             if self.objects < 0:
                 raise NirError(f"has more than {MAX_OBJECTS} entries, no network for a chip")
+            where = _where(parents, name)
             if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-                raise NirError(f"refers to another place for {shown(name)}; {REMEDY}")
+                raise NirError(f"{where} is a link to another place; {REMEDY}")
             member = group[name]
             if isinstance(member, h5py.Group):
-                found[name] = self.group(member, member, depth + 1)
+                found[name] = self.group(member, member, (*parents, name))
             elif isinstance(member, h5py.Dataset):
-                found[name] = self.dataset(name, member)
+                found[name] = self.dataset(where, member)
             else:
-                raise NirError(f"has a {type(member).__name__} called {shown(name)}; {REMEDY}")
+                raise NirError(f"{where} is a {type(member).__name__}; {REMEDY}")
         return found
 
-    def dataset(self, name, dataset):
+    def dataset(self, where, dataset):
         if dataset.is_virtual or dataset.external:
-            raise NirError(f"keeps {shown(name)} in another file; {REMEDY}")
+            raise NirError(f"{where} is kept in another file; {REMEDY}")
         if unusual_filters(dataset):
-            raise NirError(
-                f"{shown(name)} is compressed with a plug-in, which is not loaded; {REMEDY}"
-            )
+            raise NirError(f"{where} is compressed with a plug-in, which is not loaded; {REMEDY}")
         if dataset.shape is None:
             return ["text", ""]
         size = 1
@@ -164,9 +173,12 @@ class _Reader:
             size *= n
         self.numbers -= size
         if self.numbers < 0:
-            raise NirError(f"has more than {MAX_NUMBERS} numbers, no network for a chip")
+            raise NirError(
+                f"{where} is one array too many: more than {MAX_NUMBERS} numbers, no network for a "
+                "chip"
+            )
         if h5py.check_string_dtype(dataset.dtype) is not None:
-            long = f"has too long a text in {shown(name)}; {REMEDY}"
+            long = f"{where} is too long a text; {REMEDY}"
             if size > MAX_OBJECTS or size * dataset.dtype.itemsize > MAX_FILE:
                 raise NirError(long)
             texts = np.asarray(dataset.asstr()[()], object)
@@ -174,7 +186,7 @@ class _Reader:
                 raise NirError(long)
             return ["text", texts.tolist()]
         if dataset.dtype.kind not in "fiub" or dataset.dtype.itemsize > 8:
-            raise NirError(f"{shown(name)} is of type {dataset.dtype}, no numbers; {REMEDY}")
+            raise NirError(f"{where} is of type {dataset.dtype}, no numbers; {REMEDY}")
         key = str(len(self.arrays))
         self.arrays[key] = np.asarray(dataset[()])
         return ["array", key]

@@ -28,17 +28,17 @@ FILTERS = ("LI", "CubaLI")
 """Nodes with a state whose output is not spikes."""
 
 MAX_NODES = 500
-"""Nodes of a graph, those of the graphs within it included."""
+"""Maximum number of nodes of a graph, including subgraphs."""
 
 MAX_EDGES = 10_000
 """Edges of a graph; a chain has one fewer than nodes."""
 
 MAX_DIMENSIONS = 7
-"""Dimensions of an input that are looked at; more than 4 cannot be used."""
+"""Maximum number of dimensions of an input that are read; more than 4 cannot be used."""
 
 SNNTORCH_STEP = 1e-4
-"""Seconds: the time step that snnTorch's exporter writes time constants for, whatever the network
-was trained on."""
+"""Time step in seconds for which snnTorch's exporter writes time constants, independently of the
+training."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,10 @@ def _network(tree) -> NirNetwork:
         reader = _Values(f"node {shown(name)} ({kind})", nodes[name])
         after, parameters = handler(reader, shape)
         if math.prod(after) > limits.NEURONS or math.prod(after) < 1:
-            reader.refuse(f"puts out {math.prod(after)} values, not 1 to {limits.NEURONS}")
+            reader.refuse(
+                f"puts out {math.prod(after)} values, and a layer can have 1 to {limits.NEURONS}; "
+                "use strides, averaging or fewer filters"
+            )
         chain.append(Node(name, kind, shape, after, parameters))
         shape = after
     if not any(node.kind in SPIKING for node in chain):
@@ -360,7 +363,10 @@ class _Values:
         except ValueError:
             if array.size == math.prod(shape):
                 return array.reshape(shape)
-            self.refuse(f"its {name} has shape {array.shape}, what comes in {shape}")
+            self.refuse(
+                f"its {name} has shape {array.shape}, what comes in {shape}; give one value, or "
+                "one for each neuron"
+            )
 
     def positive(self, name, shape) -> np.ndarray:
         """A time constant in seconds for each neuron."""
@@ -375,7 +381,9 @@ class _Values:
         array = np.repeat(array, dimensions) if array.size == 1 else array
         good = array.size == dimensions and (array == np.rint(array)).all()
         if not good or array.min() < least or array.max() > limits.NEURONS:
-            self.refuse(f"its {name} is not {dimensions} whole number(s) from {least} on")
+            self.refuse(
+                f"its {name} is not {dimensions} whole number(s) from {least} on; write it so"
+            )
         return tuple(int(n) for n in array)
 
     def image(self, shape, dimensions=2):
@@ -414,7 +422,10 @@ def _convolution(dimensions):
         (groups,) = values.counts("groups", 1, default=1)
         channels = weight.shape[1] * groups
         if channels != shape[0] or weight.shape[0] % groups:
-            values.refuse(f"for {channels} channels in {groups} group(s), and {shape[0]} come in")
+            values.refuse(
+                f"for {channels} channels in {groups} group(s), and {shape[0]} come in; train it "
+                "for that input, with groups that divide its filters"
+            )
         stride = values.counts("stride", dimensions, default=1)
         dilation = values.counts("dilation", dimensions, default=1)
         reach = [(k - 1) * d + 1 for k, d in zip(weight.shape[2:], dilation, strict=True)]
@@ -493,7 +504,7 @@ def _scale(values, shape):
 def _threshold(values, shape):
     threshold = values.spread("threshold", shape)
     if threshold.min() <= 0:
-        values.refuse("a threshold that is not above 0, at which it would spike in silence")
+        values.refuse("a threshold that is not above 0 spikes in silence; train one above 0")
     return shape, {"threshold": threshold}
 
 
@@ -509,7 +520,10 @@ def _neurons(times, *, spikes, leak=True, weighs=False):
             parameters["v_threshold"] = values.spread("v_threshold", shape)
             parameters["v_reset"] = values.spread("v_reset", shape, 0.0)
             if (parameters["v_threshold"] <= parameters["v_reset"]).any():
-                values.refuse("a v_threshold that is not above v_reset: it would never rest")
+                values.refuse(
+                    "a v_threshold that is not above v_reset never lets it rest; train it with one "
+                    "above v_reset"
+                )
         return shape, parameters
 
     return handler

@@ -18,7 +18,8 @@ CubaLIF    keep_v = b, keep_u = a,  W = (1 - a) (1 - b) w_in r M / theta,
            constant.  With exact steps the change of the current within a step is ignored too; its
            sum over time is the same.
 IF         keep_v = 1, keep_u = 0,  W = h r M / theta,  bias = h r c / theta.  The chip's leak is
-           at least 1/4096 per step, so that a voltage decreases by 5 % in 200 steps.
+           at least 1/4096 per step, so that a voltage decreases by 5 % in 200 steps.  Norse adds
+           the whole input at each step, which is h = 1 here.
 Threshold  keep_v = 0 (on the chip 2/4096),  W = M / threshold,  bias = c / threshold.
 LI         before a layer's neurons: keep_u = b, W times (1 - b) r; the steady-state contribution
            of v_leak and c is in the bias.  At the end of a graph: a low-pass on the host.
@@ -64,7 +65,7 @@ FLOOR = -(2**23) + 1
 """The chip's lowest voltage, since NIR has none."""
 
 CLIPS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
-"""Shares of a layer's largest weight that 127 may stand for; larger weights are cut to it."""
+"""Shares of a layer's largest weight that may become 127; larger weights are clipped."""
 
 MOMENTS_EVERY = 4
 """Steps from one moment of the voltage to the next that counts for the rounding of weights."""
@@ -73,7 +74,7 @@ DAMPING = 0.01
 """Added to the diagonal of the moments, in units of its mean."""
 
 MOST_MOMENTS = 2000
-"""Inputs of a neuron, at most, with which the rounding of weights is compensated."""
+"""Maximum number of inputs of a neuron for which the rounding of weights is compensated."""
 
 MAX_BIAS = BIAS_MANTISSA * 2**7
 WEIGHT_EXPONENTS = 8

@@ -41,8 +41,8 @@ from models.nir_graph import FILTERS, SPIKING, NirError, NirNetwork, Node
 METHODS = ("exact", "euler")
 
 RESETS = ("value", "subtract", "subtract-late")
-"""Effect of a spike on v: set it to v_reset, as NIR says; take v_threshold - v_reset from it; or
-take that from it in the next step, after the leak, as snnTorch's ``subtract`` does."""
+"""Effect of a spike on v: set it to v_reset, as in NIR; subtract v_threshold - v_reset; or subtract
+it in the next step, after the leak, as snnTorch's ``subtract`` does."""
 
 AT_ONCE = 50
 """Samples that are simulated together, which bounds the memory."""

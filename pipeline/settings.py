@@ -51,7 +51,7 @@ class _Hidden:
 _HIDDEN = _Hidden()
 
 PATHS = ("data.source", "cnn.model", "nir.file")
-"""Settings that say where a file lies.  They never count as part of what an artifact was made from,
+"""Settings with the path of a file.  They are never part of the origin of an artifact,
 because the file's content does, and every artifact may read them."""
 
 
@@ -679,7 +679,7 @@ def _short(value):
 
 
 def _narrowed(section, kept, prefix):
-    """A copy of a section whose values that are not in ``kept`` may not be read."""
+    """A copy of a section in which only the values in ``kept`` may be read."""
     copy = object.__new__(type(section))
     for name, value in object.__getattribute__(section, "__dict__").items():
         if isinstance(value, Section):

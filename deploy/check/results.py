@@ -367,7 +367,7 @@ def compare_results(a: dict, b: dict) -> Comparison:
 
 
 SIGNIFICANT = 0.01
-"""McNemar's p below which a lower accuracy is no chance."""
+"""McNemar's p below which a lower accuracy is significant."""
 
 
 def loss_text(reference: dict, result: dict) -> Optional[str]:

@@ -178,7 +178,7 @@ class Excess:
     layer, resource : str
         The resource is one of `LIMITS`.
     used, limit : int
-        The most that a core of the layer needs, and what it has.
+        Maximum that a core of the layer needs, and the limit of a core.
     cores, of_cores : int
         Number of the layer's cores that need too much, and of all its cores.
     """

@@ -59,9 +59,9 @@ class OtherRecordings:
     data : str or None
         Zip or folder; None for the bundle's own samples.
     samples : int or None
-        Number drawn at random; 0 for all, None for at most 200.
+        Number of recordings drawn at random; 0 for all, None for at most 200.
     jobs : int
-        Processes that read them.
+        Number of processes that read the recordings.
     """
 
     data: str | None = None
@@ -146,7 +146,7 @@ def _loss(bundle, result):
 
 
 def _on_others(bundle, target, others, seed, out, check):
-    """The check on other recordings than the bundle's own: the result and its file."""
+    """Run the check on other recordings; return the result and its file."""
     from pipeline.run import elsewhere  # with what reads recordings
 
     experiment = bundle.path.absolute().parent / "experiment.toml"

@@ -10,6 +10,7 @@ import typer
 from pipeline.commands import options
 from pipeline.live.network import RECORD, SHIPPED, network_of_bundle, network_of_run
 from pipeline.live.serving import PORT, serve
+from pipeline.progress import stages as numbered
 from pipeline.run import stages
 from pipeline.run.folder import RunFolder
 
@@ -59,7 +60,7 @@ def live(
 
 
 def _network(run, given, jobs):
-    """The bundle, made if it is not there or otherwise asked for, and how events become images."""
+    """The bundle, made if it is missing or if settings were given, and the conversion to images."""
     asked = given != options.Given()
     if run is None:
         run = DEFAULT_RUN if asked else SHIPPED
@@ -70,7 +71,10 @@ def _network(run, given, jobs):
         return found
     if not folder.bundle.exists():
         options.say(f"live: {run} has no network yet; training it first, about a minute")
-    fit = options.fit_recordings(jobs)
-    with options.opened(run, given, fit=fit) as (folder, resolved):
+    fit = options.fit_recordings(jobs, until="bundle")
+    with (
+        options.opened(run, given, fit=fit) as (folder, resolved),
+        numbered(stages.bars(resolved, "bundle")),
+    ):
         _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
     return bundle, resolved.image

@@ -71,9 +71,9 @@ def measure(task: Task) -> dict:
         On the chip (the target fast): ``predictions`` beside the ``labels``, at the end; mean
         synaptic ``operations`` as multiples of the paper's CNN's multiply-accumulates;
         ``accuracy_by_itself`` and mean ``share`` of the recording with early decisions.
-        ``trained``: accuracy of the network as it was trained, ``agreement``: share of samples to
-        which both answer the same.  ``spikes_in``: mean spikes shown of a sample, ``merged``:
-        share of all events that are one spike with another.
+        ``trained``: accuracy of the trained network, ``agreement``: share of samples with equal
+        predictions of both.  ``spikes_in``: mean input spikes per sample, ``merged``: share of
+        all events that are merged with another one into one spike.
     """
     from pipeline.run.event_training import trained_network  # TensorFlow, where it is needed
 
@@ -110,9 +110,9 @@ def measure(task: Task) -> dict:
 def summarise(results, simulated: bool) -> dict:
     """Means over seeds, the loss of each variant, and intervals.
 
-    Of one seed the interval is Wilson's and the p of the loss McNemar's, which tell what other test
-    samples would change; of several both are for overlapping splits, and tell what other trainings
-    would change too.
+    For one seed the interval is Wilson's and the p of the loss McNemar's, for the variation between
+    test samples.  For several seeds both are for overlapping splits, and include the variation
+    between trainings.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def _accuracy(results):
 
 
 def _loss(whole, varied):
-    """Accuracy as is less that of a variant, on the same splits; None if they share none."""
+    """Accuracy on unchanged events minus that on a variant, on common splits; None without any."""
     seeds = sorted(whole.keys() & varied.keys())
     if not seeds:
         return None

@@ -119,7 +119,7 @@ def _on_images(task, dataset):
 
 
 def _on_events(task, dataset):
-    """The same of the network on events, and of the CNNs on the images of the same samples."""
+    """As :func:`_on_images`, for the network on events, and CNNs on images of the same samples."""
     from pipeline.run.event_training import trained_network
 
     settings = task.settings

@@ -11,7 +11,7 @@ from pipeline.paper import CNN_MACS
 
 
 def short_names(names) -> dict:
-    """Each setting's last word, or all of its name where two settings share that."""
+    """The last word of each setting's name, or the whole name if the last word is not unique."""
     last = [name.rpartition(".")[2] for name in names]
     return {
         name: word if last.count(word) == 1 else name
@@ -65,7 +65,7 @@ def sweep_text(sweep: dict) -> str:
 
 
 def sweep_csv(sweep: dict) -> str:
-    """A table with one row per point, settings first; a failed point has only its error besides."""
+    """A table with one row per point, settings first; a failed point has no other values."""
     figures = [
         *("pareto", "accuracy", "accuracy_low", "accuracy_high", "operations"),
         *("operations_per_mac", "cores", "steps", "decided_at_median"),

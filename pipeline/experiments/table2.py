@@ -39,7 +39,7 @@ COMPARISONS = (
     ("events", "events-loihi"),
     ("events", "slayer"),
 )
-"""Pairs of models whose difference is told."""
+"""Pairs of models whose difference is printed."""
 
 
 def measure_table(
@@ -56,7 +56,8 @@ def measure_table(
     Parameters
     ----------
     folder : RunFolder
-        Folder of the results, locked; on a cluster, if possible, one that all workers see.
+        Folder of the results, locked; on a cluster, if possible, a folder that all workers can
+        access.
     settings : Settings
     models : tuple of str
         Keys of :data:`pipeline.experiments.table2_splits.MODELS`.
@@ -143,7 +144,7 @@ def summarise(benchmark: Benchmark, failures=None) -> dict:
     Returns
     -------
     dict
-        Plain values: ``simulated``, ``splits`` (asked for this time), ``rows`` (those of random
+        Plain values: ``simulated``, ``splits`` (the requested number), ``rows`` (those of random
         splits, the paper's protocol), ``writer_rows``, ``comparisons``, ``failures``.
     """
     results = {(kind, name): benchmark.results(kind, name) for kind in KINDS for name in MODELS}
@@ -203,12 +204,12 @@ def _row(name, results):
 
 
 def _mean(results, size):
-    """Mean of a number of samples over splits, which differ in it where writers are apart."""
+    """Mean of a number of samples over splits; it varies between splits by writer."""
     return float(np.mean([result[size] for result in results])) if results else None
 
 
 def _compare(kind, a, b, results):
-    """Accuracy of a less that of b, on the samples of each split that both have answered."""
+    """Accuracy of a minus that of b, on the samples of each split that both have in common."""
     of_b = {result["index"]: result for result in results[kind, b]}
     pairs = [(r, of_b[r["index"]]) for r in results[kind, a] if r["index"] in of_b]
     if not pairs:

@@ -190,7 +190,7 @@ def compare_runs(runs) -> dict:
 
 
 def _different_settings(runs):
-    """Settings that at least two runs read and that differ between these; None where unread."""
+    """Settings that at least two runs read and that differ; None for runs that do not read them."""
     read = [run.settings.relevant() for run in runs]
     different = []
     for name in runs[0].settings.flat():
@@ -218,6 +218,7 @@ def inference(run: Run) -> dict:
     return {
         "input": run.settings.input.kind,
         "architecture": spec.architecture,
+        "input_shape": list(spec.input_shape),
         "simulated": spec.provenance.get("simulated"),
         "classes": list(spec.provenance.get("classes", DIGITS)),
         "neurons": sum(layer.size for layer in spec.layers if layer.neurons is not None),
@@ -401,8 +402,7 @@ def _inference_lines(runs, letters, width):
     def early(name, form):
         return lambda run: run["writing"] and form.format(run["writing"][name])
 
-    of_digits = all(is_written(run["classes"]) for run in runs)
-    what = "writing" if of_digits else "recording"
+    of_digits = all(is_written(*run["input_shape"][:2], run["classes"]) for run in runs)
     rows = [
         ["an inference", *letters],
         row("input", given("input")),
@@ -416,7 +416,7 @@ def _inference_lines(runs, letters, width):
         row("steps of presentation", given("steps")),
         row("decided at step", given("decided_at_median", "{:g}")),
         row("decided after, ms", given("decided_after_ms", "{:,.0f}")),
-        row("early decision after", early("share", f"{{:.0%}} of {what}")),
+        row("early decision after", early("share", "{:.0%} of recording")),
         row("its accuracy", early("accuracy", "{:.3f}")),
     ]
     lines = _fitted([cells for cells in rows if any(cells[1:])], width)
@@ -425,7 +425,7 @@ def _inference_lines(runs, letters, width):
     if any(run["decided_at_median"] is not None for run in runs):
         lines.append("decided: step or time from which half of the decisions are final")
     if len({run["input"] for run in runs}) > 1:
-        lines.append(f"ms: from the end of the {what} for an image, from its start for events")
+        lines.append("ms: from the end of the recording for an image, from its start for events")
     return lines
 
 

@@ -282,13 +282,13 @@ class _timed:
 
 
 MOST_WATCHED = 500
-"""Test samples on which a network is watched while it is trained."""
+"""Maximum number of test samples for the learning curve."""
 
 
 def _watched(dataset):
-    """Held-out samples for the learning curve: validation samples, else some of the test samples.
+    """Samples for the learning curve: validation samples or, without these, some test samples.
 
-    Nothing depends on them.
+    No result depends on them.
     """
     if (validation := dataset.part("validation")) is not None:
         return validation
@@ -298,7 +298,7 @@ def _watched(dataset):
 
 
 def _told(trained, dataset):
-    """A network whose history says where it was watched on test samples."""
+    """A network with a note in its history if it was evaluated on test samples."""
     if len(dataset.split.validation):
         return trained
     rows = [{k.replace("val_", "test_"): v for k, v in row.items()} for row in trained.history]
@@ -306,7 +306,7 @@ def _told(trained, dataset):
 
 
 def _write_network(folder, trained):
-    """Write weights and history; delete the records first, since they declare the rest complete."""
+    """Write weights and history; delete the records first, because they mark them as complete."""
     for record in ("metrics.json", "training.json"):
         (folder / record).unlink(missing_ok=True)
     write_arrays(folder / "weights.npz", **trained.weights)

@@ -228,7 +228,7 @@ def test_a_thousand_strokes_a_second_are_not_kept(session, keeper):
     assert 1 <= len(of(replies, "problem")) <= 2
     assert "faster than a person" in of(replies, "problem")[0]["text"]
     refused = session.handle(json.dumps({"type": "label", "label": 1}), 5.0)
-    assert "not kept" in of(refused, "problem")[0]["text"]
+    assert "not saved" in of(refused, "problem")[0]["text"]
     assert len(keeper) == 0
     later = Clock()
     later.now_s = 6.0
