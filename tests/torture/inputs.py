@@ -410,13 +410,17 @@ def source(rng, folder, base):
 
 
 def pipe(rng, folder, base):
-    """A pipe, a link to nothing or a device where a file belongs."""
+    """A pipe, a link to nothing, a device or a sparse file of a terabyte where a file belongs."""
     path = folder / str(rng.choice(["a.mat", "a.npz", "a.zip", "a.json", "a.keras", "a.toml"]))
-    way = int(rng.integers(0, 4))
+    way = int(rng.integers(0, 5))
     if way == 0:
         os.mkfifo(path)
     elif way < 3:
         path.symlink_to(["nowhere", "/dev/zero"][way - 1])
+    elif way == 3:
+        with open(path, "wb") as file:
+            file.seek(1 << 40)
+            file.write(base.run.with_name("st.zip").read_bytes())
     else:
         path.mkdir()
     data = folder / "data" / "3"
