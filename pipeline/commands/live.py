@@ -22,7 +22,7 @@ def live(
         Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
         typer.Argument(
             help="Folder of a run, or of a copied bundle.",
-            show_default="the network on events that comes with this package",
+            show_default="the network on events of this package",
         ),
     ] = None,
     port: Annotated[
@@ -31,7 +31,7 @@ def live(
     record: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option(
-            help="Folder for the recordings; usable as DATA.",
+            help="Folder for the recordings; it can be used as DATA.",
             show_default=f"{RECORD}; for other data than digits {RECORD}- and its name",
         ),
     ] = None,
@@ -52,14 +52,15 @@ def live(
 ):
     """Draw on a sensor in the browser, watch the network decide, save the recordings.
 
-    Without a run it begins at once, with a network for digits that comes with this package.  A run
-    that is not there is trained first.  It serves this machine only, until Ctrl-C.
+    Without RUN the page starts at once, with a network for digits that is part of this package.  A
+    run that does not exist is trained first.  The page is served until Ctrl-C, to this machine only
+    unless --host is given.
     """
     serve(lambda: _network(run, given, jobs), port, record, host, not no_browser, options.say)
 
 
 def _network(run, given, jobs):
-    """The bundle, made if it is not there or otherwise asked for, and how events become images."""
+    """The bundle, made if it is missing or if settings were given, and the conversion to images."""
     asked = given != options.Given()
     if run is None:
         run = DEFAULT_RUN if asked else SHIPPED

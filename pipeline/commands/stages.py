@@ -108,13 +108,13 @@ def ladder(
     ] = False,
     slow: Annotated[
         bool,
-        typer.Option("--slow", help="With --whole: also NengoCore and simreal, minutes each."),
+        typer.Option("--slow", help="With --whole: also nengo and simreal, minutes each."),
     ] = False,
     limit: Annotated[
         Optional[float],  # noqa: UP045 - Typer reads the annotation at run time
         typer.Option(
             help="Loss in points from which a stage's layers are listed (default: 1 with --whole, "
-            "else 3, if it is more than chance explains)."
+            "else 3, if the loss is significant)."
         ),
     ] = None,
     as_json: options.Json = False,

@@ -58,7 +58,7 @@ def recurrent(n: int = 1000):
 
 
 def learning(n: int = 1000):
-    """PES on the chip from n neurons; the host works out the error at every step."""
+    """PES on the chip from n neurons; the host computes the error at every step."""
     with nengo.Network(seed=1) as network:
         wave = nengo.Node(lambda t: np.sin(2 * np.pi * t))
         error, result = nengo.Node(size_in=1), nengo.Node(size_in=1)
@@ -103,7 +103,7 @@ def convolutions(size: int = 28):
 
 @dataclass(frozen=True)
 class Case:
-    """A network, and how many steps of it a measurement runs."""
+    """A network, and the number of steps that a measurement runs."""
 
     title: str
     make: Callable
@@ -153,7 +153,7 @@ class _Timed:
         return call
 
     def run(self, steps):
-        """Seconds of the emulator, of the host and of everything; and what was probed."""
+        """Seconds of the emulator, of the host and in total; and the probed values."""
         self.emulator = self.host = 0.0
         begun = time.thread_time()
         self.simulator.run_steps(steps)
@@ -172,7 +172,7 @@ def measure_networks(cases=CASES, turns: int = TURNS) -> dict:
     ----------
     cases : sequence of Case
     turns : int
-        In how many parts the steps of a case are run; ratios are medians over them.
+        Number of parts into which the steps of a case are divided; ratios are medians over them.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The network of the page, from a run or from a bundle, and the sensor that it is for."""
+"""The network of the page, from a run or from a bundle, and its sensor."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RECORD = "written"
 
 
 def network_of_bundle(folder: Path) -> tuple | None:
-    """The bundle in a folder copied from anywhere, and how events become its images.
+    """The bundle in a copied folder, and its conversion of events to images.
 
     Returns
     -------
@@ -41,7 +41,7 @@ def network_of_bundle(folder: Path) -> tuple | None:
 
 
 def network_of_run(run: RunFolder) -> tuple | None:
-    """The same of a run; None if its bundle has not been made yet."""
+    """As :func:`network_of_bundle`, for a run; None if its bundle has not been made yet."""
     if not run.bundle.exists():
         return None
     known = run.experiment.exists()
@@ -50,7 +50,7 @@ def network_of_run(run: RunFolder) -> tuple | None:
 
 
 def _with_images(bundle, otherwise):
-    """With what the bundle says of its images; bundles of before say nothing."""
+    """Add the conversion to images in the bundle; earlier bundles do not have it."""
     said = bundle.spec.provenance.get("image")
     try:
         return bundle, otherwise if said is None else Image(**said)
@@ -76,13 +76,13 @@ def sensor_of(bundle: Bundle, facts: dict) -> Sensor:
     ----------
     bundle : Bundle
     facts : dict
-        Of its run's recordings (:func:`pipeline.recordings.facts.facts_of`); empty where there is
-        no run.
+        Facts about its run's recordings (:func:`pipeline.recordings.facts.facts_of`); empty without
+        a run.
 
     Raises
     ------
     UserError
-        The network reads something else than the events of a sensor or their image.
+        The network's input is neither the events of a sensor nor their image.
     """
     spec = bundle.spec
     on_events = isinstance(spec.stimulus, EventFrames)
@@ -99,7 +99,7 @@ def sensor_of(bundle: Bundle, facts: dict) -> Sensor:
 
 
 def _classes(spec):
-    """Names of the network's classes; their numbers where it has none."""
+    """Names of the network's classes, or their numbers if it has no names."""
     n = spec.layers[-1].size
     said = spec.provenance.get("classes")
     are_names = isinstance(said, list) and all(isinstance(name, str) for name in said)
@@ -134,7 +134,7 @@ def about(bundle: Bundle, sensor: Sensor, folder, outdated: str | None = None) -
     sensor : Sensor
     folder : path-like
     outdated : str, optional
-        Why the bundle is outdated, if it is.
+        The reason if the bundle is outdated.
     """
     return {
         "folder": str(folder),

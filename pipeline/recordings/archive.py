@@ -1,7 +1,7 @@
 """Recordings in the published layout: a zip or folder with a sub-folder for each class.
 
-The published layout is ``data_submission/<digit>/*.mat``; the folders may have any names and stand
-at any depth, and ``LUT.mat`` anywhere or nowhere.  Recordings of other sensors may be ``.npz``
+The published layout is ``data_submission/<digit>/*.mat``; the folders may have any names and be at
+any depth; ``LUT.mat`` is optional and may be anywhere.  Recordings of other sensors may be ``.npz``
 files of events instead.  The zip is read without being unpacked to disk.
 """
 
@@ -46,13 +46,13 @@ from pipeline.recordings.matfile import (
 LOOKUP_TABLE = "lut.mat"
 SUFFIXES = (".mat", *EVENT_SUFFIXES)
 CHUNK = 32
-"""Files that a worker reads at a time: enough to hide the hand-over, few enough for the bar."""
+"""Number of files that a worker reads at a time: a compromise of overhead and progress bar."""
 
 LISTED = 10
-"""Reasons, and files that were left out, that are told one by one."""
+"""Number of reasons, and of files that were left out, that are listed individually."""
 
 NAMED = 3
-"""Refused files that a line names."""
+"""Maximum number of refused files that are named in a line."""
 
 LONGEST_NAME = 120
 """Characters of a name in a message."""
@@ -79,9 +79,9 @@ class Listing:
     lookup_table : str or None
         Member path of ``LUT.mat``.
     refused : tuple of (str, str)
-        Member path and reason of what can't be a recording.
+        Member path and reason of each file that cannot be a recording.
     parts : dict of str to Part
-        Of recordings that are parts of a file, which part; see
+        The part of the file, for recordings that are parts of a longer file; see
         :mod:`pipeline.recordings.labelled`.
     """
 
@@ -98,8 +98,8 @@ def list_source(path) -> Listing:
     Raises
     ------
     UserError
-        No such file or folder, not a zip, a damaged zip, nothing in it looks like recordings, or
-        recordings of both kinds.
+        The source does not exist, is not a zip or a damaged zip, or has no recordings or recordings
+        of both kinds.
     """
     path = Path(path)
     refused, recordings, tables, seen = [], [], [], set()
@@ -155,13 +155,13 @@ def _suffix(name):
 
 
 def _of_main_kinds(recordings):
-    """Without files of other formats where there are .mat or .npz files, such as a table."""
+    """Leave out files of other formats, such as a table, if there are .mat or .npz files."""
     main = [entry for entry in recordings if _suffix(entry[0]) in (".mat", ".npz")]
     return main or [e for e in recordings if _suffix(e[0]) != ".csv"] or recordings
 
 
 def _of_classes(recordings):
-    """The files in folders of classes, and all others with the reason to refuse them."""
+    """The files in folders of classes, and all others with the reason why they are refused."""
     folders = Counter(PurePosixPath(name).parent for name, _ in recordings)
     above = {folder for leaf in folders for folder in leaf.parents}
     names = Counter(name for _, name in recordings)
@@ -213,7 +213,7 @@ def read_source(
     progress : callable, optional
         ``progress(label, total)``, a context manager that yields ``advance(n)``.
     reading : pipeline.recordings.sensors.Reading
-        Properties that are given and not detected.
+        Properties that the user has specified.
 
     Returns
     -------
@@ -222,8 +222,8 @@ def read_source(
     Raises
     ------
     UserError
-        Rows, columns or the unit of time cannot be known; or, unless ``skip_bad``, with a line for
-        each reason for which files are refused.
+        Rows, columns or the unit of time cannot be determined; or, unless ``skip_bad``, files are
+        refused, with a line for each reason.
     """
     listing = list_source(path)
     refused, read = list(listing.refused), []
@@ -305,7 +305,7 @@ def left_out_lines(path, recordings: Recordings) -> list:
 
 
 def write_zip(path, recordings: Recordings, progress=None):
-    """Write recordings as a zip in the published layout, the same bytes for the same recordings.
+    """Write recordings as a zip in the published layout; equal recordings give equal bytes.
 
     Parameters
     ----------
@@ -334,16 +334,16 @@ def write_zip(path, recordings: Recordings, progress=None):
 
 
 def export_zip(path, folder, progress=None) -> int:
-    """Write the recordings of a folder as a zip in the published layout, each as it is.
+    """Write the files of a folder as a zip in the published layout, without changing them.
 
     Unlike :func:`write_zip` this preserves the other variables of the files.
 
     Parameters
     ----------
     path : path-like
-        The zip; the same bytes for the same files.
+        The zip; equal files give equal bytes.
     folder : path-like
-        Or another zip.
+        A folder or another zip.
     progress : callable, optional
         As in :func:`read_source`.
 
@@ -355,7 +355,7 @@ def export_zip(path, folder, progress=None) -> int:
     Raises
     ------
     UserError
-        A file is no recording, or the zip cannot be written.
+        A file is not a recording, or the zip cannot be written.
     """
     listing = list_source(folder)
     if listing.refused:
@@ -396,7 +396,7 @@ def content_hash(path) -> str:
 
 
 def fingerprint(path) -> str:
-    """A cheap stand-in for the content hash: names, sizes and times of change."""
+    """A fast substitute for the content hash: names, sizes and modification times."""
     path = Path(path)
     files = [path]
     if path.is_dir():
@@ -424,12 +424,12 @@ def _ids(names):
 
 
 def _members(path: Path):
-    """Paths of all files of a source, each with what is wrong with it as a member, or None."""
+    """Paths of all files of a source, each with the reason why it is refused, or None."""
     return _everything(path)[0]
 
 
 def _everything(path: Path):
-    """The files, as of :func:`_members`, and the paths of the folders."""
+    """The files, as in :func:`_members`, and the paths of the folders."""
     if path.is_dir():
         files, folders = [], []
         for entry in sorted(path.rglob("*")):
@@ -485,7 +485,7 @@ class _Reader:
 
 
 def _reader(path: Path) -> _Reader:
-    """A reader of the source as it is now; opened once a process, for a zip's list is long."""
+    """A reader of the present source, opened once per process, because a zip's list is long."""
     state = path.stat()
     return _open_reader(path, state.st_ino, state.st_size, state.st_mtime_ns)
 
@@ -515,7 +515,7 @@ def _read_chunks(path, chunks, jobs):
 
 
 def _read_carefully(path, names):
-    """Do :func:`_read_members` in a process that may die; halving finds the file that kills it."""
+    """Run :func:`_read_members` in a process that may crash; bisection finds the file at fault."""
     try:
         return next(results_of([delayed(_read_members)(path, names)], 2))
     except TerminatedWorkerError:
@@ -548,7 +548,7 @@ def _read_members(path, names):
     Raises
     ------
     UserError
-        They alone hold more than a source may.
+        The members exceed the limits of a source.
     """
     reader, results, spent, before = _reader(path), [], Spent(), None
     for name in names:
@@ -584,9 +584,9 @@ def _refuse_too_much(path, spent):
 
 
 def _refusals(path, refused, total):
-    """A line for each kind of reason: how many files, the first ones, and the reason of the first.
+    """A line for each kind of reason: number of files, the first ones, and the reason of the first.
 
-    Where there are several kinds the line before them says what to do.
+    If there are several kinds, a line with the remedy precedes them.
     """
     kinds = {}
     for name, reason in sorted(refused):
@@ -601,7 +601,7 @@ def _refusals(path, refused, total):
     if len(kinds) > LISTED:
         lines.append(f"and files refused for {len(kinds) - LISTED} more reasons")
     remedy = (
-        "mend them, or leave them out: --skip-bad of 'stmnist data import', else --set "
+        "correct them, or leave them out: --skip-bad of 'stmnist data import', else --set "
         "data.skip_bad=true"
     )
     if len(lines) == 1:

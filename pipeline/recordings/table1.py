@@ -71,7 +71,7 @@ def table(recordings) -> dict:
 
 
 def _mean_sd(values):
-    """Mean and sample SD of what is not NaN; NaN where there is too little."""
+    """Mean and sample SD without NaN; NaN if there are too few values."""
     values = values[~np.isnan(values)]
     mean = float(values.mean()) if len(values) else math.nan
     return mean, float(values.std(ddof=1)) if len(values) > 1 else math.nan
@@ -106,7 +106,7 @@ def _check(recordings, against_paper):
 
 
 def is_st_mnist(recordings) -> bool:
-    """True if they are, by all one can see, those of the paper: recorded, and as many a digit."""
+    """True if recordings can be the paper's: not simulated, with its numbers of each digit."""
     counts = np.bincount(recordings.labels, minlength=10).tolist()
     return not recordings.source.simulated and counts == list(SAMPLES_PER_DIGIT)
 
@@ -118,7 +118,7 @@ def table1_json(recordings, against_paper: bool = False) -> dict:
     ----------
     recordings : Recordings
     against_paper : bool
-        With the paper's figures and how far these are from them, relative to the paper's.
+        Include the paper's figures and the differences relative to them.
     """
     _check(recordings, against_paper)
     digits = {}

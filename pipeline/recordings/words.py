@@ -16,9 +16,9 @@ def is_written(rows: int, columns: int, classes) -> bool:
 
 
 def shortened(name: str, width: int) -> str:
-    """A name that fits so many characters: what is too long loses its middle.
+    """A name of at most ``width`` characters, shortened in its middle.
 
-    Both ends stay, since names of one set often begin or end alike.
+    Both ends remain, since names of a set often begin or end alike.
     """
     if len(name) <= width:
         return name
@@ -27,9 +27,9 @@ def shortened(name: str, width: int) -> str:
 
 
 def shortened_apart(names, width: int) -> list:
-    """Names of at most so many characters that are still different, in the same order.
+    """Shortened names that are still different, in the same order.
 
-    Names that would become the same are numbered at their end.
+    Names that would become equal are numbered at their end.
     """
     short = [shortened(name, width) for name in names]
     for index, name in enumerate(short):

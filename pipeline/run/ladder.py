@@ -115,9 +115,9 @@ def ladder_artifact(run: RunFolder, whole: bool = False) -> Artifact:
 
 
 def _layers(run: RunFolder, settings: Settings, bundle: Bundle) -> tuple:
-    """How faithful each layer is on the bundle's samples, and its rates in both networks.
+    """Fidelity of each layer on the bundle's samples, and its rates in both networks.
 
-    Without a rate-based network the first is None; of a NIR graph there is neither.
+    Without a rate-based network the fidelity is None; for a NIR graph both are None.
     """
     if settings.network == "nir":
         return None, {}
@@ -267,10 +267,10 @@ def early_text(value: dict, row: dict) -> str:
     """
     early = value["by_itself"]
     if early["confidence"] >= 1:
-        return f"{row['stage']} waits for the end of each recording before it decides"
+        return f"{row['stage']}: no early decisions, it decides at the end of each recording"
     return (
-        f"{row['stage']} decides by itself, at a confidence of {early['confidence']:.4f}: after "
-        f"{early['share_of_writing_mean']:.0%} of the recording on average, "
+        f"{row['stage']}: early decision at a confidence of {early['confidence']:.4f}, after "
+        f"{early['share_of_writing_mean']:.0%} of the recording on average: "
         f"accuracy {early['accuracy']:.3f}, "
         + points_text(100 * (row["accuracy"] - early["accuracy"]))
     )
@@ -279,9 +279,10 @@ def early_text(value: dict, row: dict) -> str:
 def losing_stages(ladder: dict, limit: float, by_chance: bool = False) -> list:
     """Find the stages that lose more than ``limit`` points, as (from, to, points).
 
-    That is the rate-based network, or the one trained on events.  Each stage against the one above
-    it, and the last one against the trained network.  Losses that chance explains (McNemar's test,
-    p of :data:`SIGNIFICANCE` or more) count only with ``by_chance``.
+    Stages from the trained network on (the rate-based network, or the one trained on events) are
+    compared with the stage above, and the last one also with the trained network.  Losses that are
+    not significant (McNemar's test, p of :data:`SIGNIFICANCE` or more) count only with
+    ``by_chance``.
     """
     stages = [row["stage"] for row in ladder["rows"]]
     trained = next((index for index, name in enumerate(stages) if name in TRAINED), None)
@@ -300,7 +301,7 @@ def losing_stages(ladder: dict, limit: float, by_chance: bool = False) -> list:
 
 
 def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> str:
-    """The ladder as a table, with the layers under it where a stage loses too much.
+    """The ladder as a table, followed by the layers if a stage loses too much.
 
     Parameters
     ----------
@@ -309,7 +310,7 @@ def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> st
     limit : float
         Points that a stage after the rate-based network may lose.
     by_chance : bool
-        Warn of losses that chance explains too.
+        Also warn of losses that are not significant.
     """
     what = "simulated samples" if ladder["simulated"] else "samples"
     table = [["stage", "accuracy", "95 % interval", "change", "disagree", "McNemar p", ""]]
@@ -326,7 +327,7 @@ def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> st
         table.append(cells)
     first, last = ladder["rows"][0], ladder["rows"][-1]
     lines = [
-        f"Loss ladder, {ladder['n_samples']} {what}, each stage on the same ones",
+        f"Loss ladder, {ladder['n_samples']} {what}, the same for each stage",
         *aligned(table),
         f"from {first['stage']} to {last['stage']}: "
         + points_text(100 * (first["accuracy"] - last["accuracy"])),

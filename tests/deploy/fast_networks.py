@@ -146,6 +146,20 @@ def _output(rng, before, size):
     )
 
 
+def loud_spec(filters, sign):
+    """36 neurons a filter, all spiking at every other step, onto three with one large weight."""
+    conv = Layer(
+        "conv1", "conv", (6, 6, 1), (6, 6, filters), "chip", Neurons("relu", amplitude=0.01), None,
+        1, None, 32, np.full((1, 1, 1, filters), 1000.0), np.zeros(filters),
+    )  # fmt: skip
+    output = Layer(
+        "output", "dense", (6, 6, filters), (3,), "chip", Neurons("lif", amplitude=1.0), 0.1,
+        0, None, 32, np.full((3, 36 * filters), sign * 3.0), np.array([-9.0, 0.0, 9.0]),
+    )  # fmt: skip
+    presentation = Presentation(steps=60, gap=3, readout_start=0)
+    return NetworkSpec("loud", (6, 6, 1), ImageSpikes(1000.0), (conv, output), presentation)
+
+
 def images_for(spec, n, seed=0):
     """Images between 0 and 1, some pixels of them black, shape (n, n_pixels), or event frames."""
     rng = np.random.default_rng(seed)

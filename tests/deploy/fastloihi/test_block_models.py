@@ -137,6 +137,18 @@ def test_after_a_step_of_nengo_loihis_own_the_kernel_goes_on(seed):
     assert type(fast) is FastEmulator
 
 
+@pytest.mark.parametrize("seed", [3, 5])
+def test_a_compartment_that_waits_may_spike_where_its_threshold_is_negative(seed):
+    plain, fast = two_emulators(seed)
+    assert plain.compartment.ref.max() > 1
+    for emulator in (plain, fast):
+        emulator.compartment.vth[::2] = -1
+    run_both(plain, fast, seed, each_step=True)
+    again = (plain.compartment.ref > 1) & (plain.compartment.vth < 0)
+    assert np.all(plain.compartment.spike_count[again] == plain.t)
+    assert again.any()
+
+
 def test_more_warnings_than_the_log_holds_are_all_given():
     """A model that overflows at every step."""
     for seed in range(1000):

@@ -22,15 +22,14 @@ from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.responses import join
-from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
-from deploy.network.stimulus import ImageCurrent, ImageSpikes
+from deploy.network.stimulus import ImageCurrent
 from deploy.targets import fast
 from deploy.targets.fast import kernel_numpy
 from deploy.targets.fast.arrays import OVERFLOWS, State
 from deploy.targets.fast.emulation import Emulation, compile_spec, run_fast
 from deploy.targets.fast.from_nengo import compile_network
 from deploy.targets.registry import run_emulator
-from tests.deploy.fast_networks import Watching, images_for, random_spec, reference
+from tests.deploy.fast_networks import Watching, images_for, loud_spec, random_spec, reference
 from tests.deploy.networks import bundle_at, paper_spec, small_spec
 
 pytest.importorskip("numba")
@@ -202,20 +201,6 @@ def test_streams_of_unlike_length_come_back_in_order():
     assert [len(answer.scores) for answer in answers] == [1, 3, 3, 2]
     for stream, answer in zip(streams, answers, strict=True):
         assert np.array_equal(answer.scores, next(run_fast(spec, [stream])).scores)
-
-
-def loud_spec(filters, sign):
-    """36 neurons a filter, all spiking at every other step, onto three with one large weight."""
-    conv = Layer(
-        "conv1", "conv", (6, 6, 1), (6, 6, filters), "chip", Neurons("relu", amplitude=0.01), None,
-        1, None, 32, np.full((1, 1, 1, filters), 1000.0), np.zeros(filters),
-    )  # fmt: skip
-    output = Layer(
-        "output", "dense", (6, 6, filters), (3,), "chip", Neurons("lif", amplitude=1.0), 0.1,
-        0, None, 32, np.full((3, 36 * filters), sign * 3.0), np.array([-9.0, 0.0, 9.0]),
-    )  # fmt: skip
-    presentation = Presentation(steps=60, gap=3, readout_start=0)
-    return NetworkSpec("loud", (6, 6, 1), ImageSpikes(1000.0), (conv, output), presentation)
 
 
 @pytest.mark.parametrize("sign", [1, -1])

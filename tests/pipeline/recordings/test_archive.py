@@ -252,7 +252,7 @@ def test_files_refused_for_one_reason_are_one_line(tmp_path):
     bad = {f"3/{'n' * 500}{i:03d}.mat": b"x" for i in range(300)}
     archive(path, {**good_members(), **bad})
     with pytest.raises(
-        UserError, match=r"300 of 310 files refused: .*, 297 more\).*; mend"
+        UserError, match=r"300 of 310 files refused: .*, 297 more\).*; correct"
     ) as error:
         read_source(path, jobs=1)
     assert len(error.value.lines[0]) < 1000

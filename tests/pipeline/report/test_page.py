@@ -171,7 +171,7 @@ def test_it_says_what_was_measured(html, tiny_run):
     assert "1738 (1366)" not in text  # the paper's ON events of 0; these are simulated
     assert "stmnist data stats --against-paper" in text
     assert "ANN-SNN on Loihi not run not run 0.86 (0.02)" in text
-    assert "Set otherwise than in the run: seed = 4 (run: 0)" in text
+    assert "seed = 4 (run: 0)" in text
     assert "snn.batch_size 0: the recipe's own" in text
     used = make_plan(bundle.spec).cores[0].used
     assert f"core 0 {used['compartments']} {used['input axons']}" in text

@@ -140,7 +140,7 @@ def test_time_to_decide_of_events():
     assert compared["runs"][1]["decided_after_ms"] == pytest.approx(120)  # steps of 10 ms
     text = runs_text(compared)
     assert "82% of recording" in text
-    assert text.endswith("of an image after the whole recording, of events while it goes on")
+    assert text.endswith("from the end of the recording for an image, from its start for events")
     assert "image" in text
     assert "events" in text
 
@@ -156,18 +156,18 @@ def test_the_table():
         "seed                  0  1",
         "",
         "accuracy on 8 simulated samples",
-        "stage     accuracy   95 % interval  less A  won  lost      p",
+        "stage     accuracy   95 % interval  minus A  won  lost      p",
         "cnn    A     0.625  0.306 to 0.863",
-        "       B     0.500  0.215 to 0.785  -0.125    3     4  1.000",
-        "won, lost: samples that the run alone, or A alone, got right; p: McNemar's test",
+        "       B     0.500  0.215 to 0.785   -0.125    3     4  1.000",
+        "won, lost: samples that only this run, or only A, got right; p: McNemar's test",
         "",
-        "an inference                A                B",
-        "input                   image            image",
-        "architecture  6x6-4c3-8c2-10o  6x6-4c3-8c2-10o",
-        "neurons                   136              136",
-        "cores                       2                3",
-        "chips                       1                1",
-        "steps shown                30               30",
+        "an inference                         A                B",
+        "input                            image            image",
+        "architecture           6x6-4c3-8c2-10o  6x6-4c3-8c2-10o",
+        "neurons                            136              136",
+        "cores                                2                3",
+        "chips                                1                1",
+        "steps of presentation               30               30",
         "",
         "B: left out, of an earlier bundle: fast",
     ]
