@@ -221,7 +221,7 @@ def plot(
         str, typer.Option(help="Id of a recording, such as 8/0000 (default: the first one).")
     ] = "",
     per_digit: Annotated[
-        int, typer.Option(help="Number of samples of each digit on a sheet.", min=1)
+        int, typer.Option(help="Number of samples of each class on a sheet.", min=1)
     ] = 16,
     *,
     reading: ReadingGiven,
@@ -229,13 +229,13 @@ def plot(
 ):
     """Draw recordings as the paper does.
 
-    recording: the tactile image as it grows, above a raster of 100 taxels over 2 s.
+    recording: the tactile image as it grows, above a raster of its events.
 
     events: each taxel's events, at its place on the array.
 
     layout: taxel addresses and their (X, Y).
 
-    sheet: tactile images of random samples of each digit.
+    sheet: tactile images of random samples of each class.
     """
     from pipeline.report import figures  # Matplotlib takes a second to import
     from pipeline.report.figures import recordings as drawn

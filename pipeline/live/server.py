@@ -304,7 +304,7 @@ class Live:
                     try:
                         learned = await loop.run_in_executor(self._study_thread, lesson)
                     except Exception as error:  # said; what was recorded is safe
-                        learned = problem(f"this digit could not be learned: {error}")
+                        learned = problem(f"this recording could not be learned: {error}")
                     await _say(socket, [learned])
 
     async def _answer(self, socket, session, wake, study):

@@ -472,7 +472,7 @@ def _everything(path: Path):
                 files.append((name, problem))
         return files, folders
     if not path.exists():
-        raise UserError(f"{path}: no such file or folder; give the ST-MNIST zip or its folder")
+        raise UserError(f"{path}: no such file or folder; give a zip or a folder of recordings")
     try:
         with open_regular(path) as file, zipfile.ZipFile(file) as archive:
             members = archive.infolist()

@@ -74,7 +74,7 @@ def recordings_for(
     labels = np.array([number.get(name, -1) for name in sensor.classes])[recordings.labels]
     if warn is not None and recordings.source.sha256 == bundle.spec.provenance.get("source_sha256"):
         warn(
-            f"{WARNING}{source}: the network was trained on a part of these recordings; its "
+            f"{WARNING}{source}: the network was made from a part of these recordings; its "
             "accuracy on them says little about others"
         )
     return replace(recordings, labels=labels, sensor=replace(sensor, classes=tuple(known)))

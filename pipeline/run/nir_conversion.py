@@ -218,7 +218,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     exported, cost = exported_here(network, source), None
     if exported is None:
         layers = layers_of(network, stepped.seconds, stepped.method, _fed_shape(dataset))
-        for line in _notes(network, layers, stepped):
+        for line in notes(network, layers, stepped):
             say(f"nir: {line}")
         if any(node.kind in RESETTING for node in network.nodes):
             cost = reset_cost(network, stepped, settings, dataset)
@@ -331,8 +331,16 @@ def _fed_shape(dataset):
     return dataset.inputs.shape[-3:]
 
 
-def _notes(network, layers, stepped):
-    """Warnings about the conversion, one line each."""
+def notes(network: NirNetwork, layers: tuple, stepped: Stepped):
+    """Yield what the conversion of a graph changes or may misread, one line each.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    layers : tuple of NirLayer
+        As :func:`models.nir_layers.layers_of` gives them.
+    stepped : Stepped
+    """
     by_snntorch = network.written_by_snntorch
     yield str(stepped) + (", as snnTorch's exporter writes it" if by_snntorch else "")
     for layer in layers:

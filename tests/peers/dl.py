@@ -4,7 +4,9 @@ A plugin of pytest.  The package lacks the ``conftest.py`` that its tests were w
 they need of that is here.
 """
 
+import logging
 import os
+import random
 import subprocess
 import types
 
@@ -19,6 +21,7 @@ from tests.peers import old
 
 pytest.warns = old.warns
 nengo.networks.Oscillator = old.oscillator
+logging.getLogger("nengo_dl").setLevel(logging.NOTSET)  # some tests read its messages
 
 SETUP = "looks for setup.py, which the package does not ship"
 KNOWN = {
@@ -68,3 +71,13 @@ def Simulator(request):
 @pytest.fixture(autouse=True)
 def clear_session():
     tf.keras.backend.clear_session()
+
+
+@pytest.fixture(autouse=True)
+def same_weights_each_time():
+    """Keras draws weights with seeds from `random`, whatever seed a test gives to TensorFlow.
+
+    Some tests compare two trained networks to within 1e-8, which float32 holds for most weights
+    only: ``test_sequential`` failed in one of two runs.
+    """
+    random.seed(0)

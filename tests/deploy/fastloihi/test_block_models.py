@@ -9,7 +9,7 @@ import warnings
 import nengo
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, Phase, event, given, reject, settings
+from hypothesis import HealthCheck, Phase, event, example, given, reject, settings
 from hypothesis import strategies as st
 
 pytest.importorskip("numba")
@@ -89,6 +89,7 @@ def test_many_steps_in_one_call_are_those_of_the_emulator(seed):
 
 @settings(max_examples=25, **PROFILE)
 @given(seed=SEEDS)
+@example(seed=56)  # floating point, and a spike of a trace is lost in the third step of 22
 def test_a_strict_emulator_stops_in_the_same_place_with_the_same_error(seed):
     plain, fast = two_emulators(seed) or reject()
     for emulator in (plain, fast):
@@ -105,6 +106,7 @@ def test_a_strict_emulator_stops_in_the_same_place_with_the_same_error(seed):
 
 @settings(max_examples=15, **PROFILE)
 @given(seed=SEEDS)
+@example(seed=56)  # floating point, and a spike of a trace is lost in the third step of 22
 def test_a_warning_that_is_an_error_ends_the_step_where_the_emulator_ends_it(seed):
     plain, fast = two_emulators(seed) or reject()
     for spikes, errors, steps in random_calls(plain, seed):
