@@ -24,7 +24,7 @@ OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS)
 .PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark results report live shipped-bundle test test-pythons torture lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava setup-peers test-peers audit clean help
 .DEFAULT_GOAL := help
 
-setup:  ## Make .venv with everything pinned in constraints.txt (2.6 GB)
+setup:  ## Install the versions pinned in constraints.txt into .venv (2.6 GB)
 	@sh setup.sh .venv $(PYTHON)
 
 data: setup  ## Import DATA, or simulate recordings, into the cache
@@ -33,40 +33,40 @@ data: setup  ## Import DATA, or simulate recordings, into the cache
 train: setup  ## Train the paper's CNN
 	@$(STMNIST) train "$(RUN)" $(SOURCE_OPTIONS)
 
-convert: setup  ## Train with rate LIF neurons, make them spike, write RUN/bundle
+convert: setup  ## Train with rate-based LIF neurons, convert to spiking ones, write RUN/bundle
 	@$(STMNIST) convert "$(RUN)" $(OPTIONS)
 
-loihi-emulate: setup  ## The main job: everything up to the loss ladder on the Loihi emulator
+loihi-emulate: setup  ## The main job: all stages, and the loss ladder up to the Loihi emulator
 	@$(STMNIST) ladder "$(RUN)" $(OPTIONS)
 
-loihi-hardware: setup  ## The same samples on a Loihi board (needs NxSDK; BOARD, PARTITION)
+loihi-hardware: setup  ## Run the check on a Loihi board (needs NxSDK; BOARD, PARTITION)
 	@$(BIN)/python -m deploy board
 	@$(MAKE) --no-print-directory convert
 	@$(STMNIST) deploy plan "$(RUN)/bundle"
 	@$(STMNIST) check run "$(RUN)/bundle" --target loihi $(BOARD_OPTIONS)
 
-check: convert  ## The bundle's check on TARGET, next to the reference simulator's answers
+check: convert  ## Run the check on TARGET, and compare it with the reference simulator
 	@$(STMNIST) check run "$(RUN)/bundle" --target nengo
 	@$(STMNIST) check run "$(RUN)/bundle" --target $(TARGET)
 	@$(STMNIST) check compare "$(RUN)/checks/nengo.json" "$(RUN)/checks/$(TARGET).json"
 
-benchmark: setup  ## The paper's Table 2 on ten splits, beside the paper's figures (not SLAYER's)
+benchmark: setup  ## Measure the paper's Table 2 on ten splits (without SLAYER)
 	@$(STMNIST) benchmark table2 --out "$$(dirname "$(RUN)")/table2" $(DATA_OPTIONS) $(if $(SAMPLES),--set check.samples=$(SAMPLES)) $(if $(STEPS),--set presentation.steps=$(STEPS))
 
 results: setup  ## Measure the files in results/ again that are out of date (hours; maintainers)
 	@$(BIN)/python -m tools.results --jobs $(JOBS)
 
-report: loihi-emulate  ## RUN as one HTML file, RUN/report.html, with Table 2 where it was measured
+report: loihi-emulate  ## Write the results of RUN as one HTML file, RUN/report.html
 	@$(STMNIST) report "$(RUN)" --jobs $(JOBS)
 
-live: setup  ## Write digits in the browser, at once or with RUN's network (PORT; RECORD: where to keep)
+live: setup  ## Write digits in the browser (RUN: its network; PORT; RECORD: folder)
 	@$(STMNIST) live $(if $(filter file,$(origin RUN)),,"$(RUN)") $(SOURCE_OPTIONS) $(if $(PORT),--port $(PORT)) $(if $(RECORD),--record "$(RECORD)")
 
 shipped-bundle: setup  ## Train the network that comes with the package, in pipeline/live/bundle, again
 	@$(STMNIST) convert runs/shipped --settings pipeline/live/shipped.toml --jobs $(JOBS)
 	@rm -rf pipeline/live/bundle && cp -r runs/shipped/bundle pipeline/live/bundle
 
-test: setup  ## Run the tests, on every core but at most four (memory)
+test: setup  ## Run the tests, on at most four cores
 	@$(BIN)/python -m pytest $(ON_ALL_CORES)
 
 test-pythons:  ## Run the tests on each of Python 3.11 to 3.13 that this machine has (TESTS: options)
@@ -92,10 +92,10 @@ setup-inrc: .venv-inrc/installed  ## Make .venv-inrc, the Python 3.8 of an INRC 
 	@.venv-inrc/bin/pip install -qq -r deploy/inrc/requirements.txt
 	@touch $@
 
-test-inrc: setup setup-inrc  ## Show that a copied bundle gives the same result on Python 3.8
+test-inrc: setup setup-inrc  ## Test that a copied bundle gives the same result on Python 3.8
 	@$(BIN)/python -m pytest tests/deploy/test_travel.py -k python_38
 
-setup-nir: .venv-nir/installed  ## Make .venv-nir: Norse on PyTorch for the CPU, which reads NIR (1 GB)
+setup-nir: .venv-nir/installed  ## Make .venv-nir with Norse and PyTorch for the CPU, which read NIR (1 GB)
 
 .venv-nir/installed: tests/nir_reader/requirements.txt | setup
 	@$(BIN)/python -m venv --clear .venv-nir
@@ -103,17 +103,17 @@ setup-nir: .venv-nir/installed  ## Make .venv-nir: Norse on PyTorch for the CPU,
 	@.venv-nir/bin/pip install -qq --no-deps norse==1.1.0 snntorch==1.0.0
 	@touch $@
 
-test-nir: setup setup-nir  ## Norse runs our exports; networks trained in PyTorch run here (minutes)
+test-nir: setup setup-nir  ## Test exports in Norse, and imports of networks trained in PyTorch (minutes)
 	@TEST_NIR=1 $(BIN)/python -m pytest tests/deploy/network/test_nir.py tests/nir_networks
 
-check-nir: convert setup-nir  ## The check's samples in Norse, compared with checks/emulator.json
+check-nir: convert setup-nir  ## Run the check's samples in Norse, and compare with checks/emulator.json
 	@$(STMNIST) check run "$(RUN)/bundle" --target emulator
 	@$(STMNIST) deploy export "$(RUN)/bundle" --format nir --out "$(RUN)/nir/network.nir" --inputs "$(RUN)/nir/input.npz"
 	@.venv-nir/bin/python tests/nir_reader/run_norse.py "$(RUN)/nir/network.nir" "$(RUN)/nir/input.npz" "$(RUN)/nir/output.npz"
 	@$(BIN)/python -m tests.nir_reader.result "$(RUN)/bundle" "$(RUN)/nir/input.npz" "$(RUN)/nir/output.npz" "$(RUN)/checks/norse.json"
 	@$(STMNIST) check compare "$(RUN)/checks/emulator.json" "$(RUN)/checks/norse.json"
 
-setup-lava: .venv-lava/installed  ## Make .venv-lava: Lava's integer models of Loihi on Python 3.10
+setup-lava: .venv-lava/installed  ## Make .venv-lava with Lava's integer models of Loihi on Python 3.10
 
 .venv-lava/installed: tests/lava_reader/requirements.txt
 	@test -n "$(PYTHON310)" && "$(PYTHON310)" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 10))' 2>/dev/null || \
@@ -122,23 +122,23 @@ setup-lava: .venv-lava/installed  ## Make .venv-lava: Lava's integer models of L
 	@.venv-lava/bin/pip install -qq -r tests/lava_reader/requirements.txt
 	@touch $@
 
-test-lava: setup setup-lava  ## Show that Lava's integer models give every spike of fast
+test-lava: setup setup-lava  ## Test that Lava's integer models give the same spikes as fast
 	@$(BIN)/python -m pytest tests/deploy/targets/test_lava.py
 
-check-lava: convert setup-lava  ## The check's samples in Lava, every spike compared with fast
+check-lava: convert setup-lava  ## Run the check's samples in Lava, and compare every spike with fast
 	@$(STMNIST) deploy export "$(RUN)/bundle" --format lava --out "$(RUN)/lava/network.npz"
 	@.venv-lava/bin/python tests/lava_reader/run_lava.py "$(RUN)/lava/network.npz" "$(RUN)/lava/output.npz"
 	@.venv-lava/bin/python tests/lava_reader/run_lava.py "$(RUN)/lava/network.npz" "$(RUN)/lava/stock.npz" --stock
 	@$(BIN)/python -m tests.lava_reader.result "$(RUN)/bundle" "$(RUN)/lava/output.npz" "$(RUN)/checks/lava.json" "$(RUN)/lava/stock.npz"
 
-setup-peers: .venv-peers/installed  ## Install the plugins of pytest that NengoLoihi's tests need
+setup-peers: .venv-peers/installed  ## Install the pytest plugins that NengoLoihi's tests need
 
 .venv-peers/installed: tests/peers/requirements.txt | setup
 	@rm -rf .venv-peers
 	@$(BIN)/python -m pip install -qq --no-deps --target .venv-peers -r tests/peers/requirements.txt
 	@touch $@
 
-test-peers: setup setup-peers  ## The tests of NengoLoihi, on its emulator, ours and both, and of NengoDL
+test-peers: setup setup-peers  ## Run the tests of NengoLoihi (on its emulator, ours and both) and of NengoDL
 	@for emulator in nengo-loihi fast both; do echo "NengoLoihi's tests, emulator: $$emulator" && \
 	  $(BIN)/python -m tests.peers loihi --emulator $$emulator $(ON_ALL_CORES) || exit; done
 	@echo "NengoDL's tests" && $(BIN)/python -m tests.peers dl $(ON_ALL_CORES)
@@ -146,7 +146,7 @@ test-peers: setup setup-peers  ## The tests of NengoLoihi, on its emulator, ours
 # Those that SECURITY.md explains; pip-audit says how many it leaves out.
 EXPLAINED = $(shell sed -n 's/^- \*\*\(CVE-[0-9-]*\)\*\*.*/\1/p' SECURITY.md)
 
-audit: .venv-audit/installed  ## Ask for known vulnerabilities of what is pinned (AUDIT: options)
+audit: .venv-audit/installed  ## Look up known vulnerabilities of the pinned versions (AUDIT: options)
 	@.venv-audit/bin/pip-audit --strict --disable-pip --no-deps --progress-spinner off \
 	  $(addprefix --ignore-vuln ,$(EXPLAINED)) $(AUDIT) -r constraints.txt
 
@@ -155,7 +155,7 @@ audit: .venv-audit/installed  ## Ask for known vulnerabilities of what is pinned
 	@.venv-audit/bin/pip install -qq pip-audit==2.10.1
 	@touch $@
 
-clean:  ## Remove the run RUN; the cache and .venv stay
+clean:  ## Remove the run RUN, but not the cache and .venv
 	@rm -rf -- "$(RUN)"
 
 help:  ## List the targets

@@ -1,8 +1,8 @@
-"""Processes that end with the one that started them, however that one ends.
+"""Child processes that end when their parent process ends, for any reason.
 
-What is killed cannot end its children.  So a child watches its parent: the kernel tells when that
-process is gone (pidfd_open(2), Linux 5.3).  PR_SET_PDEATHSIG is no substitute: it tells of the
-thread that started the child, and workers are started by threads that come and go.
+A process that is killed cannot end its children.  Therefore each child watches its parent: the
+kernel reports the end of the parent (pidfd_open(2), Linux 5.3).  PR_SET_PDEATHSIG is no substitute,
+because it reports the end of the thread that started the child, which may end earlier.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import threading
 import time
 
 PARENT = "STMNIST_PARENT"
-"""Variable of the environment in which a process that starts one of ours can name itself."""
+"""Environment variable with the id of a process that starts one of ours."""
 
 LOOK_S = 1.0
-"""Between two looks at the parent, where the kernel does not tell (or Python is 3.8)."""
+"""Seconds between two checks of the parent, if the kernel does not report its end."""
 
 
 def end_with(parent: int):
@@ -26,7 +26,7 @@ def end_with(parent: int):
     Parameters
     ----------
     parent : int
-        Its process id, as it knows it itself: the child might ask too late.
+        Process id of the parent.  The parent passes it on, because it may end before a child asks.
     """
     try:
         told = os.pidfd_open(parent)
@@ -38,7 +38,7 @@ def end_with(parent: int):
 
 
 def end_with_named_parent():
-    """:func:`end_with` the process that named itself in the environment, if one has."""
+    """Call :func:`end_with` for the process whose id is in the environment, if there is one."""
     named = os.environ.pop(PARENT, "")
     if named.isascii() and named.isdigit():
         end_with(int(named))

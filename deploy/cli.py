@@ -56,8 +56,8 @@ def _parser():
     )
     parser.add_argument("--version", action="version", version=__version__)
     verbs = parser.add_subparsers(metavar="VERB")
-    parser.set_defaults(run=lambda _: parser.error("which verb? check, compare, plan or board"))
-    check = verbs.add_parser("check", help="let a target answer the bundle's samples")
+    parser.set_defaults(run=lambda _: parser.error("name a command: check, compare, plan or board"))
+    check = verbs.add_parser("check", help="run a target on the bundle's samples")
     check.add_argument("bundle", type=Path, help="the bundle's folder")
     check.add_argument("--target", required=True, metavar="T", help=", ".join(TARGETS))
     check.add_argument("--out", type=Path, help="the result (default: BUNDLE/checks/TARGET.json)")
@@ -69,7 +69,7 @@ def _parser():
     board.add_argument("--chips", type=int, default=defaults.chips, metavar="N")
     board.add_argument(
         "--attempts", type=int, default=defaults.attempts, metavar="N",
-        help="how often a stream is begun before giving up (default: %(default)s)",
+        help="largest number of attempts for each stream (default: %(default)s)",
     )  # fmt: skip
     board.add_argument(
         "--wait", type=float, default=defaults.wait, metavar="S",
@@ -78,20 +78,20 @@ def _parser():
     )  # fmt: skip
     board.add_argument(
         "--timeout", type=float, default=defaults.timeout, metavar="S",
-        help="seconds after which a stream that hangs is given up (default: %(default)s)",
+        help="seconds after which a stream that hangs is abandoned (default: %(default)s)",
     )  # fmt: skip
-    board.add_argument(
-        "--energy", action="store_true", help="measure power, where there is a probe"
-    )
+    board.add_argument("--energy", action="store_true", help="measure power if the board can")
     check.set_defaults(run=_check)
-    plan = verbs.add_parser("plan", help="what the network takes of each core, and whether it fits")
+    plan = verbs.add_parser(
+        "plan", help="resources that the network needs of each core, and whether it fits"
+    )
     plan.add_argument("bundle", type=Path, help="the bundle's folder")
     plan.add_argument("--chips", type=int, default=defaults.chips, metavar="N")
     plan.add_argument("--json", action="store_true", help="for a program to read")
     plan.set_defaults(run=_plan)
-    board = verbs.add_parser("board", help="say whether this host can drive a board")
+    board = verbs.add_parser("board", help="report whether this host can use a board")
     board.set_defaults(run=lambda _: show(f"NxSDK {nxsdk_version()}: target loihi can be used"))
-    pair = verbs.add_parser("compare", help="set two results side by side")
+    pair = verbs.add_parser("compare", help="compare two results")
     pair.add_argument("a", type=Path)
     pair.add_argument("b", type=Path)
     pair.add_argument("--max-disagreements", type=int, metavar="N")

@@ -1,16 +1,16 @@
-"""The ways in which a command ends without success, and the one line that each has."""
+"""Errors that end a command, each with a message of one line."""
 
 from .terminal import printable
 
 LONGEST = 2400
-"""Characters of an error's line; one file's content must not fill the screen."""
+"""Maximum number of characters of an error message, which may quote the content of a file."""
 
 
 def one_line(message) -> str:
-    """A message as one line that a terminal shows as it is.
+    """Format a message as one line that is safe to print.
 
-    A file's name or content may hold line ends, and what a terminal would obey; of a message that
-    is too long the middle is left out, for the remedy is at the end.
+    The name or content of a file may contain line ends and control sequences of terminals.  The
+    middle of a message that is too long is left out, because the remedy is at the end.
     """
     line = printable(" ".join(str(message).split()))
     if len(line) > LONGEST:
@@ -44,7 +44,7 @@ class CheckFailed(Exception):
 
 
 def line_of(error) -> str:
-    """The line for an exception: its message, with a remedy for errors that no module foresaw.
+    """The line for an exception: its message, with a remedy for errors that no module handles.
 
     Parameters
     ----------

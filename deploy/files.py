@@ -1,4 +1,4 @@
-"""Files: written whole or not at all, hashed, and never executed on reading."""
+"""Files: written completely or not at all, hashed, and never executed on reading."""
 
 import contextlib
 import errno
@@ -30,15 +30,15 @@ def replacing(path, mode="wb"):
     Parameters
     ----------
     path : path-like
-        The file to write.  Missing parent folders are made.
+        The file to write.  Missing parent folders are created.
     mode : str
         ``"wb"``, or ``"w"`` for text in UTF-8.
 
     Yields
     ------
     file object
-        Open for writing.  On any exception, an interruption included, it is removed and whatever
-        was at ``path`` stays as it was.
+        Open for writing.  On any exception, including an interruption, it is removed and what is
+        at ``path`` does not change.
 
     Raises
     ------
@@ -54,14 +54,14 @@ def replacing(path, mode="wb"):
 
 @contextlib.contextmanager
 def creating(path, prefix):
-    """Open a temporary file beside ``path`` that gets this name if nothing else has it by then.
+    """Open a temporary file beside ``path`` that gets this name unless the name is taken.
 
     Parameters
     ----------
     path : path-like
         The file to write.  Missing parent folders are made.
     prefix : str
-        Start of the temporary file's name; the next call removes what a killed process left there.
+        Start of the temporary file's name; the next call removes the files of killed processes.
 
     Yields
     ------
@@ -71,7 +71,7 @@ def creating(path, prefix):
     Raises
     ------
     FileExistsError
-        Something is at ``path``; it stays as it was.
+        Something is at ``path``; it does not change.
     UserError
         The folder or file cannot be written.
     """
@@ -81,7 +81,7 @@ def creating(path, prefix):
 
 @contextlib.contextmanager
 def _written_beside(path, prefix, mode, rename):
-    """A temporary file that ``rename(temporary, path)`` makes permanent when the block succeeds."""
+    """A temporary file, to which ``rename(temporary, path)`` is applied when the block succeeds."""
     temporary = None
     try:
         make_folder(path.parent)
@@ -115,7 +115,7 @@ class _NameTaken(Exception):
 
 
 def _name_exclusively(temporary, path):
-    """Rename a file, but never over another one, which :func:`os.rename` would do."""
+    """Rename a file, but never replace another one, which :func:`os.rename` would do."""
     try:
         try:
             os.link(temporary, path, follow_symlinks=False)
@@ -131,8 +131,9 @@ def _name_exclusively(temporary, path):
 
 
 ABANDONED_S = 0.5
-"""Age of what may be abandoned: just made, before :func:`claim`, a file is not locked yet.  Shorter
-than a command takes to start, so that the next one removes what a killed one left."""
+"""Age in seconds from which a file may be abandoned: before :func:`claim` a new
+file is not locked.  Shorter than a command takes to start, so that the next one removes what a
+killed one left."""
 
 
 def claim(handle):
@@ -142,7 +143,7 @@ def claim(handle):
 
 
 def _take(handle):
-    """Lock what is open until it is closed; an OSError if another process has."""
+    """Lock an open file until it is closed; OSError if another process has locked it."""
     fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
@@ -153,7 +154,7 @@ def remove_abandoned(folder, prefix):
     ----------
     folder : path-like
     prefix : str
-        Start of their names; `tempfile` adds the rest.
+        Start of the names; `tempfile` adds the rest.
     """
     name = re.compile(re.escape(prefix) + "[a-z0-9_]{8}")
     with contextlib.suppress(OSError), os.scandir(str(folder)) as entries:
@@ -179,32 +180,33 @@ def _umask():
 
 
 def open_regular(path, mode="rb", **options):
-    """Open a file for reading, but never wait for one: a pipe without a writer has no end.
+    """Open a file for reading; refuse a pipe or a device, which could block or be read forever.
 
     Parameters
     ----------
     path : path-like
     mode, **options
-        As of :func:`open`.
+        As for :func:`open`.
 
     Raises
     ------
     OSError
-        It cannot be opened, or is a pipe.
+        The file cannot be opened, or is a pipe or a device.
     """
 
     def opener(name, flags):
         handle = os.open(name, flags | os.O_NONBLOCK | os.O_NOCTTY)
-        if stat.S_ISFIFO(os.fstat(handle).st_mode):
+        kind = os.fstat(handle).st_mode
+        if not (stat.S_ISREG(kind) or stat.S_ISDIR(kind)):  # Python refuses a directory itself
             os.close(handle)
-            raise OSError(errno.EINVAL, "a pipe, not a file", name)
+            raise OSError(errno.EINVAL, "a pipe or a device, not a file", name)
         return handle
 
     return open(str(path), mode, opener=opener, **options)
 
 
 def open_own(path):
-    """Open a file of this program's own for reading and appending; make it if it is not there.
+    """Open a file of this program for reading and appending; create it if it does not exist.
 
     Parameters
     ----------
@@ -213,13 +215,13 @@ def open_own(path):
     Returns
     -------
     file object
-        Binary and without a buffer.  What is in the file stays.
+        Binary and without a buffer.  Its content does not change.
 
     Raises
     ------
     OSError
-        The file cannot be opened.  A symbolic link is not followed, and a file that has a second
-        name, a pipe or a device is refused: the content could be somebody else's.
+        The file cannot be opened.  A symbolic link is not followed, and a file with a second name,
+        a pipe or a device is refused: it could belong to another program.
     """
     flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
@@ -238,14 +240,14 @@ def open_own(path):
 
 @contextlib.contextmanager
 def locked(path, taken: str):
-    """Lock a file of this program's own against other processes while the block runs.
+    """Lock a file of this program against other processes while the block runs.
 
     Parameters
     ----------
     path : path-like
-        Is made if it is not there; see :func:`open_own`.
+        Created if it does not exist; see :func:`open_own`.
     taken : str
-        The error's line if another process holds the lock.
+        Message of the error if another process holds the lock.
 
     Yields
     ------
@@ -281,13 +283,13 @@ def is_at(file, path) -> bool:
 
 @contextlib.contextmanager
 def locked_folder(folder, taken: str):
-    """Lock a folder through its file ``.lock``, which is there while the block runs.
+    """Lock a folder through its file ``.lock``, which exists while the block runs.
 
     Parameters
     ----------
     folder : path-like
-        Is made if it is not there, and removed at the end, with the parent folders that were made
-        for it, if nothing was put into it.
+        Created if it does not exist.  At the end it is removed, with the parent folders that were
+        created for it, if it is empty.
     taken : str
         As for :func:`locked`.
 
@@ -301,7 +303,7 @@ def locked_folder(folder, taken: str):
     UserError
         Another process holds the lock.
     OSError
-        The folder or its ``.lock`` cannot be made.
+        The folder or its ``.lock`` cannot be created.
     """
     folder = Path(folder)
     made = [each for each in (folder, *folder.parents) if not each.exists()]
@@ -330,7 +332,7 @@ _LOCKED = []
 
 
 def make_folder(folder):
-    """Make a folder that something is written to, with its missing parents.
+    """Create a folder for results, with its missing parents.
 
     Parameters
     ----------
@@ -339,10 +341,10 @@ def make_folder(folder):
     Raises
     ------
     UserError
-        It is in a folder that this process has locked and that was deleted since: what is written
-        now would be a part of what was there.
+        The folder is in another one that this process has locked and that was deleted since:
+        results written now would be incomplete.
     OSError
-        It cannot be made.
+        The folder cannot be created.
     """
     folder = Path(folder)
     for held in {held for held, _ in _LOCKED} & {folder.absolute(), *folder.absolute().parents}:
@@ -357,7 +359,7 @@ def make_folder(folder):
 def refuse_linked_folder(folder):
     """Refuse a folder that is a symbolic link.
 
-    Files would be written elsewhere, over files that this program never made.
+    Files would be written elsewhere, and could replace files that are not of this program.
 
     Raises
     ------
@@ -376,12 +378,12 @@ def refuse_linked_folders(root):
     Parameters
     ----------
     root : path-like
-        May be a link itself: the user has named it.
+        May itself be a link, because the user has named it.
 
     Raises
     ------
     UserError
-        Names the link.
+        A folder is a link; the message names it.
     """
     for above, folders, _ in os.walk(str(root)):
         for name in folders:
@@ -389,7 +391,7 @@ def refuse_linked_folders(root):
 
 
 def write_json(path, value):
-    """Write ``value`` as JSON in UTF-8, indented, whole or not at all."""
+    """Write ``value`` as JSON in UTF-8, indented, completely or not at all."""
     with replacing(path, "w") as file:
         json.dump(value, file, indent=2, ensure_ascii=False, allow_nan=False)
         file.write("\n")
@@ -402,7 +404,7 @@ def read_json(path, remedy):
     ----------
     path : path-like
     remedy : str
-        The user's remedy if the file is missing or damaged; ends the error's line.
+        The user's remedy if the file is missing or damaged, at the end of the error message.
 
     Raises
     ------
@@ -447,14 +449,14 @@ def _is_deeper(value, most):
 
 @contextlib.contextmanager
 def understood(path, remedy):
-    """Say of a file that it is damaged where a value in it is missing or of another type.
+    """Report a file as damaged if the block finds a value missing or of another type.
 
     Parameters
     ----------
     path : path-like
-        The file whose values the block looks at.
+        The file whose values the block reads.
     remedy : str
-        What the user can do; ends the error's line.
+        The user's remedy, at the end of the error message.
 
     Raises
     ------
@@ -468,7 +470,7 @@ def understood(path, remedy):
 
 
 def write_arrays(path, compress=True, **arrays):
-    """Write named arrays as ``.npz``, whole or not at all, the same bytes for the same arrays."""
+    """Write named arrays as ``.npz``, completely or not at all; equal arrays give equal bytes."""
     kind = zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED
     # Not numpy.savez: it stamps each member with the time of day, and a bundle's id is a hash.
     with replacing(path) as file, zipfile.ZipFile(file, "w", kind) as archive:
@@ -489,12 +491,12 @@ def read_arrays(path, remedy, most=limits.ARRAY_BYTES):
     remedy : str
         The user's remedy if the file is missing or damaged; ends the error's line.
     most : int
-        Bytes that the arrays may take.
+        Maximum size of the arrays in bytes.
 
     Raises
     ------
     UserError
-        The file is missing, damaged, too large, or holds anything but plain arrays.
+        The file is missing, damaged, too large, or has anything but plain arrays.
     """
     try:
         with open_regular(path) as file, np.load(file, allow_pickle=False) as archive:
@@ -514,10 +516,26 @@ def read_arrays(path, remedy, most=limits.ARRAY_BYTES):
     return arrays
 
 
-def sha256_of(path):
-    """Hexadecimal SHA-256 of a file's content."""
+def sha256_of(path, most=limits.FILE_BYTES):
+    """Hexadecimal SHA-256 of a file's content.
+
+    Parameters
+    ----------
+    path : path-like
+    most : int
+        Largest number of bytes: a sparse file of terabytes takes no space and hours to hash.
+
+    Raises
+    ------
+    UserError
+        The file is larger.
+    OSError
+        The file cannot be read.
+    """
     digest = hashlib.sha256()
     with open_regular(path) as file:
+        if os.fstat(file.fileno()).st_size > most:
+            raise UserError(f"{path}: larger than {most:,} bytes; choose another file")
         for block in iter(lambda: file.read(1 << 20), b""):
             digest.update(block)
     return digest.hexdigest()

@@ -1,9 +1,9 @@
-"""Ctrl-C ends the process at once: one line, status 130, no child and no temporary file left.
+"""Ctrl-C ends the process at once: one line, status 130, no remaining child or temporary file.
 
 Results are written under a temporary name and renamed, so a process that is killed at any moment
-loses nothing, and nothing has to be unwound.  (A KeyboardInterrupt would have to pass through the
+loses nothing, and needs no cleaning up.  (A KeyboardInterrupt would have to pass through the
 libraries, which may print and drop it in a callback or mistake it for a failed import.)  Only code
-that drives a board or serves the page needs an orderly end; see :func:`orderly`.
+that uses a board or serves the page needs an orderly end; see :func:`orderly`.
 """
 
 import atexit
@@ -50,7 +50,7 @@ def end_at_once(name):
     Parameters
     ----------
     name : str
-        Name of the command, with which its line begins.
+        Name of the command, at the start of the printed line.
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _End(name))
@@ -61,7 +61,7 @@ def end_at_once(name):
 
 @contextlib.contextmanager
 def at_the_end(function, *arguments):
-    """Call a function if Ctrl-C ends the process in this block, as to remove a temporary file."""
+    """Call a function if Ctrl-C ends the process in this block, to remove files for example."""
     call = (function, arguments)
     _AT_THE_END.append(call)
     try:

@@ -1,7 +1,7 @@
 """Limits of everything that is read from outside: files and settings.
 
-They are far above what is of use and far below what a machine suffers from; a value past them is a
-mistake, and is said as one.
+They are far above useful values and far below values that cause problems for a machine.  A value
+beyond them is reported as a mistake of the user.
 """
 
 STEPS = 10_000
@@ -31,6 +31,9 @@ LAYERS = 100
 
 ARRAY_BYTES = 1 << 30
 """Largest number of bytes of all arrays in a file."""
+
+FILE_BYTES = ARRAY_BYTES + (1 << 24)
+"""Largest number of bytes of a file that is hashed: its arrays, and what describes them."""
 
 TEXT_BYTES = 1 << 28
 """Largest number of bytes of a JSON file."""

@@ -1,7 +1,7 @@
-"""Is this host one that the bundle runs on?  Asked before anything else is imported.
+"""Check that the bundle can run on this host, before anything else is imported.
 
-Only the standard library is imported here: with versions that do not fit, importing NengoLoihi is
-what fails, and it fails with a traceback.
+Only the standard library is imported here, because with unsuitable versions the import of
+NengoLoihi fails with a traceback.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ PACKAGES = {
     "nengo": ((3, 1), (5,), "NengoLoihi 1.1 works with Nengo 3.1 to 4.1"),
     "nengo-loihi": ((1, 1), (1, 2), "the bundle was made with NengoLoihi 1.1"),
 }
-"""Package: oldest version that will do, first one that will not, and why."""
+"""For each package: oldest supported version, first unsupported version, and the reason."""
 
 
 def complaint():
@@ -30,7 +30,7 @@ def complaint():
     Returns
     -------
     str or None
-        None if it is fit.
+        None if the bundle can run.
     """
     if sys.version_info < OLDEST_PYTHON or version is None:
         found = ".".join(str(n) for n in sys.version_info[:3])

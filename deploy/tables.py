@@ -1,4 +1,4 @@
-"""Tables in plain text, and what stands in their cells."""
+"""Tables in plain text, and the format of their cells."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from .terminal import SIGNIFICANT, printable
 
 
 def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> List[str]:
-    """Lines of a table whose columns stand below each other.
+    """Lines of a table with aligned columns.
 
     Parameters
     ----------
     rows : sequence of sequence of str
-        The heads first.  What a terminal would obey is escaped.
+        Headings first.  Control sequences of terminals are escaped.
     left : int
         Number of columns that are flush left; the others are flush right.
     """
@@ -29,20 +29,20 @@ def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> List[str]:
 
 
 WIDTH = 80
-"""Columns of a terminal that a table may take."""
+"""Maximum width of a table in characters."""
 
 
 def in_blocks(rows: Sequence[Sequence[str]], left: int = 1, width: int = WIDTH) -> List[str]:
-    """Align a table as :func:`aligned` does, and cut a wide one into blocks of columns.
+    """Align a table as :func:`aligned` does, and divide a wide one into blocks of columns.
 
-    Each block begins with the columns that are flush left; there is an empty line between them.
+    Each block begins with the columns that are flush left; blocks are separated by an empty line.
 
     Parameters
     ----------
     rows, left
         As in :func:`aligned`.
     width : int
-        Characters that a line may have.
+        Maximum number of characters of a line.
     """
     widths = [max(map(len, column)) for column in zip(*rows)]
     blocks: List[List[int]] = [[]]
@@ -63,7 +63,7 @@ def in_blocks(rows: Sequence[Sequence[str]], left: int = 1, width: int = WIDTH) 
 
 
 SIGNIFICANCE = 0.05
-"""p-value below which a difference is taken for more than chance."""
+"""p-value below which a difference is significant."""
 
 
 def star(p_value: float) -> str:
@@ -72,5 +72,5 @@ def star(p_value: float) -> str:
 
 
 def p_text(p_value: float) -> str:
-    """A p-value to three decimals; what would be 0 then is below 0.001."""
+    """A p-value with three decimals; smaller values are "< 0.001"."""
     return "< 0.001" if p_value < 0.001 else f"{p_value:.3f}"

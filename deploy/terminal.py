@@ -1,7 +1,7 @@
-"""Printing that is safe for the terminal and never makes a command fail.
+"""Printing that is safe for terminals and does not make a command fail.
 
-Names that come from files may hold what a terminal obeys, or what its encoding cannot represent;
-standard output and error may be closed or full.
+Names from files may contain control sequences of terminals, or characters that the terminal's
+encoding cannot represent; standard output and standard error may be closed or full.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ import os
 import sys
 
 COLUMNS = (20, 1000)
-"""Widths of a terminal that are believed.  At a width of 0 a help text is empty, and at a thousand
+"""Accepted widths of a terminal.  At a width of 0 a help text is empty, and at a thousand
 million it takes 20 s."""
 
 
 def printable(text) -> str:
-    """Text in one line, in which whatever a terminal would obey, line ends too, is escaped."""
+    """Text as one line, in which control sequences of terminals and line ends are escaped."""
     text = str(text)
     if text.isprintable():  # as nearly all is, however long
         return text
@@ -25,29 +25,29 @@ def printable(text) -> str:
 
 
 ERRORS = ("stmnist: ", "deploy: ", "does not fit: ")
-"""Beginnings of lines that are shown in red at a terminal."""
+"""Beginnings of lines that are printed in red at a terminal."""
 
 WARNING = "warning: "
-"""Beginning of a line that is shown in yellow; a name and a colon may stand before it."""
+"""Beginning of a line that is printed in yellow; a name and a colon may precede it."""
 
 SIGNIFICANT = " *"
-"""End of a line with a statistically significant difference, which is shown in bold."""
+"""End of a line with a statistically significant difference, which is printed in bold."""
 
 
 def show(text="", flush=False):
-    """Print an answer on standard output, each of its lines :func:`printable`."""
+    """Print a result on standard output, with :func:`printable` for each line."""
     print(_lines(text, sys.stdout), flush=flush)
 
 
 def remark(text):
-    """Print what happens on standard error, each line :func:`printable`."""
+    """Print a message on standard error, with :func:`printable` for each line."""
     print(_lines(text, sys.stderr), file=sys.stderr)
 
 
 def has_colours(stream) -> bool:
-    """True if a stream is a terminal that shows colours, and the user wants them.
+    """True if a stream is a terminal with colours that the user has not disabled.
 
-    ``NO_COLOR`` (https://no-color.org) and ``TERM=dumb`` switch them off.
+    ``NO_COLOR`` (https://no-color.org) and ``TERM=dumb`` disable them.
     """
     with contextlib.suppress(AttributeError, ValueError, OSError):
         wanted = not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
@@ -61,7 +61,7 @@ def _lines(text, stream):
 
 
 def _coloured(line):
-    """A line with the escape sequences of its colour, by its beginning and end."""
+    """A line with escape sequences for its colour, which depends on its beginning and end."""
     if line.startswith(ERRORS):
         return f"\x1b[31m{line}\x1b[0m"
     if line.startswith(WARNING) or f": {WARNING}" in line:
@@ -70,10 +70,10 @@ def _coloured(line):
 
 
 def prepare():
-    """Make the standard streams fit for whatever is printed; called before anything else.
+    """Prepare the standard streams for printing; called before anything else.
 
-    A stream that is closed is opened to nowhere: otherwise the next file that is opened would take
-    its place, and be printed into.
+    A closed stream is redirected to the null device.  Otherwise the next file that is opened would
+    get its number, and messages would be written into it.
     """
     for number in range(3):
         try:
@@ -99,9 +99,9 @@ def prepare():
 
 
 def drop_unwritable():
-    """Drop what was printed and cannot be written, its reader gone or the disk full.
+    """Discard printed text that cannot be written: its reader has ended or the disk is full.
 
-    Python would try it again at its end, and complain.
+    Otherwise Python would try to write it when it ends, and print an error.
     """
     try:
         sys.stdout.flush()
@@ -110,7 +110,7 @@ def drop_unwritable():
 
 
 class _StandardError(io.TextIOWrapper):
-    """Standard error that nobody has to read: what cannot be written is dropped."""
+    """Standard error that discards text that cannot be written."""
 
     def __init__(self, buffer, encoding):
         super().__init__(buffer, encoding, errors="backslashreplace", line_buffering=True)
@@ -131,7 +131,7 @@ class _StandardError(io.TextIOWrapper):
 
 
 def _to_nowhere(number):
-    """Let an open file's number lead nowhere."""
+    """Redirect the number of an open file to the null device."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, number)
     os.close(nowhere)

@@ -1,7 +1,7 @@
-"""A network of one's own for a skin of one's own: arrays and a Keras model in, ladder out.
+"""Your own network for your own sensor: from arrays and a Keras model to the loss ladder.
 
-The arrays are five gestures on 16 x 16 taxels, made up here; put your own images, labels and model
-in their place.  Run it as a script (``python examples/own_network.py``), or block by block in a
+The arrays are five simulated gestures on 16 x 16 taxels; replace them by your own images, labels
+and model.  Run it as a script (``python examples/own_network.py``), or block by block in a
 notebook.
 """
 

@@ -1,7 +1,7 @@
-"""Recordings of an event-based sensor of one's own: events and labels in, ladders and reports out.
+"""Recordings of your own event-based sensor: from events and labels to ladders and reports.
 
-The recordings are made up here: four gestures on 9 rows of 12 taxels.  Put your own events and
-labels, or a data set of Tonic's, in their place.  Run it as a script (``python
+The recordings are simulated here: four gestures on 9 rows of 12 taxels.  Replace them by your own
+events and labels, or by a data set of Tonic.  Run it as a script (``python
 examples/own_sensor.py``); examples/own_sensor.ipynb is the same as a notebook.
 """
 

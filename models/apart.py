@@ -1,8 +1,8 @@
-"""Files from outside, read in a process of their own.
+"""Read files from other sources in a separate process.
 
 The HDF5 library crashes on some damaged files (measured: one flipped byte in a few thousand), and
-what a file declares can ask for any amount of memory.  So the content of a file goes to a second
-process, which has a limit of memory and time, and plain values and arrays come back.
+a file can declare any amount of data.  Therefore the content of a file is read in a second process
+with limits of memory and time, which returns plain values and arrays.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class TooSlow(Exception):
 
 
 class Crashed(Exception):
-    """The process ended without an answer."""
+    """The process ended without a result."""
 
 
 def content_of(path, limit: int) -> bytes:
@@ -42,12 +42,12 @@ def content_of(path, limit: int) -> bytes:
     ----------
     path : path-like
     limit : int
-        A caller refuses what is longer.
+        Callers refuse longer files.
 
     Raises
     ------
     ValueError
-        It cannot be read; the message names the path.
+        The file cannot be read; the message names the path.
     """
     path = Path(path)
     try:
@@ -65,7 +65,7 @@ def content_of(path, limit: int) -> bytes:
 
 
 def read_apart(module: str, content: bytes) -> tuple:
-    """Let a module, run as a script, read a file's content; see :func:`answer_apart`.
+    """Run a module as a script to read a file's content; see :func:`answer_apart`.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def read_apart(module: str, content: bytes) -> tuple:
 
 
 def answer_apart(read):
-    """Be the process of :func:`read_apart`: standard input goes in, an ``.npz`` comes out.
+    """The second process of :func:`read_apart`: reads standard input and writes an ``.npz``.
 
     Parameters
     ----------

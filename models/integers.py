@@ -1,7 +1,7 @@
-"""A layer in Loihi's integers, and what NengoLoihi must be given to come to just these.
+"""A layer in Loihi's integers, and parameters from which NengoLoihi derives exactly these integers.
 
-The chip's step is in :mod:`models.spiking`; the rounding is that of NengoLoihi 1.1,
-``builder/discretize.py``.
+The equations of the chip's step are in :mod:`models.spiking`; the rounding is that of NengoLoihi
+1.1, ``builder/discretize.py``.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ BIAS_MANTISSA = 2**LOIHI.bias_bits - 1
 
 @dataclass(frozen=True)
 class Integers:
-    """A layer as the chip has it.
+    """The integers of a layer on the chip.
 
     Attributes
     ----------
     weights : ndarray of int32
-        Shape as of the kernel: (rows, columns, channels in, filters) or (inputs, units).
+        Shape of the kernel: (rows, columns, channels in, filters) or (inputs, units).
     bias : ndarray of int32, shape (filters,) or (units,)
     threshold, floor : int
     keep_u, keep_v : int
@@ -53,7 +53,7 @@ class Integers:
 
 @dataclass(frozen=True)
 class OnLoihi:
-    """A layer in the terms of Nengo, from which NengoLoihi makes just the integers it came from.
+    """Parameters of a layer in Nengo, from which NengoLoihi derives the original integers.
 
     Attributes
     ----------
@@ -79,11 +79,12 @@ class OnLoihi:
 def on_loihi(layer: Integers, dt: float) -> OnLoihi:
     """Parameters from which NengoLoihi derives these integers.
 
-    It makes decays of 12 bits from the time constants; scales a block's weights so that the largest
-    becomes 127.5, rounded to 127; and multiplies threshold and bias so that they keep their ratio
-    to weights that pass normalised filters, whose sum it estimates from the decays
-    (``builder/discretize.py``: ``discretize_compartment``, ``decay_magnitude``).  Here that is
-    undone.  It takes the largest exponent of the weights with which threshold and bias fit.
+    NengoLoihi makes decays of 12 bits from the time constants.  It scales a block's weights so that
+    the largest becomes 127.5, rounded to 127.  It multiplies threshold and bias such that their
+    ratio to the weights is that with normalised filters, whose sum it estimates from the decays
+    (``builder/discretize.py``: ``discretize_compartment``, ``decay_magnitude``).  This function
+    inverts these steps.  NengoLoihi takes the largest exponent of the weights with which threshold
+    and bias fit.
 
     Parameters
     ----------
@@ -106,9 +107,9 @@ def on_loihi(layer: Integers, dt: float) -> OnLoihi:
 
 
 def _sum_of_decays(keep):
-    """NengoLoihi's estimate of what 2^21 adds up to, relative to it, while it decays to nothing.
+    """NengoLoihi's estimate of the sum of a current of 2^21 while it decays to 0, divided by 2^21.
 
-    x(k+1) = floor(r x(k)), where rounding down takes 0.494 a step on average.
+    x(k+1) = floor(r x(k)), where rounding down subtracts 0.494 per step on average.
     """
     start, lost, r = 2.0**21, 0.494, keep / DECAY_UNIT
     steps = -np.log1p(start * (1 - r) / lost) / np.log(r)

@@ -1,14 +1,14 @@
-"""NIR files read as data: groups, numbers and texts of an HDF5 file, as plain nested values.
+"""Read NIR files as data: groups, numbers and texts of an HDF5 file, as plain nested values.
 
 NIR (Neuromorphic Intermediate Representation; Pedersen et al., Nature Communications 15, 8122,
 2024) is written by the package ``nir`` as HDF5: a group ``node`` that describes the graph, with one
-group a node below ``nodes``, and the pairs of names ``edges``.  What the nodes mean is not decided
-here but in :mod:`models.nir_graph`.
+group for each node below ``nodes``, and the pairs of names ``edges``.  :mod:`models.nir_graph`
+interprets the nodes.
 
 Nothing in a file is executed, and the package ``nir`` is not needed: only groups, numbers and texts
 in the file itself are read.  Links to other files, virtual and external storage, and filters other
-than HDF5's usual ones, which would be plug-ins, are refused.  The file is opened in a process of
-its own (:mod:`models.apart`); run as a script, this module is that process.
+than HDF5's usual ones, which would be plug-ins, are refused.  The file is opened in a separate
+process (:mod:`models.apart`); this module, run as a script, is that process.
 """
 
 from __future__ import annotations
@@ -42,13 +42,23 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 class NirError(UserError):
-    """A file or graph is no NIR, or holds what cannot be used; the message is one line."""
+    """A file or graph is not NIR, or has parts that cannot be used; the message is one line."""
 
 
 def shown(text) -> str:
-    """Text from a file, quoted, on one line and not too long to be printed."""
+    """Text from a file for a message: quoted, on one line, and shortened."""
     text = repr(str(text)[:60])
     return text if len(text) <= 80 else text[:77] + "...'"
+
+
+def _where(parents, name) -> str:
+    """A group or dataset as a message names it: a node, a node's value, or another place."""
+    nodes = [part for part in parents[1:] if part != "nodes"]
+    if parents[1:2] != ("nodes",):
+        return shown("/".join((*parents, name)))
+    if parents[-1] == "nodes":
+        return f"node {shown('.'.join((*nodes, name)))}"
+    return f"node {shown('.'.join(nodes))}: its {shown(name)}"
 
 
 def read_nir_file(path) -> dict:
@@ -61,13 +71,14 @@ def read_nir_file(path) -> dict:
     Returns
     -------
     dict
-        As ``nir.NIRGraph.to_dict()`` gives it: a ``type``, ``nodes`` by name, ``edges``, and
-        whatever else is there.  Numbers are arrays, texts are ``str``.
+        As ``nir.NIRGraph.to_dict()`` returns it: a ``type``, ``nodes`` by name, ``edges``, and
+        further entries.  Numbers are arrays, texts are ``str``.
 
     Raises
     ------
     NirError
-        No such file, not NIR, damaged, too large, or with links to other files or plug-ins.
+        The file is missing, not NIR, damaged or too large, or it has links to other files or
+        plug-ins.
     """
     path = Path(path)
     try:
@@ -90,18 +101,19 @@ def read_nir_file(path) -> dict:
 
 
 def read_content(content: bytes) -> tuple:
-    """Read a file's content in this process, which a damaged one may end.
+    """Read a file's content in this process, which a damaged file may crash.
 
     Returns
     -------
     tree : dict
-        Groups as dicts; instead of an array ``["array", its name]``, of a text ``["text", text]``.
+        Groups as dicts; an array is replaced by ``["array", its name]``, a text by ``["text",
+        text]``.
     arrays : dict of str to ndarray
 
     Raises
     ------
     NirError
-        As :func:`read_nir_file`, but for what is wrong with the file itself.
+        As :func:`read_nir_file`, except for errors of opening the file.
     """
     if not content.startswith(_HDF5):
         raise NirError(f"not a NIR file, which is HDF5; {REMEDY}")
@@ -123,38 +135,37 @@ def read_content(content: bytes) -> tuple:
 
 
 class _Reader:
-    """Reads groups and datasets, and no more than a file may hold."""
+    """Reads groups and datasets within the limits for a file."""
 
     def __init__(self):
         self.arrays = {}
         self.numbers, self.objects = MAX_NUMBERS, MAX_OBJECTS
 
-    def group(self, names, group, depth=0):
-        if depth > MAX_DEPTH:
+    def group(self, names, group, parents=()):
+        if len(parents) > MAX_DEPTH:
             raise NirError(f"has groups more than {MAX_DEPTH} deep; {REMEDY}")
         found = {}
         for name in names:
             self.objects -= 1
             if self.objects < 0:
                 raise NirError(f"has more than {MAX_OBJECTS} entries, no network for a chip")
+            where = _where(parents, name)
             if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-                raise NirError(f"refers to another place for {shown(name)}; {REMEDY}")
+                raise NirError(f"{where} is a link to another place; {REMEDY}")
             member = group[name]
             if isinstance(member, h5py.Group):
-                found[name] = self.group(member, member, depth + 1)
+                found[name] = self.group(member, member, (*parents, name))
             elif isinstance(member, h5py.Dataset):
-                found[name] = self.dataset(name, member)
+                found[name] = self.dataset(where, member)
             else:
-                raise NirError(f"has a {type(member).__name__} called {shown(name)}; {REMEDY}")
+                raise NirError(f"{where} is a {type(member).__name__}; {REMEDY}")
         return found
 
-    def dataset(self, name, dataset):
+    def dataset(self, where, dataset):
         if dataset.is_virtual or dataset.external:
-            raise NirError(f"keeps {shown(name)} in another file; {REMEDY}")
+            raise NirError(f"{where} is kept in another file; {REMEDY}")
         if unusual_filters(dataset):
-            raise NirError(
-                f"{shown(name)} is compressed with a plug-in, which is not loaded; {REMEDY}"
-            )
+            raise NirError(f"{where} is compressed with a plug-in, which is not loaded; {REMEDY}")
         if dataset.shape is None:
             return ["text", ""]
         size = 1
@@ -162,9 +173,12 @@ class _Reader:
             size *= n
         self.numbers -= size
         if self.numbers < 0:
-            raise NirError(f"has more than {MAX_NUMBERS} numbers, no network for a chip")
+            raise NirError(
+                f"{where} is one array too many: more than {MAX_NUMBERS} numbers, no network for a "
+                "chip"
+            )
         if h5py.check_string_dtype(dataset.dtype) is not None:
-            long = f"has too long a text in {shown(name)}; {REMEDY}"
+            long = f"{where} is too long a text; {REMEDY}"
             if size > MAX_OBJECTS or size * dataset.dtype.itemsize > MAX_FILE:
                 raise NirError(long)
             texts = np.asarray(dataset.asstr()[()], object)
@@ -172,7 +186,7 @@ class _Reader:
                 raise NirError(long)
             return ["text", texts.tolist()]
         if dataset.dtype.kind not in "fiub" or dataset.dtype.itemsize > 8:
-            raise NirError(f"{shown(name)} is of type {dataset.dtype}, no numbers; {REMEDY}")
+            raise NirError(f"{where} is of type {dataset.dtype}, no numbers; {REMEDY}")
         key = str(len(self.arrays))
         self.arrays[key] = np.asarray(dataset[()])
         return ["array", key]

@@ -1,12 +1,12 @@
-"""NIR graphs: what of them can be used, checked node by node, as a chain of layers.
+"""Read NIR graphs as a chain of nodes, each of which is validated.
 
 Pedersen et al., "Neuromorphic intermediate representation: A unified instruction set for
 interoperable brain-inspired computing", Nature Communications 15, 8122 (2024), gives the nodes'
-equations; they stand with each node in :mod:`models.nir_simulator`.  Shapes are those of NIR and
+equations, which are repeated in :mod:`models.nir_simulator`.  Shapes are those of NIR and
 PyTorch: channels first.
 
-A graph can be used if it is a chain from one input to one output.  Graphs within the graph are
-opened.  Parameters of neurons may be given as one value, or as one a neuron.
+A graph can be used if it is a chain from one input to one output.  Subgraphs are replaced by their
+nodes.  Parameters of neurons may be one value, or one value for each neuron.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ FILTERS = ("LI", "CubaLI")
 """Nodes with a state whose output is not spikes."""
 
 MAX_NODES = 500
-"""Nodes of a graph, those of the graphs within it included."""
+"""Maximum number of nodes of a graph, including subgraphs."""
 
 MAX_EDGES = 10_000
 """Edges of a graph; a chain has one fewer than nodes."""
 
 MAX_DIMENSIONS = 7
-"""Dimensions of an input that are looked at; more than 4 cannot be used."""
+"""Maximum number of dimensions of an input that are read; more than 4 cannot be used."""
 
 SNNTORCH_STEP = 1e-4
-"""Seconds: the time step that snnTorch's exporter writes time constants for, whatever the network
-was trained on."""
+"""Time step in seconds for which snnTorch's exporter writes time constants, independently of the
+training."""
 
 
 @dataclass(frozen=True)
@@ -51,11 +51,11 @@ class Node:
     kind : str
         NIR's name of the node's class, such as ``"LIF"``.
     input_shape, shape : tuple of int
-        Of what goes in and comes out; images as (channels, rows, columns).
+        Shapes of input and output; images as (channels, rows, columns).
     parameters : dict
-        By NIR's names.  Those of neurons are arrays of the node's shape, weights and biases arrays
-        as NIR has them (a bias that is missing is zero), ``padding`` a pair (before, after) for
-        each dimension, ``stride``, ``dilation`` and ``kernel_size`` a number for each.
+        By NIR's names.  Those of neurons are arrays of the node's shape.  Weights and biases are
+        arrays as in NIR (a missing bias is zero).  ``padding`` is a pair (before, after) for each
+        dimension, ``stride``, ``dilation`` and ``kernel_size`` a number for each.
     """
 
     name: str
@@ -73,16 +73,16 @@ class Node:
 
 @dataclass(frozen=True)
 class NirNetwork:
-    """A NIR graph that is a chain of nodes, read and checked.
+    """A NIR graph that is a chain of nodes, read and validated.
 
     Attributes
     ----------
     input_shape : tuple of int
-        Of what goes in at each step: (channels, rows, columns), or flat.
+        Shape of the input at each step: (channels, rows, columns), or flat.
     nodes : tuple of Node
-        In order, without input and output.
+        In order, without the input and output nodes.
     metadata : dict
-        Of the graph; nothing in it is checked.
+        Metadata of the graph; not validated.
     """
 
     input_shape: tuple
@@ -91,16 +91,16 @@ class NirNetwork:
 
     @property
     def outputs(self) -> int:
-        """Number of values that come out."""
+        """Number of output values."""
         return math.prod(self.nodes[-1].shape)
 
     @property
     def written_by_snntorch(self) -> bool:
-        """True if the neurons' parameters are as snnTorch's exporter makes them.
+        """True if the neurons' parameters have the form that snnTorch's exporter writes.
 
-        snnTorch has no time: a neuron keeps a share beta of its potential a step.  Its exporter
-        writes tau = h / (1 - beta) and r = tau / h with h = 0.1 ms, so that a forward Euler step of
-        h gives the network's own step again.
+        snnTorch has no time unit: a share beta of a neuron's potential remains after each step.
+        Its exporter writes tau = h / (1 - beta) and r = tau / h with h = 0.1 ms, so that a forward
+        Euler step of h is identical to the network's own step.
         """
         neurons = [node for node in self.nodes if node.kind in ("LIF", "CubaLIF")]
         pairs = [(node["r"], node["tau" if node.kind == "LIF" else "tau_mem"]) for node in neurons]
@@ -125,8 +125,8 @@ def read_nir(source) -> NirNetwork:
     Raises
     ------
     NirError
-        It is no NIR graph, or one that cannot be used: not a chain, with unknown nodes, or with
-        shapes or values that do not fit.  One line that names the file, the node, and what to do.
+        The source is not a NIR graph, or cannot be used: it is not a chain, or has unknown nodes,
+        or shapes or values that do not fit.  The message names the file, the node and a remedy.
     """
     if hasattr(source, "to_dict") and hasattr(source, "nodes"):
         return _network(source.to_dict())
@@ -153,7 +153,10 @@ def _network(tree) -> NirNetwork:
         reader = _Values(f"node {shown(name)} ({kind})", nodes[name])
         after, parameters = handler(reader, shape)
         if math.prod(after) > limits.NEURONS or math.prod(after) < 1:
-            reader.refuse(f"puts out {math.prod(after)} values, not 1 to {limits.NEURONS}")
+            reader.refuse(
+                f"puts out {math.prod(after)} values, and a layer can have 1 to {limits.NEURONS}; "
+                "use strides, averaging or fewer filters"
+            )
         chain.append(Node(name, kind, shape, after, parameters))
         shape = after
     if not any(node.kind in SPIKING for node in chain):
@@ -169,7 +172,7 @@ def _network(tree) -> NirNetwork:
 
 
 def _opened(tree, prefix="", depth=0) -> tuple:
-    """Nodes by name and edges, those of graphs within the graph in their places."""
+    """Nodes by name, and edges, with subgraphs replaced by their nodes and edges."""
     if depth > 5:
         raise NirError("has graphs more than five deep; write it as one graph")
     nodes, edges = tree.get("nodes"), tree.get("edges")
@@ -240,7 +243,7 @@ def _ends(nodes, kind, where=""):
 
 
 def _chain(nodes, edges) -> tuple:
-    """Name of the input, and the names between it and the output in order."""
+    """Name of the input node, and names of the nodes between input and output, in order."""
     (first,), (last,) = _ends(nodes, "Input"), _ends(nodes, "Output")
     after = {name: sorted(b for a, b in edges if a == name) for name in nodes}
     _refuse_recurrence(nodes, after)
@@ -298,7 +301,7 @@ def _kind(node) -> str:
 
 
 def _input_shape(name, node, later) -> tuple:
-    """The shape of an input; a dimension of 1 in front of it, of samples, is left out."""
+    """The shape of an input; a leading dimension of 1, that of samples, is left out."""
     shape = node.get("shape")
     if shape is None and isinstance(node.get("input_type"), dict):
         shape = node["input_type"].get("input")
@@ -322,7 +325,7 @@ def _input_shape(name, node, later) -> tuple:
 
 
 class _Values:
-    """Reads a node's values and refuses those that cannot be."""
+    """Reads a node's values and refuses invalid ones."""
 
     def __init__(self, where, values):
         self.where, self.values = where, values
@@ -360,7 +363,10 @@ class _Values:
         except ValueError:
             if array.size == math.prod(shape):
                 return array.reshape(shape)
-            self.refuse(f"its {name} has shape {array.shape}, what comes in {shape}")
+            self.refuse(
+                f"its {name} has shape {array.shape}, what comes in {shape}; give one value, or "
+                "one for each neuron"
+            )
 
     def positive(self, name, shape) -> np.ndarray:
         """A time constant in seconds for each neuron."""
@@ -375,7 +381,9 @@ class _Values:
         array = np.repeat(array, dimensions) if array.size == 1 else array
         good = array.size == dimensions and (array == np.rint(array)).all()
         if not good or array.min() < least or array.max() > limits.NEURONS:
-            self.refuse(f"its {name} is not {dimensions} whole number(s) from {least} on")
+            self.refuse(
+                f"its {name} is not {dimensions} whole number(s) from {least} on; write it so"
+            )
         return tuple(int(n) for n in array)
 
     def image(self, shape, dimensions=2):
@@ -414,7 +422,10 @@ def _convolution(dimensions):
         (groups,) = values.counts("groups", 1, default=1)
         channels = weight.shape[1] * groups
         if channels != shape[0] or weight.shape[0] % groups:
-            values.refuse(f"for {channels} channels in {groups} group(s), and {shape[0]} come in")
+            values.refuse(
+                f"for {channels} channels in {groups} group(s), and {shape[0]} come in; train it "
+                "for that input, with groups that divide its filters"
+            )
         stride = values.counts("stride", dimensions, default=1)
         dilation = values.counts("dilation", dimensions, default=1)
         reach = [(k - 1) * d + 1 for k, d in zip(weight.shape[2:], dilation, strict=True)]
@@ -493,7 +504,7 @@ def _scale(values, shape):
 def _threshold(values, shape):
     threshold = values.spread("threshold", shape)
     if threshold.min() <= 0:
-        values.refuse("a threshold that is not above 0, at which it would spike in silence")
+        values.refuse("a threshold that is not above 0 spikes in silence; train one above 0")
     return shape, {"threshold": threshold}
 
 
@@ -509,7 +520,10 @@ def _neurons(times, *, spikes, leak=True, weighs=False):
             parameters["v_threshold"] = values.spread("v_threshold", shape)
             parameters["v_reset"] = values.spread("v_reset", shape, 0.0)
             if (parameters["v_threshold"] <= parameters["v_reset"]).any():
-                values.refuse("a v_threshold that is not above v_reset: it would never rest")
+                values.refuse(
+                    "a v_threshold that is not above v_reset never lets it rest; train it with one "
+                    "above v_reset"
+                )
         return shape, parameters
 
     return handler

@@ -1,35 +1,39 @@
-"""Conversion of a NIR graph to layers of the chip: one map and one kind of neuron each.
+"""Conversion of a NIR graph to layers of the chip, each with one linear map and one type of neuron.
 
 A step of the chip's neuron, in units of its threshold (:mod:`models.spiking` has it in integers):
 
     u <- keep_u u + W s,      v <- keep_v v + u + bias,      a spike where v > 1, and v = 0 there
 
 All nodes from one layer of neurons to the next become W and bias; the neurons' own parameters are
-folded in.  With b the share that a step leaves of v, a that of I (:func:`decay`, exact or Euler),
-theta = v_threshold - v_reset, M and c the map before the neurons, all voltages relative to v_reset:
+folded in.  Let b be the share of v that remains after a step, a that of I (:func:`decay`, exact or
+Euler), theta = v_threshold - v_reset, and M and c the linear map before the neurons.  With all
+voltages relative to v_reset:
 
 =========  ====================================================================================
 LIF        keep_v = b, keep_u = 0,  W = (1 - b) r M / theta,
-           bias = (1 - b) (r c + v_leak - v_reset) / theta.  Nothing is lost.
+           bias = (1 - b) (r c + v_leak - v_reset) / theta.  This is exact.
 CubaLIF    keep_v = b, keep_u = a,  W = (1 - a) (1 - b) w_in r M / theta,
-           bias = (1 - b) (r w_in c + v_leak - v_reset) / theta.  Euler steps lose only that c
-           passes the filter from a sample's start on, where here it has passed it; of exact steps
-           the current's change within a step is lost too, whose sum over time is kept.
+           bias = (1 - b) (r w_in c + v_leak - v_reset) / theta.  With Euler steps the only
+           difference is that c passes the filter from a sample's start on, whereas here it is
+           constant.  With exact steps the change of the current within a step is ignored too; its
+           sum over time is the same.
 IF         keep_v = 1, keep_u = 0,  W = h r M / theta,  bias = h r c / theta.  The chip's leak is
-           at least 1/4096 a step, so that a voltage loses 5 % in 200 steps.
+           at least 1/4096 per step, so that a voltage decreases by 5 % in 200 steps.  Norse adds
+           the whole input at each step, which is h = 1 here.
 Threshold  keep_v = 0 (on the chip 2/4096),  W = M / threshold,  bias = c / threshold.
-LI         before a layer's neurons: keep_u = b, W times (1 - b) r; what it adds by v_leak and c
-           is in the bias, settled.  At the end of a graph: a low-pass on the host.
-CubaLI     at the end of a graph only: the low-pass with the longer time constant, on the host; the
-           shorter one is left out, which moves the outputs in time and keeps their sum.
+LI         before a layer's neurons: keep_u = b, W times (1 - b) r; the steady-state contribution
+           of v_leak and c is in the bias.  At the end of a graph: a low-pass on the host.
+CubaLI     at the end of a graph only: the low-pass with the longer time constant, on the host.  The
+           shorter one is left out, which shifts the outputs in time but does not change their sum.
 =========  ====================================================================================
 
-What integers lose on top: weights have 8 bits, with one scale a layer; decays 12 bits; current and
-voltage are cut to whole numbers at each step.  keep_u is at least 1/4096.
+Integers cause further differences: weights have 8 bits, with one scale for each layer; decays have
+12 bits; current and voltage are truncated to whole numbers at each step.  keep_u is at least
+1/4096.
 
-A layer has one time constant of the voltage and one of the current.  Convolutions stay
-convolutions, with averaging before or after them folded in, where the chip's have their windows;
-all else becomes a matrix, which takes more of a core's memory and is otherwise the same.
+A layer has one time constant of the voltage and one of the current.  A convolution whose windows
+the chip supports remains a convolution, with averaging before or after it folded in.  All other
+maps become a matrix, which takes more of a core's memory and is otherwise equivalent.
 """
 
 from __future__ import annotations
@@ -61,7 +65,7 @@ FLOOR = -(2**23) + 1
 """The chip's lowest voltage, since NIR has none."""
 
 CLIPS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
-"""Shares of a layer's largest weight that 127 may stand for; larger weights are cut to it."""
+"""Shares of a layer's largest weight that may become 127; larger weights are clipped."""
 
 MOMENTS_EVERY = 4
 """Steps from one moment of the voltage to the next that counts for the rounding of weights."""
@@ -70,7 +74,7 @@ DAMPING = 0.01
 """Added to the diagonal of the moments, in units of its mean."""
 
 MOST_MOMENTS = 2000
-"""Inputs of a neuron, at most, with which the rounding of weights is compensated."""
+"""Maximum number of inputs of a neuron for which the rounding of weights is compensated."""
 
 MAX_BIAS = BIAS_MANTISSA * 2**7
 WEIGHT_EXPONENTS = 8
@@ -85,7 +89,7 @@ class NirLayer:
     name : str
         ``"conv1"``, ``"dense1"``, ..., ``"output"``.
     nodes : tuple of str
-        The graph's, that it stands for.
+        Names of the graph's nodes that the layer represents.
     spiking : bool
         False for a readout on the host.
     kind : str
@@ -93,18 +97,19 @@ class NirLayer:
     input_shape, shape : tuple of int
         (rows, columns, channels), or (values,).
     weights : ndarray
-        (rows, columns, channels in, filters), or (inputs, units): what a spike adds to the current,
-        in units of the threshold; of a readout, to the output.
+        (rows, columns, channels in, filters), or (inputs, units): contribution of a spike to the
+        current, in units of the threshold; for a readout, to the output.
     bias : ndarray, shape (filters,) or (units,)
-        Added to the voltage at each step; of a readout, to the output.
+        Added to the voltage at each step; for a readout, to the output.
     keep_u, keep_v : float
-        Shares that a step leaves of current and voltage; of a readout keep_u is its low-pass's.
+        Shares of current and voltage that remain after a step; for a readout keep_u is that of its
+        low-pass.
     stride, pool : int
     padding : str
-        As of :class:`deploy.network.spec.Layer`.
+        As in :class:`deploy.network.spec.Layer`.
     fading : ndarray or float
-        Of a readout with a filter: the part of the bias that passes the filter.  t steps after a
-        sample's start the output has ``bias - fading * keep_u**t`` of it.
+        For a readout with a filter: the part of the bias that passes the filter.  t steps after a
+        sample's start the output includes ``bias - fading * keep_u**t``.
     """
 
     name: str
@@ -132,18 +137,18 @@ class NirLayer:
 
 
 def layers_of(network: NirNetwork, step: float, method: str = "exact", input_shape=None) -> tuple:
-    """The layers that a graph becomes.
+    """Convert a graph to layers.
 
     Parameters
     ----------
     network : NirNetwork
     step : float
-        Seconds of the graph's time that a step of the chip stands for.
+        Seconds of the graph's time that a step of the chip represents.
     method : str
-        How the graph's equations are stepped; see :mod:`models.nir_simulator`.
+        Method of integration of the graph's equations; see :mod:`models.nir_simulator`.
     input_shape : tuple of int, optional
-        (rows, columns, channels) of what the chip is fed, where the graph takes it flat (channels
-        first, then rows, then columns).
+        (rows, columns, channels) of the chip's input, if the graph's input is flat (channels first,
+        then rows, then columns).
 
     Returns
     -------
@@ -153,7 +158,7 @@ def layers_of(network: NirNetwork, step: float, method: str = "exact", input_sha
     Raises
     ------
     NirError
-        Naming the node that cannot be on the chip, and an alternative.
+        A node cannot be on the chip; the message names it and an alternative.
     """
     check_step(network, step)
     groups, run = [], []
@@ -281,7 +286,7 @@ def _constant_gain(neuron, shape, step, method):
 
 
 def _same(node, keep, what) -> float:
-    """The one value of what neurons of a layer must share."""
+    """The value of a parameter that must be equal for all neurons of a layer."""
     low, high = (int(np.rint(DECAY_UNIT * k)) for k in (keep.min(), keep.max()))
     if low != high:
         raise NirError(
@@ -292,7 +297,7 @@ def _same(node, keep, what) -> float:
 
 
 def _settled(node):
-    """A node without its memory: filters as what they come to when their input stays."""
+    """A node without memory: a filter is replaced by its steady-state response."""
     if node.kind not in FILTERS:
         return node
     scale = node["r"] * (node["w_in"] if node.kind == "CubaLI" else 1.0)
@@ -329,7 +334,7 @@ def _places_first(shape) -> tuple:
 
 
 def _to_places(shape):
-    """Indices, channels first, of values in the chip's order: channels last."""
+    """Indices with channels first of values in the chip's order, which has channels last."""
     if len(shape) == 1:
         return np.arange(shape[0])
     return np.moveaxis(np.arange(math.prod(shape)).reshape(shape), 0, -1).ravel()
@@ -356,7 +361,7 @@ class _Window:
 
 
 def _window(nodes, shape):
-    """The map as windows, or None where it is not."""
+    """The map as windows, or None if it has another form."""
     window, pool = None, 1
     scale = np.ones(shape[0])
     for node in nodes:
@@ -465,16 +470,16 @@ def _square(kernel, sizes, counts, stride, before):
 
 
 def rounded(layer: NirLayer, clip: float = 1.0, moments=None) -> Integers:
-    """A layer of neurons in the chip's integers.
+    """Round a layer of neurons to the chip's integers.
 
     Parameters
     ----------
     layer : NirLayer
     clip : float
-        Share of the largest weight that 127 stands for.
+        Share of the largest weight that becomes 127.
     moments : ndarray, shape (inputs, inputs), optional
-        As :func:`moments_of` gives them: the rounding of a weight is then made up for by the
-        weights after it, where their inputs are active together.
+        From :func:`moments_of`: the rounding error of a weight is then compensated by the
+        following weights, if their inputs are active together.
 
     Returns
     -------
@@ -483,7 +488,7 @@ def rounded(layer: NirLayer, clip: float = 1.0, moments=None) -> Integers:
     Raises
     ------
     NirError
-        No exponent of the weights makes threshold and bias fit.
+        Threshold and bias do not fit with any exponent of the weights.
     """
     real = layer.weights / layer.pool**2  # of each value, where the layer's are of averages
     if not all(np.isfinite(part).all() for part in (real, layer.bias, layer.keep_u, layer.keep_v)):
@@ -530,11 +535,11 @@ def rounded(layer: NirLayer, clip: float = 1.0, moments=None) -> Integers:
 
 
 def _compensated(real, moments) -> np.ndarray:
-    """Whole numbers near ``real`` with a small error of what they add up to.
+    """Whole numbers near ``real``, such that the error of weighted sums is small.
 
-    One input after the other is rounded, and the others that are left make up for its error as
-    least squares say (Frantar et al., "GPTQ", ICLR 2023, with the Cholesky factor of the inverse).
-    The input with the largest weight is the first, so that this weight stays what it is.
+    The inputs are rounded one after the other, and the remaining ones compensate the error by least
+    squares (Frantar et al., "GPTQ", ICLR 2023, with the Cholesky factor of the inverse).  The input
+    with the largest weight is the first, so that this weight does not change.
     """
     flat = real.reshape(len(moments), -1)
     order = np.argsort(-np.abs(flat).max(1), kind="stable")
@@ -549,7 +554,7 @@ def _compensated(real, moments) -> np.ndarray:
 
 
 def moments_of(layer: NirLayer, spikes) -> np.ndarray:
-    """Second moments of what the weights' inputs add to the voltage, with a little on the diagonal.
+    """Second moments of the inputs' contributions to the voltage, with a small diagonal added.
 
     Parameters
     ----------
@@ -577,20 +582,20 @@ def moments_of(layer: NirLayer, spikes) -> np.ndarray:
 
 
 def _twelve_bits(bias):
-    """12 bits times a power of two, as NengoLoihi rounds."""
+    """Round to 12 bits times a power of two, as NengoLoihi does."""
     share = np.maximum(np.abs(np.rint(bias)) / BIAS_MANTISSA, 1)
     unit = 2.0 ** np.ceil(np.log2(share))
     return (np.rint(np.rint(bias) / unit) * unit).astype(np.int32)
 
 
 def currents(layer: NirLayer, weights, spikes) -> np.ndarray:
-    """W s at each step.
+    """Input currents W s at each step.
 
     Parameters
     ----------
     layer : NirLayer
     weights : ndarray
-        Of the shape of the layer's, for sums over the squares that it averages.
+        Weights in the layer's shape, for sums over the squares that it averages.
     spikes : ndarray, shape (n_samples, steps, inputs)
 
     Returns
@@ -627,12 +632,12 @@ def fired(layer: NirLayer, spikes, integers: Integers | None = None) -> np.ndarr
     spikes : ndarray, shape (n_samples, steps, inputs)
         In the chip's order.
     integers : Integers, optional
-        The chip's; else the layer's real numbers.
+        The chip's integers; default: the layer's real numbers.
 
     Returns
     -------
     ndarray of bool, shape (n_samples, steps, neurons)
-        In the same step as what came in; the chip's come a step later for each layer.
+        In the same step as the input; on the chip, one step later for each layer.
     """
     exact = integers is None
     weights = layer.weights / layer.pool**2 if exact else integers.weights.astype(float)
@@ -657,14 +662,14 @@ def fired(layer: NirLayer, spikes, integers: Integers | None = None) -> np.ndarr
 
 
 def chosen(layer: NirLayer, spikes=None) -> Integers:
-    """The layer's integers, with the scale and rounding of weights that change its spikes least.
+    """The layer's integers, with the scale and rounding of weights that change the spikes least.
 
     Parameters
     ----------
     layer : NirLayer
     spikes : ndarray, optional
-        What comes in on training samples, as for :func:`fired`.  Without, 127 stands for the
-        largest weight.
+        Input on training samples, as for :func:`fired`.  Without them the largest weight becomes
+        127.
     """
     if spikes is None:
         return rounded(layer)

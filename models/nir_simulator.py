@@ -1,7 +1,7 @@
 """Simulation of a NIR graph in NumPy and double precision: the reference for its conversion.
 
-The nodes' equations (Pedersen et al. 2024, Table 1, and the docstrings of the package ``nir``); S
-is what comes in, which is held while a step of length h lasts:
+The nodes' equations are (Pedersen et al. 2024, Table 1, and the docstrings of the package ``nir``),
+with the input S, which is constant during a step of length h:
 
 =========  =====================================================================================
 LI         tau dv/dt = (v_leak - v) + r S
@@ -12,22 +12,22 @@ CubaLIF    as CubaLI; spike and reset as LIF
 Threshold  a spike where S > threshold; no state
 =========  =====================================================================================
 
-NIR does not say how time is cut into steps, and networks are trained with one way or the other:
+NIR does not define how time is divided into steps, and networks are trained with either method:
 
 ``"exact"``
     The equations' own solution from one step's end to the next; with b = exp(-h / tau),
-    v <- b v + (1 - b) (v_leak + r S).  Of current-based neurons, with a and b of tau_syn and
+    v <- b v + (1 - b) (v_leak + r S).  For current-based neurons, with a and b for tau_syn and
     tau_mem and K = tau_syn (a - b) / (tau_syn - tau_mem), or h b / tau_mem where both are equal,
     v <- b v + (1 - b) (v_leak + r w_in S) + r (I - w_in S) K, then I <- a I + (1 - a) w_in S.
 ``"euler"``
-    Forward Euler steps, b = 1 - h / tau, with the current stepped before the voltage: as Norse and
-    snnTorch step.
+    Forward Euler steps, b = 1 - h / tau, with the current updated before the voltage, as in Norse
+    and snnTorch.
 
-Spikes are looked for at the ends of steps, and have a height of 1 for one step.  Neurons begin at
+Spikes are detected at the ends of steps, and have a height of 1 for one step.  Neurons begin at
 rest, v = v_leak and I = 0 (IF: v = v_reset).
 
 NIR resets to v_reset, and so does the chip.  Some packages train with a reset by subtraction, which
-a graph does not record; :data:`RESETS` are there to measure what that costs.
+a graph does not record; the effect can be measured with :data:`RESETS`.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ from models.nir_graph import FILTERS, SPIKING, NirError, NirNetwork, Node
 METHODS = ("exact", "euler")
 
 RESETS = ("value", "subtract", "subtract-late")
-"""Effect of a spike on v: set it to v_reset, as NIR says; take v_threshold - v_reset from it; or
-take that from it in the next step, after the leak, as snnTorch's ``subtract`` does."""
+"""Effect of a spike on v: set it to v_reset, as in NIR; subtract v_threshold - v_reset; or subtract
+it in the next step, after the leak, as snnTorch's ``subtract`` does."""
 
 AT_ONCE = 50
 """Samples that are simulated together, which bounds the memory."""
@@ -50,14 +50,14 @@ AT_ONCE = 50
 
 @dataclass(frozen=True)
 class Simulated:
-    """The answers of a graph.
+    """The outputs of a graph.
 
     Attributes
     ----------
     outputs : ndarray, shape (n_samples, steps, ...)
-        Of the last node: spikes, 0 or 1, or values.
+        Outputs of the last node: spikes, 0 or 1, or values.
     spikes : dict of str to ndarray of bool, shape (n_samples, steps, ...)
-        Of each node that spikes, by its name.
+        Spikes of each spiking node, by its name.
     """
 
     outputs: np.ndarray
@@ -73,7 +73,7 @@ def simulate(
     ----------
     network : NirNetwork
     inputs : array_like, shape (n_samples, steps, ...)
-        What comes in at each step, in the shape of ``network.input_shape``.
+        Input at each step, in the shape of ``network.input_shape``.
     step : float
         Length of a step in seconds.
     method : str
@@ -111,7 +111,7 @@ def check_step(network: NirNetwork, step: float):
     Raises
     ------
     NirError
-        Naming the node.
+        A time constant is shorter; the message names the node.
     """
     for node in network.nodes:
         for name in ("tau", "tau_syn", "tau_mem"):
@@ -136,7 +136,7 @@ def run_node(
     signal : ndarray of float, shape (n_samples, steps, ...)
         In the node's input shape.
     step : float
-        Seconds.
+        Length of a step in seconds.
     method, reset : str
         As for :func:`simulate`.
 
@@ -160,13 +160,13 @@ def apply(node: Node, signal) -> np.ndarray:
     Raises
     ------
     KeyError
-        The node has a state, or spikes.
+        The node has a state or spikes.
     """
     return _LINEAR[node.kind](node, np.asarray(signal, float)).reshape(len(signal), *node.shape)
 
 
 def decay(tau, step: float, method: str) -> np.ndarray:
-    """The share that a step leaves of what decays with the time constant ``tau``."""
+    """The share that remains after a step of a value that decays with the time constant ``tau``."""
     return np.exp(-step / tau) if method == "exact" else np.maximum(1 - step / tau, 0.0)
 
 

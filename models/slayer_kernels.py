@@ -15,7 +15,7 @@ BLOCK = 4
 
 
 def _compiled(function):
-    """Compile with Numba; the machine code is kept on disk if there is a place for it.
+    """Compile with Numba; the machine code is stored on disk if there is a folder for it.
 
     Sums may be reordered, such that several neurons are computed with one instruction.
     """

@@ -1,4 +1,4 @@
-"""``python -m pipeline``, and the command ``stmnist``: what must stand before the imports."""
+"""``python -m pipeline``, and the command ``stmnist``: steps that must precede the imports."""
 
 import gc
 import os
@@ -9,15 +9,15 @@ from deploy import children, interrupts
 from deploy.terminal import prepare, remark
 
 QUIET = "ignore:resource_tracker:UserWarning"
-"""joblib's process that tidies up after workers tells of what an interruption left to it, after the
-command's last line."""
+"""joblib's process that cleans up after workers prints a message about an interruption, after the
+command's last line; this is suppressed."""
 
 
 def hear_threads():
-    """Say what threads raise, but not how joblib's trips over jobs that are being given up.
+    """Report errors of threads, except a harmless one of joblib when its jobs are cancelled.
 
-    Of jobs that no worker has yet its thread looks up some that it has just dropped (a KeyError;
-    loky 3.6), and ends, as it was about to.
+    Its thread looks up jobs that it has just removed (a KeyError; loky 3.6).  The thread ends, as
+    intended.
     """
     hook = threading.excepthook
 

@@ -1,24 +1,25 @@
-"""Artifacts: results on disk that know what they were made from.
+"""Artifacts: results on disk with a record of what they were made from.
 
-An artifact is one or more files.  One of them, its *record*, is JSON, is written last, and has the
-entry ``made_from``: the artifact's :class:`Origin`, which holds
+An artifact is one or more files.  One of them, its *record*, is a JSON file that is written last.
+Its entry ``made_from`` is the artifact's :class:`Origin`, which has
 
-- the values of all settings that it depends on, those of the artifacts it uses included, and
-- hashes of contents that no setting determines, such as the recordings.  No path is in it: a file
-  that was moved is still the same file.
+- the values of all settings on which the artifact depends, including those of the artifacts that
+  it uses, and
+- hashes of contents that no setting determines, such as the recordings.  It has no paths, because
+  moving a file does not change the artifact.
 
-An artifact is *current* if its record has the origin that the settings give now; otherwise
-:meth:`Artifact.state` says which entries differ.  Every result of this project that takes time to
-make is found in this way: those of a run, the splits of an experiment and the points of a sweep.
-(Only a check that was interrupted keeps its streams in a way of its own, :mod:`deploy.check.run`,
-since it runs on hosts that have no settings.)
+An artifact is *current* if its record has the origin that follows from the present settings;
+otherwise :meth:`Artifact.state` returns the entries that differ.  Every result of this project that
+takes time to make is found in this way: those of a run, the splits of an experiment and the points
+of a sweep.  (Only an interrupted check has another mechanism for its streams,
+:mod:`deploy.check.run`, since it also runs on hosts without settings.)
 
 A dependency cannot be forgotten.  An origin declares its settings, and the code that makes the
-artifact is given ``origin.view(settings)``, which has no others: to read another one raises
+artifact receives ``origin.view(settings)``, which has only these.  Reading another one raises
 :class:`pipeline.settings.UndeclaredSetting`, in this process, in a worker or on a cluster.
 Dependencies are declared rather than recorded while the artifact is made, because a declared origin
-is known beforehand: it can be looked up before any work is done, and it serves as the artifact's
-name where several variants are kept side by side (:class:`Library`).
+is known beforehand: it can be compared before any work is done, and its key is the name of an
+artifact of which several variants are stored (:class:`Library`).
 """
 
 from __future__ import annotations
@@ -53,9 +54,9 @@ class Origin:
     Attributes
     ----------
     settings : dict
-        Values by dotted name, as JSON has them.
+        Values by dotted name, in JSON's types.
     contents : dict of str to str
-        Hashes or versions of what is no setting, by a name that the user understands.
+        Hashes or versions of other dependencies, by a name that the user understands.
     """
 
     settings: dict = field(default_factory=dict)
@@ -63,18 +64,18 @@ class Origin:
 
     @classmethod
     def of(cls, settings: Settings, reads=(), uses=(), contents=None) -> Origin:
-        """The origin of an artifact that is to be made.
+        """Make the origin of an artifact from settings and other origins.
 
         Parameters
         ----------
         settings : Settings
         reads : sequence of str
-            Settings (``"cnn.epochs"``) and sections (``"image"``) that its making reads, beside
-            those of the artifacts it uses.
+            Settings (``"cnn.epochs"``) and sections (``"image"``) that the code reads which makes
+            the artifact, in addition to those of the artifacts that it uses.
         uses : sequence of Origin
-            Origins of the artifacts that it is made from.
+            Origins of the artifacts from which it is made.
         contents : dict of str to str, optional
-            Other values on which it depends.
+            Other values on which the artifact depends.
         """
         names = [name for entry in reads for name in names_in(entry)]
         values = {name: _plain(settings.value(name)) for name in names}
@@ -86,7 +87,7 @@ class Origin:
 
     @property
     def key(self) -> str:
-        """SHA-256 of all of it."""
+        """SHA-256 of settings and contents."""
         text = json.dumps(self.to_json(), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -95,7 +96,7 @@ class Origin:
         return settings.only(self.settings)
 
     def to_json(self) -> dict:
-        """The origin as plain values, as a record has it under ``made_from``."""
+        """The origin as plain values: the entry ``made_from`` of a record."""
         return {"settings": self.settings, "contents": self.contents}
 
     def changes_since(self, recorded) -> tuple:
@@ -104,7 +105,7 @@ class Origin:
         Parameters
         ----------
         recorded : dict or None
-            As from :meth:`to_json`; anything else is the record of a version that kept none.
+            From :meth:`to_json`; anything else is of a version that did not record origins.
 
         Returns
         -------
@@ -128,14 +129,14 @@ class Origin:
 
 @dataclass(frozen=True)
 class Change:
-    """One difference between what an artifact was made from and what it would be made from now.
+    """A difference between the recorded origin of an artifact and its present origin.
 
     Attributes
     ----------
     what : str
         A setting or a content.
     before, now : str or None
-        Its values; None where ``what`` says it all.
+        Its values; None if ``what`` is sufficient.
     """
 
     what: str
@@ -164,7 +165,7 @@ class State:
     state : str
         `CURRENT`, `OUTDATED` or `MISSING`.
     because : tuple of Change
-        Why it is outdated.
+        The reasons, if it is outdated.
     record : dict
         The content of its record; empty if it is missing.
     """
@@ -176,17 +177,17 @@ class State:
 
     @property
     def is_current(self) -> bool:
-        """True if it need not be made again."""
+        """True if the artifact need not be made again."""
         return self.state == CURRENT
 
     def reasons(self) -> str:
-        """Why it is outdated, in one line with the first few changes."""
+        """The first reasons why the artifact is outdated, in one line."""
         shown = [change.sentence for change in self.because[:3]]
         left = len(self.because) - len(shown)
         return ", ".join(shown) + (f" and {left} more" if left else "")
 
     def announcement(self, action: str) -> str | None:
-        """The line that says why something is done again, or None if it never was.
+        """A message with the reason why an artifact is made again; None if it is missing.
 
         Parameters
         ----------
@@ -218,9 +219,9 @@ class Artifact:
     record : Path
         Its JSON file, written last.
     files : tuple of Path
-        The others; without one of them the artifact is missing.
+        The other files; without one of them the artifact is missing.
     made_from : callable
-        From the record's content to what it says of the artifact's origin.
+        Function from the content of the record to the artifact's origin in it.
     """
 
     name: str
@@ -229,7 +230,7 @@ class Artifact:
     made_from: Callable = recorded_origin
 
     def state(self, origin: Origin) -> State:
-        """Compare what is there with what the settings ask for.
+        """Compare the files with the origin that follows from the settings.
 
         Raises
         ------
@@ -243,7 +244,7 @@ class Artifact:
         return State(self.name, OUTDATED if changes else CURRENT, changes, content)
 
     def write(self, origin: Origin, content: dict) -> dict:
-        """Write the record, once the other files are there; return its content."""
+        """Write the record after the other files; return its content."""
         content = {"made_from": origin.to_json(), **content}
         write_json(self.record, content)
         return content
@@ -251,7 +252,7 @@ class Artifact:
 
 @dataclass(frozen=True)
 class Library:
-    """A folder that keeps variants of an artifact side by side, each under its origin's key.
+    """A folder with several variants of an artifact, each under its origin's key.
 
     Attributes
     ----------
@@ -266,7 +267,7 @@ class Library:
 
 
 def _joined(used, own):
-    """Two parts of origins as one; what both have must be the same."""
+    """Merge parts of two origins; common entries must be equal."""
     for name in used.keys() & own.keys():
         if used[name] != own[name]:
             raise ValueError(
@@ -283,7 +284,7 @@ def _is_origin(recorded):
 
 
 def _plain(value):
-    """A value as JSON gives it back."""
+    """A value after conversion to JSON and back."""
     return [_plain(entry) for entry in value] if isinstance(value, (list, tuple)) else value
 
 

@@ -1,4 +1,4 @@
-"""Independent jobs: in processes of this machine, or on a Dask cluster that is there already."""
+"""Independent jobs: in processes of this machine, or on an existing Dask cluster."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Failure:
     error : str
         One short line: the exception's type and message.
     details : str
-        The traceback, where there is one; of a user's mistake the whole message.
+        The traceback if there is one; for a user's mistake the whole message.
     mistake : UserError, optional
         The error itself, if it is a mistake of the user.
     """
@@ -45,12 +45,12 @@ class Failure:
     mistake: UserError | None = None
 
     def raise_again(self, what: str):
-        """Raise what was raised, or what tells as much of it.
+        """Raise the original error, or one with the same information.
 
         Parameters
         ----------
         what : str
-            Failed; the start of a user's line.
+            What failed, at the start of the message for the user.
 
         Raises
         ------
@@ -58,7 +58,7 @@ class Failure:
             The user's mistake, or a process that was killed.
         MemoryError
         RuntimeError
-            Anything else, with its traceback.
+            Any other error, with its traceback.
         """
         if self.mistake is not None:
             raise UserError(f"{what}: {self.mistake}")
@@ -75,7 +75,7 @@ def run_jobs(
     say=print,
     meanwhile=lambda: None,
 ):
-    """Call a function once for each job, and yield what it returns as it comes.
+    """Call a function once for each job, and yield each result when it is available.
 
     A job that fails does not stop the others.
 
@@ -86,18 +86,19 @@ def run_jobs(
     jobs : sequence
         Values that can be pickled.
     processes : int
-        On this machine; with 1 the jobs run in this process, one after the other.
+        Number of processes of this machine; with 1 the jobs run in this process, in order.
     scheduler : str, optional
         Address of a Dask scheduler, such as ``tcp://host:8786``; its workers run the jobs.
     say : callable
-        Called with a line where the jobs have to wait.
+        Called with a message if the jobs have to wait.
     meanwhile : callable
-        Called once in this process, and where the jobs run in others, while they do.
+        Called once in this process; if the jobs run in other processes, while they run.
 
     Yields
     ------
     job, result
-        In the order in which they end; the result is a :class:`Failure` where the function raised.
+        In the order of completion; the result is a :class:`Failure` if the function raised an
+        error.
 
     Raises
     ------
@@ -122,10 +123,10 @@ def run_jobs(
 
 
 def results_of(calls, processes: int, in_order: bool = True):
-    """Make calls in processes of this machine, and yield what they return as it comes.
+    """Make calls in processes of this machine, and yield each result when it is available.
 
-    A terminal tells Ctrl-C to all processes.  These do not hear it: between two calls joblib's
-    would answer with a traceback.  This process ends them when it is interrupted itself.
+    A terminal sends Ctrl-C to all processes.  The workers ignore it, because between two calls
+    joblib's workers would print a traceback.  This process ends them when it is interrupted.
 
     Parameters
     ----------
@@ -163,9 +164,9 @@ def _in_processes(function, jobs, processes, meanwhile):
 
 
 def _beginning():
-    """Options by which workers end with this process.
+    """Options with which workers end when this process ends.
 
-    Those of a process that uses ``stmnist`` bind its packages first.
+    In a process that uses ``stmnist``, workers bind its packages first.
     """
     begin = sys.modules["stmnist"]._begin_worker if "stmnist" in sys.modules else end_with
     return {"initializer": begin, "initargs": (os.getpid(),)}

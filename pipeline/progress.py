@@ -1,4 +1,4 @@
-"""Progress bars: with an estimate on a terminal's standard error or in a notebook, else silent."""
+"""Progress bars with an estimate of the time, on a terminal or in a notebook; silent elsewhere."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _stages: tuple = ()
 
 @contextlib.contextmanager
 def hidden():
-    """Show no bars inside the block: one around it, or in another process, says enough."""
+    """Hide all bars inside the block, if a bar around it or in another process is sufficient."""
     global _hidden
     before, _hidden = _hidden, True
     try:
@@ -39,7 +39,7 @@ def hidden():
 
 @contextlib.contextmanager
 def stages(names):
-    """Inside the block each bar says which of some stages it belongs to, such as "2 of 4".
+    """Inside the block each bar has the number of its stage, such as "2 of 4".
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def stages(names):
 
 
 def stage_of(label: str) -> str:
-    """Such as ``"2 of 4 "`` for the label of a bar of one of the :func:`stages`, else empty."""
+    """Number of the stage of a bar, such as ``"2 of 4 "``; empty outside of :func:`stages`."""
     numbers = (n for n, name in enumerate(_stages, 1) if f"{label} ".startswith(f"{name} "))
     number = next(numbers, None)
     return f"{number} of {len(_stages)} " if number else ""
@@ -63,19 +63,19 @@ def stage_of(label: str) -> str:
 
 @contextlib.contextmanager
 def progress(label: str, total: int):
-    """Show a bar while the block runs.
+    """Display a bar while the block runs.
 
     Parameters
     ----------
     label : str
         The activity, such as ``"import"``.
     total : int
-        Steps until done.
+        Total number of steps.
 
     Yields
     ------
     callable
-        ``advance(n=1, note=None)``: n more steps are done; ``note`` is shown beside the label.
+        ``advance(n=1, note=None)``: n more steps are done; ``note`` is printed after the label.
     """
     columns = (
         TextColumn("{task.description}"),

@@ -1,6 +1,6 @@
-"""Every setting of an experiment: its default, its limits, and below it what it means.
+"""Every setting of an experiment: its default, its limits, and below it its meaning.
 
-A run keeps its own in ``experiment.toml``; ``stmnist settings`` lists them with their meanings.
+A run stores its settings in ``experiment.toml``; ``stmnist settings`` prints their meanings.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class _Hidden:
 _HIDDEN = _Hidden()
 
 PATHS = ("data.source", "cnn.model", "nir.file")
-"""Settings that say where a file lies.  They never count as part of what an artifact was made from,
+"""Settings with the path of a file.  They are never part of the origin of an artifact,
 because the file's content does, and every artifact may read them."""
 
 
@@ -127,7 +127,7 @@ class Data(Section):
     """Unit of the times in files of events (not .mat): s, ms, us or ns; empty: inferred from the
     duration of the recordings."""
     downsample: Annotated[int, between(1, 64)] = 1
-    """Side of the square of pixels that becomes one taxel, of files of events; 1 for all pixels."""
+    """Files of events: side of the square of pixels that becomes one taxel; 1 for all pixels."""
 
 
 @dataclass(frozen=True)
@@ -136,12 +136,12 @@ class Input(Section):
 
     kind: Annotated[str, one_of("image", "events")] = "image"
     """``image``: a recording's tactile image as evenly spaced spikes, as in the paper; ``events``:
-    the skin's own events, one spike each."""
+    the sensor's events, one spike each."""
     step: Annotated[float, STEP] = 10.0
-    """Milliseconds on the skin for which one step of the chip stands; of ``events`` only."""
+    """Recording time in milliseconds that one step of the chip represents; for ``events`` only."""
     refractory: Annotated[float, AT_LEAST_0] = 10.0
-    """Milliseconds after a step with a spike in which further events of its taxel and polarity are
-    none, in whole steps; the refractory period of an event camera's pixel.  Of ``events`` only."""
+    """Refractory period in milliseconds, in whole steps after a step with a spike, as of an event
+    camera's pixel: further events of the taxel and polarity are ignored.  For ``events`` only."""
 
     @property
     def rest(self) -> int:
@@ -179,7 +179,7 @@ class SplitShares(Section):
     """The shares of test and validation samples."""
 
     test_fraction: Annotated[float, INSIDE_0_1] = paper.TEST_FRACTION
-    """Share of all samples (paper: 80-20 splits)."""
+    """Share of all samples that is used for testing (paper: 80-20 splits)."""
     validation_fraction: Annotated[float, FROM_0_BELOW_1] = 0.0
     """Share of the training samples that is held out for choosing settings."""
 
@@ -193,9 +193,9 @@ class CNN(Section):
     epochs: Annotated[int, EPOCHS] = 20
     """Passes over the training samples."""
     batch_size: Annotated[int, BATCH] = 32
-    """Not given in the paper; Keras's default."""
+    """Samples per training step.  Not given in the paper; Keras's default."""
     learning_rate: Annotated[float, ABOVE_0] = 0.001
-    """Not given in the paper; Keras's default for RMSProp."""
+    """Learning rate of RMSProp.  Not given in the paper; Keras's default."""
     model: str = ""
     """A Keras model file whose weights replace trained ones; ``convert --model`` sets it."""
     model_sha256: str = ""
@@ -208,9 +208,9 @@ class SNN(Section):
 
     recipe: Annotated[str, one_of(*RECIPES)] = "loihi"
     """``loihi``: the chip's rates and 8-bit weights in the forward pass, noise that models the
-    ripple of spikes, starting from the CNN's weights; ``paper``: plain rate-based LIF, from new
-    initial weights, trained like the CNN; ``as-is``: the CNN's weights, scaled to the neurons'
-    range and response curve without further training."""
+    fluctuation caused by spikes, starting from the CNN's weights.  ``paper``: plain rate-based LIF,
+    from new initial weights, trained like the CNN.  ``as-is``: the CNN's weights, scaled to the
+    neurons' range and response curve without further training."""
     epochs: Annotated[int, OWN_EPOCHS] = 0
     """Passes over the training samples; 0 for the default of the recipe."""
     batch_size: Annotated[int, OWN_BATCH] = 0
@@ -221,8 +221,8 @@ class SNN(Section):
     """Standard deviation of the noise on each neuron's input while training, relative to the
     activation at ``max_rates``; recipe ``loihi`` only."""
     spike_penalty: Annotated[float, AT_LEAST_0] = 0.05
-    """Weight of the penalty on synaptic operations in the loss: those of 100 steps, in units of the
-    CNN's multiply-accumulates; recipe ``loihi`` only."""
+    """Weight in the loss of the penalty on synaptic operations, which are counted over 100 steps in
+    units of the CNN's multiply-accumulates; recipe ``loihi`` only."""
     max_rates: tuple = (150.0,)
     """Spikes per second of the neurons of each convolution and hidden dense layer at activation 1;
     the last entry also applies to all layers after it."""
@@ -292,16 +292,17 @@ class Slayer(Section):
     epochs: Annotated[int, EPOCHS] = 100
     """Passes over the training samples."""
     batch_size: Annotated[int, BATCH] = 32
-    """Not given in the paper."""
+    """Samples per training step.  Not given in the paper."""
     learning_rate: Annotated[float, ABOVE_0] = 0.01
-    """Not given in the paper; that of the SLAYER authors' own examples, as is the optimiser."""
+    """Learning rate.  Not given in the paper; like the optimiser, it is from the examples of the
+    SLAYER authors."""
     true_count: float = 60.0
     """Desired spikes of the correct digit's output neuron (paper)."""
     false_count: float = 10.0
     """Desired spikes of each other output neuron (paper)."""
     tau_s: Annotated[float, TAU] = 0.1
     """Time constant in seconds of a neuron's response to a spike.  Not given in the paper; the
-    SLAYER authors' own examples have 10 time steps, which are 0.1 s here."""
+    SLAYER authors' examples have 10 time steps, which are 0.1 s here."""
     tau_r: Annotated[float, TAU] = 0.01
     """Time constant in seconds of its refractory response; 1 time step in those examples."""
     conv_scale: Annotated[float, ABOVE_0] = 100.0
@@ -344,7 +345,8 @@ class Showing(Section):
     gap: Annotated[int, STEPS_OR_NONE] = Presentation.gap
     """Blank steps before each sample."""
     readout_start: int = Presentation.readout_start
-    """First step of the mean output that decides; with events it is always the first step."""
+    """First step of the mean output from which the decision is made; with events always the first
+    step."""
     stream_length: Annotated[int, SAMPLES] = Presentation.stream_length
     """Samples that are presented one after the other before the network is reset."""
 
@@ -490,19 +492,19 @@ def read_settings(path) -> Settings:
         with open_regular(path) as file:
             content = file.read(limits.SETTINGS_BYTES + 1)
         if len(content) > limits.SETTINGS_BYTES:
-            raise UserError(f"{path}: larger than any file of settings; mend or delete it")
+            raise UserError(f"{path}: larger than any file of settings; correct or delete it")
         values = tomllib.loads(content.decode("utf-8"))
     except OSError as error:
         raise UserError(f"{path}: cannot read ({error.strerror}); check the path") from error
     except (ValueError, RecursionError) as error:
-        raise UserError(f"{path}: not valid TOML ({error}); mend or delete it") from error
+        raise UserError(f"{path}: not valid TOML ({error}); correct or delete it") from error
     return Settings().with_values(values, str(path))
 
 
 def write_settings(path, settings: Settings):
     """Write every setting, resolved; inverse of :func:`read_settings`."""
     sections = settings.to_json()
-    lines = ["# Every setting of this experiment; 'stmnist settings' says what each means."]
+    lines = ["# Every setting of this experiment; 'stmnist settings' lists their meanings."]
     lines += [f"{k} = {_toml(v)}" for k, v in sections.items() if not isinstance(v, dict)]
     for name, section in sections.items():
         if isinstance(section, dict):
@@ -677,7 +679,7 @@ def _short(value):
 
 
 def _narrowed(section, kept, prefix):
-    """A copy of a section whose values that are not in ``kept`` may not be read."""
+    """A copy of a section in which only the values in ``kept`` may be read."""
     copy = object.__new__(type(section))
     for name, value in object.__getattribute__(section, "__dict__").items():
         if isinstance(value, Section):

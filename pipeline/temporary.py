@@ -1,7 +1,7 @@
-"""A process's own folder for temporary files, so that what others leave there goes with it.
+"""A separate folder for the temporary files of a process, which is removed with all files in it.
 
-TensorFlow writes a file for each function that it rewrites and removes it when Python ends, which
-a kill prevents.  The folder of a process that was killed is removed by the next one.
+TensorFlow writes a file for each function that it rewrites.  It removes the file when Python ends,
+but not if the process is killed.  The folder of a killed process is removed by the next process.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ PREFIX = ".stmnist-process-"
 
 @contextlib.contextmanager
 def own_folder():
-    """Make temporary files of this process and its workers in a folder that is removed after.
+    """Put temporary files of this process and its workers into a folder that is removed afterwards.
 
-    If no folder can be made, everything stays as it is.
+    If no folder can be created, nothing changes.
     """
     before, directory = os.environ.get("TMPDIR"), tempfile.tempdir
     try:

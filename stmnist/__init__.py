@@ -1,19 +1,19 @@
 """The public names: ``from stmnist import Settings, Dataset, train_cnn, ...``; see docs/python.md.
 
-Each is loaded from its module when it is first asked for, so that the import takes no time and
-nothing brings in TensorFlow that does not train.
+Each name is loaded from its module on first use.  The import therefore takes almost no time, and
+TensorFlow is imported only by code that trains.
 
 This distribution's own packages have common names: ``deploy``, ``models`` and ``pipeline``.  A file
-``models.py`` beside a notebook or script would be found before ours, and everything of ours that
-imports ``models`` would break.  So the first thing that happens here is that the three names are
-bound to the packages beside this one, wherever Python looks first, in this process and in its
-workers.  What that means for a user's own file of such a name:
+``models.py`` beside a notebook or script would be found before ours, and our modules that import
+``models`` would fail.  Therefore this module first binds the three names to the packages beside
+this one, independently of Python's search path, in this process and in its workers.  For a user's
+own file with such a name this has these consequences:
 
-- Imported after ``stmnist``, ``import models`` gives our package, not the file: a name has one
-  module in a process.  Rename the file, or load it by its path under another name
+- Imported after ``stmnist``, ``import models`` returns our package, not the file, because a name
+  has one module in a process.  Rename the file, or load it by its path under another name
   (``importlib.util.spec_from_file_location("mine", "models.py")``).
-- Imported before ``stmnist``, it stays what it is, and ``import stmnist`` is an `ImportError` that
-  names the file.  A script that is itself called ``models.py`` is no trouble: it is ``__main__``.
+- Imported before ``stmnist``, it does not change, and ``import stmnist`` raises an `ImportError`
+  that names the file.  A script that is called ``models.py`` causes no problem: it is ``__main__``.
 """
 
 import importlib
@@ -71,7 +71,7 @@ def bind():
     Raises
     ------
     ImportError
-        Something else was imported under one of the names; nothing is bound then.
+        Another module was imported under one of the names; in this case nothing is bound.
     """
     here = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
     files = {name: os.path.join(here, name, "__init__.py") for name in PACKAGES}
@@ -104,7 +104,7 @@ def _is(module, file):
 
 
 def _where(module):
-    """The file of a module, or the folder of one that is a folder without ``__init__.py``."""
+    """The file of a module, or the folder of a package without ``__init__.py``."""
     return getattr(module, "__file__", None) or next(
         iter(getattr(module, "__path__", ())), "a module"
     )

@@ -1,5 +1,6 @@
 """What campaigns of damaged and hostile input found, one small case each; see tests/torture."""
 
+import io
 import json
 import os
 import re
@@ -245,16 +246,38 @@ def test_an_empty_name_of_the_cache_is_none(monkeypatch, tmp_path):
     assert cache.folder() == tmp_path / "stmnist"
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/zero"), reason="no /dev/zero")
-def test_a_file_without_end(refused, tmp_path, monkeypatch):
+def test_a_file_larger_than_any_of_its_kind(refused, tmp_path, monkeypatch):
     monkeypatch.setattr("pipeline.recordings.mat5.LARGEST", 10_000)
     monkeypatch.setattr("deploy.limits.TEXT_BYTES", 10_000)
+    path = tmp_path / "large"
+    path.touch()
+    os.truncate(path, 1 << 40)
     for command in (
-        ("data", "inspect", "/dev/zero"),
-        ("check", "compare", "/dev/zero", "/dev/zero"),
-        ("train", tmp_path / "run", "--settings", "/dev/zero"),
+        ("data", "inspect", path),
+        ("check", "compare", path, path),
+        ("train", tmp_path / "run", "--settings", path),
     ):
-        assert re.search("/dev/zero.* larger", refused(*command))
+        assert re.search("large: .*larger", refused(*command))
+
+
+def test_sparse_files_of_terabytes_are_not_hashed(refused, tmp_path, tiny_run):
+    """They take no space on the disk, but hours to read."""
+    recordings, bundle = tmp_path / "st.zip", tmp_path / "bundle"
+    shutil.copytree(tiny_run / "bundle", bundle)
+    os.truncate(bundle / "weights.npz", 1 << 40)
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        archive.writestr("3/a.mat", b"x")
+    with open(recordings, "wb") as file:
+        file.seek(1 << 40)  # a zip is found from its end
+        file.write(content.getvalue())
+    (tmp_path / "folder" / "3").mkdir(parents=True)
+    (tmp_path / "folder" / "3" / "a.mat").touch()
+    os.truncate(tmp_path / "folder" / "3" / "a.mat", 1 << 40)
+    assert "st.zip: is larger than" in refused("data", "import", recordings, "--jobs", 1)
+    assert "a.mat is larger" in refused("data", "import", tmp_path / "folder", "--jobs", 1)
+    for command in (("check", "run", bundle, "--target", "fast"), ("deploy", "plan", bundle)):
+        assert "weights.npz: larger than" in refused(*command)
 
 
 def test_a_folder_that_has_vanished(tmp_path):
@@ -270,6 +293,7 @@ def test_a_folder_that_has_vanished(tmp_path):
     assert done.stderr.startswith("stmnist: ")
 
 
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")])
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -282,7 +306,7 @@ def test_a_folder_that_has_vanished(tmp_path):
         ["check", "run", "{bundle}", "--target", "fast"],
     ],
 )
-def test_a_pipe_without_a_writer_is_not_waited_for(refused, tmp_path, arguments):
+def test_a_pipe_or_a_device_is_not_read(refused, tmp_path, arguments, make):
     bundle = tmp_path / "bundle"
     bundle.mkdir()
     for path in (
@@ -291,7 +315,7 @@ def test_a_pipe_without_a_writer_is_not_waited_for(refused, tmp_path, arguments)
         tmp_path / "a.keras",
         bundle / "MANIFEST.json",
     ):
-        os.mkfifo(path)
+        make(path)
     names = {"pipe": tmp_path / "a", "run": tmp_path / "run", "bundle": bundle}
     line = refused(*(argument.format(**names) for argument in arguments))
     assert "a pipe" in line

@@ -91,7 +91,7 @@ def test_the_own_recordings_are_said_to_be_known(folder, capsys):
     shown = ("--target", "fast", "--data", folder / "own", "--samples", 0, "--out", out)
     assert call("check", "run", folder / "image", *shown) == 0
     assert read_result(out)["n_samples"] == 100
-    assert "trained on" in capsys.readouterr().err
+    assert "made from a part" in capsys.readouterr().err
 
 
 def test_recordings_of_other_classes_or_sensors_are_refused(folder, tmp_path, capsys):

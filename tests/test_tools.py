@@ -75,7 +75,9 @@ def test_results_that_are_missing_or_out_of_date_are_listed(two):
     assert of(results.states("a" * 64, two)) == [CURRENT, MISSING]
     found = results.states("b" * 64, two)
     assert of(found) == [OUTDATED, MISSING]
-    assert "recordings" in results.listing(found)
+    listed = results.listing(found)
+    assert "recordings" in listed
+    assert max(map(len, listed.splitlines())) <= 80
 
 
 def test_another_version_of_a_package_makes_a_result_out_of_date(two, monkeypatch):

@@ -1,10 +1,10 @@
 """The fit of the simulated recordings to the paper's Table 1.
 
-Each digit has seven parameters (:class:`pipeline.skin.parameters.Form`), and each of them is driven
-by the one cell, or pair of cells, of Table 1 that it moves most:
+Each digit has seven parameters (:class:`pipeline.skin.parameters.Form`).  Each of them is adjusted
+by the one cell, or pair of cells, of Table 1 on which it has the largest effect:
 
 ==========  =====================================================  ===============================
-parameter   is driven by                                           and moves
+parameter   adjusted by                                            affects
 ==========  =====================================================  ===============================
 force       mean of ON events                                      all counts
 off         mean of OFF over mean of ON events                     OFF events
@@ -15,11 +15,11 @@ height      X range                                                X range
 width       Y range                                                Y range
 ==========  =====================================================  ===============================
 
-A round simulates the whole data set with the same seed, so the only thing that changes from round
-to round is the parameters, and moves every parameter by a damped step towards its cell, within
-bounds that keep the digits on the array.  Steps get shorter from round to round, since the SDs hang
-on a few long recordings and jump about.  The round whose worst cell is best is kept.  The CNN is
-not asked: how hard the recordings are follows from ``parameters.toml``, which was set once.
+A round simulates the whole data set with the same seed, so that only the parameters change between
+rounds.  It changes every parameter by a damped step towards its cell, within bounds that keep the
+digits on the array.  Steps become smaller from round to round, because the SDs depend on a few long
+recordings and vary strongly.  The result is the round with the best worst cell.  The CNN is not
+used: the difficulty of the recordings follows from ``parameters.toml``, which was set once.
 
 ``python -m tools.calibration`` fits; with ``--check`` it compares the fit with Table 1.
 """
@@ -72,7 +72,7 @@ BOUNDS = {
     "spread": (0.3, 3.0),
     "off": (-1.2, 0.5),
 }
-"""A digit has to lie on the array; the others only must not run away."""
+"""Bounds of the parameters: a digit must be on the array, and the others must not diverge."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Cell:
     ----------
     digit : int
     measure : str
-        Of :data:`pipeline.recordings.table1.MEASURES`.
+        One of :data:`pipeline.recordings.table1.MEASURES`.
     part : str
         ``"mean"`` or ``"sd"``.
     simulated, paper : float
@@ -111,7 +111,7 @@ class Cell:
 
 
 def cells(table) -> list:
-    """Every cell that is fitted, worst first."""
+    """The fitted cells, the worst first."""
     found = [
         Cell(digit, measure, part, row[measure][index], paper[measure][index], limit)
         for digit, paper in TABLE1.items()
@@ -124,7 +124,7 @@ def cells(table) -> list:
 
 
 def cells_text(cells: list) -> str:
-    """The cells as a table, each with how much of its limit it takes."""
+    """The cells as a table, each with its error relative to its limit."""
     rows = [["digit", "measure", "part", "simulated", "paper", "of the limit"]]
     rows += [
         [
@@ -143,7 +143,7 @@ def step(form: Form, row, paper, damping) -> Form:
     ----------
     form : Form
     row, paper : dict
-        Of this digit, as in :func:`pipeline.recordings.table1.table`.
+        Values of this digit, as in :func:`pipeline.recordings.table1.table`.
     damping : float
         Part of the step to take.
     """
@@ -182,19 +182,19 @@ def calibrate(parameters: Parameters, rounds=12, seed=0, jobs=2, counts=None, ad
     Parameters
     ----------
     parameters : Parameters
-        To start from.
+        Initial parameters.
     rounds, seed, jobs : int
     counts : sequence of 10 int, optional
         Samples per digit; default as published.
     advance : callable, optional
-        ``advance(n, note)``: n more recordings are done; ``note`` gives the worst cell so far.
+        ``advance(n, note)``: n more recordings are finished; ``note`` has the worst cell so far.
 
     Returns
     -------
     parameters : Parameters
-        Of the best round, with values rounded to 4 digits as they are stored.
+        Parameters of the best round, rounded to 4 digits as in the file.
     worst : Cell
-        Of that round.
+        The worst cell of that round.
     """
     best = None
     for number in range(rounds):
@@ -217,12 +217,12 @@ def calibrate(parameters: Parameters, rounds=12, seed=0, jobs=2, counts=None, ad
 
 
 def rounded(form: Form) -> Form:
-    """The values as they are stored."""
+    """The values, rounded as in the file."""
     return Form(**{name: round(value, 4) for name, value in vars(form).items()})
 
 
 def write_calibration(path, parameters: Parameters, about: dict):
-    """Write what was fitted, with how it was.
+    """Write the fitted parameters with a description of the fit.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""The accuracy of the paper's CNN on recordings, under the paper's protocol.
+"""The accuracy of the paper's CNN on recordings, with the paper's protocol.
 
-The simulated people's variation (``parameters.toml``) was set once so that this accuracy is near
-the paper's 0.89; it is not fitted to any other network.
+The variation of the simulated writers (``parameters.toml``) was set once so that this accuracy is
+near the paper's 0.89; it is not fitted to any other network.
 
 ``python -m tools.difficulty``
 """
@@ -33,7 +33,7 @@ from pipeline.skin.parameters import CALIBRATION
 
 SCHEMA = "stmnist-difficulty/1"
 AIM = (0.86, 0.92)
-"""Mean accuracy that the built-in recordings are meant to give; the paper has 0.89 (Table 2)."""
+"""Intended mean accuracy on the built-in recordings; the paper has 0.89 (Table 2)."""
 
 RECORD = CALIBRATION.with_name("difficulty.json")
 """The last measurement on the built-in recordings, with their hash."""
@@ -56,7 +56,7 @@ def measure(task: Task) -> dict:
 
 
 def summarise(results, simulated: bool) -> dict:
-    """Mean and SD over splits; SD is None for one."""
+    """Mean and SD over splits; SD is None for one split."""
     accuracies = [result["accuracy"] for result in results]
     return {
         "schema": SCHEMA,

@@ -31,7 +31,7 @@ def growth(spec: NetworkSpec, images) -> dict:
     -------
     dict
         ``samples``, ``steps`` and ``brightness``: lists of dicts with the seconds of each; the
-        last with the mean rate on the chip in Hz, for events of all of them and of none.
+        last with the mean rate on the chip in Hz, for events with all events and with none.
     """
     held = spec.stimulus.held
     images = spec.stimulus.flat(images)
@@ -93,15 +93,14 @@ def limits(spec: NetworkSpec, images) -> dict:
     """Operations per second of the kernel with Numba, and the limits of this machine.
 
     The chip's cost has two parts: updating every compartment at every step, measured on a network
-    that gets no spikes at all, and delivering spikes, the rest.  A synaptic operation reads a
-    weight and a total and writes the total; the most that the machine does of those is measured by
-    adding one vector to another in its fastest cache, and by adding vectors that come from its main
-    memory.
+    without spikes, and delivering spikes, the rest.  A synaptic operation reads a weight and a
+    total and writes the total.  The machine's maximum rate of such operations is measured by adding
+    one vector to another in its fastest cache, and by adding vectors from its main memory.
 
     Returns
     -------
     dict
-        Operations a second and shares.
+        Operations per second, and shares.
     """
     from deploy.targets.fast import kernel_numba  # Numba need not be installed
 

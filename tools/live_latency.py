@@ -1,7 +1,7 @@
-"""Latency of decisions on the screen while simulated hands write on the page in Chromium.
+"""Delay of decisions on the screen while simulated writers use the page in Chromium.
 
-``python -m tools.live_latency runs/default`` needs Chromium, Playwright, and a machine with nothing
-else to do.
+``python -m tools.live_latency runs/default`` needs Chromium, Playwright, and an otherwise idle
+machine.
 """
 
 import contextlib
@@ -28,26 +28,26 @@ AFTER_MS = 300
 
 
 def measure_latency(run, digits: int, seed: int = 0) -> dict:
-    """Serve the page of a run, write on it at a hand's own pace, read what it counted.
+    """Serve the page of a run, write on it at the writers' speed, and read the measured delays.
 
     Parameters
     ----------
     run : path-like
     digits : int
-        How many are written, 0 to 9 in turn.
+        Number of digits, 0 to 9 in turn.
     seed : int
-        Of the simulated hands.
+        Seed of the simulated writers.
 
     Returns
     -------
     dict
         ``median_ms`` and ``ninetieth_percentile_ms`` from the last event that led to a decision to
-        the frame that shows it, over so many ``decisions``; ``digits``.
+        the frame that displays it; number of ``decisions`` and ``digits``.
 
     Raises
     ------
     UserError
-        Chromium or Playwright is not here or fails, or the page cannot be served.
+        Chromium or Playwright is missing or fails, or the page cannot be served.
     """
     with robot.chromium() as browser, _served(run) as url:
         page = browser.new_page(viewport=SIZE)
@@ -81,7 +81,7 @@ def latency_text(measured: dict) -> str:
 
 
 def hands(n: int, seed: int):
-    """Motions of simulated hands, the digits in turn and each by the next writer.
+    """Motions of simulated writers: the digits in turn, each by the next writer.
 
     Yields
     ------
@@ -97,7 +97,7 @@ def hands(n: int, seed: int):
 
 @contextlib.contextmanager
 def _served(run):
-    """The page's address, while a process of its own serves it; what it keeps is thrown away."""
+    """The page's address, while a separate process serves it; its recordings are deleted."""
     with tempfile.TemporaryDirectory() as kept:
         command = [sys.executable, "-m", "pipeline", "live", str(run), "--no-browser"]
         command += ["--port", "0", "--record", kept]
@@ -116,12 +116,12 @@ def _served(run):
 
 def main(
     run: Annotated[Path, typer.Argument(help="The run's folder.")] = Path("runs/default"),
-    digits: Annotated[int, typer.Option(help="Digits to write.", min=1)] = 20,
-    seed: Annotated[int, typer.Option(help="Seed of the simulated hands.", min=0)] = 0,
+    digits: Annotated[int, typer.Option(help="Number of digits to write.", min=1)] = 20,
+    seed: Annotated[int, typer.Option(help="Seed of the simulated writers.", min=0)] = 0,
 ):
-    """Measure in Chromium how soon a decision is on the screen, with simulated hands.
+    """Measure the delay of decisions on the screen in Chromium, with simulated writers.
 
-    Each decision counts that new events led to, from the last of them to the frame that shows it.
+    The delay is from the last event before a decision to the frame that displays the decision.
     """
     print(latency_text(measure_latency(run, digits, seed)))
 

@@ -1,6 +1,6 @@
 """Measure the figures of README and docs again: the files in ``results/``.
 
-``python -m tools.results --list`` says which files are current, why others are not, and how long
+``python -m tools.results --list`` lists which files are current, why others are not, and how long
 each takes; ``python -m tools.results`` measures those that are not, quick ones first, and
 ``python -m tools.results losses`` only that one.  Each measurement is a command of ``stmnist`` that
 continues where it was interrupted, in a folder below ``--work``.  Afterwards
@@ -14,6 +14,7 @@ import os
 import platform
 import subprocess
 import sys
+import textwrap
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -38,13 +39,13 @@ ARCHITECTURES = (
     "10x10-16c3s2p-32-10o,10x10-8c4s2-32c3-10o,10x10-12c4s3-48-10o,10x10-6c4-16c3s2-10o"
 )
 SEEDS = 5
-"""Of the networks on events."""
+"""Seeds of the networks on events."""
 
 DRAWS = 5
-"""Of the recordings that are learned of each person."""
+"""Draws of the recordings to which a network is fitted, for each person."""
 
 ADAPTED = "readout,wrong-labels,pes,all-layers"
-"""Ways of fitting a network on events to a person."""
+"""Methods of fitting a network on events to a person."""
 
 SMALLER = ("--set", "data.samples_per_digit=400", "--set", "events.epochs=30")
 """Recordings and epochs of networks on events that are trained for a fold of people."""
@@ -64,7 +65,7 @@ class Work:
     Attributes
     ----------
     folder : Path
-        Of everything that is measured.
+        Folder of all measurements.
     jobs : int
         Processes.
     pen : str
@@ -81,7 +82,7 @@ class Work:
         Raises
         ------
         UserError
-            It failed; it has printed why.
+            The command failed and has printed the reason.
         """
         words = [str(word) for word in words]
         status = subprocess.run([sys.executable, "-m", "pipeline", *words]).returncode
@@ -89,13 +90,13 @@ class Work:
             raise UserError(f"stmnist {' '.join(words)}: exit status {status}")
 
     def summary(self, file: str, *words) -> dict:
-        """Run a command with the option ``--out``; the content of a file that it writes there."""
+        """Run a command with the option ``--out``; return the content of a file that it writes."""
         path = self.folder / file
         self.run(*words, "--out", path.parent, "--jobs", self.jobs)
         return read_json(path, "delete it and run the command again")
 
     def pen_recordings(self) -> Path:
-        """The pen trajectories as recordings, which are simulated if they are not there."""
+        """The pen trajectories as recordings, which are simulated if they do not exist."""
         path = self.folder / "pen.zip"
         if path.exists():
             return path
@@ -109,7 +110,7 @@ class Work:
         Raises
         ------
         UserError
-            None was given.
+            No file was given.
         """
         if not self.pen:
             raise UserError("pen trajectories are needed: --pen pendigits-train.unipen")
@@ -123,15 +124,15 @@ class Result:
     Attributes
     ----------
     name : str
-        Without ``.json``.
+        Name of the file without ``.json``.
     minutes : int
-        Expected on two cores of which nothing else makes use.
+        Expected duration on two otherwise idle cores.
     measure : callable
         From a :class:`Work` to the content of the file.
     packages : tuple of str
-        That its figures depend on, beside this one.
+        Packages on which its figures depend, in addition to this one.
     pen : bool
-        Whether it needs pen trajectories.
+        True if it needs pen trajectories.
     """
 
     name: str
@@ -146,7 +147,7 @@ class Result:
         return Artifact(self.name, FOLDER / f"{self.name}.json")
 
     def origin(self, recordings: str) -> Origin:
-        """What it is made from: the built-in recordings and versions."""
+        """Origin of the result: the built-in recordings and versions of packages."""
         versions = {f"version of {package}": version(package) for package in self.packages}
         return Origin.of(Settings(), contents={"recordings": recordings, **versions})
 
@@ -169,7 +170,7 @@ def _table2(models):
 def _slayer(work):
     """Rows of Table 2 with SLAYER; continues with the splits that the repository has.
 
-    A split takes a quarter of an hour, so that each is kept once it is measured.
+    A split takes a quarter of an hour, so each is saved as soon as it is measured.
     """
     splits = work.folder / "table2" / "splits"
     for path in _of_slayer(KEPT):
@@ -226,7 +227,7 @@ def _events(work):
 
 
 def _events_over_seeds(work):
-    """Each seed of the unchanged events, from the results behind the two benchmarks of variants."""
+    """Each seed of the unchanged events, from the results of the two benchmarks of variants."""
     hands, pens = _events(work), _events_with_pen(work)
     runs = {
         f"simulated hands, seed {seed}": _run_on_events(work, "events", seed)
@@ -263,7 +264,7 @@ RESULTS = (
     Result("events-seeds", 1, _events_over_seeds, CHIP, pen=True),
     Result("table2-slayer", 270, _slayer, SLAYER),
 )
-"""All that is measured, in this order: quick ones first, events-seeds after its parts."""
+"""All results, in the order of measurement: quick ones first, events-seeds after its parts."""
 
 
 def states(recordings: str, results=RESULTS) -> list:
@@ -272,17 +273,21 @@ def states(recordings: str, results=RESULTS) -> list:
 
 
 def listing(found) -> str:
-    """The states as a table, with the time that the results take that are not current."""
+    """The states as a table, with the total time for the results that are not current."""
     rows = [["result", "state", "minutes", "why"]]
     for result, state in found:
         why = state.reasons() or ("needs --pen" if result.pen and not state.is_current else "")
-        rows.append([result.name, state.state, str(result.minutes), why])
+        first, *more = textwrap.wrap(why, 40) or [""]
+        rows.append([result.name, state.state, f"{result.minutes:>7}", first])
+        rows += [["", "", "", line] for line in more]
     left = sum(result.minutes for result, state in found if state.state != CURRENT)
-    return "\n".join([*aligned(rows), f"{left / 60:.1f} hours for those that are not current"])
+    return "\n".join(
+        [*aligned(rows, left=4), f"{left / 60:.1f} hours for those that are not current"]
+    )
 
 
 def measure(result: Result, work: Work, recordings: str) -> dict:
-    """Measure a result and write its file, with what it was made from, on what and when."""
+    """Measure a result and write its file, with its origin, the processor and the time."""
     begun = time.time()
     content = {key: value for key, value in result.measure(work).items() if key != "made_from"}
     content["measured"] = {

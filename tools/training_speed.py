@@ -1,6 +1,6 @@
 """Speed of three ways to train the rate-based network of the paper's recipe, in one process.
 
-``python -m tools.training_speed``; with ``--slayer`` how long an epoch of SLAYER takes.
+``python -m tools.training_speed``; with ``--slayer`` the time of an epoch of SLAYER.
 """
 
 import contextlib
@@ -38,7 +38,7 @@ def measure_simulated(samples: int, networks: int, rounds: int, jobs: int = 1) -
     samples : int
         Recordings of each digit; 0 for 6,953 in all.
     networks, rounds
-        As there.
+        As in :func:`measure`.
     jobs : int
         Processes for recordings that are not in the cache.
     """
@@ -51,8 +51,8 @@ def measure_simulated(samples: int, networks: int, rounds: int, jobs: int = 1) -
 def measure(settings: Settings, data, networks: int = 5, rounds: int = 3, advance=None) -> dict:
     """Time epochs of NengoDL's fit, of Keras's fit, and of this project's.
 
-    The ways take turns, so that whatever else the machine does meets all of them.  Building and
-    compiling (the first epoch) is left out of the epochs' times and told separately.
+    The three ways are run alternately, so that other work of the machine affects all of them.  The
+    time for building and compiling (the first epoch) is reported separately.
 
     Parameters
     ----------
@@ -60,9 +60,9 @@ def measure(settings: Settings, data, networks: int = 5, rounds: int = 3, advanc
     data : (images, labels)
         Training samples, the same for every network.
     networks : int
-        That are trained one after the other.
+        Number of networks that are trained one after the other.
     rounds : int
-        Epochs that are timed.
+        Number of timed epochs.
     advance : callable, optional
         ``advance(1, note)`` after each turn.
 
@@ -166,7 +166,7 @@ def measure_slayer(samples: int = 320, conv_scale: float = 100.0, rounds: int = 
     conv_scale : float
         Scale of the initial weights of convolutions.
     rounds : int
-        Epochs that are timed, after one batch that compiles.
+        Number of timed epochs, after one batch that compiles.
 
     Returns
     -------
@@ -229,8 +229,8 @@ def _our_turn(settings, data, networks, recipe, rounds):
 
 
 def main(
-    networks: Annotated[int, typer.Option(help="Networks to train.", min=1)] = 5,
-    rounds: Annotated[int, typer.Option(help="Epochs that are timed.", min=1)] = 3,
+    networks: Annotated[int, typer.Option(help="Number of networks to train.", min=1)] = 5,
+    rounds: Annotated[int, typer.Option(help="Number of timed epochs.", min=1)] = 3,
     samples: Annotated[
         int, typer.Option(help="Simulated recordings of each digit; 0 for 6,953 in all.", min=0)
     ] = 0,

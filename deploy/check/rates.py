@@ -140,12 +140,12 @@ def rate_summary(
 def rates_text(summary: Dict[str, dict], n_samples: int) -> str:
     """Format a rate summary as a few lines."""
     steady = all("coarse" in layer for layer in summary.values())
-    seconds = "" if steady else ", in seconds on the skin"
+    seconds = "" if steady else ", per second of the recording"
     lines = [f"firing rates on the emulator, {n_samples} samples{seconds}:"]
     for name, layer in summary.items():
         apart = f" (next rate {layer['step_at_p99']:.0%} lower)" if "coarse" in layer else ""
         lines.append(
-            f"  {name}: {layer['silent']:.0%} silent; where one fires:\n    "
+            f"  {name}: {layer['silent']:.0%} of the neurons silent; rates of the others:\n    "
             f"mean {layer['mean_hz']:.0f} Hz, 99 % below {layer['p99_hz']:.0f} Hz{apart}, "
             f"at most {layer['max_hz']:.0f} Hz"
         )
@@ -162,6 +162,7 @@ def rate_warnings(summary: Dict[str, dict]) -> List[str]:
         elif layer.get("coarse", 0) > 0.05:
             lines.append(
                 f"layer {name}: {layer['coarse']:.0%} of the rates are above "
-                f"{layer['coarse_above_hz']:g} Hz, a quarter and more apart; train for lower"
+                f"{layer['coarse_above_hz']:g} Hz, where rates differ by a quarter or more; "
+                "train for lower rates"
             )
     return lines

@@ -133,7 +133,7 @@ def read_result(path, remedy="run 'stmnist check run' again") -> dict:
     ----------
     path : path-like
     remedy : str
-        Ends the error message: what to do about a missing or damaged file.
+        The user's remedy for a missing or damaged file, at the end of the error message.
 
     Raises
     ------
@@ -224,7 +224,7 @@ def _is_by_itself(value):
 
 
 def _is_part(value):
-    """True for what is said of the samples of a class or of a writer."""
+    """True for valid results on the samples of a class or of a writer."""
     return (
         isinstance(value, dict)
         and _is_count(value.get("n"))
@@ -367,11 +367,11 @@ def compare_results(a: dict, b: dict) -> Comparison:
 
 
 SIGNIFICANT = 0.01
-"""McNemar's p below which a lower accuracy is no chance."""
+"""McNemar's p below which a lower accuracy is significant."""
 
 
 def loss_text(reference: dict, result: dict) -> Optional[str]:
-    """A line where a target is significantly less accurate than the network it was made from.
+    """A message if a target is significantly less accurate than the trained network.
 
     Parameters
     ----------
@@ -382,12 +382,12 @@ def loss_text(reference: dict, result: dict) -> Optional[str]:
     Returns
     -------
     str or None
-        None where the difference may be chance, or there is none.
+        None if the difference is not significant.
 
     Raises
     ------
     UserError
-        They are of different bundles or of different samples.
+        The results are of different bundles or of different samples.
     """
     compared = compare_results(reference, result)
     if compared.accuracy_drop <= 0 or compared.p_value >= SIGNIFICANT:
@@ -402,13 +402,13 @@ def loss_text(reference: dict, result: dict) -> Optional[str]:
 def require_limits(
     max_disagreements: Optional[int] = None, max_accuracy_drop: Optional[float] = None
 ):
-    """Refuse limits of a comparison that limit nothing.
+    """Refuse invalid limits of a comparison.
 
     Raises
     ------
     UserError
-        One is negative, or no number up to 1 where it is a share: any drop would be "not more" than
-        NaN.
+        A limit is negative, or a share is not a number up to 1.  With NaN no drop would exceed the
+        limit.
     """
     if max_disagreements is not None and max_disagreements < 0:
         raise UserError(f"--max-disagreements {max_disagreements}: must be at least 0")
@@ -417,7 +417,7 @@ def require_limits(
 
 
 def _are_of_the_same_data(a, b):
-    """True if two results are of the same recordings other than a bundle's own."""
+    """True if two results are of the same other recordings (``check run --data``)."""
     of_a, of_b = (result.get("data") for result in (a, b))
     return bool(of_a) and bool(of_b) and of_a["sha256"] == of_b["sha256"]
 

@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Iterator, Optional
 
 from ..errors import UserError
-from ..files import locked, make_folder, open_own, write_json
+from ..files import is_at, locked, make_folder, open_own, write_json
+from ..interrupts import at_the_end
 from ..network.responses import Responses
 from ..network.spec import NetworkSpec
 from ..network.stream import streams_of
-from ..targets.registry import answer, target_named
+from ..targets.registry import answer, refuse_unfit, target_named
 from .bundle import Bundle, CheckSet
 from .results import result_of, versions
 
@@ -213,6 +214,7 @@ def open_check(
     target_named(target)
     if type(seed) is not int or not 0 <= seed < 2**31:  # a bundle may say anything
         raise UserError(f"seed {seed}: must be from 0 to {2**31 - 1}")
+    refuse_unfit(bundle.spec, target, seed)
     out = Path(out)
     if out.exists() and not out.is_file():  # checked now, before the samples are run
         raise UserError(f"{out}: cannot write (not a file); choose another --out")
@@ -229,9 +231,18 @@ def open_check(
             raise UserError(
                 f"{out}: cannot write ({saved.name}: {error.strerror}); choose another --out"
             ) from error
+        stack.callback(_remove_empty, file, saved)
+        stack.enter_context(at_the_end(_remove_empty, file, saved))
         with _disk_errors(saved):
             done = _resume(file, check, _streams(bundle))
         yield OpenCheck(bundle, check, out, saved, done, advance, options)
+
+
+def _remove_empty(file, path):
+    """Remove a partial file without a response, such as that of a refused check."""
+    with contextlib.suppress(OSError):
+        if is_at(file, path) and not os.fstat(file.fileno()).st_size:
+            os.unlink(str(path))
 
 
 def records_of(checks: CheckSet, responses: Responses) -> list:

@@ -35,7 +35,7 @@ def summary(result: dict) -> str:
 
 
 def others_text(result: dict) -> str:
-    """A result on other recordings than the bundle's own: :func:`summary`, classes and writers."""
+    """Format a result on other recordings: :func:`summary`, classes and writers."""
     named = result["classes"]
     short = {name: name if len(name) <= 40 else name[:26] + "…" + name[-13:] for name in named}
     lines = [
@@ -80,13 +80,13 @@ def _hardware(result):
     text = (
         f"\nboard {board['board'] or 'of the cluster'}, partition {board['partition'] or 'none'}, "
         f"NxSDK {result['versions']['nxsdk']}, {board['connections']} connections; "
-        f"a sample: {phases}"
+        f"per sample: {phases}"
     )
     text += (
-        f"\nspikes of {result['samples_unlike_fast']} samples are not those of the chip's integers "
-        "(target fast): lost on the way, or the board computes otherwise"
+        f"\nspikes of {result['samples_unlike_fast']} samples differ from those of the target "
+        "fast: some were lost, or the board computes differently"
         if result["samples_unlike_fast"]
-        else "\nevery spike is that of the chip's integers (target fast)"
+        else "\nall spikes are identical to those of the target fast"
     )
     if "power" in result:
         power = result["power"]

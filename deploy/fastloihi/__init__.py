@@ -1,13 +1,13 @@
-"""A fast emulator of Intel's Loihi 1 for every NengoLoihi network, bit for bit NengoLoihi's own.
+"""A fast emulator of Intel's Loihi 1 for every NengoLoihi network, bit-identical to NengoLoihi's.
 
 >>> from stmnist import FastSimulator
 >>> with FastSimulator(network) as sim:
 ...     sim.run(1.0)
 
-It needs NumPy, Nengo and NengoLoihi, and Numba to be fast, and nothing else of this project.
+It needs NumPy, Nengo and NengoLoihi, and Numba for its speed, but no other part of this project.
 
-`simulator` is what users call; `emulator` takes the place of NengoLoihi's emulator; `layout` makes
-flat arrays of a network, `link` has them with the state, `kernel_numba` advances them.
+`simulator` has the public names; `emulator` replaces NengoLoihi's emulator; `layout` converts a
+network to flat arrays, `link` has these arrays and the state, and `kernel_numba` advances them.
 """
 
 from .emulator import FastEmulator, NotAccelerated

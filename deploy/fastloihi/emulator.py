@@ -1,12 +1,12 @@
-"""NengoLoihi's emulator with its steps done by a compiled kernel: same methods, same bits.
+"""NengoLoihi's emulator with a compiled kernel for its steps: same methods, bit-identical results.
 
-NengoLoihi's own class lays out the chip's state.  Its arrays become parts of those that the kernel
-works on, so that whatever looks at them, or changes them in place, still can; what only the steps
-of NengoLoihi use (the spikes of the last step, random numbers that nothing depends on) is worked
-out when somebody asks for it.
+NengoLoihi's own class makes the arrays of the chip's state.  They become views of the arrays of the
+kernel, so that other code can still read them or change them in place.  Values that only
+NengoLoihi's steps use (the spikes of the last step, random numbers that nothing depends on) are
+computed on request.
 
-Two things are left to NengoLoihi's own steps, so that no answer can differ from theirs: a network
-that `layout` calls unforeseen, for good, and a step that gives a warning which is to be an error.
+In two cases NengoLoihi's own steps run, so that no result can differ: for networks that `layout`
+does not support (`Unforeseen`), and for a step with a warning that should be an error.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ LOST, TRACE, WEIGHTS, OVERFLOWS = range(4)  # in the kernel's log
 
 
 class NotAccelerated(UserWarning):
-    """NengoLoihi's own code runs a network: the results are the same, but take their time."""
+    """Warning: NengoLoihi's own, slower code runs a network; the results are the same."""
 
 
 _said = set()
 
 
 def say_once(message):
-    """Warn, unless these words were said before in this process."""
+    """Warn, unless the same warning was given before in this process."""
     if message not in _said:
         _said.add(message)
         warnings.warn(message, NotAccelerated, stacklevel=3)
 
 
 def find_kernel():
-    """The module with the kernel; None, and a warning, where Numba is missing."""
+    """The module with the kernel; None, after a warning, if Numba is missing."""
     try:
         from . import kernel_numba
     except ImportError as error:
@@ -101,7 +101,7 @@ class FastEmulator(EmulatorInterface):
             EmulatorInterface.run_steps(self, steps)
 
     def _advance(self, steps):
-        """Some steps, at least one if there is no error; how many."""
+        """Advance by some steps, at least one if there is no error; return their number."""
         link = self._link
         careful = bool(self.compartment.strict or self.synapses.strict or _warnings_are_errors())
         kept = link.copy() if careful else None
@@ -122,7 +122,7 @@ class FastEmulator(EmulatorInterface):
         return done
 
     def _finish(self, done, arriving):
-        """Keep what was probed in some steps, and give the warnings of them."""
+        """Store the probed values of some steps, and issue the warnings of these steps."""
         link = self._link
         self.t += done
         arriving.forget(self.inputs, done)
@@ -169,7 +169,7 @@ def _warnings_are_errors():
 
 
 class _Compartments(CompartmentState):
-    """A new array put in the place of one of the state is copied into it."""
+    """State arrays: an array that is assigned to one of them is copied into it."""
 
     def __setattr__(self, name, value):
         if name in (*ROWS, *COUNTERS, "spiked"):
@@ -179,7 +179,7 @@ class _Compartments(CompartmentState):
 
 
 class _Synapses(SynapseState):
-    """Spikes of the last step, and those that wait for a trace, as NengoLoihi keeps them."""
+    """Spikes of the last step, and those that wait for a trace, in NengoLoihi's format."""
 
     @property
     def trace_spikes(self):
@@ -191,7 +191,7 @@ class _Synapses(SynapseState):
 
 
 class _Probes(ProbeState):
-    """Probed values of many steps are kept as one array, and not as a list of steps."""
+    """Probed values, stored as one array for many steps instead of a list of steps."""
 
     @property
     def outputs(self):
@@ -210,7 +210,7 @@ class _Probes(ProbeState):
 
 
 class _Outputs(Mapping):
-    """Probe to the values of each of its blocks: a (steps, compartments) array, [] for no steps."""
+    """For each probe the values of its blocks: (steps, compartments) arrays, [] for no steps."""
 
     def __init__(self, kept):
         self._kept = kept
@@ -237,10 +237,10 @@ def _joined(parts):
 
 
 def take_over(emulator, kind=FastEmulator):
-    """Let an emulator of NengoLoihi's go on with the kernel, whatever steps it has done.
+    """Let an emulator of NengoLoihi continue with the kernel, after any number of steps.
 
-    It is left as it is, with one warning, where Numba is missing or its network has something that
-    the kernel does not do.
+    The emulator is not changed, and one warning is given, if Numba is missing or its network has a
+    feature that the kernel does not support.
 
     Parameters
     ----------
@@ -282,7 +282,7 @@ def _connect(emulator, link):
 
 
 def _disconnect(emulator):
-    """The opposite: everything is where NengoLioihi's own steps look for it."""
+    """The inverse of `_connect`: NengoLoihi's own steps find all arrays where they expect them."""
     link = emulator._link
     link.settle_random(emulator.block_info.n_compartments)
     state, synapses, probes = emulator.compartment, emulator.synapses, emulator.probes
@@ -311,13 +311,13 @@ def _set_writeable(emulator, is_so):
 
 
 def hand_over(emulator, reason):
-    """Let an emulator go on with NengoLoihi's own steps, and say so once."""
+    """Let an emulator continue with NengoLoihi's own steps, with one warning."""
     _disconnect(emulator)
     say_once(f"NengoLoihi's own emulator goes on, for {reason}")
 
 
 def one_step_as_nengo_loihi(emulator):
-    """A step of NengoLoihi's own, after which the kernel goes on; after an error it does not."""
+    """Run one step of NengoLoihi; the kernel continues afterwards, unless the step failed."""
     link, kind = emulator._link, type(emulator)
     spiked, t = emulator.compartment.spiked.copy(), emulator.t
     last = [(item, item.spikes.get(t, [])) for item in emulator.inputs]

@@ -1,23 +1,23 @@
 """The steps of the emulator, compiled by Numba: one function for integers, one for float32.
 
-Every function that a step of NengoLoihi's emulator calls has its counterpart here, and gives the
-same bits: sums of float32 are taken in the emulator's order, integers wrap where NumPy's do, and
+Every function that a step of NengoLoihi's emulator calls has a counterpart here with bit-identical
+results: sums of float32 are taken in the emulator's order, integers wrap around like NumPy's, and
 random numbers are those that its ``RandomState`` would draw.  `layout` makes the arrays.
 
-All of the kernel is in this file because Numba's cache on disk only notices that the file of the
-function that is called has changed.
+The whole kernel is in this file because Numba's cache on disk only notices changes of the file of
+the called function.
 
-Why it is written as it is, each measured:
+Reasons for the form of the code, each measured:
 
-- The loops over compartments read few arrays each and take numbers for what is equal in a segment.
-  With more arrays, LLVM no longer proves that they do not overlap, and does without vector
+- The loops over compartments read few arrays each, and values that are equal in a segment are
+  scalars.  With more arrays, LLVM cannot prove that they do not overlap, and does not use vector
   instructions.
 - Loops have a first and a last index instead of slices of arrays: a slice counts references, which
   costs more than the update of a small block.
-- Numba makes int64 of every operation on int32; the casts lead back, so that eight values and not
-  four fit into a vector.  Indices are unsigned, because a negative index would need a test.
-- Arrays are passed one by one: a tuple of them takes twice as long to hand over, which is what a
-  call for a single step mostly consists of.
+- Numba promotes every operation on int32 to int64; the casts undo this, so that a vector has eight
+  values instead of four.  Indices are unsigned, because a negative index would need a test.
+- Arrays are passed one by one: passing a tuple takes twice as long, which is most of the time of a
+  call for a single step.
 """
 
 from __future__ import annotations
@@ -55,10 +55,10 @@ _U = np.int32(8)  # and the current (23 bits and a sign)
 
 
 def _jit(from_python=False, **options):
-    """`numba.njit`, cached on disk where there is a place for it.
+    """`numba.njit`, cached on disk if there is a folder for it.
 
-    Only what is called from Python gets a wrapper for that, which takes a sixth of the time to
-    compile.
+    Only functions that are called from Python get a wrapper, which takes a sixth of the compilation
+    time.
     """
     common = {
         "nogil": True,
@@ -126,7 +126,7 @@ def _draw(state, n, into):
 
 @_jit(from_python=True)
 def skip_words(state, n):
-    """Leave out n words of 32 bits."""
+    """Skip n words of 32 bits."""
     left = uint64(n)
     while left:
         if state[624] == uint32(624):
@@ -138,7 +138,7 @@ def skip_words(state, n):
 
 @_jit(from_python=True)
 def skip_samples(state, n):
-    """Leave out n numbers of ``RandomState.randint(-127, 128)``: bytes of which 255 is rejected."""
+    """Skip n numbers of ``RandomState.randint(-127, 128)``: bytes, where 255 is rejected."""
     left = uint64(n)
     while left:
         if state[624] == uint32(624):
@@ -177,7 +177,7 @@ def _unit(high, low):
 
 @_jit()
 def _list(words, blocks, events, ends, in_use):
-    """The compartments that spike, in order, and where in the list those of each block end."""
+    """List the compartments that spike, in order, and the end of each block in this list."""
     n_in_use, n = uint64(0), uint64(0)
     for w in range(uint64(len(words))):  # without a branch, of which most would be alike
         in_use[n_in_use] = w
@@ -228,7 +228,7 @@ def _empty_sums(block, block_now, sums, total):
 
 @_jit()
 def _trace(spikes, first, last, offset, entries, pending):
-    """Mark the axons on which spikes arrive; how many were marked already."""
+    """Mark the axons on which spikes arrive; return how many were marked already."""
     lost = 0
     for e in range(uint64(first), uint64(last)):
         axon = entries[AXON, uint64(spikes[e] + offset)]
@@ -273,7 +273,7 @@ def _wrapped(x, spare):
 
 @_jit()
 def _currents(first, last, keep, shift, loaded, sums, total, current):
-    """u <- wrap(decay(u) + wrap(q)); whether q and u overflowed."""
+    """u <- wrap(decay(u) + wrap(q)); return whether q and u overflowed."""
     over_q, over_u = int32(0), int32(0)
     if loaded:
         for i in range(first, last):
@@ -297,7 +297,7 @@ def _currents(first, last, keep, shift, loaded, sums, total, current):
 
 @_jit()
 def _voltages(first, last, keep, v_min, v_max, bias, current, voltage):
-    """v <- clip(decay(v) + wrap(u + bias)); whether the sum overflowed."""
+    """v <- clip(decay(v) + wrap(u + bias)); return whether the sum overflowed."""
     over = int32(0)
     for i in range(first, last):
         u = int32(current[i] + bias[i])
@@ -320,7 +320,7 @@ def _fire(first, last, threshold, voltage, spiked):
 
 @_jit()
 def _fire_and_wait(first, last, period, threshold, voltage, waiting, spiked):
-    """Spikes of compartments that are held at 0 for some steps after each."""
+    """Spikes of compartments with a refractory period, in which the voltage stays at 0."""
     for i in range(first, last):
         wait = waiting[i]
         v = 0 if wait > int32(0) else voltage[i]
@@ -333,7 +333,7 @@ def _fire_and_wait(first, last, period, threshold, voltage, waiting, spiked):
 
 @_jit()
 def _log(log, kind, count):
-    """Append a warning and how often it is given."""
+    """Append a warning and its number of occurrences to the log."""
     if count:
         n = log[0, 0] + 1
         log[n, 0] = kind
@@ -343,7 +343,7 @@ def _log(log, kind, count):
 
 @_jit()
 def _round_traces(rule, rate, traces, pending, drawn):
-    """Decay and add to the traces of a synapse, rounded at random; whether one was clipped."""
+    """Advance the traces of a synapse, rounded at random; return whether one was clipped."""
     first, last = uint64(rule[TRACE0]), uint64(rule[TRACE1])
     decay, magnitude = rate[DECAY], rate[MAGNITUDE]
     clipped = int32(0)
@@ -363,7 +363,7 @@ def _round_traces(rule, rate, traces, pending, drawn):
 
 @_jit()
 def _learn(rule, traces, errors, wide, drawn, scratch):
-    """PES in integers, rounded at random; in how many rows of weights one was clipped."""
+    """PES in integers, rounded at random; return the number of clipped rows."""
     half = uint64(rule[ERROR1] - rule[ERROR0])
     width, error0 = uint64(2) * half, uint64(rule[ERROR0])
     n_rows, trace0 = uint64(rule[TRACE1] - rule[TRACE0]), uint64(rule[TRACE0])
@@ -459,7 +459,7 @@ def _float_learn(rule, rate, traces, errors, wide):
 
 @_jit()
 def _record(recorded, s, current, voltage, spiked, currents, voltages, spikes):
-    """Keep a step's values of the compartments that are probed."""
+    """Store a step's values of the probed compartments."""
     for r in range(len(recorded)):
         key, start = recorded[r, 0], uint64(recorded[r, 1])
         length, column = uint64(recorded[r, 2]), uint64(recorded[r, 3])
@@ -493,8 +493,8 @@ def advance_integers(
     Returns
     -------
     int
-        Steps done: fewer where the log of warnings is full, or has one and it should stop there;
-        `UNFORESEEN`, with nothing done, where NengoLoihi's own code should run.
+        Number of steps: fewer than requested if the log of warnings is full, or if it has a warning
+        that should be an error; `UNFORESEEN`, without a step, if NengoLoihi's own code should run.
     """
     current, voltage, total = cells[CURRENT], cells[VOLTAGE], cells[INPUT]
     bias, threshold = cells[BIAS], cells[THRESHOLD]
@@ -673,7 +673,7 @@ def advance_floats(
 
 
 class _Announcer(event.Listener):
-    """Says when one of the two is compiled, and nothing when it comes from the cache."""
+    """Prints a message when one of the two functions is compiled, not when it is in the cache."""
 
     def on_start(self, event):
         if event.data["dispatcher"] in (advance_integers, advance_floats):

@@ -1,17 +1,17 @@
 """A network of NengoLoihi as flat arrays: segments of compartments, rows of weights, routes.
 
-Compartments stand in the emulator's order, one block after the other.
+Compartments have the emulator's order, one block after the other.
 
-- A *segment* is a run of neighbouring compartments of a block with the same decays, limits and
-  refractory period, which are then numbers and not arrays.
-- A *row* is what one spike adds: a few *runs* of neighbouring weights.  A synapse's rows are in one
-  of two pools.  The *narrow* one has 16 bits, each weight without its block's common power of two,
-  and runs are padded with zeros; sums of 16 bits are emptied into the input before they could
-  overflow.  The *wide* one has the type of the state, for float32, for weights that 16 bits do not
-  hold and for those that learn.
-- A *route* leads the spikes of an input or a block to a synapse.  Routes stand in the order in
-  which the emulator adds, which sums of float32 depend on.  A route has one *entry* for each neuron
-  of its source: row, first compartment, and trace.
+- A *segment* is a range of adjacent compartments of a block with the same decays, limits and
+  refractory period, which are then scalars instead of arrays.
+- A *row* has the weights that one spike adds: a few *runs* of adjacent weights.  A synapse's rows
+  are in one of two pools.  The *narrow* pool has 16 bits, each weight without its block's common
+  power of two, and runs are padded with zeros; sums of 16 bits are added to the input before they
+  can overflow.  The *wide* pool has the type of the state.  It is used for float32, for weights
+  that do not fit 16 bits, and for weights that learn.
+- A *route* leads the spikes of an input or a block to a synapse.  Routes have the emulator's order
+  of addition, on which sums of float32 depend.  A route has one *entry* for each neuron of its
+  source: row, first compartment, and trace.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Unforeseen(Exception):
 
 
 class Layout(NamedTuple):
-    """The network.
+    """A network as flat arrays; see the module's description.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Layout(NamedTuple):
 
 
 def make_layout(emulator) -> Layout:
-    """Read a network from NengoLoihi's emulator, which is left as it is.
+    """Read a network from NengoLoihi's emulator, which is not changed.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def make_layout(emulator) -> Layout:
     Raises
     ------
     Unforeseen
-        The network has something that the kernel does not do.
+        The network has a feature that the kernel does not support.
     """
     info, state = emulator.block_info, emulator.compartment
     integers = state.dtype == np.int32
@@ -150,12 +150,12 @@ def _noise(noise, integers):
 
 
 class _Pools:
-    """The rows of all synapses, and where each synapse's are.
+    """The rows of all synapses, and the position of each synapse's rows.
 
     Attributes
     ----------
     shifts : list of int
-        The power of two that the narrow weights of each block lack.
+        Exponent of the power of two by which the narrow weights of each block are divided.
     is_wide : list of bool
         True if a block has wide weights.
     narrow, largest : dict of Synapse
@@ -221,12 +221,12 @@ class _Pools:
 
 
 class _Rows:
-    """The rows of a synapse: those of its first weights' atoms, of its second's, ...
+    """The rows of a synapse, by its weights and by their atoms.
 
     Attributes
     ----------
     bits, largest : int
-        All weights or-ed, and the largest magnitude.
+        Bitwise OR of all weights, and the largest magnitude.
     lowest, highest : (n_rows,) int array
         The first and last compartment of each row, 0 and -1 where there is none.
     """
@@ -258,7 +258,7 @@ class _Rows:
             self.bits, self.largest = int(np.bitwise_or.reduce(values)), int(np.abs(values).max())
 
     def _check_that_it_can_learn(self, block):
-        """NengoLoihi changes all weights of a row, or fails."""
+        """Check that NengoLoihi can change all weights of a row; otherwise it fails."""
         n = 2 * (block.n_neurons // 2)
         alone = all(w.shape == (1, n) and np.array_equal(i[0], np.arange(n)) for w, i in
                     zip(self.synapse.weights, self.synapse.indices))  # fmt: skip
@@ -280,10 +280,10 @@ class _Rows:
         self.lengths = np.bincount(self.row, minlength=len(self.lengths))
 
     def cut(self, shift):
-        """Runs (target, place, length), how many each row has, and the weights.
+        """Runs (target, place, length), the number of runs of each row, and the weights.
 
-        With a shift, weights lack that power of two, small gaps are filled with zeros, and lengths
-        are multiples of `LANES`.
+        With a shift, weights are divided by that power of two, small gaps are filled with zeros,
+        and lengths are multiples of `LANES`.
         """
         gap = LANES if shift is not None else 1
         new = np.ones(len(self.row), bool)
@@ -359,7 +359,7 @@ def _routes(emulator, pools):
 
 
 def _mapped(axon, n):
-    """Axon and atom of the spike of each neuron of a source; the axon is negative for none."""
+    """Axon and atom of the spike of each neuron of a source; a negative axon means none."""
     for given in (axon.compartment_map, axon.compartment_atoms):
         if given is not None and len(given) < n:
             raise Unforeseen("an axon that has no place for all neurons")

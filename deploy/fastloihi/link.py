@@ -1,4 +1,4 @@
-"""The arrays that the kernel works on, for one emulator; and the spikes of its inputs."""
+"""The kernel's arrays for one emulator, and the spikes of its inputs."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class Link:
     last_spikes : list
         Spikes of each input that arrived in the last step.
     draws : bool
-        True if anything depends on random numbers; else the kernel leaves them out.
+        True if anything depends on random numbers; otherwise the kernel does not draw them.
     owed : int
-        Steps whose random numbers were left out.
+        Number of steps whose random numbers were not drawn.
     """
 
     def __init__(self, emulator, kernel):
@@ -124,7 +124,7 @@ class Link:
         return arrays
 
     def learn_from(self, synapses):
-        """Make traces, errors and weights of the synapses that learn parts of ours."""
+        """Make traces, errors and weights of learning synapses views of the kernel's arrays."""
         error = 0
         for s, first in self.first_trace.items():
             n_errors = len(synapses.pes_errors[s])
@@ -134,7 +134,7 @@ class Link:
             s.weights[:] = self.layout.weights[s]
 
     def run(self, emulator, steps, arriving, careful):
-        """Call the kernel; how many steps it did."""
+        """Call the kernel; return the number of steps that it ran."""
         layout = self.layout
         if self.has_probes:
             self.histories = [
@@ -153,7 +153,7 @@ class Link:
         return done
 
     def copy(self):
-        """State that a call of the kernel changes."""
+        """Copy the state that a call of the kernel changes."""
         learned = self.wide if len(self.traces) else _NOTHING
         changed = (self.cells, self.counters, self.spiked, self.before, self.traces, self.pending)
         return [array.copy() for array in (*changed, learned, self.words)]
@@ -165,7 +165,7 @@ class Link:
             array[...] = before
 
     def settle_random(self, n):
-        """Draw the random numbers that were left out."""
+        """Draw the random numbers that were not drawn before."""
         if self.owed:
             skip, each = self._skip
             skip(self.words, each * self.owed)
@@ -178,7 +178,7 @@ class Link:
         }
 
     def spikes_in(self, synapses):
-        """Worked out by NengoLoihi's own method, from the spikes before the last step."""
+        """Input spikes, computed by NengoLoihi's method from the spikes before the last step."""
         if self.last_spikes is None:
             return self._spikes_in
         sources = [
@@ -192,12 +192,12 @@ class Link:
 
 
 class Arriving:
-    """The spikes of the inputs that arrive in some steps; those sent in a step do in the next.
+    """Input spikes that arrive in some steps; a spike arrives one step after it was sent.
 
     Attributes
     ----------
     spikes : int64 array
-        Spikes of all steps, one input after the other in each.
+        Spikes of all steps, in each step one input after the other.
     ends : (n_steps * n_inputs + 1,) int64 array
         Ends of the spikes of each step and input, after a 0.
     """

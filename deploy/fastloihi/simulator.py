@@ -1,4 +1,4 @@
-"""`FastSimulator` and `accelerate`: what users call."""
+"""The public names `FastSimulator` and `accelerate`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .emulator import FastEmulator, say_once, take_over
 
 
 class FastSimulator(nengo_loihi.Simulator):
-    """NengoLoihi's `Simulator` with a fast emulator: the same results, bit for bit.
+    """NengoLoihi's `Simulator` with a fast emulator; its results are bit-identical.
 
     Parameters
     ----------
@@ -21,8 +21,8 @@ class FastSimulator(nengo_loihi.Simulator):
 
     Notes
     -----
-    The first step that a machine ever does takes some five seconds more, which compile the kernel.
-    Without Numba, NengoLoihi's own emulator runs, and one warning says so.
+    The first step on a machine takes about five seconds more, because the kernel is compiled.
+    Without Numba, NengoLoihi's own emulator runs, with one warning.
     """
 
     def __init__(self, network, *args, **kwargs):
@@ -34,7 +34,7 @@ class FastSimulator(nengo_loihi.Simulator):
 
 
 def accelerate(simulator):
-    """Let a `nengo_loihi.Simulator` go on with the fast emulator.
+    """Let a `nengo_loihi.Simulator` continue with the fast emulator.
 
     Parameters
     ----------
@@ -44,12 +44,12 @@ def accelerate(simulator):
     Returns
     -------
     nengo_loihi.Simulator
-        The same one.
+        The same simulator.
 
     Raises
     ------
     nengo.exceptions.ValidationError
-        It runs on a board.
+        The simulator runs on a board.
     """
     if "emulator" not in simulator.sims:
         raise ValidationError("must have an emulator to be accelerated", attr="target")

@@ -1,1 +1,1 @@
-"""The deployed network: its description, its building in Nengo, what it answers, its exports."""
+"""The deployed network: its description, its construction in Nengo, its responses, its exports."""

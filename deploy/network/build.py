@@ -172,7 +172,7 @@ def _ensemble(layer: Layer):
 
 
 def _neurons(n, neuron_type, gain, bias, label):
-    """An ensemble of which only the neurons are connected.
+    """An ensemble whose neurons are connected directly.
 
     Encoders and evaluation points are set explicitly because Nengo would otherwise draw a thousand
     points, and two for each neuron, at every build.

@@ -1,7 +1,7 @@
 """Check that NengoLoihi can discretise a network, with the reason if it cannot.
 
-NengoLoihi gives a block one scale, by which its largest weight becomes 255, and asserts, mostly
-without a word, that threshold and bias fit beside it.
+NengoLoihi gives each block one scale, with which its largest weight becomes 255.  It asserts,
+mostly without a message, that threshold and bias fit with this scale.
 """
 
 from __future__ import annotations

@@ -1,22 +1,23 @@
 """Export to NIR, the Neuromorphic Intermediate Representation (Pedersen et al. 2024).
 
-NIR describes neurons by differential equations and knows no time step, no amplitude of spikes, no
-refractory period, no lower bound of the voltage and no 8-bit weights.  What the graph says::
+NIR describes neurons by differential equations.  It has no time step, no amplitude of spikes, no
+refractory period, no lower voltage bound and no 8-bit weights.  The graph is::
 
     input spikes -> Conv2d -> CubaLIF -> ... -> Flatten -> Affine -> output
 
-with ``tau_syn dI/dt = -I + S`` and ``tau_mem dv/dt = -v + I`` where ``S`` is what the convolution
-gives.  A spike is a pulse of height 1 that lasts one time step ``dt`` of 1 ms; the amplitude of the
-spikes and 1 / dt are in the weights, so that a spike has the same area as on the chip.  The bias
-current is the convolution's bias; it reaches the neuron through the synaptic filter and is whole
-after a few ``tau_syn``.  Readers that know a leak voltage disagree on where it acts, on zero they
-agree.
+with ``tau_syn dI/dt = -I + S`` and ``tau_mem dv/dt = -v + I`` where ``S`` is the output of the
+convolution.  A spike is a pulse of height 1 that lasts one time step ``dt`` of 1 ms; the amplitude
+of the spikes and 1 / dt are in the weights, so that a spike has the same area as on the chip.  The
+bias current is the convolution's bias; it reaches the neuron through the synaptic filter and has
+its full value after a few ``tau_syn``.  The leak voltage is zero, because readers of NIR interpret
+other values differently.
 
-The input neurons are not in the graph: what goes in are their spikes, which
-:func:`input_spikes` gives.  Scores are the mean of the output from the readout's start on.
+The input neurons are not in the graph: its inputs are their spikes, which :func:`input_spikes`
+returns.  Scores are the mean of the output from the readout's start on.
 
-What NIR leaves out stands in the graph's metadata as text, so that :func:`deployed_network` gets
-the deployed network back from the graph, with the weights and biases of the graph's nodes.
+The graph's metadata has, as text, the properties that NIR cannot represent.  From these and from
+the weights and biases of the graph's nodes, :func:`deployed_network` reconstructs the deployed
+network.
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ def nir_graph(spec: NetworkSpec):
 
 
 def write_nir(path, spec: NetworkSpec):
-    """Write the network as a NIR file (HDF5), whole or not at all."""
+    """Write the network as a NIR file (HDF5), completely or not at all."""
     nir = _nir()
     buffer = io.BytesIO()
     nir.write(buffer, nir_graph(spec))
@@ -102,12 +103,12 @@ def input_spikes(spec: NetworkSpec, samples) -> np.ndarray:
     ----------
     spec : NetworkSpec
     samples : ndarray
-        Images or frames, as the network's stimulus takes them.
+        Images or frames, in the format of the network's stimulus.
 
     Returns
     -------
     ndarray, shape (n_samples, gap + steps, channels, rows, columns)
-        The input neurons' spikes, 0 or 1; without them, the silent gap and the image itself.
+        Spikes of the input neurons, 0 or 1; without input neurons, the silent gap and the image.
     """
     flat, period = spec.stimulus.flat(samples), spec.presentation.period
     size = flat.shape[-1]
@@ -137,24 +138,24 @@ DEPLOYED = "deployed"
 
 
 def deployed_network(nodes: dict, metadata: dict) -> Optional[NetworkSpec]:
-    """The network that :func:`nir_graph` made a graph of; its inverse.
+    """The network from which :func:`nir_graph` made a graph: the inverse of that function.
 
     Parameters
     ----------
     nodes : dict of str to mapping
-        Values of each node by NIR's names.
+        Values of each node, by NIR's names.
     metadata : dict
         Metadata of the graph.
 
     Returns
     -------
     NetworkSpec or None
-        None for a graph that was not exported here, or before the metadata had this.
+        None for a graph that was not exported by this project, or by an early version of it.
 
     Raises
     ------
     UserError
-        The metadata says that it was, and does not fit the graph's nodes.
+        The metadata is of this project, but does not fit the graph's nodes.
     """
     if not isinstance(metadata.get(DEPLOYED), str):
         return None
@@ -181,7 +182,7 @@ def deployed_network(nodes: dict, metadata: dict) -> Optional[NetworkSpec]:
 
 
 def _channels_last(weights, plain):
-    """Weights in the order of :class:`deploy.network.spec.Layer`, without what was added."""
+    """Weights in the order of :class:`deploy.network.spec.Layer`, without added padding."""
     if plain["kind"] == "conv":
         side = plain["kernel"]
         return weights.transpose(2, 3, 1, 0)[-side:, -side:]
@@ -204,9 +205,9 @@ def _nir():
 
 
 def _padded_evenly(layer):
-    """Kernel and padding of a convolution for readers that pad alike before and after.
+    """Kernel and padding of a convolution for readers that pad equally before and after.
 
-    Where there is one zero more after the values than before, the kernel gets a zero in front.
+    If one more zero is needed after the values than before, the kernel gets a zero in front.
     """
     if layer.padding == "valid":
         return layer.weights, 0
@@ -226,7 +227,7 @@ def _columns_channels_first(layer):
 
 
 def _neurons(nir, layer):
-    """The nodes of a layer's neurons: filter and neuron in one where NIR has that."""
+    """The nodes of a layer's neurons; filter and neuron are one node if NIR has it."""
     if layer.neurons is None:
         return
     shape = _channels_first(layer.shape)

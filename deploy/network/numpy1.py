@@ -11,7 +11,7 @@ class NumPy1:
     """NumPy with some functions as in NumPy 1.
 
     - ``array(copy=False)`` copies only if necessary.  NumPy 2 refuses where a copy is needed;
-      NengoLoihi 1.1 needs one where it discretises a block's weights and where it works out rates.
+      NengoLoihi 1.1 needs one where it discretises a block's weights and where it computes rates.
     - Binary ``fromstring`` (gone since NumPy 2.3), with which NengoLoihi reads a DVS camera's
       files.
     - ``find_common_type`` (gone since 2.0) and ``in1d`` (gone since 2.4), which Nengo 4.1 calls in
@@ -39,7 +39,7 @@ class NumPy1:
 
 
 def put_back(*names):
-    """Let modules use NumPy as it was, where it is not; on NumPy 1 nothing changes.
+    """Let modules use NumPy with the functions of NumPy 1; on NumPy 1 nothing changes.
 
     Parameters
     ----------
@@ -52,6 +52,6 @@ def put_back(*names):
 
 
 def put_back_for_nengo():
-    """The same for the matrix exponential of Nengo 4."""
+    """Apply :func:`put_back` to the matrix exponential of Nengo 4."""
     folder = "nengo._vendor.scipy.sparse"
     put_back(*(f"{folder}.linalg_{part}" for part in ("expm", "interface", "onenormest")))

@@ -1,8 +1,8 @@
 """Responses to some training samples, so that a readout can be refitted without forgetting them.
 
 The readout on the host is linear: its scores are ``weights @ x + bias``, where ``x`` is the mean of
-what reaches it while a sample is read, the low-pass filtered spikes of the last layer of neurons.
-The bundle keeps ``x`` of some training samples with their labels.
+its input while a sample is read, the low-pass filtered spikes of the last layer of neurons.
+The bundle has ``x`` for some training samples, with their labels.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class Rehearsal:
     Attributes
     ----------
     responses : ndarray of float32, shape (n_samples, inputs of the readout)
-        Mean of what reaches the readout, see the module's description.
+        Mean input of the readout, see the module's description.
     labels : ndarray of uint16, shape (n_samples,)
     """
 
@@ -32,13 +32,13 @@ class Rehearsal:
         return len(self.labels)
 
     def arrays(self) -> dict:
-        """The arrays by name, for a file; the responses in half precision, which is enough."""
+        """The arrays by name, for a file; half precision is sufficient for the responses."""
         responses = self.responses.astype(np.float16)
         return {"rehearsal.responses": responses, "rehearsal.labels": self.labels}
 
     @classmethod
     def from_arrays(cls, arrays: dict, inputs: int, classes: int):
-        """The inverse of :meth:`arrays`; other arrays are left alone.
+        """The inverse of :meth:`arrays`; other arrays are ignored.
 
         Parameters
         ----------
@@ -49,12 +49,12 @@ class Rehearsal:
         Returns
         -------
         Rehearsal or None
-            None if none of its arrays is there.
+            None if none of its arrays exists.
 
         Raises
         ------
         ValueError
-            One is missing, of another shape, or holds what cannot be.
+            An array is missing, has another shape, or has invalid values.
         """
         names = ("rehearsal.responses", "rehearsal.labels")
         if not any(name in arrays for name in names):

@@ -26,7 +26,7 @@ class Stimulus:
     kind : str
         Name of the class in a bundle.
     held : bool
-        True if a sample is one frame for all steps; else it has one frame per step.
+        True if a sample is one constant frame for all steps; else it has one frame per step.
     area : float or None
         Area of one spike of the input neurons; None if there are none.
     """

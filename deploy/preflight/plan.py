@@ -178,7 +178,7 @@ class Excess:
     layer, resource : str
         The resource is one of `LIMITS`.
     used, limit : int
-        The most that a core of the layer needs, and what it has.
+        Maximum that a core of the layer needs, and the limit of a core.
     cores, of_cores : int
         Number of the layer's cores that need too much, and of all its cores.
     """
@@ -192,7 +192,7 @@ class Excess:
 
 
 def excesses(spec: NetworkSpec) -> List[Excess]:
-    """The limits of a core that a network exceeds, whatever the values of its weights are.
+    """The limits of a core that a network exceeds, independently of the values of its weights.
 
     Raises
     ------
@@ -293,7 +293,7 @@ def _pop16_problems(placed):
             if atoms > channels:
                 yield (
                     f"layer {layer}, part {part}: pop_type 16 with {atoms} channels before it, "
-                    f"{atoms - channels} more than the {channels} that NxSDK knows; "
+                    f"{atoms - channels} more than the {channels} that NxSDK supports; "
                     "use pop_type 32"
                 )
             if axons > most:
@@ -311,7 +311,7 @@ def _pop16_problems(placed):
 
 
 def _lost_weights(spec, cores):
-    """Layers of whose weights nothing is left in the chip's integers."""
+    """Layers whose weights all become 0 in the chip's integers."""
     for layer in spec.layers:
         parts = [core for core in cores if core.layer == layer.name]
         if parts and layer.weights.any() and not any(core.worst_input for core in parts):
@@ -356,9 +356,10 @@ def plan_text(plan: Plan) -> str:
         rows.append(cells)
     lines = in_blocks(rows, left=3)
     lines.append(
-        f"{len(plan.cores)} cores on {plan.chips} chip(s); of each core's limits; "
-        "'at': chip.core;\n'pop': type of the axons in; 'input', 'current': worst case that the "
-        "weights\nallow, of what wraps around; 'threshold': of the highest voltage"
+        f"{len(plan.cores)} cores on {plan.chips} chip(s); percentages of a core's limits; "
+        "'at': chip.core;\n'pop': type of the input axons; 'input', 'current': the worst case for "
+        "these weights,\nrelative to where integers wrap around; 'threshold': relative to the "
+        "highest voltage"
     )
     lines += [f"warning: {line}" for line in plan.warnings]
     lines += [f"does not fit: {line}" for line in plan.problems]

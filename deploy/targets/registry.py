@@ -12,7 +12,7 @@ import nengo
 
 from ..errors import UserError
 from ..network.build import build
-from ..network.discretisation import require_integers
+from ..network.discretisation import BUILD_ERRORS, cannot_build, require_integers
 from ..network.loihi_import import nengo_loihi
 from ..network.responses import Responses, join, respond
 from ..network.spec import NetworkSpec
@@ -38,6 +38,9 @@ class Target:
         Additional information for readers of its results; empty if the title is sufficient.
     slow : bool
         True if the whole test split takes minutes.
+    floating : bool
+        True if the target computes in floating point, so that it would also run a network that the
+        chip's integers cannot hold: see :func:`refuse_unfit`.
     hardware : bool
         True if the target needs a board.
     options : type or None
@@ -51,6 +54,7 @@ class Target:
     title: str
     note: str = ""
     slow: bool = False
+    floating: bool = False
     hardware: bool = False
     options: Optional[type] = None
     describe: Optional[Callable] = None
@@ -79,8 +83,16 @@ def run_emulator(spec, streams, seed=0) -> Iterator[Responses]:
 TARGETS: Dict[str, Target] = {
     target.name: target
     for target in (
-        Target("nengo", run_nengo, "Nengo's reference simulator, in floating point", slow=True),
-        Target("simreal", run_simreal, "NengoLoihi before discretisation", slow=True),
+        Target(
+            "nengo",
+            run_nengo,
+            "Nengo's reference simulator, in floating point",
+            slow=True,
+            floating=True,
+        ),
+        Target(
+            "simreal", run_simreal, "NengoLoihi before discretisation", slow=True, floating=True
+        ),
         Target("emulator", run_emulator, "NengoLoihi's emulator, the chip's integers", slow=True),
         Target(
             "fast",
@@ -148,6 +160,21 @@ def options_for(name: str, **given):
     return own(**{option.name: given[option.name] for option in fields(own)})
 
 
+def refuse_unfit(spec: NetworkSpec, target: str, seed=0):
+    """Refuse a network that the chip's integers cannot hold before a floating-point target runs it.
+
+    All other targets refuse it when they build it.  This builds NengoLoihi's model once more, so it
+    is called once for all samples and not for each stream.
+
+    Raises
+    ------
+    UserError
+        There is no target of that name, or NengoLoihi cannot build the network.
+    """
+    if target_named(target).floating:
+        require_integers(build(spec, seed).network)
+
+
 def answer(spec: NetworkSpec, samples, target: str, seed=0, advance=None, **options) -> Responses:
     """Run a target on samples, presented as the network defines it.
 
@@ -171,9 +198,11 @@ def answer(spec: NetworkSpec, samples, target: str, seed=0, advance=None, **opti
     Raises
     ------
     UserError
-        There is no target of that name, or the network's stimulus cannot present the samples.
+        There is no target of that name, the network's stimulus cannot present the samples, or
+        NengoLoihi cannot build the network.
     """
     flat = spec.fed(samples)
+    refuse_unfit(spec, target, seed)
     streams = [flat[part] for part in streams_of(len(flat), spec.presentation.stream_length)]
     parts = []
     for responses in target_named(target).run(spec, streams, seed, **options):
@@ -184,13 +213,15 @@ def answer(spec: NetworkSpec, samples, target: str, seed=0, advance=None, **opti
 
 
 def _loihi_simulator(network, target):
-    # Without an explicit target NengoLoihi uses hardware wherever NxSDK is installed.
-    return nengo_loihi.Simulator(network, target=target, precompute=True)
+    try:
+        # Without an explicit target NengoLoihi uses hardware wherever NxSDK is installed.
+        return nengo_loihi.Simulator(network, target=target, precompute=True)
+    except BUILD_ERRORS as error:
+        raise cannot_build(network, error) from error
 
 
 def _run(spec: NetworkSpec, streams: Iterable, seed, simulator) -> Iterator[Responses]:
     built = build(spec, seed)
-    require_integers(built.network)
     for samples in streams:
         with simulator(built.network) as sim:
             yield respond(spec, built, sim, samples)

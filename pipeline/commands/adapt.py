@@ -42,8 +42,8 @@ def adapt(
 ):
     """Fit the readout to one person from a few labelled recordings, in a new bundle.
 
-    Nothing is written if cross-validation on the person's own recordings does not show that it
-    helps.  The bundle that it starts from stays as it is.
+    Nothing is written if the accuracy in cross-validation on the person's recordings does not
+    improve.  The original bundle is not changed.
     """
     from pipeline.run import adaptation  # Nengo: a second that an error above can spare
 

@@ -1,4 +1,4 @@
-"""``stmnist benchmark``: the paper's Table 2, what conversion costs, what time is worth, speed."""
+"""``stmnist benchmark``: the paper's Table 2, conversion losses, the value of timing, speed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ OUT = typer.Option(help="Folder of the results; splits with a result are not run
 
 def table2(
     out: Annotated[Path, OUT] = Path("runs/table2"),
-    splits: Annotated[int, typer.Option(help="Splits of each kind.", min=1)] = 10,
+    splits: Annotated[int, typer.Option(help="Number of splits of each kind.", min=1)] = 10,
     models: Annotated[
         str,
         typer.Option(
@@ -70,16 +70,16 @@ def _measure(experiment, out, splits, given, workers, as_json):
 
 def conversion(
     out: Annotated[Path, OUT] = Path("runs/conversion"),
-    splits: Annotated[int, typer.Option(help="Random splits.", min=1)] = 10,
+    splits: Annotated[int, typer.Option(help="Number of random splits.", min=1)] = 10,
     *,
     given: options.DataGiven,
     workers: options.Workers,
     as_json: options.Json = False,
 ):
-    """Run the paper's networks with the presentations, readouts and rates it leaves open.
+    """Run the paper's networks with the presentations, readouts and rates that it leaves open.
 
-    Shows what could have cost the paper 2 points from CNN to spiking network and 3 to Loihi.  An
-    interrupted command continues if it is repeated.
+    The result shows which of these choices could explain the paper's losses of 2 points from CNN to
+    spiking network and 3 points to Loihi.  An interrupted command continues if it is repeated.
     """
     _measure(choices.EXPERIMENT, out, splits, given, workers, as_json)
 
@@ -89,7 +89,10 @@ def losses(
         Path, typer.Option(help="Folder of the results; seeds with a result are not run again.")
     ] = Path("runs/losses"),
     seeds: Annotated[
-        int, typer.Option(help="Seeds, from the settings' own on; one a split.", min=1)
+        int,
+        typer.Option(
+            help="Number of seeds, from that of the settings on; each has its own split.", min=1
+        ),
     ] = 10,
     *,
     given: options.InputGiven,
@@ -109,17 +112,20 @@ def events(
         Path, typer.Option(help="Folder of the results; existing trainings are not repeated.")
     ] = Path("runs/time"),
     seeds: Annotated[
-        int, typer.Option(help="Seeds, from the settings' own on; one a split.", min=1)
+        int,
+        typer.Option(
+            help="Number of seeds, from that of the settings on; each has its own split.", min=1
+        ),
     ] = 1,
     *,
     given: options.DataGiven,
     workers: options.Workers,
     as_json: options.Json = False,
 ):
-    """Measure the value of timing: train on events without polarity, without times, ...
+    """Measure the value of timing: train on events without polarity, without times, and so on.
 
-    Five variants for each seed, minutes each, tested on the whole test split (target fast).  An
-    interrupted command continues after the last epoch if it is repeated.
+    For each seed five variants are trained, minutes each, and tested on the whole test split, on
+    the target fast.  An interrupted command continues after the last epoch if it is repeated.
     """
     given = replace(given, input="events")
     _measure(events_.EXPERIMENT, out, seeds, given, workers, as_json)
@@ -181,27 +187,26 @@ def adapt(
         Optional[Path],  # noqa: UP045
         typer.Option(
             help="Instead of RUN and --data: a UNIPEN file of digits. For each fold of its writers "
-            "a network is trained on handwriting like that of the others, and fitted to each "
-            "writer of the fold.",
+            "a network is trained on simulated handwriting like that of the other writers, and "
+            "fitted to each writer of the fold.",
             metavar="PEN",
         ),
     ] = None,
-    folds: Annotated[int, typer.Option(help="Folds of PEN's writers.", min=2)] = 3,
+    folds: Annotated[int, typer.Option(help="Number of folds of the writers in PEN.", min=2)] = 3,
     fitted: Annotated[
         int,
         typer.Option(
-            help="Writers that the model of handwriting is estimated from, 0 for all of the other "
-            "folds: a network that knows fewer people has more to learn.",
+            help="Number of writers from whom the model of handwriting is estimated; 0: all "
+            "writers of the other folds.",
             min=0,
         ),
     ] = 0,
     methods: Annotated[
         str,
         typer.Option(
-            help="readout (on the host, as 'stmnist adapt' does it), wrong-labels (the same with "
-            "a tenth of the labels wrong), pes (learning on the chip, in the emulator), "
-            "all-layers (training all layers further, only with PEN and events), or several of "
-            "them, separated by commas."
+            help="Separated by commas: readout (on the host, as stmnist adapt), wrong-labels (the "
+            "same with a tenth of the labels wrong), pes (learning on the chip, in the emulator), "
+            "all-layers (training all layers further, only with PEN and events)."
         ),
     ] = "readout",
     out: Annotated[
@@ -213,15 +218,16 @@ def adapt(
         ),
     ] = None,
     each: Annotated[
-        str, typer.Option(help="Recordings of each class to learn from, separated by commas.")
+        str,
+        typer.Option(help="Numbers of recordings of each class to fit to, separated by commas."),
     ] = "1,2,5",
-    draws: Annotated[int, typer.Option(help="Draws for each person.", min=1)] = 5,
+    draws: Annotated[int, typer.Option(help="Number of random draws for each person.", min=1)] = 5,
     *,
     given: options.WithoutDataGiven,
     workers: options.Workers,
     as_json: options.Json = False,
 ):
-    """Measure the gain of fitting a network to a person, over people.
+    """Measure the gain of fitting a network to one person, as a mean over people.
 
     With PEN, an interrupted command continues if it is repeated.
     """

@@ -59,9 +59,9 @@ class OtherRecordings:
     data : str or None
         Zip or folder; None for the bundle's own samples.
     samples : int or None
-        Number drawn at random; 0 for all, None for at most 200.
+        Number of recordings drawn at random; 0 for all, None for at most 200.
     jobs : int
-        Processes that read them.
+        Number of processes that read the recordings.
     """
 
     data: str | None = None
@@ -109,7 +109,7 @@ def run(
     board: Board,
     as_json: options.Json = False,
 ):
-    """Let a target answer the bundle's samples; an interrupted check continues where it stopped."""
+    """Run a target on the bundle's samples; an interrupted check continues where it stopped."""
     chosen = options_for(target, **vars(board))
     if others.samples is not None and others.data is None:
         raise UserError("--samples: needs other recordings; give them with --data FILE")
@@ -146,7 +146,7 @@ def _loss(bundle, result):
 
 
 def _on_others(bundle, target, others, seed, out, check):
-    """The check on other recordings than the bundle's own: the result and its file."""
+    """Run the check on other recordings; return the result and its file."""
     from pipeline.run import elsewhere  # with what reads recordings
 
     experiment = bundle.path.absolute().parent / "experiment.toml"
@@ -162,7 +162,7 @@ def _on_others(bundle, target, others, seed, out, check):
 
 
 def compare_checks(
-    a: Annotated[Path, typer.Argument(help="A result, JSON.")],
+    a: Annotated[Path, typer.Argument(help="A check result (JSON).")],
     b: Annotated[Path, typer.Argument(help="Another result of the same bundle.")],
     max_disagreements: Annotated[
         Optional[int],  # noqa: UP045

@@ -20,7 +20,7 @@ def compare_(
 ):
     """Compare runs: settings, accuracy of each stage, operations, cores, time to decide.
 
-    Every run is held against the first one: pairwise, with McNemar's test, where both answered the
-    same samples.
+    Every run is compared with the first one.  If both have the same samples, the comparison is
+    paired, with McNemar's test.
     """
     options.tell(compare_runs(read_runs(runs, whole)), runs_text, as_json)

@@ -1,4 +1,4 @@
-"""Completion of the values of options in the shell."""
+"""Completion of option values in the shell."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from deploy.files import open_regular
 
 RUNS = 50
-"""Runs whose recordings are looked up, at most."""
+"""Maximum number of runs whose recordings are suggested."""
 
 
 def data_sets(incomplete: str = "") -> list:

@@ -38,7 +38,7 @@ SimulationSeed = Annotated[
 PerDigit = Annotated[
     int,
     typer.Option(
-        help="Recordings per digit; 0 for the published numbers.",
+        help="Number of recordings of each digit; 0 for the published numbers.",
         parser=options.between(0, limits.SAMPLES),
     ),
 ]
@@ -59,16 +59,19 @@ class Unit(StrEnum):
         return "" if self is Unit.found else self.value
 
 
-Side = Annotated[
-    int, typer.Option(help="Number of taxels, 2 to 256.", parser=options.between(2, 256))
-]
-SideOrFound = Annotated[
-    int,
-    typer.Option(
-        help="Number of taxels; 0: as found, or ten for the simulated skin.",
-        parser=options.between(0, 256),
-    ),
-]
+def _side(what):
+    help_ = f"Number of {what} of taxels, 2 to 256."
+    return Annotated[int, typer.Option(help=help_, parser=options.between(2, 256))]
+
+
+Rows, Columns = _side("rows"), _side("columns")
+
+
+def _side_or_found(what):
+    help_ = f"Number of {what} of taxels; 0: as found, or ten for the simulated skin."
+    return Annotated[int, typer.Option(help=help_, parser=options.between(0, 256))]
+
+
 TimeUnit = Annotated[
     Unit,
     typer.Option(
@@ -90,7 +93,11 @@ def _reading(rows=0, columns=0, time_unit=Unit.found, downsample=1):
 
 
 ReadingGiven = signatures.group(
-    _reading, rows=SideOrFound, columns=SideOrFound, time_unit=TimeUnit, downsample=Downsample
+    _reading,
+    rows=_side_or_found("rows"),
+    columns=_side_or_found("columns"),
+    time_unit=TimeUnit,
+    downsample=Downsample,
 )
 
 
@@ -104,7 +111,7 @@ def import_(
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
-    """Read recordings once and keep them in the cache, so that the next start is quick."""
+    """Read recordings once and store them in the cache, so that the next start is fast."""
     recordings = load_recordings(
         source, skip_bad=skip_bad, jobs=jobs, warn=options.say, reading=reading
     )
@@ -117,9 +124,9 @@ def export(
     folder: Annotated[
         Path, typer.Argument(help="Folder of recordings, such as that of stmnist live.")
     ],
-    out: Annotated[Path, typer.Argument(help="The zip to write, laid out as published.")],
+    out: Annotated[Path, typer.Argument(help="The zip to write, in the published layout.")],
 ):
-    """Pack a folder of recordings as a zip that works as DATA, each file as it is."""
+    """Pack a folder of recordings into a zip for --data; the files are not changed."""
     if out.suffix != ".zip":
         raise UserError(f"{out}: the name must end in .zip")
     n = export_zip(out, folder, progress)
@@ -131,7 +138,7 @@ def inspect(
     time_unit: TimeUnit = Unit.found,
     as_json: options.Json = False,
 ):
-    """Print one recording's facts."""
+    """Print facts about one recording."""
     facts = facts_of_file(file, time_unit.setting)
     options.tell(facts, lambda facts: file_text(file.name, facts), as_json)
 
@@ -143,14 +150,14 @@ def simulate_(
     handwriting: Annotated[
         Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
         typer.Option(
-            help="UNIPEN file of digits to press on the skin instead of simulated hands.",
+            help="UNIPEN file of digits to press on the skin instead of simulated writers.",
             metavar="PEN",
         ),
     ] = None,
     seed: SimulationSeed = 0,
     samples_per_digit: PerDigit = 0,
-    rows: Side = GRID,
-    columns: Side = GRID,
+    rows: Rows = GRID,
+    columns: Columns = GRID,
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
@@ -213,20 +220,22 @@ def plot(
     sample: Annotated[
         str, typer.Option(help="Id of a recording, such as 8/0000 (default: the first one).")
     ] = "",
-    per_digit: Annotated[int, typer.Option(help="Samples of each digit on a sheet.", min=1)] = 16,
+    per_digit: Annotated[
+        int, typer.Option(help="Number of samples of each class on a sheet.", min=1)
+    ] = 16,
     *,
     reading: ReadingGiven,
     jobs: options.Jobs = 2,
 ):
     """Draw recordings as the paper does.
 
-    recording: the tactile image as it grows, above a raster of 100 taxels over 2 s.
+    recording: the tactile image as it grows, above a raster of its events.
 
     events: each taxel's events, at its place on the array.
 
     layout: taxel addresses and their (X, Y).
 
-    sheet: tactile images of random samples of each digit.
+    sheet: tactile images of random samples of each class.
     """
     from pipeline.report import figures  # Matplotlib takes a second to import
     from pipeline.report.figures import recordings as drawn

@@ -38,7 +38,7 @@ def plan(
     ] = None,
     as_json: options.Json = False,
 ):
-    """Say what the network takes of each core, and refuse one that will not fit (status 2)."""
+    """Print the resources that the network needs on each core; exit status 2 if it does not fit."""
     opened = read_bundle(options.bundle_in(bundle))
     made = make_plan(opened.spec, chips)
     images = opened.checks.inputs[: opened.spec.presentation.stream_length]
@@ -76,7 +76,7 @@ def export(
         typer.Option(help="NIR: also write the input spikes of the check's samples, as .npz."),
     ] = None,
 ):
-    """Export the network, so that it reaches other neuromorphic platforms."""
+    """Export the network for other neuromorphic platforms."""
     opened = read_bundle(options.bundle_in(bundle))
     if format is Format.lava:
         if inputs is not None:

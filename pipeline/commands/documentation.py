@@ -1,7 +1,7 @@
 """The generated parts of the documentation: every command, every setting, and measured figures.
 
-``python -m pipeline.commands.documentation`` writes them anew between their marks in the files of
-`FILES`; a test holds them current.  Figures come from ``results/``
+``python -m pipeline.commands.documentation`` updates them between their marks in the files of
+`FILES`; a test checks that they are current.  Figures come from ``results/``
 (:mod:`pipeline.commands.figures`).
 """
 
@@ -23,7 +23,7 @@ FILES = (
     *("README.md", "docs/commands.md", "docs/settings.md"),
     *("docs/adapt.md", "docs/benchmarks.md", "docs/events.md", "docs/live.md", "docs/training.md"),
 )
-"""Where the parts stand, from the root of the repository."""
+"""Files with generated parts, relative to the root of the repository."""
 
 
 def commands() -> str:
@@ -49,12 +49,12 @@ PARTS = {"commands": commands, "settings": settings, **TABLES}
 
 
 def with_parts(text: str) -> str:
-    """A document with the parts and figures between their marks written anew.
+    """A document with updated parts and figures between their marks.
 
     Raises
     ------
     ValueError
-        A part has a mark where it begins and none where it ends, or there is no such figure.
+        A part has a mark at its beginning but not at its end, or a figure does not exist.
     """
     for name, part in PARTS.items():
         begin = f"<!-- {name}: written by python -m pipeline.commands.documentation -->"
@@ -89,7 +89,7 @@ def _sections(command, words, depth):
 
 
 def _plain(text):
-    """A docstring's text in one line, without the roles of its markup."""
+    """The text of a docstring in one line, without markup."""
     return re.sub(r":\w+:`~?([^`]*)`", r"`\1`", " ".join(text.split())).replace("``", "`")
 
 

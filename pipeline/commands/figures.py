@@ -1,14 +1,14 @@
 """Figures that the documents quote, from the files in ``results/``.
 
-A figure stands between marks, and the documentation command writes it there:
+A figure is between marks, where the documentation command writes it:
 
-- ``<!-- figure: FILE PATH FORMAT -->0.891<!-- /figure -->``, one value of a JSON file: the path's
-  words lead through objects by key, through lists by the ``model`` or ``row`` of an entry, and the
-  format is Python's, with ``100*`` before it for points;
+- ``<!-- figure: FILE PATH FORMAT -->0.891<!-- /figure -->``, one value of a JSON file: each word of
+  the path is a key of an object, or the ``model`` or ``row`` of an entry of a list; the format is
+  Python's, with ``100*`` before it for percentages;
 - a table or the output of a command, by a name of :data:`TABLES`.
 
-Results know the recordings that they were measured on by hash.  Where these are not the built-in
-recordings of today, the table says so.
+Results have the hash of the recordings on which they were measured.  If these are not the present
+built-in recordings, the table has a note.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from deploy.files import read_json
 from pipeline.experiments.choices import choices_text
 from pipeline.experiments.events import events_text
 from pipeline.experiments.losses import losses_text
+from pipeline.experiments.sweep_text import sweep_text
 from pipeline.experiments.table2 import table_text
 from pipeline.experiments.table2_splits import MODELS
 
@@ -33,7 +34,7 @@ EARLIER = "earlier recordings"
 
 
 def recordings_now() -> str:
-    """SHA-256 of the built-in recordings, as their calibration has stored it."""
+    """SHA-256 of the present built-in recordings, from the file of their calibration."""
     return _read(ROOT / "pipeline" / "skin" / "calibration.json")["fit"]["recordings_sha256"]
 
 
@@ -43,7 +44,7 @@ def result(name: str) -> dict:
 
 
 def recordings_of(content: dict):
-    """SHA-256 of the recordings of a result; None if it does not say."""
+    """SHA-256 of the recordings of a result; None if the result does not have it."""
     made_from = (content.get("made_from") or {}).get("contents", {})
     return (
         content.get("source_sha256")
@@ -53,12 +54,12 @@ def recordings_of(content: dict):
 
 
 def is_present(content: dict) -> bool:
-    """Whether a result was measured on the built-in recordings of today."""
+    """True if a result was measured on the present built-in recordings."""
     return recordings_of(content) == recordings_now()
 
 
 def with_figures(text: str) -> str:
-    """A document with the values between the marks of single figures written anew."""
+    """A document with updated values between the marks of single figures."""
 
     def write(found):
         return f"<!-- figure: {found[1]} -->{figure(found[1])}<!-- /figure -->"
@@ -142,7 +143,7 @@ def losses_markdown() -> str:
 
 
 def events_markdown() -> str:
-    """The network on events over seeds, on simulated hands and on real pen trajectories."""
+    """The network on events over seeds, for simulated writers and for real pen trajectories."""
     content, now = result("events-seeds"), recordings_now()
     of_hands = content["sha256"]["simulated hands"]
     hands = "simulated writers" if of_hands == now else "earlier simulated writers"
@@ -190,7 +191,7 @@ FITTED = {
     "pes": "readout on the chip, PES",
     "all-layers": "all layers, on the host",
 }
-"""What the ways of :mod:`pipeline.experiments.adaptation` fit to a person."""
+"""The part of the network that each method of :mod:`pipeline.experiments.adaptation` fits."""
 
 
 def adaptation_markdown(name: str) -> str:
@@ -218,6 +219,12 @@ def adaptation_markdown(name: str) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
+def _sweep_output(name, command):
+    content = result(name)
+    table = sweep_text(content).partition("\n* on the Pareto front")[0]
+    return _output(command, table, content)
+
+
 def _table2_output(name, command):
     content = result(name)
     _, rows = table_text(content).split("\n\n", 1)
@@ -225,7 +232,7 @@ def _table2_output(name, command):
 
 
 def _output(command, text, content, built_in=True):
-    """What a command printed, in a block; the recordings if they should be today's and are not."""
+    """The output of a command in a block, with a note if the recordings are earlier ones."""
     block = f"```\n$ {command}\n{text.rstrip()}\n```"
     return "\n".join([block, *(_note(content) if built_in else [])])
 
@@ -253,10 +260,15 @@ TABLES = {
         "events-pen", "stmnist benchmark events --data pen.zip --out runs/time-pen", _rows, False
     ),
     "events over seeds": events_markdown,
+    "output of sweep": lambda: _sweep_output("sweep", "stmnist sweep runs/sweep"),
+    "output of sweep of architectures": lambda: _sweep_output(
+        "architectures",
+        "stmnist sweep runs/architectures --grid cnn.architecture=10x10-6c4-24c3-10o,...",
+    ),
     "adaptation on events": lambda: adaptation_markdown("adapt-events"),
     "adaptation on images": lambda: adaptation_markdown("adapt-images"),
 }
-"""What is inserted between the marks of a name, as Markdown."""
+"""Content between the marks of each name, as Markdown."""
 
 
 def _text(name, command, text_of, built_in=True):
@@ -265,7 +277,7 @@ def _text(name, command, text_of, built_in=True):
 
 
 def _rows(content):
-    """The rows of :func:`events_text` without what the columns mean, which the page explains."""
+    """The rows of :func:`events_text` without the explanation of the columns."""
     return events_text(content).partition("\n\nas-is:")[0]
 
 

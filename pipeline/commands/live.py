@@ -10,6 +10,7 @@ import typer
 from pipeline.commands import options
 from pipeline.live.network import RECORD, SHIPPED, network_of_bundle, network_of_run
 from pipeline.live.serving import PORT, serve
+from pipeline.progress import stages as numbered
 from pipeline.run import stages
 from pipeline.run.folder import RunFolder
 
@@ -21,7 +22,7 @@ def live(
         Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
         typer.Argument(
             help="Folder of a run, or of a copied bundle.",
-            show_default="the network on events that comes with this package",
+            show_default="the network on events of this package",
         ),
     ] = None,
     port: Annotated[
@@ -30,7 +31,7 @@ def live(
     record: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option(
-            help="Folder for the recordings; usable as DATA.",
+            help="Folder for the recordings; it can be used as DATA.",
             show_default=f"{RECORD}; for other data than digits {RECORD}- and its name",
         ),
     ] = None,
@@ -51,14 +52,15 @@ def live(
 ):
     """Draw on a sensor in the browser, watch the network decide, save the recordings.
 
-    Without a run it begins at once, with a network for digits that comes with this package.  A run
-    that is not there is trained first.  It serves this machine only, until Ctrl-C.
+    Without RUN the page starts at once, with a network for digits that is part of this package.  A
+    run that does not exist is trained first.  The page is served until Ctrl-C, to this machine only
+    unless --host is given.
     """
     serve(lambda: _network(run, given, jobs), port, record, host, not no_browser, options.say)
 
 
 def _network(run, given, jobs):
-    """The bundle, made if it is not there or otherwise asked for, and how events become images."""
+    """The bundle, made if it is missing or if settings were given, and the conversion to images."""
     asked = given != options.Given()
     if run is None:
         run = DEFAULT_RUN if asked else SHIPPED
@@ -69,7 +71,10 @@ def _network(run, given, jobs):
         return found
     if not folder.bundle.exists():
         options.say(f"live: {run} has no network yet; training it first, about a minute")
-    fit = options.fit_recordings(jobs)
-    with options.opened(run, given, fit=fit) as (folder, resolved):
+    fit = options.fit_recordings(jobs, until="bundle")
+    with (
+        options.opened(run, given, fit=fit) as (folder, resolved),
+        numbered(stages.bars(resolved, "bundle")),
+    ):
         _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
     return bundle, resolved.image

@@ -1,4 +1,4 @@
-"""The command ``stmnist``: joins the verbs and turns errors into one line and an exit status."""
+"""The command ``stmnist``: joins the verbs and converts errors to one line and an exit status."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ TAB do not wait for the second that importing all of them takes."""
 
 
 class _Flags:
-    """Without a word for what is taken, beside options of Typer's own that take nothing."""
+    """Boolean options without a placeholder for a value in the help."""
 
     def get_params(self, ctx):
         parameters = super().get_params(ctx)
@@ -136,7 +136,7 @@ def _imported(name):
 
 
 class _Later(_Command):
-    """Stands in the list for a verb whose modules are imported when it is chosen."""
+    """Placeholder in the list for a verb whose modules are imported when it is chosen."""
 
     @cached_property
     def chosen(self):
@@ -181,7 +181,7 @@ def command_line() -> TyperGroup:
 
 
 def with_every_verb() -> TyperGroup:
-    """:func:`command_line` with the verbs themselves, all imported; to be read as a whole."""
+    """:func:`command_line` with all verbs imported, for the documentation."""
     group = command_line()
     group.commands = {name: verb.chosen for name, verb in group.commands.items()}
     return group
@@ -248,7 +248,7 @@ _PLAIN = (
 
 
 def plain(message: str) -> str:
-    """A message about an option without the words of the library that reads options."""
+    """A message about an option in this project's words instead of the library's."""
     for pattern, meaning in _PLAIN:
         message = re.sub(pattern, meaning, message)
     return message

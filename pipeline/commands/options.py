@@ -1,4 +1,4 @@
-"""Options that several verbs share, and what is done with them: settings, workers, answers."""
+"""Options that several verbs share, and functions that apply them: settings, workers, output."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from pipeline.settings import SIMULATED, parse_assignments, put
 
 
 def between(low: int, high: int):
-    """A parser of whole numbers; Typer's own shows the range, which is too wide for the help."""
+    """A parser of whole numbers; Typer's own prints the range, which is too wide for the help."""
 
     def number(text) -> int:
         try:
@@ -103,7 +103,7 @@ Workers = group(_workers, jobs=Jobs, scheduler=Scheduler)
 
 @dataclass(frozen=True)
 class Given:
-    """Options from which the settings of a run follow; those that were not given are None.
+    """Options that determine the settings of a run; options that were not given are None.
 
     Attributes
     ----------
@@ -164,9 +164,9 @@ def opened(path: Path, given: Given, changes: dict | None = None, fit=None):
     path : Path
     given : Given
     changes : dict, optional
-        Changed settings; the options take precedence.
+        Changed settings; the options have precedence.
     fit : callable, optional
-        Makes settings that were left at their defaults fit the recordings; see
+        Adapts settings with default values to the recordings; see
         :func:`pipeline.run.fitting.fitted`.
 
     Yields
@@ -189,27 +189,30 @@ def opened(path: Path, given: Given, changes: dict | None = None, fit=None):
         yield folder, resolved
 
 
-def fit_recordings(jobs: int, check: bool = True):
+def fit_recordings(jobs: int, until: str):
     """The ``fit`` of :func:`opened`, which also announces the data of a new run.
 
     Parameters
     ----------
     jobs : int
-        Processes, of recordings that are not in the cache.
-    check : bool
-        True if samples of a check will be drawn.
+        Number of processes for recordings that are not in the cache.
+    until : str
+        How far the command goes, as in :func:`pipeline.run.stages.bars`.
     """
 
     def fit(folder, settings):
         from pipeline.inputs.library import recordings_of
+        from pipeline.progress import stages
         from pipeline.run.fitting import chosen_text, fitted, new_run_text
+        from pipeline.run.stages import bars
 
         if settings.data.source == SIMULATED:
             return fitted(settings, jobs)
-        recordings = recordings_of(settings, jobs)  # what is left out is told when they are used
+        with stages(bars(settings, until)):
+            recordings = recordings_of(settings, jobs)  # what is left out is told later
         is_new = not folder.experiment.exists()
         try:
-            chosen = fitted(settings, jobs, None, recordings, check)
+            chosen = fitted(settings, jobs, None, recordings, check=until != "train")
         except SeveralErrors as error:
             if not is_new:
                 raise
@@ -225,7 +228,7 @@ def fit_recordings(jobs: int, check: bool = True):
 
 
 def _ask_about_a_similar_name(path, data):
-    """Ask at a terminal whether a new run is meant where the name looks like that of another one.
+    """Ask at a terminal whether a new run is meant, if its name is similar to another run's.
 
     Raises
     ------
@@ -241,12 +244,12 @@ def _ask_about_a_similar_name(path, data):
 
 
 def bundle_in(path: Path) -> Path:
-    """The folder of the bundle that is named, by its own name or by that of its run.
+    """The folder of a bundle, which is named directly or by its run.
 
     Raises
     ------
     UserError
-        A run without a bundle.
+        The run has no bundle.
     """
     if (path / "MANIFEST.json").exists() or not (path / "experiment.toml").exists():
         return path
@@ -256,7 +259,7 @@ def bundle_in(path: Path) -> Path:
 
 
 def merged(first: dict, second: dict) -> dict:
-    """Nested settings with those of ``second`` in the place of ``first``'s."""
+    """Nested settings in which those of ``second`` replace those of ``first``."""
     both = {**first, **second}
     for name in first.keys() & second.keys():
         if isinstance(first[name], dict) and isinstance(second[name], dict):
@@ -270,13 +273,13 @@ def say(line: str):
 
 
 def suggest(verb: str, *arguments):
-    """Tell at a terminal which command usually comes next, in one line on standard error."""
+    """Print at a terminal which command usually comes next, in one line on standard error."""
     if sys.stderr.isatty() and sys.stdout.isatty():
         say(f"next: stmnist {' '.join([verb, *(shlex.quote(str(a)) for a in arguments)])}")
 
 
 def warn_if_outdated(*paths: Path):
-    """Say which of these bundles and check results of a run are outdated, and why."""
+    """Warn if bundles or check results of a run are outdated, with the reason."""
     from pipeline.run.status import outdated_note  # imports all that a run is made with
 
     for path in paths:
@@ -285,12 +288,12 @@ def warn_if_outdated(*paths: Path):
 
 
 def tell(value, as_text, as_json: bool):
-    """Print an answer, as JSON or as ``as_text`` makes of it."""
+    """Print a result as JSON, or as text made by ``as_text``."""
     show(json.dumps(value, indent=2) if as_json else as_text(value))
 
 
 def conclude(findings, as_text, as_json: bool):
-    """Print what came out of an experiment.
+    """Print the result of an experiment.
 
     Parameters
     ----------
@@ -301,7 +304,7 @@ def conclude(findings, as_text, as_json: bool):
     Raises
     ------
     CheckFailed
-        Some of it failed.
+        A part of the experiment failed.
     """
     tell(findings.summary, as_text, as_json)
     if findings.failed:

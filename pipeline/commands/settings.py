@@ -1,4 +1,4 @@
-"""``stmnist settings``: what can be set, what it is set to, and what it means."""
+"""``stmnist settings``: names, values and meanings of all settings."""
 
 from __future__ import annotations
 

@@ -32,9 +32,9 @@ class Group:
     Attributes
     ----------
     make : callable
-        Makes the value from the options; its parameters have the defaults of the options.
+        Function that makes the value from the options; its parameters have the options' defaults.
     options : dict
-        By parameter of ``make``, in the order of the help: the annotation of the option.
+        Annotation of each option, by the parameter of ``make``, in the order of the help.
     """
 
     make: Callable

@@ -1,4 +1,4 @@
-"""``stmnist data``: what the simulated skin was fitted to, and how good it is."""
+"""``stmnist data handwriting`` and ``aces``: model of handwriting, errors of the shared wire."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def handwriting(
         Path, typer.Option(help="File for the model.", show_default="the one that is read")
     ] = shape_model.MODEL,
 ):
-    """Estimate how people write from recorded pen trajectories.
+    """Estimate the model of handwriting from recorded pen trajectories.
 
-    How is described in pipeline/skin/shape_model.py.  The simulation reads the file that is written
+    pipeline/skin/shape_model.py describes the model.  The simulation reads the file that is written
     by default; it has the model's parameters and no trajectory.
     """
     traces = unipen.read(file)
@@ -53,7 +53,7 @@ def handwriting(
 
 
 def aces_(
-    trials: Annotated[int, typer.Option(help="Trials of each condition.", min=1)] = 20,
+    trials: Annotated[int, typer.Option(help="Number of trials of each condition.", min=1)] = 20,
     seed: Annotated[int, typer.Option(help="Seed of the trials.", min=0)] = 0,
     as_json: options.Json = False,
 ):

@@ -10,6 +10,7 @@ import typer
 from deploy.errors import UserError
 from deploy.terminal import show
 from pipeline.commands import options
+from pipeline.progress import stages as numbered
 from pipeline.run import stages
 from pipeline.run.answers import REFERENCES
 from pipeline.run.ladder import ladder_text, measure_ladder
@@ -21,8 +22,11 @@ def train(
     jobs: options.Jobs = 2,
 ):
     """Train the paper's CNN on tactile images, or with --input events the network on events."""
-    fit = options.fit_recordings(jobs, check=False)
-    with options.opened(run, given, fit=fit) as (folder, resolved):
+    fit = options.fit_recordings(jobs, until="train")
+    with (
+        options.opened(run, given, fit=fit) as (folder, resolved),
+        numbered(stages.bars(resolved, "train")),
+    ):
         dataset = stages.open_dataset(folder, resolved, jobs, options.say, check=False)
         if resolved.nir.file:
             raise UserError(
@@ -78,8 +82,11 @@ def convert(
     if nir is not None:
         take = stages.settings_of_retrained if retrain else stages.settings_of_nir
         changes = take(nir, step, given.input)
-    fit = options.fit_recordings(jobs)
-    with options.opened(run, given, changes, fit) as (folder, resolved):
+    fit = options.fit_recordings(jobs, until="convert")
+    with (
+        options.opened(run, given, changes, fit) as (folder, resolved),
+        numbered(stages.bars(resolved, "convert")),
+    ):
         if model is not None and resolved.on_events:
             raise UserError(
                 "--model: Keras models receive tactile images; leave out --input events"
@@ -101,13 +108,13 @@ def ladder(
     ] = False,
     slow: Annotated[
         bool,
-        typer.Option("--slow", help="With --whole: also NengoCore and simreal, minutes each."),
+        typer.Option("--slow", help="With --whole: also nengo and simreal, minutes each."),
     ] = False,
     limit: Annotated[
         Optional[float],  # noqa: UP045 - Typer reads the annotation at run time
         typer.Option(
             help="Loss in points from which a stage's layers are listed (default: 1 with --whole, "
-            "else 3, if it is more than chance explains)."
+            "else 3, if the loss is significant)."
         ),
     ] = None,
     as_json: options.Json = False,
@@ -115,7 +122,8 @@ def ladder(
     """Run the missing stages up to the emulator, and print the loss of each stage."""
     if limit is not None and not -100 <= limit <= 100:  # nothing is more than NaN
         raise UserError(f"--limit {limit:g}: must be from -100 to 100 points")
-    with options.opened(run, given, fit=options.fit_recordings(jobs)) as (folder, resolved):
+    fit = options.fit_recordings(jobs, until="ladder")
+    with options.opened(run, given, fit=fit) as (folder, resolved):
         table = measure_ladder(folder, resolved, jobs, whole, slow, options.say)
         if whole:
             from pipeline.report import figures  # imports Matplotlib

@@ -1,4 +1,4 @@
-"""``stmnist sweep``: a grid of settings, judged on validation samples."""
+"""``stmnist sweep``: a grid of settings, compared on validation samples."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def sweep(
 ):
     """Compare settings by accuracy, synaptic operations, cores and steps, on a validation part.
 
-    Writes sweep.json, sweep.csv and pareto.png.  Points that are there are not computed again.
+    Writes sweep.json, sweep.csv and pareto.png.  Existing points are not computed again.
     """
     with options.opened(out, given) as (folder, resolved):
         found = measure_sweep(folder, resolved, grid, workers, options.say)

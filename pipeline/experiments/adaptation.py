@@ -52,15 +52,15 @@ class Case:
     ----------
     spec : NetworkSpec
     scale : float
-        What scores are multiplied by to be the logits that the network was trained with.
+        Factor from scores to the logits with which the network was trained.
     told : Person
-        The recordings to learn from.
+        The recordings to which the network is fitted.
     rest, others : tuple of ndarray
         Responses and labels of the person's other recordings, and of other people's.
     seed : int
     tuned : callable, optional
-        ``tuned(labels, seed)``: the network with all layers trained further on the recordings to
-        learn from, as the responses of the rest and of the others and the new readout.
+        ``tuned(labels, seed)`` trains all layers further on the recordings in ``told``; returns
+        responses to the rest and to the others, and the new readout.
     """
 
     spec: NetworkSpec
@@ -98,7 +98,7 @@ def on_host(case: Case) -> dict:
 
 
 def with_pes(case: Case) -> dict:
-    """Let a readout learn on the chip; the accuracy on others is that of its weights."""
+    """Train a readout on the chip; the accuracy on others is that of the resulting weights."""
     readout, begun = case.spec.layers[-1], time.process_time()
     told, kept, rest = case.told, case.spec.rehearsal, case.rest[0]
     scores, weights = learn_on_chip(
@@ -114,7 +114,7 @@ def with_pes(case: Case) -> dict:
 
 
 def all_layers(case: Case) -> dict:
-    """Train all layers further; the network is another one then, and not only its readout."""
+    """Train all layers further, not only the readout."""
     begun = time.process_time()
     rest, others, weights = case.tuned(case.told.labels, case.seed)
     seconds = time.process_time() - begun
@@ -137,19 +137,19 @@ class Method:
     ----------
     title : str
     learn : callable
-        From a :class:`Case` to ``after`` and ``others_after``, accuracies on the rest and on
-        others, ``exact``, that on the rest with the weights as the host has them, ``used``, 1 where
-        the network was changed, and the ``seconds`` of processor time that it took.
+        Function from a :class:`Case` to a dict: the accuracies ``after`` and ``others_after`` on
+        the rest and on others, ``exact``, the accuracy on the rest without rounding of weights,
+        ``used``, 1 if the network was changed, and the ``seconds`` of processor time.
     wrong : float
         Share of the training labels that are replaced by wrong ones, to measure their effect.
     every : bool
-        Whether it is measured with every number of recordings, or with the largest only.
+        True if the method is measured with every number of recordings, else with the largest only.
     draws : int
-        Draws of a person, at most.
+        Maximum number of draws for each person.
     chosen_on : int or None
-        The fold of three whose people its parameters were chosen on; it is not measured on them.
+        The fold of three on whose people the parameters were chosen, which is not measured.
     how : str
-        Its parameters; results with others are measured again.
+        Parameters of the method; results with other parameters are outdated.
     """
 
     title: str
@@ -206,9 +206,9 @@ class Subjects:
         ----------
         spec : NetworkSpec
         others : tuple of ndarray
-            What the network is shown of other people's samples, and their labels.
+            Inputs of the network for other people's samples, and their labels.
         recordings : Recordings
-            Of several known writers, with every class from each writer.
+            Recordings of several known writers, with every class from each writer.
         plan : Plan
         advance : callable, optional
             Called with 1 after each person.
@@ -251,8 +251,8 @@ class Subjects:
         Returns
         -------
         list of dict
-            Of each case ``who``, ``each``, ``draw``, ``before``, ``others_before`` and what the
-            method returns.
+            For each case ``who``, ``each``, ``draw``, ``before``, ``others_before`` and the items
+            that the method returns.
         """
         old, rows = self.spec.layers[-1].weights, []
         counts = plan.each if method.every else (max(plan.each),)
@@ -289,7 +289,7 @@ def measure_adaptation(
     Returns
     -------
     dict
-        ``methods``: for each of them :func:`summary_of` its cases.
+        ``methods``: :func:`summary_of` the cases of each method.
     """
     if "all-layers" in methods:
         raise UserError("all-layers needs the training samples: give --handwriting, and no RUN")
@@ -325,7 +325,7 @@ def _drawn(labels, plan, who, draw):
 
 
 def _mistaken(labels, wrong, rng):
-    """Labels, a share of which is replaced by those of other classes."""
+    """Labels with a share of them replaced by those of other classes."""
     labels, classes = labels.copy(), labels.max() + 1
     some = rng.permutation(len(labels))[: round(wrong * len(labels))]
     labels[some] = (labels[some] + rng.integers(1, classes, len(some))) % classes

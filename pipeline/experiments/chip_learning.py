@@ -32,7 +32,7 @@ LATENCY = 8
 """Steps after which a spike sent by the host has reached the decoded output that the host reads."""
 
 EPOCH = 4
-"""Steps between two changes of the weights, on the chip's fixed raster."""
+"""Steps between two changes of the weights, on the chip's fixed grid."""
 
 USUAL = 99.5
 """Percentile of the responses to training samples that is sent as the most spikes."""
@@ -54,22 +54,22 @@ class Rule:
     Attributes
     ----------
     wgt_exp : int
-        ``pes_wgt_exp``: the readout's largest weight is 128 / 2 ** wgt_exp levels of a weight that
-        learns, which may become 127.  NengoLoihi's default is 4.
+        ``pes_wgt_exp``: the readout's largest weight has 128 / 2 ** wgt_exp levels at the start;
+        a learning weight can reach 127 levels.  NengoLoihi's default is 4.
     steps : int
         Steps for which a sample is presented.
     gap : int
-        Steps without input after each sample to learn from, for the trace to decay.
+        Steps without input after each training sample, in which the trace decays.
     tau : int
         Time constant of the trace in steps.
     trace : float
-        The trace after a sample in which a neuron spikes as often as can be.
+        The trace after a sample in which a neuron has the maximum number of spikes.
     error : float
-        Error, in integers, of a class that should be certain and is excluded.
+        Error, in integers, of a class whose target is 1 and whose probability is 0.
     passes : int
-        Presentations of each sample to learn from.
+        Number of presentations of each training sample.
     rehearsal : float
-        Kept training samples presented for each sample of the person.
+        Number of rehearsal samples presented for each sample of the person.
     """
 
     wgt_exp: int = 1
@@ -83,7 +83,7 @@ class Rule:
 
     @property
     def most(self) -> int:
-        """Spikes of a neuron in a sample, at most."""
+        """Maximum number of spikes of a neuron in a sample."""
         return self.steps // 2
 
     def decayed(self, count: int) -> float:
@@ -102,7 +102,7 @@ class Lesson:
         Spikes of each neuron, from 0 to :attr:`Rule.most`.
     labels : ndarray of int, shape (n,)
     errors : ndarray of float, shape (n,)
-        Factor on the error of each sample; 0 for those that are only judged.
+        Factor on the error of each sample; 0 for samples that are only classified.
     """
 
     spikes: np.ndarray
@@ -121,33 +121,33 @@ def learn_on_chip(
     seed: int = 0,
     on: str = "fast",
 ) -> tuple:
-    """Let a readout on the chip learn a person's samples, then judge others.
+    """Train a readout on the chip on a person's samples, then classify other samples.
 
     Parameters
     ----------
     weights, bias
-        Of the readout; the host adds the bias.
+        Weights and bias of the readout; the host adds the bias.
     told : Person
-        The samples to learn from, with their altered copies.
+        The training samples, with their augmented copies.
     kept : Rehearsal
-        Responses to training samples: the largest say what count a spike stands for, and some are
-        presented between the person's if the rule says so.
+        Responses to rehearsal samples.  The largest ones determine the count that a spike
+        represents, and some are presented between the person's samples if the rule says so.
     rest : ndarray, shape (n, inputs)
-        Responses to the samples to judge.
+        Responses to the samples to classify.
     scale : float
-        What scores are multiplied by to be the logits that the network was trained with.
+        Factor from scores to the logits with which the network was trained.
     rule : Rule
     seed : int
-        Of the order of the samples and of the chip's stochastic rounding.
+        Seed of the order of the samples and of the chip's stochastic rounding.
     on : str
         A key of :data:`SIMULATORS`.
 
     Returns
     -------
     scores : ndarray, shape (n, classes)
-        Of the samples to judge.
+        Scores of the samples to classify.
     learned : ndarray, shape (classes, inputs)
-        The readout's weights afterwards, as they are on the chip.
+        The readout's weights on the chip afterwards.
     """
     rng = np.random.default_rng([seed, 0x9E5])
     own, labels = told.learned(np.arange(len(told)))
@@ -184,14 +184,14 @@ def present(weights, bias, lesson: Lesson, rule: Rule, seed: int = 0, on: str = 
         Seed of the chip's stochastic rounding.
     on : str
         ``"fast"`` (:class:`deploy.fastloihi.simulator.FastSimulator`) or ``"emulator"``
-        (NengoLoihi's own); both give the same.
+        (NengoLoihi's own); both give the same result.
 
     Returns
     -------
     scores : ndarray, shape (n, classes)
         Logits of each sample when it was presented.
     learned : ndarray, shape (classes, inputs)
-        The weights afterwards, as they are on the chip.
+        The weights on the chip afterwards.
     """
     with warnings.catch_warnings():
         # Of learning rates in other units, and of traces and weights that stay at their limits.
@@ -263,7 +263,7 @@ class _Host:
 
 
 class _Chip:
-    """The ensemble whose decoders learn, between the spikes and the error of a host."""
+    """The ensemble whose decoders learn; a host provides its spikes and its error."""
 
     def __init__(self, weights, bias, lesson, rule, gain, rate, seed):
         classes, inputs = weights.shape
@@ -302,13 +302,13 @@ class _Chip:
 
 
 def _synapse(simulator):
-    """The one that learns."""
+    """The learning synapse."""
     (synapse,) = simulator.sims["emulator"].synapses.pes_errors
     return synapse
 
 
 def _levels(synapse):
-    """Its weights in levels, shape (2 * classes, inputs): on neurons, then off neurons."""
+    """Weights of the learning synapse in levels, shape (2 * classes, inputs): first on neurons."""
     form = synapse.synapse_cfg
     unit = 2.0 ** (form.real_weight_exp + form.shift_bits)
     return np.concatenate(synapse.weights).T / unit

@@ -234,8 +234,8 @@ def choices_text(summary: dict) -> str:
         f"The paper's rate-based networks on {what}, {len(summary['seeds'])} random splits, "
         f"{summary['n_test']} test samples each",
         f"accuracy without spikes, by maximum rate: {rates}",
-        "where not said: 150 Hz; the mean of the last four fifths of the steps decides",
-        "unfiltered: no synapses between layers; the output smoothed over 100 ms decides",
+        "unless stated: 150 Hz, and the mean output of the last four fifths of the steps decides",
+        "unfiltered: no synaptic filters; the output is smoothed over 100 ms and read at the end",
         "host layer: the first convolution is on the host",
     ]
     for row, heading in (

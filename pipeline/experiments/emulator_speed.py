@@ -30,9 +30,8 @@ class Turn:
     Attributes
     ----------
     whole, chip : ndarray, shape (2,)
-        Seconds of host layer, chip and decoding together, and of the chip alone: by the clock on
-        the wall, and of this thread's processor time, which other work on the machine lengthens
-        less.
+        Seconds of host layer, chip and decoding together, and of the chip alone: elapsed time,
+        and processor time of this thread, which depends less on other work of the machine.
     samples : int
     """
 
@@ -46,7 +45,7 @@ def _clocks():
 
 
 class _TimedKernel:
-    """A kernel that adds up the time spent in it."""
+    """A kernel that measures the time spent in it."""
 
     def __init__(self, kernel):
         self.kernel, self.seconds = kernel, np.zeros(2)
@@ -102,7 +101,8 @@ def compare_speed(spec: NetworkSpec, images, advance=None) -> dict:
     Returns
     -------
     dict
-        Ready for JSON.  Ratios are medians over the turns, one turn a stream of the reference.
+        Ready for JSON.  Ratios are medians over the turns, one turn for each stream of the
+        reference.
     """
     images = spec.stimulus.flat(images)
     parts = streams_of(len(images), spec.presentation.stream_length)
@@ -158,7 +158,7 @@ def _ratios(reference, turns, best, clock):
 
 
 def _equal_streams(images, parts):
-    """The samples as streams of one length, a shorter last one left out."""
+    """The samples as streams of equal length, without a shorter last one."""
     length = parts[0].stop
     full = [images[part] for part in parts if part.stop - part.start == length]
     return np.stack(full)
@@ -176,8 +176,8 @@ def _rates(spec, emulation, streams):
 def mean_rate(spec: NetworkSpec, counts) -> float:
     """Mean spikes per second of a neuron, while samples are presented and in their gaps.
 
-    A second is the stimulus's own: with events one on the skin, as :mod:`deploy.check.rates` has
-    it, however many steps of the chip stand for it.
+    A second is one of the stimulus: with events, one of the recording, as in
+    :mod:`deploy.check.rates`, independently of the number of steps.
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ def fast_turn(emulation, spec, streams) -> Turn:
 
 
 def same_answer(spec, emulation, images, output, spikes) -> bool:
-    """Every spike the same, outputs within 1e-9, predictions the same."""
+    """True if all spikes and predictions are equal and outputs differ by at most 1e-9."""
     gap, watched = spec.presentation.gap, []
     mine = emulation.run(images[None], spec.presentation.steps, gap, watched.append)
     counts = {name: counts[0] for name, counts in mine.counts.items()}
@@ -282,7 +282,8 @@ def speed_text(result: dict) -> str:
     rates = ", ".join(f"{name} {rate:.0f}" for name, rate in result["mean_rates_hz"].items())
     lines = [
         f"{result['n_samples']} {kind} of {result['gap_per_sample']} blank and "
-        f"{result['steps_per_sample']} shown steps, one thread, medians of {result['turns']} turns",
+        f"{result['steps_per_sample']} presentation steps, one thread, medians of "
+        f"{result['turns']} turns",
         f"identical: {verdict}",
         *aligned(rows),
         f"mean rates in Hz, at {result['step_ms']:g} ms a step: {rates}",

@@ -71,9 +71,9 @@ def measure(task: Task) -> dict:
         On the chip (the target fast): ``predictions`` beside the ``labels``, at the end; mean
         synaptic ``operations`` as multiples of the paper's CNN's multiply-accumulates;
         ``accuracy_by_itself`` and mean ``share`` of the recording with early decisions.
-        ``trained``: accuracy of the network as it was trained, ``agreement``: share of samples to
-        which both answer the same.  ``spikes_in``: mean spikes shown of a sample, ``merged``:
-        share of all events that are one spike with another.
+        ``trained``: accuracy of the trained network, ``agreement``: share of samples with equal
+        predictions of both.  ``spikes_in``: mean input spikes per sample, ``merged``: share of
+        all events that are merged with another one into one spike.
     """
     from pipeline.run.event_training import trained_network  # TensorFlow, where it is needed
 
@@ -110,9 +110,9 @@ def measure(task: Task) -> dict:
 def summarise(results, simulated: bool) -> dict:
     """Means over seeds, the loss of each variant, and intervals.
 
-    Of one seed the interval is Wilson's and the p of the loss McNemar's, which tell what other test
-    samples would change; of several both are for overlapping splits, and tell what other trainings
-    would change too.
+    For one seed the interval is Wilson's and the p of the loss McNemar's, for the variation between
+    test samples.  For several seeds both are for overlapping splits, and include the variation
+    between trainings.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def _accuracy(results):
 
 
 def _loss(whole, varied):
-    """Accuracy as is less that of a variant, on the same splits; None if they share none."""
+    """Accuracy on unchanged events minus that on a variant, on common splits; None without any."""
     seeds = sorted(whole.keys() & varied.keys())
     if not seeds:
         return None
@@ -183,11 +183,11 @@ def events_text(summary: dict) -> str:
     seeds = max(len(row["seeds"]) for row in summary["variants"].values())
     heads = ["", "accuracy", "95 %", "points lost", "p"]
     accuracy = [heads, *([name, *_judged(row)] for name, row in summary["variants"].items())]
-    heads = ["", "operations", "share", "then right", "agreement", "trained", "spikes in", "merged"]
+    heads = ["", "operations", "early at", "early right", "agree", "trained", "spikes in", "merged"]
     more = [heads, *([name, *_more(row)] for name, row in summary["variants"].items())]
     return "\n".join(
         [
-            f"What time is worth: networks on events of {what}, {seeds} "
+            f"Value of timing: networks on events of {what}, {seeds} "
             f"seed{'s' if seeds > 1 else ''}, each on the whole test split of {summary['n_test']}",
             "",
             *aligned(accuracy),
@@ -195,11 +195,11 @@ def events_text(summary: dict) -> str:
             *aligned(more),
             "",
             *(f"{name}: {VARIANTS[name]}" for name in summary["variants"]),
-            "accuracy at the end, on the target fast, in %; points lost: as-is less this one",
-            f"operations: of an inference, in multiples of the paper's CNN's {CNN_MACS:,}",
-            "share: of the writing, in %, until it decides by itself; then right: accuracy of that",
-            "agreement: same answer of fast and the trained network, in %; trained: its accuracy",
-            "spikes in: shown of a sample; merged: events that are no spike of their own, in %",
+            "accuracy: at the end, on the target fast, in %; points lost: as-is minus this variant",
+            f"operations: synaptic, per inference, in multiples of the paper's CNN's {CNN_MACS:,}",
+            "early at: share of the writing at the early decision, in %; early right: its accuracy",
+            "agree: same answer of fast and the trained network, in %; trained: its accuracy",
+            "spikes in: input spikes per sample; merged: events without a spike of their own, in %",
         ]
     )
 

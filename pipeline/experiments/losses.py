@@ -119,7 +119,7 @@ def _on_images(task, dataset):
 
 
 def _on_events(task, dataset):
-    """The same of the network on events, and of the CNNs on the images of the same samples."""
+    """As :func:`_on_images`, for the network on events, and CNNs on images of the same samples."""
     from pipeline.run.event_training import trained_network
 
     settings = task.settings
@@ -223,9 +223,9 @@ def losses_text(summary: dict) -> str:
         *table(summary["loss"]),
         f"predictions that differ from the {trained} network's, in %",
         *table(summary["disagreements"]),
-        "synaptic operations an inference, in multiples of the CNN's multiply-accumulates",
+        "synaptic operations per inference, in multiples of the CNN's multiply-accumulates",
         *table(summary["operations"], 1),
-        "step from which half the samples are decided for good",
+        "step from which half of the decisions are final",
         *table(summary["decided_at_median"], 1, 0),
     ]
     return "\n".join(lines)

@@ -58,7 +58,7 @@ def recurrent(n: int = 1000):
 
 
 def learning(n: int = 1000):
-    """PES on the chip from n neurons; the host works out the error at every step."""
+    """PES on the chip from n neurons; the host computes the error at every step."""
     with nengo.Network(seed=1) as network:
         wave = nengo.Node(lambda t: np.sin(2 * np.pi * t))
         error, result = nengo.Node(size_in=1), nengo.Node(size_in=1)
@@ -103,7 +103,7 @@ def convolutions(size: int = 28):
 
 @dataclass(frozen=True)
 class Case:
-    """A network, and how many steps of it a measurement runs."""
+    """A network, and the number of steps that a measurement runs."""
 
     title: str
     make: Callable
@@ -111,12 +111,12 @@ class Case:
 
 
 CASES = (
-    Case("channel, two ensembles of 1,000", channel, 4000),
+    Case("channel, 2 ensembles of 1,000", channel, 4000),
     Case("integrator of 1,000", integrator, 4000),
-    Case("recurrent, 1,000 x 1,000 neurons", recurrent, 1000),
+    Case("recurrent, 1,000 x 1,000", recurrent, 1000),
     Case("PES, 1,000 neurons", learning, 400),
     Case("PES, 100 neurons", lambda: learning(100), 1000),
-    Case("three convolutions, 3,488 compartments", convolutions, 400),
+    Case("3 convolutions, 3,488 neurons", convolutions, 400),
 )
 
 
@@ -153,7 +153,7 @@ class _Timed:
         return call
 
     def run(self, steps):
-        """Seconds of the emulator, of the host and of everything; and what was probed."""
+        """Seconds of the emulator, of the host and in total; and the probed values."""
         self.emulator = self.host = 0.0
         begun = time.thread_time()
         self.simulator.run_steps(steps)
@@ -172,7 +172,7 @@ def measure_networks(cases=CASES, turns: int = TURNS) -> dict:
     ----------
     cases : sequence of Case
     turns : int
-        In how many parts the steps of a case are run; ratios are medians over them.
+        Number of parts into which the steps of a case are divided; ratios are medians over them.
 
     Returns
     -------
@@ -219,7 +219,7 @@ def _measure(case, turns):
 
 def networks_text(result: dict) -> str:
     """The result as a table."""
-    rows = [["network", "steps", "emulator", "whole run", "us a step", "Nengo's host", "emulator"]]
+    rows = [["network", "steps", "emulator", "run", "us/step", "host", "emulator"]]
     rows += [
         [
             row["network"],
@@ -235,10 +235,10 @@ def networks_text(result: dict) -> str:
     verdict = "every voltage, current and spike" if result["identical"] else "NO: they differ"
     return "\n".join(
         [
-            "FastSimulator beside NengoLoihi's Simulator: how many times as fast, in processor "
-            f"time of one thread, medians of {result['turns']} turns",
+            "FastSimulator beside NengoLoihi's Simulator: how many times as fast, in",
+            f"processor time of one thread, medians of {result['turns']} turns",
             f"identical: {verdict}",
             *aligned(rows),
-            "the last two: shares of the whole run with FastSimulator",
+            "host is Nengo's; the last two: shares of the whole run with FastSimulator",
         ]
     )

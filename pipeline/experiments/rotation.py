@@ -1,4 +1,4 @@
-"""Networks for people whose handwriting nothing was fitted to, in rotation over people.
+"""Networks for people to whose handwriting nothing was fitted, in rotation over people.
 
 The people of a file of pen trajectories are divided into folds.  For each fold the model of
 handwriting is estimated from all other people, a network is trained on recordings simulated with
@@ -42,7 +42,7 @@ NETWORK = ("fold", "fitted", "accuracy", "n_train", "n_test", "training_sha256",
 
 @dataclass(frozen=True)
 class Fold:
-    """Some people of a file, and what a network for them is trained on.
+    """Some people of a file, and the training data of a network for them.
 
     Attributes
     ----------
@@ -50,9 +50,9 @@ class Fold:
     traces : tuple of Trace
         The pen trajectories of the fold's people.
     parameters : Parameters
-        Those of the simulation, with the model of handwriting of the other people.
+        Parameters of the simulation, with the model of handwriting of the other people.
     fitted : int
-        How many people the model was estimated from.
+        Number of people from whom the model was estimated.
     """
 
     index: int
@@ -70,7 +70,8 @@ class Fold:
         Parameters
         ----------
         settings : Settings
-            Their number is ``data.samples_per_digit``, their seed ``data.simulation_seed``.
+            The number of recordings is ``data.samples_per_digit``, the seed
+            ``data.simulation_seed``.
         """
         recordings = simulated(*_training(settings), 1, parameters=self.parameters)
         shares = settings.split.test_fraction, settings.split.validation_fraction
@@ -104,7 +105,7 @@ def fold_of(pen: Path, index: int, folds: int, most: int = 0) -> Fold:
         UNIPEN file.
     index, folds : int
     most : int
-        Of the others the model is estimated from no more than so many, the first ones; 0: from
+        Maximum number of other people from whom the model is estimated, the first ones; 0 for
         all.
 
     Raises
@@ -133,7 +134,7 @@ def fold_of(pen: Path, index: int, folds: int, most: int = 0) -> Fold:
 
 
 def _training(settings):
-    """Seed and counts of the recordings to train on."""
+    """Seed and counts of the training recordings."""
     each = settings.data.samples_per_digit
     return settings.data.simulation_seed, [each] * 10 if each else list(SAMPLES_PER_DIGIT)
 
@@ -170,9 +171,9 @@ def measure_rotation(
     ----------
     rotation : Rotation
     folder : RunFolder
-        Of the results, locked.
+        Folder of the results, locked.
     settings : Settings
-        Of the networks, on simulated recordings.
+        Settings of the networks, on simulated recordings.
     workers, say
         As in :func:`pipeline.experiments.study.study`.
 
@@ -181,7 +182,7 @@ def measure_rotation(
     UserError
         The file cannot be read or has too few people.
     CheckFailed
-        Everything failed.
+        Every fold failed.
     """
     if settings.data.source != SIMULATED:
         raise UserError(
@@ -204,7 +205,7 @@ def measure_rotation(
     failed = [name for name, result in results.items() if isinstance(result, Failure)]
     whole = [result for result in results.values() if not isinstance(result, Failure)]
     if not whole:
-        raise CheckFailed("all of it failed; see above")
+        raise CheckFailed("every fold failed; see above")
     summary = {
         "schema": SCHEMA,
         "pen_sha256": sha256_of(rotation.pen),
@@ -253,7 +254,7 @@ def _task(rotation, fold, method, folder, settings):
 
 
 def _measure(rotation, task):
-    """Fit the network of a fold to the fold's people; the methods of a fold share both."""
+    """Fit the network of a fold to the fold's people, which all methods of the fold share."""
     index, method = task.subject.split()
     origin = bundle_origin(task.settings, dataset_origin(task.settings, task.recordings))
     key = origin.key, rotation.pen, int(index)
@@ -273,7 +274,7 @@ _PREPARED = {}
 
 
 def _prepared(rotation, task, index):
-    """Train the network of a fold, unless it is kept, and run it on the fold's people."""
+    """Train the network of a fold, unless it exists, and run it on the fold's people."""
     fold = fold_of(rotation.pen, index, rotation.folds, rotation.most)
     settings, dataset = task.settings, fold.training(task.settings)
     metrics = task.trained(dataset)
@@ -306,7 +307,7 @@ HALF = 500
 
 @dataclass(frozen=True)
 class _Tuning:
-    """Trains all layers of a network further, half on a person's and half on training samples."""
+    """Train all layers of a network further, half on a person's and half on training samples."""
 
     settings: Settings
     dataset: Dataset

@@ -34,9 +34,10 @@ class Workers:
     Attributes
     ----------
     processes : int
-        On this machine.
+        Number of processes on this machine.
     scheduler : str or None
-        Address of a Dask scheduler, such as ``tcp://host:8786``, whose workers do them instead.
+        Address of a Dask scheduler, such as ``tcp://host:8786``, whose workers perform the tasks
+        instead.
     """
 
     processes: int = 2
@@ -70,7 +71,7 @@ class Task:
     origin : Origin
         Origin of the result.
     settings : Settings
-        Those of the origin, and no others.
+        Only the settings that the origin declares.
     recordings : str
         SHA-256 of the recordings.
     networks : NetworkLibrary
@@ -135,11 +136,11 @@ def study(label: str, measure: Callable, groups, workers: Workers, say: Callable
     measure : callable
         Function of a module, from a :class:`Task` to its result, a dict.
     groups : sequence of sequence of Task
-        Those of a group are measured one after the other in one process.
+        The tasks of a group are measured one after the other in one process.
     workers : Workers
     say : callable
-        Called with the details of each failure, with what the tasks wait for, and with why results
-        are measured again.
+        Called with the details of each failure, with the reason for waiting, and with the reason
+        why results are measured again.
 
     Returns
     -------
@@ -198,7 +199,7 @@ def _work(measure, version, group):
 
 
 def _kept(task, result):
-    """Write a result, unless a worker that sees the same folder has; return it."""
+    """Write a result, unless a worker with access to the folder has written it; return it."""
     state = task.artifact.state(task.origin)
     return state.record if state.is_current else task.artifact.write(task.origin, result)
 
@@ -258,7 +259,7 @@ CNN_SETTINGS = ("image", "cnn.architecture", "cnn.epochs", "cnn.batch_size", "cn
 
 
 def on_split(settings: Settings, seed: int) -> Settings:
-    """The settings of an experiment's split: with a seed of its own, without a validation part."""
+    """The settings of an experiment's split: a separate seed, no validation part."""
     split = replace(settings.split, validation_fraction=0.0)
     return replace(settings, seed=seed, split=split)
 
@@ -289,7 +290,7 @@ def measure_splits(
     UserError
         The recordings cannot be read, or the experiment refuses the settings.
     CheckFailed
-        Everything failed.
+        Every measurement failed.
     """
     experiment.refuse(settings)
     recordings = recordings_of(settings, workers.processes)
@@ -349,7 +350,7 @@ def summary_of_splits(results, simulated: bool) -> dict:
     Parameters
     ----------
     results : sequence of dict
-        One a split, with the items of :func:`counted`.
+        One dict per split, with the items of :func:`counted`.
     simulated : bool
 
     Returns

@@ -36,12 +36,12 @@ from pipeline.run.stages.training import cnn_artifact, events_artifact, rates_ar
 from pipeline.settings import Settings, parse_assignments, put
 
 TARGET = "fast"
-"""The target that points are judged on; bit-identical to NengoLoihi's emulator."""
+"""The target on which points are evaluated; bit-identical to NengoLoihi's emulator."""
 
 POINT_SCHEMA = "stmnist-sweep-point/3"
 SCHEMA = "stmnist-sweep/2"
 VALIDATION = 0.15
-"""Share of the training samples that judges, where the settings keep none."""
+"""Share of the training samples held out for the evaluation, if the settings have none."""
 
 DEFAULT_GRID = (
     "presentation.steps=50,100",
@@ -77,11 +77,11 @@ class Point:
     changes : tuple of (str, value)
         The values of the settings in the grid.
     cnn : SweepTask or None
-        Its CNN; there is none on events.
+        Training of its CNN; None on events.
     network : SweepTask
-        The network that is trained for the chip.
+        Training of the network for the chip.
     judged : SweepTask
-        Its result.
+        Evaluation of the point.
     """
 
     settings: Settings
@@ -108,9 +108,9 @@ def points_of(folder: Path, base: Settings, grid, recordings: Recordings) -> lis
         From :func:`base_settings`.
     grid : sequence of str
         Such as ``"presentation.steps=50,100"`` or ``"snn.max_rates=[100,150],[150,150]"``; a single
-        number stands for a list of one.
+        number is taken as a list of one.
     recordings : Recordings
-        That the settings ask for.
+        Recordings that the settings name.
 
     Returns
     -------
@@ -138,7 +138,7 @@ def points_of(folder: Path, base: Settings, grid, recordings: Recordings) -> lis
 
 
 def _point(folder, settings, changes, recordings):
-    """A point with what is made for it: its networks, which others may share, and its result."""
+    """A point with its tasks: its networks, which other points may share, and its result."""
     networks = NetworkLibrary(folder / "networks")
     dataset = _without_test_origin(dataset_origin(settings, recordings))
 
@@ -216,7 +216,7 @@ def _without_test_origin(dataset):
 def train_network(task: SweepTask) -> dict:
     """Train a network that points share; return the record of its artifact.
 
-    A worker that does not see the folder trains what the network starts from too.
+    A worker without access to the folder also trains the network from which this one starts.
     """
     settings, dataset, networks = task.settings, task.dataset(), task.networks
     with hidden():
@@ -234,7 +234,7 @@ def judge(task: SweepTask) -> dict:
     Returns
     -------
     dict
-        ``accuracy`` with its interval; of an inference the mean ``operations`` (synaptic), the same
+        ``accuracy`` with its interval; the mean synaptic ``operations`` per inference, also
         as ``operations_per_mac`` relative to the multiply-accumulates of the paper's CNN, and
         ``spikes`` by layer; ``cores``; ``decided_at_median``; the accuracies of the CNN (None on
         events) and of the trained network on the same samples.
@@ -296,7 +296,7 @@ def summarise(points, results) -> dict:
     ----------
     points : list of Point
     results : list of dict or Failure
-        From :func:`judge`, one a point.
+        From :func:`judge`, one per point.
     """
     both = list(zip(points, results, strict=True))
     done = [
@@ -332,7 +332,7 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     Parameters
     ----------
     folder : RunFolder
-        Folder of the sweep, locked.  Workers of a cluster that do not see it train for themselves.
+        Folder of the sweep, locked.  Workers of a cluster without access to it train separately.
     settings : Settings
     grid : sequence of str or None
         As in :func:`points_of`; None for the default of the kind of input.
@@ -383,5 +383,5 @@ def _measure(points, workers, say):
 
 
 def _named(task):
-    """The artifact of a training, with a name that tells it from others in the same sweep."""
+    """The artifact of a training, with a name that is unique in the sweep."""
     return replace(task.artifact, name=f"{task.artifact.name} {task.origin.key[:16]}")

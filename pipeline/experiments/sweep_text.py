@@ -11,7 +11,7 @@ from pipeline.paper import CNN_MACS
 
 
 def short_names(names) -> dict:
-    """Each setting's last word, or all of its name where two settings share that."""
+    """The last word of each setting's name, or the whole name if the last word is not unique."""
     last = [name.rpartition(".")[2] for name in names]
     return {
         name: word if last.count(word) == 1 else name
@@ -30,7 +30,7 @@ def sweep_text(sweep: dict) -> str:
     short, points, lines = short_names(sweep["names"]), sweep["points"], []
     if points:
         kind = "simulated validation samples" if points[0]["simulated"] else "validation samples"
-        figures = ["accuracy", "95 % interval", "operations", "cores", "shown", "decided"]
+        figures = ["accuracy", "95 % interval", "operations", "cores", "presented", "decided"]
         figures += ["trained", "cnn"]
         rows = [["", "#", *figures, *(short[name] for name in sweep["names"])]]
         for number, point in enumerate(points, 1):
@@ -55,8 +55,8 @@ def sweep_text(sweep: dict) -> str:
             *aligned(rows),
             "* on the Pareto front: no other point is at least as good in accuracy, operations,",
             "cores and steps and better in one of them",
-            f"operations: synaptic, an inference, in multiples of the paper CNN's {CNN_MACS:,};",
-            "shown: steps; decided: step from which half the samples' decisions stay",
+            f"operations: synaptic, per inference, in multiples of the paper's CNN's {CNN_MACS:,};",
+            "presented: steps per sample; decided: step from which half of the decisions are final",
         ]
     for point in sweep["failed"]:
         what = ", ".join(f"{k}={_value(v)}" for k, v in point["changes"].items())
@@ -65,7 +65,7 @@ def sweep_text(sweep: dict) -> str:
 
 
 def sweep_csv(sweep: dict) -> str:
-    """A table with one row per point, settings first; a failed point has only its error besides."""
+    """A table with one row per point, settings first; a failed point has no other values."""
     figures = [
         *("pareto", "accuracy", "accuracy_low", "accuracy_high", "operations"),
         *("operations_per_mac", "cores", "steps", "decided_at_median"),

@@ -39,7 +39,7 @@ COMPARISONS = (
     ("events", "events-loihi"),
     ("events", "slayer"),
 )
-"""Pairs of models whose difference is told."""
+"""Pairs of models whose difference is printed."""
 
 
 def measure_table(
@@ -56,7 +56,8 @@ def measure_table(
     Parameters
     ----------
     folder : RunFolder
-        Folder of the results, locked; on a cluster, if possible, one that all workers see.
+        Folder of the results, locked; on a cluster, if possible, a folder that all workers can
+        access.
     settings : Settings
     models : tuple of str
         Keys of :data:`pipeline.experiments.table2_splits.MODELS`.
@@ -143,7 +144,7 @@ def summarise(benchmark: Benchmark, failures=None) -> dict:
     Returns
     -------
     dict
-        Plain values: ``simulated``, ``splits`` (asked for this time), ``rows`` (those of random
+        Plain values: ``simulated``, ``splits`` (the requested number), ``rows`` (those of random
         splits, the paper's protocol), ``writer_rows``, ``comparisons``, ``failures``.
     """
     results = {(kind, name): benchmark.results(kind, name) for kind in KINDS for name in MODELS}
@@ -203,12 +204,12 @@ def _row(name, results):
 
 
 def _mean(results, size):
-    """Mean of a number of samples over splits, which differ in it where writers are apart."""
+    """Mean of a number of samples over splits; it varies between splits by writer."""
     return float(np.mean([result[size] for result in results])) if results else None
 
 
 def _compare(kind, a, b, results):
-    """Accuracy of a less that of b, on the samples of each split that both have answered."""
+    """Accuracy of a minus that of b, on the samples of each split that both have in common."""
     of_b = {result["index"]: result for result in results[kind, b]}
     pairs = [(r, of_b[r["index"]]) for r in results[kind, a] if r["index"] in of_b]
     if not pairs:
@@ -241,10 +242,10 @@ def table_text(table: dict) -> str:
     what = "simulated recordings" if table["simulated"] else "recordings"
     lines = [f"Table 2 of the paper, on {what}; mean (SD) of the accuracy over splits"]
     if table["simulated"]:
-        lines.append("The paper's figures are of real recordings and not to be compared as equals.")
+        lines.append("The paper's figures are for real recordings and cannot be compared directly.")
     for key, heading in (
         ("rows", "random 80-20 splits, as in the paper"),
-        ("writer_rows", "writers of the test samples not in training"),
+        ("writer_rows", "new writers in the test set"),
     ):
         if not table[key]:
             continue
@@ -255,12 +256,12 @@ def table_text(table: dict) -> str:
         for c in table["comparisons"]:
             interval = "" if c["ci95"] is None else f"  [{_signed(c['ci95'])}]  p {_p(c)}"
             lines.append(
-                f"  {c['split']:<8} {c['a']} less {c['b']}: {c['difference']:+.3f}{interval}"
+                f"  {c['split']:<8} {c['a']} minus {c['b']}: {c['difference']:+.3f}{interval}"
             )
     lines.append("")
     lines.append(
-        f"In the place of Loihi stands the target '{table['loihi_target']}', "
-        f"{table['check_samples']} test samples a split."
+        f"The target '{table['loihi_target']}' replaces Loihi, on {table['check_samples']} test "
+        "samples per split."
     )
     for failure in table["failures"]:
         lines.append(f"FAILED: {failure['result']}: {failure['error']}")

@@ -34,7 +34,7 @@ from pipeline.settings import Settings
 
 SCHEMA = "stmnist-table2-split/1"
 LOIHI_TARGET = "fast"
-"""The target that stands for the chip; bit-identical to NengoLoihi's emulator."""
+"""The target that replaces the chip; bit-identical to NengoLoihi's emulator."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Model:
 
     @property
     def paper(self) -> tuple | None:
-        """Mean and SD in the paper's Table 2, if it is there."""
+        """Mean and SD in the paper's Table 2, or None."""
         return TABLE2.get(self.name)
 
 
@@ -82,7 +82,7 @@ WITH_SLAYER = ("slayer", "slayer-small")
 """Models trained with SLAYER: with the initial weights of its authors' code, and of a tenth."""
 
 SLOW = (*ON_EVENTS, *WITH_SLAYER)
-"""Models that are not run unless asked for."""
+"""Models that are only run on request."""
 
 SMALL_CONV_SCALE = 10.0
 """``slayer.conv_scale`` of ``slayer-small``."""
@@ -101,7 +101,7 @@ class Benchmark:
     source_sha256 : str
         SHA-256 of the recordings that the settings name.
     folder : Path
-        Folder of the results; on a cluster one that all workers see.
+        Folder of the results; on a cluster one that all workers can access.
     kinds : tuple of str
         ``"random"``, ``"writers"``.
     splits : int
@@ -118,7 +118,7 @@ class Benchmark:
     models: tuple
 
     def groups(self) -> list:
-        """The results asked for; those of a group share trained networks.
+        """The requested results in groups that share trained networks.
 
         Returns
         -------
@@ -154,7 +154,7 @@ class Benchmark:
         )
 
     def results(self, kind: str, model: str) -> list:
-        """The results of a model that are current, asked for this time or at an earlier one."""
+        """The current results of a model, whether requested now or earlier."""
         found = []
         for index in splits_there(self.folder, kind, model):
             task = self.task(kind, index, model)
@@ -248,7 +248,7 @@ def measure(task: Task) -> dict:
 
 
 def _on_chip_or_before(task, dataset):
-    """Samples shown, predictions and training history of a model that a run has too."""
+    """Test samples, predictions and training history of a model that a run also has."""
     settings, model, test = task.settings, task.subject, dataset.split.test
     if model == "cnn":
         stages.train(task.networks, settings, dataset, silent)

@@ -25,7 +25,7 @@ AT_ONCE = 500
 """Recordings whose frames of events are made at once, which bounds the memory."""
 
 MOST_LOST = 0.1
-"""Share of the events that may be lost to steps that are too long before a line says so."""
+"""Share of merged events above which a warning is printed."""
 
 SPLIT_READS = ("seed", "split")
 """Settings that a split depends on."""
@@ -91,12 +91,12 @@ class Dataset:
         Parameters
         ----------
         images : array_like, shape (n_samples, rows, columns) or (n_samples, rows, columns, 1)
-            From -1 to 1; those of recordings are from 0 to 1.
+            Values from -1 to 1; images of recordings are from 0 to 1.
         labels : array_like of int, shape (n_samples,)
-            From 0.
+            Classes, from 0.
         settings : Settings
-            ``data.source`` says what the images are, in results and reports.  Of the others only
-            the seed and the shares of the split matter here.
+            ``data.source`` is the description of the images in results and reports.  Of the other
+            settings only the seed and the shares of the split are used here.
         classes : sequence of str, optional
             Names of the labels 0, 1, ...; default: the numbers.
         simulated : bool
@@ -105,8 +105,8 @@ class Dataset:
         Raises
         ------
         UserError
-            The arrays do not fit each other or the settings, are too small for the split, or hold
-            what is no image.
+            The arrays do not fit each other or the settings, are too small for the split, or have
+            values that are not those of an image.
         """
         name = settings.data.source
         if name == SIMULATED:
@@ -157,7 +157,7 @@ class Dataset:
         return self._made[key]
 
     def seen_by(self, view: Settings) -> Dataset:
-        """The same samples, whose inputs are made with (and only with) the settings of a view."""
+        """The same samples, with inputs that are made with the settings of a view only."""
         return replace(self, settings=view)
 
     @property
@@ -232,7 +232,7 @@ def recordings_fit(recordings: Recordings, settings: Settings):
     Raises
     ------
     UserError
-        It is not.
+        The architecture does not fit.
     """
     sensor = recordings.sensor
     classes = len(sensor.classes)
@@ -240,7 +240,7 @@ def recordings_fit(recordings: Recordings, settings: Settings):
 
 
 def _checked_split(recordings, settings, kind="random"):
-    """The settings' own split of recordings that are enough for it."""
+    """The split of recordings as in the settings, after checking their number."""
     source, parts = settings.data.source, settings.split
     try:
         split = split_of(
@@ -267,7 +267,7 @@ def _wrong_with(images, labels, classes):
     if labels.min() < 0 or labels.max() >= n_classes:
         return f"labels from {labels.min()} to {labels.max()}, not from 0 to {n_classes - 1}"
     if classes is not None and len(set(map(str, classes))) < len(classes):
-        return "two classes of one name"
+        return "two classes of the same name"
     return None
 
 
@@ -297,23 +297,25 @@ def event_warnings(settings: Settings, recordings: Recordings) -> list:
     Raises
     ------
     UserError
-        There is no event at all.
+        No recording has an event.
     """
     table, step, steps = EventTable.of(recordings), settings.input.step, settings.steps
     empty = int(np.sum(np.diff(table.offsets) == 0))
     if empty == len(recordings):
-        raise UserError(f"{recordings.source.name}: no recording has an event; give others")
+        raise UserError(
+            f"{recordings.source.name}: no recording has an event; use other recordings"
+        )
     long = int(np.sum(table.duration_ms >= step * steps))
     shared, lost = table.lost(step), table.lost(step, settings.input.rest)
     lines = [
-        f"events: {shared:.1%} share a step of {step:g} ms with another one of their taxel and "
-        "polarity, and are one spike with it"
+        f"events: {shared:.1%} are merged into one spike with another event of their taxel and "
+        f"polarity in the same step of {step:g} ms"
     ]
     if shared > MOST_LOST:
-        lines[0] = WARNING + lines[0] + "; fewer would with a shorter input.step"
+        lines[0] = WARNING + lines[0] + "; a shorter input.step merges fewer"
     if lost > shared:
         lines.append(
-            f"events: {lost - shared:.1%} more come while their taxel rests, for "
+            f"events: {lost - shared:.1%} more are ignored in their taxel's refractory period, "
             f"{settings.input.rest * step:g} ms after a spike (input.refractory)"
         )
     if empty:
@@ -321,7 +323,7 @@ def event_warnings(settings: Settings, recordings: Recordings) -> list:
     if long:
         lines.append(
             f"{WARNING}{long} of {len(recordings)} recordings are longer than {steps} steps of "
-            f"{step:g} ms, and their ends are not shown; choose more presentation.steps"
+            f"{step:g} ms, and their ends are not presented; choose more presentation.steps"
         )
     return lines
 
@@ -347,7 +349,7 @@ def split_of(
     Raises
     ------
     ValueError
-        Too few samples, or writers that are not known.
+        There are too few samples, or the writers are not known.
     """
     if kind == "writers":
         return writer_split(recordings.writers, seed, test_fraction)

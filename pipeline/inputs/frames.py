@@ -11,8 +11,8 @@ def bin_events(recordings: Recordings, bins: int = 200) -> np.ndarray:
     """Frames that mark the events of each polarity in each bin (paper, Section 3.2.3).
 
     The bins divide a recording's duration evenly: of two seconds, 200 bins are 10 ms each.
-    Several events of one taxel and polarity in one bin count as one, a spike being there or not;
-    so it makes no difference whether the decoder's repeated columns were merged before.  Events
+    Several events of one taxel and polarity in one bin count as one spike.  The result is therefore
+    the same whether or not the decoder's repeated columns were merged before.  Events
     after the duration are left out.
 
     Parameters

@@ -4,14 +4,15 @@ The paper leaves open what "aggregating the FA responses" and "normalized" mean.
 
 aggregation
     ``count``    physical events of either polarity (default)
-    ``columns``  columns of the file, as the paper's Table 1 counts; weighs ON by about 1.8
+    ``columns``  columns of the file, as the paper's Table 1 counts; weights ON by about 1.8
     ``signed``   ON minus OFF events
     ``on``, ``off``  events of one polarity
 normalisation
     ``max``      divided by the image's largest magnitude (default)
     ``sum``      divided by the sum of magnitudes
-    ``sqrt-max`` square root of the magnitude, then as ``max``; evens out taxels that chatter
-    ``none``     as they are; counts spike too often for the chip, but at a low
+    ``sqrt-max`` square root of the magnitude, then as ``max``; reduces the effect of very active
+                 taxels
+    ``none``     unchanged; counts would spike too often for the chip, except at a low
                  ``deployment.input_rate``
 """
 
@@ -35,8 +36,8 @@ def aggregate(recordings: Recordings, aggregation: str = "count") -> np.ndarray:
     Returns
     -------
     ndarray of float, shape (n_samples, rows, columns)
-        Indexed [sample, row, column], rows from the top and columns from the left.  Where there
-        is no taxel it is 0.
+        Indexed [sample, row, column], rows from the top and columns from the left.  Places
+        without a taxel are 0.
 
     Raises
     ------
@@ -53,7 +54,7 @@ def aggregate(recordings: Recordings, aggregation: str = "count") -> np.ndarray:
     elif aggregation in ("on", "off"):
         weights = (events.polarity == (1 if aggregation == "on" else -1)).astype(float)
     else:
-        raise ValueError(f"aggregation {aggregation!r} is none of {', '.join(AGGREGATIONS)}")
+        raise ValueError(f"aggregation {aggregation!r} is not one of {', '.join(AGGREGATIONS)}")
     taxels, sensor = recordings.taxels, recordings.sensor
     cell = recordings.sample_of_event * len(taxels) + events.taxel
     total = np.bincount(cell, weights, minlength=len(recordings) * len(taxels))
@@ -82,7 +83,9 @@ def normalise(images: np.ndarray, normalisation: str = "max") -> np.ndarray:
         Unknown normalisation.
     """
     if normalisation not in NORMALISATIONS:
-        raise ValueError(f"normalisation {normalisation!r} is none of {', '.join(NORMALISATIONS)}")
+        raise ValueError(
+            f"normalisation {normalisation!r} is not one of {', '.join(NORMALISATIONS)}"
+        )
     if normalisation == "none":
         return images.astype(float)
     if normalisation == "sqrt-max":
@@ -113,7 +116,7 @@ def growing(
         Events of one recording.
     taxels : TaxelMap
     ends : sequence of int
-        Nanoseconds; an image has the events before its end.
+        End times in nanoseconds; an image has the events before its end.
     aggregation : str
         See the module's description.
     sensor : Sensor, optional

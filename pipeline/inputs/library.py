@@ -41,9 +41,9 @@ def load_recordings(
     warn : callable, optional
         Called with one line for each file that was left out.
     reading : pipeline.recordings.sensors.Reading
-        Rows and columns of the skin (0 for ten where it is simulated), and how files are read.
+        Rows and columns of the skin (0: ten for the simulated skin), and options for reading files.
     traces : sequence of pipeline.skin.handwriting.Trace, optional
-        Recorded handwriting to press on the simulated skin instead of simulated hands.
+        Recorded handwriting to press on the simulated skin instead of simulated writers.
 
     Returns
     -------
@@ -83,7 +83,7 @@ def content_of(settings: Settings) -> str:
     Raises
     ------
     UserError
-        The source is not there or cannot be read.
+        The source does not exist or cannot be read.
     """
     data, skin = settings.data, settings.skin
     if data.source == SIMULATED:
@@ -136,7 +136,7 @@ def _imported(path, skip_bad, jobs, warn, reading):
 
 
 def _hash_of(path):
-    """The content hash of a source, which is not read again if nothing about it has changed."""
+    """The content hash of a source, which is read again only if its files have changed."""
     fingerprint = archive.fingerprint(path)
     sha256 = cache.recall(fingerprint)
     if sha256 is None:

@@ -7,20 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 
 HELD_OUT = 0.1
-"""Share of the training samples by which a choice is made where nothing else is for it."""
+"""Share of the training samples that is held out if there are no validation samples."""
 
 
 @dataclass(frozen=True)
 class Split:
-    """Indices of samples; the three parts have none in common and together are all samples.
+    """Indices of samples in three disjoint parts, which together are all samples.
 
     Attributes
     ----------
     train : ndarray of int
         In increasing order.
     validation, test : ndarray of int
-        In random order: recordings are sorted by digit, and a network that carries its state from
-        one sample to the next answers better where both have the same label.  Settings are chosen
+        In random order: recordings are sorted by digit, and a network whose state is not reset
+        between samples has a higher accuracy if both have the same label.  Settings are chosen
         on ``validation``, never on ``test``.
     """
 
@@ -39,9 +39,10 @@ def random_split(
     n_samples : int
     seed : int
     test_fraction : float
-        Share of all samples that is for testing.
+        Share of all samples that is used for testing.
     validation_fraction : float
-        Share of the others that is for validation.  The test samples do not depend on it.
+        Share of the other samples that is used for validation.  The test samples do not depend on
+        it.
 
     Returns
     -------
@@ -64,9 +65,9 @@ def random_split(
 def writer_split(writers: np.ndarray, seed: int, test_fraction: float = 0.2) -> Split:
     """Split samples so that no writer has both training and test samples.
 
-    Random splits show each test writer's hand in training as well; accuracy on new writers is what
-    a product would see.  Writers are drawn at random for the test part as long as each brings its
-    size nearer to the fraction asked for.
+    In random splits the training samples include each test writer's handwriting; in an application
+    the writers are new.  Writers are drawn at random for the test part as long as each brings its
+    size closer to the requested fraction.
 
     Parameters
     ----------
@@ -74,7 +75,7 @@ def writer_split(writers: np.ndarray, seed: int, test_fraction: float = 0.2) -> 
         See :class:`pipeline.recordings.events.Recordings`.
     seed : int
     test_fraction : float
-        Share of all samples that is for testing, as nearly as whole writers allow.
+        Share of all samples that is used for testing, as closely as possible with whole writers.
 
     Returns
     -------
@@ -133,7 +134,7 @@ def draw_check_samples(test: np.ndarray, n_samples: int, seed: int) -> np.ndarra
     Raises
     ------
     ValueError
-        There are fewer test samples than asked for.
+        There are fewer test samples than requested.
     """
     if n_samples > len(test):
         raise ValueError(f"{n_samples} samples asked for, the test split has {len(test)}")

@@ -1,9 +1,9 @@
-"""The skin in the browser: write or draw on it, watch the spikes, save the recording.
+"""The skin in the browser: writing or drawing on it, spikes, saved recordings.
 
 ``writing`` (in :mod:`pipeline.skin`) makes events from a pen's points, ``examples`` has recordings
-to play in its place, ``deciding`` runs the network on them, ``keeping`` writes recordings to a
-folder, ``learning`` fits the network to a writer, ``session`` joins them behind messages,
-``server`` carries the messages to the page in ``page/``.  ``network`` tells the sensor and the
-classes of a network, ``connections`` limits who may connect, ``qr`` draws the address, and
-``serving`` puts all of it together.
+to play instead, ``deciding`` runs the network on them, ``keeping`` writes recordings to a folder,
+``learning`` fits the network to a writer, ``session`` handles the messages of a page, and
+``server`` exchanges them with the page in ``page/``.  ``network`` determines the sensor and the
+classes of a network, ``connections`` limits connections, ``qr`` draws the address, and ``serving``
+connects all of these.
 """

@@ -1,6 +1,6 @@
 """Limits on connections that have not sent the token: their number and duration.
 
-Any program on the machine can connect to the port and keep the connection open without sending
+Any program on the machine can connect to the port and leave the connection open without sending
 anything.  Such a connection is closed after a time limit, or when there are too many newer ones, so
 that the page can always connect and the server does not run out of file descriptors.
 """
@@ -15,11 +15,12 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from deploy.terminal import remark
 
 STRANGERS = 32
-"""Connections without the token at a time: many times what a browser opens for a page, and a small
-part of the files that a process may have open."""
+"""Maximum number of simultaneous connections without the token: many times the
+number that a browser opens for a page, and a small part of the files that a process may have
+open."""
 
 STRANGER_S = 5.0
-"""Until a connection must have shown the token; a page does so in milliseconds."""
+"""Seconds until a connection must have sent the token; a page sends it in milliseconds."""
 
 QUIET_S = 60.0
 """Seconds between two messages that no file descriptor is left."""
@@ -51,7 +52,7 @@ class Strangers:
         self._there[address] = transport, timer
 
     def left(self, address):
-        """A connection is closed, or has shown the token."""
+        """A connection is closed, or has sent the token."""
         _, timer = self._there.pop(_address(address), (None, None))
         if timer is not None:
             timer.cancel()
@@ -67,7 +68,7 @@ def _address(pair):
 
 
 def protocol_of(strangers: Strangers):
-    """Uvicorn's protocol, which tells of each connection that is made or lost."""
+    """Uvicorn's protocol, which reports each connection that is made or lost."""
 
     class Protocol(H11Protocol):
         def connection_made(self, transport):
@@ -82,13 +83,13 @@ def protocol_of(strangers: Strangers):
 
 
 def say_when_files_run_out(loop, say=None):
-    """Turn asyncio's traceback for each connection that finds no file into a line a minute.
+    """Replace asyncio's traceback for each connection without a free file by one line per minute.
 
     Parameters
     ----------
     loop : asyncio.AbstractEventLoop
     say : callable, optional
-        Takes the line; default: standard error.
+        Called with the line; default: print it on standard error.
     """
     say = say or remark
     said_s = -QUIET_S
@@ -109,5 +110,5 @@ def say_when_files_run_out(loop, say=None):
 
 
 def is_own_error(record) -> bool:
-    """A filter of the log: text that is not UTF-8 is a mistake of the sender, no traceback."""
+    """A filter of the log: no traceback for text that is not UTF-8, a mistake of the sender."""
     return not (record.exc_info and isinstance(record.exc_info[1], UnicodeDecodeError))

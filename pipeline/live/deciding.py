@@ -1,4 +1,4 @@
-"""Decisions of the network on the events so far.
+"""Decisions of the network on the events received so far.
 
 A :class:`Decider` is made once from a bundle and answers for all pages; the state of one recording
 between two answers is in the object that :meth:`Decider.begin` returns.
@@ -23,17 +23,18 @@ from pipeline.recordings.steps import EventTable
 from pipeline.settings import Image
 
 MOST_DRAWN = 4096
-"""Neurons of a layer whose spikes go to the page: more rows than a screen has show nothing."""
+"""Maximum number of neurons of a layer whose spikes are sent to the page, limited by the rows of a
+screen."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """The confidence that decides early, over the time of a recording.
+    """The confidence for early decisions over the time of a recording.
 
     Attributes
     ----------
     seconds : ndarray of float, shape (n,)
-        From the start of the recording.
+        Time from the start of the recording.
     values : ndarray of float, shape (n,)
         See :func:`deploy.network.decision.confidence`.
     classes : ndarray of int, shape (n,)
@@ -45,7 +46,7 @@ class Curve:
     classes: np.ndarray
 
     def first(self, threshold: float | None) -> tuple | None:
-        """Time and class of the decision before the end, or None if there is none."""
+        """Time and class of the early decision, or None if there is none."""
         reached = () if threshold is None else np.flatnonzero(self.values >= threshold)
         if not len(reached):
             return None
@@ -60,14 +61,14 @@ class Answer:
     ----------
     scores : ndarray of float, shape (classes,)
     shares : ndarray of float, shape (classes,)
-        The same as probabilities (softmax), as the network was trained to read them.
+        The scores as probabilities (softmax), as in the training of the network.
     spikes : dict of str to ndarray of uint8, shape (steps, n_bytes)
-        Spikes of each layer at each step of the network's time, eight neurons a byte
+        Spikes of each layer at each step of the network's time, eight neurons per byte
         (`numpy.packbits`).
     curve : Curve
-        Its last value is the confidence of now.
+        Its last value is the present confidence.
     decided : (float, int), optional
-        Time and class of the network's decision, where it was made before the end.
+        Time and class of the network's early decision, if there is one.
     unit : float
         See :func:`deploy.network.responses.score_unit`.
     """
@@ -86,13 +87,13 @@ class Answer:
 
     @property
     def confidence(self) -> float:
-        """The confidence of now, from 0 to 1."""
+        """The present confidence, from 0 to 1."""
         return float(self.curve.values[-1])
 
 
 @dataclass(frozen=True)
 class DrawnLayer:
-    """A layer as the page draws it."""
+    """A layer for the page's drawing."""
 
     name: str
     neurons: int
@@ -102,7 +103,7 @@ class Deciding(Protocol):
     """The state of a decider for one recording."""
 
     def answer(self, events: Events, time_s: float) -> Answer | None:
-        """Answer to all events of a recording up to a time, infinity at its end; may be slow."""
+        """The answer for all events up to a time (infinity: to the end of the recording)."""
 
 
 class Decider(Protocol):
@@ -111,18 +112,18 @@ class Decider(Protocol):
     Attributes
     ----------
     about : str
-        How the page's picture of the spikes goes on after "One row for each neuron, every mark is
-        a spike; ".
+        Continuation of the page's description of the spikes, after "One row for each neuron, every
+        mark is a spike; ".
     layers : tuple of DrawnLayer
-        Those that spike, in order.
+        The spiking layers, in order.
     steps : int
-        Of the network's time in an answer's spikes.
+        Number of time steps of the spikes in an answer.
     first_step : int
-        The first one's number; below 0 where the network rests before it is shown anything.
+        Number of the first step; negative if the network rests before the presentation.
     clocked : bool
-        True if an answer changes while time passes without an event.
+        True if an answer can change without an event, as time passes.
     threshold : float or None
-        Confidence at which it decides before the end; None where it always decides at the end.
+        Confidence for early decisions; None if the network always decides at the end.
     """
 
     about: str
@@ -133,11 +134,11 @@ class Decider(Protocol):
     threshold: float | None
 
     def begin(self) -> Deciding:
-        """A recording begins."""
+        """Begin a recording; returns its state."""
 
 
 class _Fast:
-    """The common part of both kinds: a network on the target ``fast``, ready to run."""
+    """Common part of both deciders: a network on the target ``fast``, ready to run."""
 
     clocked = False
 
@@ -187,15 +188,15 @@ class _Fast:
         return scores, spikes, running_sums(spec, output)[0]
 
     def _confidence(self, sums):
-        """The confidence that decides early, at each step of the sums."""
+        """The confidence for early decisions at each step of the sums."""
         return confidence(sums, self._spec.judge, self._spec.presentation.readout_start)
 
 
 class ImageDecider(_Fast):
-    """A decider for a bundle on images: it presents the image so far, from rest, every time.
+    """A decider for a bundle on images: each answer presents the image so far, from rest.
 
-    Making one takes a few seconds, some five more the first time ever, when the kernel is compiled;
-    then every answer takes a millisecond or so.
+    Making a decider takes a few seconds, and about five more the first time on a machine, when the
+    kernel is compiled.  Each answer then takes about a millisecond.
 
     Parameters
     ----------
@@ -210,13 +211,13 @@ class ImageDecider(_Fast):
         super().__init__(bundle, sensor, seed)
         self._image = image
         self.about = (
-            "the part at the left is before it is shown anything. This network is shown the image "
-            f"as it is at the moment for {self._spec.presentation.steps} steps of 1 ms, from rest, "
-            "again and again while the recording grows."
+            "the left part is before the presentation. While the recording grows, the current "
+            "image is presented to this network again and again, for "
+            f"{self._spec.presentation.steps} steps of 1 ms from rest."
         )
 
     def begin(self):
-        """The answers before are kept, for the curve; each begins at the network's rest."""
+        """Begin a recording; its earlier answers are stored for the curve."""
         return _ImageDeciding(self)
 
     def _answer(self, events, time_s, before):
@@ -250,8 +251,8 @@ class _ImageDeciding:
 class EventDecider(_Fast):
     """A decider for a bundle on events, in the time steps of the network.
 
-    No later event can change an earlier step: running all steps so far again gives what going on
-    from the last one would, and takes a millisecond.
+    A later event cannot change an earlier step.  Running all steps so far again therefore gives the
+    same result as continuing from the last step, and takes a millisecond.
 
     Parameters
     ----------
@@ -266,12 +267,12 @@ class EventDecider(_Fast):
         super().__init__(bundle, sensor, seed)
         milliseconds = 1e3 * self._spec.stimulus.step_seconds
         self.about = (
-            "time runs to the right as it does on the sensor. This network is given the events "
-            f"themselves, in steps of {milliseconds:g} ms, and decides while they come."
+            "time runs to the right as it does on the sensor. This network receives the events, "
+            f"in steps of {milliseconds:g} ms, and decides while they arrive."
         )
 
     def begin(self):
-        """Answers that do not depend on earlier ones."""
+        """Begin a recording; its answers do not depend on earlier answers."""
         return self
 
     def answer(self, events: Events, time_s: float) -> Answer | None:
@@ -296,7 +297,7 @@ class EventDecider(_Fast):
 
 
 def decider_of(bundle: Bundle, image: Image, sensor: Sensor) -> Decider:
-    """The decider for a bundle; compiles what has to be compiled."""
+    """The decider for a bundle; compiles the kernel if necessary."""
     if isinstance(bundle.spec.stimulus, EventFrames):
         return EventDecider(bundle, sensor)
     return ImageDecider(bundle, image, sensor)

@@ -1,6 +1,6 @@
-"""Recordings that the page shows as examples: the samples of the network's check, or kept ones.
+"""Recordings that the page plays as examples: samples of the network's check, or saved ones.
 
-An example is played at its own pace to the same decider that answers to a pen.
+An example is played at its original speed to the decider that is used for the pen.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ AFTERWARDS_S = 0.05
 
 @dataclass(frozen=True)
 class Example:
-    """A recording to be shown.
+    """A recording to be played.
 
     Attributes
     ----------
     events : Events
-        Of the page's sensor, whose taxels are counted column by column; the first event is at
-        :data:`pipeline.skin.writing.START_S`.
+        Events of the page's sensor, whose taxels are numbered column by column; the first event is
+        at :data:`pipeline.skin.writing.START_S`.
     label : int
     name : str
     """
@@ -45,7 +45,7 @@ class Example:
 
 
 class Examples:
-    """Examples in random order; none comes again before all of its class have been shown.
+    """Examples in random order; none is repeated before all of its class have been played.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class Examples:
         self._rng, self._decks = np.random.default_rng(seed), {}
 
     def counts(self) -> list:
-        """Samples of the check, of each class."""
+        """Number of samples of the check for each class."""
         n = len(self._keeper.sensor.classes)
         return np.bincount(np.array([e.label for e in self._tests], int), minlength=n).tolist()
 
@@ -71,12 +71,12 @@ class Examples:
         origin : str
             :data:`TEST` or :data:`KEPT`.
         label : int, optional
-            Default: any.
+            The class of the example; default: any.
 
         Raises
         ------
         UserError
-            There is none, or its file cannot be read.
+            There is no such example, or its file cannot be read.
         """
         there = self._tests if origin == TEST else self._keeper.kept
         fitting = {e.name: e for e in there if label is None or e.label == label}
@@ -93,7 +93,7 @@ class Examples:
 
 
 class Replayed:
-    """A recording that is there already, in the place of a :class:`~pipeline.skin.writing.Writing`.
+    """An existing recording, instead of a :class:`~pipeline.skin.writing.Writing`.
 
     Parameters
     ----------
@@ -108,11 +108,11 @@ class Replayed:
 
     @property
     def events(self) -> Events:
-        """Everything so far."""
+        """All events so far."""
         return self._between(0, self.time_s)
 
     def advance(self, until_s: float) -> Events:
-        """Let time pass and return the events of it."""
+        """Advance the time and return the events of this interval."""
         begun_s, self.time_s = self.time_s, max(self.time_s, until_s)
         return self._between(begun_s, self.time_s)
 
@@ -122,18 +122,18 @@ class Replayed:
 
 
 def check_examples(run: RunFolder, bundle: Bundle) -> list:
-    """The samples of a network's check: as recorded, where its run has the recordings.
+    """The samples of a network's check: the recordings themselves, if its run has them.
 
     Parameters
     ----------
     run : RunFolder
-        The folder around the bundle, which may be no run.
+        The folder around the bundle, which need not be a run.
     bundle : Bundle
 
     Raises
     ------
     UserError
-        There are none, with the reason.
+        There are no examples; the message has the reason.
     """
     try:
         if not run.experiment.exists():
@@ -151,7 +151,7 @@ def recorded_examples(run: RunFolder, bundle: Bundle) -> list:
     Raises
     ------
     UserError
-        The recordings are not there any more, or are others than the network was trained on.
+        The recordings do not exist any more, or have changed since the training.
     """
     settings = read_settings(run.experiment)
     recordings = recordings_of(settings)
@@ -167,16 +167,16 @@ def recorded_examples(run: RunFolder, bundle: Bundle) -> list:
 
 
 def _column_by_column(recordings: Recordings, index):
-    """Events of a recording with the taxels numbered as the page does it."""
+    """Events of a recording with the taxels numbered as on the page."""
     events, taxels = recordings[index], recordings.taxels
     number = taxels.column * recordings.sensor.rows + taxels.row
     return replace(events, taxel=number[events.taxel])
 
 
 def bundle_examples(bundle: Bundle) -> list:
-    """The samples of a bundle's check: of one on events, to the step; of one on images, none.
+    """The samples of a bundle's check, with the precision of a step.
 
-    An image does not tell when its events were.
+    A bundle on images has no examples, because an image has no times of events.
     """
     stimulus, checks = bundle.spec.stimulus, bundle.checks
     if not isinstance(stimulus, EventFrames):
@@ -192,7 +192,7 @@ def bundle_examples(bundle: Bundle) -> list:
 def _events_of(frames, step_ns):
     """Frames, shape (steps, rows, columns, 2), as events in the middle of their steps.
 
-    Those of the first step are at its start, from which the network counts.
+    Events of the first step are at its start, from which the network counts.
     """
     step, row, column, polarity = np.nonzero(frames)
     return Events(
@@ -204,7 +204,7 @@ def _events_of(frames, step_ns):
 
 
 def _from_start(events):
-    """With the first event at the time of a pen's first touch."""
+    """Events shifted so that the first one is at the time of a pen's first touch."""
     if not len(events):
         return events
     return replace(events, time_ns=events.time_ns - events.time_ns[0] + round(START_S * 1e9))

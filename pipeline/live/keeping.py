@@ -1,8 +1,8 @@
 """Saving recordings that people wrote, in a folder with the published layout.
 
 ``FOLDER/<class>/w<writer>-<number>.mat``: the number counts up over all classes of a writer.  The
-list of recordings is always read from these names, so that no other record can be lost or become
-outdated.  A file is never overwritten.
+list of recordings is always read from these names, so that there is no other record that could be
+lost or become outdated.  A file is never overwritten.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ TABLE = "LUT.mat"
 
 TEMPORARY = ".recording."
 """Start of the name of a recording that is being written.  It is the same for all of them, so that
-what a killed process left is found whatever its number was."""
+the files of killed processes are found."""
 
 LONGEST_NAME = 255
 """Bytes of a folder's name, at most, on the usual file systems."""
@@ -74,21 +74,21 @@ class Kept:
 
     @property
     def name(self) -> str:
-        """Its path in the folder."""
+        """The path of the recording in the folder."""
         return f"{self.place}/w{self.writer:03d}-{self.number:04d}.mat"
 
 
 def places_of(classes) -> tuple:
-    """The name of each class's folder: its own, where a folder can have it.
+    """The folder name of each class: the class's name, if it is valid for a folder.
 
-    Recordings that were read from folders have such names; a network from elsewhere may have any.
+    Classes that were read from folders have such names; a copied network may have any names.
     """
     places = tuple(map(_place, classes))
     return places if len(set(places)) == len(places) else tuple(map(str, range(len(places))))
 
 
 def _place(name):
-    """A class's name without what a name of a folder cannot have."""
+    """A class's name without characters that are not valid for a folder."""
     name = "".join("_" if c == "/" or not c.isprintable() else c for c in name)
     name = "_" + name[1:] if name.startswith(".") or not name else name
     while len(name.encode(errors="replace")) > LONGEST_NAME:
@@ -102,14 +102,15 @@ class Keeper:
     Parameters
     ----------
     folder : path-like
-        Is made if it is not there.
+        Created if it does not exist.
     sensor : Sensor, optional
-        Of the recordings; default: the published one.
+        Sensor of the recordings; default: the published one.
 
     Raises
     ------
     UserError
-        It cannot be written, another process keeps recordings in it, or they are of another sensor.
+        The folder cannot be written, another process uses it, or its recordings are of another
+        sensor.
     """
 
     def __init__(self, folder, sensor: Sensor | None = None):
@@ -144,7 +145,7 @@ class Keeper:
             )
 
     def _remove_abandoned(self):
-        """Remove what a killed process left, of an earlier version too."""
+        """Remove temporary files of killed processes, also of an earlier version."""
         for place in self._places:
             prefixes = {TEMPORARY}
             with contextlib.suppress(OSError):
@@ -154,13 +155,13 @@ class Keeper:
                 remove_abandoned(self.folder / place, prefix)
 
     def _hold(self):
-        """Hold the folder's lock.  The one that was taken may have been deleted with the folder."""
+        """Hold the folder's lock, which may have been deleted together with the folder."""
         if self._lock is not None and is_at(self._lock, self.folder / ".lock"):
             return
         self._lock = None
         self._held.close()
         taken = (
-            f"{self.folder}: another 'stmnist live' keeps recordings there; "
+            f"{self.folder}: another 'stmnist live' saves recordings there; "
             "end it, or choose another folder with --record"
         )
         with contextlib.ExitStack() as stack:
@@ -168,19 +169,19 @@ class Keeper:
                 lock = stack.enter_context(locked_folder(self.folder, taken))
             except OSError as error:
                 raise UserError(
-                    f"{self.folder}: cannot keep recordings there ({error.strerror}); "
+                    f"{self.folder}: cannot save recordings there ({error.strerror}); "
                     "choose another folder with --record"
                 ) from error
             refuse_linked_folders(self.folder)
             self._held, self._lock = stack.pop_all(), lock
 
     def look(self):
-        """See which recordings are in the folder.
+        """Read which recordings are in the folder.
 
         Raises
         ------
         UserError
-            It cannot be read.
+            The folder cannot be read.
         """
         try:
             found = _list(self.folder, self._places)
@@ -200,7 +201,7 @@ class Keeper:
 
     @property
     def writers(self) -> list:
-        """Numbers of the writers of whom there are recordings, in order."""
+        """Numbers of the writers with recordings, in order."""
         return sorted({kept.writer for kept in self._kept})
 
     def counts(self, writer: int | None = None) -> list:
@@ -219,7 +220,7 @@ class Keeper:
         Raises
         ------
         UserError
-            It is not there any more, or damaged.
+            The file does not exist any more, or is damaged.
         """
         path = self.folder / kept.name
         try:
@@ -231,12 +232,12 @@ class Keeper:
             raise UserError(f"{path}: {error}; delete it") from error
 
     def save(self, label: int, recording: MatRecording) -> Kept:
-        """Write a recording; when this returns it is on the disk.
+        """Write a recording; when the function returns, it is on the disk.
 
         Raises
         ------
         UserError
-            It could not be written; nothing has been.
+            The recording could not be written; the folder has not changed.
         """
         with self._guard:
             self._hold()
@@ -264,7 +265,7 @@ class Keeper:
         Raises
         ------
         UserError
-            It could not be removed.
+            The recording could not be removed.
         """
         with self._guard:
             self._hold()
@@ -286,21 +287,21 @@ class Keeper:
 def asked_next(counts, each: int, seed) -> int | None:
     """The class to ask for next.
 
-    The classes come in one random order, ``each`` of every class; those that are there already are
-    left out, so that a session goes on after a break, an undo or a restart.
+    The classes are asked for in one random order, ``each`` times every class.  Existing recordings
+    are left out, so that a session continues after a break, an undo or a restart.
 
     Parameters
     ----------
     counts : sequence of int
-        What is there of each class.
+        Number of existing recordings of each class.
     each : int
     seed : int or sequence of int
-        The same one gives the same order.
+        The same seed gives the same order.
 
     Returns
     -------
     int or None
-        None when all are there.
+        None when the recordings are complete.
     """
     rest, order = Counter(dict(enumerate(counts))), np.repeat(np.arange(len(counts)), each)
     for label in np.random.default_rng(seed).permutation(order).tolist():
@@ -323,14 +324,14 @@ def _list(folder, places):
 
 
 def _create(path, content):
-    """Write a file that was not there, and wait until it is on the disk with its name.
+    """Write a new file, and wait until it is on the disk with its name.
 
     Raises
     ------
     FileExistsError
-        Something of that name is there.
+        The name is taken.
     UserError
-        It could not be written; it is not there.
+        The file could not be written; it does not exist.
     """
     with creating(path, TEMPORARY) as file:
         file.write(content)

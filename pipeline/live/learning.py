@@ -1,9 +1,9 @@
 """Learning the handwriting of the person who writes on the page.
 
-After each labelled digit the readout is fitted again to all that this writer has labelled
-(:mod:`pipeline.training.readout`).  Each digit is first scored with the readout that was there
-before, so that the page's count of right answers is one of digits that were not yet learned.  A fit
-that is not better in cross-validation is not used.  Recordings are never changed.
+After each labelled digit the readout is fitted again to all labelled digits of this writer
+(:mod:`pipeline.training.readout`).  Each digit is first scored with the previous readout, so that
+the page's count of right answers is for digits that were not yet learned.  A fit that is not better
+in cross-validation is not used.  Recordings are never changed.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ LATEST = 10
 """Number of the last digits for which the page counts correct answers."""
 
 LARGEST = 256 << 20
-"""Bytes of all that is kept of a writer."""
+"""Maximum number of bytes of the data of a writer."""
 
 FEWEST = 2
-"""Digits from which on a readout is fitted: cross-validation needs one to leave out."""
+"""Minimum number of digits for fitting a readout, which cross-validation needs."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,11 @@ class Learnt:
         Names of the recordings that were learned from.
     labels : ndarray of int, shape (n,)
     responses : ndarray, shape (n, 1 + copies, inputs)
-        To each recording and to altered copies of it.
+        Responses to each recording and to augmented copies of it.
     right : ndarray of bool, shape (n,)
-        True where the readout was right before it learned from the digit.
+        True if the readout was right before it learned from the digit.
     weights : ndarray, shape (classes, inputs), or None
-        The writer's own readout; None while the bundle's is as good.
+        The writer's own readout; None while it is not better than the bundle's.
     """
 
     names: tuple = ()
@@ -61,7 +61,7 @@ class Learnt:
         return len(self.names)
 
     def with_digit(self, name, label, responses, right) -> Learnt:
-        """With another digit."""
+        """A copy with another digit."""
         before = self.responses if self.responses is not None else responses[:0][None][:0]
         before = before.reshape(-1, *responses.shape)
         return replace(
@@ -73,7 +73,7 @@ class Learnt:
         )
 
     def without(self, name) -> Learnt:
-        """Without one of the digits."""
+        """A copy without one of the digits."""
         kept = np.array([other != name for other in self.names], bool)
         return replace(
             self,
@@ -93,7 +93,7 @@ class Learner:
     image : Image
         Conversion of events to images.
     folder : path-like
-        Folder of the recordings; a writer's readout is kept beside them.
+        Folder of the recordings, where a writer's readout is saved as well.
     sensor : Sensor
     """
 
@@ -112,11 +112,11 @@ class Learner:
         return cls(bundle, image, folder, sensor)
 
     def decider(self, writer: int) -> Decider | None:
-        """The network with a writer's readout, or None where it is the bundle's; takes no time."""
+        """The network with a writer's readout, or None if it is the bundle's; returns at once."""
         return self._deciders.get(writer)
 
     def recall(self, writer: int) -> dict:
-        """Make ready what is known of a writer, and say how far learning has come."""
+        """Load the data of a writer, and return the progress of learning."""
         with self._guard:
             if writer not in self._writers:
                 self._writers[writer] = self._read(writer)
@@ -137,7 +137,7 @@ class Learner:
         }
 
     def learn(self, writer: int, name: str, label: int, events: Events) -> dict:
-        """Score a digit, learn from it, and say how far learning has come.
+        """Score a digit, learn from it, and return the progress of learning.
 
         Parameters
         ----------
@@ -174,7 +174,7 @@ class Learner:
         return self.state(writer)
 
     def _fitted(self, known):
-        """With the readout of all that is known."""
+        """A copy with a readout that is fitted to all digits."""
         if len(known) < FEWEST:
             return replace(known, weights=None)
         person = Person(known.responses[:, 0], known.labels, known.responses[:, 1:])
@@ -184,7 +184,7 @@ class Learner:
         return replace(known, weights=fit.weights if fit.helps else None)
 
     def _make_decider(self, writer):
-        """The network with the readout of now; Nengo builds it anew, most of a second's work."""
+        """The network with the present readout; building it takes Nengo almost a second."""
         weights, spec = self._writers[writer].weights, self._bundle.spec
         if weights is None:
             self._deciders.pop(writer, None)
@@ -230,7 +230,7 @@ class Learner:
         return Learnt(tuple(names.tolist()), labels, responses.astype(float), right, weights)
 
     def _keep(self, writer):
-        """Write what is known of a writer; nothing of one of whom nothing is."""
+        """Write the data of a writer, if there are any."""
         known = self._writers[writer]
         if not len(known):
             self._path(writer).unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""The network of the page, from a run or from a bundle, and the sensor that it is for."""
+"""The network of the page, from a run or from a bundle, and its sensor."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from deploy.check.bundle import Bundle, read_bundle
 from deploy.errors import UserError
 from deploy.files import read_json
 from deploy.network.stimulus import EventFrames
-from pipeline.recordings.events import GRID, Sensor
-from pipeline.recordings.words import is_written
+from pipeline.recordings.events import Sensor
+from pipeline.recordings.words import are_digits, is_written
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Image, read_settings
 
@@ -23,7 +23,7 @@ RECORD = "written"
 
 
 def network_of_bundle(folder: Path) -> tuple | None:
-    """The bundle in a folder copied from anywhere, and how events become its images.
+    """The bundle in a copied folder, and its conversion of events to images.
 
     Returns
     -------
@@ -41,7 +41,7 @@ def network_of_bundle(folder: Path) -> tuple | None:
 
 
 def network_of_run(run: RunFolder) -> tuple | None:
-    """The same of a run; None if its bundle has not been made yet."""
+    """As :func:`network_of_bundle`, for a run; None if its bundle has not been made yet."""
     if not run.bundle.exists():
         return None
     known = run.experiment.exists()
@@ -50,7 +50,7 @@ def network_of_run(run: RunFolder) -> tuple | None:
 
 
 def _with_images(bundle, otherwise):
-    """With what the bundle says of its images; bundles of before say nothing."""
+    """Add the conversion to images in the bundle; earlier bundles do not have it."""
     said = bundle.spec.provenance.get("image")
     try:
         return bundle, otherwise if said is None else Image(**said)
@@ -76,13 +76,13 @@ def sensor_of(bundle: Bundle, facts: dict) -> Sensor:
     ----------
     bundle : Bundle
     facts : dict
-        Of its run's recordings (:func:`pipeline.recordings.facts.facts_of`); empty where there is
-        no run.
+        Facts about its run's recordings (:func:`pipeline.recordings.facts.facts_of`); empty without
+        a run.
 
     Raises
     ------
     UserError
-        The network reads something else than the events of a sensor or their image.
+        The network's input is neither the events of a sensor nor their image.
     """
     spec = bundle.spec
     on_events = isinstance(spec.stimulus, EventFrames)
@@ -99,7 +99,7 @@ def sensor_of(bundle: Bundle, facts: dict) -> Sensor:
 
 
 def _classes(spec):
-    """Names of the network's classes; their numbers where it has none."""
+    """Names of the network's classes, or their numbers if it has no names."""
     n = spec.layers[-1].size
     said = spec.provenance.get("classes")
     are_names = isinstance(said, list) and all(isinstance(name, str) for name in said)
@@ -114,15 +114,10 @@ def record_folder(bundle: Bundle, sensor: Sensor) -> str:
     bundle : Bundle
     sensor : Sensor
     """
-    if is_digits(sensor):
+    if is_written(sensor.rows, sensor.columns, sensor.classes):
         return RECORD
     name = re.sub(r"[^\w-]+", "-", Path(name_of(bundle)).stem).strip("-")
     return f"{RECORD}-{name[:40]}" if name else f"{RECORD}-{sensor.rows}x{sensor.columns}"
-
-
-def is_digits(sensor: Sensor) -> bool:
-    """True for ST-MNIST's sensor, on which people write digits."""
-    return is_written(sensor.classes) and (sensor.rows, sensor.columns) == (GRID, GRID)
 
 
 def name_of(bundle: Bundle) -> str:
@@ -139,7 +134,7 @@ def about(bundle: Bundle, sensor: Sensor, folder, outdated: str | None = None) -
     sensor : Sensor
     folder : path-like
     outdated : str, optional
-        Why the bundle is outdated, if it is.
+        The reason if the bundle is outdated.
     """
     return {
         "folder": str(folder),
@@ -152,5 +147,5 @@ def about(bundle: Bundle, sensor: Sensor, folder, outdated: str | None = None) -
         "columns": sensor.columns,
         "polarities": sensor.polarities,
         "classes": list(sensor.classes),
-        "digits": is_written(sensor.classes),
+        "digits": are_digits(sensor.classes),
     }

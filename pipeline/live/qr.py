@@ -15,9 +15,9 @@ class QRCode:
     Attributes
     ----------
     svg : bytes
-        Black on white, whatever is behind it.
+        Black on white, independently of the background.
     text : str
-        For a terminal, two modules a character.
+        Text for a terminal, two modules per character.
     """
 
     svg: bytes

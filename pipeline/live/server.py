@@ -1,10 +1,9 @@
-"""The web server of the page and its messages: on this machine only, or on an address asked for.
+"""The web server of the page and its messages, on this machine only or on a given address.
 
-Every address starts with a token that is drawn anew each time, so that neither another user of the
-machine nor a page from elsewhere can write here; names that point to this machine but are not its
-own (DNS rebinding) and pages of another origin are refused before anything else is processed.  On
-an address of the network the token is the only thing that keeps others out, and it is not
-encrypted.
+Every address starts with a token that is drawn at each start, so that neither another user of the
+machine nor a page of another server can write here.  Requests for other host names that point to
+this machine (DNS rebinding) and from pages of another origin are refused before anything else is
+processed.  On an address of the network the token is the only protection, and it is not encrypted.
 """
 
 from __future__ import annotations
@@ -51,13 +50,13 @@ from pipeline.live.session import (
 from pipeline.skin.writing import START_S
 
 HOST = "127.0.0.1"
-"""Default address of the page, which no other machine reaches."""
+"""Default address of the page, which other machines cannot reach."""
 
 LARGEST = 64 * 1024
 """Bytes of a message."""
 
 APART_S = 0.012
-"""Minimum seconds between two answers: more than the screen shows would waste time."""
+"""Minimum seconds between two answers, because a screen cannot display more."""
 
 PAGES = 8
 """Pages that may be open at a time."""
@@ -96,7 +95,7 @@ class Guard:
     ----------
     app : ASGI application
     host : str
-        As it stands in an address.
+        Host name or IP address, as in the page's address.
     port : int
     """
 
@@ -154,17 +153,17 @@ class Live:
     Parameters
     ----------
     make_decider : callable
-        Gives the :class:`~pipeline.live.deciding.Decider`; may take long.
+        Returns the :class:`~pipeline.live.deciding.Decider`; may take long.
     keeper : Keeper
     p : pipeline.skin.parameters.Parameters
     about : dict
         Plain values for the page: ``bundle``, ``accuracy`` and the like.
     seed : int
     make_learner : callable, optional
-        Gives the :class:`~pipeline.live.learning.Learner`, or None for a network that cannot be
+        Returns the :class:`~pipeline.live.learning.Learner`, or None for a network that cannot be
         fitted; called after ``make_decider``.
     make_tests : callable, optional
-        Gives the list of :class:`~pipeline.live.examples.Example` of the network's check; called
+        Returns the list of :class:`~pipeline.live.examples.Example` of the network's check; called
         when the network is ready.
     """
 
@@ -212,7 +211,7 @@ class Live:
             return [], str(error)
 
     def app(self, host: str, port: int):
-        """The ASGI application, for an address that is known by now."""
+        """The ASGI application; the address must be known."""
         routes = [
             Route("/{token}/", self._page),
             Route("/{token}/{name}", self._page),
@@ -305,7 +304,7 @@ class Live:
                     try:
                         learned = await loop.run_in_executor(self._study_thread, lesson)
                     except Exception as error:  # said; what was recorded is safe
-                        learned = problem(f"this digit could not be learned: {error}")
+                        learned = problem(f"this recording could not be learned: {error}")
                     await _say(socket, [learned])
 
     async def _answer(self, socket, session, wake, study):
@@ -367,14 +366,14 @@ def listen(port: int, host: str = HOST) -> socket.socket:
     Parameters
     ----------
     port : int
-        0 for one that is free.
+        0 for any free port.
     host : str
-        One address or name of this machine, not all of them: the page answers to this one only.
+        One address or name of this machine; only requests for it are answered.
 
     Raises
     ------
     UserError
-        The port is in use, or may not be used; the address is none of this machine.
+        The port is in use or not permitted, or the address is not one of this machine.
     """
     where = "choose an address of this machine, such as 'hostname -I' or 'ip address' lists"
     try:
@@ -400,7 +399,7 @@ def listen(port: int, host: str = HOST) -> socket.socket:
 
 
 class Server(uvicorn.Server):
-    """Uvicorn's, that says when it listens and that another thread can end.
+    """Uvicorn's server, with a call when it listens; another thread can end it.
 
     Parameters
     ----------
@@ -408,7 +407,7 @@ class Server(uvicorn.Server):
     listening : socket.socket
         From :func:`listen`.
     when_listening : callable, optional
-        Takes the page's address.
+        Called with the page's address.
     host : str
         As given to :func:`listen`.
     """

@@ -66,7 +66,8 @@ def serve(
     Parameters
     ----------
     network : callable
-        Gives the bundle and how events become its images; called once the port is known to be free.
+        Returns the bundle and its conversion of events to images; called when the port is known to
+        be free.
     port : int
         0 for any free one.
     record : path-like, optional
@@ -75,12 +76,12 @@ def serve(
         Address of this machine; default: for this machine only.
     open_browser : bool
     say : callable
-        Called with lines about what happens.
+        Called with each message.
 
     Raises
     ------
     UserError
-        A package is missing, the port is in use, or the page cannot show this network.
+        A package is missing, the port is in use, or the page does not support this network.
     """
     try:
         from pipeline.live.keeping import Keeper
@@ -134,4 +135,4 @@ def serve(
             try:
                 Server(page, listening, when_listening, host).run()
             finally:
-                say(f"live: ended; {len(keeper)} recordings are kept in {record}")
+                say(f"live: ended; {len(keeper)} recordings are saved in {record}")

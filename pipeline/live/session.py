@@ -4,16 +4,16 @@ This module uses no sockets or clocks: a message is a dict, and the time is an a
 sends:
 
 ``pen``      ``now`` and ``points`` [[t, right, down, pressure, touches], ...], times in
-             milliseconds of the page's own clock, places in taxels
-``clear``    forget what is being written
-``label``    ``label``: the class of what was written, from 0; keeps the recording
-``example``  ``now``, ``origin`` (``"test"`` or ``"kept"``) and ``label`` (or null for any): plays a
-             recording that is there already, which is not kept again
+             milliseconds of the page's clock, positions in taxels
+``clear``    discard the present recording ``label``    ``label``: the class of the recording, from
+0; saves the recording ``example``  ``now``, ``origin`` (``"test"`` or ``"kept"``) and ``label`` (or
+null for any): plays an
+             existing recording, which is not saved again
 ``undo``     remove the writer's last recording
 ``learning`` ``on``: whether the network learns this writer's handwriting
-``forget``   forget what the network has learned of this writer
-``writer``   ``number`` (or null for a new one), ``handedness``, ``each`` (0: no session): who
-             writes, and how many of each class are wanted
+``forget``   delete what the network has learned from this writer
+``writer``   ``number`` (or null for a new one), ``handedness``, ``each`` (0: no session): the
+             writer, and the requested number of recordings of each class
 
 and it receives: ``events``, ``cleared``, ``saved``, ``undone``, ``learned``, ``examples``,
 ``writer`` and ``problem``.
@@ -44,29 +44,29 @@ if TYPE_CHECKING:
     from pipeline.live.learning import Learner  # Nengo: a second that the page can spare
 
 LONGEST_S = 10.0
-"""A recording takes no longer.  The published ones last 2 s; not everybody writes as fast, and a
-network on events hears the first 2 s only."""
+"""Maximum duration of a recording.  The published ones last 2 s; some people write
+more slowly, and a network on events receives the first 2 s only."""
 
 PAUSE_S = 1.5
-"""A pen that comes down after so long begins another recording."""
+"""Pause in seconds after which a touch of the pen begins another recording."""
 
 REST_S = 0.25
-"""A pen of which nothing has come for so long rests where it was; before that it may be that the
-machine is busy and its way is still to come."""
+"""Seconds without a message after which the pen is taken to rest; before, messages
+may be delayed by a busy machine."""
 
 POINTS = 512
-"""Points that a message may hold."""
+"""Maximum number of points in a message."""
 
 MOST_TAXELS = 4096
-"""Taxels of a skin that one can write on: more take the machine longer to simulate than a page with
-its network leaves it (0.15 s of processor time a second for so many)."""
+"""Maximum number of taxels of a skin to write on: with more, the simulation would take too long
+beside the page and its network (0.15 s of processor time per second for this number)."""
 
 SKIN_RATE = 2.0
-"""Seconds of the skin that are simulated for a page in each second, on average: a hand needs one.
-At once it may be the whole of the longest recording."""
+"""Mean number of seconds of the skin that may be simulated for a page per second; a person needs
+one.  At one moment it may be the whole of the longest recording."""
 
 EACH = 1000
-"""Recordings of each class that a session may ask for."""
+"""Maximum number of recordings of each class in a session."""
 
 
 class BadMessage(ValueError):
@@ -81,11 +81,11 @@ class Allowance:
     ----------
     per_second : float
     at_once : float, optional
-        That may be taken in one moment; default: a second's worth.
+        Maximum amount at one moment; default: that of one second.
     left : float
         Negative for a debt.
     at_s : float
-        When ``left`` was right.
+        Time for which ``left`` is valid.
     """
 
     per_second: float
@@ -110,12 +110,12 @@ class Allowance:
         return True
 
     def charge(self, n: float):
-        """Count what was taken without asking; :meth:`take` refuses until the debt is gone."""
+        """Count an amount that was used already; :meth:`take` refuses until the debt is gone."""
         self.left -= n
 
 
 class OpenRecording:
-    """What is being written, or an example that is being played.
+    """A recording that is being written, or an example that is being played.
 
     Parameters
     ----------
@@ -125,9 +125,9 @@ class OpenRecording:
     deciding : Deciding
     writing : Writing or Replayed
     seed : sequence of int
-        Of the skin's noise.
+        Seed of the skin's noise.
     example : Example, optional
-        What is played.
+        The example that is played.
     """
 
     def __init__(self, number, begun_ms, deciding, writing, seed=(), example=None):
@@ -143,7 +143,7 @@ class OpenRecording:
 
     @property
     def kept(self):
-        """Whether it is in a folder already, so that nothing can be written on it."""
+        """True if it is in a folder already, so that nothing can be written on it."""
         return self.saved or self.example is not None
 
     def time_s(self, page_ms):
@@ -156,7 +156,7 @@ class OpenRecording:
 
     @property
     def over(self):
-        """Whether its time is up."""
+        """True if its maximum duration has passed."""
         return self.writing.time_s >= self._longest_s - 2e-3
 
     @property
@@ -165,7 +165,7 @@ class OpenRecording:
         return self.over or self.writing.time_s >= self.writing.settled_s - 2e-3
 
     def point(self, page_ms, right, down, pressure, touches):
-        """The pen was somewhere."""
+        """Add a point of the pen."""
         if not self.over and (touches or self.down):
             point = PenPoint(self.time_s(page_ms), down, right, pressure, touches)
             self.writing.point(point)
@@ -173,13 +173,13 @@ class OpenRecording:
         self.down = touches
 
     def lift(self):
-        """The pen is off the skin from now on, whatever the page has said of it."""
+        """Lift the pen, independently of the last message of the page."""
         if self.down:
             _, down, right, pressure, _ = self.pen[-1]
             self.point(self.page_ms(self.writing.time_s), right, down, pressure, False)
 
     def advance(self, page_ms) -> Events:
-        """Let time pass: to now, or as far as the pen is known while it may still be moving."""
+        """Advance the time: to now or, while the pen may be moving, to its last known point."""
         until = min(self.time_s(page_ms), self._longest_s)
         if self.down:
             until = min(until, max(self.pen[-1][0], until - REST_S))
@@ -198,11 +198,12 @@ class Session:
     Parameters
     ----------
     number : int
-        No two sessions of a server have the same one.
+        A number that is unique among the sessions of a server.
     keeper : Keeper
     p : pipeline.skin.parameters.Parameters
     seed : int
-        With the number, of the skin's noise and of the order of classes and examples.
+        Seed, together with the number, of the skin's noise and of the order of classes and
+        examples.
     now : callable, optional
         The time of day as a `datetime.datetime` with its zone.
     """
@@ -223,12 +224,12 @@ class Session:
         self._complained_s = -math.inf
 
     def begin(self, decider: Decider, learner: Learner | None = None):
-        """The network is ready, and what learns handwriting, if the network can be fitted."""
+        """Set the decider and, if the network can be fitted, the learner."""
         self._decider, self._learner = decider, learner
         self._study("recall", self.writer)
 
     def show(self, tests) -> dict:
-        """The recordings of the network's check are there (or none): the message ``examples``.
+        """Set the recordings of the network's check; returns the message ``examples``.
 
         Parameters
         ----------
@@ -240,23 +241,23 @@ class Session:
     def lessons(self) -> list:
         """The next lessons in order: functions for another thread, each returned once.
 
-        Each gives the message ``learned``.
+        Each function returns the message ``learned``.
         """
         lessons, self._lessons = self._lessons, []
         return lessons
 
     def _study(self, what, *given):
-        """Leave something to the learner; while it is switched off, nothing is learned."""
+        """Add a lesson for the learner, unless learning is switched off."""
         if self._learner is not None and (self._learns or what != "learn"):
             self._lessons.append(functools.partial(getattr(self._learner, what), *given))
 
     @property
     def clocked(self) -> bool:
-        """True if the network may answer differently although nothing has happened."""
+        """True if the answer of the network can change without an event."""
         return self._decider is not None and self._decider.clocked
 
     def state(self) -> dict:
-        """Who writes, what is kept, what is asked for: the message ``writer``."""
+        """The message ``writer``: the writer, the saved recordings, the requested class."""
         counts = self._keeper.counts(self.writer)
         done = sum(min(n, self._each) for n in counts)
         asked = asked_next(counts, self._each, [self._seed, 1, self.writer])
@@ -275,14 +276,14 @@ class Session:
         }
 
     def handle(self, text: str, now_s: float) -> list:
-        """Answer to a message.
+        """Handle a message.
 
         Parameters
         ----------
         text : str
-            As it came.
+            The message as received.
         now_s : float
-            On a clock that never goes back.
+            Time of a monotonic clock.
 
         Returns
         -------
@@ -320,7 +321,7 @@ class Session:
     def ask(self):
         """The next answer of the network: a function for another thread, or None.
 
-        The function gives the message ``answer``, or None if there is nothing to say.
+        The function returns the message ``answer``, or None.
         """
         recording = self.recording
         if self._decider is None or recording is None:
@@ -408,7 +409,7 @@ class Session:
         return _whole(message, "label", 0, len(self._sensor.classes) - 1)
 
     def _passed(self, advance, *until):
-        """Let time pass on the skin, which counts: the message with the events of it."""
+        """Advance the skin within the limits; returns the message with its events."""
         recording = self.recording
         begun_s = recording.writing.time_s
         events = advance(*until)
@@ -432,17 +433,17 @@ class Session:
     def _label(self, message, now_s):
         label, recording = self._class(message), self.recording
         if recording is not None and recording.example is not None:
-            return [problem("an example is kept already; write one yourself to keep it")]
+            return [problem("this example is saved already; only your own recordings can be saved")]
         if recording is None or recording.kept:
-            return [problem("nothing is written; write first, then say what it was")]
+            return [problem("nothing is written; write first, then press its class")]
         recording.lift()
         replies = [self._passed(recording.finish)]
         events = recording.writing.events
         if len(events) == 0:
-            return [*replies, problem("no taxel has felt anything; write with more pressure")]
+            return [*replies, problem("no taxel has an event; write with more pressure")]
         if recording.spoiled:
             return [*replies, problem(
-                "not kept: strokes came faster than a hand can write and were left out; write again"
+                "not saved: strokes came faster than a person can write; write again"
             )]  # fmt: skip
         written = Written(
             time=self._now().isoformat(timespec="seconds"),
@@ -496,7 +497,7 @@ class Session:
         return [self.state()]
 
     def _new_writer(self):
-        """A number above all others while there is one, then the lowest that is free."""
+        """A number above all others or, if there is none, the lowest free one."""
         self._keeper.look()
         known = {self.writer, *self._keeper.writers}
         numbers = [max(known) + 1, *range(1, WRITERS)]
@@ -515,7 +516,7 @@ class Session:
         if now_s < self._complained_s + 1:
             return []
         self._complained_s = now_s
-        return [problem("strokes come faster than a hand can write; some were left out")]
+        return [problem("strokes come faster than a person can write; some were left out")]
 
 
 _HANDLERS = {
@@ -531,7 +532,7 @@ _HANDLERS = {
 
 
 def problem(text: str) -> dict:
-    """The message that says what is wrong."""
+    """The message with an error for the user."""
     return {"type": "problem", "text": text}
 
 

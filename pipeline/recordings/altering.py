@@ -13,11 +13,12 @@ from pipeline.recordings.events import Events, Recordings
 class Alteration:
     """The parameters of the alterations.
 
-    Each is written faster or slower by a factor exp(``stretch`` z), begins anywhere within its
-    first step, and loses each event with a chance drawn from 0 to ``drop``.  Its places, seen from
-    the middle of the skin, are slanted by ``shear`` z, turned by ``turn`` z radians, stretched by
-    exp(``scale`` z) along rows and along columns, and moved by ``shift`` z taxels both ways; each z
-    is normal and a sample's own.  An event goes to the nearest taxel, or is lost past the edge.
+    The times of a sample are multiplied by exp(``stretch`` z), the sample begins at a random time
+    within its first step, and each event is dropped with a probability drawn from 0 to ``drop``.
+    Positions relative to the middle of the skin are sheared by ``shear`` z, rotated by ``turn`` z
+    radians, scaled by exp(``scale`` z) along rows and along columns, and shifted by ``shift`` z
+    taxels in both directions.  Each z is standard normal and drawn for each sample.  An event is
+    assigned to the nearest taxel; events beyond the edge are lost.
     """
 
     stretch: float = 0.1
@@ -64,7 +65,7 @@ def altered_recordings(
         Indices of recordings; one that occurs several times is altered differently each time.
     how : Alteration
     step_ms : float
-        The step within which a sample begins anywhere.
+        The step within which a sample begins at a random time.
     seed : int or sequence of int
 
     Returns
@@ -102,7 +103,7 @@ def altered_recordings(
 
 
 def _altered(how, rng, samples, sample, step, row, column, size):
-    """Which events remain, and the step and (row, column), in whole taxels, of each."""
+    """The remaining events, with the step and the (row, column), in whole taxels, of each."""
     pace = np.exp(rng.normal(0, how.stretch, samples))
     step = step * pace[sample] + rng.uniform(0, 1, samples)[sample]
     kept = rng.random(len(sample)) >= rng.uniform(0, how.drop, samples)[sample]

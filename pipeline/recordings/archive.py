@@ -1,7 +1,7 @@
 """Recordings in the published layout: a zip or folder with a sub-folder for each class.
 
-The published layout is ``data_submission/<digit>/*.mat``; the folders may have any names and stand
-at any depth, and ``LUT.mat`` anywhere or nowhere.  Recordings of other sensors may be ``.npz``
+The published layout is ``data_submission/<digit>/*.mat``; the folders may have any names and be at
+any depth; ``LUT.mat`` is optional and may be anywhere.  Recordings of other sensors may be ``.npz``
 files of events instead.  The zip is read without being unpacked to disk.
 """
 
@@ -28,7 +28,7 @@ from deploy.files import open_regular, replacing, sha256_of
 from deploy.terminal import WARNING, printable
 from pipeline.jobs import results_of
 from pipeline.recordings import labelled, sensors
-from pipeline.recordings.budget import MOST_FILES, Spent
+from pipeline.recordings.budget import MOST_BYTES, MOST_FILES, Spent
 from pipeline.recordings.eventfile import SUFFIXES as EVENT_SUFFIXES
 from pipeline.recordings.eventfile import read_events
 from pipeline.recordings.events import DIGITS, Recordings, Source, TaxelMap, collect
@@ -46,13 +46,13 @@ from pipeline.recordings.matfile import (
 LOOKUP_TABLE = "lut.mat"
 SUFFIXES = (".mat", *EVENT_SUFFIXES)
 CHUNK = 32
-"""Files that a worker reads at a time: enough to hide the hand-over, few enough for the bar."""
+"""Number of files that a worker reads at a time: a compromise of overhead and progress bar."""
 
 LISTED = 10
-"""Reasons, and files that were left out, that are told one by one."""
+"""Number of reasons, and of files that were left out, that are listed individually."""
 
 NAMED = 3
-"""Refused files that a line names."""
+"""Maximum number of refused files that are named in a line."""
 
 LONGEST_NAME = 120
 """Characters of a name in a message."""
@@ -79,9 +79,9 @@ class Listing:
     lookup_table : str or None
         Member path of ``LUT.mat``.
     refused : tuple of (str, str)
-        Member path and reason of what can't be a recording.
+        Member path and reason of each file that cannot be a recording.
     parts : dict of str to Part
-        Of recordings that are parts of a file, which part; see
+        The part of the file, for recordings that are parts of a longer file; see
         :mod:`pipeline.recordings.labelled`.
     """
 
@@ -98,8 +98,8 @@ def list_source(path) -> Listing:
     Raises
     ------
     UserError
-        No such file or folder, not a zip, a damaged zip, nothing in it looks like recordings, or
-        recordings of both kinds.
+        The source does not exist, is not a zip or a damaged zip, or has no recordings or recordings
+        of both kinds.
     """
     path = Path(path)
     refused, recordings, tables, seen = [], [], [], set()
@@ -145,9 +145,25 @@ def list_source(path) -> Listing:
             f"{path}: holds {len(recordings):,} recordings, more than {MOST_FILES:,}; give a part "
             "of it"
         )
+    _refuse_too_large(path, recordings)
     recordings.sort(key=lambda entry: (sensors.class_order(entry[1]), entry[0]))
     table = min(tables, default=None)
     return Listing(path, tuple(recordings), table, tuple(refused), places)
+
+
+def _refuse_too_large(path, recordings):
+    """Refuse a source of more bytes on the disk than its recordings may have when unpacked."""
+    if path.is_dir():
+        files = {path / name for name, _ in recordings}
+        sizes = [file.stat().st_size for file in files if file.is_file()]
+        size = sum(size for size in sizes if size <= LARGEST)  # others are refused and not read
+    else:
+        size = path.stat().st_size
+    if size > MOST_BYTES:
+        raise UserError(
+            f"{path}: is larger than {MOST_BYTES:,} bytes; give a part of it, such as fewer "
+            "recordings of each class"
+        )
 
 
 def _suffix(name):
@@ -155,13 +171,13 @@ def _suffix(name):
 
 
 def _of_main_kinds(recordings):
-    """Without files of other formats where there are .mat or .npz files, such as a table."""
+    """Leave out files of other formats, such as a table, if there are .mat or .npz files."""
     main = [entry for entry in recordings if _suffix(entry[0]) in (".mat", ".npz")]
     return main or [e for e in recordings if _suffix(e[0]) != ".csv"] or recordings
 
 
 def _of_classes(recordings):
-    """The files in folders of classes, and all others with the reason to refuse them."""
+    """The files in folders of classes, and all others with the reason why they are refused."""
     folders = Counter(PurePosixPath(name).parent for name, _ in recordings)
     above = {folder for leaf in folders for folder in leaf.parents}
     names = Counter(name for _, name in recordings)
@@ -213,7 +229,7 @@ def read_source(
     progress : callable, optional
         ``progress(label, total)``, a context manager that yields ``advance(n)``.
     reading : pipeline.recordings.sensors.Reading
-        Properties that are given and not detected.
+        Properties that the user has specified.
 
     Returns
     -------
@@ -222,8 +238,8 @@ def read_source(
     Raises
     ------
     UserError
-        Rows, columns or the unit of time cannot be known; or, unless ``skip_bad``, with a line for
-        each reason for which files are refused.
+        Rows, columns or the unit of time cannot be determined; or, unless ``skip_bad``, files are
+        refused, with a line for each reason.
     """
     listing = list_source(path)
     refused, read = list(listing.refused), []
@@ -305,7 +321,7 @@ def left_out_lines(path, recordings: Recordings) -> list:
 
 
 def write_zip(path, recordings: Recordings, progress=None):
-    """Write recordings as a zip in the published layout, the same bytes for the same recordings.
+    """Write recordings as a zip in the published layout; equal recordings give equal bytes.
 
     Parameters
     ----------
@@ -334,16 +350,16 @@ def write_zip(path, recordings: Recordings, progress=None):
 
 
 def export_zip(path, folder, progress=None) -> int:
-    """Write the recordings of a folder as a zip in the published layout, each as it is.
+    """Write the files of a folder as a zip in the published layout, without changing them.
 
     Unlike :func:`write_zip` this preserves the other variables of the files.
 
     Parameters
     ----------
     path : path-like
-        The zip; the same bytes for the same files.
+        The zip; equal files give equal bytes.
     folder : path-like
-        Or another zip.
+        A folder or another zip.
     progress : callable, optional
         As in :func:`read_source`.
 
@@ -355,7 +371,7 @@ def export_zip(path, folder, progress=None) -> int:
     Raises
     ------
     UserError
-        A file is no recording, or the zip cannot be written.
+        A file is not a recording, or the zip cannot be written.
     """
     listing = list_source(folder)
     if listing.refused:
@@ -390,18 +406,31 @@ def content_hash(path) -> str:
     """SHA-256 over a source's content: of the zip, or of every recording of a folder."""
     path = Path(path)
     if not path.is_dir():
-        return sha256_of(path)
-    files = {name: sha256_of(path / name) for name, _ in _members(path) if _is_recording(name)}
+        return sha256_of(path, MOST_BYTES)
+    files = {
+        name: problem or _hash_of_member(path / name)
+        for name, problem in _members(path)
+        if problem or _is_recording(name)
+    }
     return hashlib.sha256(json.dumps(files, sort_keys=True).encode()).hexdigest()
 
 
+def _hash_of_member(path):
+    """The hash of a file, or the size of one that is refused as too large."""
+    size = path.stat().st_size
+    return f"{size} bytes" if size > LARGEST else sha256_of(path)
+
+
 def fingerprint(path) -> str:
-    """A cheap stand-in for the content hash: names, sizes and times of change."""
+    """A fast substitute for the content hash: names, sizes and modification times."""
     path = Path(path)
-    files = [path]
+    files = [(path, None)]
     if path.is_dir():
-        files = [path / name for name, _ in _members(path) if _is_recording(name)]
-    stats = [(str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns) for f in files]
+        files = [(path / name, why) for name, why in _members(path) if why or _is_recording(name)]
+    stats = [
+        (str(f), why) if why else (str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns)
+        for f, why in files
+    ]
     return hashlib.sha256(json.dumps(stats).encode()).hexdigest()
 
 
@@ -424,12 +453,12 @@ def _ids(names):
 
 
 def _members(path: Path):
-    """Paths of all files of a source, each with what is wrong with it as a member, or None."""
+    """Paths of all files of a source, each with the reason why it is refused, or None."""
     return _everything(path)[0]
 
 
 def _everything(path: Path):
-    """The files, as of :func:`_members`, and the paths of the folders."""
+    """The files, as in :func:`_members`, and the paths of the folders."""
     if path.is_dir():
         files, folders = [], []
         for entry in sorted(path.rglob("*")):
@@ -443,7 +472,7 @@ def _everything(path: Path):
                 files.append((name, problem))
         return files, folders
     if not path.exists():
-        raise UserError(f"{path}: no such file or folder; give the ST-MNIST zip or its folder")
+        raise UserError(f"{path}: no such file or folder; give a zip or a folder of recordings")
     try:
         with open_regular(path) as file, zipfile.ZipFile(file) as archive:
             members = archive.infolist()
@@ -485,7 +514,7 @@ class _Reader:
 
 
 def _reader(path: Path) -> _Reader:
-    """A reader of the source as it is now; opened once a process, for a zip's list is long."""
+    """A reader of the present source, opened once per process, because a zip's list is long."""
     state = path.stat()
     return _open_reader(path, state.st_ino, state.st_size, state.st_mtime_ns)
 
@@ -515,7 +544,7 @@ def _read_chunks(path, chunks, jobs):
 
 
 def _read_carefully(path, names):
-    """Do :func:`_read_members` in a process that may die; halving finds the file that kills it."""
+    """Run :func:`_read_members` in a process that may crash; bisection finds the file at fault."""
     try:
         return next(results_of([delayed(_read_members)(path, names)], 2))
     except TerminatedWorkerError:
@@ -548,7 +577,7 @@ def _read_members(path, names):
     Raises
     ------
     UserError
-        They alone hold more than a source may.
+        The members exceed the limits of a source.
     """
     reader, results, spent, before = _reader(path), [], Spent(), None
     for name in names:
@@ -584,9 +613,9 @@ def _refuse_too_much(path, spent):
 
 
 def _refusals(path, refused, total):
-    """A line for each kind of reason: how many files, the first ones, and the reason of the first.
+    """A line for each kind of reason: number of files, the first ones, and the reason of the first.
 
-    Where there are several kinds the line before them says what to do.
+    If there are several kinds, a line with the remedy precedes them.
     """
     kinds = {}
     for name, reason in sorted(refused):
@@ -601,7 +630,7 @@ def _refusals(path, refused, total):
     if len(kinds) > LISTED:
         lines.append(f"and files refused for {len(kinds) - LISTED} more reasons")
     remedy = (
-        "mend them, or leave them out: --skip-bad of 'stmnist data import', else --set "
+        "correct them, or leave them out: --skip-bad of 'stmnist data import', else --set "
         "data.skip_bad=true"
     )
     if len(lines) == 1:

@@ -1,6 +1,7 @@
-"""Limits of the size of a source of recordings, so that none takes all time and memory.
+"""Limits of the total size of a source of recordings, in time and memory.
 
-Each file is bounded by itself (:mod:`pipeline.recordings.mat5`); a thousand of them are not.
+Each file has its own limit (:mod:`pipeline.recordings.mat5`), which does not limit a thousand
+files.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ UNPACKED = 1032
 
 @dataclass
 class Spent:
-    """Amount of data that was read from a source.
+    """The amount of data that was read from a source.
 
     Attributes
     ----------
@@ -43,7 +44,7 @@ class Spent:
         ----------
         recording : MatRecording, EventRecording or str
         size : int
-            Bytes of the file of one that was refused: how far it was unpacked nobody knows.
+            Size in bytes of a refused file, whose unpacked part is not known.
         """
         if isinstance(recording, str):
             self.bytes += min(UNPACKED * size, LARGEST)

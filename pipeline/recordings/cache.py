@@ -25,10 +25,10 @@ from pipeline.recordings.stored import problem_with
 _SHA256 = re.compile("[0-9a-f]{64}")
 
 FORMAT = 4
-"""Raise it with any change of what is stored or of how recordings are read."""
+"""Version of the format; increase it with any change of the stored data or of the reading."""
 
 LARGEST = 1 << 34
-"""Bytes of a set of recordings: the published one takes a hundredth of it."""
+"""Maximum number of bytes of a set of recordings, a hundred times that of the published one."""
 
 
 def folder() -> Path:
@@ -39,7 +39,7 @@ def folder() -> Path:
 
 
 def key_of(*parts) -> str:
-    """A file name for whatever the parts (plain values) determine."""
+    """A file name for recordings that are determined by some plain values."""
     return hashlib.sha256(json.dumps([FORMAT, *parts]).encode()).hexdigest()[:24]
 
 
@@ -67,12 +67,12 @@ def store(key: str, recordings: Recordings):
 
 
 def load(key: str) -> Recordings | None:
-    """Load recordings, or None if the key is not there.
+    """Load recordings, or return None if the key does not exist.
 
     Raises
     ------
     UserError
-        The file is there but damaged.
+        The file exists but is damaged.
     """
     path = _path(key)
     if not path.exists():
@@ -110,12 +110,12 @@ def load(key: str) -> Recordings | None:
 
 
 def remember(fingerprint: str, sha256: str):
-    """Note the content hash of a source, so that it need not be read again to know it."""
+    """Store the content hash of a source, so that the source need not be read again."""
     write_json(folder() / f"source-{fingerprint[:24]}.json", {"sha256": sha256})
 
 
 def recall(fingerprint: str) -> str | None:
-    """The content hash of a source seen before, or None."""
+    """The stored content hash of a source, or None."""
     path = folder() / f"source-{fingerprint[:24]}.json"
     if not path.exists():
         return None

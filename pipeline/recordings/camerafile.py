@@ -1,7 +1,7 @@
 """Files of event cameras: AEDAT4 (iniVation), EVT2, EVT2.1, EVT3 and DAT (Prophesee).
 
 They are read with faery (https://github.com/aestream/faery, LGPL 3): one library reads all of them,
-it has wheels for Python 3.11 to 3.13 and needs nothing but NumPy.  It is optional:
+it has wheels for Python 3.11 to 3.13 and depends on NumPy only.  It is optional:
 ``pip install 'stmnist-loihi[cameras]'``.
 """
 
@@ -30,7 +30,7 @@ def read_camera(content: bytes, suffix: str) -> EventRecording:
     Raises
     ------
     BadRecording
-        faery is not installed, or the file is damaged or no recording.
+        faery is not installed, or the file is damaged or not a recording.
     """
     try:
         import faery

@@ -2,9 +2,9 @@
 
 ``x`` is the column from the left and ``y`` the row from the top, whole numbers from 0; ``p`` is the
 polarity, as truth values, 0 and 1, or -1 and 1; ``t`` is the time in seconds, milliseconds,
-microseconds or nanoseconds, which :mod:`pipeline.recordings.timeunits` tells apart where nobody
-says.  Events may come as four arrays, as one structured array with fields of those names (as Tonic
-has them), or as rows of four numbers.
+microseconds or nanoseconds.  If the unit is not specified, :mod:`pipeline.recordings.timeunits`
+infers it.  Events may be four arrays, one structured array with fields of these names (as in
+Tonic), or rows of four numbers.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ NAMES = {
     "t": ("t", "time", "timestamp", "ts", "t_s", "t_ms", "t_us", "t_ns"),
     "p": ("p", "polarity", "pol", "on"),
 }
-"""Names of fields and of columns that stand for each of them, in any case; one may say the unit."""
+"""Alternative names of fields and columns, in upper or lower case; some include the unit."""
 
 MAX_EVENTS = 5_000_000
 """Events of one recording."""
 
 MAX_PLACE = 16_383
-"""Highest coordinate that any sensor has; what a network is shown is smaller."""
+"""Highest coordinate of any sensor; the input of a network is smaller."""
 
 ROW_ORDERS = ("xytp", "xypt", "txyp")
 """Orders of columns in rows of four numbers: Tonic's, that of Tonic's DVS Gesture, DV's."""
@@ -49,13 +49,13 @@ class EventRecording:
         Not negative, in ``unit``.
     polarity : ndarray of int8, shape (n,)
     unit : str
-        One of :data:`pipeline.recordings.timeunits.UNITS`; empty where nothing says which.
+        One of :data:`pipeline.recordings.timeunits.UNITS`; empty if it is not known.
     size : (int, int) or None
-        Rows and columns of the sensor, where the file says.
+        Rows and columns of the sensor, if the file has them.
     simulated : bool
-        True if the file says of itself that it is simulated.
+        True if the file states that it is simulated.
     writer : int
-        Who made it if the file says, from 0; else -1.
+        Number of the person who made the recording, from 0; -1 if the file does not have it.
     """
 
     x: np.ndarray
@@ -68,7 +68,7 @@ class EventRecording:
     writer: int = -1
 
     def events(self, rows: int, time_ns: np.ndarray) -> Events:
-        """With taxels counted as :meth:`pipeline.recordings.events.TaxelMap.grid` does.
+        """The events with taxels numbered as by :meth:`pipeline.recordings.events.TaxelMap.grid`.
 
         Parameters
         ----------
@@ -87,19 +87,19 @@ def recording_of(events, unit: str = "", most: int = MAX_EVENTS) -> EventRecordi
     Parameters
     ----------
     events : structured array, array_like of shape (n, 4), dict, or sequence of four arrays
-        A dict has the arrays by name, a sequence in the order x, y, t, p.  Of rows of four numbers
-        the order is told by what stands in them, see :data:`ROW_ORDERS`.
+        A dict has the arrays by name, a sequence in the order x, y, t, p.  The
+        order of rows of four numbers is inferred from the values, see :data:`ROW_ORDERS`.
     unit : str
-        Of the times; empty if it is not known.
+        Unit of the times; empty if it is not known.
     most : int
-        Events that there may be.
+        Maximum number of events.
 
     Raises
     ------
     BadRecording
-        Not of such a form; arrays that are missing, of different lengths, empty, or not of
-        numbers; coordinates that are no whole numbers from 0; times that are NaN or negative;
-        polarities of three kinds.
+        The events have another form; arrays are missing, empty, not numbers or of different
+        lengths; coordinates are not whole numbers from 0; times are NaN or negative; polarities
+        have three values.
     """
     named, said = _named(events)
     arrays = {name: np.asarray(array) for name, array in named.items()}
@@ -162,7 +162,7 @@ def _polarity(p):
 
 
 def _named(events):
-    """The four arrays by name, whatever form events have; and the unit of time if they say it."""
+    """The four arrays by name, from any form of events; and the unit of time if it is given."""
     if isinstance(events, np.ndarray) and events.dtype.names:
         if events.ndim != 1:
             raise BadRecording(f"is a structured array of {events.ndim} dimensions, not one")
@@ -183,7 +183,7 @@ def _named(events):
 
 
 def by_name(columns: dict) -> dict:
-    """Those of some columns that are x, y, t and p, under these names; see :data:`NAMES`.
+    """The columns x, y, t and p by these names; :data:`NAMES` has the alternatives.
 
     Raises
     ------

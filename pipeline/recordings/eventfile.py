@@ -1,13 +1,13 @@
-"""One recording, one file of events: the formats, each turned into x, y, t and p.
+"""Read a file of events with one recording: formats, each converted to x, y, t and p.
 
 ``.npz``     four arrays x, y, t, p, or one array, structured or with rows of four numbers
 ``.npy``     one such array
-``.csv``     a line an event, four columns, with their names in the first line or without
-``.bin``     the layout of N-MNIST and N-Caltech101: five bytes an event
+``.csv``     one line per event, four columns, with or without their names in the first line
+``.bin``     the layout of N-MNIST and N-Caltech101: five bytes per event
 ``.aedat``   AEDAT 3.1, the layout of DVS Gesture
 ``.aedat4``, ``.raw``, ``.dat``   of iniVation's and Prophesee's cameras, read with faery
 
-What the arrays mean is in :mod:`pipeline.recordings.eventarrays`.  Nothing in a file is executed:
+The arrays are described in :mod:`pipeline.recordings.eventarrays`.  Nothing in a file is executed:
 only plain arrays of numbers are read, and no more than a recording can have.
 """
 
@@ -50,14 +50,14 @@ def read_events(
     content : bytes
         Content of a file.
     name : str
-        The file's name, whose end tells its format.
+        The file's name, whose end determines the format.
     most : int
-        Events of an ``.aedat`` or ``.bin`` file.
+        Maximum number of events of an ``.aedat`` or ``.bin`` file.
 
     Raises
     ------
     BadRecording
-        Not such a file, or what is in it is no recording: see
+        The file has another format, or its content is not a recording: see
         :func:`pipeline.recordings.eventarrays.recording_of`.
     """
     suffix = PurePosixPath(name).suffix.lower()
@@ -77,7 +77,7 @@ NMNIST_OVERFLOW, NMNIST_LAP = 240, 2**13
 
 
 def _nmnist(content):
-    """Of N-MNIST and N-Caltech101 (Orchard et al., 2015): x, y, polarity and 23 bits of time."""
+    """Read N-MNIST and N-Caltech101 (Orchard et al., 2015): x, y, polarity and 23 bits of time."""
     if len(content) % 5:
         raise BadRecording("is not a whole number of events of five bytes, as N-MNIST has them")
     values = np.frombuffer(content, np.uint8).reshape(-1, 5).astype(np.int64)
@@ -157,7 +157,7 @@ def _csv(content):
 
 
 def _npz(content):
-    """The four arrays by name, or the one array that there is; and what is said beside them."""
+    """The four arrays by name, or the single array; and further entries of the file."""
     arrays = {
         name.removesuffix(".npy"): _array(_member(content, name), name.removesuffix(".npy"))
         for name in _members(content)
@@ -197,7 +197,7 @@ def _members(content):
 
 
 def _member(content, name):
-    """A member's bytes, unless it says that it has more than a recording can have."""
+    """A member's bytes, unless its declared size is more than a recording can have."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             member = archive.getinfo(name)
@@ -216,7 +216,7 @@ def _member(content, name):
 
 
 def _array(content, name):
-    """An array of numbers, its declared size held against the bytes there are."""
+    """An array of numbers, after comparing its declared size with the number of bytes."""
     data = io.BytesIO(content)
     try:
         version = np.lib.format.read_magic(data)

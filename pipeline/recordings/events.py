@@ -1,8 +1,8 @@
-"""Recordings in memory: physical events as columns, one row an event.
+"""Recordings in memory: physical events as columns, one row per event.
 
 The published files hold one column per decoder tick.  The ACES decoder reports one physical event
-in several ticks in a row (16 ns apart), so :func:`merge_bursts` joins those and keeps the number of
-columns beside each event; :func:`expand_bursts` is its inverse.
+in several consecutive ticks (16 ns apart), so :func:`merge_bursts` merges these and stores the
+number of columns with each event; :func:`expand_bursts` is its inverse.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Sensor:
     duration_s : float
         Longest time from the start of a recording to its end, in seconds.
     classes : tuple of str
-        Names of what the labels 0, 1, ... stand for.
+        Names of the classes 0, 1, ...
     """
 
     rows: int = GRID
@@ -61,11 +61,11 @@ class Events:
     time_ns : ndarray of int64, shape (n,)
         Time of the first tick of each event, in nanoseconds from the start of the recording.
     taxel : ndarray of uint16, shape (n,)
-        Row index in ``spiketrain``, that is the taxel address less one, 0 to 99.
+        Row index in ``spiketrain``, which is the taxel address minus one, 0 to 99.
     polarity : ndarray of int8, shape (n,)
         1 for ON (pressure rises), -1 for OFF (pressure falls).
     columns : ndarray of uint16, shape (n,)
-        Columns of ``spiketrain`` that the event takes up, at least 1.
+        Number of columns of ``spiketrain`` of the event, at least 1.
     """
 
     time_ns: np.ndarray
@@ -104,11 +104,12 @@ class Source:
     simulated : bool
         True if the recordings were not made on a real skin.
     written : bool
-        True if, all the same, real hands wrote every one of them.
+        True if people wrote all of them on the simulated skin.
     left_out : tuple of str
         The files that could not be read and were left out, each with the reason.
     time_unit : str
-        In which the times of files of events were read, such as ``"us"``; empty of others.
+        Unit in which the times of files of events were read, such as ``"us"``; empty for other
+        files.
     """
 
     name: str
@@ -136,7 +137,7 @@ class TaxelMap:
 
     @classmethod
     def grid(cls, rows: int, columns: int) -> TaxelMap:
-        """A taxel at every place, counted column by column as in the published array."""
+        """A taxel at every place, numbered column by column as in the published array."""
         taxels = np.arange(rows * columns)
         return cls(taxels % rows, taxels // rows)
 
@@ -146,7 +147,7 @@ class TaxelMap:
 
 @dataclass(frozen=True)
 class Recordings:
-    """A set of labelled recordings; the events of all of them stand in the same four columns.
+    """A set of labelled recordings, whose events are in the same four columns.
 
     Attributes
     ----------
@@ -160,7 +161,7 @@ class Recordings:
         A name for each recording that does not change from import to import, such as
         ``"3/0042"``.
     writers : ndarray of int64, shape (n_samples,)
-        The writer, from 0; -1 where it is not known.
+        The writer, from 0; -1 if it is not known.
     source : Source
     taxels : TaxelMap
     sensor : Sensor
@@ -210,7 +211,7 @@ def collect(parts, labels, ids, writers, source, taxels=None, sensor=None) -> Re
     ----------
     parts : sequence of Events
     labels, ids, writers : sequences
-        One entry a recording.
+        One entry per recording.
     source : Source
     taxels : TaxelMap, optional
     sensor : Sensor, optional
@@ -234,7 +235,7 @@ def collect(parts, labels, ids, writers, source, taxels=None, sensor=None) -> Re
 def merge_bursts(time_ns, taxel, polarity) -> Events:
     """Join decoder ticks that report the same physical event.
 
-    Columns belong to one event when they stand next to each other in the file, exactly one tick
+    Columns belong to one event if they are adjacent in the file, exactly one tick
     (16 ns) apart, with the same taxel and polarity.
 
     Parameters
@@ -259,7 +260,7 @@ def merge_bursts(time_ns, taxel, polarity) -> Events:
 
 
 def expand_bursts(events: Events):
-    """The inverse of :func:`merge_bursts`: one row a decoder tick.
+    """The inverse of :func:`merge_bursts`: one row per decoder tick.
 
     Returns
     -------

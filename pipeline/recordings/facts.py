@@ -19,7 +19,7 @@ from pipeline.recordings.timeunits import UNIT_NAMES, recognised, to_ns
 def facts_of(recordings: Recordings) -> dict:
     """The source, the sensor and the number of recordings of each class, as plain values.
 
-    Where the classes are the digits they are also in a list of their own.
+    If the classes are the digits, these are also in a separate list.
     """
     source, sensor = recordings.source, recordings.sensor
     counts = np.bincount(recordings.labels, minlength=len(sensor.classes)).tolist()
@@ -43,7 +43,7 @@ def facts_of(recordings: Recordings) -> dict:
 
 
 def facts_with_events(recordings: Recordings) -> dict:
-    """The same with the numbers of physical events and of the files' columns."""
+    """:func:`facts_of` with the numbers of physical events and of the files' columns."""
     return {
         **facts_of(recordings),
         "events": len(recordings.events),
@@ -97,7 +97,7 @@ def recordings_text(facts: dict, recordings: Recordings) -> str:
 
 
 MOST_NAMED = 12
-"""Classes whose recordings are counted one by one in a line."""
+"""Maximum number of classes whose recordings are counted separately in a line."""
 
 
 def _of_classes(counts):
@@ -108,7 +108,7 @@ def _of_classes(counts):
 
 
 def facts_of_file(path: Path, time_unit: str = "") -> dict:
-    """Counts and times of one recording: columns as in the file, the others physical events.
+    """Counts and times of one recording: columns of the file, and physical events.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def facts_of_file(path: Path, time_unit: str = "") -> dict:
     Raises
     ------
     UserError
-        The file cannot be read, or is no recording.
+        The file cannot be read, or is not a recording.
     """
     try:
         with open_regular(path) as opened:

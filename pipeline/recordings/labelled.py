@@ -3,9 +3,9 @@
 **As published** (Amir et al., *A Low Power, Fully Event-Based Gesture Recognition System*, CVPR
 2017): a person's recording is one long file, ``user01_led.aedat``, and ``user01_led_labels.csv``
 beside it has a line for each gesture: ``class,startTime_usec,endTime_usec``.
-``gesture_mapping.csv`` has a name for each class.  Any file of events is cut by such a file.
+``gesture_mapping.csv`` has a name for each class.  Any file of events is divided by such a file.
 
-**As Tonic keeps it**: ``user01_led/3.npy`` is a gesture, of the class 3.
+**As Tonic stores it**: ``user01_led/3.npy`` is a gesture, of the class 3.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Part:
     file : str
         Path of the file in its source.
     start_us, end_us : int
-        From which time to before which, in microseconds of the file's clock.
+        Start (included) and end (excluded) in microseconds of the file's clock.
     """
 
     file: str
@@ -49,12 +49,12 @@ class Part:
     end_us: int
 
     def of(self, whole: EventRecording) -> EventRecording:
-        """The events of this part; its times begin with it.
+        """The events of this part; times are relative to its start.
 
         Raises
         ------
         BadRecording
-            There are none or too many, or the file's times are not in microseconds.
+            There are no events or too many, or the file's times are not in microseconds.
         """
         if whole.unit != "us":
             raise BadRecording("has no times in microseconds, in which its labels are")
@@ -75,7 +75,7 @@ class Part:
 
 
 def user_of(path: str) -> int:
-    """The number of the person in the name of a file or of its folder; -1 where none is."""
+    """The number of the person in the name of a file or of its folder, or -1."""
     parts = PurePosixPath(path).parts[-2:]
     found = [match for part in parts[::-1] if (match := USER.match(part))]
     return int(found[0][1]) if found else -1
@@ -89,14 +89,14 @@ def divided(names, read) -> tuple:
     names : sequence of str
         Paths of the files of a source.
     read : callable
-        ``read(name)`` gives a file's content; called for labels and class names only.
+        ``read(name)`` returns a file's content; called for labels and class names only.
 
     Returns
     -------
     parts : dict of str to (str, Part)
-        For a name of each recording its class and place.
+        Class and part of each recording, by its name.
     used : set of str
-        The files that these were made of, and the files of labels and names.
+        The divided files, and the files of labels and names.
     refused : list of (str, str)
         Files of labels that cannot be read, with the reason.
     """
@@ -161,7 +161,7 @@ def _rows(content):
 
 
 def _titles(content):
-    """Names of classes from lines such as ``hand_clapping,1``; what is no such line is left out."""
+    """Names of classes from lines such as ``hand_clapping,1``; other lines are left out."""
     try:
         lines = _lines(content)
     except BadRecording:

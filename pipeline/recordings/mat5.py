@@ -2,9 +2,9 @@
 
 The format is MathWorks' "MAT-File Format" (level 5).  A file is a header and elements; an element
 is a tag (type and size) and data; a variable is an element of elements: flags, dimensions, name,
-values; a compressed one is such an element packed by zlib.  SciPy's reader ends the process on
-some element types that no file should have, and reads whatever a file declares; here nothing is
-read past `LARGEST` bytes, and variables that nobody asked for are passed over.
+values; a compressed variable is such an element packed by zlib.  SciPy's reader crashes on some
+invalid element types, and reads any size that a file declares.  This reader stops at `LARGEST`
+bytes, and skips variables that were not requested.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Damaged(ValueError):
 
 
 class TooLarge(ValueError):
-    """A variable is larger than `LARGEST`; the message says how large it says it is."""
+    """A variable is larger than `LARGEST`; the message has its declared size."""
 
 
 def read(content: bytes, names=None) -> dict:
@@ -58,7 +58,7 @@ def read(content: bytes, names=None) -> dict:
     ----------
     content : bytes
     names : collection of str, optional
-        Default: all that hold numbers.
+        Default: all variables of numbers.
 
     Returns
     -------
@@ -91,7 +91,7 @@ def read(content: bytes, names=None) -> dict:
 
 
 def _variable(element, kind, order, names):
-    """(name, array, str or None) of a variable; (None, None) if nobody asked for it."""
+    """(name, array, str or None) of a variable; (None, None) if it was not requested."""
     unpacker = None
     if kind == _COMPRESSED:
         unpacker = zlib.decompressobj()
@@ -118,7 +118,7 @@ def _variable(element, kind, order, names):
 
 
 def _unpacked(unpacker, begun, whole):
-    """All of a compressed variable; its checksum is right."""
+    """The unpacked content of a compressed variable, after checking its checksum."""
     rest = unpacker.decompress(unpacker.unconsumed_tail, max(1, whole - len(begun) + 1))
     if len(begun) + len(rest) != whole or not unpacker.eof:
         raise Damaged("a compressed variable of another size than it says")
@@ -126,7 +126,7 @@ def _unpacked(unpacker, begun, whole):
 
 
 def _head(element, place, order):
-    """(name, shape, place of the values, whether they are letters).
+    """(name, shape, position of the values, True if they are letters).
 
     The shape is None for what is neither a real array of numbers nor a short line of text.
 
@@ -158,7 +158,7 @@ def _values(element, place, order, shape):
 
 
 def _text(element, place, order, shape):
-    """Letters of the files that SciPy and MATLAB write; None if there are others than ASCII's."""
+    """Text as SciPy and MATLAB write it; None if it has letters outside of ASCII."""
     codes, _ = _data(element, place, order, {*_VALUES, _UTF8})
     known = len(codes) == math.prod(shape) and bool(((codes >= 32) & (codes < 127)).all())
     return "".join(map(chr, codes.astype(int))) if known else None

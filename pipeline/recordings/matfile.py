@@ -1,9 +1,9 @@
-"""One recording, one MATLAB file: ``spiketrain``, 101 x n (paper, Section 2.3).
+"""A MATLAB file with one recording: ``spiketrain``, 101 x n (paper, Section 2.3).
 
-Rows 0 to 99 hold 1 (ON), -1 (OFF) or 0 for the taxels, row 100 the time of each column in seconds;
-of another array as many rows as it has taxels, and the time in the one after.
+Rows 0 to 99 have 1 (ON), -1 (OFF) or 0 for the taxels, row 100 the time of each column in seconds.
+For other arrays there are as many rows as taxels, and the time is in the next row.
 MATLAB 5 files are read by :mod:`pipeline.recordings.mat5`, 7.3 files (HDF5) with h5py; nothing in
-them is executed, and nothing is read that is larger than a recording can be.
+them is executed, and nothing larger than a recording can be is read.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ class Written:
     Attributes
     ----------
     time : str
-        When, ISO 8601 with its zone.
+        Time of the recording, ISO 8601 with its zone.
     handedness : str
-        ``"left"``, ``"right"``, or empty where it was not told.
+        ``"left"``, ``"right"``, or empty if it was not stated.
     seed : tuple of int
         Seed of the skin's noise.
     pen : ndarray of float, shape (n, 5)
         Time in seconds, place in taxels (down, right), pressure and touch (1 or 0) of each point
-        of the pen as it came (:class:`pipeline.skin.writing.PenPoint`).
+        of the pen as received (:class:`pipeline.skin.writing.PenPoint`).
     """
 
     time: str
@@ -75,14 +75,14 @@ class MatRecording:
     ----------
     events : Events
     simulated : bool
-        True if the file says of itself that it is simulated (a variable that this project adds).
+        True if the file states that it is simulated (in a variable that this project adds).
     writer : int
-        The writer if the file tells (likewise), else -1.
+        Number of the writer (in such a variable), or -1.
     written : Written or None
-        Not None if the file says of itself that a real hand wrote it on the simulated skin
-        (likewise, ``source`` being ``"written"``).
+        Not None if the file states that a person wrote it on the simulated skin (in the variable
+        ``source`` with the value ``"written"``).
     n_taxels : int
-        As many as the file has rows for.
+        Number of taxels, from the rows of the file.
     """
 
     events: Events
@@ -152,7 +152,7 @@ def _text(variable):
 
 
 def _number(variable):
-    """A variable's value if it is one finite number; else another's use of the name, and None."""
+    """A variable's value if it is one finite number, else None: the name may have another use."""
     values = np.ravel([] if variable is None else variable)
     is_number = values.size == 1 and values.dtype.kind in "fiub" and np.isfinite(values[0])
     return values[0] if is_number else None
@@ -170,7 +170,7 @@ def events_of(spiketrain, n_taxels: int | None = N_TAXELS) -> Events:
     Raises
     ------
     BadRecording
-        Not as many rows of numbers; empty; a value other than -1, 0 and 1; a column with several
+        Wrong number of rows; no columns; a value other than -1, 0 and 1; a column with several
         events or none; times that are NaN, negative, not increasing or in milliseconds.
     """
     spiketrain = np.asarray(spiketrain)
@@ -208,13 +208,13 @@ def events_of(spiketrain, n_taxels: int | None = N_TAXELS) -> Events:
 
 
 def read_variables(content: bytes, names=None) -> dict:
-    """Read the named variables of a MATLAB 5 or 7.3 file, those that it has.
+    """Read those of the named variables that a MATLAB 5 or 7.3 file has.
 
     Parameters
     ----------
     content : bytes
     names : sequence of str, optional
-        Default: all that hold numbers.
+        Default: all variables of numbers.
 
     Returns
     -------
@@ -278,7 +278,7 @@ def _datasets(file, names):
 
 
 def read_limited(file) -> bytes:
-    """The content of an open file, or of as much as shows that it is too large."""
+    """The content of an open file, read at most up to the point at which it is too large."""
     return file.read(mat5.LARGEST + 1)
 
 
@@ -317,7 +317,7 @@ def read_lookup_table(content: bytes) -> TaxelMap:
     Raises
     ------
     BadRecording
-        No variable of that form, or its entries are no positions of different taxels.
+        No variable has that form, or its entries are not positions of different taxels.
     """
     for table in read_variables(content).values():
         table = np.asarray(table)

@@ -17,7 +17,7 @@ from pipeline.recordings.sensors import too_few
 from pipeline.recordings.timeunits import UNITS
 
 LISTED = 10
-"""Reasons that are told one by one."""
+"""Number of reasons that are listed individually."""
 
 
 def write_recordings(
@@ -37,17 +37,17 @@ def write_recordings(
     path : path-like
         The zip; its name must end in ``.zip``.
     recordings : iterable of (events, label)
-        Such as a data set of Tonic's, or ``zip(events, labels)``.  Events have any of the forms of
-        :func:`pipeline.recordings.eventarrays.recording_of`: x is the column from the left, y the
-        row from the top.  A label is a number from 0, or the name of a class.
+        For example a data set of Tonic, or ``zip(events, labels)``.  Events have any of the forms
+        of :func:`pipeline.recordings.eventarrays.recording_of`: x is the column from the left, y
+        the row from the top.  A label is a number from 0, or the name of a class.
     classes : sequence of str, optional
-        Names of the labels 0, 1, ...; default: the ``classes`` of ``recordings`` if it has such,
-        else the labels themselves.
+        Names of the labels 0, 1, ...; default: the ``classes`` of ``recordings`` if it has this
+        attribute, else the labels themselves.
     time_unit : str
-        Of the times: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; empty to be told, when the file is
-        read, from how long the recordings last.
+        Unit of the times: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; empty: inferred from the
+        duration of the recordings when the file is read.
     writers : sequence of int, optional
-        Who made each recording, from 0.
+        Number of the person who made each recording, from 0.
     simulated : bool
         True if the recordings are simulated; every result repeats this.
 
@@ -58,7 +58,7 @@ def write_recordings(
     Raises
     ------
     UserError
-        Events or labels that are none, with a line for each reason; a class with one recording.
+        Events or labels are not valid, with a line for each reason; or a class has one recording.
     """
     path = Path(path)
     if path.suffix != ".zip":
@@ -91,7 +91,7 @@ def write_recordings(
 
 
 def _class_of(label, names, fixed):
-    """The number of a label's class; a name that is new becomes one unless classes are given."""
+    """The number of a label's class; a new name is added unless the classes are given."""
     is_number = isinstance(label, (int, np.integer)) and not isinstance(label, bool)
     if fixed and is_number:
         if not 0 <= label < len(names):

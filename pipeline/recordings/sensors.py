@@ -1,8 +1,8 @@
-"""The sensor of a set of recordings: rows, columns, duration and classes, as found.
+"""Determine the sensor of a set of recordings: rows, columns, duration and classes.
 
-Recordings in the published layout with a hundred taxels and digits for classes are ST-MNIST's, and
-have its ten classes and its two seconds whatever is in them.  Of all others what counts is what is
-there, unless the settings say how many rows and columns there are.
+Recordings in the published layout with a hundred taxels and digits as classes are treated as
+ST-MNIST's: they have its ten classes and its two seconds, independently of their content.  For all
+others the values are those found, unless the settings specify rows and columns.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ class Settled:
     kept : list of (str, Events)
         Name of the file and events of each recording that fits.
     refused : list of (str, str)
-        Name of the file and reason of those that do not.
+        Name of the file and reason for each recording that does not fit.
     taxels : TaxelMap
     sensor : Sensor
     labels : list of int
         Labels of ``kept``.
     problems : list of str
-        Problems of all of them together.
+        Problems of the recordings as a whole.
     time_unit : str
-        In which the times of files of events were read.
+        Unit in which the times of files of events were read.
     """
 
     kept: list
@@ -78,7 +78,8 @@ class Reading:
     rows, columns : int
         Size of the sensor, after :attr:`downsample`; 0 for as found.
     time_unit : str
-        Unit in files of events, of :data:`pipeline.recordings.timeunits.UNITS`; empty for as found.
+        Unit in files of events, one of :data:`pipeline.recordings.timeunits.UNITS`; empty:
+        inferred.
     downsample : int
         Side of the square of pixels of a file of events that becomes one taxel.
     """
@@ -108,7 +109,7 @@ def settle(path, read, lookup: TaxelMap | None = None, reading: Reading = AS_FOU
     Raises
     ------
     UserError
-        Rows and columns cannot be known, or are fewer than the look-up table has.
+        Rows and columns cannot be determined, or are fewer than the look-up table has.
     """
     rows, columns = reading.rows, reading.columns
     if lookup is not None:
@@ -143,7 +144,7 @@ def _settled(kept, refused, taxels, sensor, problems=(), time_unit=""):
 
 
 def _sensor_of(kept, rows, columns):
-    """The sensor with the polarities, the duration and the classes that are there."""
+    """The sensor with the polarities, the duration and the classes that were found."""
     everything = [events for _, _, events in kept]
     return Sensor(
         rows,
@@ -215,7 +216,7 @@ MIXED_UNITS = (
 
 
 def _elsewhere(read, reading):
-    """Files whose events cannot be of the same sensor as the others', each with the reason."""
+    """Files whose events cannot be from the same sensor as the others, each with the reason."""
     reasons = {}
     for file, _, recording in read:
         for what, places, given in (
@@ -245,9 +246,10 @@ def _elsewhere(read, reading):
 
 
 def _larger(extents):
-    """Indices of recordings, fewer than half, that reach far past all others in both directions.
+    """Indices of recordings with far larger coordinates than the others in both directions.
 
-    Where a sensor's recordings are sorted by how far they reach, no gap is wide.
+    If recordings of one sensor are sorted by their largest coordinate, no gap is wide.  Half of the
+    recordings or more are returned only if each recording fills one of the two sizes.
     """
     if len(extents) < 4:
         return []
@@ -256,21 +258,32 @@ def _larger(extents):
         order = np.sort(extents[:, axis])
         gaps = order[1:] / order[:-1]
         at = int(np.argmax(gaps))
-        few = len(order) - 1 - at
-        if gaps[at] < SIZE_GAP or order[at] < SMALLEST_SENSOR or 2 * few >= len(order):
+        if gaps[at] < SIZE_GAP or order[at] < SMALLEST_SENSOR:
             continue
         large = extents[:, axis] > order[at]
+        if 2 * large.sum() >= len(order) and not (
+            _filled(extents[large]) and _filled(extents[~large])
+        ):
+            continue
         others = extents[~large].max(axis=0)
         if (extents[large] >= SIZE_GAP * others).all():
             return np.flatnonzero(large).tolist()
     return []
 
 
+def _filled(extents):
+    """True if each recording has events up to the last rows and columns, or nearly."""
+    return bool((extents >= FILLED * extents.max(axis=0)).all())
+
+
+FILLED = 0.8
+"""Share of the rows and columns up to which a recording fills its sensor."""
+
 SIZE_GAP = 1.8
 """Factor by which recordings of a larger sensor reach further than those of a smaller one."""
 
 SMALLEST_SENSOR = 6
-"""Rows or columns below which how far recordings reach tells nothing of a sensor."""
+"""Number of rows or columns below which the largest coordinates do not identify a sensor."""
 
 
 def _counts_from_1(read):
@@ -319,7 +332,7 @@ def too_small(recordings) -> str | None:
 def too_few(labels, classes) -> str | None:
     """Find problems with the numbers of recordings in the classes.
 
-    A class that has one recording can be trained or tested, not both.
+    A class with one recording can be used for training or for testing, but not for both.
 
     Parameters
     ----------

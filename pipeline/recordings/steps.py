@@ -36,7 +36,7 @@ class EventTable:
 
     @classmethod
     def of(cls, recordings: Recordings) -> EventTable:
-        """The events of recordings; one physical event is one, whatever its number of columns."""
+        """The physical events of recordings, independently of their numbers of columns."""
         events, offsets = recordings.events, recordings.offsets
         # A recording without events has no first one, and nothing to subtract it from either.
         nearest = np.minimum(offsets[:-1], max(len(events.time_ns) - 1, 0))
@@ -54,7 +54,7 @@ class EventTable:
         return len(self.offsets) - 1
 
     def followed_by(self, other: EventTable) -> EventTable:
-        """The recordings of two tables of one size, first these."""
+        """The recordings of this table, followed by those of another one of the same size."""
         columns = ("time_ms", "row", "column", "polarity")
         joined = {
             name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in columns
@@ -75,7 +75,7 @@ class EventTable:
         Returns
         -------
         sample : ndarray of int64
-            Which of the ``indices`` each event is of, from 0.
+            Position in ``indices`` of the recording of each event, from 0.
         time_ms, row, column, polarity : ndarray
         """
         first, counts = self.offsets[indices], np.diff(self.offsets)[indices]
@@ -90,7 +90,7 @@ class EventTable:
         return spike_frames(sample, time_ms / step_ms, *place, len(indices), steps, self.size, rest)
 
     def lost(self, step_ms: float, rest: int = 0) -> float:
-        """Share of the events that are no spike of their own; see :func:`spike_frames`."""
+        """Share of the events without a spike of their own; see :func:`spike_frames`."""
         if not len(self.time_ms):
             return 0.0
         sample = np.repeat(np.arange(len(self)), np.diff(self.offsets))
@@ -110,9 +110,9 @@ def spike_frames(
 ):
     """Frames that mark the spikes in each step.
 
-    Several events of one taxel and polarity in a step are one spike.  For ``rest`` steps after it
-    further ones are none: the refractory period of an event camera's pixel.  Events past the last
-    step are left out.
+    Several events of one taxel and polarity in a step are one spike.  Further events in the next
+    ``rest`` steps are ignored, as in the refractory period of an event camera's pixel.  Events
+    after the last step are left out.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def spike_frames(
     size : (int, int)
         Rows and columns.
     rest : int
-        Steps.
+        Refractory period in steps.
 
     Returns
     -------

@@ -18,7 +18,7 @@ def problem_with(arrays: dict) -> str | None:
     Returns
     -------
     str or None
-        A few words, or None if all is well.
+        The problem in a few words, or None.
 
     Raises
     ------

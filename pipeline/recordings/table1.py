@@ -71,7 +71,7 @@ def table(recordings) -> dict:
 
 
 def _mean_sd(values):
-    """Mean and sample SD of what is not NaN; NaN where there is too little."""
+    """Mean and sample SD without NaN; NaN if there are too few values."""
     values = values[~np.isnan(values)]
     mean = float(values.mean()) if len(values) else math.nan
     return mean, float(values.std(ddof=1)) if len(values) > 1 else math.nan
@@ -106,7 +106,7 @@ def _check(recordings, against_paper):
 
 
 def is_st_mnist(recordings) -> bool:
-    """True if they are, by all one can see, those of the paper: recorded, and as many a digit."""
+    """True if recordings can be the paper's: not simulated, with its numbers of each digit."""
     counts = np.bincount(recordings.labels, minlength=10).tolist()
     return not recordings.source.simulated and counts == list(SAMPLES_PER_DIGIT)
 
@@ -118,7 +118,7 @@ def table1_json(recordings, against_paper: bool = False) -> dict:
     ----------
     recordings : Recordings
     against_paper : bool
-        With the paper's figures and how far these are from them, relative to the paper's.
+        Include the paper's figures and the differences relative to them.
     """
     _check(recordings, against_paper)
     digits = {}
@@ -145,9 +145,10 @@ def table1_text(recordings, against_paper: bool = False) -> str:
     name = printable(recordings.source.name)
     if recordings.source.simulated and "simulated" not in name:
         name += " (simulated)"
-    classes = recordings.sensor.classes
-    rows = [["", *shortened_apart([classes[digit] for digit in ours], LONGEST_HEAD)]]
-    for measure, label in (LABELS if is_written(classes) else OWN_LABELS).items():
+    sensor = recordings.sensor
+    written = is_written(sensor.rows, sensor.columns, sensor.classes)
+    rows = [["", *shortened_apart([sensor.classes[digit] for digit in ours], LONGEST_HEAD)]]
+    for measure, label in (LABELS if written else OWN_LABELS).items():
         decimals = 2 if measure[0] in "xy" else 0
         rows.append([label, *(_cell(row[measure], decimals) for row in ours.values())])
         if against_paper and measure in MEASURES:

@@ -12,11 +12,11 @@ UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 UNIT_NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 
 SHORTEST_S = 0.02
-"""A recording of a gesture or a saccade lasts longer; so a unit in which most recordings were
-shorter is not theirs."""
+"""Minimum duration of a recording of a gesture or a saccade, in seconds; a unit with which most
+recordings would be shorter is excluded."""
 
 MIXED = 100
-"""Factor past which durations are not of one unit; units are 1,000 apart."""
+"""Factor between durations above which their units differ; units differ by a factor of 1,000."""
 
 
 def span_of(time) -> float:
@@ -57,7 +57,7 @@ def recognised(times) -> str:
 def strangers(times) -> list:
     """Indices of recordings whose times cannot be in the unit of the others.
 
-    Recordings with a single event have no duration, and are nobody's strangers.
+    Recordings with a single event have no duration, and fit any unit.
     """
     spans = np.array([span_of(time) for time in times])
     some = np.flatnonzero(spans > 0)
@@ -69,10 +69,10 @@ def strangers(times) -> list:
 
 
 def to_ns(time: np.ndarray, unit: str) -> np.ndarray:
-    """Times in nanoseconds, from the first event where they are not from a recording's start.
+    """Times in nanoseconds, relative to the first event if they are not relative to the start.
 
-    A camera's clock runs from when it was switched on, or from 1970: times past the longest
-    recording are counted from the first event.
+    A camera's clock starts when it is switched on, or in 1970.  Times that are larger than the
+    longest duration of a recording are therefore counted from the first event.
     """
     seconds = UNITS[unit]
     if time[-1] * seconds > LATEST_S:

@@ -1,6 +1,6 @@
 """Recordings without part of their timing, to measure how much that part contributes.
 
-Each function gives back recordings with the same samples, labels and numbers of events, and their
+Each function returns recordings with the same samples, labels and numbers of events, with the
 events in order of time.
 """
 
@@ -23,7 +23,7 @@ VARIANTS = {
 
 
 def vary(recordings: Recordings, variant: str, seed: int, lasts_ns: float) -> Recordings:
-    """One of :data:`VARIANTS` of recordings.
+    """Apply one of :data:`VARIANTS` to recordings.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def vary(recordings: Recordings, variant: str, seed: int, lasts_ns: float) -> Re
     seed : int
         Seed of the shuffling.
     lasts_ns : float
-        Duration of a recording of counts, see :func:`only_counts`.
+        Duration of each recording, see :func:`only_counts`.
     """
     if variant == "no-polarity":
         return without_polarity(recordings)
@@ -54,7 +54,7 @@ def durations_ns(recordings: Recordings) -> np.ndarray:
 
 
 def without_polarity(recordings: Recordings) -> Recordings:
-    """All events ON: where and when a taxel changed, not in which direction."""
+    """All events are ON: place and time of changes remain, but not their direction."""
     polarity = np.ones_like(recordings.events.polarity)
     return replace(recordings, events=replace(recordings.events, polarity=polarity))
 
@@ -71,10 +71,10 @@ def even(recordings: Recordings) -> Recordings:
 
 
 def shuffled(recordings: Recordings, seed: int) -> Recordings:
-    """A recording's times are kept, and which event has which is drawn at random.
+    """The times of a recording's events are assigned to the events at random.
 
-    How many events there are in which step stays what it was; where they are no longer depends on
-    when.
+    The number of events in each step does not change, but their places are independent of the
+    time.
     """
     rng = np.random.default_rng([seed, 0x5B0F])
     events, sample = recordings.events, recordings.sample_of_event
@@ -84,16 +84,16 @@ def shuffled(recordings: Recordings, seed: int) -> Recordings:
 
 
 def only_counts(recordings: Recordings, lasts_ns: float) -> Recordings:
-    """The n events of a taxel and polarity are spread evenly over a time that all recordings last.
+    """The n events of a taxel and polarity are evenly spaced over the same time for all recordings.
 
-    Event k stands at (k + 1/2)/n of it.  So neither an event's time nor a recording's length is
-    left, as in a tactile image, whose pixels become evenly spaced spikes.
+    Event k is at (k + 1/2)/n of this time.  The times of events and the duration of recordings are
+    thus removed, as in a tactile image, whose pixels become evenly spaced spikes.
 
     Parameters
     ----------
     recordings : Recordings
     lasts_ns : float
-        That time in nanoseconds.
+        The time in nanoseconds.
     """
     events, sample = recordings.events, recordings.sample_of_event
     key = (sample * (int(events.taxel.max(initial=0)) + 1) + events.taxel) * 2

@@ -1,24 +1,24 @@
-"""The words for recordings and their classes in messages: written digits or the user's own."""
+"""The names of classes in messages, and whether they are digits written on a skin."""
 
 from __future__ import annotations
 
-from pipeline.recordings.events import DIGITS
+from pipeline.recordings.events import DIGITS, GRID
 
 
-def is_written(classes) -> bool:
-    """True if the classes are the ten digits, which people write."""
+def are_digits(classes) -> bool:
+    """True if the classes are the ten digits."""
     return tuple(classes) == DIGITS
 
 
-def recording_word(classes) -> str:
-    """The word for the period until a network decides: ``"writing"``, or ``"recording"``."""
-    return "writing" if is_written(classes) else "recording"
+def is_written(rows: int, columns: int, classes) -> bool:
+    """True for digits on ST-MNIST's sensor, to which the paper's figures apply."""
+    return are_digits(classes) and rows == columns == GRID
 
 
 def shortened(name: str, width: int) -> str:
-    """A name that fits so many characters: what is too long loses its middle.
+    """A name of at most ``width`` characters, shortened in its middle.
 
-    Both ends stay, since names of one set often begin or end alike.
+    Both ends remain, since names of a set often begin or end alike.
     """
     if len(name) <= width:
         return name
@@ -27,9 +27,9 @@ def shortened(name: str, width: int) -> str:
 
 
 def shortened_apart(names, width: int) -> list:
-    """Names of at most so many characters that are still different, in the same order.
+    """Shortened names that are still different, in the same order.
 
-    Names that would become the same are numbered at their end.
+    Names that would become equal are numbered at their end.
     """
     short = [shortened(name, width) for name in names]
     for index, name in enumerate(short):

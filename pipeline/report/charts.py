@@ -1,8 +1,9 @@
 """Charts as SVG text, coloured by the style sheet of the page that contains them.
 
 Every mark has a class (``s1`` to ``s4`` for series, ``grid``, ``axis``, ``on``, ``off``, ...) and
-no colour of its own, so that one chart serves light, dark and print.  Charts scale with the page
-and are as wide as a phone's, so that their text is nowhere smaller than the page's notes.
+no colour of its own, so that one chart is used for light, dark and print.  Charts scale with the
+page and are as wide as the screen of a phone, so that their text is never smaller than the page's
+notes.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ class Series:
     name : str
     x, y : sequence of float
     intervals : sequence of (low, high), optional
-        About each y: a band about the line, or a bar where there is one point.
+        Interval of each y: a band around the line, or a bar if there is only one point.
     """
 
     name: str
@@ -37,7 +38,7 @@ class Series:
 def line_chart(
     series, x_label: str, y_label: str, y_range=None, description="", mark=None
 ) -> Markup:
-    """Lines over a common x axis; names belong into a legend beside it, see :func:`legend`.
+    """Lines over a common x axis; the names are in a separate legend, see :func:`legend`.
 
     Parameters
     ----------
@@ -45,9 +46,9 @@ def line_chart(
     x_label, y_label : str
     y_range : tuple of float, optional
     description : str
-        Read out in place of the picture.
+        Text for screen readers.
     mark : float, optional
-        Position of an upright line on the x axis.
+        Position of a vertical line on the x axis.
     """
     x = np.concatenate([np.asarray(s.x, float) for s in series])
     y = np.concatenate([np.ravel([*s.y, *np.ravel(s.intervals)]) for s in series])
@@ -153,13 +154,13 @@ def raster(groups, extent: float, x_label: str, y_label: str, description="", ro
     Parameters
     ----------
     groups : sequence of (class, times, units)
-        Marks of one colour each.
+        Marks, each group in one colour.
     extent : float
         End of the time axis.
     x_label, y_label : str
     description : str
     rows : int, optional
-        Height in units; by default the highest unit there is.
+        Height in units; default: the highest unit.
     """
     rows = rows or max((int(np.max(units)) + 1 for _, _, units in groups if len(units)), default=1)
     height = 200
@@ -177,7 +178,7 @@ def raster(groups, extent: float, x_label: str, y_label: str, description="", ro
 
 
 def legend(names) -> Markup:
-    """Names of a chart's series beside their lines."""
+    """The legend of a chart: names of the series with their lines."""
     items = (
         f'<li><svg class="key" viewBox="0 0 30 6" aria-hidden="true"><line class="line s{number}" '
         f'x1="0" y1="3" x2="30" y2="3"/></svg>{escape(name)}</li>'

@@ -26,6 +26,9 @@ from pipeline.settings import read_settings
 
 REMEDY = "delete it and make it again"
 
+FASTEST = 1e6
+"""Spikes per second, an upper bound for all neurons."""
+
 
 def gather(
     folder: RunFolder, benchmark: Path, jobs: int, say, beside: RunFolder | None = None
@@ -40,15 +43,15 @@ def gather(
     jobs : int
         Processes for recordings that are not in the cache.
     say : callable
-        Called with a line about what is left out.
+        Called with a message about results that are left out.
     beside : RunFolder, optional
-        A run of images on the same recordings, to be shown beside one of events.
+        A run on images with the same recordings, to be compared with this run on events.
 
     Raises
     ------
     UserError
-        There is no run or no check result, a file is damaged, or the recordings are others now;
-        the run beside it is of other recordings or none of images.
+        There is no run or no check result, a file is damaged, or the recordings have changed; the
+        run beside it has other recordings or is not on images.
     """
     settings = read_settings(folder.experiment)
     bundle = read_bundle(folder.bundle)
@@ -105,26 +108,44 @@ def gather(
 
 
 def _rates(folder, bundle):
-    """Rates of neurons in the trained network and on the chip, if the ladder is of this bundle."""
+    """Rates of neurons in the trained network and on the chip, if the ladder is for this bundle."""
     if not folder.ladder.exists():
         return {}
     ladder = read_json(folder.ladder, REMEDY)
-    return ladder.get("rates", {}) if ladder.get("bundle") == bundle.id else {}
+    if ladder.get("bundle") != bundle.id:
+        return {}
+    rates = ladder.get("rates", {})
+    if not isinstance(rates, dict) or not all(map(_is_rates, rates.values())):
+        raise UserError(f"{folder.ladder}: 'rates' is not pairs of firing rates; {REMEDY}")
+    return rates
+
+
+def _is_rates(pairs):
+    """Whether a value of a file is a list of pairs of firing rates, in spikes per second."""
+    try:
+        rates = np.array(pairs, float).reshape(-1, 2)
+    except (TypeError, ValueError, OverflowError):
+        return False
+    return (
+        isinstance(pairs, list)
+        and len(rates) == len(pairs)
+        and bool(np.all((rates >= 0) & (rates <= FASTEST)))
+    )
 
 
 def _others(folder, bundle):
-    """Results of this bundle on other recordings; see :mod:`pipeline.run.elsewhere`."""
+    """Results of the bundle on other recordings; see :mod:`pipeline.run.elsewhere`."""
     files = sorted((folder.path / "checks" / OTHERS).glob("*.json"))
     results = [read_result(path, REMEDY) for path in files]
     return [r for r in results if r["bundle"] == bundle.id and "per_class" in r and "data" in r]
 
 
 def _beside(folder, bundle, settings):
-    """The last result of a run of images on the recordings of a bundle of events."""
+    """The last result of a run on images with the recordings of a bundle on events."""
     other, kinds = read_bundle(folder.bundle), ("image", "events")
     if (read_settings(folder.experiment).input.kind, settings.input.kind) != kinds:
         raise UserError(
-            f"{folder.path}: what is shown beside is a run of images, and beside one of events"
+            f"{folder.path}: --beside needs a run on images, and a report of a run on events"
         )
     made_from = [b.spec.provenance.get("source_sha256") for b in (other, bundle)]
     if made_from[0] != made_from[1]:
@@ -138,7 +159,7 @@ def _metrics(path):
     accuracy, count = metrics.get("accuracy"), metrics.get("n_test")
     told = isinstance(accuracy, dict) and "test" in accuracy and type(count) is int and count > 0
     if not told or not all(map(is_share, accuracy.values())):
-        raise UserError(f"{path}: says no accuracy on the test split; {REMEDY}")
+        raise UserError(f"{path}: has no accuracy on the test split; {REMEDY}")
     return metrics
 
 
@@ -168,13 +189,13 @@ def _results(folder, bundle, kind):
 
 
 def _read_benchmark(folder, recordings, say):
-    """Table, its settings, answers of the random splits, SLAYER's learning curve: what is there."""
+    """Existing results: table, settings, answers of the random splits, SLAYER's learning curve."""
     path = folder / "table2.json"
     if not path.exists():
         return None, None, {}, {}
     table = read_json(path, REMEDY)
     if table.get("source_sha256") != recordings.source.sha256:
-        say(f"report: {path} is of other recordings and left out")
+        say(f"report: {path} is for other recordings and left out")
         return None, None, {}, {}
     try:
         answers, curves = _of_rows(folder, table["rows"])

@@ -22,7 +22,7 @@ from pipeline.paper import TABLE1
 from pipeline.recordings import table1
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.steps import EventTable
-from pipeline.recordings.words import is_written
+from pipeline.recordings.words import are_digits
 from pipeline.report import charts
 from pipeline.report.matrix import confusion_shares
 from pipeline.report.over_time import final_probabilities
@@ -35,7 +35,7 @@ ZERO_MEANS = {
     **{f"snn.{name}": "0: the recipe's own" for name in ("epochs", "batch_size", "learning_rate")},
 }
 FRAMES = 6
-"""Pictures of a tactile image in the making."""
+"""Number of pictures of the growing tactile image."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Inputs:
     metrics : dict of str to dict
         ``metrics.json`` of ``cnn`` and ``snn``.
     histories : dict of str to list of dict
-        Rows of an epoch each, of whatever was trained.
+        Rows with one epoch each, for each trained network.
     table2 : dict or None
         See :func:`pipeline.experiments.table2.summarise`.
     table2_settings : Settings or None
@@ -62,13 +62,13 @@ class Inputs:
     answers : dict of str to (labels, predictions)
         Predictions on the benchmark's random splits, for the confusion matrices.
     plan : dict or None
-        Cores and what they hold.
+        The plan of the placement, as plain values.
     replays : dict of int to Replay
-        Spikes of the samples that are shown, by their index in the check.
+        Spikes of the samples in the report, by their index in the check.
     beside : dict or None
-        Check result of another run on the same recordings, which answers at the end of a recording.
+        Check result of a run on images with the same recordings.
     outdated : dict of str to str
-        Artifacts that the settings would make otherwise now, with the reasons.
+        Outdated artifacts, with the reasons.
     over_time : dict of int to ndarray
         Probabilities of the classes at each step of the samples of the browser; see
         :mod:`pipeline.report.over_time`.
@@ -105,12 +105,12 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
     ----------
     inputs : Inputs
     now : datetime, optional
-        Printed in the head.
+        Time that is printed in the header.
 
     Returns
     -------
     str
-        HTML with its style and pictures in it; no script and nothing from elsewhere.
+        HTML that includes its style and pictures; without scripts and external files.
     """
     environment = Environment(
         loader=PackageLoader("pipeline.report", "."),
@@ -166,7 +166,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
 def choose_samples(result: dict, stream_length: int) -> list:
     """Indices of a sample with a correct answer and of one with a wrong answer, if any.
 
-    Those that come early in their streams, because a replay starts with the stream.
+    Samples early in their streams are preferred, because a replay starts with the stream.
     """
     chosen = []
     for right in (True, False):
@@ -181,8 +181,8 @@ def choose_samples(result: dict, stream_length: int) -> list:
 
 
 def _of_digits(recordings):
-    """True if recordings are written digits in the layout of ST-MNIST, not of a camera."""
-    return is_written(recordings.sensor.classes) and not recordings.source.time_unit
+    """True if recordings are written digits in the layout of ST-MNIST, not from a camera."""
+    return are_digits(recordings.sensor.classes) and not recordings.source.time_unit
 
 
 def _word(recordings):
@@ -190,11 +190,11 @@ def _word(recordings):
 
 
 BROWSED_WRONG, BROWSED_RIGHT = 16, 8
-"""Samples of the browser, at most."""
+"""Maximum number of samples of the browser."""
 
 
 def browsed_samples(result: dict) -> list:
-    """Indices of samples to look at one by one: the wrong answers first, then some right ones."""
+    """Indices of samples for the sample browser: wrong answers first, then some right ones."""
     right = [sample["label"] == sample["prediction"] for sample in result["samples"]]
     wrong = [index for index, is_right in enumerate(right) if not is_right]
     others = [index for index, is_right in enumerate(right) if is_right]
@@ -221,7 +221,7 @@ def class_summary(recordings: Recordings) -> list:
 
 
 def _network(inputs):
-    """The layers in the order in which a signal passes them: shape, neurons, cores."""
+    """The layers in the order of the data flow: shape, neurons, cores."""
     spec, plan = inputs.bundle.spec, inputs.plan
     cores = [core["layer"] for core in plan["cores"]] if plan else []
     shape = "x".join(map(str, spec.input_shape))
@@ -271,11 +271,12 @@ def _browser(inputs):
                 "answered": classes[sample["prediction"]],
                 "probability": float(chances[-1, sample["prediction"]]),
                 "decided_ms": decided * step_ms,
+                "undecided": sample.get("stopped_at") == spec.presentation.steps,
                 "image": _frames(inputs, recording, 1)[0]["chart"],
                 "events": _events_chart(recordings, recording),
                 "chances": charts.line_chart(
                     series,
-                    "milliseconds since the sample was shown",
+                    "milliseconds since the start of the presentation",
                     "probability",
                     (0.0, 1.0),
                     f"Probability of the classes over time, sample {sample['id']}",
@@ -288,7 +289,7 @@ def _browser(inputs):
 
 
 SHOWN_CLASSES = 4
-"""Classes whose probability is drawn: the likeliest at the end, and the right one."""
+"""Number of classes whose probability is drawn: the most likely at the end, and the right one."""
 
 
 def _events_chart(recordings, recording):
@@ -323,7 +324,7 @@ def trained_title(settings: Settings) -> str:
 
 
 def _other_settings(inputs):
-    """Settings that the benchmark has otherwise than the run."""
+    """Settings that differ between the benchmark and the run."""
     if inputs.table2_settings is None:
         return {}
     ours = inputs.settings.flat()
@@ -373,7 +374,7 @@ def _benchmark(table):
 
 
 def _table1(recordings):
-    """The table, with the paper's figures only where they are of the same recordings."""
+    """Table 1, with the paper's figures only if they are for the same recordings."""
     ours = table1.table(recordings)
     against_paper = table1.is_st_mnist(recordings)
 
@@ -421,7 +422,7 @@ def _anytime(inputs):
     return {
         "chart": charts.line_chart(
             series,
-            f"{_step(inputs)} since the sample was shown",
+            f"{_step(inputs)} since the start of the presentation",
             "accuracy",
             description="Accuracy if the decision were taken at each step",
         ),
@@ -435,7 +436,7 @@ def _anytime(inputs):
 
 
 def _while_written(inputs):
-    """Accuracy against the share of the writing that has passed; of events only."""
+    """Accuracy against the share of the writing; for networks on events only."""
     result = inputs.results[-1]
     while_written = result.get("while_written")
     if not while_written:
@@ -475,7 +476,7 @@ def _while_written(inputs):
 
 
 def _early(by_itself):
-    """Results of early decisions, unless the network waits for the end of each recording."""
+    """Results of early decisions, unless the network always decides at the end."""
     return by_itself if by_itself and by_itself["confidence"] < 1 else None
 
 
@@ -499,7 +500,7 @@ def _rate_charts(rates):
 
 def _learning_curves(histories):
     """Accuracy and loss of each network on training and held-out samples."""
-    parts = {"": "training", "val_": "validation", "test_": "test, only watched"}
+    parts = {"": "training", "val_": "validation", "test_": "test, not used in training"}
     curves = []
     for name, rows in histories.items():
         for measure in ("accuracy", "loss"):
@@ -546,7 +547,7 @@ def _confusions(inputs):
 
 
 def confusion_cells(matrix, classes) -> dict:
-    """A confusion matrix for the page: cells to be shaded, or the commonest confusions.
+    """A confusion matrix for the page: shaded cells, or the most frequent confusions.
 
     Parameters
     ----------
@@ -557,8 +558,8 @@ def confusion_cells(matrix, classes) -> dict:
     -------
     dict
         ``rows`` of (name, cells), each cell a count, the opacity of its shade in percent and its
-        kind; None of more classes than :data:`MOST_IN_A_MATRIX`.  ``common``: (count, shown,
-        answered) of the commonest confusions.
+        kind; None if there are more classes than :data:`MOST_IN_A_MATRIX`.  ``common``: (count,
+        class, answer) of the most frequent confusions.
     """
     matrix = np.asarray(matrix)
     shares = confusion_shares(matrix)
@@ -583,7 +584,7 @@ def confusion_cells(matrix, classes) -> dict:
 
 
 MOST_IN_A_MATRIX = 20
-"""Classes of which a confusion matrix is drawn as one."""
+"""Largest number of classes for which a confusion matrix is drawn."""
 
 
 def _stories(inputs):
@@ -646,7 +647,7 @@ def _frames(inputs, recording, number=FRAMES):
 
 
 def _scores(spec, sample, classes):
-    """Bars of the classes' probabilities at the end, the likeliest first."""
+    """Bars of the classes' probabilities at the end, the highest first."""
     chances = final_probabilities(spec, sample["scores"])
     return [
         {

@@ -14,15 +14,15 @@ from deploy.network.stream import show
 
 @dataclass(frozen=True)
 class Replay:
-    """Spikes of the gap before a sample and while it was shown.
+    """Spikes in the gap before a sample and during its presentation.
 
     Attributes
     ----------
     spikes : dict of str to (steps, neurons)
-        For each layer two arrays of int, one entry a spike: its step, from 0 when the sample is
-        first shown and below 0 in the gap, and its neuron.
+        For each layer two arrays of int, one entry per spike: its step, which is 0 at the start of
+        the presentation and negative in the gap, and its neuron.
     neurons : dict of str to int
-        Neurons of each layer.
+        Number of neurons of each layer.
     steps : int
     """
 

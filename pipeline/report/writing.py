@@ -26,9 +26,9 @@ def write_report(run, path=None, benchmark=None, beside=None, jobs: int = 1, say
     beside : path-like, optional
         Folder of a run on images to compare with one on events, from the same recordings.
     jobs : int
-        Processes, of recordings that are not in the cache.
+        Number of processes for recordings that are not in the cache.
     say : callable
-        Called with a line about what is left out.
+        Called with a message about results that are left out.
 
     Returns
     -------

@@ -23,13 +23,13 @@ from pipeline.settings import Image
 from pipeline.training.readout import Person, Refit, refit
 
 KEPT = 500
-"""Training samples whose responses a bundle keeps."""
+"""Number of training samples whose responses are in a bundle."""
 
 COPIES = 10
-"""Altered copies of each sample of a person."""
+"""Number of augmented copies of each sample of a person."""
 
 AT_ONCE = 64
-"""Samples that are run side by side, which bounds the memory."""
+"""Number of samples that are run in parallel, which limits the memory."""
 
 
 class Responder:
@@ -40,20 +40,20 @@ class Responder:
     spec : NetworkSpec
     seed : int
     image : Image, optional
-        How events become images where the network is shown those and the bundle does not say.
+        Conversion of events to images, for a network on images whose bundle does not have it.
 
     Raises
     ------
     UserError
-        The readout is on the chip, where it is no linear map of spikes.
+        The readout is on the chip, where it is not a linear function of spikes.
     """
 
     def __init__(self, spec: NetworkSpec, seed: int = 0, image: Image | None = None):
         readout = spec.layers[-1]
         if readout.neurons is not None or len(spec.layers) < 2:
             raise UserError(
-                "the readout is a layer of neurons on the chip; only one on the host can be fitted "
-                "(deployment.readout = 'host')"
+                "the readout is a layer of neurons on the chip; only a readout on the host can be "
+                "fitted (deployment.readout = 'host')"
             )
         inputs = readout.weights.shape[1]
         through = replace(
@@ -76,7 +76,7 @@ class Responder:
         return float(shown.steps - shown.readout_start) if on_events else 1.0
 
     def shown(self, recordings: Recordings) -> np.ndarray:
-        """The samples that the network receives for recordings."""
+        """The inputs of the network for recordings."""
         stimulus = self.spec.stimulus
         if isinstance(stimulus, EventFrames):
             table, steps = EventTable.of(recordings), self.spec.presentation.steps
@@ -91,7 +91,7 @@ class Responder:
         Parameters
         ----------
         samples : ndarray, shape (n_samples, ...)
-            As the network is shown them; each is shown to a fresh network.
+            Inputs of the network; each is presented to a fresh network.
 
         Yields
         ------
@@ -103,14 +103,14 @@ class Responder:
             yield self._emulation.run(part, shown.steps, shown.gap).output[:, 0, shown.gap :]
 
     def responses(self, samples) -> np.ndarray:
-        """Mean of what reaches the readout while it is read, shape (n_samples, inputs)."""
+        """Mean input of the readout while it is read, shape (n_samples, inputs)."""
         start = self.spec.presentation.readout_start
         parts = [output[:, start:].mean(axis=1) for output in self.outputs(samples)]
         inputs = self.spec.layers[-1].weights.shape[1]
         return np.concatenate(parts) if parts else np.empty((0, inputs))
 
     def copies(self, recordings: Recordings, seed) -> np.ndarray:
-        """Responses to altered copies of recordings, shape (n_samples, COPIES, inputs)."""
+        """Responses to augmented copies of recordings, shape (n_samples, COPIES, inputs)."""
         n = len(recordings)
         step_ms = 1e3 * self.spec.stimulus.step_seconds
         often = np.repeat(np.arange(n), COPIES)
@@ -152,10 +152,10 @@ class Adapted:
     Attributes
     ----------
     spec : NetworkSpec or None
-        The network with the new readout; None if it does not help.
+        The network with the new readout; None if the accuracy does not improve.
     fit : Refit
     others_before, others_after : ndarray of bool
-        Whether the old and the new readout are right on each sample of the bundle's check.
+        True if the old and the new readout are right, for each sample of the bundle's check.
     """
 
     spec: NetworkSpec | None
@@ -173,22 +173,22 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
     recordings : Recordings
         Recordings of the person, of every class.
     writer : str
-        Who it is, for the new network's provenance.
+        Name of the person, for the new network's provenance.
     seed : int
         Seed of the augmented copies and of the folds of the cross-validation.
 
     Raises
     ------
     UserError
-        The recordings are of another sensor or of other classes, a class is missing, or the bundle
-        cannot be fitted.
+        The recordings are from another sensor or of other classes, a class is missing, or the
+        bundle cannot be fitted.
     """
     spec = bundle.spec
     fits(spec, recordings)
     if spec.rehearsal is None:
         raise UserError(
-            f"{bundle.path}: keeps no samples of its training (bundles of earlier versions do "
-            "not); delete it and make it again with 'stmnist convert'"
+            f"{bundle.path}: has no responses to training samples (made by an earlier version); "
+            "delete it and make it again with 'stmnist convert'"
         )
     try:
         responder = Responder(spec, seed)
@@ -222,7 +222,7 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
 
 
 def fits(spec: NetworkSpec, recordings: Recordings):
-    """Refuse recordings that a network's readout cannot be fitted to.
+    """Refuse recordings to which a network's readout cannot be fitted.
 
     Raises
     ------
@@ -238,8 +238,8 @@ def fits(spec: NetworkSpec, recordings: Recordings):
         )
     if sensor.classes != known:
         raise UserError(
-            f"{source}: recordings of the classes {_listed(sensor.classes)}; the network tells "
-            f"{_listed(known)}: give recordings of those"
+            f"{source}: recordings of the classes {_listed(sensor.classes)}; the network "
+            f"distinguishes {_listed(known)}: give recordings of these classes"
         )
     counts = np.bincount(recordings.labels, minlength=len(known))
     if not counts.all():
@@ -255,9 +255,9 @@ def _listed(names):
 
 
 def _sure_enough(spec, responder, recordings):
-    """The network with a confidence at which the person's own samples are decided as rightly.
+    """The network with a threshold that keeps the accuracy of early decisions for the person.
 
-    Never one that decides earlier than before: few samples would promise too much.
+    The threshold is never lower than before, because it would be unreliable with few samples.
     """
     limit = spec.presentation.confidence
     if limit is None:
@@ -287,7 +287,7 @@ def text_of(adapted: Adapted, place) -> str:
     ):
         lines.append(f"{who}: {_share(before)} before, {_share(after)} after")
     if place is None:
-        lines.append("that does not help: nothing was changed")
+        lines.append("no improvement: nothing was changed")
     else:
         lines.append(f"bundle: written to {place}")
     return "\n".join(lines)

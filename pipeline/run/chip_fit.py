@@ -22,10 +22,10 @@ REMEDIES = {
 
 
 def chip_problems(settings: Settings) -> list:
-    """Why the cores of the chip cannot hold the network that the settings describe.
+    """Reasons why the network that the settings describe does not fit the cores of the chip.
 
-    NengoLoihi's builder makes the blocks of an untrained network of the same architecture; what a
-    core must hold does not depend on the values of the weights.
+    NengoLoihi's builder makes the blocks of an untrained network of the same architecture; the
+    resources that it needs do not depend on the values of the weights.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def chip_problems(settings: Settings) -> list:
     -------
     list of str
         One line for each layer and limit, with the excess and a remedy; empty if the network fits,
-        and for a network from a NIR graph, which is compared with the chip when it is read.
+        and for a network from a NIR graph, which is checked when it is read.
     """
     default = Settings()
     section = "events" if settings.on_events else "cnn"

@@ -190,7 +190,7 @@ def compare_runs(runs) -> dict:
 
 
 def _different_settings(runs):
-    """Settings that at least two runs read and that differ between these; None where unread."""
+    """Settings that at least two runs read and that differ; None for runs that do not read them."""
     read = [run.settings.relevant() for run in runs]
     different = []
     for name in runs[0].settings.flat():
@@ -218,6 +218,7 @@ def inference(run: Run) -> dict:
     return {
         "input": run.settings.input.kind,
         "architecture": spec.architecture,
+        "input_shape": list(spec.input_shape),
         "simulated": spec.provenance.get("simulated"),
         "classes": list(spec.provenance.get("classes", DIGITS)),
         "neurons": sum(layer.size for layer in spec.layers if layer.neurons is not None),
@@ -326,7 +327,7 @@ def runs_text(compared: dict, width: int = WIDTH) -> str:
         if run["outdated"]:
             reasons = "; ".join(dict.fromkeys(run["outdated"].values()))
             note = (
-                f"{letter}: OUTDATED, these results are not of the settings above: {reasons}; "
+                f"{letter}: OUTDATED, these results were made with other settings: {reasons}; "
                 f"'stmnist ladder {run['name']}' makes them again"
             )
             lines += ["", *textwrap.wrap(printable(note), width, break_on_hyphens=False)]
@@ -344,9 +345,9 @@ def _settings_lines(compared, letters, width):
 
 def _accuracy_lines(compared, letters):
     if not compared["stages"]:
-        return ["no stage has been answered by two of the runs; 'stmnist ladder RUN' lets them"]
+        return ["no stage has results in two of the runs; 'stmnist ladder RUN' makes them"]
     rows = [
-        ["stage", "", "accuracy", "95 % interval", f"less {letters[0]}", "won", "lost", "p", ""]
+        ["stage", "", "accuracy", "95 % interval", f"minus {letters[0]}", "won", "lost", "p", ""]
     ]
     unpaired = False
     for stage in compared["stages"]:
@@ -370,12 +371,12 @@ def _accuracy_lines(compared, letters):
         f"accuracy on {' and '.join(map(str, counts))} {what}"
         + (of_some if 0 < len(simulated) < len(letters) else ""),
         *aligned(rows, left=2),
-        "won, lost: samples that the run alone, or A alone, got right; p: McNemar's test",
+        "won, lost: samples that only this run, or only A, got right; p: McNemar's test",
     ]
     if any(cells[-1] for cells in rows):
         lines.append(f"*: p below {SIGNIFICANCE:g}, more than chance explains")
     if unpaired:
-        lines.append("unpaired: the two answered different samples; p by Fisher's exact test")
+        lines.append("unpaired: the samples are different; p is that of Fisher's exact test")
     return lines
 
 
@@ -401,8 +402,7 @@ def _inference_lines(runs, letters, width):
     def early(name, form):
         return lambda run: run["writing"] and form.format(run["writing"][name])
 
-    of_digits = all(is_written(run["classes"]) for run in runs)
-    what = "writing" if of_digits else "recording"
+    of_digits = all(is_written(*run["input_shape"][:2], run["classes"]) for run in runs)
     rows = [
         ["an inference", *letters],
         row("input", given("input")),
@@ -413,19 +413,19 @@ def _inference_lines(runs, letters, width):
         row("counted on", given("counted_on")),
         row("synaptic operations", given("synaptic_operations", "{:,.0f}")),
         *([row("times the CNN's", given("operations_per_mac", "{:.2f}"))] if of_digits else []),
-        row("steps shown", given("steps")),
-        row("for good from step", given("decided_at_median", "{:g}")),
-        row("that is, ms", given("decided_after_ms", "{:,.0f}")),
-        row("by itself after", early("share", f"{{:.0%}} of {what}")),
-        row("accuracy then", early("accuracy", "{:.3f}")),
+        row("steps of presentation", given("steps")),
+        row("decided at step", given("decided_at_median", "{:g}")),
+        row("decided after, ms", given("decided_after_ms", "{:,.0f}")),
+        row("early decision after", early("share", "{:.0%} of recording")),
+        row("its accuracy", early("accuracy", "{:.3f}")),
     ]
     lines = _fitted([cells for cells in rows if any(cells[1:])], width)
     if of_digits:
         lines.append(f"times the CNN's: the {CNN_MACS:,} multiply-accumulates of the paper's")
     if any(run["decided_at_median"] is not None for run in runs):
-        lines.append("for good: half the samples' decisions no longer change from this step on")
+        lines.append("decided: step or time from which half of the decisions are final")
     if len({run["input"] for run in runs}) > 1:
-        lines.append(f"ms: of an image after the whole {what}, of events while it goes on")
+        lines.append("ms: from the end of the recording for an image, from its start for events")
     return lines
 
 

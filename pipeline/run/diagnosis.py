@@ -143,7 +143,7 @@ def layers_json(spec: NetworkSpec, rates: dict, activations: dict) -> list:
 
 
 POINTS = 300
-"""Pairs of rates that are kept of a layer."""
+"""Number of pairs of rates that are stored for each layer."""
 
 
 def rate_points(trained: dict, chip: dict) -> dict:

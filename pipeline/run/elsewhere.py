@@ -1,4 +1,4 @@
-"""A network's answers to recordings that it was not made from: another session, other people."""
+"""A network's results on recordings that were not used in its training, such as other people's."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FOLDER = "other"
 def recordings_for(
     bundle: Bundle, source: str, settings: Settings, jobs: int = 1, warn=None
 ) -> Recordings:
-    """Recordings for a bundle's network, with the labels that its outputs stand for.
+    """Recordings for a bundle's network, with labels in the order of its outputs.
 
     Parameters
     ----------
@@ -40,12 +40,12 @@ def recordings_for(
     jobs : int
         Processes.
     warn : callable, optional
-        Called with a line about what should be known.
+        Called with a warning.
 
     Raises
     ------
     UserError
-        They cannot be read, or are of another sensor or of other classes.
+        The recordings cannot be read, or are from another sensor or of other classes.
     """
     rows, columns = bundle.spec.input_shape[:2]
     data = settings.data
@@ -56,7 +56,7 @@ def recordings_for(
     sensor = recordings.sensor
     if (sensor.rows, sensor.columns) != (rows, columns):
         raise UserError(
-            f"{source}: of {sensor.rows} rows x {sensor.columns} columns, the network of "
+            f"{source}: has {sensor.rows} rows x {sensor.columns} columns, but the network of "
             f"{bundle.path} is for {rows} x {columns}"
         )
     known = list(map(str, bundle.spec.provenance.get("classes") or ()))
@@ -67,14 +67,14 @@ def recordings_for(
     if unknown:
         listed = ", ".join(map(repr, unknown[:5])) + (", ..." if len(unknown) > 5 else "")
         raise UserError(
-            f"{source}: has classes that the network of {bundle.path} does not know: {listed}; it "
-            f"knows {', '.join(map(repr, known[:5]))}{', ...' if len(known) > 5 else ''}"
+            f"{source}: has classes that the network of {bundle.path} does not have: {listed}; "
+            f"its classes are {', '.join(map(repr, known[:5]))}{', ...' if len(known) > 5 else ''}"
         )
     number = {name: index for index, name in enumerate(known)}
     labels = np.array([number.get(name, -1) for name in sensor.classes])[recordings.labels]
     if warn is not None and recordings.source.sha256 == bundle.spec.provenance.get("source_sha256"):
         warn(
-            f"{WARNING}{source}: the network was trained on a part of these recordings; its "
+            f"{WARNING}{source}: the network was made from a part of these recordings; its "
             "accuracy on them says little about others"
         )
     return replace(recordings, labels=labels, sensor=replace(sensor, classes=tuple(known)))
@@ -100,7 +100,7 @@ def shown_instead(
     Raises
     ------
     UserError
-        There are fewer recordings, or the network's input cannot show them.
+        There are fewer recordings, or they cannot be presented to the network.
     """
     n = len(recordings)
     count = min(CHECK_SAMPLES, n) if samples is None else samples or n
@@ -127,10 +127,10 @@ def shown_instead(
 
 
 def told_of(result: dict, recordings: Recordings, chosen: np.ndarray) -> dict:
-    """A check result with what it says of other recordings than the bundle's.
+    """A check result with further entries for other recordings than the bundle's.
 
-    ``data`` says which they are; ``classes``, ``confusion`` (rows: labels, columns: predictions),
-    ``per_class`` and, where the recordings say who made them, ``per_writer`` say how right it was.
+    ``data`` identifies the recordings.  ``classes``, ``confusion`` (rows: labels, columns:
+    predictions), ``per_class`` and, if the writers are known, ``per_writer`` have the accuracies.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def _right(right, mine):
 
 
 def result_path(bundle: Bundle, recordings: Recordings, samples: int, target: str) -> Path:
-    """File of such a result: beside the bundle, one for each set of recordings."""
+    """The file of such a result: beside the bundle, one for each set of recordings."""
     name = "".join(c if c.isalnum() or c in "-_." else "-" for c in recordings.source.name)[:60]
     file = f"{name}-{recordings.source.sha256[:8]}-{samples}-{target}.json"
     return bundle.path.absolute().parent / "checks" / FOLDER / file

@@ -16,7 +16,8 @@ from pipeline.training.events import EventRecipe, TrainedOnEvents, train_events
 
 __all__ = ["Apart", "Checkpoint", "choose", "set_apart", "train", "trained_network"]
 FEWEST_HELD = 100
-"""Samples on which a confidence may be chosen: of fewer, half a point is not even one sample."""
+"""Minimum number of samples for choosing a confidence; with fewer, half a percentage point is less
+than one sample."""
 
 
 class Apart(NamedTuple):
@@ -77,10 +78,10 @@ def train(
 
 
 def choose(settings: Settings, samples: Apart, trained: TrainedOnEvents, seed: int) -> Threshold:
-    """Choose the confidence at which the network decides by itself, on the samples held back.
+    """Choose the confidence for early decisions on the held-out samples.
 
-    On fewer than :data:`FEWEST_HELD` none is chosen, and the network waits for the end of each
-    recording (a confidence of 1).
+    With fewer than :data:`FEWEST_HELD` samples none is chosen, and the network decides at the end
+    of each recording (a confidence of 1).
     """
     table, labels, _, held = samples
     chosen = trained.threshold(table, labels, held, settings.steps, seed)

@@ -1,8 +1,9 @@
-"""Settings that were left at their defaults, made to fit recordings of one's own.
+"""Adapt settings with default values to the user's recordings.
 
-The defaults are the paper's: its network, 200 samples, two seconds.  Where recordings of another
-sensor need others, and the user has not chosen, they are chosen here; what the user has chosen and
-does not fit is an error, and all errors are told together before anything is trained.
+The defaults are the paper's: its network, 200 samples, two seconds.  If recordings of another
+sensor need other values and the user has not set them, this module chooses them.  A value that the
+user has set and that does not fit is an error; all errors are reported together before anything is
+trained.
 """
 
 from __future__ import annotations
@@ -28,10 +29,11 @@ LARGEST_MAP = 14
 """Rows and columns of the first convolution's output on images, at most, on average."""
 
 EVENT_MAP = 5
-"""The same of a network on events, whose first layer is as coarse in the default network."""
+"""The same for a network on events, as in the first layer of the default network."""
 
 FEWEST_STEPS, MOST_STEPS = 50, 400
-"""Steps for which events are shown; longer recordings get longer steps."""
+"""Minimum and maximum number of steps of a presentation of events; longer recordings get longer
+steps."""
 
 OPERATIONS_AN_EVENT = 1.5
 """Synaptic operations that a network on events may take, in multiples of what its first layer takes
@@ -45,33 +47,33 @@ def fitted(
     recordings: Recordings | None = None,
     check: bool = True,
 ) -> Settings:
-    """Settings that fit the recordings which they name.
+    """Adapt settings to the recordings that they name.
 
-    Chosen where the setting has its default: an architecture for the sensor and the classes, as
-    many check samples as the test split has, and of events the number and length of the steps and
-    the budget of operations.
+    These settings are chosen if they have their defaults: an architecture for the sensor and the
+    classes, the number of check samples if the test split has fewer, and for events the number and
+    length of the steps and the budget of operations.
 
     Parameters
     ----------
     settings : Settings
     jobs : int
-        Processes, of recordings that are not in the cache.
+        Number of processes for recordings that are not in the cache.
     say : callable, optional
-        Called with a line about each thing that was chosen.
+        Called with a message about each chosen setting.
     recordings : Recordings, optional
-        Those that the settings name, if they were read already.
+        The recordings that the settings name, if they were read already.
     check : bool
         True if samples of a check will be drawn.
 
     Returns
     -------
     Settings
-        The same object where nothing was to be chosen; for simulated recordings nothing is.
+        The same object if nothing was chosen, as for simulated recordings.
 
     Raises
     ------
     SeveralErrors
-        With a line for each thing that cannot be done.
+        With a line for each problem.
     """
     if settings.data.source == SIMULATED and recordings is None:
         if problems := chip_problems(settings):
@@ -127,15 +129,16 @@ def chosen_text(before: Settings, after: Settings, recordings: Recordings) -> li
 
 
 def new_run_text(path, recordings: Recordings) -> str:
-    """The first line of a new run: where its recordings come from and what was found."""
+    """The first message of a new run: source and properties of its recordings."""
     return f"{path}: a new run, on {recordings.source.name}: {reading_text(recordings)}"
 
 
 def architecture_for(sensor: Sensor, on_events: bool) -> str:
     """An architecture for a sensor and its classes, in the paper's notation.
 
-    The paper's layers where they fit; on larger sensors the first convolution has a stride, and on
-    sensors with too few rows or columns for a convolution there is a hidden dense layer.
+    These are the paper's layers if they fit.  For larger sensors the first convolution has a
+    stride, and for sensors with too few rows or columns for a convolution there is a hidden dense
+    layer.
 
     Parameters
     ----------
@@ -160,7 +163,7 @@ def architecture_for(sensor: Sensor, on_events: bool) -> str:
 
 
 def _architecture(settings, recordings, changes):
-    """Choose an architecture if the default does not fit and is what there is."""
+    """Choose an architecture if the setting has its default and this does not fit."""
     section = "events" if settings.on_events else "cnn"
     before = getattr(settings, section)
     is_default = before.architecture == getattr(Settings(), section).architecture
@@ -189,7 +192,7 @@ def _operations_of_input(architecture, recordings):
 
 
 def _presentation(settings, recordings, changes):
-    """Show events for as long as the recordings last, in steps of a length that allows it."""
+    """Present events for as long as the recordings last, with a suitable length of steps."""
     default = Settings()
     if settings.presentation.steps or recordings.sensor.duration_s == default_duration():
         return
@@ -206,7 +209,7 @@ def _presentation(settings, recordings, changes):
 
 
 def default_duration() -> float:
-    """Seconds that the published recordings last, for which the default steps are."""
+    """Duration in seconds of the published recordings, for which the default steps are chosen."""
     return Sensor().duration_s
 
 
@@ -224,7 +227,7 @@ def _test_samples(settings, recordings, problems):
 
 
 def _unfit(settings, recordings):
-    """Why the network cannot be for these recordings or not on the chip."""
+    """Reasons why the network does not fit the recordings or the chip."""
     sensor, source = recordings.sensor, settings.data.source
     try:
         check_fits(settings, sensor.rows, sensor.columns, len(sensor.classes), source)

@@ -17,15 +17,13 @@ from deploy.terminal import WARNING
 from pipeline.artifacts import DELETE_IT, Artifact
 from pipeline.progress import progress
 from pipeline.progress import stages as numbered
-from pipeline.recordings.events import DIGITS
-from pipeline.recordings.words import recording_word
 from pipeline.run import stages
 from pipeline.run.answers import REFERENCES, event_rates
 from pipeline.run.diagnosis import layers_json, layers_text, least_faithful, rate_points
 from pipeline.run.fitting import fitted
 from pipeline.run.folder import RunFolder
 from pipeline.run.origins import ladder_origin
-from pipeline.settings import SIMULATED, Settings
+from pipeline.settings import Settings
 
 BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
 """Targets whose existing results are included, but which the ladder does not run."""
@@ -82,25 +80,9 @@ def measure_ladder(
     dict
         See :func:`ladder_json`.
     """
-    settings = fitted(settings, jobs, say, dataset and dataset.recordings)
-    with numbered(_bars(settings)):
+    with numbered(stages.bars(settings, "ladder")):
+        settings = fitted(settings, jobs, say, dataset and dataset.recordings)
         return _measured(run, settings, jobs, whole, slow, say, dataset, asked)
-
-
-def _bars(settings):
-    """The stages that a progress bar can be of."""
-    recordings = ["simulate"] if settings.data.source == SIMULATED else []
-    layers = [] if settings.network == "nir" else ["compare layers"]
-    return [*recordings, *TRAINING_BARS[settings.network], "check", *layers]
-
-
-TRAINING_BARS = {
-    "image": ("train cnn", "train rate-lif"),
-    "events": ("train events",),
-    "nir": ("simulate nir",),
-    "retrained": ("simulate nir", "train events"),
-}
-"""Progress bars while the network of a run is trained or read, by the kind of network."""
 
 
 def _measured(run, settings, jobs, whole, slow, say, dataset, asked):
@@ -133,9 +115,9 @@ def ladder_artifact(run: RunFolder, whole: bool = False) -> Artifact:
 
 
 def _layers(run: RunFolder, settings: Settings, bundle: Bundle) -> tuple:
-    """How faithful each layer is on the bundle's samples, and its rates in both networks.
+    """Fidelity of each layer on the bundle's samples, and its rates in both networks.
 
-    Without a rate-based network the first is None; of a NIR graph there is neither.
+    Without a rate-based network the fidelity is None; for a NIR graph both are None.
     """
     if settings.network == "nir":
         return None, {}
@@ -273,7 +255,7 @@ def ladder_json(results, layers=None, left_out=(), classes=None) -> dict:
     }
 
 
-def early_text(value: dict, row: dict, classes=DIGITS) -> str:
+def early_text(value: dict, row: dict) -> str:
     """Accuracy and time of early decisions, in one line.
 
     Parameters
@@ -282,15 +264,13 @@ def early_text(value: dict, row: dict, classes=DIGITS) -> str:
         ``while_written`` of a result.
     row : dict
         The ladder's row of that result.
-    classes : sequence of str
-        Their names.
     """
     early = value["by_itself"]
     if early["confidence"] >= 1:
-        return f"{row['stage']} waits for the end of each recording before it decides"
+        return f"{row['stage']}: no early decisions, it decides at the end of each recording"
     return (
-        f"{row['stage']} decides by itself, at a confidence of {early['confidence']:.4f}: after "
-        f"{early['share_of_writing_mean']:.0%} of the {recording_word(classes)} on average, "
+        f"{row['stage']}: early decision at a confidence of {early['confidence']:.4f}, after "
+        f"{early['share_of_writing_mean']:.0%} of the recording on average: "
         f"accuracy {early['accuracy']:.3f}, "
         + points_text(100 * (row["accuracy"] - early["accuracy"]))
     )
@@ -299,9 +279,10 @@ def early_text(value: dict, row: dict, classes=DIGITS) -> str:
 def losing_stages(ladder: dict, limit: float, by_chance: bool = False) -> list:
     """Find the stages that lose more than ``limit`` points, as (from, to, points).
 
-    That is the rate-based network, or the one trained on events.  Each stage against the one above
-    it, and the last one against the trained network.  Losses that chance explains (McNemar's test,
-    p of :data:`SIGNIFICANCE` or more) count only with ``by_chance``.
+    Stages from the trained network on (the rate-based network, or the one trained on events) are
+    compared with the stage above, and the last one also with the trained network.  Losses that are
+    not significant (McNemar's test, p of :data:`SIGNIFICANCE` or more) count only with
+    ``by_chance``.
     """
     stages = [row["stage"] for row in ladder["rows"]]
     trained = next((index for index, name in enumerate(stages) if name in TRAINED), None)
@@ -320,7 +301,7 @@ def losing_stages(ladder: dict, limit: float, by_chance: bool = False) -> list:
 
 
 def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> str:
-    """The ladder as a table, with the layers under it where a stage loses too much.
+    """The ladder as a table, followed by the layers if a stage loses too much.
 
     Parameters
     ----------
@@ -329,7 +310,7 @@ def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> st
     limit : float
         Points that a stage after the rate-based network may lose.
     by_chance : bool
-        Warn of losses that chance explains too.
+        Also warn of losses that are not significant.
     """
     what = "simulated samples" if ladder["simulated"] else "samples"
     table = [["stage", "accuracy", "95 % interval", "change", "disagree", "McNemar p", ""]]
@@ -346,7 +327,7 @@ def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> st
         table.append(cells)
     first, last = ladder["rows"][0], ladder["rows"][-1]
     lines = [
-        f"Loss ladder, {ladder['n_samples']} {what}, each stage on the same ones",
+        f"Loss ladder, {ladder['n_samples']} {what}, the same for each stage",
         *aligned(table),
         f"from {first['stage']} to {last['stage']}: "
         + points_text(100 * (first["accuracy"] - last["accuracy"])),
@@ -359,7 +340,7 @@ def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> st
     if ladder["left_out"]:
         lines.append(f"left out: {', '.join(ladder['left_out'])} (minutes each; add --slow)")
     if ladder.get("while_written"):
-        lines.append(early_text(ladder["while_written"], last, ladder["classes"]))
+        lines.append(early_text(ladder["while_written"], last))
     lines += ladder.get("losses", [])
     losing = losing_stages(ladder, limit, by_chance)
     for a, b, points in losing:

@@ -1,6 +1,6 @@
-"""A NIR graph, such as networks trained in PyTorch are exported as, in the place of our network.
+"""Use a NIR graph, such as one exported from PyTorch, as the network of a run.
 
-The run keeps a copy of the graph, ``snn/network.nir``; all that follows is made from it.
+The run has a copy of the graph, ``snn/network.nir``, from which everything else is made.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ CALIBRATED_ON = 48
 """Training samples on which the scales of the weights are chosen."""
 
 DECIDED_ON = 300
-"""Training samples, at most, on which the confidence is chosen at which the network decides."""
+"""Maximum number of training samples on which the confidence for early decisions is chosen."""
 
 RESETTING = ("IF", "LIF", "CubaLIF")
 """Nodes whose voltage a spike resets."""
 
 FROM_REST = {"gap": 0, "stream_length": 1}
-"""Default presentation of samples to an imported network: each from rest.
-Trainings in PyTorch start every sample with the neurons' state at rest (``reset_hidden`` of
-snnTorch, a state of None in Norse), so that this is what the network was trained for.  A board
-begins each stream by loading the network, so there it means one loading a sample."""
+"""Default presentation of samples to an imported network: each from rest.  Trainings in PyTorch
+start every sample with the neurons' state at rest (``reset_hidden`` of snnTorch, a state of None in
+Norse), so that this is what the network was trained for.  A board begins each stream by loading the
+network, so there it means one loading a sample."""
 
 RESET_ON = 200
-"""Training samples, at most, on which a reset by subtraction is compared with that of the chip."""
+"""Maximum number of training samples on which the two resets are compared."""
 
 AGAIN = "give it again with 'stmnist convert RUN --nir FILE'"
 
@@ -63,7 +63,7 @@ class Stepped:
     Attributes
     ----------
     seconds : float
-        Of the graph's time in a step.
+        Seconds of the graph's time per step.
     method : str
         One of :data:`models.nir_simulator.METHODS`.
     """
@@ -93,21 +93,21 @@ class Stepped:
 
 
 def settings_of_nir(path, step: float | None = None, kind: str | None = None) -> dict:
-    """Changes of the settings that put a NIR graph in the place of the trained network.
+    """Changes of the settings with which a NIR graph replaces the trained network.
 
     Parameters
     ----------
     path : path-like
     step : float, optional
-        Milliseconds that a step of the chip stands for.
+        Milliseconds that a step of the chip represents.
     kind : str, optional
-        ``"image"`` or ``"events"``; default: what the graph's input is for, two channels for
-        events and one for images.
+        ``"image"`` or ``"events"``; default: from the number of channels of the graph's input, two
+        for events and one for images.
 
     Raises
     ------
     UserError
-        The file cannot be read, is no NIR graph, or one that cannot be used.
+        The file cannot be read, is not a NIR graph, or cannot be used.
     """
     path = Path(path)
     network = read_nir(path)
@@ -125,12 +125,12 @@ def settings_of_nir(path, step: float | None = None, kind: str | None = None) ->
 
 
 def exported_here(network: NirNetwork, source="") -> NetworkSpec | None:
-    """The deployed network that a graph was exported from, or None of other graphs.
+    """The deployed network from which a graph was exported, or None for other graphs.
 
     Raises
     ------
     UserError
-        It says that it was exported here, and its parts do not fit each other.
+        The graph was exported by this project, but its parts do not fit each other.
     """
     try:
         nodes = {node.name: node.parameters for node in network.nodes}
@@ -140,7 +140,7 @@ def exported_here(network: NirNetwork, source="") -> NetworkSpec | None:
 
 
 def _settings_of_export(spec):
-    """Settings with which a network that was exported here is shown what it was made for."""
+    """Settings with which an exported network gets the same input as before the export."""
     stimulus, shown = spec.stimulus, spec.presentation
     changes = {
         "presentation": {name: getattr(shown, name) for name in ("steps", "gap", "stream_length")},
@@ -188,7 +188,7 @@ def kept_graph(folder: Path) -> Path:
 
 
 def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> dict:
-    """Keep a copy of the user's graph in a network's folder, and measure it.
+    """Copy the user's graph into a network's folder, and measure its accuracy.
 
     Parameters
     ----------
@@ -200,12 +200,12 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     Returns
     -------
     dict
-        Its metrics, for the record.
+        Metrics of the graph, for its record.
 
     Raises
     ------
     UserError
-        The file is another than the settings say, or for another sensor or other classes.
+        The file has changed, or the graph is for another sensor or other classes.
     """
     begun, source = time.perf_counter(), Path(settings.nir.file)
     if not source.exists() and kept_graph(folder).exists():
@@ -218,7 +218,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     exported, cost = exported_here(network, source), None
     if exported is None:
         layers = layers_of(network, stepped.seconds, stepped.method, _fed_shape(dataset))
-        for line in _notes(network, layers, stepped):
+        for line in notes(network, layers, stepped):
             say(f"nir: {line}")
         if any(node.kind in RESETTING for node in network.nodes):
             cost = reset_cost(network, stepped, settings, dataset)
@@ -266,7 +266,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
 
 
 def refuse_early(settings: Settings):
-    """Refuse a graph that no recordings could make fit, before anything is written.
+    """Refuse a graph that cannot fit any recordings, before anything is written.
 
     Parameters
     ----------
@@ -276,7 +276,7 @@ def refuse_early(settings: Settings):
     Raises
     ------
     UserError
-        Naming the file and the node, or its layer's nodes, and an alternative.
+        The message names the file, the node or nodes of a layer, and an alternative.
     """
     source = settings.nir.file
     network = read_nir(source)
@@ -303,14 +303,14 @@ def fits(network: NirNetwork, fed_shape, classes: int, source):
     ----------
     network : NirNetwork
     fed_shape : tuple of int
-        (rows, columns, channels) of what the run feeds it.
+        (rows, columns, channels) of the input in this run.
     classes : int
     source : path-like
 
     Raises
     ------
     UserError
-        Saying what it should be for.
+        The message has the required sensor and classes.
     """
     (rows, columns, channels), shape = fed_shape, network.input_shape
     if shape not in ((channels, rows, columns), (channels * rows * columns,)):
@@ -331,20 +331,34 @@ def _fed_shape(dataset):
     return dataset.inputs.shape[-3:]
 
 
-def _notes(network, layers, stepped):
-    """Warnings about the conversion, one line each."""
+def notes(network: NirNetwork, layers: tuple, stepped: Stepped):
+    """Yield what the conversion of a graph changes or may misread, one line each.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    layers : tuple of NirLayer
+        As :func:`models.nir_layers.layers_of` gives them.
+    stepped : Stepped
+    """
     by_snntorch = network.written_by_snntorch
     yield str(stepped) + (", as snnTorch's exporter writes it" if by_snntorch else "")
     for layer in layers:
         windows = [n for n in network.nodes if n.name in layer.nodes and "Conv" in n.kind]
         if layer.spiking and layer.kind == "dense" and windows and len(windows[0].input_shape) > 1:
             yield (
-                f"{layer}: its windows are not the chip's (square kernels, equal strides, no "
-                "padding or 'same'), so that it takes the memory of a dense layer"
+                f"{layer}: takes the memory of a dense layer, since its windows are not the chip's "
+                "(square kernels, equal strides, no padding or 'same') or its neurons' parameters "
+                "differ within a channel"
             )
     for node in network.nodes:
         if node.kind == "IF":
             yield f"{node}: the chip's neurons leak, at least 1/4096 of the voltage a step"
+            if stepped.seconds < 1 and (node["r"] == 1).all():
+                yield (
+                    f"{node}: its input is multiplied by the step, as NIR says; Norse and others "
+                    "add the whole of it at each step: then give --set nir.step=1000"
+                )
         if node.kind == "CubaLI":
             yield f"{node}: only its longer time constant is kept"
 
@@ -358,7 +372,8 @@ def reset_cost(network: NirNetwork, stepped: Stepped, settings, dataset) -> dict
     -------
     dict
         ``samples``; ``accuracy`` with the chip's reset and ``accuracy_subtracting``; ``agreement``
-        of their predictions; ``spikes``, those by subtraction for each one of the chip's reset.
+        of their predictions; ``spikes``, the ratio of spikes by subtraction to those with the
+        chip's reset.
     """
     rng = np.random.default_rng([settings.seed, 0x5EB])
     some = np.sort(rng.permutation(dataset.split.train)[:RESET_ON])
@@ -392,7 +407,7 @@ def _reset_text(cost):
 
 
 def _threshold(network, stepped, layers, settings, dataset):
-    """The confidence at which the network decides by itself, for networks on events."""
+    """The confidence for early decisions of networks on events."""
     if not settings.on_events or network.outputs < 2:
         return None
     held = dataset.split.validation
@@ -435,7 +450,7 @@ def graph_inputs(network: NirNetwork, inputs, steps: int) -> np.ndarray:
     ----------
     network : NirNetwork
     inputs : ndarray
-        Images (n_samples, rows, columns, 1), which are held for ``steps`` steps, or frames of
+        Images (n_samples, rows, columns, 1), which are presented for ``steps`` steps, or frames of
         events (n_samples, steps, rows, columns, 2).
     steps : int
 
@@ -451,13 +466,13 @@ def graph_inputs(network: NirNetwork, inputs, steps: int) -> np.ndarray:
 
 
 def _in_places(values):
-    """(n, channels, rows, columns), or flat, in the chip's order and flat."""
+    """Values (n, channels, rows, columns), or flat, converted to the chip's order and flattened."""
     moved = np.moveaxis(values, 1, -1) if values.ndim > 2 else values
     return moved.reshape(len(values), -1)
 
 
 def graph_result(run: RunFolder, settings: Settings, bundle: Bundle, advance=None) -> dict:
-    """A check result of the graph as it is written, in floating point, each sample from rest.
+    """A check result of the original graph, in floating point, with each sample from rest.
 
     Parameters
     ----------
@@ -516,14 +531,14 @@ def deployed_nir(
     dataset: Dataset,
     provenance: dict,
 ) -> NetworkSpec:
-    """Describe a run's graph as the chip gets it; see :func:`spec_of_nir`.
+    """Describe the deployed network of a run's graph; see :func:`spec_of_nir`.
 
     Parameters
     ----------
     folder : Path
-        Of the network.
+        Folder of the network.
     confidence : float or None
-        At which the network decides by itself; None where it does not.
+        Confidence for early decisions; None without early decisions.
     settings, dataset, provenance
     """
     network = read_nir(kept_graph(folder))
@@ -558,7 +573,7 @@ def spec_of_nir(
     provenance: dict,
     pop_type: int = 32,
 ) -> NetworkSpec:
-    """Describe a NIR graph as the chip gets it; what is lost is in :mod:`models.nir_layers`.
+    """Describe the deployed network of a NIR graph; see :mod:`models.nir_layers` for differences.
 
     Parameters
     ----------
@@ -567,10 +582,10 @@ def spec_of_nir(
     stimulus : EventFrames or ImageSpikes
     presentation : Presentation
     samples : ndarray
-        Training samples, as the stimulus shows them, on which the scales of the weights are
-        chosen; their shape is that of what is fed in.
+        Training samples in the format of the stimulus, on which the scales of the weights are
+        chosen; their shape is that of the input.
     provenance : dict
-        Kept in the bundle.
+        Stored in the bundle.
     pop_type : int
         NengoLoihi's population axon type.
     """

@@ -1,18 +1,18 @@
-"""A NIR graph as the network that a training on events begins with.
+"""Use a NIR graph as the initial network of a training on events.
 
 The network on events (:mod:`models.spiking`) has layers of current-based neurons with a leak, which
 reset to 0, and an output that adds up weights over the spikes of the last layer.  A graph of LIF
-and CubaLIF neurons becomes one with the same weights and time constants.  What changes before the
-first step of training:
+and CubaLIF neurons becomes one with the same weights and time constants.  These changes are made
+before the first step of training:
 
 =====================  =========================================================================
-averaging              is folded into the kernel and the stride of the convolution after it
+averaging              is folded into the kernel and the stride of the next convolution
 spiking outputs        become a hidden layer whose spikes the output counts
-a filter at the end    is left out: it moves the outputs in time and keeps their sum
+a filter at the end    is left out: it shifts the outputs in time but does not change their sum
 biases of the outputs  are left out: the output has none
 biases of neurons      are limited so that no neuron fires without input
-the lowest voltage     NIR has none; here it is that of :class:`models.spiking.Neuron`
-size of the outputs    is multiplied by the power of two with the least cross-entropy
+lower voltage bound    NIR has none; here it is that of :class:`models.spiking.Neuron`
+scale of the outputs   is multiplied by the power of two with the least cross-entropy
 =====================  =========================================================================
 """
 
@@ -35,19 +35,19 @@ TRAINABLE = ("LIF", "CubaLIF")
 """Nodes whose neurons are those of the network on events."""
 
 SCALED_ON = 256
-"""Training samples, at most, on which the size of the outputs is chosen."""
+"""Maximum number of training samples on which the scale of the outputs is chosen."""
 
 NO_BUDGET = 1000.0
 """Budget of synaptic operations in multiples of the CNN's: none for a user's network."""
 
 SCALES = 2.0 ** np.arange(-12, 9)
-"""Factors of the outputs that are tried."""
+"""Candidate factors of the outputs."""
 
 
 def settings_of_retrained(path, step: float | None = None, kind: str | None = None) -> dict:
     """Changes of the settings that let a run train a NIR graph further.
 
-    Samples are presented as to any network on events, since its biases settle in the gap.
+    Samples are presented as to any network on events, because its biases settle in the gap.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def trainable(network: NirNetwork, step: float, method: str, input_shape) -> tup
 
 
 def _unpooled(layer):
-    """The layer with its averaging in kernel and stride, as the chip has it."""
+    """The layer with its averaging folded into kernel and stride, as on the chip."""
     if layer.pool == 1:
         return layer
     kernel = layer.weights.repeat(layer.pool, 0).repeat(layer.pool, 1) / layer.pool**2
@@ -133,7 +133,7 @@ def _unpooled(layer):
 
 
 def architecture_of(network: NirNetwork, input_shape) -> str:
-    """The architecture that a graph is trained on with, in the notation of the settings.
+    """The architecture of a graph that is trained further, in the notation of the settings.
 
     Parameters
     ----------
@@ -148,17 +148,17 @@ def architecture_of(network: NirNetwork, input_shape) -> str:
     """
     times = [node[name].min() for node in network.nodes for name in ("tau", "tau_syn", "tau_mem")
              if name in node.parameters]  # fmt: skip
-    step = float(min(times))  # any that is not too long: shapes do not depend on it
+    step = float(min(times, default=1.0))  # any that is not too long: shapes do not depend on it
     return notation(input_shape, trainable(network, step, "exact", input_shape))
 
 
 def start(folder: Path, settings: Settings, samples) -> tuple:
-    """The weights that the training begins with.
+    """The initial weights of the training.
 
     Parameters
     ----------
     folder : Path
-        Of the graph.
+        Folder of the graph.
     settings : Settings
     samples : pipeline.run.event_training.Apart
 
@@ -167,7 +167,7 @@ def start(folder: Path, settings: Settings, samples) -> tuple:
     weights : dict of str to ndarray
         See :meth:`models.spiking.SpikingNetwork.get_weights`.
     lines : list of str
-        What the user should know of them.
+        Messages about the weights.
     """
     from models.spiking import BIAS_CAP  # imports TensorFlow
     from pipeline.training.events import EventRecipe, answer_frames
@@ -201,7 +201,7 @@ def weights_of(layers) -> dict:
     Parameters
     ----------
     layers : sequence of NirLayer
-        As :func:`trainable` gives them.
+        From :func:`trainable`.
     """
     weights = {"output.kernel": layers[-1].weights}
     for layer in layers[:-1]:
@@ -214,7 +214,7 @@ def weights_of(layers) -> dict:
 
 
 def best_scale(scores, labels) -> float:
-    """The factor of :data:`SCALES` with which scores as logits have the least cross-entropy.
+    """The factor in :data:`SCALES` with which scores, as logits, have the least cross-entropy.
 
     Parameters
     ----------

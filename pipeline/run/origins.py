@@ -32,7 +32,7 @@ def rates_origin(settings: Settings, cnn: Origin) -> Origin:
 def events_origin(settings: Settings, dataset: Origin) -> Origin:
     """Origin of the network trained on events: from new weights, or from those of a NIR graph.
 
-    The former does not depend on the presentation.
+    It does not depend on the presentation.
     """
     start = nir_origin(settings, dataset) if settings.network == "retrained" else dataset
     return Origin.of(settings, ["input", "events"], [start])
@@ -54,7 +54,7 @@ def nir_origin(settings: Settings, dataset: Origin) -> Origin:
 
 
 def trained_origin(settings: Settings, dataset: Origin) -> Origin:
-    """Of what the bundle is made from: rate-based network, threshold on events, or NIR graph."""
+    """Origin of the bundle's source: rate-based network, threshold on events, or NIR graph."""
     if settings.network == "nir":
         return nir_origin(settings, dataset)
     if settings.on_events:

@@ -19,13 +19,13 @@ def refuse_other_folders(path: Path, of_results: bool = False):
     ----------
     path : Path
     of_results : bool
-        True for a benchmark's, which may hold results of an interrupted one: only a bundle is
-        refused.
+        True for the folder of a benchmark, which may have results of an interrupted one: only a
+        bundle is refused.
 
     Raises
     ------
     UserError
-        It is a bundle, or holds files that are no run's.
+        The folder is a bundle, or has files that are not those of a run.
     """
     if not path.is_dir() or (path / "experiment.toml").exists():
         return
@@ -43,7 +43,7 @@ def refuse_other_folders(path: Path, of_results: bool = False):
 
 @contextlib.contextmanager
 def nothing_left_of_a_failure(path: Path):
-    """Remove the folder of a run again if what is done in it fails before anything is kept."""
+    """Remove the folder of a new run if the block fails before anything is saved."""
     made = [folder for folder in (path, *path.parents) if not folder.exists()]
     had_lock = (path / LOCK).exists()
 
@@ -63,7 +63,7 @@ def nothing_left_of_a_failure(path: Path):
 
 
 def similar_run(path: Path) -> Path | None:
-    """A run beside a folder that is not there, whose name may be the one that was meant."""
+    """An existing run with a similar name, which may be the one that the user meant."""
     if path.exists() or not path.parent.is_dir():
         return None
     names = [entry.parent.name for entry in path.parent.glob("*/experiment.toml")]

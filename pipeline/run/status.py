@@ -202,7 +202,7 @@ def _networks(run, settings, dataset):
 
 
 def _status(artifact, origin):
-    """The state of a trained network, with what its record says of accuracy and duration."""
+    """The state of a trained network, with accuracy and duration from its record."""
     state = artifact.state(origin)
     with understood(artifact.record, DELETE_IT):
         accuracy = state.record.get("accuracy", {}).get("test")

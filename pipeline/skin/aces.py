@@ -1,15 +1,16 @@
-"""ACES: all taxels share one wire, each event is a pulse signature, the decoder takes them apart.
+"""ACES: all taxels share one wire, each event is a pulse signature, and a decoder separates them.
 
 Asynchronously Coded Electronic Skin (W. W. Lee et al., "A neuro-inspired artificial peripheral
 nervous system for scalable electronic skins", Science Robotics 4, 2019; paper, Section 2.1).  A
-taxel sends, without waiting for anybody, a few short pulses at delays that are its own.  Signatures
-may overlap on the wire.  The decoder samples the wire on a 16 ns grid and correlates it with each
+taxel sends a few short pulses at delays that identify it, without synchronisation.  Signatures may
+overlap on the wire.  The decoder samples the wire on a 16 ns grid and correlates it with each
 taxel's signature at every tick.
 
-What is not published is inferred from the one recording at hand: its events come as bursts of
-4 or 5 ticks (ON) or 2 or 3 (OFF), in nearly equal parts.  That is what a correlator reports when
-the pulses of an ON event are some 71 ns wide and those of an OFF event some 39 ns, so the width
-carries the polarity and the length of a burst follows from where the event falls on the grid.
+Unpublished properties are inferred from the one available recording: its events come as bursts of 4
+or 5 ticks (ON) or 2 or 3 (OFF), with nearly equal frequencies.  A correlator reports such bursts if
+the pulses of an ON event are about 71 ns wide and those of an OFF event about 39 ns.  The width
+thus encodes the polarity, and the length of a burst depends on the time of the event relative to
+the grid.
 """
 
 from __future__ import annotations
@@ -29,22 +30,22 @@ LONGEST_BURST = 6
 """Ticks after which a taxel's reports can no longer belong to the same event."""
 
 FIRST_LOOK = 4
-"""Pulses that are correlated at every tick; the rest only where these are there."""
+"""Number of pulses that are correlated at every tick; the others only where these are found."""
 
 
 @functools.cache
 def signatures(pulses: int, length_s: float, most_shared: int) -> np.ndarray:
-    """A signature for each taxel.
+    """Draw a signature for each taxel.
 
-    Delays are drawn at random and kept if, slid along any signature kept before at any offset, no
-    more than ``most_shared`` pulses meet.
+    Random delays are accepted if at most ``most_shared`` pulses coincide with those of each
+    accepted signature, at any offset.
 
     Parameters
     ----------
     pulses : int
-        In a signature.
+        Number of pulses of a signature.
     length_s : float
-        From the first pulse to the end of the last, at most.
+        Maximum time from the first pulse to the end of the last one.
     most_shared : int
 
     Returns
@@ -66,22 +67,22 @@ def signatures(pulses: int, length_s: float, most_shared: int) -> np.ndarray:
 
 
 def _most_shared(one, other):
-    """Pulses of two signatures that meet at the worst offset (within a burst's length)."""
+    """Number of coinciding pulses of two signatures at the worst offset within a burst's length."""
     gaps = np.subtract.outer(one, other).ravel()
     gaps = np.sort(gaps[gaps != 0] if one is other else gaps)
     return int((np.searchsorted(gaps, gaps + LONGEST_BURST) - np.arange(len(gaps))).max())
 
 
 def bursts(time_ns, taxel, polarity, p) -> Events:
-    """Reports of the decoder when nothing is lost on the wire, computed directly.
+    """The decoder's reports without losses on the wire, computed directly.
 
-    An event at ``t`` whose pulses are ``w`` wide is seen at every tick from ``t`` to just before
+    An event at ``t`` with pulses of width ``w`` is reported at every tick from ``t`` to just before
     ``t + w``.
 
     Parameters
     ----------
     time_ns : ndarray of float, shape (n,)
-        Off the grid.
+        Times, not rounded to the grid.
     taxel, polarity : ndarrays of int, shape (n,)
     p : pipeline.skin.parameters.Aces
 
@@ -95,7 +96,7 @@ def bursts(time_ns, taxel, polarity, p) -> Events:
 
 
 class Decoder:
-    """:func:`bursts` of events that come piece by piece.
+    """:func:`bursts` for events that arrive in parts.
 
     Parameters
     ----------
@@ -112,7 +113,7 @@ class Decoder:
         Parameters
         ----------
         time_ns, taxel, polarity
-            As in :func:`bursts`; none before the ``until_ns`` of the call before.
+            As in :func:`bursts`; not before ``until_ns`` of the previous call.
         until_ns : float
         """
         every = [
@@ -138,8 +139,8 @@ def _ticks(time_ns, polarity, p):
 def in_turn(tick, taxel, polarity, columns, free=0) -> Events:
     """Events in order of time; one that would start within another's burst waits for its end.
 
-    In the published arrays no two taxels report in the same tick.  ``free`` is the first tick that
-    no earlier burst takes up.
+    In the published arrays no two taxels report in the same tick.  ``free`` is the first tick after
+    all earlier bursts.
     """
     order = np.lexsort((taxel, tick))
     tick, columns = np.asarray(tick)[order], np.asarray(columns)[order]
@@ -177,10 +178,9 @@ def encode(time_ns, taxel, polarity, p, start_ns, n_ticks) -> np.ndarray:
 def decode(wire, p, start_ns) -> Events:
     """Decode which taxel fired at which time from the samples of the wire.
 
-    Each sample is limited to a pulse's height, so that where many signatures meet no other one is
-    seen that was not sent; then the wire is correlated with every signature at every tick.  Ticks
-    at which at least ``p.level`` pulses are there, next to each other, are one event; its length
-    tells ON from OFF.
+    Each sample is limited to a pulse's height, so that overlapping signatures do not cause false
+    events; then the wire is correlated with every signature at every tick.  Consecutive
+    ticks with at least ``p.level`` pulses are one event, whose length determines ON or OFF.
 
     Parameters
     ----------
@@ -217,12 +217,12 @@ def decode(wire, p, start_ns) -> Events:
 
 
 def round_trip(at_once, noise, trials, rng, p) -> dict:
-    """Errors of the wire when many taxels fire within the length of one signature.
+    """Measure errors of the wire when many taxels fire within the length of one signature.
 
     Parameters
     ----------
     at_once : int
-        Taxels that fire within the same ``p.signature_s``; at most 100.
+        Number of taxels that fire within the same ``p.signature_s``; at most 100.
     noise : float
         Standard deviation of a sample of the wire, in heights of a pulse.
     trials : int
@@ -280,15 +280,15 @@ def wire_losses(trials: int, seed: int, p, advance=None) -> list:
     trials : int
         Number of trials of each condition.
     seed : int
-    p : parameters
-        As there.
+    p : pipeline.skin.parameters.Aces
+        Parameters, as for :func:`round_trip`.
     advance : callable, optional
         ``advance(1)`` after each condition.
 
     Returns
     -------
     list of dict
-        With ``noise`` and ``at_once``.
+        The result of each condition, with ``noise`` and ``at_once``.
     """
     rows = []
     for index, (noise, at_once) in enumerate(itertools.product(NOISES, AT_ONCE)):

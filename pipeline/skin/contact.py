@@ -1,8 +1,8 @@
-"""The signal of every taxel under a moving pen: contact, film, gain, vibration, noise.
+"""The signal of each taxel under a moving pen: contact, film, gain, vibration, noise.
 
-A whole recording goes through :func:`press` at once; where a pen is written with right now, the
-same equations take it piece by piece (:func:`pressure`, :func:`landings`, :class:`Shaking`).
-:class:`Creep` and :func:`scrape` follow, for either.
+:func:`press` computes a complete recording at once.  For a pen that is being used, the same
+equations are computed step by step (:func:`pressure`, :func:`landings`, :class:`Shaking`).
+:class:`Creep` and :func:`scrape` follow in both cases.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ LANDED = 0.1
 """Share of the greatest force at which the pen counts as on the skin."""
 
 NOTHING = 2.0**-150
-"""Half of float32's smallest number: added to one of them, it is rounded away."""
+"""Half of float32's smallest number, which has no effect when it is added."""
 
 
 def press(motion, gain, least, rng, p, size=(GRID, GRID)):
     """The pressure of a pen on the taxels that it reaches, before the film creeps.
 
     The force of the tip (0.5 mm, half a taxel) spreads in the film and its cover; over the taxels
-    it falls off as a Gaussian of standard deviation ``p.spread``.  Where the pen comes down or
-    lifts, the whole skin shakes.  What follows is :class:`Creep`, then :func:`scrape`.
+    it falls off as a Gaussian of standard deviation ``p.spread``.  When the pen lands or lifts,
+    the whole skin shakes.  The next steps are :class:`Creep` and then :func:`scrape`.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def press(motion, gain, least, rng, p, size=(GRID, GRID)):
     gain : ndarray of float, shape (n_taxels,)
         Gain of each taxel.
     least : float
-        Taxels that feel less all the time are left out.
+        Taxels whose pressure is always lower are left out.
     rng : numpy.random.Generator
     p : pipeline.skin.parameters.Skin
     size : (int, int)
@@ -61,7 +61,7 @@ def press(motion, gain, least, rng, p, size=(GRID, GRID)):
 
 
 class Shaking:
-    """Jolts that have not died away yet, and the taxels' gain.
+    """The jolts that have not decayed yet, and the gain of the taxels.
 
     Parameters
     ----------
@@ -75,14 +75,14 @@ class Shaking:
         self._jolts = []  # (rows since the landing, what each taxel feels of it)
 
     def advance(self, pressure, jolts):
-        """Turn the pressure of some steps into what the taxels feel, in place.
+        """Convert the pressure of some steps to the signal of the taxels, in place.
 
         Parameters
         ----------
         pressure : ndarray of float32, shape (n_times, n_taxels)
             See :func:`pressure`.
         jolts : iterable of (int, ndarray of float, shape (n_taxels,))
-            Row at which the pen comes down or lifts, and what each taxel feels of it.
+            Row at which the pen lands or lifts, and the signal of each taxel.
         """
         p = self._p
         shaking = [(0, age, felt) for age, felt in self._jolts]
@@ -100,10 +100,10 @@ class Shaking:
 
 
 class Creep:
-    """The piezoresistive film, of any number of taxels, of many recordings too.
+    """The piezoresistive film for any number of taxels, also of several recordings.
 
-    It follows a pressure at once with one part of its answer and lags behind with the rest, so that
-    it comes back from a pressure later than it took it up (hysteresis).
+    One part of its response follows the pressure at once, the rest with a delay, so that it
+    recovers from a pressure more slowly than it reacts (hysteresis).
 
     Parameters
     ----------
@@ -117,12 +117,12 @@ class Creep:
         self._lag, self._share = np.float32(np.exp(-step_s / p.creep_s)), np.float32(p.creep)
 
     def advance(self, felt):
-        """Turn what is felt in some steps into the film's answer, in place.
+        """Convert the signal of some steps to the film's response, in place.
 
         Parameters
         ----------
         felt : ndarray of float32, shape (n_times, n)
-            Forces on all taxels, or on the first n if the others are no longer touched.
+            Forces on all taxels, or on the first n if the other recordings have ended.
         """
         late = self._late[: felt.shape[1]]
         change = np.empty_like(late)
@@ -134,10 +134,10 @@ class Creep:
 
 
 def scrape(signal, speed, rng, p):
-    """Make the film's answer restless, in place.
+    """Add vibration and noise to the film's response, in place.
 
     A sliding tip scrapes: each taxel's pressure vibrates in proportion to itself and to the speed,
-    up to ``p.scrape_speed``.  Each taxel has a little noise of its own besides.
+    up to ``p.scrape_speed``.  In addition each taxel has a small independent noise.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def scrape(signal, speed, rng, p):
 
 
 def pressure(down, right, force, p, size=(GRID, GRID)) -> np.ndarray:
-    """Force of the tip as it spreads over all taxels.
+    """Force of the tip, spread over all taxels.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def _spread(down, right, force, p, size):
 
 
 def landings(force, least) -> np.ndarray:
-    """Rows, from 1, at which a force passes ``least`` on its way up or down."""
+    """Rows, from 1, at which a force crosses ``least`` upwards or downwards."""
     return np.flatnonzero(np.diff((force > least).astype(int))) + 1
 
 

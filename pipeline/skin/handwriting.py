@@ -2,8 +2,8 @@
 
 A digit is a trace: the pen's positions along each stroke at even times, drawn from the model of
 handwriting (:mod:`pipeline.skin.shape_model`) or recorded on a tablet
-(:mod:`pipeline.skin.unipen`).  Either is placed on the skin and written with the speed along each
-stroke that the trace has.
+(:mod:`pipeline.skin.unipen`).  Both are placed on the skin and written with the trace's own speed
+along each stroke.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ class Trace:
     ----------
     digit : int
     writer : int
-        -1 where it is not known.
+        Number of the writer; -1 if it is not known.
     strokes : tuple of ndarray, shape (n, 2)
-        (down, right) along each contact of the pen, in a box one high around the whole digit,
-        centred on 0; evenly spaced in time.
+        (down, right) along each contact of the pen, evenly spaced in time.  The bounding box of the
+        digit has a height of 1 and is centred on 0.
     """
 
     digit: int
@@ -48,7 +48,7 @@ class Motion:
     down, right : ndarrays of float, shape (n,)
         Position of the tip in taxels: 0 is the centre of the first row or column of taxels.
     force : ndarray of float, shape (n,)
-        Force of the tip, 1 for a person who presses neither hard nor lightly; 0 in the air.
+        Force of the tip; 1 is a typical force, 0 in the air.
     """
 
     time_s: np.ndarray
@@ -64,7 +64,7 @@ class Writer:
     Attributes
     ----------
     allographs : tuple of int
-        For each digit, which way of writing it is this person's habit.
+        For each digit, the index of this person's habitual way of writing it.
     offsets : tuple of tuple of ndarray
         For each digit and each way of writing it, this person's standard normal draws; see
         :meth:`pipeline.skin.shape_model.Allograph.strokes`.
@@ -75,7 +75,7 @@ class Writer:
     size : float
         Logarithm of this person's factor on the height and the width of digits.
     down, right : float
-        Offset from the usual place where this person writes, in taxels.
+        Offset of this person's writing from the usual place, in taxels.
     tempo, force, scrape : float
         Logarithm of the factor on the speed, the force, and the vibration of the sliding tip.
     sloppiness : float
@@ -108,14 +108,14 @@ NOBODY = Writer(
     scrape=0.0,
     sloppiness=1.0,
 )
-"""A writer without any traits, to hold the pen for recorded handwriting."""
+"""A writer without any traits, for recorded handwriting."""
 
 
 def writers(rng, p, shapes: ShapeModel) -> tuple:
     """Draw the people of an experiment.
 
-    Each trait takes as many equally likely values as there are people, dealt out at random, so
-    that every group is like every other on the whole and no seed gets only light-handed people.
+    Each trait takes as many equally likely values as there are people, assigned at random, so that
+    the groups of all seeds are similar on average.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ class _Deal:
         return ndtri((self.rng.permutation(self.count) + 0.5) / self.count)
 
     def choices(self, shares):
-        """Indices that occur as often as their shares ask for, in random order."""
+        """Indices with frequencies according to their shares, in random order."""
         level = (np.arange(self.count) + self.rng.random()) / self.count
         chosen = np.searchsorted(np.cumsum(shares), level)
         return self.rng.permutation(np.minimum(chosen, len(shares) - 1))
@@ -182,7 +182,7 @@ def write(digit: int, who: Writer, rng, shapes: ShapeModel) -> tuple:
     Returns
     -------
     tuple of ndarray, shape (n, 2)
-        As those of a :class:`Trace`.
+        As in a :class:`Trace`.
     """
     ways, choice = shapes.allographs[digit], who.allographs[digit]
     if rng.random() >= shapes.loyalty[digit]:
@@ -204,13 +204,13 @@ def placing(who: Writer, rng, p, form, width):
     form : pipeline.skin.parameters.Form
         Usual height and place of the digit.
     width : float
-        Taxels across for a height's length of the digit's shape: ``form.width``, or ``form.height``
-        to keep its proportions.
+        Width in taxels of a shape that is as wide as high: ``form.width``, or ``form.height`` to
+        keep the proportions.
 
     Returns
     -------
     callable
-        From points of shape (n, 2) in a box one high around 0 to points in taxels.
+        Function from points of shape (n, 2), in a box of height 1 around 0, to points in taxels.
     """
     larger, lower, righter = who.sloppiness * rng.standard_normal(3)
     scale = np.exp(who.size + p.size * larger) * np.array([form.height, width])
@@ -222,16 +222,16 @@ def placing(who: Writer, rng, p, form, width):
 
 
 def length_s(strokes, p) -> float:
-    """Seconds that :func:`move` takes at tempo 1."""
+    """Duration in seconds of :func:`move` at tempo 1."""
     return float(_timing(strokes, 1.0, p)[-1][-1])
 
 
 def move(strokes, tempo: float, step_s: float, start_s: float, p) -> Motion:
     """Write strokes on the skin.
 
-    Along each stroke the points stand at even times, so the writer's own changes of speed are kept.
-    How long the whole takes follows from its length: tablets' files seldom give a sampling rate to
-    rely on, and nothing of the time between strokes.
+    Along each stroke the points are evenly spaced in time, so that the writer's changes of speed
+    are preserved.  The total duration follows from the length, because the files of tablets rarely
+    have a reliable sampling rate and do not have the time between strokes.
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ def move(strokes, tempo: float, step_s: float, start_s: float, p) -> Motion:
     tempo : float
         Factor on the speed.
     step_s, start_s : float
-        Time step, and time of setting off, in seconds.
+        Time step, and start of the movement, in seconds.
     p : pipeline.skin.parameters.Kinematics
 
     Returns

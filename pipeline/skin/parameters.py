@@ -72,7 +72,7 @@ class Skin:
 
 @dataclass(frozen=True)
 class Receptor:
-    """When a taxel fires."""
+    """Parameters of the receptors: when a taxel fires."""
 
     threshold: float
     refractory_s: float
@@ -104,16 +104,16 @@ class Form:
     height : float
         Usual height of the digit, in taxels.
     width : float
-        Taxels across for a height's length of the digit's shape; the digit keeps its proportions
-        if it is the height.
+        Width in taxels of a shape that is as wide as high; if it is equal to the height, the digit
+        keeps its proportions.
     down, right : float
-        Usual centre of the box, in taxels from the first one's centre.
+        Usual centre of the digit's box, in taxels from the centre of the first taxel.
     force : float
         Logarithm of the usual force.
     spread : float
         Factor on the variation of force and tempo between samples.
     off : float
-        Logarithm of the OFF threshold over the ON threshold.
+        Logarithm of the ratio of the OFF to the ON threshold.
     """
 
     height: float
@@ -127,7 +127,7 @@ class Form:
 
 @dataclass(frozen=True)
 class Parameters:
-    """Everything that the simulation depends on but the seed and the sample counts.
+    """All parameters of the simulation except the seed and the sample counts.
 
     Attributes
     ----------

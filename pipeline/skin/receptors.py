@@ -1,8 +1,8 @@
-"""Fast-adapting receptors: a taxel fires when its pressure has changed, and only then.
+"""Fast-adapting receptors: a taxel fires only when its pressure has changed.
 
-After an event the taxel is blind while its pulse signature goes out (the refractory time); from
-then on its own clock looks again and again, and it fires as soon as the signal stands off that of
-its last event by more than a threshold, ON for a rise and OFF for a fall.
+After an event the taxel is inactive while its pulse signature is sent (the refractory period).
+Then it compares its signal with that of its last event at the ticks of its own clock, and fires as
+soon as they differ by more than a threshold: ON for a rise and OFF for a fall.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ import numpy as np
 class Receptors:
     """The state of the taxels between two calls.
 
-    Between two samples the signal is taken as a straight line; an event stands at the first look
+    Between two samples the signal is interpolated linearly.  The time of an event is the first tick
     of the taxel's clock at which the threshold has been crossed.
 
     Parameters
     ----------
     adapted : ndarray of float, shape (n_channels,)
-        The signal that they are adapted to at the start.
+        The signal to which the receptors are adapted at the start.
     on, off : ndarrays of float, shape (n_channels,)
         Thresholds, above 0, for a rise and a fall.
     step_s : float
-        Time between rows of a signal; no more than the refractory time.
+        Time between rows of a signal; at most the refractory period.
     refractory_s, poll_s : float or ndarray, shape (n_channels,)
-        Blind time after an event, and time between two looks.
+        Refractory period, and interval of the taxel's clock.
     """
 
     def __init__(self, adapted, on, off, step_s, refractory_s, poll_s):
@@ -39,9 +39,9 @@ class Receptors:
         self._row = 0
 
     def advance(self, signal):
-        """Events of some more steps.
+        """Events of the next steps.
 
-        An event may stand up to ``poll_s`` after the last step: the taxel has yet to look.
+        An event may be up to ``poll_s`` after the last step, at the next tick of the taxel's clock.
 
         Parameters
         ----------
@@ -51,7 +51,7 @@ class Receptors:
         Returns
         -------
         time_s : ndarray of float, shape (n_events,)
-            From the start on.
+            Times from the start.
         channel : ndarray of int, shape (n_events,)
         polarity : ndarray of int8, shape (n_events,)
             1 for ON, -1 for OFF.  In no particular order.

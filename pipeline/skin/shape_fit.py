@@ -18,7 +18,7 @@ LEAST_DIGITS, LEAST_WRITERS = 15, 3
 
 MOST_COMPONENTS = 12
 EXPLAINED = 0.97
-"""Share of the variance that an allograph's components explain, if so many are enough."""
+"""Share of the variance that an allograph's components explain, within their maximum number."""
 
 
 def estimate(traces, seed: int = 0, about: dict | None = None) -> ShapeModel:
@@ -82,7 +82,7 @@ def slant_of(strokes) -> float:
 
 
 def _traits(traces, digits, writers):
-    """Each writer's slant and logarithm of width, over what is usual for the digits written."""
+    """Each writer's slant and logarithm of width, relative to the usual values of the digits."""
     values = np.array(
         [
             (slant_of(t.strokes), np.log(max(np.ptp(np.concatenate(t.strokes)[:, 1]), 0.1)))
@@ -96,7 +96,7 @@ def _traits(traces, digits, writers):
 
 
 def _without(stroke, slant, width):
-    """A stroke as it would be without its writer's slant and width."""
+    """A stroke without its writer's slant and width."""
     down, right = stroke.T
     return np.stack([down, (right + slant * down) * np.exp(-width)], 1)
 
@@ -104,8 +104,8 @@ def _without(stroke, slant, width):
 def _tempo(traces, digits, writers):
     """Spreads of the logarithm of the speed between persons and within one.
 
-    A tablet's points are evenly spaced in time, so a digit's mean speed is its length (in heights)
-    over their number, whatever the tablet's rate.
+    A tablet's points are evenly spaced in time.  A digit's mean speed is therefore its length (in
+    heights) divided by their number, independently of the tablet's rate.
     """
     speed = np.array(
         [
@@ -124,7 +124,7 @@ def _tempo(traces, digits, writers):
 
 
 def _ways_of(traces, seed):
-    """The allographs of a digit, and how loyal people are to theirs."""
+    """The allographs of a digit, and the share of digits in a person's habitual one."""
     used, ways, usage = 0, [], []
     writers = sorted({trace.writer for trace in traces})
     for count in sorted({len(trace.strokes) for trace in traces}):
@@ -143,7 +143,7 @@ def _ways_of(traces, seed):
 
 
 def _points_of(traces, count):
-    """Positions of each stroke: as many as its usual share of the time, at least four."""
+    """Number of positions of each stroke: proportional to its share of the time, at least four."""
     shares = np.mean([[len(s) - 1 for s in t.strokes] for t in traces], axis=0)
     points = np.maximum(np.floor(shares / shares.sum() * POINTS), 4).astype(int)
     points[points.argmax()] += POINTS - points.sum()
@@ -158,10 +158,10 @@ def vector(trace: Trace, points) -> np.ndarray:
 
 
 def _clusters(vectors, writers, seed):
-    """Indices of each allograph's trajectories (k-means), those of allographs too rare left out.
+    """Indices of each allograph's trajectories (k-means), without those of rare allographs.
 
-    An allograph that is too rare is dissolved and its trajectories go to the nearest other one,
-    until none is; if none is left, the trajectories are left out.
+    An allograph that is too rare is removed, and its trajectories are assigned to the nearest other
+    one, until no allograph is too rare.  If none remains, the trajectories are left out.
     """
     if not _common(np.arange(len(vectors)), writers):
         return []
@@ -209,17 +209,18 @@ def _covariances(scores, writers):
 
 
 def _root(covariance):
-    """A square root of a covariance; what moments made negative counts as 0."""
+    """A square root of a covariance; negative eigenvalues are replaced by 0."""
     values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
     return vectors * np.sqrt(np.maximum(values, 0))
 
 
 def _loyalty(usage):
-    """Estimate how often a person's digit is of the person's habitual way.
+    """Estimate the share of a person's digits that are written in the habitual way.
 
-    If a share ``q`` is of a habit that is drawn as people write, and the rest is drawn so each
-    time, two digits of a person are of the same way with the chance ``s + q^2 (1 - s)``, where
-    ``s`` is that of two people.
+    Let a share ``q`` of a person's digits be written in one habitual way, which is drawn with the
+    frequencies among people, and let the other digits be drawn independently with the same
+    frequencies.  Two digits of a person then have the same way with the probability ``s + q^2 (1 -
+    s)``, where ``s`` is the probability for two people.
 
     Parameters
     ----------

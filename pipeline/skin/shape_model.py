@@ -1,21 +1,21 @@
-"""A statistical model of how people write digits: what a pen's trajectory looks like.
+"""A statistical model of handwritten digits as trajectories of a pen.
 
 Each digit is written in one of several ways (allographs: which strokes, in which order and
 direction, of which kind of shape).  A trajectory of one allograph is a vector of the pen's
-positions at even times along each stroke, together with the share of the time that each stroke
-takes.  The vector is Gaussian around the allograph's mean, within a few principal components, and
-its deviation is the sum of an offset that is the same whenever a person uses the allograph and of
-what differs from one digit to the next:
+positions, evenly spaced in time along each stroke, and of the share of the time of each stroke.
+The vector is Gaussian around the allograph's mean, within a few principal components, and its
+deviation is the sum of an offset that is constant for a person and an allograph, and of a variation
+from one digit to the next:
 
     x = mean + (between^(1/2) a_person + within^(1/2) b) components,    a_person, b ~ N(0, 1)
 
 It is a point distribution model (T. F. Cootes et al., "Active shape models", Computer Vision and
 Image Understanding 61, 1995) with time as the correspondence of the points, and its two covariances
 are those of the two-covariance model of speaker recognition (N. Bruemmer and E. de Villiers, "The
-speaker partitioning problem", Odyssey 2010).  Slant and width that a person has in all digits are
-taken out first and are drawn for each writer.
+speaker partitioning problem", Odyssey 2010).  The slant and width of a person in all digits are
+removed first, and are drawn for each writer.
 
-``handwriting.npz`` has the parameters of the built-in model and says what they were estimated from;
+``handwriting.npz`` has the parameters of the built-in model and the source of the data;
 :mod:`pipeline.skin.shape_fit` estimates them.
 """
 
@@ -50,16 +50,16 @@ class Allograph:
     share : float
         Share of the digits that are written in this way.
     points : tuple of int
-        Positions of each stroke; :data:`POINTS` in all.
+        Number of positions of each stroke; :data:`POINTS` in total.
     mean : ndarray, shape (n,)
-        Positions (down, right) stroke by stroke, in a box one high around 0, then for each stroke
-        but the first the logarithm of its share of the writing time over the first one's:
+        Positions (down, right) stroke by stroke, in a box of height 1 around 0; then, for each
+        stroke except the first, the logarithm of its writing time relative to the first one:
         ``n = 2 * POINTS + len(points) - 1``.
     components : ndarray, shape (k, n)
         Principal components, each as long as a standard deviation of the digits along it.
     between, within : ndarray, shape (k, k)
-        Square roots of the covariances of persons' offsets and of what is left
-        within a person, in units of the components.
+        Square roots of the covariances between persons (of their offsets) and within a person, in
+        units of the components.
     """
 
     share: float
@@ -75,7 +75,7 @@ class Allograph:
         return len(self.components)
 
     def strokes(self, person, trial) -> tuple:
-        """One digit.
+        """The strokes of one digit.
 
         Parameters
         ----------
@@ -85,7 +85,7 @@ class Allograph:
         Returns
         -------
         tuple of ndarray, shape (n, 2)
-            (down, right) along each stroke, evenly spaced in time, in a box one high around 0.
+            (down, right) along each stroke, evenly spaced in time, in a box of height 1 around 0.
         """
         along = self.between @ person + self.within @ trial
         drawn = self.mean + along @ self.components
@@ -107,8 +107,8 @@ class ShapeModel:
     allographs : tuple of tuple of Allograph
         Allographs of each digit.
     loyalty : tuple of float
-        Of each digit, the share that a person writes in the way that is this person's habit; the
-        rest is written in any way, as often as people write so.
+        For each digit, the share that a person writes in the habitual way; the other digits are
+        written in any way, with the frequencies among people.
     slant : float
         Standard deviation of the shear to the right between persons, as its tangent.
     width : float
@@ -117,7 +117,7 @@ class ShapeModel:
         Standard deviations of the logarithm of the pen's speed, between persons and from one digit
         of a person to the next.
     about : dict
-        What the model was estimated from: ``source``, ``licence``, ``sha256`` of the file,
+        Source of the model's data: ``source``, ``licence``, ``sha256`` of the file,
         ``writers``, ``digits``.
     """
 
@@ -174,7 +174,7 @@ PARTS = ("share", "points", "rank", "mean", "components", "between", "within")
 
 
 def _packed(ways) -> dict:
-    """A digit's allographs as arrays of the same size each, filled up with zeros."""
+    """A digit's allographs as arrays of equal size, padded with zeros."""
     k, strokes = max(way.rank for way in ways), max(len(way.points) for way in ways)
     n = 2 * POINTS + strokes - 1
     sizes = {"mean": (n,), "components": (k, n), "between": (k, k), "within": (k, k)}
@@ -212,7 +212,7 @@ def _unpacked(arrays) -> tuple:
 
 
 def boxed(strokes) -> tuple:
-    """Strokes moved and scaled into a box one high around 0; width in proportion.
+    """Strokes shifted and scaled to a box of height 1 around 0, with the same proportions.
 
     Parameters
     ----------
@@ -226,7 +226,7 @@ def boxed(strokes) -> tuple:
 
 
 def resampled(stroke, count: int) -> np.ndarray:
-    """A stroke at another number of even times, shape (count, 2)."""
+    """A stroke with another number of evenly spaced times, shape (count, 2)."""
     at = np.linspace(0, len(stroke) - 1, count)
     return np.stack([np.interp(at, np.arange(len(stroke)), axis) for axis in stroke.T], 1)
 
@@ -243,7 +243,7 @@ def read(path) -> ShapeModel:
     Raises
     ------
     UserError
-        It cannot be read or is no model.
+        The file cannot be read or is not a model.
     """
     remedy = "make it again with 'stmnist data handwriting'"
     try:
@@ -253,5 +253,5 @@ def read(path) -> ShapeModel:
 
 
 def write(path, model: ShapeModel):
-    """Write a model to a file; the same bytes for the same model."""
+    """Write a model to a file; equal models give equal bytes."""
     write_arrays(path, **model.arrays())

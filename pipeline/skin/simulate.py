@@ -1,4 +1,4 @@
-"""A whole data set written on the simulated skin: writers, contact, receptors, ACES read-out."""
+"""Simulate a data set on the skin: writers, contact, receptors, ACES read-out."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from pipeline.skin.contact import Creep, press, scrape
 from pipeline.skin.receptors import Receptors
 
 VERSION = 6
-"""Goes into the hash of the recordings; raise it with any change of what is simulated."""
+"""Part of the hash of the recordings; increase it with any change of the simulation."""
 
 SIZE = (GRID, GRID)
 """Rows and columns of the paper's array."""
 
 STEP_S = 3.27e-3 / 3
-"""Time step of motion and contact; events stand on a finer grid within it."""
+"""Time step of motion and contact; events have a finer grid."""
 
 ARRAY_SEED = 2020
 """Seed of the taxels' gains: as in the paper, one array records every data set."""
@@ -49,13 +49,13 @@ class Sample:
 
     @property
     def name(self):
-        """Its id; the same whatever else is simulated."""
+        """The id of the sample, independently of the other samples."""
         return f"{self.digit}/{self.index:04d}"
 
 
 @dataclass(frozen=True)
 class Touch:
-    """One recording up to what the taxels feel, and what the rest of it depends on.
+    """One recording up to the signal of the taxels, and the parameters of the remaining steps.
 
     Attributes
     ----------
@@ -66,11 +66,11 @@ class Touch:
     speed : ndarray of float, shape (n_times,)
         Speed of the tip, in taxels per second.
     skin : pipeline.skin.parameters.Skin
-        As rough as it is in this recording.
+        Parameters of the skin, with the roughness of this recording.
     off : float
-        Logarithm of the digit's threshold for a fall, over that for a rise.
+        Logarithm of the ratio of the digit's OFF threshold to its ON threshold.
     rng : numpy.random.Generator
-        Goes on where the pen's movement left it.
+        Generator in the state after the pen's movement.
     """
 
     start_s: float
@@ -91,25 +91,25 @@ def simulate(
     traces=None,
     size=SIZE,
 ) -> Recordings:
-    """Recordings as the paper's rig would have made them.  They are simulated, and say so.
+    """Simulate recordings of the paper's rig; they are marked as simulated.
 
-    On a skin of another size digits are written larger or smaller, so that they fill it as they
-    fill the paper's; the taxels, and how far a force spreads over them, are the same.
+    On a skin of another size the digits are scaled, so that they fill it like the paper's skin.
+    The taxels, and the spread of a force over them, are the same.
 
     Parameters
     ----------
     seed : int
-        The same seed gives the same recordings, whatever the number of processes.
+        The same seed gives the same recordings for any number of processes.
     samples_per_digit : sequence of 10 int, optional
         Default: as published, :data:`pipeline.paper.SAMPLES_PER_DIGIT`.
     jobs : int
         Processes.
     advance : callable, optional
-        Called with the number of recordings that are done since the last call.
+        Called with the number of recordings finished since the last call.
     parameters : pipeline.skin.parameters.Parameters, optional
         Default: the built-in ones.
     traces : sequence of pipeline.skin.handwriting.Trace, optional
-        Recorded handwriting to press on the skin instead of simulated hands.
+        Recorded handwriting to press on the skin instead of simulated writers.
     size : (int, int)
         Rows and columns of the skin.
 
@@ -120,9 +120,9 @@ def simulate(
     Raises
     ------
     ValueError
-        Counts that are not ten numbers of 0 or more.
+        The counts are not ten numbers of 0 or more.
     UserError
-        A digit is asked for that no trace shows.
+        A digit is requested that no trace has.
     """
     parameters = parameters or settings.load()
     counts = _counts(samples_per_digit)
@@ -146,7 +146,7 @@ def simulate(
 
 
 def source_of(seed=0, samples_per_digit=None, parameters=None, traces=None, size=SIZE) -> Source:
-    """The source (name and hash) of what :func:`simulate` returns for the same arguments."""
+    """The source (name and hash) of the recordings of :func:`simulate` with the same arguments."""
     parameters = parameters or settings.load()
     content = [VERSION, int(seed), _counts(samples_per_digit), parameters.fingerprint()]
     if tuple(size) != SIZE:
@@ -204,7 +204,7 @@ def _batch(seed, samples, p, size):
 
 
 def array_gain(rng, p, size=SIZE):
-    """Gain of each taxel of one array, shape (n_taxels,): from taxel to taxel, and leaning."""
+    """Gain of each taxel of an array, shape (n_taxels,): random for each taxel, and a gradient."""
     taxels = TaxelMap.grid(*size)
     # As much from edge to edge as on the paper's array.
     down, right = (
@@ -218,7 +218,7 @@ def array_gain(rng, p, size=SIZE):
 def stretched(moved, size):
     """A motion over the paper's skin as one over a skin of another size, around its middle.
 
-    The smaller of its sides decides, so that no digit is out of proportion.
+    The smaller side determines the scale, so that digits keep their proportions.
     """
     if tuple(size) == SIZE:
         return moved
@@ -264,7 +264,7 @@ def motion(sample, who, rng, p):
 
 
 def _waver(motion, rng, p):
-    """Slow changes of the force along the way, geometric mean 1."""
+    """Slow changes of the force along the movement, with a geometric mean of 1."""
     along = (motion.time_s - motion.time_s[0]) / p.waver_s
     knots = rng.standard_normal(int(along[-1]) + 2)
     return np.exp(p.waver * np.interp(along, np.arange(len(knots)), knots))
@@ -281,9 +281,10 @@ def _touch(sample, who, gain, rng, p, size):
 
 
 def _receive(touches, p):
-    """Film and receptors of a batch's recordings side by side, then each recording's read-out.
+    """Film and receptors of a batch of recordings in parallel, then the read-out of each recording.
 
-    The longest come first: at any time the columns of those that still go on are the first ones.
+    The recordings are sorted by decreasing length, so that the columns of those that have not ended
+    are always the first ones.
     """
     order = sorted(range(len(touches)), key=lambda index: -len(touches[index].felt))
     touches = [touches[index] for index in order]

@@ -1,7 +1,7 @@
 """Recorded handwriting: pen trajectories in UNIPEN text.
 
-Only what a file of isolated, labelled symbols needs is read: ``.SEGMENT`` (the components it spans
-and its label), ``.PEN_DOWN``, ``.PEN_UP`` and the points under them (I. Guyon et al., "UNIPEN
+Only the parts for isolated, labelled symbols are read: ``.SEGMENT`` (its components and its
+label), ``.PEN_DOWN``, ``.PEN_UP`` and the points under them (I. Guyon et al., "UNIPEN
 project of on-line data exchange and recognizer benchmarks", ICPR 1994).
 """
 
@@ -27,7 +27,7 @@ _SEGMENT = re.compile(r'\.SEGMENT\s+\S+\s+(\S+)\s+\S+\s+"(.*)"')
 def read(path) -> tuple:
     """Read the digits of a UNIPEN file.
 
-    Segments with another label than a digit are left out.
+    Segments whose label is not a digit are left out.
 
     Returns
     -------
@@ -37,7 +37,7 @@ def read(path) -> tuple:
     Raises
     ------
     UserError
-        The file can't be read, a line is no point, or there is no digit in it.
+        The file cannot be read, a line is not a point, or there is no digit.
     """
     path = Path(path)
     try:

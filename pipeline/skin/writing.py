@@ -1,10 +1,11 @@
-"""One recording while it is being written by a real hand: the same skin, piece by piece.
+"""The simulated skin under a real pen, step by step while a person writes.
 
-A simulated hand's whole motion is known before the skin feels any of it.  Here points of the pen
-come when they come: between two of them the tip goes straight, after the last one it rests, and it
-lands and lifts as softly as a simulated hand's does (:func:`pipeline.skin.handwriting.on_skin`).
-Contact, film, receptors and read-out are those of the simulation (:mod:`pipeline.skin.contact`,
-:mod:`~pipeline.skin.receptors`, :mod:`~pipeline.skin.aces`); nothing here knows them better.
+The motion of a simulated writer is known completely before the skin is simulated.  Here the points
+of the pen arrive one by one.  Between two of them the tip moves in a straight line, after the last
+one it rests, and it lands and lifts like a simulated writer's
+(:func:`pipeline.skin.handwriting.on_skin`).  Contact, film, receptors and read-out are those of the
+simulation (:mod:`pipeline.skin.contact`, :mod:`~pipeline.skin.receptors`,
+:mod:`~pipeline.skin.aces`).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from pipeline.skin.receptors import Receptors
 from pipeline.skin.simulate import ARRAY_SEED, SIZE, STEP_S, array_gain
 
 START_S = 0.2
-"""Time at which the pen first touches the skin; 0.197 s in the one real recording at hand."""
+"""Time at which the pen first touches the skin; 0.197 s in the one available real recording."""
 
 USUAL_PRESSURE = 0.5
 """Pressure that a pointer without a pressure sensor reports (W3C, Pointer Events, ``pressure``)."""
@@ -39,11 +40,11 @@ class PenPoint(NamedTuple):
     Attributes
     ----------
     time_s : float
-        From the start of the recording.
+        Time from the start of the recording.
     down, right : float
         Position of the tip in taxels; 0 is the centre of the first row or column.
     pressure : float
-        From 0 to 1, :data:`USUAL_PRESSURE` where nothing measures it.
+        From 0 to 1; :data:`USUAL_PRESSURE` if it is not measured.
     touches : bool
         True if the pen is on the skin from this point on.
     """
@@ -64,8 +65,8 @@ class Writing:
         Seed of everything that differs between recordings: gains, thresholds, clocks, noise.
     p : pipeline.skin.parameters.Parameters
     size : (int, int)
-        Rows and columns of the skin.  The taxels, and how far a force spreads over them, are the
-        same on every skin.
+        Rows and columns of the skin.  The taxels, and the spread of a force over them, are the same
+        on every skin.
     polarities : int
         1 for taxels that report only ON events.
     """
@@ -114,7 +115,7 @@ class Writing:
 
     @property
     def events(self) -> Events:
-        """Everything so far."""
+        """All events so far."""
         names = ("time_ns", "taxel", "polarity", "columns")
         if len(self._parts) > 1:
             joined = (np.concatenate([getattr(p, name) for p in self._parts]) for name in names)
@@ -122,9 +123,9 @@ class Writing:
         return self._parts[0] if self._parts else Events(*(np.empty(0),) * 4)
 
     def point(self, point: PenPoint):
-        """The pen was somewhere.
+        """Add a point of the pen.
 
-        What has been simulated stays: a point from before :attr:`time_s` counts as from then.
+        Simulated steps do not change: an earlier point counts as one at :attr:`time_s`.
 
         Raises
         ------
@@ -151,12 +152,12 @@ class Writing:
         self._points.append(point)
 
     def advance(self, until_s: float) -> Events:
-        """Let time pass and return the events of it.
+        """Advance the time and return the events of this interval.
 
         Parameters
         ----------
         until_s : float
-            From the start of the recording; before :attr:`time_s` nothing happens.
+            Time from the start of the recording; before :attr:`time_s` nothing happens.
         """
         n = int((until_s - self.time_s) / STEP_S)
         if n <= 0 or not self._points:
@@ -199,7 +200,7 @@ class Writing:
         return down, right, force * on_skin(time, lands, lifts, kinematics)
 
     def _forget(self):
-        """Leave behind what no later row depends on."""
+        """Delete data on which no later row depends."""
         now = self.time_s
         later = next((i for i, p in enumerate(self._points) if p.time_s > now), len(self._points))
         self._points = self._points[max(later - 1, 0) :]

@@ -75,7 +75,7 @@ class EventRecipe:
     early, price, budget : float
         See the module's docstring.
     stretch, drop, turn, shift, scale, shear : float
-        Augmentation of training samples, drawn anew in each epoch; see
+        Augmentation of training samples, drawn again in each epoch; see
         :class:`pipeline.recordings.altering.Alteration`.
     """
 

@@ -287,6 +287,7 @@ def fit_to_rates(settings: Settings, weights: dict, images) -> dict:
     For each layer, b is the value of `SHIFTS` with the least squared error over the activations
     above 0 on the images, and c is its best factor; a and b are applied to the layer's weights and
     bias, c to the next layer's weights.
+
     Parameters
     ----------
     settings, weights, images

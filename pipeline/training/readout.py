@@ -1,17 +1,17 @@
-"""Refitting a linear readout to one person, without forgetting everybody else.
+"""Refit a linear readout to one person while keeping its accuracy for other people.
 
-With x the responses that reach the readout, W its weights and p = softmax(W x), the change D of the
-weights is the smallest one that explains the person's samples:
+With x the responses at the input of the readout, W its weights and p = softmax(W x), the change D
+of the weights minimises
 
     mean over the person's samples of -log p_c + rehearsal * mean over kept samples of -log p_c
         + pull / 2 * |D|^2
 
-with the responses in units of their usual length, so that ``pull`` means the same for all networks.
-It is a multinomial logistic regression regularised towards the old weights (a Gaussian prior around
-them; C. Chelba and A. Acero, "Adaptation of maximum entropy capitalizer: little data can help
-a lot", EMNLP 2004), and the kept
-samples of the training keep it from forgetting (rehearsal; A. Robins, Connection Science 7, 1995).
-``rehearsal`` and ``pull`` are chosen by cross-validation on the person's own samples.
+with the responses in units of their usual length, so that ``pull`` has the same meaning for all
+networks.  This is a multinomial logistic regression with a regularisation towards the old weights
+(a Gaussian prior around them; C. Chelba and A. Acero, "Adaptation of maximum entropy capitalizer:
+little data can help a lot", EMNLP 2004).  The kept training samples prevent forgetting (rehearsal;
+A. Robins, Connection Science 7, 1995).  ``rehearsal`` and ``pull`` are chosen by cross-validation
+on the person's own samples.
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ FOLDS = 5
 
 MOST_DIRECTIONS = 96
 """Directions of the responses in which the weights may change, those of the largest variance: a
-layer of many neurons would take minutes, and has no more than that to tell."""
+layer of many neurons would take minutes without a gain."""
 
 LEVELS = 127
 """The largest weight in integers: 8 bits with the sign."""
 
 MOST_LOST = 0.015
-"""Share of the kept samples that a refit may lose in cross-validation; what others lose is about
-this."""
+"""Maximum loss of accuracy on the kept samples in cross-validation, similar to the loss of other
+people."""
 
 
 @dataclass(frozen=True)
 class Person:
-    """A person's samples, and altered copies of them.
+    """Responses to a person's samples and to augmented copies of them.
 
     Attributes
     ----------
     responses : ndarray, shape (n, inputs)
-        Responses to the samples as they are.
+        Responses to the original samples.
     labels : ndarray of int, shape (n,)
     copies : ndarray, shape (n, n_copies, inputs)
         Responses to augmented copies, which are used for training only.
@@ -64,7 +64,7 @@ class Person:
         return len(self.labels)
 
     def learned(self, indices) -> tuple:
-        """Responses and labels to learn from: some samples and their copies."""
+        """Responses and labels for the fit: some samples and their copies."""
         own, copies = self.responses[indices], self.copies[indices]
         every = np.concatenate([own[:, None], copies], axis=1)
         return every.reshape(-1, own.shape[1]), np.repeat(self.labels[indices], every.shape[1])
@@ -77,16 +77,16 @@ class Refit:
     Attributes
     ----------
     weights : ndarray, shape (classes, inputs)
-        On 255 levels.
+        Weights rounded to 255 levels.
     exact : ndarray, shape (classes, inputs)
-        Before they were rounded to these.
+        Weights before rounding.
     pull, rehearsal : float
-        As chosen; see the module's description.
+        The chosen values; see the module's description.
     before, after : ndarray of bool, shape (n_samples,)
-        Whether the old readout is right on each sample of the person, and a readout that was
-        refitted without it.
+        For each sample of the person, whether the old readout is right, and whether a readout that
+        was refitted without this sample is right.
     kept_before, kept_after : ndarray of bool
-        The same of the kept training samples.
+        The same for the kept training samples.
     """
 
     weights: np.ndarray
@@ -100,7 +100,7 @@ class Refit:
 
     @property
     def helps(self) -> bool:
-        """True if the person's samples gain accuracy and the others lose almost none."""
+        """True if the accuracy improves for the person and is almost unchanged for other people."""
         lost = self.kept_before.mean() - self.kept_after.mean()
         return bool(self.after.sum() > self.before.sum() and lost <= MOST_LOST)
 
@@ -108,13 +108,13 @@ class Refit:
 # Products of a few hundred rows: several threads wait for each other 12 times as long as they take.
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: float = 1.0):
-    """Refit a readout and choose how far by cross-validation.
+    """Refit a readout, with ``pull`` and ``rehearsal`` chosen by cross-validation.
 
     Parameters
     ----------
     weights : ndarray, shape (classes, inputs)
     bias : ndarray, shape (classes,)
-        Stays as it is.
+        Bias of the readout, which is not changed.
     person : Person
     kept : Rehearsal
     seed : int
@@ -125,7 +125,7 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
     Returns
     -------
     Refit
-        The best of all; see :attr:`Refit.helps`.
+        The best fit; see :attr:`Refit.helps` for its use.
     """
     weights, bias = np.asarray(weights, float), np.asarray(bias, float)
     problem = _Problem(weights, bias, person, kept, scale)
@@ -167,7 +167,7 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
 
 
 def in_8_bits(weights) -> np.ndarray:
-    """Weights on 255 levels, the largest on the last one."""
+    """Weights rounded to 255 levels; the largest magnitude has the last level."""
     unit = np.abs(weights).max() / LEVELS
     return np.rint(weights / unit) * unit if unit > 0 else np.array(weights)
 
@@ -220,7 +220,7 @@ class _Problem:
 
 
 def _folds(labels, seed):
-    """The fold of each sample; a class's samples are in as many folds as there can be."""
+    """The fold of each sample; the samples of a class are in as many folds as possible."""
     order = np.random.default_rng([seed, 0]).permutation(len(labels))
     order = order[np.argsort(np.asarray(labels)[order], kind="stable")]
     folds = np.empty(len(labels), int)

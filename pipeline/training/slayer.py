@@ -7,12 +7,18 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+import scipy.linalg.cython_blas  # noqa: F401  (Numba's products call it; its threads are limited)
+from threadpoolctl import threadpool_limits
 
 from models.architecture import parse
 from models.slayer import SlayerNetwork, SpikeResponse
 from pipeline.paper import DURATION_S
 from pipeline.settings import Slayer
 from pipeline.training.checkpoint import Checkpoint, train_epochs
+
+# Products of a few steps: several threads wait for each other ten times as long as they take on a
+# busy machine.
+_one_thread = threadpool_limits.wrap(limits=1, user_api="blas")
 
 STATE = 2
 """Version of the arrays in a checkpoint; a checkpoint of another version is overwritten."""
@@ -117,6 +123,7 @@ class Trainer:
         outputs = np.eye(architecture.outputs, dtype=np.float32)[labels]
         self.desired = settings.false_count + outputs * (settings.true_count - settings.false_count)
 
+    @_one_thread
     def epoch(self, train, epoch):
         """Train for one epoch; returns the mean loss and the share of right answers."""
         order = np.random.default_rng([self.seed, epoch, 0x51A]).permutation(train)
@@ -131,6 +138,7 @@ class Trainer:
             right += int(np.sum(counts.argmax(1) == self.labels[batch]))
         return {"loss": loss / len(order), "accuracy": right / len(order)}
 
+    @_one_thread
     def count(self, indices):
         """Spike counts of the outputs, shape (n, outputs)."""
         return self.network.counts(self.frames[i] for i in indices)

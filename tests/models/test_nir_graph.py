@@ -200,8 +200,16 @@ def test_links_out_of_the_file_and_plugins_are_refused(tmp_path, path):
         "filter": lambda g: g.create_dataset("weight", data=np.ones((5, 48)), compression="lzf"),
     }
     for name, add in ways.items():
-        with pytest.raises(NirError, match="weight"):
+        with pytest.raises(NirError, match=r"node 'affine': its 'weight' is .*; write it"):
             read_nir(with_weight(name, add))
+
+
+def test_a_node_that_is_a_link_is_named(path):
+    with h5py.File(path, "r+") as file:
+        del file["node/nodes/lif"]
+        file["node/nodes/lif"] = h5py.SoftLink("/node/nodes/affine")
+    with pytest.raises(NirError, match="node 'lif' is a link to another place"):
+        read_nir(path)
 
 
 def test_a_group_within_itself_ends(tmp_path, path):

@@ -96,6 +96,19 @@ def test_windows_by_hand():
         assert got[f, row, column] == pytest.approx(expected)
 
 
+def test_rows_by_hand():
+    rng = np.random.default_rng(0)
+    x, weight = rng.normal(size=(2, 9)), rng.normal(size=(3, 2, 4))
+    row = {"weight": weight, "bias": np.arange(3.0), "stride": 2, "padding": 1, "dilation": 1,
+           "groups": 1}  # fmt: skip
+    node = network_of((2, 9), ("Conv1d", row), lif()).nodes[0]
+    got = run_node(node, x[None, None], H)[0, 0]
+    padded = np.pad(x, ((0, 0), (1, 1)))
+    for f in range(3):
+        added = sum(np.correlate(padded[c], weight[f, c], "valid") for c in range(2))
+        np.testing.assert_allclose(got[f], added[::2] + f)
+
+
 @pytest.mark.parametrize("kind", ["AvgPool2d", "SumPool2d"])
 def test_pools_by_hand(kind):
     x = np.random.default_rng(0).normal(size=(2, 5, 5))

@@ -58,10 +58,10 @@ function describe() {
   $("falls").hidden = about.polarities === 1;
   $("hint").textContent = !canDraw() ? "Show me an example" : digits ? "Write here, large" : "Draw here, large";
   $("keep-title").textContent = digits ? "It was a …" : "It was …";
-  $("keep-say").textContent = `Press the ${digits ? "digit that you wrote" : "class that you drew"}, and the recording is kept.`;
+  $("keep-say").textContent = `Press the ${digits ? "digit that you wrote" : "class that you drew"} to save the recording.`;
   $("each-title").textContent = digits ? "Of each digit" : "Of each class";
   if (digits)
-    $("session-say").textContent = "The page asks for digits in a random order and keeps what you write; stop and go on whenever you like.";
+    $("session-say").textContent = "The page asks for digits in a random order and saves them; you can stop and continue at any time.";
   const drawing = hand();
   $("learn-title").textContent = `learn ${drawing}`;
   $("forget").textContent = `Forget ${drawing}`;
@@ -78,7 +78,7 @@ function describe() {
   $("scores").replaceChildren(...classes.slice(0, classes.length > (long ? 6 : 10) ? SCORES : 10).map(scoreItem));
   const keys = classes.map((_, label) => keyOf(label)).filter((key) => key !== null);
   $("keys").textContent = keys.length
-    ? `${keys[0]} to ${keys.at(-1)} keep what was drawn as ${digits ? "that digit" : "that class"},`
+    ? `${keys[0]} to ${keys.at(-1)} save the recording as ${digits ? "that digit" : "that class"},`
     : "";
   const any = digits ? "any digit" : "any class";
   $("example-class").replaceChildren(
@@ -215,7 +215,7 @@ link.on("hello", (message) => {
   describe();
   $("folder").textContent = about.folder;
   const hands = about.simulated && about.digits
-    ? `${about.trained_on}: it has seen simulated hands only, and is less often right with real ones`
+    ? `${about.trained_on}, with simulated writers only: its accuracy is lower on real handwriting`
     : about.trained_on;
   $("trained").textContent = `Network ${about.architecture}, trained on ${hands}.`
     + (about.outdated ? ` ${about.outdated}.` : "");
@@ -247,7 +247,7 @@ link.on("ready", (network) => {
   $("about").textContent = `One row for each neuron, every mark is a spike; ${network.about}`;
   $("status").textContent = canDraw()
     ? `Ready: ${about.digits ? "write" : "draw"} on the sensor with finger, pen or mouse.`
-    : "Ready: this sensor is too large to be drawn on; look at examples.";
+    : "Ready: this sensor is too large for drawing; play examples instead.";
   pen.sensor = canDraw() ? about : null;
   $("status").classList.add("ready");
   document.body.dataset.ready = "yes";
@@ -296,7 +296,7 @@ link.on("answer", (message) => {
 link.on("saved", (message) => {
   kept = true;
   clearTimeout(byItself); // the last events of what is kept now came just before
-  $("told").textContent = `Kept as ${named(message.label)}: ${message.name}, ${message.events} events.`;
+  $("told").textContent = `Saved as ${named(message.label)}: ${message.name}, ${message.events} events.`;
   complain(null);
 });
 
@@ -304,7 +304,7 @@ link.on("learned", (message) => {
   if (message.writer !== writer?.number) return;
   $("learned").dataset.digits = message.digits;
   $("learned").textContent = message.digits
-    ? `Learning ${hand("your")}: ${message.digits} ${about.digits ? "digit" : "recording"}${message.digits === 1 ? "" : "s"}, ${message.right} of the last ${message.of} right before they were learned${message.own_readout ? "" : "; your own readout is not better yet"}.`
+    ? `Learning ${hand("your")}: ${message.digits} ${about.digits ? "digit" : "recording"}${message.digits === 1 ? "" : "s"}, ${message.right} of the last ${message.of} right before learning them${message.own_readout ? "" : "; your own readout is not better yet"}.`
     : `Nothing learned of ${hand("your")} yet: ${about.digits ? "write, and press the digit" : "draw, and press the class"}.`;
 });
 
@@ -338,7 +338,7 @@ link.on("gone", (reason) => {
   $("status").classList.remove("ready");
   $("status").textContent = "Not connected.";
   if ($("problem").hidden)
-    complain(`The server has gone${reason ? ` (${reason})` : ""}. What was kept is safe; start it again and open the address that it prints.`);
+    complain(`The server has gone${reason ? ` (${reason})` : ""}. Saved recordings are safe; start it again and open the address that it prints.`);
   if (!reason) setTimeout(comeBack, 2000);
 });
 
@@ -435,7 +435,7 @@ $("example-from").addEventListener("change", showExamples);
 
 function showExample(example) {
   kept = true;
-  const where = example.origin === "test" ? "a test sample" : "kept here";
+  const where = example.origin === "test" ? "a test sample" : "saved here";
   $("shown").textContent = `Example ${example.name}, ${where}: it is ${named(example.label)}.`;
   $("shown").dataset.label = example.label;
   pen.watch();
@@ -475,8 +475,8 @@ function showDecided(message) {
   $("decided").dataset.s = decided === null ? "" : decided.s;
   if (decided !== null)
     $("decided").textContent = `Decided for ${named(decided.label)} after ${decided.s.toFixed(2)} s, at ${exact(threshold)}.`;
-  else if (threshold === null) $("decided").textContent = "How sure the network is, over time; it decides at the end.";
-  else $("decided").textContent = `How sure the network is, over time; it decides at ${exact(threshold)}.`;
+  else if (threshold === null) $("decided").textContent = "Confidence of the network over time; it decides at the end.";
+  else $("decided").textContent = `Confidence of the network over time; it decides at ${exact(threshold)}.`;
 }
 
 function showLayers(message) {

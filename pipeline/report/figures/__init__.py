@@ -1,4 +1,4 @@
-"""Pictures to be kept as files, drawn with Matplotlib; the report's own charts are SVG text."""
+"""Pictures as files, drawn with Matplotlib; the charts of the report are SVG text."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ FORMATS = ("png", "svg", "pdf")
 
 
 def format_of(path: Path) -> str:
-    """The format that a picture's name asks for.
+    """The format of a picture, from its name.
 
     Raises
     ------
     UserError
-        It cannot be drawn.
+        The format is not supported.
     """
     kind = Path(path).suffix.lstrip(".").lower()
     if kind not in FORMATS:
@@ -28,7 +28,7 @@ def format_of(path: Path) -> str:
 
 
 def plain(name: str) -> str:
-    """A name as Matplotlib draws it: two dollars are no formula."""
+    """A name in which Matplotlib does not interpret dollar signs as a formula."""
     return printable(name).replace("$", r"\$")
 
 
@@ -40,12 +40,12 @@ def save(figure, path: Path, dpi: int = 120):
     figure : matplotlib.figure.Figure
     path : Path
     dpi : int
-        Dots an inch of a .png.
+        Resolution of a .png in dots per inch.
 
     Raises
     ------
     UserError
-        It cannot be drawn in that format, or written there.
+        The format is not supported, or the file cannot be written.
     """
     buffer = io.BytesIO()
     with warnings.catch_warnings():

@@ -1,4 +1,4 @@
-"""A sample of a check as a moving picture: its events, its image, and what the network thinks."""
+"""An animation of a sample of a check: its events, its image, and the network's probabilities."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from pipeline.recordings.words import shortened
 from pipeline.report.over_time import probabilities
 
 FRAMES, FRAMES_A_SECOND, STILL = 48, 16, 12
-"""Pictures in all, in a second, and at the end, where nothing moves any more."""
+"""Number of frames in total, per second, and at the end, where nothing moves."""
 
 SHOWN_CLASSES = 6
-"""Classes whose probability is drawn: the likeliest at the end, and the right one."""
+"""Number of classes whose probability is drawn: the most likely at the end, and the right one."""
 
 LONGEST_NAME = 32
 
 
 def writer_for(path) -> AbstractMovieWriter:
-    """The writer for a file of that name.
+    """The Matplotlib writer for a file name.
 
     Raises
     ------
     UserError
-        It ends in neither .gif nor .mp4, or there is no ffmpeg for the latter.
+        The name ends in neither .gif nor .mp4, or ffmpeg is missing for .mp4.
     """
     suffix = path.suffix.lower()
     if suffix == ".gif":
@@ -63,8 +63,8 @@ def _packaged_ffmpeg():
 def animate(path, bundle: Bundle, recordings: Recordings, index: int, advance=None):
     """Write the animation of a sample of a bundle's check.
 
-    On events the probabilities move with the recording; an image is there when the recording has
-    ended, and what the network thinks of it follows.
+    On events the probabilities change during the recording.  An image is complete when the
+    recording has ended, and the probabilities follow afterwards.
 
     Parameters
     ----------
@@ -72,11 +72,11 @@ def animate(path, bundle: Bundle, recordings: Recordings, index: int, advance=No
         Ends in .gif or .mp4.
     bundle : Bundle
     recordings : Recordings
-        Those of the bundle.
+        Recordings from which the bundle was made.
     index : int
         Index of the sample in the check.
     advance : callable, optional
-        Called after each picture.
+        Called after each frame.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def animate(path, bundle: Bundle, recordings: Recordings, index: int, advance=No
     end = step * (start + len(chances))
     scores.set(xlim=(0, end), ylim=(0, 1.02), xlabel="seconds", title="probability")
     if not on_events:
-        scores.set_xlabel("seconds since the image was shown")
+        scores.set_xlabel("seconds since the start of the presentation")
     picture = image.imshow(
         np.zeros((recordings.sensor.rows, recordings.sensor.columns)), "gray_r", vmin=0, vmax=1
     )

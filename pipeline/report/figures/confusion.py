@@ -12,7 +12,7 @@ from pipeline.report.matrix import confusion_shares, names_beside
 
 
 def confusion_figure(ladder: dict) -> Figure:
-    """Counts of each stage by label and prediction, shaded by the share of the label's samples.
+    """A confusion matrix of counts for each stage, shaded by the share of the label's samples.
 
     Parameters
     ----------

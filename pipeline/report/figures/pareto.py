@@ -9,12 +9,12 @@ from matplotlib.ticker import PercentFormatter
 
 
 def pareto(sweep: dict) -> Figure:
-    """The points with their intervals; those of the front filled and numbered as in the table.
+    """Draw the points with intervals; those of the front are filled and numbered as in the table.
 
     Parameters
     ----------
     sweep : dict
-        From :func:`pipeline.experiments.sweep.summarise`, with a point at least.
+        From :func:`pipeline.experiments.sweep.summarise`, with at least one point.
     """
     points = sweep["points"]
     figure = Figure(figsize=(9, 5.5), layout="constrained")
@@ -75,7 +75,7 @@ def _point(axes, point, shade):
 
 
 def _plain_ticks(axes, values):
-    """A tick for 1, 2 and 5 in each decade that is in view, as plain numbers."""
+    """Ticks at 1, 2 and 5 in each visible decade, as plain numbers."""
     low, high = 0.8 * min(values), 1.25 * max(values)
     if low <= 0:
         return

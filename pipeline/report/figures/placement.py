@@ -1,4 +1,4 @@
-"""A picture of where the network lies on the chips and how full its cores are."""
+"""A picture of the placement of the network on the chips, and the use of its cores."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _draw_chips(axes, plan, colour):
 
 
 def _draw_shares(axes, plan, colour):
-    """A table: a row a core, a column a limit, each cell filled as far as the limit is used."""
+    """A table with a row per core and a column per limit; cells are filled by the share used."""
     for row, core in enumerate(plan.cores):
         for column, resource in enumerate(LIMITS):
             share = core.share(resource)

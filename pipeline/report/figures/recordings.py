@@ -54,7 +54,7 @@ def recording(recordings: Recordings, index: int) -> Figure:
 
 
 def events_by_taxel(recordings: Recordings, index: int) -> Figure:
-    """Each taxel's decoded events over time, at the taxel's place (paper, Figure 2).
+    """Decoded events of each taxel over time, at the taxel's place (paper, Figure 2).
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
 
 
 def _cells(axes, rows, columns):
-    """A grid of taxels, numbered as the paper does."""
+    """A grid of taxels, numbered as in the paper."""
     axes.hlines(np.arange(rows + 1) - 0.5, -0.5, columns - 0.5, "0.8", linewidth=0.8)
     axes.vlines(np.arange(columns + 1) - 0.5, -0.5, rows - 0.5, "0.8", linewidth=0.8)
     axes.set_xticks(range(columns), range(1, columns + 1))

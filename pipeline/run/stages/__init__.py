@@ -3,6 +3,7 @@
 from pipeline.run.nir_conversion import refuse_early, settings_of_nir
 from pipeline.run.nir_training import settings_of_retrained
 from pipeline.run.stages.answering import answer, answer_all
+from pipeline.run.stages.bars import bars
 from pipeline.run.stages.bundling import convert, make_bundle, on_test_split, spec_of
 from pipeline.run.stages.opening import open_dataset
 from pipeline.run.stages.own_model import read_model, settings_of_model
@@ -19,6 +20,7 @@ from pipeline.run.stages.training import (
 __all__ = [
     "answer",
     "answer_all",
+    "bars",
     "choose_threshold",
     "convert",
     "make_bundle",

@@ -85,7 +85,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
 
 
 def spec_of(place: Place, settings: Settings, dataset: Dataset, provenance: dict) -> NetworkSpec:
-    """The trained network of a run or library, as the chip gets it."""
+    """The deployed network from the trained network of a run or library."""
     if settings.network == "nir":
         network = nir_origin(settings, dataset.origin)
         graph = nir_artifact(place, settings, network)

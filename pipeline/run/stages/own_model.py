@@ -1,4 +1,4 @@
-"""A user's Keras model in the place of the CNN."""
+"""A user's Keras model instead of the CNN."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from pipeline.inputs.dataset import Dataset
 from pipeline.settings import Settings
 
 LEAST_KNOWN = 0.15
-"""Share of the way from chance to always right that an own model must have gone.  Of 30 networks of
-three layers with Keras's first weights the best had gone 0.06 of it by luck, on ten classes."""
+"""Minimum accuracy of a user's model, as a share of the range from chance to 1.  The best of 30
+networks of three layers with Keras's initial weights had 0.06 by chance, on ten classes."""
 
 
 SPREAD = (1e-3, 1e4)
@@ -32,7 +32,7 @@ def read_model(path: Path) -> tuple:
     Raises
     ------
     UserError
-        The file cannot be read, is no Keras model, or one that no chip can hold.
+        The file cannot be read, is not a Keras model, or does not fit any chip.
     """
     try:
         return read_own_model(path), sha256_of(path)
@@ -41,13 +41,13 @@ def read_model(path: Path) -> tuple:
 
 
 def settings_of_model(path: Path, retrain: bool = False) -> dict:
-    """Changes of the settings that put a user's Keras model in the place of the CNN.
+    """Changes of the settings with which a user's Keras model replaces the CNN.
 
     Parameters
     ----------
     path : path-like
     retrain : bool
-        Train it on with rate-based LIF neurons.
+        Train the model further with rate-based LIF neurons.
 
     Raises
     ------
@@ -70,23 +70,23 @@ def settings_of_model(path: Path, retrain: bool = False) -> dict:
 
 
 def take_over(settings: Settings, dataset: Dataset) -> tuple:
-    """The user's model in the place of the CNN; it must know more than chance.
+    """Use the user's model instead of the CNN; it must be better than chance.
 
     Parameters
     ----------
     settings : Settings
-        With :func:`settings_of_model`.
+        Settings from :func:`settings_of_model`.
     dataset : Dataset
 
     Returns
     -------
     TrainedCNN, sequence of str
-        The second: what the user should know of it, a line each.
+        The network, and messages about it.
 
     Raises
     ------
     UserError
-        It cannot be read, is another than the settings say, or knows nothing.
+        The model cannot be read, has changed, or is not better than chance.
     """
     path = Path(settings.cnn.model)
     model, sha256 = read_model(path)
@@ -110,9 +110,9 @@ def take_over(settings: Settings, dataset: Dataset) -> tuple:
 
 
 def _usual_scale(settings, weights, images) -> tuple:
-    """The weights with logits of a usual size, and what their output layer was multiplied by.
+    """Weights with logits of a usual size, and the factor that was applied to the output layer.
 
-    The largest logit stays the largest.  The factor is a power of two, by which nothing is rounded.
+    The largest logit remains the largest.  The factor is a power of two, which does not round.
     """
     from pipeline.training.networks import TrainedCNN
 

@@ -188,14 +188,14 @@ def choose_threshold(place: Place, settings: Settings, dataset: Dataset, say=pri
     _say_accuracy("events", metrics, say)
     if chosen.confidence < 1:
         say(
-            f"threshold: the network decides at a confidence of {chosen.confidence:.4f}, after "
+            f"threshold: early decision at a confidence of {chosen.confidence:.4f}, after "
             f"{chosen.share:.0%} of a recording on {len(samples.held)} held-out samples"
         )
     else:
         fewest = event_training.FEWEST_HELD
         few = len(samples.held) < fewest
         say(
-            "threshold: the network waits for the end of each recording"
+            "threshold: no early decisions, the network decides at the end of each recording"
             + few
             * f", since {len(samples.held)} held-out samples are fewer than the {fewest} on "
             "which a confidence may be chosen (more: split.validation_fraction)"
@@ -282,13 +282,13 @@ class _timed:
 
 
 MOST_WATCHED = 500
-"""Test samples on which a network is watched while it is trained."""
+"""Maximum number of test samples for the learning curve."""
 
 
 def _watched(dataset):
-    """Held-out samples for the learning curve: validation samples, else some of the test samples.
+    """Samples for the learning curve: validation samples or, without these, some test samples.
 
-    Nothing depends on them.
+    No result depends on them.
     """
     if (validation := dataset.part("validation")) is not None:
         return validation
@@ -298,7 +298,7 @@ def _watched(dataset):
 
 
 def _told(trained, dataset):
-    """A network whose history says where it was watched on test samples."""
+    """A network with a note in its history if it was evaluated on test samples."""
     if len(dataset.split.validation):
         return trained
     rows = [{k.replace("val_", "test_"): v for k, v in row.items()} for row in trained.history]
@@ -306,7 +306,7 @@ def _told(trained, dataset):
 
 
 def _write_network(folder, trained):
-    """Write weights and history; delete the records first, since they declare the rest complete."""
+    """Write weights and history; delete the records first, because they mark them as complete."""
     for record in ("metrics.json", "training.json"):
         (folder / record).unlink(missing_ok=True)
     write_arrays(folder / "weights.npz", **trained.weights)

@@ -3,12 +3,14 @@
 import fcntl
 import json
 import shutil
+from dataclasses import replace
 
 import pytest
 
 from deploy.check.results import read_result
-from deploy.check.run import run_check
+from deploy.check.run import answered, open_check, run_check
 from deploy.errors import UserError
+from deploy.network.spec import ImageSpikes
 from tests.deploy.checks import interrupted, partial, same_answers
 from tests.deploy.networks import bundle_at, small_spec
 
@@ -82,6 +84,31 @@ def test_what_is_done_is_not_done_again(bundle, tmp_path):
     record["samples"][0]["scores"][0] = 123.0
     saved.write_text("\n".join([header, json.dumps(record), second]) + "\n")
     assert run_check(bundle, "nengo", out)["samples"][0]["scores"][0] == 123.0
+
+
+@pytest.mark.parametrize("target", ["nengo", "simreal", "emulator", "fast"])
+def test_a_network_that_no_integers_hold_is_refused_and_nothing_is_left(tmp_path, target):
+    unfit = bundle_at(
+        tmp_path / "bundle", replace(small_spec(), stimulus=ImageSpikes(max_rate=1e-3))
+    )
+    with pytest.raises(UserError, match="cannot build this network: layer conv1: no scale"):
+        run_check(unfit, target, tmp_path / "result.json")
+    assert [path.name for path in tmp_path.iterdir()] == ["bundle"]
+
+
+@pytest.mark.parametrize("target", ["nengo", "simreal", "emulator"])
+def test_that_a_network_fits_is_asked_once_and_not_for_each_stream(
+    bundle, tmp_path, monkeypatch, target
+):
+    asked = []
+    monkeypatch.setattr("deploy.targets.registry.require_integers", asked.append)
+    run_check(bundle, target, tmp_path / "result.json")
+    with open_check(bundle, target, tmp_path / "again.json") as check:  # as with --jobs
+        assert len(check.left) > 1
+        for part in check.left:
+            for record in answered(check.work([part])):
+                check.take(record)
+    assert len(asked) == (0 if target == "emulator" else 2)
 
 
 @pytest.mark.parametrize("cut", [1, 40, 400])

@@ -1,4 +1,4 @@
-"""What time is worth: intervals, what a variant loses, what is kept, a network of each end."""
+"""The value of timing: intervals, what a variant loses, what is kept, a network of each end."""
 
 import json
 import math

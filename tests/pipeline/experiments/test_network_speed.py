@@ -43,3 +43,20 @@ def test_results_that_differ_are_a_failed_check(monkeypatch, capsys):
     monkeypatch.setattr(network_speed, "FastSimulator", Off)
     assert call("benchmark", "emulator", "--networks") == 1
     assert "differ" in capsys.readouterr().err
+
+
+def test_the_table_fits_80_columns():
+    rows = [
+        {
+            "network": case.title,
+            "steps": 4000,
+            "ratio_emulator": 503.4,
+            "ratio_whole": 197.2,
+            "microseconds_a_step": 159.9,
+            "share_of_host": 0.79,
+            "share_of_emulator": 0.13,
+        }
+        for case in network_speed.CASES
+    ]
+    text = network_speed.networks_text({"rows": rows, "turns": 4, "identical": True})
+    assert max(map(len, text.splitlines())) <= 80

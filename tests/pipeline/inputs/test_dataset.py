@@ -128,7 +128,7 @@ def test_settings_that_are_not_for_arrays_are_refused():
     on_events = OWN.with_values({"input": {"kind": "events"}})
     with pytest.raises(UserError, match="taken as images"):
         Dataset.of_arrays(*arrays(), on_events)
-    with pytest.raises(UserError, match="two classes of one name"):
+    with pytest.raises(UserError, match="two classes of the same name"):
         Dataset.of_arrays(*arrays(), OWN, ("soft", "soft"))
 
 

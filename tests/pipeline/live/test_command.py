@@ -82,7 +82,7 @@ def test_ctrl_c_ends_it_cleanly_and_what_was_kept_works_as_data(live, tmp_path, 
         _, error = process.communicate(timeout=300)
     assert process.returncode == 130
     assert "Traceback" not in error
-    assert "1 recordings are kept" in error
+    assert "1 recordings are saved" in error
     assert call("data", "export", kept, tmp_path / "out.zip") == 0
     for source in (kept, tmp_path / "out.zip"):
         recordings = read_source(source, jobs=1)

@@ -363,7 +363,7 @@ def test_everything_but_writing_goes_by_keyboard(page):
     settled(page)
     page.locator("body").press("7")
     until(page, "document.querySelector('#saved').textContent === '1'")
-    assert "Kept as a 7" in page.inner_text("#told")
+    assert "Saved as a 7" in page.inner_text("#told")
     page.locator("body").press("u")
     until(page, "document.querySelector('#saved').textContent === '0'")
     robot.replay(page, digit(1))
@@ -607,7 +607,7 @@ def test_the_page_says_when_the_server_has_gone(browser, tmp_path):
         robot.opened(page, server.url)
         threading.Timer(0.1, lambda: setattr(server, "should_exit", True)).start()
         until(page, "document.querySelector('#status').textContent === 'Not connected.'")
-        assert "What was kept is safe" in page.inner_text("#problem")
+        assert "Saved recordings are safe" in page.inner_text("#problem")
         context.close()
 
 

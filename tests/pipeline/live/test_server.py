@@ -214,7 +214,7 @@ def test_a_thousand_strokes_a_second_are_left_out_and_others_go_on(server):
             flood.send(json.dumps({"type": "pen", "now": n + 0.5, "points": points}))
         write(other)
         assert read_until(other, "answer")
-        assert "faster than a hand" in read_until(flood, "problem")[-1]["text"]
+        assert "faster than a person" in read_until(flood, "problem")[-1]["text"]
         flood.send(json.dumps({"type": "clear"}))
     assert len(server.keeper) == 0
 

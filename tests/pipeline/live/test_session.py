@@ -226,9 +226,9 @@ def test_a_thousand_strokes_a_second_are_not_kept(session, keeper):
         message = json.dumps({"type": "pen", "now": t + 0.5, "points": points})
         replies += session.handle(message, n * 1e-3)
     assert 1 <= len(of(replies, "problem")) <= 2
-    assert "faster than a hand" in of(replies, "problem")[0]["text"]
+    assert "faster than a person" in of(replies, "problem")[0]["text"]
     refused = session.handle(json.dumps({"type": "label", "label": 1}), 5.0)
-    assert "not kept" in of(refused, "problem")[0]["text"]
+    assert "not saved" in of(refused, "problem")[0]["text"]
     assert len(keeper) == 0
     later = Clock()
     later.now_s = 6.0

@@ -252,7 +252,7 @@ def test_files_refused_for_one_reason_are_one_line(tmp_path):
     bad = {f"3/{'n' * 500}{i:03d}.mat": b"x" for i in range(300)}
     archive(path, {**good_members(), **bad})
     with pytest.raises(
-        UserError, match=r"300 of 310 files refused: .*, 297 more\).*; mend"
+        UserError, match=r"300 of 310 files refused: .*, 297 more\).*; correct"
     ) as error:
         read_source(path, jobs=1)
     assert len(error.value.lines[0]) < 1000
@@ -381,5 +381,5 @@ def test_what_is_in_a_folder_and_is_no_file_is_said(tmp_path, make, said, name):
 @pytest.mark.parametrize("read", [read_source, list_source])
 def test_a_pipe_is_not_waited_for(tmp_path, read):
     os.mkfifo(tmp_path / "st.zip")
-    with pytest.raises(UserError, match=r"st\.zip: not a zip archive.*a pipe, not a file"):
+    with pytest.raises(UserError, match=r"st\.zip: not a zip archive.*a pipe"):
         read(tmp_path / "st.zip")

@@ -1,4 +1,5 @@
 import json
+import os
 
 import numpy as np
 import pytest
@@ -170,3 +171,17 @@ def test_an_unwritable_cache_is_one_clear_error(tmp_path, monkeypatch):
     monkeypatch.setenv("STMNIST_CACHE", str(tmp_path / "file" / "cache"))
     with pytest.raises(UserError, match=r"file/cache.*cannot write"):
         sources.load_recordings(samples_per_digit=1, jobs=1)
+
+
+@pytest.mark.parametrize("name", ["3/x.mat", "3/x", "11"])
+@pytest.mark.parametrize("make", [lambda path: path.symlink_to("nowhere"), os.mkfifo])
+def test_a_link_to_nothing_beside_recordings_in_the_cache_is_said(own, tmp_path, make, name):
+    folder = tmp_path / "data"
+    for member, content in good_members(2, root="").items():
+        (folder / member).parent.mkdir(parents=True, exist_ok=True)
+        (folder / member).write_bytes(content)
+    assert len(sources.load_recordings(str(folder), jobs=1)) == 20
+    make(folder / name)
+    with pytest.raises(UserError, match="1 of 21 files refused"):
+        sources.load_recordings(str(folder), jobs=1)
+    assert len(sources.load_recordings(str(folder), skip_bad=True, jobs=1)) == 20

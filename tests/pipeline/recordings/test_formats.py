@@ -207,6 +207,19 @@ def test_sensors_of_different_sizes(tmp_path):
     assert len(read_source(tmp_path / "own.zip", jobs=1, reading=Reading(27, 36))) == 18
 
 
+def test_as_many_recordings_of_a_larger_sensor(tmp_path):
+    filled = {"t": np.arange(4) / 10, "p": [1, 0, 1, 0]}
+    small = npz(x=[0, 11, 0, 11], y=[0, 8, 8, 0], **filled)
+    large = npz(x=[0, 23, 0, 23], y=[0, 17, 17, 0], **filled)
+    members = {f"{name}/{i}.npz": c for name in "ab" for i, c in enumerate([small, large] * 4)}
+    (line,) = refused(tmp_path, members)
+    assert "8 of 16 files refused" in line
+    assert "another sensor" in line
+    partly = npz(x=[0, 4, 0, 4], y=[0, 8, 8, 0], **filled)  # a short touch on the large sensor
+    archive(tmp_path / "one.zip", {**members, "a/0.npz": partly})
+    assert len(read_source(tmp_path / "one.zip", jobs=1)) == 16
+
+
 def test_everything_that_is_wrong_is_said_at_once(tmp_path):
     """A line a kind, with a count, whatever the number of files."""
     members = own(x=lambda x: x + 1, y=lambda y: y + 1)

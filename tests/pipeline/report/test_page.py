@@ -144,6 +144,20 @@ def test_rates_of_another_bundle_are_left_out(tiny_run, tmp_path):
     assert 'class="points"' not in (tmp_path / "r.html").read_text()
 
 
+@pytest.mark.parametrize(
+    "damaged", [[[None, 0.0]], [[1.0, -1.0]], [[1.0]], [1.0], "x", 3, [[1e99, 1]]]
+)
+def test_damaged_rates_are_refused(tiny_run, tmp_path, capsys, damaged):
+    run = tmp_path / "run"
+    shutil.copytree(tiny_run, run)
+    ladder = json.loads((run / "ladder.json").read_text())
+    for rates in ({**ladder["rates"], "conv1": damaged}, damaged):
+        (run / "ladder.json").write_text(json.dumps({**ladder, "rates": rates}))
+        assert call("report", run, "--out", tmp_path / "r.html") == 2
+        assert "ladder.json" in capsys.readouterr().err
+    assert not (tmp_path / "r.html").exists()
+
+
 def test_it_says_what_was_measured(html, tiny_run):
     text = " ".join(Outline(html.read_text()).text.split())
     assert "Simulated recordings." in text
@@ -157,7 +171,7 @@ def test_it_says_what_was_measured(html, tiny_run):
     assert "1738 (1366)" not in text  # the paper's ON events of 0; these are simulated
     assert "stmnist data stats --against-paper" in text
     assert "ANN-SNN on Loihi not run not run 0.86 (0.02)" in text
-    assert "Set otherwise than in the run: seed = 4 (run: 0)" in text
+    assert "seed = 4 (run: 0)" in text
     assert "snn.batch_size 0: the recipe's own" in text
     used = make_plan(bundle.spec).cores[0].used
     assert f"core 0 {used['compartments']} {used['input axons']}" in text

@@ -139,8 +139,8 @@ def test_time_to_decide_of_events():
     assert compared["runs"][1]["writing"]["share"] == 0.82
     assert compared["runs"][1]["decided_after_ms"] == pytest.approx(120)  # steps of 10 ms
     text = runs_text(compared)
-    assert "82% of writing" in text
-    assert text.endswith("of an image after the whole writing, of events while it goes on")
+    assert "82% of recording" in text
+    assert text.endswith("from the end of the recording for an image, from its start for events")
     assert "image" in text
     assert "events" in text
 
@@ -156,22 +156,28 @@ def test_the_table():
         "seed                  0  1",
         "",
         "accuracy on 8 simulated samples",
-        "stage     accuracy   95 % interval  less A  won  lost      p",
+        "stage     accuracy   95 % interval  minus A  won  lost      p",
         "cnn    A     0.625  0.306 to 0.863",
-        "       B     0.500  0.215 to 0.785  -0.125    3     4  1.000",
-        "won, lost: samples that the run alone, or A alone, got right; p: McNemar's test",
+        "       B     0.500  0.215 to 0.785   -0.125    3     4  1.000",
+        "won, lost: samples that only this run, or only A, got right; p: McNemar's test",
         "",
-        "an inference                A                B",
-        "input                   image            image",
-        "architecture  6x6-4c3-8c2-10o  6x6-4c3-8c2-10o",
-        "neurons                   136              136",
-        "cores                       2                3",
-        "chips                       1                1",
-        "steps shown                30               30",
-        "times the CNN's: the 43,104 multiply-accumulates of the paper's",
+        "an inference                         A                B",
+        "input                            image            image",
+        "architecture           6x6-4c3-8c2-10o  6x6-4c3-8c2-10o",
+        "neurons                            136              136",
+        "cores                                2                3",
+        "chips                                1                1",
+        "steps of presentation               30               30",
         "",
         "B: left out, of an earlier bundle: fast",
     ]
+
+
+def test_the_papers_cnn_is_a_measure_only_for_digits_on_its_sensor():
+    counts = {"operations": {"conv1": 8}}
+    for spec, applies in ((paper_spec(), True), (small_spec(), False)):
+        text = runs_text(compare_runs([run("a", [result("nengo", ALL, **counts)], spec=spec)] * 2))
+        assert ("times the CNN's" in text) is applies
 
 
 def test_simulated_and_other_samples_are_told_apart():
@@ -199,6 +205,7 @@ def test_the_text_fits_80_columns(n):
     source = text.split("data.source")[1].split("\nan inference")[0]
     assert "x" * 8 in source
     assert text.count("spiking-lif") == 1
+    assert "times the CNN's: the 43,104 multiply-accumulates of the paper's" in text
     assert json.loads(json.dumps(compared))["runs"] == compared["runs"]
 
 

@@ -47,7 +47,7 @@ def test_the_ladder_by_hand():
 def test_the_table():
     text = ladder_text(ladder_json([CNN, RATE, EMULATOR]))
     assert text.splitlines() == [
-        "Loss ladder, 10 simulated samples, each stage on the same ones",
+        "Loss ladder, 10 simulated samples, the same for each stage",
         "stage     accuracy   95 % interval  change  disagree  McNemar p",
         "cnn          0.900  0.100 to 0.900",
         "rate-lif     0.600  0.100 to 0.900  -0.300         4      0.250",

@@ -20,7 +20,7 @@ from models.nir_simulator import simulate
 from pipeline.live.deciding import decider_of
 from pipeline.recordings.events import Sensor
 from pipeline.recordings.steps import EventTable
-from pipeline.run.nir_conversion import Stepped, settings_of_nir, spec_of_nir
+from pipeline.run.nir_conversion import Stepped, notes, settings_of_nir, spec_of_nir
 from pipeline.settings import Image
 from pipeline.skin.simulate import simulate as simulated_skin
 from tests.command import call as stmnist
@@ -131,6 +131,17 @@ def test_an_image_is_held():
     # a held input of 3 v passes 1 after log(1 - 1 / 3 v) / log(0.9) steps: 4, 11, never
     np.testing.assert_allclose(found[:2], [1 / 4, 1 / 11], rtol=0.35)
     assert found[2] == found[3] == 0
+
+
+@pytest.mark.parametrize(("r", "seconds", "told"), [(1.0, 0.02, 1), (50.0, 0.02, 0), (1.0, 1.0, 0)])
+def test_a_step_that_may_be_another_packages_is_told(r, seconds, told):
+    """Norse adds the whole input to IF at each step, and NIR the step times it."""
+    network = network_of(
+        (2, 2, 2), ("Flatten", {}), affine(np.random.default_rng(0), 3, 8),
+        ("IF", {"r": r, "v_threshold": 1.0}),
+    )  # fmt: skip
+    lines = list(notes(network, layers_of(network, seconds), Stepped(seconds, "exact")))
+    assert sum("nir.step=1000" in line for line in lines) == told
 
 
 @pytest.mark.parametrize("make", [small_spec, paper_spec, host_first_spec, events_spec])

@@ -76,6 +76,9 @@ def test_other_neurons_are_refused_by_name(node, message):
     with pytest.raises(UserError) as caught:
         trainable(network, STEP, "exact", (10, 10, 2))
     assert message in str(caught.value)
+    with pytest.raises(UserError) as caught:  # there are no time constants
+        architecture_of(network, (10, 10, 2))
+    assert message in str(caught.value)
 
 
 def test_the_size_of_outputs_follows_the_cross_entropy():

@@ -1,0 +1,38 @@
+"""The progress bars of the commands on a run, in order, so that each bar can say "2 of 4"."""
+
+from __future__ import annotations
+
+from pipeline.run.answers import REFERENCES
+from pipeline.settings import SIMULATED, Settings
+
+TRAINING = {
+    "image": ("train cnn", "train rate-lif"),
+    "events": ("train events",),
+    "nir": ("simulate nir",),
+    "retrained": ("simulate nir", "train events"),
+}
+"""Bars while the network of a run is trained or read, by :attr:`Settings.network`."""
+
+
+def bars(settings: Settings, until: str) -> list:
+    """The bars of a command, if nothing is up to date.
+
+    Parameters
+    ----------
+    settings : Settings
+    until : str
+        How far the command goes: ``"train"``, ``"bundle"``, ``"convert"`` or ``"ladder"``.
+
+    Returns
+    -------
+    list of str
+        The first words of each bar's label, for :func:`pipeline.progress.stages`.
+    """
+    kind = settings.network
+    recordings = ["simulate" if settings.data.source == SIMULATED else "import"]
+    checks = {
+        "convert": [f"check {stage}" for stage in REFERENCES[kind]],
+        "ladder": ["check", *([] if kind == "nir" else ["compare layers"])],
+    }
+    training = TRAINING[kind][:1] if until == "train" else TRAINING[kind]
+    return [*recordings, *training, *checks.get(until, ())]

@@ -1,0 +1,56 @@
+"""The reference simulator against Norse and snnTorch, node by node, at each of 200 steps."""
+
+import os
+import subprocess
+
+import numpy as np
+import pytest
+
+from models.nir_graph import SNNTORCH_STEP, SPIKING, read_nir
+from models.nir_simulator import simulate
+from tests.command import ROOT
+
+PYTHON = ROOT / ".venv-nir" / "bin" / "python"
+STEP = 2.0**-9
+"""Of Norse, as in ``nodes.py``."""
+
+CASES = {
+    "snntorch-leaky": ("Affine LIF Linear LIF", SNNTORCH_STEP),
+    "snntorch-synaptic": ("Linear CubaLIF Affine LIF", SNNTORCH_STEP),
+    "snntorch-images": ("Conv2d LIF AvgPool2d Conv2d LIF Flatten Affine LIF", SNNTORCH_STEP),
+    "norse-writes": ("Affine LIF Affine LI", STEP),
+    "norse-reads": ("Affine CubaLIF Affine LIF", STEP),
+    # Norse adds the whole input to IF at each step, as a step of 1 s does
+    "norse-integrates": ("SumPool2d Conv2d IF Flatten Linear IF", 1.0),
+}
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        not PYTHON.exists() or not os.environ.get("TEST_NIR"),
+        reason="needs .venv-nir; 'make test-nir'",
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("nodes")
+    script = ROOT / "tests" / "nir_networks" / "nodes.py"
+    subprocess.run([str(PYTHON), str(script), str(folder)], check=True, timeout=600)
+    return folder
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_step_is_the_packages(name, folder):
+    kinds, step = CASES[name]
+    network = read_nir(folder / f"{name}.nir")
+    assert [node.kind for node in network.nodes] == kinds.split()
+    assert network.written_by_snntorch == name.startswith("snntorch")
+    with np.load(folder / f"{name}.npz") as file:
+        inputs, wanted = file["inputs"], file["outputs"]
+    found = simulate(network, inputs, step, "euler")
+    assert all(spikes.mean() > 0.001 for spikes in found.spikes.values())
+    error = np.abs(found.outputs - wanted.reshape(found.outputs.shape)).max()
+    spiking = network.nodes[-1].kind in SPIKING
+    assert error <= (0 if spiking else 1e-6 * np.abs(wanted).max())
