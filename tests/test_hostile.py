@@ -319,3 +319,15 @@ def test_a_pipe_or_a_device_is_not_read(refused, tmp_path, arguments, make):
     names = {"pipe": tmp_path / "a", "run": tmp_path / "run", "bundle": bundle}
     line = refused(*(argument.format(**names) for argument in arguments))
     assert "a pipe" in line
+
+
+def test_adapted_bundles_are_not_written_through_a_linked_folder(tmp_path, run):
+    from pipeline.commands.adapt import adapt
+
+    (tmp_path / "elsewhere").mkdir()
+    (run / "adapted").symlink_to(tmp_path / "elsewhere")
+    data = tmp_path / "st.zip"
+    archive(data, good_members(2))
+    with pytest.raises(UserError, match="adapted: is a symbolic link"):
+        adapt(run, str(data), jobs=1)
+    assert not list((tmp_path / "elsewhere").iterdir())

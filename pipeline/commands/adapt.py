@@ -10,6 +10,7 @@ import typer
 
 from deploy.check.bundle import read_bundle, write_bundle
 from deploy.errors import UserError
+from deploy.files import refuse_linked_folder
 from pipeline.commands import options
 from pipeline.commands.completion import data_sets
 from pipeline.inputs.library import load_recordings
@@ -50,6 +51,8 @@ def adapt(
     bundle, beside = _bundle_of(run)
     recordings, who = _of_one(load_recordings(data, jobs=jobs, warn=options.say), writer)
     place = out or beside / who
+    if out is None:
+        refuse_linked_folder(beside)
     if place.resolve() == bundle.path.resolve():
         raise UserError(
             f"{place}: is the bundle to adapt, which is not changed; choose another --out"
