@@ -357,9 +357,9 @@ def plan_text(plan: Plan) -> str:
     lines = in_blocks(rows, left=3)
     lines.append(
         f"{len(plan.cores)} cores on {plan.chips} chip(s); percentages of a core's limits; "
-        "'at': chip.core;\n'pop': type of the input axons; 'input', 'current': the worst case for "
-        "these weights,\nrelative to where integers wrap around; 'threshold': relative to the "
-        "highest voltage"
+        "'at': chip.core;\n'pop': type of the input axons; 'input', 'current': the worst case for\n"
+        "these weights, relative to where integers wrap around; 'threshold': relative to\n"
+        "the highest voltage"
     )
     lines += [f"warning: {line}" for line in plan.warnings]
     lines += [f"does not fit: {line}" for line in plan.problems]

@@ -346,9 +346,7 @@ def _settings_lines(compared, letters, width):
 def _accuracy_lines(compared, letters):
     if not compared["stages"]:
         return ["no stage has results in two of the runs; 'stmnist ladder RUN' makes them"]
-    rows = [
-        ["stage", "", "accuracy", "95 % interval", f"minus {letters[0]}", "won", "lost", "p", ""]
-    ]
+    rows = [["stage", "", "accuracy", "95 % interval", f"vs {letters[0]}", "won", "lost", "p", ""]]
     unpaired = False
     for stage in compared["stages"]:
         against = {d["b"]: d for d in stage["differences"] if d["a"] == 0}

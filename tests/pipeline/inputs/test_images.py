@@ -70,8 +70,8 @@ def test_what_the_networks_see():
 
 def test_unknown_names_are_refused_with_the_known_ones():
     for name in AGGREGATIONS:
-        with pytest.raises(ValueError, match=f"'total' is none of .*{name}"):
+        with pytest.raises(ValueError, match=f"'total' is .*{name}"):
             aggregate(recordings(ROWS), "total")
     for name in NORMALISATIONS:
-        with pytest.raises(ValueError, match=f"'mean' is none of .*{name}"):
+        with pytest.raises(ValueError, match=f"'mean' is .*{name}"):
             normalise(np.ones((1, 2, 2)), "mean")

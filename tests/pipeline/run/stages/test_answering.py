@@ -69,8 +69,8 @@ def test_an_interruption_keeps_every_stream_that_was_answered(bundle, tmp_path, 
         patched.setattr(OpenCheck, "take", stop)
         with pytest.raises(KeyboardInterrupt):
             answered(tmp_path, bundle, ["nengo", "emulator"])
-    texts = [partial(check_of(tmp_path, target)).read_text() for target in ("nengo", "emulator")]
-    assert sum(text.count('"first": ') for text in texts) >= 1
+    paths = [partial(check_of(tmp_path, target)) for target in ("nengo", "emulator")]
+    assert sum(path.read_text().count('"first": ') for path in paths if path.exists()) >= 1
     for result in answered(tmp_path, bundle, ["nengo", "emulator"]):
         alone = run_check(bundle, result["target"], tmp_path / "alone.json")
         same_answers(result, alone)
