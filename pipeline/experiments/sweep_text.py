@@ -6,7 +6,7 @@ import csv
 import io
 import textwrap
 
-from deploy.tables import aligned
+from deploy.tables import in_blocks
 from pipeline.paper import CNN_MACS
 
 
@@ -52,7 +52,7 @@ def sweep_text(sweep: dict) -> str:
             )
         lines = [
             f"{len(points)} points, each on the same {points[0]['n_samples']} {kind}",
-            *aligned(rows),
+            *in_blocks(rows, left=2),
             "* on the Pareto front: no other point is at least as good in accuracy, operations,",
             "cores and steps and better in one of them",
             f"operations: synaptic, per inference, in multiples of the paper's CNN's {CNN_MACS:,};",
