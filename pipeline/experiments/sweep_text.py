@@ -53,10 +53,11 @@ def sweep_text(sweep: dict) -> str:
         lines = [
             f"{len(points)} points, each on the same {points[0]['n_samples']} {kind}",
             *in_blocks(rows, left=2),
-            "* on the Pareto front: no other point is at least as good in accuracy, operations,",
-            "cores and steps and better in one of them",
-            f"operations: synaptic, per inference, in multiples of the paper's CNN's {CNN_MACS:,};",
-            "presented: steps per sample; decided: step from which half of the decisions are final",
+            "* on the Pareto front: no other point is at least as good in accuracy,",
+            "operations, cores and steps and better in one of them",
+            f"operations: synaptic, per inference, in multiples of the paper's CNN's {CNN_MACS:,}",
+            "presented: steps per sample",
+            "decided: step from which half of the decisions are final",
         ]
     for point in sweep["failed"]:
         what = ", ".join(f"{k}={_value(v)}" for k, v in point["changes"].items())
