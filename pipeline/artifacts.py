@@ -210,7 +210,7 @@ def recorded_origin(content: dict):
 
 @dataclass(frozen=True)
 class Artifact:
-    """The place of an artifact.
+    """The place of an artifact, and the origin that it has if it is current.
 
     Attributes
     ----------
@@ -218,6 +218,8 @@ class Artifact:
         Name of the artifact for the user.
     record : Path
         Its JSON file, written last.
+    origin : Origin
+        The origin that follows from the present settings.
     files : tuple of Path
         The other files; without one of them the artifact is missing.
     made_from : callable
@@ -226,11 +228,17 @@ class Artifact:
 
     name: str
     record: Path
+    origin: Origin
     files: tuple = ()
     made_from: Callable = recorded_origin
 
-    def state(self, origin: Origin) -> State:
-        """Compare the files with the origin that follows from the settings.
+    @property
+    def folder(self) -> Path:
+        """The folder of the record."""
+        return self.record.parent
+
+    def state(self) -> State:
+        """Compare the record with the origin that follows from the settings.
 
         Raises
         ------
@@ -240,12 +248,12 @@ class Artifact:
         if not all(path.exists() for path in (self.record, *self.files)):
             return State(self.name, MISSING)
         content = read_json(self.record, DELETE_IT)
-        changes = origin.changes_since(self.made_from(content))
+        changes = self.origin.changes_since(self.made_from(content))
         return State(self.name, OUTDATED if changes else CURRENT, changes, content)
 
-    def write(self, origin: Origin, content: dict) -> dict:
+    def write(self, content: dict) -> dict:
         """Write the record after the other files; return its content."""
-        content = {"made_from": origin.to_json(), **content}
+        content = {"made_from": self.origin.to_json(), **content}
         write_json(self.record, content)
         return content
 

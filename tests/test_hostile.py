@@ -154,10 +154,10 @@ def test_a_ladder_that_is_current_and_damaged(run, capsys, name, value):
 
 @pytest.mark.parametrize("value", [{}, {"confidence": 7}, {"confidence": "x"}, 5])
 def test_a_threshold_that_is_none(tmp_path, value):
-    artifact, origin = Artifact("threshold", tmp_path / "metrics.json"), Origin()
-    artifact.write(origin, {"decides_by_itself": value})
+    artifact = Artifact("threshold", tmp_path / "metrics.json", Origin())
+    artifact.write({"decides_by_itself": value})
     with pytest.raises(UserError, match=r"metrics\.json"):
-        _confidence(artifact, origin)
+        _confidence(artifact)
 
 
 def test_text_where_operations_belong(refused, run):

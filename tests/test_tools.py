@@ -63,7 +63,7 @@ def of(found):
 
 def test_a_result_says_what_it_was_made_from_and_on_what(two):
     one, _ = two
-    content = json.loads(one.artifact.record.read_text())
+    content = json.loads(one.artifact("a" * 64).record.read_text())
     assert content["value"] == 0.5
     contents = content["made_from"]["contents"]
     assert contents["recordings"] == "a" * 64

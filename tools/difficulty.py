@@ -23,6 +23,7 @@ from pipeline.experiments.study import (
     Task,
     counted,
     measure_splits,
+    silent,
     summary_of_splits,
 )
 from pipeline.paper import TABLE2
@@ -47,7 +48,7 @@ def result_origin(settings: Settings, dataset: Origin, subject: str = "") -> Ori
 def measure(task: Task) -> dict:
     """Test accuracy of the CNN on a random split (paper, Section 3.2)."""
     dataset = task.dataset()
-    metrics = stages.train(task.networks, task.settings, dataset, lambda line: None)
+    metrics = stages.train("cnn", task.networks, task.settings, dataset, silent)
     return {
         "schema": SCHEMA,
         **counted(task, dataset),

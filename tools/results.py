@@ -141,10 +141,9 @@ class Result:
     packages: tuple
     pen: bool = False
 
-    @property
-    def artifact(self) -> Artifact:
-        """The file."""
-        return Artifact(self.name, FOLDER / f"{self.name}.json")
+    def artifact(self, recordings: str) -> Artifact:
+        """The file of the result on recordings with this hash."""
+        return Artifact(self.name, FOLDER / f"{self.name}.json", self.origin(recordings))
 
     def origin(self, recordings: str) -> Origin:
         """Origin of the result: the built-in recordings and versions of packages."""
@@ -269,7 +268,7 @@ RESULTS = (
 
 def states(recordings: str, results=RESULTS) -> list:
     """The results, each with its :class:`pipeline.artifacts.State`."""
-    return [(result, result.artifact.state(result.origin(recordings))) for result in results]
+    return [(result, result.artifact(recordings).state()) for result in results]
 
 
 def listing(found) -> str:
@@ -297,7 +296,7 @@ def measure(result: Result, work: Work, recordings: str) -> dict:
         "ended": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "seconds_of_this_session": round(time.time() - begun),
     }
-    return result.artifact.write(result.origin(recordings), content)
+    return result.artifact(recordings).write(content)
 
 
 def processor() -> str:

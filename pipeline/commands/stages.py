@@ -33,10 +33,8 @@ def train(
                 f"{run}: its network is the NIR graph {resolved.nir.file}, already trained; "
                 "use 'stmnist convert', or return to the built-in network with --set nir.file=''"
             )
-        if resolved.on_events:
-            stages.train_on_events(folder, resolved, dataset, options.say)
-        else:
-            stages.train(folder, resolved, dataset, options.say)
+        for name in ("events", "threshold") if resolved.on_events else ("cnn",):
+            stages.train(name, folder, resolved, dataset, options.say)
     options.suggest("ladder", run)
 
 

@@ -24,7 +24,7 @@ from pipeline.recordings.steps import EventTable
 from pipeline.recordings.variants import VARIANTS, durations_ns, vary
 from pipeline.run import stages
 from pipeline.run.history import read_history
-from pipeline.run.origins import events_origin, trained_origin
+from pipeline.run.origins import trained_origin
 from pipeline.settings import Settings
 
 SCHEMA = "stmnist-time/1"
@@ -75,16 +75,16 @@ def measure(task: Task) -> dict:
         predictions of both.  ``spikes_in``: mean input spikes per sample, ``merged``: share of
         all events that are merged with another one into one spike.
     """
-    from pipeline.run.event_training import trained_network  # TensorFlow, where it is needed
+    from pipeline.training.events import TrainedOnEvents  # TensorFlow, where it is needed
 
     begun = time.perf_counter()
     settings, seed = task.settings, task.seed
     dataset = dataset_of_variant(task.dataset(), task.subject, seed)
     task.trained(dataset)
-    folder = task.networks.network("snn", events_origin(settings, dataset.origin))
+    network = stages.network_artifact("events", task.networks, settings, dataset.origin)
     spec = stages.spec_of(task.networks, settings, dataset, {})
     shown, labels = dataset.part("test")
-    expected = trained_network(settings, stages.read_weights(folder, settings)).answers(shown)
+    expected = TrainedOnEvents.of(settings, task.weights("events", dataset)).answers(shown)
     found = answer(spec, shown, "fast", seed)
     by_itself = found.decisions[np.arange(len(labels)), found.stopped_at - 1]
     meant = expected.outputs[:, -1].argmax(-1)
@@ -102,7 +102,7 @@ def measure(task: Task) -> dict:
         "accuracy_by_itself": float(np.mean(by_itself == labels)),
         "agreement": float(np.mean(found.predictions == meant)),
         "trained": float(np.mean(meant == labels)),
-        "history": read_history(folder / "history.csv"),
+        "history": read_history(network.folder / "history.csv"),
         "seconds": time.perf_counter() - begun,
     }
 

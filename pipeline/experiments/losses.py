@@ -23,11 +23,12 @@ from pipeline.experiments.study import (
     Task,
     accuracies,
     counted,
+    silent,
     summary_of_splits,
 )
 from pipeline.paper import CNN_MACS, points_lost
 from pipeline.run import stages
-from pipeline.run.origins import cnn_origin, events_origin, rates_origin, trained_origin
+from pipeline.run.origins import trained_origin
 from pipeline.settings import Settings
 
 SCHEMA = "stmnist-losses/2"
@@ -104,10 +105,7 @@ def _on_images(task, dataset):
     settings, shown = task.settings, dataset.part("test")[0]
     task.trained(dataset)
     found = _cnns(task, dataset, settings)
-    cnn = cnn_origin(settings, dataset.origin)
-    weights = stages.read_weights(
-        task.networks.network("snn", rates_origin(settings, cnn)), settings
-    )
+    weights = task.weights("rate-lif", dataset)
     found["rate-lif"] = networks.TrainedRates(settings, weights).logits(shown).argmax(1)
     found["spiking-lif"] = nengodl.predict(settings, weights, shown, max(STEPS))
     spec = stages.spec_of(task.networks, settings, dataset, {})
@@ -120,7 +118,7 @@ def _on_images(task, dataset):
 
 def _on_events(task, dataset):
     """As :func:`_on_images`, for the network on events, and CNNs on images of the same samples."""
-    from pipeline.run.event_training import trained_network
+    from pipeline.training.events import TrainedOnEvents
 
     settings = task.settings
     # The CNNs' training makes TensorFlow compute in one thread, which changes the last digits of
@@ -128,9 +126,7 @@ def _on_events(task, dataset):
     task.trained(dataset)
     on_images = replace(settings, input=replace(settings.input, kind="image"))
     found = _cnns(task, dataset.seen_by(on_images), on_images)
-    network = events_origin(settings, dataset.origin)
-    weights = stages.read_weights(task.networks.network("snn", network), settings)
-    trained = trained_network(settings, weights)
+    trained = TrainedOnEvents.of(settings, task.weights("events", dataset))
     shown = dataset.part("test")[0]
     found["trained"] = trained.logits(shown).argmax(1)
     spec = stages.spec_of(task.networks, settings, dataset, {})
@@ -141,9 +137,8 @@ def _cnns(task, dataset, settings):
     """Predictions of both CNNs on the test images."""
     from pipeline.training import networks
 
-    stages.train(task.networks, settings, dataset, lambda line: None)
-    origin = cnn_origin(settings, dataset.origin)
-    weights = stages.read_weights(task.networks.network("cnn", origin), settings)
+    stages.train("cnn", task.networks, settings, dataset, silent)
+    weights = stages.weights_of("cnn", task.networks, settings, dataset.origin)
     paper = networks.TrainedCNN(settings, weights)
     recipe = networks.RECIPES["loihi"]
     annealed = networks.train_cnn(settings, dataset.part("train"), task.seed, recipe=recipe)

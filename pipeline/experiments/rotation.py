@@ -29,7 +29,7 @@ from pipeline.recordings.steps import EventTable
 from pipeline.run import stages
 from pipeline.run.adaptation import Responder, with_rehearsal
 from pipeline.run.folder import NetworkLibrary, RunFolder
-from pipeline.run.origins import bundle_origin, events_origin
+from pipeline.run.origins import bundle_origin
 from pipeline.settings import SIMULATED, Settings
 from pipeline.skin import parameters, shape_fit, unipen
 from pipeline.skin.simulate import source_of
@@ -243,9 +243,9 @@ def _task(rotation, fold, method, folder, settings):
         contents["how"] = how
     made = bundle_origin(settings, dataset_origin(settings, source))
     origin = Origin.of(settings, uses=[made], contents=contents)
+    file = root / f"{method}-{fold.index}.json"
     return Task(
-        artifact=Artifact(f"{method}, fold {fold.index}", root / f"{method}-{fold.index}.json"),
-        origin=origin,
+        artifact=Artifact(f"{method}, fold {fold.index}", file, origin),
         settings=origin.view(settings),
         recordings=source,
         networks=NetworkLibrary(root / "networks"),
@@ -293,8 +293,7 @@ def _prepared(rotation, task, index):
     }
     tune = None
     if settings.on_events:
-        network = events_origin(settings, dataset.origin)
-        weights = stages.read_weights(task.networks.network("snn", network), settings)
+        weights = task.weights("events", dataset)
         tune = _Tuning(settings, dataset, people, weights, spec.presentation.confidence)
     return about, Subjects.of(spec, dataset.part("test"), people, rotation.plan, tune=tune)
 

@@ -68,8 +68,6 @@ class Task:
     ----------
     artifact : Artifact
         Artifact of the result.
-    origin : Origin
-        Origin of the result.
     settings : Settings
         Only the settings that the origin declares.
     recordings : str
@@ -83,7 +81,6 @@ class Task:
     """
 
     artifact: Artifact
-    origin: Origin
     settings: Settings
     recordings: str
     networks: NetworkLibrary
@@ -94,6 +91,11 @@ class Task:
     def name(self) -> str:
         """The artifact's name."""
         return self.artifact.name
+
+    @property
+    def origin(self) -> Origin:
+        """The artifact's origin."""
+        return self.artifact.origin
 
     @property
     def seed(self) -> int:
@@ -118,12 +120,12 @@ class Task:
         dict
             Metrics of the network that is deployed.
         """
-        settings = self.settings
         with hidden():
-            if settings.on_events:
-                return stages.train_on_events(self.networks, settings, dataset, silent)
-            stages.train(self.networks, settings, dataset, silent)
-            return stages.train_rates(self.networks, settings, dataset, silent)
+            return stages.train_all(self.networks, self.settings, dataset, silent)
+
+    def weights(self, name: str, dataset: Dataset) -> dict:
+        """Weights of a trained network, one of :data:`pipeline.run.stages.training.ARTIFACTS`."""
+        return stages.weights_of(name, self.networks, self.settings, dataset.origin)
 
 
 def study(label: str, measure: Callable, groups, workers: Workers, say: Callable) -> dict:
@@ -156,7 +158,7 @@ def study(label: str, measure: Callable, groups, workers: Workers, say: Callable
     for group in groups:
         todo = []
         for task in group:
-            state = task.artifact.state(task.origin)
+            state = task.artifact.state()
             if state.is_current:
                 results[task.name] = state.record
                 continue
@@ -200,8 +202,8 @@ def _work(measure, version, group):
 
 def _kept(task, result):
     """Write a result, unless a worker with access to the folder has written it; return it."""
-    state = task.artifact.state(task.origin)
-    return state.record if state.is_current else task.artifact.write(task.origin, result)
+    state = task.artifact.state()
+    return state.record if state.is_current else task.artifact.write(result)
 
 
 def _listed(names):
@@ -324,8 +326,7 @@ def split_task(
     origin = experiment.origin(settings, dataset_origin(settings, recordings), subject)
     root = folder.path.absolute()  # a worker may have been started in another folder
     return Task(
-        artifact=Artifact(name, root / file),
-        origin=origin,
+        artifact=Artifact(name, root / file, origin),
         settings=origin.view(settings),
         recordings=recordings,
         networks=NetworkLibrary(root / "networks"),

@@ -31,8 +31,7 @@ from pipeline.progress import hidden
 from pipeline.recordings.events import Recordings
 from pipeline.run import stages
 from pipeline.run.folder import NetworkLibrary, RunFolder
-from pipeline.run.origins import bundle_origin, cnn_origin, events_origin, rates_origin
-from pipeline.run.stages.training import cnn_artifact, events_artifact, rates_artifact
+from pipeline.run.origins import bundle_origin
 from pipeline.settings import Settings, parse_assignments, put
 
 TARGET = "fast"
@@ -76,19 +75,16 @@ class Point:
     settings : Settings
     changes : tuple of (str, value)
         The values of the settings in the grid.
-    cnn : SweepTask or None
-        Training of its CNN; None on events.
-    network : SweepTask
-        Training of the network for the chip.
-    judged : SweepTask
-        Evaluation of the point.
+    trainings : tuple of SweepTask
+        Trainings of its CNN and of the network for the chip; on events only of the latter.
+    evaluation : SweepTask
+        Evaluation of the network on the validation samples.
     """
 
     settings: Settings
     changes: tuple
-    cnn: SweepTask | None
-    network: SweepTask
-    judged: SweepTask
+    trainings: tuple
+    evaluation: SweepTask
 
 
 def base_settings(settings: Settings) -> Settings:
@@ -142,22 +138,20 @@ def _point(folder, settings, changes, recordings):
     networks = NetworkLibrary(folder / "networks")
     dataset = _without_test_origin(dataset_origin(settings, recordings))
 
-    def task(artifact, origin):
-        return SweepTask(artifact, origin, origin.view(settings), recordings, networks)
+    def task(artifact, name):
+        key = artifact.origin.key[:16]
+        artifact = replace(artifact, name=f"{name} {key}")  # unique in the sweep
+        view = artifact.origin.view(settings)
+        return SweepTask(artifact, view, recordings, networks, subject=name)
 
-    cnn = None
-    if settings.on_events:
-        origin = events_origin(settings, dataset)
-        network = task(events_artifact(networks, origin), origin)
-    else:
-        origin = cnn_origin(settings, dataset)
-        cnn = task(cnn_artifact(networks, origin), origin)
-        origin = rates_origin(settings, origin)
-        network = task(rates_artifact(networks, origin), origin)
+    names = ("events",) if settings.on_events else ("cnn", "rate-lif")
+    trainings = tuple(
+        task(stages.network_artifact(name, networks, settings, dataset), name) for name in names
+    )
     origin = result_origin(settings, dataset)
-    key = origin.key[:16]
-    judged = task(Artifact(f"point {key}", folder / "points" / f"{key}.json"), origin)
-    return Point(settings, tuple(changes), cnn, network, judged)
+    path = folder / "points" / f"{origin.key[:16]}.json"
+    evaluation = task(Artifact("point", path, origin), "point")
+    return Point(settings, tuple(changes), trainings, evaluation)
 
 
 def result_origin(settings: Settings, dataset: Origin) -> Origin:
@@ -218,17 +212,14 @@ def train_network(task: SweepTask) -> dict:
 
     A worker without access to the folder also trains the network from which this one starts.
     """
-    settings, dataset, networks = task.settings, task.dataset(), task.networks
+    dataset = task.dataset()
     with hidden():
-        if settings.on_events:
-            return stages.train_event_network(networks, settings, dataset, silent)
-        metrics = stages.train(networks, settings, dataset, silent)
-        if task.artifact.name.startswith("cnn"):
-            return metrics
-        return stages.train_rates(networks, settings, dataset, silent)
+        for name in ("cnn", task.subject) if task.subject == "rate-lif" else (task.subject,):
+            record = stages.train(name, task.networks, task.settings, dataset, silent)
+    return record
 
 
-def judge(task: SweepTask) -> dict:
+def evaluate(task: SweepTask) -> dict:
     """Run a point's network on the validation samples on the fast emulator.
 
     Returns
@@ -244,9 +235,8 @@ def judge(task: SweepTask) -> dict:
     trained = task.trained(dataset)
     cnn_accuracy = None
     if not settings.on_events:
-        with hidden():
-            cnn = stages.train(task.networks, settings, dataset, silent)
-        cnn_accuracy = cnn["accuracy"]["validation"]
+        cnn = stages.network_artifact("cnn", task.networks, settings, dataset.origin)
+        cnn_accuracy = cnn.state().record["accuracy"]["validation"]
     inputs, labels = dataset.part("validation")
     spec = stages.spec_of(task.networks, settings, dataset, {})
     responses = answer(spec, inputs, TARGET, settings.seed)
@@ -296,7 +286,7 @@ def summarise(points, results) -> dict:
     ----------
     points : list of Point
     results : list of dict or Failure
-        From :func:`judge`, one per point.
+        From :func:`evaluate`, one per point.
     """
     both = list(zip(points, results, strict=True))
     done = [
@@ -361,27 +351,20 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
 
 def _measure(points, workers, say):
     """Results or failures of the points, after the trainings that they share."""
-    left = [p for p in points if not p.judged.artifact.state(p.judged.origin).is_current]
-    phases = (
-        ("train cnn", train_network, [p.cnn for p in left if p.cnn is not None]),
-        ("train for the chip", train_network, [p.network for p in left]),
-    )
-    lost = {}
-    for label, function, tasks in phases:
-        shared = {task.origin.key: replace(task, artifact=_named(task)) for task in tasks}
-        found = study(label, function, [[task] for task in shared.values()], workers, say)
-        lost |= {name: result for name, result in found.items() if isinstance(result, Failure)}
+    left = [point for point in points if not point.evaluation.artifact.state().is_current]
+    trained = {}
+    for label, tasks in (
+        ("train cnn", [task for point in left for task in point.trainings[:-1]]),
+        ("train for the chip", [point.trainings[-1] for point in left]),
+    ):
+        shared = {task.name: [task] for task in tasks}
+        trained |= study(label, train_network, shared.values(), workers, say)
     failed = {
-        point.judged.name: lost[name]
+        point.evaluation.name: trained[task.name]
         for point in points
-        for name in (_named(task).name for task in (point.cnn, point.network) if task is not None)
-        if name in lost
+        for task in point.trainings
+        if isinstance(trained.get(task.name), Failure)
     }
-    whole = [[point.judged] for point in points if point.judged.name not in failed]
-    found = study("judge", judge, whole, workers, say) | failed
-    return [found[point.judged.name] for point in points]
-
-
-def _named(task):
-    """The artifact of a training, with a name that is unique in the sweep."""
-    return replace(task.artifact, name=f"{task.artifact.name} {task.origin.key[:16]}")
+    whole = [[point.evaluation] for point in points if point.evaluation.name not in failed]
+    found = study("evaluate", evaluate, whole, workers, say) | failed
+    return [found[point.evaluation.name] for point in points]

@@ -107,7 +107,7 @@ def _time_of_slayer(benchmark, n_recordings, workers):
     missing = [
         task
         for task in tasks
-        if task.subject in WITH_SLAYER and not task.artifact.state(task.origin).is_current
+        if task.subject in WITH_SLAYER and not task.artifact.state().is_current
     ]
     if not missing:
         return None

@@ -23,13 +23,7 @@ from pipeline.paper import TABLE2
 from pipeline.run import stages
 from pipeline.run.folder import NetworkLibrary
 from pipeline.run.history import read_history, write_history
-from pipeline.run.origins import (
-    bundle_origin,
-    cnn_origin,
-    events_origin,
-    rates_origin,
-    threshold_origin,
-)
+from pipeline.run.origins import bundle_origin, cnn_origin, rates_origin, threshold_origin
 from pipeline.settings import Settings
 
 SCHEMA = "stmnist-table2-split/1"
@@ -144,8 +138,7 @@ class Benchmark:
         origin = result_origin(settings, dataset_origin(settings, self.source_sha256, kind), model)
         path = split_path(self.folder, kind, index, model)
         return Task(
-            artifact=Artifact(f"{model}, {kind} split {index}", path),
-            origin=origin,
+            artifact=Artifact(f"{model}, {kind} split {index}", path, origin),
             settings=origin.view(settings),
             recordings=self.source_sha256,
             networks=NetworkLibrary(self.folder / "networks"),
@@ -157,8 +150,7 @@ class Benchmark:
         """The current results of a model, whether requested now or earlier."""
         found = []
         for index in splits_there(self.folder, kind, model):
-            task = self.task(kind, index, model)
-            state = task.artifact.state(task.origin)
+            state = self.task(kind, index, model).artifact.state()
             if state.is_current:
                 found.append({**state.record, "index": index})
         return found
@@ -193,13 +185,11 @@ def result_origin(settings: Settings, dataset: Origin, model: str) -> Origin:
         contents = {**schema, "target": LOIHI_TARGET}
         return Origin.of(settings, uses=[bundle_origin(settings, dataset)], contents=contents)
     if model == "events":
-        trained = threshold_origin(settings, events_origin(settings, dataset))
-        return Origin.of(settings, uses=[trained], contents=schema)
-    cnn = cnn_origin(settings, dataset)
+        return Origin.of(settings, uses=[threshold_origin(settings, dataset)], contents=schema)
     if model == "cnn":
-        return Origin.of(settings, uses=[cnn], contents=schema)
+        return Origin.of(settings, uses=[cnn_origin(settings, dataset)], contents=schema)
     reads = ["deployment.synapse", "presentation.steps", "presentation.readout_start"]
-    return Origin.of(settings, reads, [rates_origin(settings, cnn)], schema)
+    return Origin.of(settings, reads, [rates_origin(settings, dataset)], schema)
 
 
 def split_path(folder: Path, kind: str, index: int, model: str) -> Path:
@@ -251,32 +241,28 @@ def _on_chip_or_before(task, dataset):
     """Test samples, predictions and training history of a model that a run also has."""
     settings, model, test = task.settings, task.subject, dataset.split.test
     if model == "cnn":
-        stages.train(task.networks, settings, dataset, silent)
-        network = cnn_origin(settings, dataset.origin)
-        folder = task.networks.network("cnn", network)
+        name = "cnn"
+        stages.train(name, task.networks, settings, dataset, silent)
     else:
+        name = "events" if settings.on_events else "rate-lif"
         task.trained(dataset)
-        if settings.on_events:
-            network = events_origin(settings, dataset.origin)
-        else:
-            network = rates_origin(settings, cnn_origin(settings, dataset.origin))
-        folder = task.networks.network("snn", network)
-    history = read_history(folder / "history.csv")
+    network = stages.network_artifact(name, task.networks, settings, dataset.origin)
+    history = read_history(network.folder / "history.csv")
     if model.endswith("loihi"):
         shown = draw_check_samples(test, settings.check.samples, settings.seed)
         spec = stages.spec_of(task.networks, settings, dataset, {})
         answers = answer(spec, dataset.inputs[shown], LOIHI_TARGET, settings.seed)
         return shown, answers.predictions, history
-    weights = stages.read_weights(folder, settings)
+    weights = stages.read_weights(network.folder, settings)
     images = dataset.inputs[test]
     if model == "cnn":
         from pipeline.training.networks import TrainedCNN  # TensorFlow, where it is needed
 
         return test, TrainedCNN(settings, weights).logits(images).argmax(1), history
     if model == "events":
-        from pipeline.run.event_training import trained_network
+        from pipeline.training.events import TrainedOnEvents
 
-        return test, trained_network(settings, weights).logits(images).argmax(1), history
+        return test, TrainedOnEvents.of(settings, weights).logits(images).argmax(1), history
     from pipeline.training import nengodl
 
     return test, nengodl.predict(settings, weights, images, settings.steps), history

@@ -107,22 +107,22 @@ def event_rates(settings, weights, bundle) -> dict:
     dict of str to ndarray, shape (n_samples, n_neurons)
         In spikes per second of the recording.
     """
-    from pipeline.training.events import EventRecipe, TrainedOnEvents
+    from pipeline.training.events import TrainedOnEvents
 
     frames = bundle.checks.inputs.astype(np.uint8)
-    spikes = TrainedOnEvents(EventRecipe.of(settings), weights).answers(frames).spikes
+    spikes = TrainedOnEvents.of(settings, weights).answers(frames).spikes
     seconds = frames.shape[1] * bundle.spec.stimulus.step_seconds
     return {name: counts / seconds for name, counts in spikes.items()}
 
 
 def _on_events(settings, weights, bundle, advance):
     """Responses of the network trained on events, each sample from rest, delayed as on the chip."""
-    from pipeline.training.events import EventRecipe, TrainedOnEvents, arriving
+    from pipeline.training.events import TrainedOnEvents, arriving
 
-    recipe, frames = EventRecipe.of(settings), bundle.checks.inputs.astype(np.uint8)
-    found = TrainedOnEvents(recipe, weights).answers(frames, advance)
+    network, frames = TrainedOnEvents.of(settings, weights), bundle.checks.inputs.astype(np.uint8)
+    found = network.answers(frames, advance)
     spikes = {"input": frames.reshape(*frames.shape[:2], -1).sum(1, dtype=np.int64), **found.spikes}
-    output = np.diff(arriving(found.outputs, recipe).astype(float), axis=1, prepend=0)
+    output = np.diff(arriving(found.outputs, network.recipe).astype(float), axis=1, prepend=0)
     return read_output(bundle.spec, output, spikes)
 
 

@@ -14,7 +14,6 @@ from pipeline.settings import Settings
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.events import EventRecipe, TrainedOnEvents, train_events
 
-__all__ = ["Apart", "Checkpoint", "choose", "set_apart", "train", "trained_network"]
 FEWEST_HELD = 100
 """Minimum number of samples for choosing a confidence; with fewer, half a percentage point is less
 than one sample."""
@@ -86,8 +85,3 @@ def choose(settings: Settings, samples: Apart, trained: TrainedOnEvents, seed: i
     table, labels, _, held = samples
     chosen = trained.threshold(table, labels, held, settings.steps, seed)
     return chosen if len(held) >= FEWEST_HELD else chosen._replace(confidence=1.0, share=1.0)
-
-
-def trained_network(settings: Settings, weights: dict) -> TrainedOnEvents:
-    """The network with given weights that was trained with some settings."""
-    return TrainedOnEvents(EventRecipe.of(settings), weights)

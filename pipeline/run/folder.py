@@ -1,4 +1,4 @@
-"""A run's folder: the places of its artifacts, and its lock."""
+"""A run's folder: the places of its files, and its lock."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from deploy.errors import UserError
 from deploy.files import locked_folder, refuse_linked_folders
-from pipeline.artifacts import Artifact, Library, Origin
+from pipeline.artifacts import Library, Origin
 from pipeline.settings import Settings, read_settings, write_settings
 
 FILES = {
@@ -83,19 +83,6 @@ class RunFolder:
         A run has only one of each, independently of the origin.
         """
         return {"cnn": self.cnn, "nir": self.nir}.get(name, self.snn)
-
-    @property
-    def artifacts(self) -> dict:
-        """The artifacts whose place does not depend on settings, by name."""
-        return {
-            "dataset": Artifact("dataset", self.dataset),
-            "bundle": Artifact(
-                "bundle",
-                self.bundle / "network.json",
-                (self.bundle / "MANIFEST.json",),
-                _recorded_in_bundle,
-            ),
-        }
 
     @property
     def whole_ladder(self) -> Path:
@@ -179,9 +166,3 @@ class NetworkLibrary(Library):
     def network(self, name: str, origin: Origin) -> Path:
         """The folder of a trained network or threshold with some origin."""
         return self.folder(name, origin)
-
-
-def _recorded_in_bundle(network):
-    """The origin recorded in ``network.json``, also by earlier versions."""
-    provenance = network.get("provenance")
-    return provenance.get("made_from") if isinstance(provenance, dict) else None

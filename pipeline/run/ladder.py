@@ -98,20 +98,21 @@ def _measured(run, settings, jobs, whole, slow, say, dataset, asked):
     for board in () if whole else map(run.check, BOARDS):
         if board.exists() and (result := read_result(board))["bundle"] == bundle.id:
             results.append(result)
-    artifact, origin = ladder_artifact(run, whole), ladder_origin(results)
-    state = artifact.state(origin)
+    artifact = ladder_artifact(run, results, whole)
+    state = artifact.state()
     if state.is_current:
         with understood(artifact.record, DELETE_IT):
             ladder_text(state.record, limit=-100.0, by_chance=True)  # what can be shown is whole
         return state.record
     layers, points = _layers(run, settings, bundle)
     table = ladder_json(results, layers, left_out, dataset.recordings.sensor.classes)
-    return artifact.write(origin, {**table, "rates": points})
+    return artifact.write({**table, "rates": points})
 
 
-def ladder_artifact(run: RunFolder, whole: bool = False) -> Artifact:
-    """The loss ladder on the check's samples, or on the whole test split."""
-    return Artifact("ladder-whole", run.whole_ladder) if whole else Artifact("ladder", run.ladder)
+def ladder_artifact(run: RunFolder, results, whole: bool = False) -> Artifact:
+    """The loss ladder of check results, on the check's samples or on the whole test split."""
+    name, path = ("ladder-whole", run.whole_ladder) if whole else ("ladder", run.ladder)
+    return Artifact(name, path, ladder_origin(results))
 
 
 def _layers(run: RunFolder, settings: Settings, bundle: Bundle) -> tuple:

@@ -182,9 +182,8 @@ def _kind_of(path, shape):
 # --- the stage ------------------------------------------------------------------------------------
 
 
-def kept_graph(folder: Path) -> Path:
-    """The run's copy of the graph, in the folder of its network."""
-    return folder / "network.nir"
+GRAPH = "network.nir"
+"""The run's copy of the graph, in the folder of its network."""
 
 
 def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> dict:
@@ -208,8 +207,8 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
         The file has changed, or the graph is for another sensor or other classes.
     """
     begun, source = time.perf_counter(), Path(settings.nir.file)
-    if not source.exists() and kept_graph(folder).exists():
-        source = kept_graph(folder)
+    if not source.exists() and folder / GRAPH.exists():
+        source = folder / GRAPH
     network = read_nir(source)
     if sha256_of(source) != settings.nir.sha256:
         raise UserError(f"{source}: has changed; {AGAIN}")
@@ -245,10 +244,10 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
         "decides_by_itself": _threshold(network, stepped, layers, settings, dataset),
         "versions": {"numpy": np.__version__},
     }
-    if source != kept_graph(folder):
+    if source != folder / GRAPH:
         for record in ("metrics.json", "training.json"):  # of what was there before
             (folder / record).unlink(missing_ok=True)
-        with replacing(kept_graph(folder)) as file, open(source, "rb") as graph:
+        with replacing(folder / GRAPH) as file, open(source, "rb") as graph:
             shutil.copyfileobj(graph, file)
     metrics["seconds"] = time.perf_counter() - begun
     say(
@@ -488,7 +487,7 @@ def graph_result(run: RunFolder, settings: Settings, bundle: Bundle, advance=Non
     """
     begun, network, inputs = (
         time.perf_counter(),
-        read_nir(kept_graph(run.snn if settings.network == "nir" else run.nir)),
+        read_nir((run.snn if settings.network == "nir" else run.nir) / GRAPH),
         bundle.checks.inputs,
     )
     outputs, counts = _outputs(network, Stepped.of(settings, network), inputs, settings, advance)
@@ -541,9 +540,9 @@ def deployed_nir(
         Confidence for early decisions; None without early decisions.
     settings, dataset, provenance
     """
-    network = read_nir(kept_graph(folder))
+    network = read_nir(folder / GRAPH)
     presentation = settings.presented(confidence)
-    if (exported := exported_here(network, kept_graph(folder))) is not None:
+    if (exported := exported_here(network, folder / GRAPH)) is not None:
         fed = (settings.stimulus, dataset.inputs.shape[-3:])
         if fed != (exported.stimulus, exported.input_shape):
             raise UserError(

@@ -28,7 +28,7 @@ from deploy.errors import UserError
 from models.integers import DECAY_UNIT
 from models.nir_graph import SPIKING, NirNetwork, read_nir
 from models.nir_layers import NirLayer, layers_of
-from pipeline.run.nir_conversion import Stepped, kept_graph, notation, settings_of_nir
+from pipeline.run.nir_conversion import GRAPH, Stepped, notation, settings_of_nir
 from pipeline.settings import Settings
 
 TRAINABLE = ("LIF", "CubaLIF")
@@ -172,7 +172,7 @@ def start(folder: Path, settings: Settings, samples) -> tuple:
     from models.spiking import BIAS_CAP  # imports TensorFlow
     from pipeline.training.events import EventRecipe, answer_frames
 
-    network = read_nir(kept_graph(folder))
+    network = read_nir(folder / GRAPH)
     stepped, recipe = Stepped.of(settings, network), EventRecipe.of(settings)
     shape = (*samples.table.size, 2)
     layers = trainable(network, stepped.seconds, stepped.method, shape)

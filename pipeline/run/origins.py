@@ -1,8 +1,7 @@
 """Origins of all artifacts of a run: the one list of their dependencies.
 
 Each function returns the :class:`pipeline.artifacts.Origin` of an artifact, made from the settings
-and the origins of the artifacts that it uses.  The code that makes the artifact can read no other
-settings.
+and the origin of the data set.  The code that makes the artifact can read no other settings.
 """
 
 from __future__ import annotations
@@ -24,9 +23,9 @@ def cnn_origin(settings: Settings, dataset: Origin) -> Origin:
     return Origin.of(settings, reads, [dataset])
 
 
-def rates_origin(settings: Settings, cnn: Origin) -> Origin:
+def rates_origin(settings: Settings, dataset: Origin) -> Origin:
     """Origin of the network with rate-based LIF neurons, which starts from the CNN."""
-    return Origin.of(settings, ["snn"], [cnn])
+    return Origin.of(settings, ["snn"], [cnn_origin(settings, dataset)])
 
 
 def events_origin(settings: Settings, dataset: Origin) -> Origin:
@@ -38,12 +37,12 @@ def events_origin(settings: Settings, dataset: Origin) -> Origin:
     return Origin.of(settings, ["input", "events"], [start])
 
 
-def threshold_origin(settings: Settings, events: Origin) -> Origin:
+def threshold_origin(settings: Settings, dataset: Origin) -> Origin:
     """Origin of the confidence for early decisions of a network on events, and of its accuracy.
 
     Both depend on the training and on the length of the presentation.
     """
-    return Origin.of(settings, ["presentation.steps"], [events])
+    return Origin.of(settings, ["presentation.steps"], [events_origin(settings, dataset)])
 
 
 def nir_origin(settings: Settings, dataset: Origin) -> Origin:
@@ -53,13 +52,18 @@ def nir_origin(settings: Settings, dataset: Origin) -> Origin:
     return Origin.of(settings, ["input", *graph, *shown], [dataset])
 
 
-def trained_origin(settings: Settings, dataset: Origin) -> Origin:
-    """Origin of the bundle's source: rate-based network, threshold on events, or NIR graph."""
+def network_origin(settings: Settings, dataset: Origin) -> Origin:
+    """Origin of the network that is deployed: a NIR graph, or trained on events or images."""
     if settings.network == "nir":
         return nir_origin(settings, dataset)
-    if settings.on_events:
-        return threshold_origin(settings, events_origin(settings, dataset))
-    return rates_origin(settings, cnn_origin(settings, dataset))
+    return (events_origin if settings.on_events else rates_origin)(settings, dataset)
+
+
+def trained_origin(settings: Settings, dataset: Origin) -> Origin:
+    """Origin of all that a bundle is made from: the network, and on events its threshold."""
+    if settings.on_events and settings.network != "nir":
+        return threshold_origin(settings, dataset)
+    return network_origin(settings, dataset)
 
 
 def bundle_origin(settings: Settings, dataset: Origin) -> Origin:

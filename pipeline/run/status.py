@@ -18,24 +18,11 @@ from pipeline.inputs.dataset import ARRAYS, SPLIT_READS, dataset_origin
 from pipeline.inputs.library import content_of
 from pipeline.run.folder import RunFolder
 from pipeline.run.ladder import ladder_artifact, ladder_stages
-from pipeline.run.origins import (
-    bundle_origin,
-    check_origin,
-    cnn_origin,
-    events_origin,
-    ladder_origin,
-    nir_origin,
-    rates_origin,
-    threshold_origin,
-)
+from pipeline.run.origins import check_origin
 from pipeline.run.stages.answering import check_artifact
-from pipeline.run.stages.training import (
-    cnn_artifact,
-    events_artifact,
-    nir_artifact,
-    rates_artifact,
-    threshold_artifact,
-)
+from pipeline.run.stages.bundling import bundle_artifact
+from pipeline.run.stages.opening import dataset_artifact
+from pipeline.run.stages.training import ARTIFACTS, network_artifact
 from pipeline.settings import Settings, read_settings
 
 WIDTH = 80
@@ -91,9 +78,9 @@ def status_of(run: RunFolder, settings: Settings | None = None) -> list:
         )
     settings = settings or read_settings(run.experiment)
     dataset = _dataset_origin(run, settings)
-    found = [Status(run.artifacts["dataset"].state(dataset))]
+    found = [Status(dataset_artifact(run, dataset).state())]
     found += _networks(run, settings, dataset)
-    bundle = run.artifacts["bundle"].state(bundle_origin(settings, dataset))
+    bundle = bundle_artifact(run, settings, dataset).state()
     found.append(Status(bundle))
     for whole in (False, True):
         found += _answers(run, settings, bundle, whole)
@@ -183,30 +170,18 @@ def _dataset_origin(run, settings):
 
 
 def _networks(run, settings, dataset):
-    graph = []
-    if settings.nir.file:
-        origin = nir_origin(settings, dataset)
-        graph = [_status(nir_artifact(run, settings, origin), origin)]
-    if settings.network == "nir":
-        return graph
-    if settings.on_events:
-        events = events_origin(settings, dataset)
-        network = _status(events_artifact(run, events), events)
-        origin = threshold_origin(settings, events)
-        threshold = _status(threshold_artifact(run, origin), origin)
-        follows = _follows(threshold.state, network.state)
-        return [*graph, network, Status(follows, threshold.accuracy)]
-    cnn = cnn_origin(settings, dataset)
-    rates = rates_origin(settings, cnn)
-    return [_status(cnn_artifact(run, cnn), cnn), _status(rates_artifact(run, rates), rates)]
-
-
-def _status(artifact, origin):
-    """The state of a trained network, with accuracy and duration from its record."""
-    state = artifact.state(origin)
-    with understood(artifact.record, DELETE_IT):
-        accuracy = state.record.get("accuracy", {}).get("test")
-        return Status(state, _number(accuracy), _number(state.record.get("seconds")))
+    """The states of trained networks, with accuracies and durations from their records."""
+    found = []
+    for name in ARTIFACTS[settings.network]:
+        artifact = network_artifact(name, run, settings, dataset)
+        state = artifact.state()
+        with understood(artifact.record, DELETE_IT):
+            accuracy = _number(state.record.get("accuracy", {}).get("test"))
+            seconds = _number(state.record.get("seconds"))
+        if name == "threshold":  # its record has the duration of the training
+            state, seconds = _follows(state, found[-1].state), None
+        found.append(Status(state, accuracy, seconds))
+    return found
 
 
 def _number(value):
@@ -219,9 +194,11 @@ def _number(value):
 def _answers(run, settings, bundle, whole):
     """Checks and ladder, of the bundle's samples or of the whole test split."""
     expected = ladder_stages(settings.network, whole)
+    there = bundle.state != MISSING
+    origin = check_origin(settings, sha256_of(run.bundle / "MANIFEST.json") if there else "")
     found, results = [], {}
     for stage in dict.fromkeys([*expected, *TARGETS]):
-        artifact = check_artifact(run, stage, whole)
+        artifact = check_artifact(run, stage, origin, whole)
         if not artifact.record.exists():
             # Not every run needs every target or the whole test split: a result that was never
             # requested is not reported as missing.
@@ -229,27 +206,21 @@ def _answers(run, settings, bundle, whole):
                 found.append(Status(State(artifact.name, MISSING)))
             continue
         results[stage] = result = read_result(artifact.record, DELETE_IT)
-        state = _follows(_compared(artifact, settings, run, bundle), bundle)
+        no_bundle = State(artifact.name, OUTDATED, (Change("there is no bundle"),))
+        state = _follows(artifact.state(), bundle) if there else no_bundle
         found.append(Status(state, result["accuracy"], result["wall_seconds"]))
     return [*found, *_ladder(run, results, found, whole)]
 
 
-def _compared(artifact, settings, run, bundle):
-    if bundle.state == MISSING:
-        return State(artifact.name, OUTDATED, (Change("there is no bundle"),))
-    bundle_id = sha256_of(run.bundle / "MANIFEST.json")
-    return artifact.state(check_origin(settings, bundle_id))
-
-
 def _ladder(run, results, checks, whole):
-    artifact = ladder_artifact(run, whole)
-    if not artifact.record.exists():
-        return [] if whole else [Status(State(artifact.name, MISSING))]
-    record = read_json(artifact.record, DELETE_IT)
-    with understood(artifact.record, DELETE_IT):
+    file = ladder_artifact(run, (), whole).record
+    if not file.exists():
+        return [] if whole else [Status(State("ladder", MISSING))]
+    record = read_json(file, DELETE_IT)
+    with understood(file, DELETE_IT):
         stages = [str(row["stage"]) for row in record["rows"]]
-    there = [results[stage] for stage in stages if stage in results]
-    state = artifact.state(ladder_origin(there))
+    compared = [results[stage] for stage in stages if stage in results]
+    state = ladder_artifact(run, compared, whole).state()
     for check in checks:
         if check.state.name.rsplit("/", 1)[-1] in stages:
             state = _follows(state, check.state)

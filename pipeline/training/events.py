@@ -139,6 +139,11 @@ class TrainedOnEvents:
     weights: dict
     history: list = field(default_factory=list)
 
+    @classmethod
+    def of(cls, settings: Settings, weights: dict) -> TrainedOnEvents:
+        """The network with given weights that was trained with some settings."""
+        return cls(EventRecipe.of(settings), weights)
+
     def answers(self, frames, advance=None) -> Answers:
         """Outputs, operations and spikes on event frames; see :func:`answer_frames`."""
         return answer_frames(self.recipe, self.weights, frames, advance)

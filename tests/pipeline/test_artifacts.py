@@ -23,26 +23,26 @@ def changed(name, value):
 
 def test_an_artifact_is_missing_then_current_then_outdated(tmp_path):
     origin = Origin.of(SETTINGS, ["cnn.epochs", "image"], contents={"recordings": "ab"})
-    artifact = Artifact("cnn", tmp_path / "metrics.json", (tmp_path / "weights.npz",))
-    assert artifact.state(origin).state == "missing"
-    artifact.write(origin, {"accuracy": 0.5})
-    assert artifact.state(origin).state == "missing"  # without its weights
+    artifact = Artifact("cnn", tmp_path / "metrics.json", origin, (tmp_path / "weights.npz",))
+    assert artifact.state().state == "missing"
+    artifact.write({"accuracy": 0.5})
+    assert artifact.state().state == "missing"  # without its weights
     artifact.files[0].write_bytes(b"")
-    state = artifact.state(origin)
+    state = artifact.state()
     assert state.is_current
     assert state.record["accuracy"] == 0.5
     assert state.announcement("training") is None
     later = Origin.of(changed("cnn.epochs", 2), ["cnn.epochs", "image"], contents=origin.contents)
-    state = artifact.state(later)
+    state = replace(artifact, origin=later).state()
     assert (state.state, state.to_json()["because"]) == ("outdated", ["cnn.epochs: 20 -> 2"])
     assert "cnn.epochs" in state.announcement("training")
 
 
 def test_a_record_of_an_earlier_version_is_outdated_and_says_so(tmp_path):
-    artifact = Artifact("cnn", tmp_path / "metrics.json")
+    artifact = Artifact("cnn", tmp_path / "metrics.json", Origin.of(SETTINGS, ["seed"]))
     for old in ({"made_from": "0123abcd"}, {}):
         write_json(artifact.record, old)
-        (reason,) = artifact.state(Origin.of(SETTINGS, ["seed"])).to_json()["because"]
+        (reason,) = artifact.state().to_json()["because"]
         assert "earlier version" in reason
 
 
@@ -150,10 +150,10 @@ def test_a_setting_remakes_what_depends_on_it_and_nothing_else(setting, remade):
             made = {"dataset": dataset, "bundle": origins.bundle_origin(settings, dataset)}
             if kind == "image":
                 made["cnn"] = origins.cnn_origin(settings, dataset)
-                made["rates"] = origins.rates_origin(settings, made["cnn"])
+                made["rates"] = origins.rates_origin(settings, dataset)
             else:
                 made["events"] = origins.events_origin(settings, dataset)
-                made["threshold"] = origins.threshold_origin(settings, made["events"])
+                made["threshold"] = origins.threshold_origin(settings, dataset)
             found.append(made)
         one, two = found
         assert {name for name in one if one[name] != two[name]} == set(expected.split())

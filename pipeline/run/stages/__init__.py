@@ -8,22 +8,20 @@ from pipeline.run.stages.bundling import convert, make_bundle, on_test_split, sp
 from pipeline.run.stages.opening import open_dataset
 from pipeline.run.stages.own_model import read_model, settings_of_model
 from pipeline.run.stages.training import (
-    choose_threshold,
+    network_artifact,
     read_weights,
     train,
     train_all,
-    train_event_network,
-    train_on_events,
-    train_rates,
+    weights_of,
 )
 
 __all__ = [
     "answer",
     "answer_all",
     "bars",
-    "choose_threshold",
     "convert",
     "make_bundle",
+    "network_artifact",
     "on_test_split",
     "open_dataset",
     "read_model",
@@ -35,7 +33,5 @@ __all__ = [
     "spec_of",
     "train",
     "train_all",
-    "train_event_network",
-    "train_on_events",
-    "train_rates",
+    "weights_of",
 ]

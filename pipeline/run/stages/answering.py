@@ -10,7 +10,7 @@ from deploy.check.results import read_result
 from deploy.check.run import answered, open_check, run_check
 from deploy.files import write_json
 from deploy.targets.registry import TARGETS
-from pipeline.artifacts import DELETE_IT, Artifact
+from pipeline.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import hidden, progress
 from pipeline.run.answers import REFERENCES, reference_result
@@ -37,8 +37,8 @@ def answer(
     whole : bool
         Use the samples of :func:`on_test_split`.
     """
-    artifact = check_artifact(run, stage, whole)
-    path, state = artifact.record, _state(artifact, check_origin(settings, bundle.id))
+    artifact = check_artifact(run, stage, check_origin(settings, bundle.id), whole)
+    path, state = artifact.record, _state(artifact)
     if state.is_current:
         say(f"{stage}: up to date ({path})")
         return read_result(path, DELETE_IT)
@@ -91,8 +91,8 @@ def answer_all(
     """
     networks = REFERENCES[settings.network]
     origin = check_origin(settings, bundle.id)
-    artifacts = {stage: check_artifact(run, stage, whole) for stage in asked}
-    states = {stage: _state(artifact, origin) for stage, artifact in artifacts.items()}
+    artifacts = {stage: check_artifact(run, stage, origin, whole) for stage in asked}
+    states = {stage: _state(artifact) for stage, artifact in artifacts.items()}
     results = {}
     targets = [s for s in asked if s not in networks and not states[s].is_current]
     if jobs > 1 and any(TARGETS[name].slow for name in targets):
@@ -150,14 +150,14 @@ def _answered(work):
     return list(answered(work))
 
 
-def _state(artifact, origin):
+def _state(artifact):
     """The state of a check's result; one that is damaged is refused and not replaced."""
     if artifact.record.exists():
         read_result(artifact.record, DELETE_IT)
-    return artifact.state(origin)
+    return artifact.state()
 
 
-def check_artifact(run: RunFolder, stage: str, whole: bool = False) -> Artifact:
+def check_artifact(run: RunFolder, stage: str, origin: Origin, whole: bool = False) -> Artifact:
     """The result of a network or target on a bundle's samples, or on the whole test split."""
     name = f"checks/whole/{stage}" if whole else f"checks/{stage}"
-    return Artifact(name, run.check(stage, whole), made_from=recorded_in_check)
+    return Artifact(name, run.check(stage, whole), origin, made_from=recorded_in_check)

@@ -8,27 +8,20 @@ from deploy import __version__
 from deploy.check.bundle import Bundle, CheckSet, read_bundle, write_bundle
 from deploy.files import understood
 from deploy.network.spec import NetworkSpec
-from pipeline.artifacts import DELETE_IT
+from pipeline.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.inputs.dataset import Dataset
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.run.adaptation import with_rehearsal
 from pipeline.run.folder import RunFolder
 from pipeline.run.nir_conversion import deployed_nir
-from pipeline.run.origins import (
-    bundle_origin,
-    cnn_origin,
-    events_origin,
-    nir_origin,
-    rates_origin,
-    threshold_origin,
-)
+from pipeline.run.origins import bundle_origin
 from pipeline.run.stages.opening import open_dataset
 from pipeline.run.stages.training import (
     Place,
-    nir_artifact,
+    network_artifact,
     read_weights,
-    threshold_artifact,
     train_all,
+    weights_of,
 )
 from pipeline.settings import Settings
 
@@ -52,8 +45,8 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
     -------
     Bundle
     """
-    origin = bundle_origin(settings, dataset.origin)
-    state = run.artifacts["bundle"].state(origin)
+    artifact = bundle_artifact(run, settings, dataset.origin)
+    state, origin = artifact.state(), artifact.origin
     if state.is_current:
         say(f"bundle: up to date ({run.bundle})")
         return read_bundle(run.bundle)
@@ -84,32 +77,41 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
     return bundle
 
 
+def bundle_artifact(run: RunFolder, settings: Settings, dataset: Origin) -> Artifact:
+    """The bundle of a run."""
+    network, manifest = run.bundle / "network.json", run.bundle / "MANIFEST.json"
+    origin = bundle_origin(settings, dataset)
+    return Artifact("bundle", network, origin, (manifest,), _recorded_in_bundle)
+
+
+def _recorded_in_bundle(network):
+    """The origin recorded in ``network.json``, also by earlier versions."""
+    provenance = network.get("provenance")
+    return provenance.get("made_from") if isinstance(provenance, dict) else None
+
+
 def spec_of(place: Place, settings: Settings, dataset: Dataset, provenance: dict) -> NetworkSpec:
     """The deployed network from the trained network of a run or library."""
+    source = place, settings, dataset.origin
     if settings.network == "nir":
-        network = nir_origin(settings, dataset.origin)
-        graph = nir_artifact(place, settings, network)
-        confidence = _confidence(graph, network)
-        return deployed_nir(graph.record.parent, confidence, settings, dataset, provenance)
+        graph = network_artifact("nir", *source)
+        return deployed_nir(graph.folder, _confidence(graph), settings, dataset, provenance)
     if settings.on_events:
         from pipeline.run.event_conversion import deployed_on_events
 
-        network = events_origin(settings, dataset.origin)
-        origin = threshold_origin(settings, network)
-        confidence = _confidence(threshold_artifact(place, origin), origin)
-        weights = read_weights(place.network("snn", network), settings)
+        confidence = _confidence(network_artifact("threshold", *source))
+        weights = weights_of("events", *source)
         return deployed_on_events(settings, weights, confidence, provenance)
     from pipeline.run.conversion import deployed
 
-    network = rates_origin(settings, cnn_origin(settings, dataset.origin))
-    weights = read_weights(place.network("snn", network), settings)
+    weights = weights_of("rate-lif", *source)
     return deployed(settings, weights, provenance, dataset.part("train"))
 
 
-def _confidence(artifact, origin):
+def _confidence(artifact):
     """The confidence for early decisions in a network's record, or None."""
     with understood(artifact.record, DELETE_IT):
-        chosen = artifact.state(origin).record["decides_by_itself"]
+        chosen = artifact.state().record["decides_by_itself"]
         if chosen is not None and not 0 <= chosen["confidence"] <= 1:
             raise ValueError("a confidence that is not from 0 to 1")
         return chosen and float(chosen["confidence"])

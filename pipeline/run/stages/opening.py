@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from deploy.errors import UserError
 from deploy.terminal import WARNING
+from pipeline.artifacts import Artifact, Origin
 from pipeline.inputs.dataset import (
     TOO_SMALL,
     Dataset,
@@ -71,11 +72,16 @@ def open_dataset(
         for line in _notes(run, settings, recordings):
             warn(line)
     run.save_settings(settings)
-    artifact = run.artifacts["dataset"]
-    if not artifact.state(dataset.origin).is_current:
+    artifact = dataset_artifact(run, dataset.origin)
+    if not artifact.state().is_current:
         sizes = {part: len(getattr(split, part)) for part in ("train", "validation", "test")}
-        artifact.write(dataset.origin, {**facts_of(recordings), **sizes})
+        artifact.write({**facts_of(recordings), **sizes})
     return dataset
+
+
+def dataset_artifact(run: RunFolder, origin: Origin) -> Artifact:
+    """The description of a run's recordings."""
+    return Artifact("dataset", run.dataset, origin)
 
 
 def _notes(run, settings, recordings):

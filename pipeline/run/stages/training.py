@@ -30,159 +30,177 @@ from pipeline.run.origins import (
 )
 from pipeline.run.stages.own_model import take_over
 from pipeline.settings import Settings
+from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.threads import one_thread_each
 
 Place = RunFolder | NetworkLibrary
 """The folders in which trained networks are stored."""
 
+ARTIFACTS = {
+    "image": ("cnn", "rate-lif"),
+    "events": ("events", "threshold"),
+    "nir": ("nir",),
+    "retrained": ("nir", "events", "threshold"),
+}
+"""Names of the artifacts from which a bundle is made, in order, by :attr:`Settings.network`."""
 
-def train_all(place: Place, settings: Settings, dataset: Dataset, say=print):
-    """Train what the bundle is made from, unless it is current."""
-    if settings.nir.file:
-        take_over_nir(place, settings, dataset, say)
-    if settings.network == "nir":
-        return
-    if settings.on_events:
-        train_on_events(place, settings, dataset, say)
-    else:
-        train(place, settings, dataset, say)
-        train_rates(place, settings, dataset, say)
+CHECKPOINT = "checkpoint.npz"
+"""State of a training on events that is not complete."""
 
 
-def take_over_nir(place: Place, settings: Settings, dataset: Dataset, say=print) -> dict:
-    """Make the user's NIR graph the run's network, unless it is current; return its metrics."""
-    origin = nir_origin(settings, dataset.origin)
-    artifact = nir_artifact(place, settings, origin)
-    if (done := _current(artifact, origin, say, "reading")) is not None:
-        return done
-    view = origin.view(settings)
-    folder = artifact.record.parent
-    metrics = nir_conversion.take_over(folder, view, dataset.seen_by(view), say)
-    return artifact.write(origin, metrics)
+def network_artifact(name: str, place: Place, settings: Settings, dataset: Origin) -> Artifact:
+    """One of :data:`ARTIFACTS`.
+
+    Parameters
+    ----------
+    name : str
+    place : RunFolder or NetworkLibrary
+    settings : Settings
+    dataset : Origin
+    """
+    make_origin, folder, record, *files = {
+        "cnn": (cnn_origin, "cnn", "metrics.json", "weights.npz"),
+        "rate-lif": (rates_origin, "snn", "metrics.json", "weights.npz"),
+        "events": (events_origin, "snn", "training.json", "weights.npz"),
+        "threshold": (threshold_origin, "threshold", "metrics.json"),
+        # A graph that is trained further has a folder beside the network that is made from it.
+        "nir": (
+            nir_origin,
+            "snn" if settings.network == "nir" else "nir",
+            "metrics.json",
+            nir_conversion.GRAPH,
+        ),
+    }[name]
+    origin = make_origin(settings, dataset)
+    path = place.network(folder, origin)
+    return Artifact(name, path / record, origin, tuple(path / file for file in files))
 
 
-def train(place: Place, settings: Settings, dataset: Dataset, say=print) -> dict:
-    """Train the CNN, or read the user's own, unless it is current; return its metrics."""
-    one_thread_each()
-    origin = cnn_origin(settings, dataset.origin)
-    artifact = cnn_artifact(place, origin)
-    if (done := _current(artifact, origin, say)) is not None:
-        return done
-    view = origin.view(settings)
-    seen = dataset.seen_by(view)
+def train_all(place: Place, settings: Settings, dataset: Dataset, say=print) -> dict:
+    """Make all that the bundle is made from, unless it is current; return the last metrics."""
+    for name in ARTIFACTS[settings.network]:
+        metrics = train(name, place, settings, dataset, say)
+    return metrics
+
+
+def train(name: str, place: Place, settings: Settings, dataset: Dataset, say=print) -> dict:
+    """Make one of :data:`ARTIFACTS`, unless it is current.
+
+    Parameters
+    ----------
+    name : str
+    place : RunFolder or NetworkLibrary
+        Contains the artifacts from which this one is made.
+    settings, dataset, say
+
+    Returns
+    -------
+    dict
+        Its record: accuracy on each part of the split and other metrics; for ``"events"`` only the
+        epochs and the seconds.
+    """
+    make, action = {
+        "cnn": (_train_cnn, "training"),
+        "rate-lif": (_train_rates, "training"),
+        "events": (_train_on_events, "training"),
+        "threshold": (_choose_threshold, "choosing"),
+        "nir": (_read_graph, "reading"),
+    }[name]
+    if name in ARTIFACTS["image"]:
+        one_thread_each()
+    artifact = network_artifact(name, place, settings, dataset.origin)
+    state = artifact.state()
+    if state.is_current:
+        say(f"{name}: up to date ({artifact.folder})")
+        return state.record
+    if (line := state.announcement(action)) is not None:
+        say(line)
+    view = artifact.origin.view(settings)
+    record = artifact.write(make(artifact, place, view, dataset.seen_by(view), say))
+    if name == "events":
+        (artifact.folder / CHECKPOINT).unlink(missing_ok=True)  # its training is complete
+    return record
+
+
+def _read_graph(artifact, place, settings, dataset, say):
+    """Make the user's NIR graph the run's network."""
+    return nir_conversion.take_over(artifact.folder, settings, dataset, say)
+
+
+def _train_cnn(artifact, place, settings, dataset, say):
+    """Train the CNN, or read the user's own."""
     if settings.cnn.model:
-        trained, notes = take_over(view, seen)
+        trained, notes = take_over(settings, dataset)
         for note in notes:
             say(f"cnn: {note}")
         seconds = 0.0
     else:
         from pipeline.training.networks import train_cnn  # TensorFlow takes seconds to import
 
-        data, watched = seen.part("train"), _watched(seen)
-        with _timed("cnn", view.cnn.epochs) as timed:
-            trained = train_cnn(view, data, view.seed, watched, timed.advance)
+        data, watched = dataset.part("train"), _watched(dataset)
+        with _timed("cnn", settings.cnn.epochs) as timed:
+            trained = train_cnn(settings, data, settings.seed, watched, timed.advance)
         seconds = timed.seconds
-    _write_network(artifact.record.parent, _told(trained, seen))
-    metrics = _metrics(trained, seen, seconds)
+    _write_network(artifact.folder, _told(trained, dataset))
+    metrics = _metrics(trained, dataset, seconds)
     _say_accuracy("cnn", metrics, say)
-    return artifact.write(origin, metrics)
+    return metrics
 
 
-def train_rates(place: Place, settings: Settings, dataset: Dataset, say=print) -> dict:
-    """Train the rate-based LIF network, unless it is current; return its metrics."""
-    one_thread_each()
-    cnn = cnn_origin(settings, dataset.origin)
-    origin = rates_origin(settings, cnn)
-    artifact = rates_artifact(place, origin)
-    if (done := _current(artifact, origin, say)) is not None:
-        return done
+def _train_rates(artifact, place, settings, dataset, say):
+    """Train the rate-based LIF network, starting from the CNN."""
     from pipeline.training.networks import snn_recipe, train_rate_network
 
-    view = origin.view(settings)
-    seen = dataset.seen_by(view)
-    start = read_weights(place.network("cnn", cnn), view)
-    data, watched = seen.part("train"), _watched(seen)
-    with _timed("rate-lif", snn_recipe(view.snn).epochs) as timed:
-        trained = train_rate_network(view, data, view.seed, start, watched, timed.advance)
-    _write_network(artifact.record.parent, _told(trained, seen))
-    metrics = _metrics(trained, seen, timed.seconds)
-    metrics["neurons"] = _neurons(view, trained, data[0])
+    start = weights_of("cnn", place, settings, dataset.origin)
+    data, watched = dataset.part("train"), _watched(dataset)
+    with _timed("rate-lif", snn_recipe(settings.snn).epochs) as timed:
+        trained = train_rate_network(settings, data, settings.seed, start, watched, timed.advance)
+    _write_network(artifact.folder, _told(trained, dataset))
+    metrics = _metrics(trained, dataset, timed.seconds)
+    metrics["neurons"] = _neurons(settings, trained, data[0])
     _say_accuracy("rate-lif", metrics, say)
     for line in training_lines(metrics["neurons"]):
         say(f"rate-lif: {line}")
-    return artifact.write(origin, metrics)
+    return metrics
 
 
-def train_on_events(place: Place, settings: Settings, dataset: Dataset, say=print) -> dict:
-    """Train the network on events and choose its threshold, unless they are current.
-
-    Returns
-    -------
-    dict
-        The metrics of :func:`choose_threshold`.
-    """
-    train_event_network(place, settings, dataset, say)
-    return choose_threshold(place, settings, dataset, say)
-
-
-def train_event_network(place: Place, settings: Settings, dataset: Dataset, say=print) -> dict:
-    """Train the network on events, unless it is current; return the record of its training.
-
-    An interrupted training continues after its last completed epoch.
-    """
-    origin = events_origin(settings, dataset.origin)
-    artifact = events_artifact(place, origin)
-    if (done := _current(artifact, origin, say)) is not None:
-        return done
+def _train_on_events(artifact, place, settings, dataset, say):
+    """Train the network on events; an interrupted training continues after its last epoch."""
     from pipeline.run import event_training  # TensorFlow takes seconds to import
 
-    view = origin.view(settings)
-    samples = event_training.set_apart(dataset.seen_by(view), view.seed)
-    folder = artifact.record.parent
-    checkpoint = event_training.Checkpoint(folder / "checkpoint.npz", origin.key)
+    samples = event_training.set_apart(dataset, settings.seed)
+    checkpoint = Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
     start = None
-    if view.network == "retrained":
-        graph = nir_artifact(place, view, nir_origin(settings, dataset.origin)).record.parent
-        start, lines = nir_training.start(graph, view, samples)
+    if settings.network == "retrained":
+        graph = network_artifact("nir", place, settings, dataset.origin)
+        start, lines = nir_training.start(graph.folder, settings, samples)
         for line in lines:
             say(f"nir: {line}")
-    with _timed("events", view.events.epochs) as timed:
-        trained = event_training.train(view, samples, view.seed, checkpoint, timed.advance, start)
-    _write_network(folder, trained)
-    training = {"epochs": len(trained.history), "seconds": timed.seconds}
-    written = artifact.write(origin, {**training, "versions": training_versions()})
-    checkpoint.path.unlink(missing_ok=True)
-    return written
+    with _timed("events", settings.events.epochs) as timed:
+        trained = event_training.train(
+            settings, samples, settings.seed, checkpoint, timed.advance, start
+        )
+    _write_network(artifact.folder, trained)
+    epochs = len(trained.history)
+    return {"epochs": epochs, "seconds": timed.seconds, "versions": training_versions()}
 
 
-def choose_threshold(place: Place, settings: Settings, dataset: Dataset, say=print) -> dict:
+def _choose_threshold(artifact, place, settings, dataset, say):
     """Choose the confidence for early decisions of the network on events; measure its accuracy.
 
     Both depend on the presentation, unlike the training, and are therefore a separate artifact.
-
-    Returns
-    -------
-    dict
-        ``accuracy`` on each part of the split, and ``decides_by_itself``.
     """
-    trained_from = events_origin(settings, dataset.origin)
-    origin = threshold_origin(settings, trained_from)
-    artifact = threshold_artifact(place, origin)
-    if (done := _current(artifact, origin, say, "choosing")) is not None:
-        return done
     from pipeline.run import event_training
+    from pipeline.training.events import TrainedOnEvents
 
-    view = origin.view(settings)
-    seen = dataset.seen_by(view)
-    folder = place.network("snn", trained_from)
-    trained = event_training.trained_network(view, read_weights(folder, view))
-    samples = event_training.set_apart(seen, view.seed)
-    chosen = event_training.choose(view, samples, trained, view.seed)
-    training = events_artifact(place, trained_from)
+    trained = TrainedOnEvents.of(settings, weights_of("events", place, settings, dataset.origin))
+    samples = event_training.set_apart(dataset, settings.seed)
+    chosen = event_training.choose(settings, samples, trained, settings.seed)
+    training = network_artifact("events", place, settings, dataset.origin)
     with understood(training.record, DELETE_ITS_FOLDER):
-        record = training.state(trained_from).record
+        record = training.state().record
         seconds, epochs = float(record["seconds"]), int(record["epochs"])
-    metrics = _metrics(trained, seen, seconds)
+    metrics = _metrics(trained, dataset, seconds)
     metrics["epochs"] = epochs
     metrics["decides_by_itself"] = {**chosen._asdict(), "samples": len(samples.held)}
     _say_accuracy("events", metrics, say)
@@ -200,36 +218,12 @@ def choose_threshold(place: Place, settings: Settings, dataset: Dataset, say=pri
             * f", since {len(samples.held)} held-out samples are fewer than the {fewest} on "
             "which a confidence may be chosen (more: split.validation_fraction)"
         )
-    return artifact.write(origin, metrics)
+    return metrics
 
 
-def cnn_artifact(place: Place, origin: Origin) -> Artifact:
-    """Weights, history and metrics of the CNN."""
-    folder = place.network("cnn", origin)
-    return Artifact("cnn", folder / "metrics.json", (folder / "weights.npz",))
-
-
-def nir_artifact(place: Place, settings: Settings, origin: Origin) -> Artifact:
-    """A copy of the NIR graph, and its metrics; beside the network that is trained from it."""
-    folder = place.network("snn" if settings.network == "nir" else "nir", origin)
-    return Artifact("nir", folder / "metrics.json", (nir_conversion.kept_graph(folder),))
-
-
-def rates_artifact(place: Place, origin: Origin) -> Artifact:
-    """Weights, history and metrics of the rate-based network."""
-    folder = place.network("snn", origin)
-    return Artifact("rate-lif", folder / "metrics.json", (folder / "weights.npz",))
-
-
-def events_artifact(place: Place, origin: Origin) -> Artifact:
-    """Weights and history of the network trained on events."""
-    folder = place.network("snn", origin)
-    return Artifact("events", folder / "training.json", (folder / "weights.npz",))
-
-
-def threshold_artifact(place: Place, origin: Origin) -> Artifact:
-    """Threshold and accuracy of the network trained on events."""
-    return Artifact("threshold", place.network("threshold", origin) / "metrics.json")
+def weights_of(name: str, place: Place, settings: Settings, dataset: Origin) -> dict:
+    """The trained arrays of one of :data:`ARTIFACTS`; see :func:`read_weights`."""
+    return read_weights(network_artifact(name, place, settings, dataset).folder, settings)
 
 
 def read_weights(folder: Path, settings: Settings) -> dict:
@@ -252,17 +246,6 @@ def read_weights(folder: Path, settings: Settings) -> dict:
     if {name: array.shape for name, array in weights.items()} != shapes:
         raise UserError(f"{path}: not the weights of {architecture}; {DELETE_ITS_FOLDER}")
     return weights
-
-
-def _current(artifact, origin, say, action="training"):
-    """The record of a current artifact; otherwise None, after a message with the reason."""
-    state = artifact.state(origin)
-    if state.is_current:
-        say(f"{artifact.name}: up to date ({artifact.record.parent})")
-        return state.record
-    if (line := state.announcement(action)) is not None:
-        say(line)
-    return None
 
 
 class _timed:

@@ -20,9 +20,9 @@ from tests.command import call
 def half(number, folder, content="0"):
     """A task: half a number, kept in a file."""
     origin = Origin(contents={"version": content})
-    artifact = Artifact(str(number), folder / f"{number}.json")
+    artifact = Artifact(str(number), folder / f"{number}.json", origin)
     settings = Settings().only(["seed"])
-    return Task(artifact, origin, settings, "", NetworkLibrary(folder), subject=str(number))
+    return Task(artifact, settings, "", NetworkLibrary(folder), subject=str(number))
 
 
 def halve(task):

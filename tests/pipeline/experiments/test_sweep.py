@@ -19,7 +19,7 @@ from pipeline.experiments.sweep_text import short_names, sweep_csv, sweep_text
 from pipeline.inputs.dataset import Dataset, dataset_origin
 from pipeline.inputs.library import recordings_of
 from pipeline.jobs import Failure
-from pipeline.run.origins import events_origin, threshold_origin
+from pipeline.run.origins import threshold_origin
 from pipeline.settings import Settings, read_settings
 from tests.command import call
 
@@ -48,31 +48,29 @@ def test_every_combination_of_the_grid(tmp_path):
     assert changes(points)[-1] == {"presentation.steps": 50, "snn.max_rates": [120]}
     assert points[-1].settings.snn.max_rates == (120.0,)
     assert points[-1].settings.presentation.steps == 50
-    assert len(keys(point.judged for point in points)) == 6
-    assert len({point.judged.artifact.record for point in points}) == 6
+    assert len(keys(point.evaluation for point in points)) == 6
+    assert len({point.evaluation.artifact.record for point in points}) == 6
 
 
 def test_only_what_matters_to_a_training_makes_another_one(tmp_path):
     grid = ["presentation.steps=30,50", "deployment.synapse=0.005,0.01", "snn.spike_penalty=0,0.1"]
     points = points_of(tmp_path, grid)
-    assert len(keys(point.cnn for point in points)) == 1
-    free = keys(p.network for p in points if not p.settings.snn.spike_penalty)
-    priced = keys(p.network for p in points if p.settings.snn.spike_penalty)
+    assert len(keys(point.trainings[0] for point in points)) == 1
+    free = keys(p.trainings[1] for p in points if not p.settings.snn.spike_penalty)
+    priced = keys(p.trainings[1] for p in points if p.settings.snn.spike_penalty)
     assert (len(free), len(priced)) == (1, 1)
     assert not free & priced
-    assert len({point.network.artifact.record for point in points}) == 2
+    assert len({point.trainings[1].artifact.record for point in points}) == 2
 
 
 def test_the_threshold_on_events_is_not_shared_by_points_of_other_steps(tmp_path):
     """Training does not depend on the presentation; the confidence that decides does."""
     base = SMALL.with_values({"input": {"kind": "events"}})
     one, two = points_of(tmp_path, ["presentation.steps=40,200"], base)
-    assert one.network.origin == two.network.origin
+    assert [len(point.trainings) for point in (one, two)] == [1, 1]
+    assert one.trainings[0].origin == two.trainings[0].origin
     dataset = dataset_origin(base, "0")
-    thresholds = [
-        threshold_origin(point.settings, events_origin(point.settings, dataset))
-        for point in (one, two)
-    ]
+    thresholds = [threshold_origin(point.settings, dataset) for point in (one, two)]
     assert thresholds[0] != thresholds[1]
 
 
@@ -110,7 +108,7 @@ def test_a_section_given_a_value_is_refused(tmp_path, grid):
 def test_the_default_grid_is_a_grid(tmp_path):
     points = points_of(tmp_path, sweep.DEFAULT_GRID)
     assert len(points) == 16
-    assert len(keys(point.network for point in points)) == 4
+    assert len(keys(point.trainings[1] for point in points)) == 4
 
 
 def test_there_is_always_a_validation_part_and_never_a_test_part():
@@ -158,7 +156,7 @@ def test_names_are_short_where_that_says_enough():
 
 def point(steps, synapse):
     changed = (("presentation.steps", steps), ("deployment.synapse", synapse))
-    return sweep.Point(Settings(), changed, None, None, None)
+    return sweep.Point(Settings(), changed, (), None)
 
 
 def result(accuracy, operations, steps, synapse):
@@ -343,7 +341,7 @@ def test_architectures_of_another_skin_are_swept(tmp_path):
     with pytest.raises(UserError, match="8x8"):
         points_of(tmp_path, ["cnn.architecture=10x10-4c3-10o"], base)
     one, two = points_of(tmp_path, grid, base)
-    assert one.cnn.origin != two.cnn.origin
+    assert one.trainings[0].origin != two.trainings[0].origin
     assert Dataset.of(one.settings).inputs.shape[1:3] == (8, 8)
 
 

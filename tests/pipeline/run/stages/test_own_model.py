@@ -204,7 +204,7 @@ def test_a_file_that_has_changed_since(files, tmp_path, capsys):
     from deploy.errors import UserError
 
     with pytest.raises(UserError, match=r"model\.keras: has changed; give it again"):
-        stages.train(RunFolder(folder), settings, Dataset.of(settings), lambda line: None)
+        stages.train("cnn", RunFolder(folder), settings, Dataset.of(settings), lambda line: None)
 
 
 @pytest.mark.parametrize(
