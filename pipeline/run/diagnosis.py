@@ -10,8 +10,6 @@ Two shares of a layer's neurons measure how much information they can transmit:
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-
 import numpy as np
 
 from deploy.check.rates import silent_share
@@ -25,49 +23,13 @@ SATURATED_SAMPLES = 0.01
 """Minimum share of the samples on which a saturated neuron is at its limit."""
 
 
-@dataclass(frozen=True)
-class Activity:
-    """Shares of the silent and saturated neurons of a layer; see the module's docstring.
-
-    Attributes
-    ----------
-    silent, saturated : float
-        Shares of the layer's neurons.
-    """
-
-    silent: float
-    saturated: float
-
-
-@dataclass(frozen=True)
-class LayerFidelity:
-    """Agreement of a layer's firing rates on the chip with its activations.
-
-    Attributes
-    ----------
-    layer : str
-    correlation : float or None
-        Pearson correlation over all neurons and samples; None if either side is constant.
-    worst_error, mean_error : float
-        Largest and mean magnitude of rate minus activation, in units of ``max_rate``.
-    chip, rate_network : Activity
-    """
-
-    layer: str
-    correlation: float | None
-    worst_error: float
-    mean_error: float
-    chip: Activity
-    rate_network: Activity
-
-
 def fastest_rate(tau_ref: float) -> float:
     """Largest rate in spikes per second of a neuron with intervals of whole steps."""
     return 1 / (DT * (round(tau_ref / DT) + 1))
 
 
-def activity(rates, fastest: float) -> Activity:
-    """Count silent and saturated neurons.
+def activity(rates, fastest: float) -> dict:
+    """Shares of ``silent`` and ``saturated`` neurons of a layer; see the module's docstring.
 
     Parameters
     ----------
@@ -78,13 +40,11 @@ def activity(rates, fastest: float) -> Activity:
     """
     rates = np.asarray(rates)
     at_limit = np.mean(rates >= NEAR_FASTEST * fastest, axis=0)
-    return Activity(
-        silent=silent_share(rates),
-        saturated=float(np.mean(at_limit >= SATURATED_SAMPLES)),
-    )
+    saturated = float(np.mean(at_limit >= SATURATED_SAMPLES))
+    return {"silent": silent_share(rates), "saturated": saturated}
 
 
-def fidelity(layer: str, rates, activations, max_rate: float, tau_ref: float) -> LayerFidelity:
+def fidelity(layer: str, rates, activations, max_rate: float, tau_ref: float) -> dict:
     """Compare a layer's firing rates with its activations.
 
     Parameters
@@ -99,25 +59,33 @@ def fidelity(layer: str, rates, activations, max_rate: float, tau_ref: float) ->
         Spikes per second at activation 1.
     tau_ref : float
         Refractory period in seconds.
+
+    Returns
+    -------
+    dict
+        ``layer``; the ``correlation`` (Pearson) over all neurons and samples, None if either side
+        is constant; ``worst_error`` and ``mean_error``, the largest and the mean magnitude of rate
+        minus activation, in units of ``max_rate``; :func:`activity` on the ``chip`` and in the
+        ``rate_network``.
     """
     measured, expected = np.asarray(rates) / max_rate, np.asarray(activations)
     error = np.abs(measured - expected)
-    varies = np.ptp(measured) > 0 and np.ptp(expected) > 0
+    correlation = None
+    if np.ptp(measured) > 0 and np.ptp(expected) > 0:
+        correlation = float(np.corrcoef(measured.ravel(), expected.ravel())[0, 1])
     fastest = fastest_rate(tau_ref)
-    return LayerFidelity(
-        layer=layer,
-        correlation=float(np.corrcoef(measured.ravel(), expected.ravel())[0, 1])
-        if varies
-        else None,
-        worst_error=float(error.max()),
-        mean_error=float(error.mean()),
-        chip=activity(rates, fastest),
-        rate_network=activity(expected * max_rate, fastest),
-    )
+    return {
+        "layer": layer,
+        "correlation": correlation,
+        "worst_error": float(error.max()),
+        "mean_error": float(error.mean()),
+        "chip": activity(rates, fastest),
+        "rate_network": activity(expected * max_rate, fastest),
+    }
 
 
 def layers_json(spec: NetworkSpec, rates: dict, activations: dict) -> list:
-    """Compare every layer with neurons; each result has the attributes of :class:`LayerFidelity`.
+    """The :func:`fidelity` of every layer with neurons.
 
     Parameters
     ----------
@@ -129,16 +97,8 @@ def layers_json(spec: NetworkSpec, rates: dict, activations: dict) -> list:
     """
     neurons = {layer.name: layer.neurons for layer in spec.layers}
     return [
-        asdict(
-            fidelity(
-                name,
-                rates[name],
-                activations[name],
-                max_rate=1 / neurons[name].amplitude,
-                tau_ref=neurons[name].tau_ref,
-            )
-        )
-        for name in activations
+        fidelity(name, rates[name], values, 1 / neurons[name].amplitude, neurons[name].tau_ref)
+        for name, values in activations.items()
     ]
 
 
@@ -204,7 +164,7 @@ def training_lines(neurons: dict) -> list:
     Parameters
     ----------
     neurons : dict of str to dict
-        The attributes of :class:`Activity` for each layer.
+        The :func:`activity` of each layer.
     """
     lines = []
     for name, layer in neurons.items():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -80,33 +79,28 @@ def measure_ladder(
     dict
         See :func:`ladder_json`.
     """
+    left_out = SLOW if whole and not slow else ()
     with numbered(stages.bars(settings, "ladder")):
         settings = fitted(settings, jobs, say, dataset and dataset.recordings)
-        return _measured(run, settings, jobs, whole, slow, say, dataset, asked)
-
-
-def _measured(run, settings, jobs, whole, slow, say, dataset, asked):
-    dataset, bundle = stages.make_bundle(run, settings, jobs, say, dataset)
-    asked = asked or ladder_stages(settings.network, whole)
-    left_out = ()
-    if whole:
-        bundle = stages.on_test_split(settings, dataset, bundle)
-        left_out = () if slow else SLOW
-    asked = [stage for stage in asked if stage not in (*left_out, *BOARDS)]
-    results = stages.answer_all(run, settings, bundle, asked, jobs, say, whole)
-    # A board's result is included if it exists and belongs to this bundle.
-    for board in () if whole else map(run.check, BOARDS):
-        if board.exists() and (result := read_result(board))["bundle"] == bundle.id:
-            results.append(result)
-    artifact = ladder_artifact(run, results, whole)
-    state = artifact.state()
-    if state.is_current:
-        with understood(artifact.record, DELETE_IT):
-            ladder_text(state.record, limit=-100.0, by_chance=True)  # what can be shown is whole
-        return state.record
-    layers, points = _layers(run, settings, bundle)
-    table = ladder_json(results, layers, left_out, dataset.recordings.sensor.classes)
-    return artifact.write({**table, "rates": points})
+        dataset, bundle = stages.make_bundle(run, settings, jobs, say, dataset)
+        if whole:
+            bundle = stages.on_test_split(settings, dataset, bundle)
+        asked = asked or ladder_stages(settings.network, whole)
+        asked = [stage for stage in asked if stage not in (*left_out, *BOARDS)]
+        results = stages.answer_all(run, settings, bundle, asked, jobs, say, whole)
+        # A board's result is included if it exists and belongs to this bundle.
+        for board in () if whole else map(run.check, BOARDS):
+            if board.exists() and (result := read_result(board))["bundle"] == bundle.id:
+                results.append(result)
+        artifact = ladder_artifact(run, results, whole)
+        state = artifact.state()
+        if state.is_current:
+            with understood(artifact.record, DELETE_IT):
+                ladder_text(state.record, limit=-100.0, by_chance=True)  # an error if damaged
+            return state.record
+        layers, points = _layers(run, settings, bundle)
+        table = ladder_json(results, layers, left_out, dataset.recordings.sensor.classes)
+        return artifact.write({**table, "rates": points})
 
 
 def ladder_artifact(run: RunFolder, results, whole: bool = False) -> Artifact:
@@ -138,36 +132,7 @@ def _layers(run: RunFolder, settings: Settings, bundle: Bundle) -> tuple:
     return layers_json(spec, rates, activations), rate_points(trained, rates)
 
 
-@dataclass(frozen=True)
-class Rung:
-    """One stage of the ladder.
-
-    Attributes
-    ----------
-    stage : str
-    accuracy : float
-    accuracy_ci95 : tuple of float
-        Wilson interval.
-    drop : float or None
-        Accuracy of the stage above minus this one; None in the first row.
-    disagreements : int or None
-        Number of samples for which the prediction differs from that of the stage above.
-    mcnemar_p : float or None
-        Exact McNemar test against the stage above.
-    confusion : list of list of int
-        Samples by label (row) and prediction (column).
-    """
-
-    stage: str
-    accuracy: float
-    accuracy_ci95: tuple
-    drop: float | None
-    disagreements: int | None
-    mcnemar_p: float | None
-    confusion: list
-
-
-def climb(results) -> list:
+def ladder_rows(results) -> list:
     """Compare each result with the previous one.
 
     Parameters
@@ -177,32 +142,34 @@ def climb(results) -> list:
 
     Returns
     -------
-    list of Rung
+    list of dict
+        The ladder's rows: ``stage``, ``accuracy``, ``accuracy_ci95`` (Wilson's interval);
+        compared with the stage above, and None in the first row: ``drop`` of the accuracy, number
+        of ``disagreements`` of the predictions, and ``mcnemar_p`` of the exact test;
+        ``confusion``, the numbers of samples by label (row) and prediction (column).
 
     Raises
     ------
     UserError
         The results are of different bundles or samples.
     """
-    rungs, above = [], None
-    for result in results:
+    rows = []
+    for above, result in itertools.pairwise([None, *results]):
         against = compare_results(above, result) if above is not None else None
-        rungs.append(
-            Rung(
-                stage=result["target"],
-                accuracy=result["accuracy"],
-                accuracy_ci95=tuple(result["accuracy_ci95"]),
-                drop=against and against.accuracy_drop,
-                disagreements=against and len(against.disagreements),
-                mcnemar_p=against and against.p_value,
-                confusion=confusion_matrix(
-                    *([s[key] for s in result["samples"]] for key in ("label", "prediction")),
-                    len(result["samples"][0]["scores"]),
-                ).tolist(),
-            )
+        samples = result["samples"]
+        answers = ([sample[key] for sample in samples] for key in ("label", "prediction"))
+        rows.append(
+            {
+                "stage": result["target"],
+                "accuracy": result["accuracy"],
+                "accuracy_ci95": list(result["accuracy_ci95"]),
+                "drop": against and against.accuracy_drop,
+                "disagreements": against and len(against.disagreements),
+                "mcnemar_p": against and against.p_value,
+                "confusion": confusion_matrix(*answers, len(samples[0]["scores"])).tolist(),
+            }
         )
-        above = result
-    return rungs
+    return rows
 
 
 def confusion_matrix(labels, predictions, classes: int = 10) -> np.ndarray:
@@ -228,7 +195,7 @@ def ladder_json(results, layers=None, left_out=(), classes=None) -> dict:
     Parameters
     ----------
     results : sequence of dict
-        As in :func:`climb`.
+        As in :func:`ladder_rows`.
     layers : list of dict, optional
         From :func:`pipeline.run.diagnosis.layers_json`.
     left_out : sequence of str
@@ -246,7 +213,7 @@ def ladder_json(results, layers=None, left_out=(), classes=None) -> dict:
         "simulated": first["simulated"],
         "n_samples": first["n_samples"],
         "classes": list(classes),
-        "rows": [asdict(rung) for rung in climb(results)],
+        "rows": ladder_rows(results),
         "left_out": list(left_out),
         "last_against_trained_p": trained and compare_results(trained, results[-1]).p_value,
         "while_written": results[-1].get("while_written"),

@@ -14,24 +14,3 @@ from pipeline.run.stages.training import (
     train_all,
     weights_of,
 )
-
-__all__ = [
-    "answer",
-    "answer_all",
-    "bars",
-    "convert",
-    "make_bundle",
-    "network_artifact",
-    "on_test_split",
-    "open_dataset",
-    "read_model",
-    "read_weights",
-    "refuse_early",
-    "settings_of_model",
-    "settings_of_nir",
-    "settings_of_retrained",
-    "spec_of",
-    "train",
-    "train_all",
-    "weights_of",
-]

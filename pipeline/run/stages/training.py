@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -327,6 +327,6 @@ def _neurons(settings, trained, inputs):
     fastest = fastest_rate(settings.snn.tau_ref)
     outputs = trained.activations(inputs)
     return {
-        name: asdict(activity(output * settings.snn.max_rate(index), fastest))
+        name: activity(output * settings.snn.max_rate(index), fastest)
         for index, (name, output) in enumerate(outputs.items())
     }

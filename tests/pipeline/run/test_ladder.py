@@ -3,7 +3,7 @@ import re
 import pytest
 
 from deploy.errors import UserError
-from pipeline.run.ladder import climb, ladder_json, ladder_text, losing_stages, points_text
+from pipeline.run.ladder import ladder_json, ladder_rows, ladder_text, losing_stages, points_text
 
 LABELS = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]
 
@@ -30,18 +30,18 @@ EMULATOR = result("emulator", [0, 1, 2, 3, 4, 5, 0, 0, 8, 1])  # 7 right, 1 diff
 
 
 def test_the_ladder_by_hand():
-    first, second, third = climb([CNN, RATE, EMULATOR])
-    assert (first.stage, first.accuracy) == ("cnn", 0.9)
-    assert (first.drop, first.disagreements, first.mcnemar_p) == (None, None, None)
-    assert second.drop == pytest.approx(0.3)
-    assert second.disagreements == 4
-    assert second.mcnemar_p == pytest.approx(2 * 0.5**3)
-    assert third.drop == pytest.approx(-0.1)
-    assert third.disagreements == 1
-    assert second.confusion[5] == [1, 0, 0, 0, 0, 0, 0, 0, 0, 0]  # the 5 is taken for a 0
-    assert sum(map(sum, second.confusion)) == 10
-    assert sum(second.confusion[i][i] for i in range(10)) == 6
-    assert third.mcnemar_p == 1
+    first, second, third = ladder_rows([CNN, RATE, EMULATOR])
+    assert (first["stage"], first["accuracy"]) == ("cnn", 0.9)
+    assert (first["drop"], first["disagreements"], first["mcnemar_p"]) == (None, None, None)
+    assert second["drop"] == pytest.approx(0.3)
+    assert second["disagreements"] == 4
+    assert second["mcnemar_p"] == pytest.approx(2 * 0.5**3)
+    assert third["drop"] == pytest.approx(-0.1)
+    assert third["disagreements"] == 1
+    assert second["confusion"][5] == [1, 0, 0, 0, 0, 0, 0, 0, 0, 0]  # the 5 is taken for a 0
+    assert sum(map(sum, second["confusion"])) == 10
+    assert sum(second["confusion"][i][i] for i in range(10)) == 6
+    assert third["mcnemar_p"] == 1
 
 
 def test_the_table():
@@ -70,7 +70,7 @@ def test_only_simulated_samples_are_called_so():
 
 def test_results_of_different_bundles_make_no_ladder():
     with pytest.raises(UserError, match="different bundles"):
-        climb([CNN, result("nengo", LABELS, bundle="c" * 64)])
+        ladder_rows([CNN, result("nengo", LABELS, bundle="c" * 64)])
 
 
 def layer(name, correlation):
