@@ -6,6 +6,7 @@ on the machine slows down both.  Building, compiling and reading files are not i
 
 from __future__ import annotations
 
+import contextlib
 import time
 import warnings
 from dataclasses import dataclass
@@ -44,18 +45,22 @@ def _clocks():
     return np.array([time.perf_counter(), time.thread_time()])
 
 
-class _TimedKernel:
-    """A kernel that measures the time spent in it."""
+@contextlib.contextmanager
+def _timed(part, method):
+    """Measure the seconds spent in a method of an object, by both clocks."""
+    function, seconds = getattr(part, method), np.zeros(2)
 
-    def __init__(self, kernel):
-        self.kernel, self.seconds = kernel, np.zeros(2)
-        self.bytes_per_spike = kernel.bytes_per_spike
-
-    def advance(self, state, inputs):
+    def timed(*arguments):
         begun = _clocks()
-        steps = self.kernel.advance(state, inputs)
-        self.seconds += _clocks() - begun
-        return steps
+        result = function(*arguments)
+        seconds[:] += _clocks() - begun
+        return result
+
+    setattr(part, method, timed)
+    try:
+        yield seconds
+    finally:
+        delattr(part, method)  # the method of its class again
 
 
 def kernels_here() -> tuple:
@@ -121,10 +126,18 @@ def compare_speed(spec: NetworkSpec, images, advance=None) -> dict:
         if advance is not None:
             advance(turn.samples)
     best = next(iter(emulations))
-    walls, processor = (_ratios(reference, turns, best, clock) for clock in (0, 1))
+    elapsed, processor = (
+        {
+            f"ratio_{part}{suffix}": _ratio(reference, turns[name], part, clock)
+            for name, suffix in ((best, ""), ("numpy", "_numpy"))
+            for part in ("whole", "chip")
+        }
+        for clock in (0, 1)
+    )
+    counts = emulations[best].run(whole_set, spec.presentation.steps, spec.presentation.gap).counts
     return {
         "identical": bool(identical),
-        **walls,
+        **elapsed,
         "processor_time": processor,
         "samples_per_second": _pace(turns[best]),
         "samples_per_second_numpy": _pace(turns["numpy"]),
@@ -135,26 +148,17 @@ def compare_speed(spec: NetworkSpec, images, advance=None) -> dict:
         "gap_per_sample": spec.presentation.gap,
         "step_ms": 1000 * spec.stimulus.step_seconds,
         "turns": len(parts),
-        "mean_rates_hz": _rates(spec, emulations[best], whole_set),
+        "mean_rates_hz": {name: mean_rate(spec, spikes) for name, spikes in counts.items()},
     }
 
 
-def _ratios(reference, turns, best, clock):
-    """The ratio of the speeds, by one of the two clocks."""
-
-    def ratio(name, what):
-        ratios = [
-            (getattr(a, what)[clock] / a.samples) / (getattr(b, what)[clock] / b.samples)
-            for a, b in zip(reference, turns[name], strict=True)
-        ]
-        return float(np.median(ratios))
-
-    return {
-        "ratio_whole": ratio(best, "whole"),
-        "ratio_chip": ratio(best, "chip"),
-        "ratio_whole_numpy": ratio("numpy", "whole"),
-        "ratio_chip_numpy": ratio("numpy", "chip"),
-    }
+def _ratio(reference, turns, part, clock):
+    """The median ratio of the speeds of the whole or the chip, by one of the two clocks."""
+    ratios = [
+        (getattr(a, part)[clock] / a.samples) / (getattr(b, part)[clock] / b.samples)
+        for a, b in zip(reference, turns, strict=True)
+    ]
+    return float(np.median(ratios))
 
 
 def _equal_streams(images, parts):
@@ -166,11 +170,6 @@ def _equal_streams(images, parts):
 
 def _pace(turns):
     return float(np.median([turn.samples / turn.whole[0] for turn in turns]))
-
-
-def _rates(spec, emulation, streams):
-    shown = emulation.run(streams, spec.presentation.steps, spec.presentation.gap)
-    return {name: mean_rate(spec, counts) for name, counts in shown.counts.items()}
 
 
 def mean_rate(spec: NetworkSpec, counts) -> float:
@@ -196,47 +195,27 @@ def reference_turn(spec, images):
     Turn, ndarray (n_samples, period, n_outputs), dict of str to list of ndarray
         Time, the output probe, and every spike, for each layer packed by sample.
     """
-    built = build(spec)
-    chip, whole, outputs = np.zeros(2), np.zeros(2), []
+    built, outputs = build(spec), []
     spikes = {name: [] for name in built.spikes}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
-            emulator = sim.sims["emulator"]
-            run_steps = emulator.run_steps
-
-            def timed(steps):
-                begun = _clocks()
-                run_steps(steps)
-                nonlocal chip
-                chip += _clocks() - begun
-
-            emulator.run_steps = timed
-            all_steps = sim.run_steps
-
-            def timed_whole(steps):
-                begun = _clocks()
-                all_steps(steps)
-                nonlocal whole
-                whole += _clocks() - begun
-
-            sim.run_steps = timed_whole
-            for shown in show(built, sim, images):
-                outputs.append(shown.output)
-                for name, rows in shown.spikes.items():
+        with (
+            nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim,
+            _timed(sim.sims["emulator"], "run_steps") as chip,
+            _timed(sim, "run_steps") as whole,
+        ):
+            for sample in show(built, sim, images):
+                outputs.append(sample.output)
+                for name, rows in sample.spikes.items():
                     spikes[name].append(np.packbits(rows, axis=1))
     return Turn(whole, chip, len(images)), np.array(outputs), spikes
 
 
 def fast_turn(emulation, spec, streams) -> Turn:
     """The target fast on all streams, side by side, in one thread."""
-    kernel = emulation.kernel
-    emulation.kernel = timed = _TimedKernel(kernel)
-    begun = _clocks()
-    emulation.run(streams, spec.presentation.steps, spec.presentation.gap)
-    seconds = _clocks() - begun
-    emulation.kernel = kernel
-    return Turn(seconds, timed.seconds, streams.shape[0] * streams.shape[1])
+    with _timed(emulation, "run") as whole, _timed(emulation.kernel, "advance") as chip:
+        emulation.run(streams, spec.presentation.steps, spec.presentation.gap)
+    return Turn(whole, chip, streams.shape[0] * streams.shape[1])
 
 
 def same_answer(spec, emulation, images, output, spikes) -> bool:
