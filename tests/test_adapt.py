@@ -87,7 +87,7 @@ def test_a_person_whom_the_network_does_not_know(run, person, tmp_path, capsys):
     unseen = strange_hand(8, seed=6)
     from pipeline.run.adaptation import Responder
 
-    responses = (r := Responder(old.spec)).responses(r.shown(unseen))
+    responses = (r := Responder(old.spec)).responses(r.inputs(unseen))
     right = [
         np.mean((responses @ b.spec.layers[-1].weights.T).argmax(1) == unseen.labels)
         for b in (old, new)

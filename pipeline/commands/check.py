@@ -152,11 +152,11 @@ def _on_others(bundle, target, others, seed, out, check):
     experiment = bundle.path.absolute().parent / "experiment.toml"
     settings = read_settings(experiment) if experiment.exists() else Settings()
     recordings = elsewhere.recordings_for(bundle, others.data, settings, others.jobs, options.say)
-    shown, indices = elsewhere.shown_instead(
+    presented, indices = elsewhere.with_recordings(
         bundle, recordings, others.samples, seed, settings.image
     )
     path = out or elsewhere.result_path(bundle, recordings, len(indices), target)
-    result = elsewhere.told_of(check(shown, path), recordings, indices)
+    result = elsewhere.with_accuracies(check(presented, path), recordings, indices)
     write_json(path, result)
     return result, path
 

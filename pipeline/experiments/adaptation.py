@@ -53,19 +53,19 @@ class Case:
     spec : NetworkSpec
     scale : float
         Factor from scores to the logits with which the network was trained.
-    told : Person
+    training : Person
         The recordings to which the network is fitted.
     rest, others : tuple of ndarray
         Responses and labels of the person's other recordings, and of other people's.
     seed : int
     tuned : callable, optional
-        ``tuned(labels, seed)`` trains all layers further on the recordings in ``told``; returns
+        ``tuned(labels, seed)`` trains all layers further on the training recordings; returns
         responses to the rest and to the others, and the new readout.
     """
 
     spec: NetworkSpec
     scale: float
-    told: Person
+    training: Person
     rest: tuple
     others: tuple
     seed: int
@@ -82,51 +82,35 @@ class Case:
 
 def on_host(case: Case) -> dict:
     """Fit the readout on the host; ``exact`` is the accuracy without rounding to 8 bits."""
-    readout, begun = case.spec.layers[-1], time.process_time()
-    told, kept = case.told, case.spec.rehearsal
-    fit = refit(readout.weights, readout.bias, told, kept, case.seed, case.scale)
-    seconds = time.process_time() - begun
-    chosen = (fit.weights, fit.exact) if fit.helps else (readout.weights, readout.weights)
-    after, others_after = case.right(chosen[0])
+    readout, kept = case.spec.layers[-1], case.spec.rehearsal
+    fit = refit(readout.weights, readout.bias, case.training, kept, case.seed, case.scale)
+    weights, exact = (fit.weights, fit.exact) if fit.helps else [readout.weights] * 2
+    after, others_after = case.right(weights)
     return {
         "after": after,
         "others_after": others_after,
-        "exact": case.right(chosen[1])[0],
+        "exact": case.right(exact)[0],
         "used": float(fit.helps),
-        "seconds": seconds,
     }
 
 
 def with_pes(case: Case) -> dict:
     """Train a readout on the chip; the accuracy on others is that of the resulting weights."""
-    readout, begun = case.spec.layers[-1], time.process_time()
-    told, kept, rest = case.told, case.spec.rehearsal, case.rest[0]
+    readout, kept, (rest, labels) = case.spec.layers[-1], case.spec.rehearsal, case.rest
     scores, weights = learn_on_chip(
-        readout.weights, readout.bias, told, kept, rest, case.scale, Rule(), case.seed
+        readout.weights, readout.bias, case.training, kept, rest, case.scale, Rule(), case.seed
     )
-    return {
-        "after": float((scores.argmax(1) == case.rest[1]).mean()),
-        "others_after": case.right(weights)[1],
-        "exact": case.right(weights)[0],
-        "used": 1.0,
-        "seconds": time.process_time() - begun,
-    }
+    exact, others_after = case.right(weights)
+    after = float((scores.argmax(1) == labels).mean())
+    return {"after": after, "others_after": others_after, "exact": exact}
 
 
 def all_layers(case: Case) -> dict:
     """Train all layers further, not only the readout."""
-    begun = time.process_time()
-    rest, others, weights = case.tuned(case.told.labels, case.seed)
-    seconds = time.process_time() - begun
+    rest, others, weights = case.tuned(case.training.labels, case.seed)
     new = replace(case, rest=(rest, case.rest[1]), others=(others, case.others[1]))
     after, others_after = new.right(weights)
-    return {
-        "after": after,
-        "others_after": others_after,
-        "exact": after,
-        "used": 1.0,
-        "seconds": seconds,
-    }
+    return {"after": after, "others_after": others_after, "exact": after}
 
 
 @dataclass(frozen=True)
@@ -138,8 +122,8 @@ class Method:
     title : str
     learn : callable
         Function from a :class:`Case` to a dict: the accuracies ``after`` and ``others_after`` on
-        the rest and on others, ``exact``, the accuracy on the rest without rounding of weights,
-        ``used``, 1 if the network was changed, and the ``seconds`` of processor time.
+        the rest and on others, ``exact``, the accuracy on the rest without rounding of weights, and
+        ``used``, 1 (the default) if the network was changed, else 0.
     wrong : float
         Share of the training labels that are replaced by wrong ones, to measure their effect.
     every : bool
@@ -186,7 +170,7 @@ class Subjects:
         Responses and labels of other people's samples.
     seed : int
     tune : callable, optional
-        ``tune(who, learned, judged)`` gives :attr:`Case.tuned` of a draw.
+        ``tune(who, training, test)`` gives :attr:`Case.tuned` of a draw.
     """
 
     spec: NetworkSpec
@@ -231,7 +215,7 @@ class Subjects:
         responder, people = Responder(spec, plan.seed), {}
         for who in known:
             mine = recordings.part(np.flatnonzero(recordings.writers == who))
-            own = responder.responses(responder.shown(mine))
+            own = responder.responses(responder.inputs(mine))
             # Only recordings that a draw learns from need altered copies.
             draws = [_drawn(mine.labels, plan, who, draw)[0] for draw in range(plan.draws)]
             some = np.unique(draws)
@@ -242,8 +226,8 @@ class Subjects:
             if advance is not None:
                 advance(1)
         inputs, labels = others
-        elsewhere = responder.responses(inputs), labels
-        return cls(spec, responder.scale, people, elsewhere, plan.seed, tune)
+        others = responder.responses(inputs), labels
+        return cls(spec, responder.scale, people, others, plan.seed, tune)
 
     def measured(self, plan: Plan, method: Method) -> list:
         """Fit the network to each draw of each person.
@@ -251,25 +235,28 @@ class Subjects:
         Returns
         -------
         list of dict
-            For each case ``who``, ``each``, ``draw``, ``before``, ``others_before`` and the items
-            that the method returns.
+            For each case ``who``, ``each``, ``draw``, ``before``, ``others_before``, the items that
+            the method returns, and its ``seconds`` of processor time.
         """
         old, rows = self.spec.layers[-1].weights, []
         counts = plan.each if method.every else (max(plan.each),)
         for who, person in self.people.items():
             for draw in range(min(plan.draws, method.draws)):
-                learned, judged = _drawn(person.labels, plan, who, draw)
+                drawn, test = _drawn(person.labels, plan, who, draw)
                 rng = np.random.default_rng([self.seed, who, draw, 1])
-                rest = person.responses[judged], person.labels[judged]
+                rest = person.responses[test], person.labels[test]
                 for count in counts:
-                    some = learned[:, :count].ravel()
+                    some = drawn[:, :count].ravel()
                     labels = _mistaken(person.labels[some], method.wrong, rng)
-                    told = Person(person.responses[some], labels, person.copies[some])
-                    tuned = self.tune and self.tune(who, some, judged)
-                    case = Case(self.spec, self.scale, told, rest, self.others, draw, tuned)
+                    training = Person(person.responses[some], labels, person.copies[some])
+                    tuned = self.tune and self.tune(who, some, test)
+                    case = Case(self.spec, self.scale, training, rest, self.others, draw, tuned)
                     before, others_before = case.right(old)
                     row = {"who": who, "each": count, "draw": draw, "before": before}
-                    rows.append({**row, "others_before": others_before, **method.learn(case)})
+                    row |= {"others_before": others_before, "used": 1.0}
+                    begun = time.process_time()
+                    row |= method.learn(case)
+                    rows.append({**row, "seconds": time.process_time() - begun})
         return rows
 
 
@@ -308,20 +295,20 @@ def measure_adaptation(
 
 def _enough(recordings, classes, most):
     """Writers who have enough recordings of each class for training and testing."""
-    known = [int(who) for who in np.unique(recordings.writers) if who >= 0]
-    counts = {
-        who: np.bincount(recordings.labels[recordings.writers == who], minlength=classes)
-        for who in known
-    }
-    return [who for who in known if counts[who].min() > most]
+    writers, labels = recordings.writers, recordings.labels
+    return [
+        int(who)
+        for who in np.unique(writers[writers >= 0])
+        if np.bincount(labels[writers == who], minlength=classes).min() > most
+    ]
 
 
 def _drawn(labels, plan, who, draw):
     """Indices of the training recordings, shape (classes, most), and of the test recordings."""
     rng, most = np.random.default_rng([plan.seed, who, draw]), max(plan.each)
     order = [rng.permutation(np.flatnonzero(labels == label)) for label in np.unique(labels)]
-    learned = np.array([mine[:most] for mine in order])
-    return learned, np.concatenate([mine[most:] for mine in order])
+    training = np.array([mine[:most] for mine in order])
+    return training, np.concatenate([mine[most:] for mine in order])
 
 
 def _mistaken(labels, wrong, rng):
@@ -356,12 +343,11 @@ def summary_of(rows) -> dict:
                          "seconds")
         }  # fmt: skip
     before = next(iter(tables.values()))["before"]
-    low, high = interval(before)
     return {
         "people": len(before),
         "draws": 1 + max(row["draw"] for row in rows),
         "before": float(before.mean()),
-        "before_interval95": [low, high],
+        "before_interval95": interval(before),
         "lowest": float(before.min()),
         "highest": float(before.max()),
         "each": {str(count): _gain(table) for count, table in tables.items()},
@@ -370,16 +356,16 @@ def summary_of(rows) -> dict:
 
 def _gain(table):
     gain = 100 * (table["after"] - table["before"])
-    means = {name: float(table[name].mean()) for name in ("before", "after", "exact")}
+    means = {name: float(values.mean()) for name, values in table.items()}
     return {
-        **means,
+        **{name: means[name] for name in ("before", "after", "exact")},
         "after_interval95": interval(table["after"]),
         "gain_points": float(gain.mean()),
         "interval95": interval(gain),
         "worst": float(gain.min()),
         "lost": float(100 * (table["others_before"] - table["others_after"]).mean()),
-        "used": float(table["used"].mean()),
-        "seconds": float(table["seconds"].mean()),
+        "used": means["used"],
+        "seconds": means["seconds"],
     }
 
 

@@ -294,7 +294,7 @@ def _prepared(rotation, task, index):
     tune = None
     if settings.on_events:
         weights = task.weights("events", dataset)
-        tune = _Tuning(settings, dataset, people, weights, spec.presentation.confidence)
+        tune = _tuning(settings, dataset, people, weights, spec.presentation.confidence)
     return about, Subjects.of(spec, dataset.part("test"), people, rotation.plan, tune=tune)
 
 
@@ -304,39 +304,36 @@ HALF = 500
 """Training samples, and as many repetitions of a person's, in an epoch of tuning all layers."""
 
 
-@dataclass(frozen=True)
-class _Tuning:
-    """Train all layers of a network further, half on a person's and half on training samples."""
+def _tuning(settings, dataset, people, weights, confidence):
+    """A function that trains all layers further, see :attr:`Subjects.tune`.
 
-    settings: Settings
-    dataset: Dataset
-    people: Recordings
-    weights: dict
-    confidence: float
+    Half of the samples of an epoch are the person's, and half are training samples.
+    """
 
-    def __call__(self, who, learned, judged):
-        mine = np.flatnonzero(self.people.writers == who)
-        return partial(self._tuned, mine[learned], mine[judged])
-
-    def _tuned(self, learned, judged, labels, seed):
+    def tuned(training, test, labels, seed):
         from pipeline.run.event_conversion import deployed_on_events
         from pipeline.training.events import EventRecipe, tune_events  # TensorFlow
 
         epochs = {"epochs": TUNING_EPOCHS, "learning_rate": TUNING_RATE}
-        recipe = replace(EventRecipe.of(self.settings), **epochs)
-        train, test = self.dataset.split.train, self.dataset.split.test
-        some = np.random.default_rng([seed, 0xA11]).permutation(train)[:HALF]
-        own = self.people.part(learned)
-        table = EventTable.of(own).followed_by(EventTable.of(self.dataset.recordings.part(some)))
-        both = np.concatenate([labels, self.dataset.labels[some]])
+        recipe = replace(EventRecipe.of(settings), **epochs)
+        some = np.random.default_rng([seed, 0xA11]).permutation(dataset.split.train)[:HALF]
+        own = people.part(training)
+        table = EventTable.of(own).followed_by(EventTable.of(dataset.recordings.part(some)))
+        both = np.concatenate([labels, dataset.labels[some]])
         every = len(own) + np.arange(len(some))
         train = np.concatenate([np.resize(np.arange(len(own)), len(some)), every])
-        weights = {**self.weights, **tune_events(recipe, self.weights, table, both, train, seed)}
-        spec = deployed_on_events(self.settings, weights, self.confidence, {})
+        new = {**weights, **tune_events(recipe, weights, table, both, train, seed)}
+        spec = deployed_on_events(settings, new, confidence, {})
         responder = Responder(spec)
-        rest = responder.responses(responder.shown(self.people.part(judged)))
-        others = responder.responses(self.dataset.inputs[test])
+        rest = responder.responses(responder.inputs(people.part(test)))
+        others = responder.responses(dataset.inputs[dataset.split.test])
         return rest, others, spec.layers[-1].weights
+
+    def tune(who, training, test):
+        mine = np.flatnonzero(people.writers == who)
+        return partial(tuned, mine[training], mine[test])
+
+    return tune
 
 
 def rotation_text(summary: dict) -> str:

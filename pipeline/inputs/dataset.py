@@ -8,6 +8,8 @@ from hashlib import sha256
 import numpy as np
 
 from deploy.errors import UserError
+from deploy.network.spec import NetworkSpec
+from deploy.network.stimulus import EventFrames
 from deploy.terminal import WARNING
 from pipeline.artifacts import Origin
 from pipeline.inputs.images import tactile_images
@@ -16,7 +18,7 @@ from pipeline.inputs.splits import Split, random_split, writer_split
 from pipeline.recordings.events import Events, Recordings, Sensor, Source, TaxelMap
 from pipeline.recordings.sensors import too_small
 from pipeline.recordings.steps import EventTable
-from pipeline.settings import SIMULATED, Settings, check_fits
+from pipeline.settings import SIMULATED, Image, Settings, check_fits
 
 KINDS = ("random", "writers")
 """Kinds of splits: over samples, as in the paper, or over writers (none in both parts)."""
@@ -288,6 +290,33 @@ def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:
         for some in np.array_split(np.arange(len(table)), 1 + len(table) // AT_ONCE):
             inputs[some] = np.moveaxis(table.frames(some, shown.step, steps, shown.rest), 0, 1)
         return inputs
+    return tactile_images(recordings, image.aggregation, image.normalisation)
+
+
+def inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | None = None):
+    """The inputs of a deployed network for other recordings than its own.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    recordings : Recordings
+    image : Image, optional
+        Conversion of events to images, for a network on images whose bundle does not have it.
+
+    Returns
+    -------
+    ndarray
+        As from :func:`inputs_of`.
+    """
+    stimulus = spec.stimulus
+    if isinstance(stimulus, EventFrames):
+        table, steps = EventTable.of(recordings), spec.presentation.steps
+        step_ms = 1000 * stimulus.step_seconds
+        frames = table.frames(np.arange(len(table)), step_ms, steps, stimulus.rest)
+        return np.moveaxis(frames, 0, 1)
+    if (recorded := spec.provenance.get("image")) is not None:
+        image = Image(**recorded)
+    image = image or Image()
     return tactile_images(recordings, image.aggregation, image.normalisation)
 
 

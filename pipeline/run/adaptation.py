@@ -15,10 +15,9 @@ from deploy.network.responses import running_sums
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, last_steps
 from deploy.targets.fast.emulation import Emulation, compile_spec
-from pipeline.inputs.images import tactile_images
+from pipeline.inputs.dataset import inputs_for
 from pipeline.recordings.altering import Alteration, altered_recordings
 from pipeline.recordings.events import DIGITS, Recordings
-from pipeline.recordings.steps import EventTable
 from pipeline.settings import Image
 from pipeline.training.readout import Person, Refit, refit
 
@@ -65,25 +64,18 @@ class Responder:
             compile_spec(replace(spec, layers=(*spec.layers[:-1], through), judge=None,
                                  rehearsal=None), seed)
         )  # fmt: skip
-        said = spec.provenance.get("image")
-        self._image = image or (Image() if said is None else Image(**said))
+        self._image = image
 
     @property
     def scale(self) -> float:
         """Factor from scores to the logits with which the network was trained."""
-        shown = self.spec.presentation
+        presentation = self.spec.presentation
         on_events = isinstance(self.spec.stimulus, EventFrames)
-        return float(shown.steps - shown.readout_start) if on_events else 1.0
+        return float(presentation.steps - presentation.readout_start) if on_events else 1.0
 
-    def shown(self, recordings: Recordings) -> np.ndarray:
+    def inputs(self, recordings: Recordings) -> np.ndarray:
         """The inputs of the network for recordings."""
-        stimulus = self.spec.stimulus
-        if isinstance(stimulus, EventFrames):
-            table, steps = EventTable.of(recordings), self.spec.presentation.steps
-            step_ms = 1e3 * stimulus.step_seconds
-            frames = table.frames(np.arange(len(table)), step_ms, steps, stimulus.rest)
-            return np.moveaxis(frames, 0, 1)
-        return tactile_images(recordings, self._image.aggregation, self._image.normalisation)
+        return inputs_for(self.spec, recordings, self._image)
 
     def outputs(self, samples):
         """The input of the readout at each step.
@@ -97,10 +89,11 @@ class Responder:
         ------
         ndarray, shape (some, steps, inputs)
         """
-        shown, fed = self.spec.presentation, self.spec.fed(samples)
+        steps, gap = self.spec.presentation.steps, self.spec.presentation.gap
+        fed = self.spec.fed(samples)
         for start in range(0, len(fed), AT_ONCE):
             part = fed[start : start + AT_ONCE, None]
-            yield self._emulation.run(part, shown.steps, shown.gap).output[:, 0, shown.gap :]
+            yield self._emulation.run(part, steps, gap).output[:, 0, gap:]
 
     def responses(self, samples) -> np.ndarray:
         """Mean input of the readout while it is read, shape (n_samples, inputs)."""
@@ -115,11 +108,11 @@ class Responder:
         step_ms = 1e3 * self.spec.stimulus.step_seconds
         often = np.repeat(np.arange(n), COPIES)
         altered = altered_recordings(recordings, often, Alteration(), step_ms, seed)
-        return self.responses(self.shown(altered)).reshape(n, COPIES, -1)
+        return self.responses(self.inputs(altered)).reshape(n, COPIES, -1)
 
     def person(self, recordings: Recordings, seed) -> Person:
         """The responses to a person's recordings that a refit needs."""
-        own = self.responses(self.shown(recordings))
+        own = self.responses(self.inputs(recordings))
         return Person(own, recordings.labels, self.copies(recordings, seed))
 
 
@@ -198,12 +191,12 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
     readout = spec.layers[-1]
     fit = refit(readout.weights, readout.bias, person, spec.rehearsal, seed, responder.scale)
     others = responder.responses(bundle.checks.inputs)
-    before, after = (
+    others_before, others_after = (
         (others @ weights.T + readout.bias).argmax(axis=1) == bundle.checks.labels
         for weights in (readout.weights, fit.weights)
     )
     if not fit.helps:
-        return Adapted(None, fit, before, before)
+        return Adapted(None, fit, others_before, others_before)
     about = {
         "from": bundle.id,
         "writer": writer,
@@ -218,7 +211,9 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
         layers=(*spec.layers[:-1], replace(readout, weights=fit.weights)),
         provenance={**spec.provenance, "adapted": about},
     )
-    return Adapted(_sure_enough(adapted, responder, recordings), fit, before, after)
+    return Adapted(
+        _with_threshold(adapted, responder, recordings), fit, others_before, others_after
+    )
 
 
 def fits(spec: NetworkSpec, recordings: Recordings):
@@ -254,7 +249,7 @@ def _listed(names):
     return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
 
 
-def _sure_enough(spec, responder, recordings):
+def _with_threshold(spec, responder, recordings):
     """The network with a threshold that keeps the accuracy of early decisions for the person.
 
     The threshold is never lower than before, because it would be unreliable with few samples.
@@ -262,7 +257,7 @@ def _sure_enough(spec, responder, recordings):
     limit = spec.presentation.confidence
     if limit is None:
         return spec
-    samples = responder.shown(recordings)
+    samples = responder.inputs(recordings)
     weights = spec.layers[-1].weights
     outputs = np.concatenate([output @ weights.T for output in responder.outputs(samples)])
     chosen = choose_threshold(

@@ -11,13 +11,12 @@ from deploy.check.bundle import Bundle, CheckSet
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.terminal import WARNING
-from pipeline.inputs.images import tactile_images
+from pipeline.inputs.dataset import inputs_for
 from pipeline.inputs.library import load_recordings
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.paper import CHECK_SAMPLES
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.sensors import Reading
-from pipeline.recordings.steps import EventTable
 from pipeline.run.ladder import confusion_matrix
 from pipeline.settings import Image, Settings
 
@@ -80,7 +79,7 @@ def recordings_for(
     return replace(recordings, labels=labels, sensor=replace(sensor, classes=tuple(known)))
 
 
-def shown_instead(
+def with_recordings(
     bundle: Bundle, recordings: Recordings, samples: int | None, seed: int, image: Image
 ) -> tuple:
     """A bundle with other recordings as the samples of its check, and the indices of these.
@@ -110,23 +109,14 @@ def shown_instead(
         raise UserError(
             f"{recordings.source.name}: {count} samples asked for, there are {n}"
         ) from error
-    spec, stimulus = bundle.spec, bundle.spec.stimulus
-    if stimulus.held:
-        told = spec.provenance.get("image")
-        image = image if told is None else Image(**told)
-        inputs = tactile_images(recordings, image.aggregation, image.normalisation)[chosen]
-    else:
-        steps, table = spec.presentation.steps, EventTable.of(recordings)
-        frames = table.frames(chosen, 1000 * stimulus.step_seconds, steps, stimulus.rest)
-        inputs = np.moveaxis(frames, 0, 1)
-    if problem := stimulus.complaint(inputs, spec.input_shape, spec.presentation.steps):
+    spec, drawn = bundle.spec, recordings.part(chosen)
+    inputs = inputs_for(spec, drawn, image)
+    if problem := spec.stimulus.complaint(inputs, spec.input_shape, spec.presentation.steps):
         raise UserError(f"{recordings.source.name}: {problem}")
-    ids = tuple(recordings.ids[index] for index in chosen)
-    checks = CheckSet(inputs, recordings.labels[chosen], ids, seed)
-    return replace(bundle, checks=checks), chosen
+    return replace(bundle, checks=CheckSet(inputs, drawn.labels, drawn.ids, seed)), chosen
 
 
-def told_of(result: dict, recordings: Recordings, chosen: np.ndarray) -> dict:
+def with_accuracies(result: dict, recordings: Recordings, chosen: np.ndarray) -> dict:
     """A check result with further entries for other recordings than the bundle's.
 
     ``data`` identifies the recordings.  ``classes``, ``confusion`` (rows: labels, columns:
