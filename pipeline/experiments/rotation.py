@@ -15,20 +15,19 @@ from pathlib import Path
 
 import numpy as np
 
-from deploy.errors import CheckFailed, UserError
-from deploy.files import sha256_of, write_json
-from pipeline.artifacts import Artifact, Origin
+from deploy.errors import UserError
+from deploy.files import sha256_of
+from pipeline.artifacts import Origin
 from pipeline.experiments.adaptation import METHODS, Plan, Subjects, methods_text, summary_of
-from pipeline.experiments.study import Findings, Task, Workers, study
+from pipeline.experiments.study import Findings, Task, Workers, concluded, study, successful
 from pipeline.inputs.dataset import Dataset, dataset_origin, split_of
 from pipeline.inputs.library import simulated
-from pipeline.jobs import Failure
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.recordings.events import Recordings, Source
 from pipeline.recordings.steps import EventTable
 from pipeline.run import stages
 from pipeline.run.adaptation import Responder, with_rehearsal
-from pipeline.run.folder import NetworkLibrary, RunFolder
+from pipeline.run.folder import RunFolder
 from pipeline.run.origins import bundle_origin
 from pipeline.settings import SIMULATED, Settings
 from pipeline.skin import parameters, shape_fit, unipen
@@ -202,10 +201,7 @@ def measure_rotation(
         groups.append(tasks)
     folder.save_settings(settings)
     results = study("adapt", partial(_measure, rotation), groups, workers, say)
-    failed = [name for name, result in results.items() if isinstance(result, Failure)]
-    whole = [result for result in results.values() if not isinstance(result, Failure)]
-    if not whole:
-        raise CheckFailed("every fold failed; see above")
+    whole, failed = successful(results)
     summary = {
         "schema": SCHEMA,
         "pen_sha256": sha256_of(rotation.pen),
@@ -225,13 +221,11 @@ def measure_rotation(
             for method in dict.fromkeys(result["method"] for result in whole)
         },
     }
-    write_json(folder.path / "adapt.json", summary)
-    again = f"{', '.join(failed)} failed; the same command tries again" if failed else ""
-    return Findings(summary, again)
+    return concluded(folder, "adapt", summary, failed)
 
 
 def _task(rotation, fold, method, folder, settings):
-    root, plan = folder.path.absolute(), rotation.plan
+    plan = rotation.plan
     source = fold.source(settings).sha256
     contents = {
         "schema": SCHEMA,
@@ -243,14 +237,9 @@ def _task(rotation, fold, method, folder, settings):
         contents["how"] = how
     made = bundle_origin(settings, dataset_origin(settings, source))
     origin = Origin.of(settings, uses=[made], contents=contents)
-    file = root / f"{method}-{fold.index}.json"
-    return Task(
-        artifact=Artifact(f"{method}, fold {fold.index}", file, origin),
-        settings=origin.view(settings),
-        recordings=source,
-        networks=NetworkLibrary(root / "networks"),
-        subject=f"{fold.index} {method}",
-    )
+    name, file = f"{method}, fold {fold.index}", f"{method}-{fold.index}.json"
+    subject = f"{fold.index} {method}"
+    return Task.of(folder.path, file, name, origin, settings, source, subject=subject)
 
 
 def _measure(rotation, task):

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -87,6 +88,29 @@ class Task:
     split: str = "random"
     subject: str = ""
 
+    @classmethod
+    def of(cls, folder: Path, file: str, name: str, origin: Origin, settings, recordings, **more):
+        """A task whose result is a file in an experiment's folder, beside its trained networks.
+
+        Parameters
+        ----------
+        folder : Path
+            Made absolute: a worker may have been started in another folder.
+        file : str
+            Path below the folder.
+        name : str
+            Name of the result.
+        origin : Origin
+            Origin of the result.
+        settings : Settings
+        recordings, **more
+            Other attributes.
+        """
+        folder = folder.absolute()
+        artifact = Artifact(name, folder / file, origin)
+        networks = NetworkLibrary(folder / "networks")
+        return cls(artifact, origin.view(settings), recordings, networks, **more)
+
     @property
     def name(self) -> str:
         """The artifact's name."""
@@ -147,7 +171,7 @@ def study(label: str, measure: Callable, groups, workers: Workers, say: Callable
     Returns
     -------
     dict
-        By task name: its result, or a :class:`pipeline.jobs.Failure`.
+        By task name, in the order of the groups: its result, or a :class:`pipeline.jobs.Failure`.
 
     Raises
     ------
@@ -184,7 +208,27 @@ def study(label: str, measure: Callable, groups, workers: Workers, say: Callable
     failures = [result for result in results.values() if isinstance(result, Failure)]
     for mistake in sorted({f.details for f in failures if f.mistake is not None}):
         say(mistake)
-    return results
+    return {task.name: results[task.name] for group in groups for task in group}
+
+
+def successful(results: dict) -> tuple:
+    """The results of :func:`study` that are no failures, and the names of the others, in one line.
+
+    Raises
+    ------
+    CheckFailed
+        Every measurement failed.
+    """
+    failed = [name for name, result in results.items() if isinstance(result, Failure)]
+    if len(failed) == len(results):
+        raise CheckFailed("every measurement failed; see above")
+    return [result for name, result in results.items() if name not in failed], ", ".join(failed)
+
+
+def concluded(folder: RunFolder, name: str, summary: dict, failed: str) -> Findings:
+    """Write the summary of an experiment; ``failed`` says what has failed, or is empty."""
+    write_json(folder.path / f"{name}.json", summary)
+    return Findings(summary, failed and f"{failed} failed; the same command tries again")
 
 
 def _work(measure, version, group):
@@ -304,16 +348,10 @@ def measure_splits(
         for subject in experiment.subjects
     ]
     results = study(experiment.name, experiment.measure, [[t] for t in tasks], workers, say)
-    failed = [name for name, result in results.items() if isinstance(result, Failure)]
-    whole = [results[task.name] for task in tasks if task.name not in failed]
-    if not whole:
-        raise CheckFailed("every measurement failed; see above")
+    whole, failed = successful(results)
     summary = experiment.summarise(whole, recordings.source.simulated)
     summary["source_sha256"] = recordings.source.sha256
-    write_json(folder.path / f"{experiment.name}.json", summary)
-    return Findings(
-        summary, f"{', '.join(failed)} failed; the same command tries again" if failed else ""
-    )
+    return concluded(folder, experiment.name, summary, failed)
 
 
 def split_task(
@@ -324,14 +362,7 @@ def split_task(
     name = f"{subject} of seed {seed}" if subject else f"split {seed}"
     file = f"{subject or 'split'}-{seed:02d}.json"
     origin = experiment.origin(settings, dataset_origin(settings, recordings), subject)
-    root = folder.path.absolute()  # a worker may have been started in another folder
-    return Task(
-        artifact=Artifact(name, root / file, origin),
-        settings=origin.view(settings),
-        recordings=recordings,
-        networks=NetworkLibrary(root / "networks"),
-        subject=subject,
-    )
+    return Task.of(folder.path, file, name, origin, settings, recordings, subject=subject)
 
 
 def counted(task: Task, dataset: Dataset) -> dict:

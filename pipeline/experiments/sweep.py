@@ -18,11 +18,11 @@ import numpy as np
 
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
-from deploy.files import replacing, write_json
+from deploy.files import replacing
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
-from pipeline.artifacts import Artifact, Origin
-from pipeline.experiments.study import Findings, Task, Workers, silent, study
+from pipeline.artifacts import Origin
+from pipeline.experiments.study import Findings, Task, Workers, concluded, silent, study
 from pipeline.experiments.sweep_text import sweep_csv
 from pipeline.inputs.dataset import Dataset, dataset_origin, recordings_fit
 from pipeline.jobs import Failure
@@ -135,23 +135,19 @@ def points_of(folder: Path, base: Settings, grid, recordings: Recordings) -> lis
 
 def _point(folder, settings, changes, recordings):
     """A point with its tasks: its networks, which other points may share, and its result."""
-    networks = NetworkLibrary(folder / "networks")
     dataset = _without_test_origin(dataset_origin(settings, recordings))
-
-    def task(artifact, name):
-        key = artifact.origin.key[:16]
-        artifact = replace(artifact, name=f"{name} {key}")  # unique in the sweep
+    networks, trainings = NetworkLibrary(folder / "networks"), []
+    for name in ("events",) if settings.on_events else ("cnn", "rate-lif"):
+        artifact = stages.network_artifact(name, networks, settings, dataset)
         view = artifact.origin.view(settings)
-        return SweepTask(artifact, view, recordings, networks, subject=name)
-
-    names = ("events",) if settings.on_events else ("cnn", "rate-lif")
-    trainings = tuple(
-        task(stages.network_artifact(name, networks, settings, dataset), name) for name in names
-    )
+        unique = replace(artifact, name=f"{name} {artifact.origin.key[:16]}")
+        trainings.append(SweepTask(unique, view, recordings, networks, subject=name))
     origin = result_origin(settings, dataset)
-    path = folder / "points" / f"{origin.key[:16]}.json"
-    evaluation = task(Artifact("point", path, origin), "point")
-    return Point(settings, tuple(changes), trainings, evaluation)
+    key = origin.key[:16]
+    evaluation = SweepTask.of(
+        folder, f"points/{key}.json", f"point {key}", origin, settings, recordings
+    )
+    return Point(settings, tuple(changes), tuple(trainings), evaluation)
 
 
 def result_origin(settings: Settings, dataset: Origin) -> Origin:
@@ -342,11 +338,11 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     results = _measure(points, workers, say)
     failed = sum(isinstance(result, Failure) for result in results)
     summary = summarise(points, results)
-    write_json(folder.path / "sweep.json", summary)
     with replacing(folder.path / "sweep.csv", "w") as file:
         file.write(sweep_csv(summary))
-    message = f"{failed} of {len(points)} points failed; the same command tries them again"
-    return Findings(summary, message if failed else "")
+    return concluded(
+        folder, "sweep", summary, f"{failed} of {len(points)} points" if failed else ""
+    )
 
 
 def _measure(points, workers, say):

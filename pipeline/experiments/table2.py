@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.files import write_json
 from deploy.tables import aligned, p_text
 from pipeline.experiments.resampling import estimate
-from pipeline.experiments.study import Findings, Workers, study
+from pipeline.experiments.study import Findings, Workers, concluded, study
 from pipeline.experiments.table2_splits import (
     LOIHI_TARGET,
     MODELS,
@@ -96,9 +95,8 @@ def measure_table(
     results = study("table 2", measure, benchmark.groups(), workers, say)
     failures = {name: found for name, found in results.items() if isinstance(found, Failure)}
     table = summarise(benchmark, failures)
-    write_json(folder.path / "table2.json", table)
-    failed = f"{len(failures)} of {len(results)} results failed; the same command tries them again"
-    return Findings(table, failed if failures else "")
+    failed = f"{len(failures)} of {len(results)} results" if failures else ""
+    return concluded(folder, "table2", table, failed)
 
 
 def _time_of_slayer(benchmark, n_recordings, workers):

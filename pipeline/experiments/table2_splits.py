@@ -15,13 +15,12 @@ import numpy as np
 from deploy.errors import UserError
 from deploy.targets.registry import answer
 from models.architecture import parse
-from pipeline.artifacts import Artifact, Origin
+from pipeline.artifacts import Origin
 from pipeline.experiments.study import Task, on_split, silent
 from pipeline.inputs.dataset import dataset_origin
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.paper import TABLE2
 from pipeline.run import stages
-from pipeline.run.folder import NetworkLibrary
 from pipeline.run.history import read_history, write_history
 from pipeline.run.origins import bundle_origin, cnn_origin, rates_origin, threshold_origin
 from pipeline.settings import Settings
@@ -136,20 +135,15 @@ class Benchmark:
         settings = on_split(self.settings, self.settings.seed + index)
         settings = settings_of(settings, model)
         origin = result_origin(settings, dataset_origin(settings, self.source_sha256, kind), model)
-        path = split_path(self.folder, kind, index, model)
-        return Task(
-            artifact=Artifact(f"{model}, {kind} split {index}", path, origin),
-            settings=origin.view(settings),
-            recordings=self.source_sha256,
-            networks=NetworkLibrary(self.folder / "networks"),
-            split=kind,
-            subject=model,
-        )
+        name, file = f"{model}, {kind} split {index}", split_file(kind, index, model)
+        more = {"split": kind, "subject": model}
+        return Task.of(self.folder, file, name, origin, settings, self.source_sha256, **more)
 
     def results(self, kind: str, model: str) -> list:
         """The current results of a model, whether requested now or earlier."""
         found = []
-        for index in splits_there(self.folder, kind, model):
+        paths = self.folder.glob(split_file(kind, "*", model))
+        for index in sorted(int(path.parent.name.rsplit("-", 1)[1]) for path in paths):
             state = self.task(kind, index, model).artifact.state()
             if state.is_current:
                 found.append({**state.record, "index": index})
@@ -192,15 +186,10 @@ def result_origin(settings: Settings, dataset: Origin, model: str) -> Origin:
     return Origin.of(settings, reads, [rates_origin(settings, dataset)], schema)
 
 
-def split_path(folder: Path, kind: str, index: int, model: str) -> Path:
-    """The file of the result of a model on a split."""
-    return Path(folder) / "splits" / f"{kind}-{index:02d}" / f"{model}.json"
-
-
-def splits_there(folder: Path, kind: str, model: str) -> list:
-    """Numbers of the splits that have a result of a model, current or not."""
-    paths = (Path(folder) / "splits").glob(f"{kind}-*/{model}.json")
-    return sorted(int(path.parent.name.rsplit("-", 1)[1]) for path in paths)
+def split_file(kind: str, index, model: str) -> str:
+    """The file of the result of a model on a split, or for ``"*"`` the pattern of all of them."""
+    number = index if index == "*" else f"{index:02d}"
+    return f"splits/{kind}-{number}/{model}.json"
 
 
 def measure(task: Task) -> dict:

@@ -11,7 +11,7 @@ from deploy.check.results import is_share, read_result
 from deploy.errors import UserError
 from deploy.files import read_json
 from deploy.preflight.plan import make_plan
-from pipeline.experiments.table2_splits import WITH_SLAYER, split_path
+from pipeline.experiments.table2_splits import WITH_SLAYER, split_file
 from pipeline.inputs.library import recordings_of
 from pipeline.progress import progress
 from pipeline.report.over_time import probabilities
@@ -210,7 +210,7 @@ def _of_rows(folder, rows):
     answers, curves = {}, {}
     for row in rows:
         results = [
-            read_json(split_path(folder, "random", index, row["model"]), REMEDY)
+            read_json(folder / split_file("random", index, row["model"]), REMEDY)
             for index in row["indices"]
         ]
         if results:

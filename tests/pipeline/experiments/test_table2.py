@@ -43,7 +43,7 @@ def store(benchmark, model, index, right, samples=None, kind="random"):
         "predictions": [(y + 1 - r) % 10 for y, r in zip(labels, right.tolist(), strict=True)],
         "seconds": 1.0,
     }
-    write_json(table2.split_path(benchmark.folder, kind, index, model), result)
+    write_json(benchmark.folder / table2.split_file(kind, index, model), result)
 
 
 def test_models_that_share_a_training_are_a_group(benchmark):

@@ -56,7 +56,7 @@ def with_benchmark(run):
             }
         )
         for index in rows[-1]["indices"]:
-            path = table2.split_path(folder, "random", index, name)
+            path = folder / table2.split_file("random", index, name)
             path.parent.mkdir(parents=True, exist_ok=True)
             history = [{"epoch": e, "accuracy": e / 5, "test_accuracy": e / 6} for e in (1, 2, 3)]
             answers = {"labels": [0, 1, 2], "predictions": [0, 1, 7], "history": history}
