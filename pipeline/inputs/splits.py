@@ -28,6 +28,18 @@ class Split:
     validation: np.ndarray
     test: np.ndarray
 
+    def held_out(self, seed: int) -> tuple:
+        """Samples to train on, and held-out samples: for validation or else of the training.
+
+        Parameters
+        ----------
+        seed : int
+            Seed of :func:`hold_out`.
+        """
+        if len(self.validation):
+            return self.train, self.validation
+        return hold_out(self.train, seed)
+
 
 def random_split(
     n_samples: int, seed: int, test_fraction: float = 0.2, validation_fraction: float = 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from deploy.check.bundle import Bundle
 from deploy.check.results import result_of
 from deploy.check.run import records_of
 from deploy.network.responses import Responses, read_output
+from pipeline.run.nir_conversion import NUMPY, graph_responses
 from pipeline.settings import Settings
 
 NETWORKS = {
@@ -36,7 +38,7 @@ REFERENCES = {
 
 
 def reference_result(
-    stage: str, settings: Settings, weights: dict, bundle: Bundle, advance=None
+    stage: str, settings: Settings, network: dict | Path, bundle: Bundle, advance=None
 ) -> dict:
     """Make the check result of a network that is not a target, on the samples of a bundle.
 
@@ -45,8 +47,9 @@ def reference_result(
     stage : str
         One of `REFERENCES`.
     settings : Settings
-    weights : dict
-        The CNN's for ``"cnn"``; otherwise those from which the bundle was made.
+    network : dict or Path
+        Weights: the CNN's for ``"cnn"``, otherwise those from which the bundle was made; for
+        ``"nir"`` the file of the graph.
     bundle : Bundle
     advance : callable, optional
         Called with the number of samples done since the last call.
@@ -57,14 +60,16 @@ def reference_result(
         See :func:`deploy.check.results.result_of`.
     """
     begun = time.perf_counter()
-    if stage == "trained":
-        responses = _on_events(settings, weights, bundle, advance)
+    if stage == "nir":
+        responses = graph_responses(network, settings, bundle, advance)
+    elif stage == "trained":
+        responses = _on_events(settings, network, bundle, advance)
     else:
-        logits = _logits(stage, settings, weights, bundle.checks.inputs, advance)
+        logits = _logits(stage, settings, network, bundle.checks.inputs, advance)
         responses = responses_of(logits, settings.presentation)
     seconds = time.perf_counter() - begun
     samples = records_of(bundle.checks, responses)
-    extra = {"versions": training_versions()}
+    extra = {"versions": NUMPY if stage == "nir" else training_versions()}
     return result_of(bundle, stage, settings.seed, samples, seconds, extra)
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from deploy.network.decision import Threshold
 from pipeline.inputs.dataset import Dataset
-from pipeline.inputs.splits import hold_out
 from pipeline.recordings.steps import EventTable
 from pipeline.settings import Settings
 from pipeline.training.checkpoint import Checkpoint
@@ -44,12 +43,10 @@ def set_apart(dataset: Dataset, seed: int) -> Apart:
     ----------
     dataset : Dataset
     seed : int
-        Seed of :func:`pipeline.inputs.splits.hold_out`.
+        Seed of :meth:`pipeline.inputs.splits.Split.held_out`.
     """
-    learn, held = dataset.split.train, dataset.split.validation
-    if not len(held):
-        learn, held = hold_out(learn, seed)
-    return Apart(EventTable.of(dataset.recordings), dataset.labels, learn, held)
+    table = EventTable.of(dataset.recordings)
+    return Apart(table, dataset.labels, *dataset.split.held_out(seed))
 
 
 def train(

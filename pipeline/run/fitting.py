@@ -194,23 +194,18 @@ def _operations_of_input(architecture, recordings):
 def _presentation(settings, recordings, changes):
     """Present events for as long as the recordings last, with a suitable length of steps."""
     default = Settings()
-    if settings.presentation.steps or recordings.sensor.duration_s == default_duration():
-        return
+    if settings.presentation.steps or recordings.sensor.duration_s == Sensor().duration_s:
+        return  # as long as the published recordings, which the default is for
     longest = float(EventTable.of(recordings).duration_ms.max(initial=0))
     step = settings.input.step
-    untouched = replace(settings.input, kind=default.input.kind) == default.input
-    if untouched:  # nobody has chosen how long a step is
+    if replace(settings.input, kind=default.input.kind) == default.input:
+        # The user has not chosen the length of a step.
         while longest >= step * MOST_STEPS:
             step *= 2
     steps = min(max(math.floor(longest / step) + 1, FEWEST_STEPS), MOST_STEPS)
     changes["presentation"] = {"steps": steps}
     if step != settings.input.step:
         changes["input"] = {"step": min(step, 1000.0), "refractory": min(step, 1000.0)}
-
-
-def default_duration() -> float:
-    """Duration in seconds of the published recordings, for which the default steps are chosen."""
-    return Sensor().duration_s
 
 
 def _test_samples(settings, recordings, problems):

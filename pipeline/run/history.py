@@ -52,13 +52,7 @@ def read_history(path) -> list:
         raise UserError(f"{path}: cannot read ({error.strerror or error}); {REMEDY}") from error
     except (ValueError, TypeError, csv.Error) as error:
         raise UserError(f"{path}: not a learning curve ({error}); {REMEDY}") from error
-    sound = (
-        rows and {"epoch", "accuracy"} <= set(rows[0]) and all(map(math.isfinite, _values(rows)))
-    )
-    if not sound:
+    finite = all(math.isfinite(value) for row in rows for value in row.values())
+    if not (rows and finite and {"epoch", "accuracy"} <= set(rows[0])):
         raise UserError(f"{path}: not a learning curve, or one with gaps; {REMEDY}")
     return rows
-
-
-def _values(rows):
-    return (value for row in rows for value in row.values())

@@ -14,8 +14,6 @@ import numpy as np
 
 from deploy.check.bundle import Bundle
 from deploy.check.intervals import wilson_interval
-from deploy.check.results import result_of
-from deploy.check.run import records_of
 from deploy.errors import UserError
 from deploy.files import replacing, sha256_of
 from deploy.network.chip import LOIHI
@@ -30,9 +28,7 @@ from models.nir_layers import NirLayer, chosen, fired, layers_of, rounded
 from models.nir_simulator import AT_ONCE, simulate
 from pipeline import paper
 from pipeline.inputs.dataset import Dataset
-from pipeline.inputs.splits import hold_out
 from pipeline.progress import progress
-from pipeline.run.folder import RunFolder
 from pipeline.settings import SIMULATED, Settings
 
 CALIBRATED_ON = 48
@@ -52,6 +48,9 @@ network, so there it means one loading a sample."""
 
 RESET_ON = 200
 """Maximum number of training samples on which the two resets are compared."""
+
+NUMPY = {"numpy": np.__version__}
+"""Versions of the packages that simulate a graph."""
 
 AGAIN = "give it again with 'stmnist convert RUN --nir FILE'"
 
@@ -229,8 +228,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     index = getattr(dataset.split, part)
     with progress("simulate nir", len(index)) as advance:
         answers = _outputs(network, stepped, dataset.inputs[index], settings, advance)[0]
-    start = 0 if settings.on_events else settings.presentation.readout_start
-    right = answers[:, start:].mean(1).argmax(1) == dataset.labels[index]
+    right = _predictions(answers, settings) == dataset.labels[index]
     accuracy, interval = float(right.mean()), wilson_interval(int(right.sum()), len(right))
     metrics = {
         "simulated": dataset.recordings.source.simulated,
@@ -242,7 +240,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
         "method": stepped.method,
         "reset_by_subtraction": cost,
         "decides_by_itself": _threshold(network, stepped, layers, settings, dataset),
-        "versions": {"numpy": np.__version__},
+        "versions": NUMPY,
     }
     if source != folder / GRAPH:
         for record in ("metrics.json", "training.json"):  # of what was there before
@@ -377,11 +375,10 @@ def reset_cost(network: NirNetwork, stepped: Stepped, settings, dataset) -> dict
     rng = np.random.default_rng([settings.seed, 0x5EB])
     some = np.sort(rng.permutation(dataset.split.train)[:RESET_ON])
     late = "subtract-late" if network.written_by_snntorch else "subtract"
-    start = 0 if settings.on_events else settings.presentation.readout_start
     predictions, spikes = {}, {}
     for reset in ("value", late):
         outputs, counts = _outputs(network, stepped, dataset.inputs[some], settings, reset=reset)
-        predictions[reset] = outputs[:, start:].mean(1).argmax(1)
+        predictions[reset] = _predictions(outputs, settings)
         spikes[reset] = sum(int(count.sum()) for count in counts.values())
     labels = dataset.labels[some]
     return {
@@ -391,6 +388,12 @@ def reset_cost(network: NirNetwork, stepped: Stepped, settings, dataset) -> dict
         "agreement": float((predictions["value"] == predictions[late]).mean()),
         "spikes": spikes[late] / max(spikes["value"], 1),
     }
+
+
+def _predictions(outputs, settings):
+    """Predictions from the mean outputs in the readout window."""
+    start = 0 if settings.on_events else settings.presentation.readout_start
+    return outputs[:, start:].mean(1).argmax(1)
 
 
 def _reset_text(cost):
@@ -409,14 +412,12 @@ def _threshold(network, stepped, layers, settings, dataset):
     """The confidence for early decisions of networks on events."""
     if not settings.on_events or network.outputs < 2:
         return None
-    held = dataset.split.validation
-    if not len(held):
-        held = hold_out(dataset.split.train, settings.seed)[1]
-    held = held[:DECIDED_ON]
-    outputs = _outputs(network, stepped, dataset.inputs[held], settings)[0]
+    held_out = dataset.split.held_out(settings.seed)[1][:DECIDED_ON]
+    inputs = dataset.inputs[held_out]
+    outputs = _outputs(network, stepped, inputs, settings)[0]
     sums = delayed(np.cumsum(outputs, 1), len(layers))
-    found = choose_threshold(sums, dataset.labels[held], last_steps(dataset.inputs[held]))
-    return {**found._asdict(), "samples": len(held)}
+    found = choose_threshold(sums, dataset.labels[held_out], last_steps(inputs))
+    return {**found._asdict(), "samples": len(held_out)}
 
 
 # --- the graph as written -------------------------------------------------------------------------
@@ -470,54 +471,34 @@ def _in_places(values):
     return moved.reshape(len(values), -1)
 
 
-def graph_result(run: RunFolder, settings: Settings, bundle: Bundle, advance=None) -> dict:
-    """A check result of the original graph, in floating point, with each sample from rest.
+def graph_responses(graph: Path, settings: Settings, bundle: Bundle, advance=None) -> Responses:
+    """Responses of the original graph to a bundle's samples, in floating point, each from rest.
 
     Parameters
     ----------
-    run, settings
+    graph : Path
+    settings : Settings
     bundle : Bundle
     advance : callable, optional
         Called with the number of samples done since the last call.
-
-    Returns
-    -------
-    dict
-        See :func:`deploy.check.results.result_of`.
     """
-    begun, network, inputs = (
-        time.perf_counter(),
-        read_nir((run.snn if settings.network == "nir" else run.nir) / GRAPH),
-        bundle.checks.inputs,
-    )
+    network, inputs, spec = read_nir(graph), bundle.checks.inputs, bundle.spec
     outputs, counts = _outputs(network, Stepped.of(settings, network), inputs, settings, advance)
-    spec = bundle.spec
     if settings.network == "retrained":  # its judge was trained with it, not with the graph
         spec = replace(spec, judge=None, presentation=replace(spec.presentation, confidence=None))
-    responses = _responses(spec, network, inputs, outputs, counts)
-    samples = records_of(bundle.checks, responses)
-    extra = {"versions": {"numpy": np.__version__}}
-    seconds = time.perf_counter() - begun
-    return result_of(bundle, "nir", settings.seed, samples, seconds, extra)
-
-
-def _responses(spec, network, inputs, outputs, counts) -> Responses:
     readout = spec.layers[-1]
     if readout.neurons is None:
         outputs = outputs - readout.bias  # which read_output adds
     if spec.stimulus.held:  # a graph takes the image itself, not spikes
-        found = read_output(replace(spec, judge=None), outputs, {n: np.zeros((len(inputs), layer))
-                            for n, layer in _sizes(spec).items()})  # fmt: skip
+        sizes = {"input": int(np.prod(spec.input_shape))}
+        sizes |= {layer.name: layer.size for layer in spec.layers if layer.neurons}
+        silent = {name: np.zeros((len(inputs), size)) for name, size in sizes.items()}
+        found = read_output(replace(spec, judge=None), outputs, silent)
         return replace(found, spikes={}, operations={})
     spikes = {"input": inputs.reshape(*inputs.shape[:2], -1).sum(1, dtype=np.int64)}
     names = [name for name in spec.spiking_layers if name != "input"]
     spikes |= dict(zip(names, counts.values(), strict=True))
     return read_output(spec, outputs, spikes)
-
-
-def _sizes(spec):
-    sizes = {"input": int(np.prod(spec.input_shape))}
-    return sizes | {layer.name: layer.size for layer in spec.layers if layer.neurons}
 
 
 # --- the network for the chip ---------------------------------------------------------------------

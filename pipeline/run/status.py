@@ -17,7 +17,7 @@ from pipeline.artifacts import DELETE_IT, MISSING, OUTDATED, Change, Origin, Sta
 from pipeline.inputs.dataset import ARRAYS, SPLIT_READS, dataset_origin
 from pipeline.inputs.library import content_of
 from pipeline.run.folder import RunFolder
-from pipeline.run.ladder import ladder_artifact, ladder_stages
+from pipeline.run.ladder import BOARDS, ladder_artifact, ladder_stages
 from pipeline.run.origins import check_origin
 from pipeline.run.stages.answering import check_artifact
 from pipeline.run.stages.bundling import bundle_artifact
@@ -202,7 +202,7 @@ def _answers(run, settings, bundle, whole):
         if not artifact.record.exists():
             # Not every run needs every target or the whole test split: a result that was never
             # requested is not reported as missing.
-            if not whole and stage in expected and not _is_board(stage):
+            if not whole and stage in expected and stage not in BOARDS:
                 found.append(Status(State(artifact.name, MISSING)))
             continue
         results[stage] = result = read_result(artifact.record, DELETE_IT)
@@ -225,10 +225,6 @@ def _ladder(run, results, checks, whole):
         if check.state.name.rsplit("/", 1)[-1] in stages:
             state = _follows(state, check.state)
     return [Status(state)]
-
-
-def _is_board(stage):
-    return stage in TARGETS and TARGETS[stage].hardware
 
 
 def _follows(state, used):

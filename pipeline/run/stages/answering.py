@@ -15,7 +15,7 @@ from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import hidden, progress
 from pipeline.run.answers import REFERENCES, reference_result
 from pipeline.run.folder import RunFolder
-from pipeline.run.nir_conversion import graph_result
+from pipeline.run.nir_conversion import GRAPH
 from pipeline.run.origins import check_origin, recorded_in_check
 from pipeline.run.stages.training import read_weights
 from pipeline.settings import Settings
@@ -47,13 +47,13 @@ def answer(
     with progress(f"check {stage}", len(bundle.checks)) as advance:
         if stage not in REFERENCES[settings.network]:
             return run_check(bundle, stage, path, settings.seed, advance)
-        view = _view(settings, bundle)
+        # A result may depend on the settings that the bundle was made from.
+        view = settings.only(bundle.spec.provenance["made_from"]["settings"])
         if stage == "nir":
-            result = graph_result(run, view, bundle, advance)
-            write_json(path, result)
-            return result
-        weights = read_weights(run.cnn if stage == "cnn" else run.snn, view)
-        result = reference_result(stage, view, weights, bundle, advance)
+            network = (run.snn if view.network == "nir" else run.nir) / GRAPH
+        else:
+            network = read_weights(run.cnn if stage == "cnn" else run.snn, view)
+        result = reference_result(stage, view, network, bundle, advance)
         write_json(path, result)
         return result
 
@@ -114,11 +114,6 @@ def answer_all(
         if stage not in results:
             results[stage] = answer(run, settings, bundle, stage, say, whole)
     return [results[stage] for stage in asked]
-
-
-def _view(settings, bundle):
-    """A view of the settings that a result may depend on: those that the bundle was made from."""
-    return settings.only(bundle.spec.provenance["made_from"]["settings"])
 
 
 def _shared(bundle, paths, seed, jobs, advance, meanwhile):
