@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 import string
 import textwrap
 from dataclasses import dataclass, field
@@ -242,24 +243,21 @@ def inference(run: Run) -> dict:
 
 def _stage(stage, runs):
     have = [index for index, run in enumerate(runs) if stage in run.results]
-    accuracies = []
-    for run in runs:
-        result = run.results.get(stage)
-        accuracies.append(
-            result
-            and {
-                "n_samples": result["n_samples"],
-                "accuracy": result["accuracy"],
-                "accuracy_ci95": list(wilson_interval(_right(result), result["n_samples"])),
-            }
-        )
     return {
         "stage": stage,
-        "accuracies": accuracies,
+        "accuracies": [_accuracy(run.results.get(stage)) for run in runs],
         "differences": [
             {"a": a, "b": b, **difference(runs[a], runs[b], stage)}
             for a, b in itertools.combinations(have, 2)
         ],
+    }
+
+
+def _accuracy(result):
+    return result and {
+        "n_samples": result["n_samples"],
+        "accuracy": result["accuracy"],
+        "accuracy_ci95": list(wilson_interval(_right(result), result["n_samples"])),
     }
 
 
@@ -321,16 +319,18 @@ def runs_text(compared: dict, width: int = WIDTH) -> str:
     lines += ["", *_accuracy_lines(compared, letters)]
     lines += ["", *_inference_lines(runs, letters, width)]
     for letter, run in zip(letters, runs, strict=True):
+        notes = []
         if stale := run["results_of_an_earlier_bundle"]:
-            note = f"{letter}: left out, of an earlier bundle: {', '.join(map(printable, stale))}"
-            lines += ["", *textwrap.wrap(note, width, break_on_hyphens=False)]
+            notes.append(f"left out, of an earlier bundle: {', '.join(stale)}")
         if run["outdated"]:
             reasons = "; ".join(dict.fromkeys(run["outdated"].values()))
-            note = (
-                f"{letter}: OUTDATED, these results were made with other settings: {reasons}; "
+            notes.append(
+                f"OUTDATED, these results were made with other settings: {reasons}; "
                 f"'stmnist ladder {run['name']}' makes them again"
             )
-            lines += ["", *textwrap.wrap(printable(note), width, break_on_hyphens=False)]
+        for note in notes:
+            note = printable(f"{letter}: {note}")
+            lines += ["", *textwrap.wrap(note, width, break_on_hyphens=False)]
     return "\n".join(lines)
 
 
@@ -391,31 +391,29 @@ def _difference_cells(value):
 
 
 def _inference_lines(runs, letters, width):
-    def row(head, cell):
-        return [head, *("" if (text := cell(run)) is None else text for run in runs)]
+    def row(head, name, form="{}", part=lambda run: run):
+        values = [part(run) and part(run)[name] for run in runs]
+        return [head, *("" if value is None else form.format(value) for value in values)]
 
-    def given(name, form="{}"):
-        return lambda run: None if run[name] is None else form.format(run[name])
-
-    def early(name, form):
-        return lambda run: run["writing"] and form.format(run["writing"][name])
+    def early(run):
+        return run["writing"]
 
     of_digits = all(is_written(*run["input_shape"][:2], run["classes"]) for run in runs)
     rows = [
         ["an inference", *letters],
-        row("input", given("input")),
-        row("architecture", given("architecture")),
-        row("neurons", given("neurons")),
-        row("cores", given("cores")),
-        row("chips", given("chips")),
-        row("counted on", given("counted_on")),
-        row("synaptic operations", given("synaptic_operations", "{:,.0f}")),
-        *([row("times the CNN's", given("operations_per_mac", "{:.2f}"))] if of_digits else []),
-        row("steps of presentation", given("steps")),
-        row("decided at step", given("decided_at_median", "{:g}")),
-        row("decided after, ms", given("decided_after_ms", "{:,.0f}")),
-        row("early decision after", early("share", "{:.0%} of recording")),
-        row("its accuracy", early("accuracy", "{:.3f}")),
+        row("input", "input"),
+        row("architecture", "architecture"),
+        row("neurons", "neurons"),
+        row("cores", "cores"),
+        row("chips", "chips"),
+        row("counted on", "counted_on"),
+        row("synaptic operations", "synaptic_operations", "{:,.0f}"),
+        *([row("times the CNN's", "operations_per_mac", "{:.2f}")] if of_digits else []),
+        row("steps of presentation", "steps"),
+        row("decided at step", "decided_at_median", "{:g}"),
+        row("decided after, ms", "decided_after_ms", "{:,.0f}"),
+        row("early decision after", "share", "{:.0%} of recording", early),
+        row("its accuracy", "accuracy", "{:.3f}", early),
     ]
     lines = _fitted([cells for cells in rows if any(cells[1:])], width)
     if of_digits:
@@ -452,12 +450,6 @@ def _fitted(rows, width):
 
 def _folded(text, room):
     """The lines of a cell, broken at blanks and after ``-`` and ``/``, elsewhere if unavoidable."""
-    lines = [""]
-    for part in text.replace("-", "-\0").replace("/", "/\0").replace(" ", " \0").split("\0"):
-        if len(lines[-1] + part.rstrip()) > room and lines[-1]:
-            lines.append("")
-        while len(part.rstrip()) > room:
-            lines[-1], part = part[:room], part[room:]
-            lines.append("")
-        lines[-1] += part
-    return [line.rstrip() for line in lines if line.strip()] or [""]
+    wrapper = textwrap.TextWrapper(room)
+    wrapper.wordsep_re = re.compile(r"(\s+|[^\s/-]*[/-])")
+    return wrapper.wrap(text) or [""]
