@@ -260,7 +260,9 @@ class Artifact:
 
 @dataclass(frozen=True)
 class Library:
-    """A folder with several variants of an artifact, each under its origin's key.
+    """A folder with several variants of artifacts, such as networks, each under its origin's key.
+
+    A stage uses it in the same way as the folder of a run.
 
     Attributes
     ----------

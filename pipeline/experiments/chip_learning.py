@@ -113,13 +113,12 @@ class Lesson:
 def learn_on_chip(
     weights,
     bias,
-    told: Person,
+    person: Person,
     kept: Rehearsal,
     rest,
     scale: float,
     rule: Rule,
     seed: int = 0,
-    on: str = "fast",
 ) -> tuple:
     """Train a readout on the chip on a person's samples, then classify other samples.
 
@@ -127,7 +126,7 @@ def learn_on_chip(
     ----------
     weights, bias
         Weights and bias of the readout; the host adds the bias.
-    told : Person
+    person : Person
         The training samples, with their augmented copies.
     kept : Rehearsal
         Responses to rehearsal samples.  The largest ones determine the count that a spike
@@ -139,8 +138,6 @@ def learn_on_chip(
     rule : Rule
     seed : int
         Seed of the order of the samples and of the chip's stochastic rounding.
-    on : str
-        A key of :data:`SIMULATORS`.
 
     Returns
     -------
@@ -150,14 +147,14 @@ def learn_on_chip(
         The readout's weights on the chip afterwards.
     """
     rng = np.random.default_rng([seed, 0x9E5])
-    own, labels = told.learned(np.arange(len(told)))
+    own, labels = person.learned(np.arange(len(person)))
     order = np.concatenate([rng.permutation(len(own)) for _ in range(rule.passes)])
     mixed = rng.integers(len(kept), size=round(rule.rehearsal * len(order)))
-    shown = np.concatenate([own[order], kept.responses[mixed]])
+    presented = np.concatenate([own[order], kept.responses[mixed]])
     labels = np.concatenate([labels[order], kept.labels[mixed]])
-    order = rng.permutation(len(shown)) if len(mixed) else np.arange(len(shown))
+    order = rng.permutation(len(presented)) if len(mixed) else np.arange(len(presented))
     unit = max(np.percentile(kept.responses, USUAL), 1e-12) / rule.most
-    responses = np.concatenate([shown[order], rest])
+    responses = np.concatenate([presented[order], rest])
     lesson = Lesson(
         np.clip(np.rint(responses / unit), 0, rule.most).astype(int),
         np.concatenate([labels[order], np.zeros(len(rest), int)]),
@@ -165,7 +162,7 @@ def learn_on_chip(
         np.concatenate([1 - np.arange(len(order)) / len(order), np.zeros(len(rest))]),
     )
     scores, learned = present(
-        np.asarray(weights) * scale * unit, np.asarray(bias) * scale, lesson, rule, seed, on
+        np.asarray(weights) * scale * unit, np.asarray(bias) * scale, lesson, rule, seed
     )
     return scores[len(order) :], learned / (scale * unit)
 
@@ -193,24 +190,21 @@ def present(weights, bias, lesson: Lesson, rule: Rule, seed: int = 0, on: str = 
     learned : ndarray, shape (classes, inputs)
         The weights on the chip afterwards.
     """
-    with warnings.catch_warnings():
-        # Of learning rates in other units, and of traces and weights that stay at their limits.
-        warnings.simplefilter("ignore")
-        return _presented(np.asarray(weights), bias, lesson, rule, seed, on)
-
-
-def _presented(weights, bias, lesson, rule, seed, on):
+    weights = np.asarray(weights)
     # A first build tells the chip's units: the largest weight in levels, and the trace's increment,
     # which is proportional to the learning rate.
     gain, first = LARGEST / max(np.abs(weights).max(), 1e-12), RATE * weights.shape[1]
-    with _Chip(weights, bias, lesson, rule, gain, first, seed).simulator("emulator") as built:
-        synapse = _synapse(built)
-        level = np.abs(weights).max() / max(_levels(synapse).max(), 1)
-        rate = first * rule.trace / rule.decayed(rule.most) / synapse.tracing_mag
-    chip = _Chip(weights, bias, lesson, rule, gain, rate, seed)
-    with chip.simulator(on) as simulator:
-        simulator.run_steps(chip.host.steps)
-        learned = level * _levels(_synapse(simulator))[: len(weights)]
+    with warnings.catch_warnings():
+        # Of learning rates in other units, and of traces and weights that stay at their limits.
+        warnings.simplefilter("ignore")
+        with _Chip(weights, bias, lesson, rule, gain, first, seed).simulator("emulator") as built:
+            synapse = _synapse(built)
+            level = np.abs(weights).max() / max(_levels(synapse).max(), 1)
+            rate = first * rule.trace / rule.decayed(rule.most) / synapse.tracing_mag
+        chip = _Chip(weights, bias, lesson, rule, gain, rate, seed)
+        with chip.simulator(on) as simulator:
+            simulator.run_steps(chip.host.steps)
+            learned = level * _levels(_synapse(simulator))[: len(weights)]
     return np.array(chip.host.answers), learned
 
 

@@ -84,32 +84,11 @@ def measure(bundle: Bundle, samples: int | None = None) -> dict:
     Returns
     -------
     dict
-        That of :func:`compare_speed` with ``simulated``.
-    """
-    images = bundle.checks.inputs[:samples]
-    with progress("benchmark", len(images)) as advance:
-        result = compare_speed(bundle.spec, images, advance)
-    result["simulated"] = bundle.spec.provenance.get("simulated")
-    return result
-
-
-def compare_speed(spec: NetworkSpec, images, advance=None) -> dict:
-    """Run reference and fast alternately on a set of samples.
-
-    Parameters
-    ----------
-    spec : NetworkSpec
-    images : ndarray, shape (n_samples, ...)
-    advance : callable, optional
-        Called with the number of samples that the reference has done since the last call.
-
-    Returns
-    -------
-    dict
         Ready for JSON.  Ratios are medians over the turns, one turn for each stream of the
         reference.
     """
-    images = spec.stimulus.flat(images)
+    spec = bundle.spec
+    images = spec.stimulus.flat(bundle.checks.inputs[:samples])
     parts = streams_of(len(images), spec.presentation.stream_length)
     program = compile_spec(spec)
     emulations = {name: Emulation(program, name) for name in kernels_here()}
@@ -117,13 +96,13 @@ def compare_speed(spec: NetworkSpec, images, advance=None) -> dict:
     identical, reference, turns = True, [], {name: [] for name in emulations}
     for emulation in emulations.values():  # compiles, and warms the caches
         emulation.run(whole_set[:1, :1], spec.presentation.steps, spec.presentation.gap)
-    for part in parts:
-        turn, *answer = reference_turn(spec, images[part])
-        reference.append(turn)
-        for name, emulation in emulations.items():
-            turns[name].append(fast_turn(emulation, spec, whole_set))
-            identical &= same_answer(spec, emulation, images[part], *answer)
-        if advance is not None:
+    with progress("benchmark", len(images)) as advance:
+        for part in parts:
+            turn, *answer = reference_turn(spec, images[part])
+            reference.append(turn)
+            for name, emulation in emulations.items():
+                turns[name].append(fast_turn(emulation, spec, whole_set))
+                identical &= same_answer(spec, emulation, images[part], *answer)
             advance(turn.samples)
     best = next(iter(emulations))
     elapsed, processor = (
@@ -149,6 +128,7 @@ def compare_speed(spec: NetworkSpec, images, advance=None) -> dict:
         "step_ms": 1000 * spec.stimulus.step_seconds,
         "turns": len(parts),
         "mean_rates_hz": {name: mean_rate(spec, spikes) for name, spikes in counts.items()},
+        "simulated": spec.provenance.get("simulated"),
     }
 
 

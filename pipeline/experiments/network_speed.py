@@ -129,7 +129,8 @@ class _Timed:
         self.emulator = self.host = self.whole = 0.0
         for name, part in self.simulator.sims.items():
             # As NengoLoihi calls them: one step after the other if the chip needs the host.
-            method = "run_steps" if self.simulator.precompute or len(self._hosts) == 0 else "step"
+            alone = self.simulator.precompute or set(self.simulator.sims) == {"emulator"}
+            method = "run_steps" if alone else "step"
             setattr(part, method, self._counted(getattr(part, method), name))
         self.simulator._runner = type(self.simulator._runner)(
             self.simulator.model,
@@ -137,10 +138,6 @@ class _Timed:
             self.simulator.precompute,
             self.simulator.timers,
         )
-
-    @property
-    def _hosts(self):
-        return [name for name in self.simulator.sims if name != "emulator"]
 
     def _counted(self, method, name):
         field = "emulator" if name == "emulator" else "host"

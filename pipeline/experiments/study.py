@@ -18,13 +18,13 @@ import numpy as np
 from deploy import __version__
 from deploy.errors import CheckFailed, UserError
 from deploy.files import write_json
-from pipeline.artifacts import Artifact, Origin
+from pipeline.artifacts import Artifact, Library, Origin
 from pipeline.inputs.dataset import Dataset, dataset_origin, recordings_fit
 from pipeline.inputs.library import recordings_of
 from pipeline.jobs import Failure, attempt, run_jobs
 from pipeline.progress import hidden, progress
 from pipeline.run import stages
-from pipeline.run.folder import NetworkLibrary, RunFolder
+from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings
 
 
@@ -73,7 +73,7 @@ class Task:
         Only the settings that the origin declares.
     recordings : str
         SHA-256 of the recordings.
-    networks : NetworkLibrary
+    networks : Library
         Library of its trained networks.
     split : str
         Kind of its split, see :data:`pipeline.inputs.dataset.KINDS`.
@@ -84,7 +84,7 @@ class Task:
     artifact: Artifact
     settings: Settings
     recordings: str
-    networks: NetworkLibrary
+    networks: Library
     split: str = "random"
     subject: str = ""
 
@@ -108,7 +108,7 @@ class Task:
         """
         folder = folder.absolute()
         artifact = Artifact(name, folder / file, origin)
-        networks = NetworkLibrary(folder / "networks")
+        networks = Library(folder / "networks")
         return cls(artifact, origin.view(settings), recordings, networks, **more)
 
     @property

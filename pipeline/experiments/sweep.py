@@ -21,7 +21,7 @@ from deploy.errors import UserError
 from deploy.files import replacing
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
-from pipeline.artifacts import Origin
+from pipeline.artifacts import Library, Origin
 from pipeline.experiments.study import Findings, Task, Workers, concluded, silent, study
 from pipeline.experiments.sweep_text import sweep_csv
 from pipeline.inputs.dataset import Dataset, dataset_origin, recordings_fit
@@ -30,7 +30,7 @@ from pipeline.paper import CNN_MACS
 from pipeline.progress import hidden
 from pipeline.recordings.events import Recordings
 from pipeline.run import stages
-from pipeline.run.folder import NetworkLibrary, RunFolder
+from pipeline.run.folder import RunFolder
 from pipeline.run.origins import bundle_origin
 from pipeline.settings import Settings, parse_assignments, put
 
@@ -136,7 +136,7 @@ def points_of(folder: Path, base: Settings, grid, recordings: Recordings) -> lis
 def _point(folder, settings, changes, recordings):
     """A point with its tasks: its networks, which other points may share, and its result."""
     dataset = _without_test_origin(dataset_origin(settings, recordings))
-    networks, trainings = NetworkLibrary(folder / "networks"), []
+    networks, trainings = Library(folder / "networks"), []
     for name in ("events",) if settings.on_events else ("cnn", "rate-lif"):
         artifact = stages.network_artifact(name, networks, settings, dataset)
         view = artifact.origin.view(settings)

@@ -120,14 +120,11 @@ def _time_of_slayer(benchmark, n_recordings, workers):
 
 
 def _kinds(kind, recordings):
-    known = recordings.writers.min(initial=0) >= 0
-    if kind in KINDS:
-        return (kind,)
-    if kind == "both" or (kind == "" and known):
-        return KINDS
-    if kind == "":
-        return ("random",)
-    raise UserError(f"--kind {kind!r}: must be random, writers or both")
+    if kind not in ("", "both", *KINDS):
+        raise UserError(f"--kind {kind!r}: must be random, writers or both")
+    if not kind:
+        kind = "both" if recordings.writers.min(initial=0) >= 0 else "random"
+    return KINDS if kind == "both" else (kind,)
 
 
 def summarise(benchmark: Benchmark, failures=None) -> dict:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from deploy.errors import UserError
 from deploy.files import locked_folder, refuse_linked_folders
-from pipeline.artifacts import Library, Origin
+from pipeline.artifacts import Origin
 from pipeline.settings import Settings, read_settings, write_settings
 
 FILES = {
@@ -77,10 +77,11 @@ class RunFolder:
         folder = self.path / "checks"
         return (folder / "whole" if whole else folder) / f"{stage}.json"
 
-    def network(self, name: str, origin: Origin) -> Path:
+    def folder(self, name: str, origin: Origin) -> Path:
         """The folder of a network, ``"cnn"``, ``"nir"`` or ``"snn"``, or of its ``"threshold"``.
 
-        A run has only one of each, independently of the origin.
+        A run has only one of each, independently of the origin, unlike a
+        :class:`pipeline.artifacts.Library`.
         """
         return {"cnn": self.cnn, "nir": self.nir}.get(name, self.snn)
 
@@ -157,12 +158,3 @@ class RunFolder:
                 ) from error
             refuse_linked_folders(self.path)
             yield
-
-
-@dataclass(frozen=True)
-class NetworkLibrary(Library):
-    """Trained networks of many settings; stages use it in the same way as a run's folder."""
-
-    def network(self, name: str, origin: Origin) -> Path:
-        """The folder of a trained network or threshold with some origin."""
-        return self.folder(name, origin)

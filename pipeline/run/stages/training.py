@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +12,13 @@ from deploy.errors import UserError
 from deploy.files import read_arrays, understood, write_arrays
 from deploy.network.decision import Judge
 from models.architecture import parse
-from pipeline.artifacts import Artifact, Origin
+from pipeline.artifacts import Artifact, Library, Origin
 from pipeline.inputs.dataset import Dataset
 from pipeline.progress import progress
 from pipeline.run import nir_conversion, nir_training
 from pipeline.run.answers import training_versions
 from pipeline.run.diagnosis import activity, fastest_rate, training_lines
-from pipeline.run.folder import DELETE_ITS_FOLDER, NetworkLibrary, RunFolder
+from pipeline.run.folder import DELETE_ITS_FOLDER, RunFolder
 from pipeline.run.history import write_history
 from pipeline.run.origins import (
     cnn_origin,
@@ -33,7 +32,7 @@ from pipeline.settings import Settings
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.threads import one_thread_each
 
-Place = RunFolder | NetworkLibrary
+Place = RunFolder | Library
 """The folders in which trained networks are stored."""
 
 ARTIFACTS = {
@@ -54,7 +53,7 @@ def network_artifact(name: str, place: Place, settings: Settings, dataset: Origi
     Parameters
     ----------
     name : str
-    place : RunFolder or NetworkLibrary
+    place : RunFolder or Library
     settings : Settings
     dataset : Origin
     """
@@ -72,7 +71,7 @@ def network_artifact(name: str, place: Place, settings: Settings, dataset: Origi
         ),
     }[name]
     origin = make_origin(settings, dataset)
-    path = place.network(folder, origin)
+    path = place.folder(folder, origin)
     return Artifact(name, path / record, origin, tuple(path / file for file in files))
 
 
@@ -89,7 +88,7 @@ def train(name: str, place: Place, settings: Settings, dataset: Dataset, say=pri
     Parameters
     ----------
     name : str
-    place : RunFolder or NetworkLibrary
+    place : RunFolder or Library
         Contains the artifacts from which this one is made.
     settings, dataset, say
 
@@ -138,10 +137,11 @@ def _train_cnn(artifact, place, settings, dataset, say):
         from pipeline.training.networks import train_cnn  # TensorFlow takes seconds to import
 
         data, watched = dataset.part("train"), _watched(dataset)
-        with _timed("cnn", settings.cnn.epochs) as timed:
-            trained = train_cnn(settings, data, settings.seed, watched, timed.advance)
-        seconds = timed.seconds
-    _write_network(artifact.folder, _told(trained, dataset))
+        with progress("train cnn", settings.cnn.epochs) as advance:
+            begun = time.perf_counter()
+            trained = train_cnn(settings, data, settings.seed, watched, advance)
+            seconds = time.perf_counter() - begun
+    _write_network(artifact.folder, trained, dataset)
     metrics = _metrics(trained, dataset, seconds)
     _say_accuracy("cnn", metrics, say)
     return metrics
@@ -153,10 +153,12 @@ def _train_rates(artifact, place, settings, dataset, say):
 
     start = weights_of("cnn", place, settings, dataset.origin)
     data, watched = dataset.part("train"), _watched(dataset)
-    with _timed("rate-lif", snn_recipe(settings.snn).epochs) as timed:
-        trained = train_rate_network(settings, data, settings.seed, start, watched, timed.advance)
-    _write_network(artifact.folder, _told(trained, dataset))
-    metrics = _metrics(trained, dataset, timed.seconds)
+    with progress("train rate-lif", snn_recipe(settings.snn).epochs) as advance:
+        begun = time.perf_counter()
+        trained = train_rate_network(settings, data, settings.seed, start, watched, advance)
+        seconds = time.perf_counter() - begun
+    _write_network(artifact.folder, trained, dataset)
+    metrics = _metrics(trained, dataset, seconds)
     metrics["neurons"] = _neurons(settings, trained, data[0])
     _say_accuracy("rate-lif", metrics, say)
     for line in training_lines(metrics["neurons"]):
@@ -176,13 +178,13 @@ def _train_on_events(artifact, place, settings, dataset, say):
         start, lines = nir_training.start(graph.folder, settings, samples)
         for line in lines:
             say(f"nir: {line}")
-    with _timed("events", settings.events.epochs) as timed:
-        trained = event_training.train(
-            settings, samples, settings.seed, checkpoint, timed.advance, start
-        )
-    _write_network(artifact.folder, trained)
+    with progress("train events", settings.events.epochs) as advance:
+        begun = time.perf_counter()
+        trained = event_training.train(settings, samples, settings.seed, checkpoint, advance, start)
+        seconds = time.perf_counter() - begun
+    _write_network(artifact.folder, trained, dataset)
     epochs = len(trained.history)
-    return {"epochs": epochs, "seconds": timed.seconds, "versions": training_versions()}
+    return {"epochs": epochs, "seconds": seconds, "versions": training_versions()}
 
 
 def _choose_threshold(artifact, place, settings, dataset, say):
@@ -248,22 +250,6 @@ def read_weights(folder: Path, settings: Settings) -> dict:
     return weights
 
 
-class _timed:
-    """A progress bar for a training, which also measures its duration."""
-
-    def __init__(self, name, epochs):
-        self._bar = progress(f"train {name}", epochs)
-
-    def __enter__(self):
-        self._begun = time.perf_counter()
-        self.advance = self._bar.__enter__()
-        return self
-
-    def __exit__(self, *error):
-        self.seconds = time.perf_counter() - self._begun
-        return self._bar.__exit__(*error)
-
-
 MOST_WATCHED = 500
 """Maximum number of test samples for the learning curve."""
 
@@ -280,20 +266,15 @@ def _watched(dataset):
     return (dataset.inputs[index], dataset.labels[index]) if len(index) else None
 
 
-def _told(trained, dataset):
-    """A network with a note in its history if it was evaluated on test samples."""
-    if len(dataset.split.validation):
-        return trained
-    rows = [{k.replace("val_", "test_"): v for k, v in row.items()} for row in trained.history]
-    return replace(trained, history=rows)
-
-
-def _write_network(folder, trained):
+def _write_network(folder, trained, dataset):
     """Write weights and history; delete the records first, because they mark them as complete."""
     for record in ("metrics.json", "training.json"):
         (folder / record).unlink(missing_ok=True)
     write_arrays(folder / "weights.npz", **trained.weights)
-    write_history(folder / "history.csv", trained.history)
+    history = trained.history
+    if not len(dataset.split.validation):  # the learning curve is of test samples
+        history = [{k.replace("val_", "test_"): v for k, v in row.items()} for row in history]
+    write_history(folder / "history.csv", history)
 
 
 def _metrics(trained, dataset, seconds):

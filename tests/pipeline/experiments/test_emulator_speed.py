@@ -103,10 +103,9 @@ def test_disagreement_is_a_failed_check(bundle, capsys, monkeypatch):
     assert "identical: NO" in captured.out
 
 
-def test_without_numba_the_numpy_kernel_is_measured(monkeypatch):
+def test_without_numba_the_numpy_kernel_is_measured(monkeypatch, bundle):
     monkeypatch.setattr(measure, "kernels_here", lambda: ("numpy",))
-    spec = small_spec()
-    result = measure.compare_speed(spec, images_for(spec, 3))
+    result = measure.measure(bundle, 3)
     assert result["identical"]
     assert result["ratio_whole"] == result["ratio_whole_numpy"]
-    assert "numba" not in measure.speed_text({**result, "simulated": True})
+    assert "numba" not in measure.speed_text(result)

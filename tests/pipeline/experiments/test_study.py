@@ -8,11 +8,10 @@ import pytest
 from deploy.errors import UserError
 from deploy.files import read_json
 from pipeline import jobs
-from pipeline.artifacts import Artifact, Origin
+from pipeline.artifacts import Artifact, Library, Origin
 from pipeline.experiments import choices as conversion_choices
 from pipeline.experiments import losses
 from pipeline.experiments.study import Task, Workers, _work, study
-from pipeline.run.folder import NetworkLibrary
 from pipeline.settings import Settings
 from tests.command import call
 
@@ -22,7 +21,7 @@ def half(number, folder, content="0"):
     origin = Origin(contents={"version": content})
     artifact = Artifact(str(number), folder / f"{number}.json", origin)
     settings = Settings().only(["seed"])
-    return Task(artifact, settings, "", NetworkLibrary(folder), subject=str(number))
+    return Task(artifact, settings, "", Library(folder), subject=str(number))
 
 
 def halve(task):
