@@ -15,6 +15,7 @@ from pipeline.commands import options
 from pipeline.commands.completion import data_sets
 from pipeline.inputs.library import load_recordings
 from pipeline.recordings.events import Recordings
+from pipeline.recordings.words import listed
 from pipeline.run.folder import RunFolder
 
 
@@ -86,8 +87,9 @@ def _of_one(recordings: Recordings, writer) -> tuple:
     source, known = recordings.source.name, np.unique(recordings.writers).tolist()
     if writer is None:
         if len(known) > 1:
-            listed = ", ".join(map(str, known[:12])) + (", ..." if len(known) > 12 else "")
-            raise UserError(f"{source}: has several writers ({listed}); choose one with --writer")
+            raise UserError(
+                f"{source}: has several writers ({listed(known)}); choose one with --writer"
+            )
         return recordings, str(known[0]) if known and known[0] >= 0 else "person"
     if writer not in known:
         raise UserError(f"{source}: no recording of writer {writer}; give another --writer")

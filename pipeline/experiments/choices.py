@@ -79,7 +79,7 @@ def _trained_as(settings, max_rate):
     return replace(settings, snn=replace(settings.snn, recipe="paper", max_rates=(max_rate,)))
 
 
-def _shown(steps, **more):
+def _steps(steps, **more):
     """A presentation of a number of steps, read in its last four fifths."""
     return {"presentation": {"steps": steps, "readout_start": steps // 5, **more}}
 
@@ -88,25 +88,20 @@ _NO_SYNAPSE = {"deployment": {"synapse": 0.0}}
 _HOST_LAYER = {"deployment": {"first_layer": "host"}}
 
 CHOICES = (
-    Choice("ann-snn", "100 steps, the default", changes=_shown(100)),
-    Choice("ann-snn", "50 steps", changes=_shown(50)),
-    Choice("ann-snn", "40 steps", changes=_shown(40)),
-    Choice("ann-snn", "30 steps", changes=_shown(30)),
-    Choice("ann-snn", "20 steps", changes=_shown(20)),
-    Choice("ann-snn", "100 Hz, 100 steps", 100.0, _shown(100)),
-    Choice("ann-snn", "100 Hz, 100 steps, unfiltered", 100.0, _shown(100) | _NO_SYNAPSE, True),
-    Choice("ann-snn", "100 Hz, 30 steps, unfiltered", 100.0, _shown(30) | _NO_SYNAPSE, True),
-    Choice("loihi", "100 steps, the default", changes=_shown(100)),
-    Choice("loihi", "50 steps", changes=_shown(50)),
-    Choice("loihi", "40 steps", changes=_shown(40)),
-    Choice("loihi", "30 steps", changes=_shown(30)),
-    Choice("loihi", "100 steps, no gap", changes=_shown(100, gap=0)),
-    Choice("loihi", "50 steps, no gap", changes=_shown(50, gap=0)),
-    Choice("loihi", "100 Hz, 100 steps, host layer", 100.0, _shown(100) | _HOST_LAYER),
+    Choice("ann-snn", "100 steps, the default", changes=_steps(100)),
+    *(Choice("ann-snn", f"{n} steps", changes=_steps(n)) for n in (50, 40, 30, 20)),
+    Choice("ann-snn", "100 Hz, 100 steps", 100.0, _steps(100)),
+    Choice("ann-snn", "100 Hz, 100 steps, unfiltered", 100.0, _steps(100) | _NO_SYNAPSE, True),
+    Choice("ann-snn", "100 Hz, 30 steps, unfiltered", 100.0, _steps(30) | _NO_SYNAPSE, True),
+    Choice("loihi", "100 steps, the default", changes=_steps(100)),
+    *(Choice("loihi", f"{n} steps", changes=_steps(n)) for n in (50, 40, 30)),
+    Choice("loihi", "100 steps, no gap", changes=_steps(100, gap=0)),
+    Choice("loihi", "50 steps, no gap", changes=_steps(50, gap=0)),
+    Choice("loihi", "100 Hz, 100 steps, host layer", 100.0, _steps(100) | _HOST_LAYER),
     Choice(
-        "loihi", "100 Hz, 100 steps, no gap, host layer", 100.0, _shown(100, gap=0) | _HOST_LAYER
+        "loihi", "100 Hz, 100 steps, no gap, host layer", 100.0, _steps(100, gap=0) | _HOST_LAYER
     ),
-    Choice("loihi", "100 Hz, 50 steps, no gap, host layer", 100.0, _shown(50, gap=0) | _HOST_LAYER),
+    Choice("loihi", "100 Hz, 50 steps, no gap, host layer", 100.0, _steps(50, gap=0) | _HOST_LAYER),
 )
 """``unfiltered``: no synapses between the layers, and the smoothed output decides; the others are
 read in the last four fifths of the steps.  ``host layer``: the first convolution is off the chip.
@@ -137,13 +132,13 @@ def measure(task: Task) -> dict:
     from pipeline.training.networks import train_rate_network  # TensorFlow, where it is needed
 
     settings, dataset = task.settings, task.dataset()
-    shown, labels = dataset.part("test")
+    images, labels = dataset.part("test")
     weights, rates = {}, {}
     for max_rate in sorted({choice.max_rate for choice in CHOICES}):
         recipe = _trained_as(settings, max_rate)
         net = train_rate_network(recipe, dataset.part("train"), task.seed)
         weights[max_rate] = net.weights
-        rates[str(max_rate)] = net.logits(shown).argmax(1)
+        rates[str(max_rate)] = net.logits(images).argmax(1)
     found = {
         index: _predictions(choice, settings, weights[choice.max_rate], dataset)
         for index, choice in enumerate(CHOICES)
@@ -160,14 +155,14 @@ def _predictions(choice, settings, weights, dataset):
     from pipeline.training import nengodl
 
     chosen = choice.apply(settings)
-    shown, _ = dataset.part("test")
+    images, _ = dataset.part("test")
     if choice.row == "loihi":
         spec = deployed(chosen, weights, {}, dataset.part("train"))
-        return answer(spec, shown, "fast", chosen.seed).predictions
+        return answer(spec, images, "fast", chosen.seed).predictions
     steps = chosen.steps
     if choice.smoothed:
-        return smoothed(nengodl.run(chosen, weights, shown, steps)).argmax(1)
-    return nengodl.predict(chosen, weights, shown, steps)
+        return smoothed(nengodl.run(chosen, weights, images, steps)).argmax(1)
+    return nengodl.predict(chosen, weights, images, steps)
 
 
 def smoothed(outputs) -> np.ndarray:

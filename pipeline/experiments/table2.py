@@ -177,25 +177,22 @@ def summarise(benchmark: Benchmark, failures=None) -> dict:
 
 def _row(name, results):
     paper = MODELS[name].paper or (None, None)
-    row = {
+    accuracies, n_test = [result["accuracy"] for result in results], _mean(results, "n_test")
+    got = estimate(accuracies, _mean(results, "n_train"), n_test) if results else None
+    low, high = got.interval if got and got.interval else (None, None)
+    return {
         "model": name,
         "title": MODELS[name].title,
-        "accuracy_mean": None,
-        "accuracy_sd": None,
-        "accuracy_ci95": None,
+        "accuracy_mean": got and got.mean,
+        "accuracy_sd": got and got.sd,
+        "accuracy_ci95": None if low is None else [max(low, 0.0), min(high, 1.0)],
         "paper_mean": paper[0],
         "paper_sd": paper[1],
-        "per_split": [result["accuracy"] for result in results],
+        "per_split": accuracies,
         "indices": [result["index"] for result in results],
-        "n_test": _mean(results, "n_test"),
+        "n_test": n_test,
         "seconds": [result["seconds"] for result in results],
     }
-    if results:
-        got = estimate(row["per_split"], _mean(results, "n_train"), row["n_test"])
-        row["accuracy_mean"], row["accuracy_sd"] = got.mean, got.sd
-        if got.interval:
-            row["accuracy_ci95"] = [max(got.interval[0], 0.0), min(got.interval[1], 1.0)]
-    return row
 
 
 def _mean(results, size):

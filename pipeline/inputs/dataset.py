@@ -293,6 +293,26 @@ def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:
     return tactile_images(recordings, image.aggregation, image.normalisation)
 
 
+def classes_of(spec: NetworkSpec) -> tuple:
+    """Names of the classes of a deployed network; numbers for a bundle without names."""
+    return tuple(map(str, spec.provenance.get("classes") or range(spec.layers[-1].size)))
+
+
+def sensor_fits(spec: NetworkSpec, recordings: Recordings):
+    """Refuse recordings of another sensor than that of a deployed network.
+
+    Raises
+    ------
+    UserError
+    """
+    (rows, columns), sensor = spec.input_shape[:2], recordings.sensor
+    if (sensor.rows, sensor.columns) != (rows, columns):
+        raise UserError(
+            f"{recordings.source.name}: recordings of {sensor.rows}x{sensor.columns} taxels; the "
+            f"network is for {rows}x{columns}: give recordings of its sensor"
+        )
+
+
 def inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | None = None):
     """The inputs of a deployed network for other recordings than its own.
 

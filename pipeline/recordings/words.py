@@ -15,6 +15,12 @@ def is_written(rows: int, columns: int, classes) -> bool:
     return are_digits(classes) and rows == columns == GRID
 
 
+def listed(names) -> str:
+    """The first twelve names, each cut after 20 characters, separated by commas."""
+    names = [str(name)[:20] for name in names]
+    return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+
+
 def shortened(name: str, width: int) -> str:
     """A name of at most ``width`` characters, shortened in its middle.
 

@@ -15,9 +15,10 @@ from deploy.network.responses import running_sums
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, last_steps
 from deploy.targets.fast.emulation import Emulation, compile_spec
-from pipeline.inputs.dataset import inputs_for
+from pipeline.inputs.dataset import classes_of, inputs_for, sensor_fits
 from pipeline.recordings.altering import Alteration, altered_recordings
-from pipeline.recordings.events import DIGITS, Recordings
+from pipeline.recordings.events import Recordings
+from pipeline.recordings.words import listed
 from pipeline.settings import Image
 from pipeline.training.readout import Person, Refit, refit
 
@@ -223,30 +224,19 @@ def fits(spec: NetworkSpec, recordings: Recordings):
     ------
     UserError
     """
-    source, sensor = recordings.source.name, recordings.sensor
-    rows, columns = spec.input_shape[:2]
-    known = tuple(spec.provenance.get("classes", DIGITS))
-    if (sensor.rows, sensor.columns) != (rows, columns):
-        raise UserError(
-            f"{source}: recordings of {sensor.rows}x{sensor.columns} taxels; the network is for "
-            f"{rows}x{columns}: give recordings of its sensor"
-        )
+    sensor_fits(spec, recordings)
+    source, sensor, known = recordings.source.name, recordings.sensor, classes_of(spec)
     if sensor.classes != known:
         raise UserError(
-            f"{source}: recordings of the classes {_listed(sensor.classes)}; the network "
-            f"distinguishes {_listed(known)}: give recordings of these classes"
+            f"{source}: recordings of the classes {listed(sensor.classes)}; the network "
+            f"distinguishes {listed(known)}: give recordings of these classes"
         )
     counts = np.bincount(recordings.labels, minlength=len(known))
     if not counts.all():
         missing = [known[label] for label in np.flatnonzero(counts == 0)]
         raise UserError(
-            f"{source}: no recording of {_listed(missing)}; give at least one of each class"
+            f"{source}: no recording of {listed(missing)}; give at least one of each class"
         )
-
-
-def _listed(names):
-    names = [str(name)[:20] for name in names]
-    return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
 
 
 def _with_threshold(spec, responder, recordings):

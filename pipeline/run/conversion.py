@@ -9,6 +9,7 @@ from models.architecture import parse
 from models.lif import gain_for
 from models.quantised import eight_bits, twelve_bits
 from pipeline.inputs.dataset import images_fit
+from pipeline.run.layers import host_readout
 from pipeline.settings import Settings
 from pipeline.training.networks import TrainedRates
 
@@ -95,9 +96,7 @@ def _readout(settings, folded, weights, range_of):
     kernel = weights["output.kernel"].T.astype(float)
     bias = weights["output.bias"].astype(float)
     if settings.deployment.readout == "host":
-        return Layer(
-            placement="host", neurons=None, synapse=None, weights=kernel, bias=bias, **common
-        )
+        return host_readout(kernel, bias, common)
     # One LIF neuron per class: the median of the largest wrong logit maps to the threshold, and the
     # largest right logits to the full rate, so that the neurons' range covers what decides.
     snn = settings.snn

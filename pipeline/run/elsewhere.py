@@ -11,12 +11,13 @@ from deploy.check.bundle import Bundle, CheckSet
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.terminal import WARNING
-from pipeline.inputs.dataset import inputs_for
+from pipeline.inputs.dataset import classes_of, inputs_for, sensor_fits
 from pipeline.inputs.library import load_recordings
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.paper import CHECK_SAMPLES
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.sensors import Reading
+from pipeline.recordings.words import listed
 from pipeline.run.ladder import confusion_matrix
 from pipeline.settings import Image, Settings
 
@@ -52,22 +53,14 @@ def recordings_for(
     recordings = load_recordings(
         source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading
     )
-    sensor = recordings.sensor
-    if (sensor.rows, sensor.columns) != (rows, columns):
-        raise UserError(
-            f"{source}: has {sensor.rows} rows x {sensor.columns} columns, but the network of "
-            f"{bundle.path} is for {rows} x {columns}"
-        )
-    known = list(map(str, bundle.spec.provenance.get("classes") or ()))
-    if not known:
-        known = [str(number) for number in range(bundle.spec.layers[-1].size)]
+    sensor_fits(bundle.spec, recordings)
+    sensor, known = recordings.sensor, classes_of(bundle.spec)
     present = [sensor.classes[label] for label in np.unique(recordings.labels)]
     unknown = [name for name in present if name not in known]
     if unknown:
-        listed = ", ".join(map(repr, unknown[:5])) + (", ..." if len(unknown) > 5 else "")
         raise UserError(
-            f"{source}: has classes that the network of {bundle.path} does not have: {listed}; "
-            f"its classes are {', '.join(map(repr, known[:5]))}{', ...' if len(known) > 5 else ''}"
+            f"{source}: has classes that the network of {bundle.path} does not have: "
+            f"{listed(unknown)}; its classes are {listed(known)}"
         )
     number = {name: index for index, name in enumerate(known)}
     labels = np.array([number.get(name, -1) for name in sensor.classes])[recordings.labels]
@@ -76,7 +69,7 @@ def recordings_for(
             f"{WARNING}{source}: the network was made from a part of these recordings; its "
             "accuracy on them says little about others"
         )
-    return replace(recordings, labels=labels, sensor=replace(sensor, classes=tuple(known)))
+    return replace(recordings, labels=labels, sensor=replace(sensor, classes=known))
 
 
 def with_recordings(

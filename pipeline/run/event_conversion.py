@@ -6,10 +6,11 @@ import numpy as np
 
 from deploy.network.chip import LOIHI
 from deploy.network.decision import Judge
-from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import EventFrames
 from models.architecture import parse
 from models.integers import on_loihi
+from pipeline.run.layers import chip_layer, host_readout
 from pipeline.settings import Settings
 from pipeline.training.events import EventRecipe, network_of
 
@@ -58,29 +59,13 @@ def spec_of_events(
     architecture = parse(recipe.architecture)
     network = network_of(recipe, weights)
     integers, layers = network.integers(), []
-    for folded in architecture.folded[:-1]:
+    *hidden, readout = architecture.folded
+    for folded in hidden:
         chip = on_loihi(integers[folded.name], LOIHI.dt)
-        layers.append(
-            Layer(
-                placement="chip",
-                neurons=Neurons("lif", LOIHI.dt, chip.tau_rc, 0.0, chip.min_voltage),
-                synapse=chip.tau_s or None,
-                weights=folded.layer.deployed_weights(chip.weights),
-                bias=chip.bias,
-                **folded.geometry(pop_type),
-            )
-        )
-    readout = architecture.folded[-1]
-    layers.append(
-        Layer(
-            placement="host",
-            neurons=None,
-            synapse=None,
-            weights=weights["output.kernel"].T,
-            bias=np.zeros(readout.shape),
-            **readout.geometry(pop_type),
-        )
-    )
+        kernel = folded.layer.deployed_weights(chip.weights)
+        layers.append(chip_layer(chip, kernel, folded.geometry(pop_type)))
+    bias = np.zeros(readout.shape)
+    layers.append(host_readout(weights["output.kernel"].T, bias, readout.geometry(pop_type)))
     return NetworkSpec(
         architecture=str(architecture),
         input_shape=architecture.input_shape,

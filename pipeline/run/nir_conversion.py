@@ -5,6 +5,7 @@ The run has a copy of the graph, ``snn/network.nir``, from which everything else
 
 from __future__ import annotations
 
+import math
 import shutil
 import time
 from dataclasses import dataclass, replace
@@ -20,7 +21,7 @@ from deploy.network.chip import LOIHI
 from deploy.network.decision import choose_threshold, delayed
 from deploy.network.nir import DEPLOYED, deployed_network
 from deploy.network.responses import Responses, read_output
-from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.spec import Layer, NetworkSpec, Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes, Stimulus, last_steps
 from models.integers import on_loihi
 from models.nir_graph import SNNTORCH_STEP, NirError, NirNetwork, read_nir
@@ -29,6 +30,7 @@ from models.nir_simulator import AT_ONCE, simulate
 from pipeline import paper
 from pipeline.inputs.dataset import Dataset
 from pipeline.progress import progress
+from pipeline.run.layers import chip_layer, host_readout
 from pipeline.settings import SIMULATED, Settings
 
 CALIBRATED_ON = 48
@@ -163,10 +165,8 @@ def _kind_of(path, shape):
         return "image" if shape[0] == 1 else "events"
     if len(shape) == 1:
         for channels, kind in ((2, "events"), (1, "image")):
-            if (
-                shape[0] % channels == 0
-                and round((shape[0] / channels) ** 0.5) ** 2 * channels == (shape[0])
-            ):
+            side = math.isqrt(shape[0] // channels)
+            if shape[0] == channels * side * side:
                 return kind
         raise UserError(
             f"{path}: {shape[0]} inputs are neither a square array of taxels nor two of them; say "
@@ -600,29 +600,16 @@ def spec_of_nir(
 def _on_chip(layer: NirLayer, integers, height, pop_type) -> Layer:
     chip = on_loihi(integers, LOIHI.dt)
     weights = chip.weights * (layer.pool**2 / height)
-    return Layer(
-        placement="chip",
-        neurons=Neurons("lif", LOIHI.dt, chip.tau_rc, 0.0, chip.min_voltage),
-        synapse=chip.tau_s or None,
-        weights=weights if layer.kind == "conv" else weights.T,
-        bias=chip.bias,
-        **_geometry(layer, pop_type),
-    )
+    weights = weights if layer.kind == "conv" else weights.T
+    return chip_layer(chip, weights, _geometry(layer, pop_type))
 
 
 def _readout(layer: NirLayer, presentation, pop_type) -> Layer:
     read = np.arange(presentation.readout_start, presentation.steps) + 1
     # The host's bias is the same at each step: it gets the mean of the graph's.
     bias = layer.bias - layer.fading * np.mean(layer.keep_u**read)
-    synapse = -LOIHI.dt / np.log(layer.keep_u) if layer.keep_u > 0 else None
-    return Layer(
-        placement="host",
-        neurons=None,
-        synapse=synapse and float(synapse),
-        weights=layer.weights.T,
-        bias=bias,
-        **_geometry(layer, pop_type),
-    )
+    synapse = float(-LOIHI.dt / np.log(layer.keep_u)) if layer.keep_u > 0 else None
+    return host_readout(layer.weights.T, bias, _geometry(layer, pop_type), synapse)
 
 
 def _geometry(layer, pop_type):

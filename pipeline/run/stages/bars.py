@@ -3,15 +3,8 @@
 from __future__ import annotations
 
 from pipeline.run.answers import REFERENCES
+from pipeline.run.stages.training import ARTIFACTS
 from pipeline.settings import SIMULATED, Settings
-
-TRAINING = {
-    "image": ("train cnn", "train rate-lif"),
-    "events": ("train events",),
-    "nir": ("simulate nir",),
-    "retrained": ("simulate nir", "train events"),
-}
-"""Bars while the network of a run is trained or read, by :attr:`Settings.network`."""
 
 
 def bars(settings: Settings, until: str) -> list:
@@ -34,5 +27,11 @@ def bars(settings: Settings, until: str) -> list:
         "convert": [f"check {stage}" for stage in REFERENCES[kind]],
         "ladder": ["check", *([] if kind == "nir" else ["compare layers"])],
     }
-    training = TRAINING[kind][:1] if until == "train" else TRAINING[kind]
+    training = [
+        "simulate nir" if name == "nir" else f"train {name}"
+        for name in ARTIFACTS[kind]
+        if name != "threshold"
+    ]
+    if until == "train":
+        training = training[:1]
     return [*recordings, *training, *checks.get(until, ())]

@@ -211,15 +211,15 @@ def _choose_threshold(artifact, place, settings, dataset, say):
             f"threshold: early decision at a confidence of {chosen.confidence:.4f}, after "
             f"{chosen.share:.0%} of a recording on {len(samples.held)} held-out samples"
         )
-    else:
-        fewest = event_training.FEWEST_HELD
-        few = len(samples.held) < fewest
-        say(
-            "threshold: no early decisions, the network decides at the end of each recording"
-            + few
-            * f", since {len(samples.held)} held-out samples are fewer than the {fewest} on "
-            "which a confidence may be chosen (more: split.validation_fraction)"
+        return metrics
+    why = ""
+    if len(samples.held) < event_training.FEWEST_HELD:
+        why = (
+            f", since {len(samples.held)} held-out samples are fewer than the "
+            f"{event_training.FEWEST_HELD} on which a confidence may be chosen "
+            "(more: split.validation_fraction)"
         )
+    say(f"threshold: no early decisions, the network decides at the end of each recording{why}")
     return metrics
 
 
