@@ -11,9 +11,9 @@ from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import read_json
 from pipeline.inputs.dataset import event_warnings
-from pipeline.run import event_training
 from pipeline.settings import Settings
 from pipeline.skin.simulate import simulate
+from pipeline.training import events
 from tests.command import call, missing
 
 TINY = (
@@ -171,7 +171,7 @@ def test_what_is_not_shown_is_said(tmp_path, capsys, monkeypatch):
     def told(*given, **more):
         raise UserError("enough has been said")
 
-    monkeypatch.setattr(event_training, "train_events", told)
+    monkeypatch.setattr(events, "train_events", told)
     options = ("--set", "data.samples_per_digit=10", "--set", "events.epochs=1")
     options += ("--set", "events.architecture=10x10x2-4c4s3-10o")
     options += ("--set", "presentation.steps=5", "--set", "input.step=50")

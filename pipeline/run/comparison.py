@@ -19,8 +19,8 @@ from deploy.tables import SIGNIFICANCE, aligned, p_text, star
 from deploy.targets.registry import TARGETS
 from deploy.terminal import printable
 from pipeline.artifacts import DELETE_IT
+from pipeline.inputs.dataset import classes_of
 from pipeline.paper import CNN_MACS
-from pipeline.recordings.events import DIGITS
 from pipeline.recordings.words import is_written, shortened
 from pipeline.run.answers import REFERENCES
 from pipeline.run.elsewhere import FOLDER as OTHERS
@@ -221,7 +221,7 @@ def inference(run: Run) -> dict:
         "architecture": spec.architecture,
         "input_shape": list(spec.input_shape),
         "simulated": spec.provenance.get("simulated"),
-        "classes": list(spec.provenance.get("classes", DIGITS)),
+        "classes": list(classes_of(spec)),
         "neurons": sum(layer.size for layer in spec.layers if layer.neurons is not None),
         "cores": run.cores,
         "chips": run.chips,

@@ -88,10 +88,10 @@ def fitted(
     if settings.on_events:
         _presentation(settings, recordings, changes)
     n_test = _test_samples(settings, recordings, problems)
-    if check and n_test:
-        if settings.check.samples > n_test and settings.check == Settings().check:
-            changes.setdefault("check", {})["samples"] = n_test
-        elif settings.check.samples > n_test:
+    if check and 0 < n_test < settings.check.samples:
+        if settings.check == Settings().check:
+            changes["check"] = {"samples": n_test}
+        else:
             problems.append(
                 f"{settings.check.samples} samples asked for, the test split has {n_test}; "
                 f"{TOO_SMALL}"

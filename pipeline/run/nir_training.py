@@ -178,8 +178,8 @@ def start(folder: Path, settings: Settings, samples) -> tuple:
     layers = trainable(network, stepped.seconds, stepped.method, shape)
     weights = weights_of(layers)
     limited = sum(int((x.bias > BIAS_CAP * (1 - x.keep_v)).sum()) for x in layers[:-1])
-    some = samples.learn[np.linspace(0, len(samples.learn) - 1,
-                                     min(len(samples.learn), SCALED_ON)).astype(int)]  # fmt: skip
+    some = samples.train[np.linspace(0, len(samples.train) - 1,
+                                     min(len(samples.train), SCALED_ON)).astype(int)]  # fmt: skip
     frames = np.moveaxis(
         samples.table.frames(some, recipe.step_ms, settings.steps, recipe.rest), 0, 1
     )

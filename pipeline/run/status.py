@@ -116,11 +116,9 @@ def outdated_note(path) -> str | None:
         None also if the path is not in a run, or its run cannot be read.
     """
     path = Path(path).absolute()
-    for folder in list(path.parents)[:3]:
-        run = RunFolder(folder)
-        if run.experiment.is_file():
-            break
-    else:
+    runs = [RunFolder(folder) for folder in list(path.parents)[:3]]
+    run = next((run for run in runs if run.experiment.is_file()), None)
+    if run is None:
         return None
     try:
         reasons = outdated(status_of(run))

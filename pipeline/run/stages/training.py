@@ -18,6 +18,7 @@ from pipeline.progress import progress
 from pipeline.run import nir_conversion, nir_training
 from pipeline.run.answers import training_versions
 from pipeline.run.diagnosis import activity, fastest_rate, training_lines
+from pipeline.run.event_training import FEWEST, choose, set_apart
 from pipeline.run.folder import DELETE_ITS_FOLDER, RunFolder
 from pipeline.run.history import write_history
 from pipeline.run.origins import (
@@ -168,9 +169,9 @@ def _train_rates(artifact, place, settings, dataset, say):
 
 def _train_on_events(artifact, place, settings, dataset, say):
     """Train the network on events; an interrupted training continues after its last epoch."""
-    from pipeline.run import event_training  # TensorFlow takes seconds to import
+    from pipeline.training import events  # TensorFlow takes seconds to import
 
-    samples = event_training.set_apart(dataset, settings.seed)
+    samples = set_apart(dataset, settings.seed)
     checkpoint = Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
     start = None
     if settings.network == "retrained":
@@ -178,9 +179,13 @@ def _train_on_events(artifact, place, settings, dataset, say):
         start, lines = nir_training.start(graph.folder, settings, samples)
         for line in lines:
             say(f"nir: {line}")
+    recipe, (table, labels, train, _) = events.EventRecipe.of(settings), samples
     with progress("train events", settings.events.epochs) as advance:
         begun = time.perf_counter()
-        trained = event_training.train(settings, samples, settings.seed, checkpoint, advance, start)
+        trained = events.train_events(
+            recipe, table, labels, train, settings.seed,
+            checkpoint=checkpoint, advance=advance, start=start,
+        )  # fmt: skip
         seconds = time.perf_counter() - begun
     _write_network(artifact.folder, trained, dataset)
     epochs = len(trained.history)
@@ -192,32 +197,30 @@ def _choose_threshold(artifact, place, settings, dataset, say):
 
     Both depend on the presentation, unlike the training, and are therefore a separate artifact.
     """
-    from pipeline.run import event_training
     from pipeline.training.events import TrainedOnEvents
 
     trained = TrainedOnEvents.of(settings, weights_of("events", place, settings, dataset.origin))
-    samples = event_training.set_apart(dataset, settings.seed)
-    chosen = event_training.choose(settings, samples, trained, settings.seed)
+    samples = set_apart(dataset, settings.seed)
+    chosen = choose(settings, samples, trained, settings.seed)
     training = network_artifact("events", place, settings, dataset.origin)
     with understood(training.record, DELETE_ITS_FOLDER):
         record = training.state().record
         seconds, epochs = float(record["seconds"]), int(record["epochs"])
     metrics = _metrics(trained, dataset, seconds)
     metrics["epochs"] = epochs
-    metrics["decides_by_itself"] = {**chosen._asdict(), "samples": len(samples.held)}
+    metrics["decides_by_itself"] = {**chosen._asdict(), "samples": len(samples.held_out)}
     _say_accuracy("events", metrics, say)
     if chosen.confidence < 1:
         say(
             f"threshold: early decision at a confidence of {chosen.confidence:.4f}, after "
-            f"{chosen.share:.0%} of a recording on {len(samples.held)} held-out samples"
+            f"{chosen.share:.0%} of a recording on {len(samples.held_out)} held-out samples"
         )
         return metrics
     why = ""
-    if len(samples.held) < event_training.FEWEST_HELD:
+    if len(samples.held_out) < FEWEST:
         why = (
-            f", since {len(samples.held)} held-out samples are fewer than the "
-            f"{event_training.FEWEST_HELD} on which a confidence may be chosen "
-            "(more: split.validation_fraction)"
+            f", since {len(samples.held_out)} held-out samples are fewer than the {FEWEST} on "
+            "which a confidence may be chosen (more: split.validation_fraction)"
         )
     say(f"threshold: no early decisions, the network decides at the end of each recording{why}")
     return metrics

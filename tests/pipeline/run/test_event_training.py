@@ -1,4 +1,4 @@
-"""What is learnt from and what is held back, when a network on events is trained."""
+"""Training samples and held-out samples of networks on events."""
 
 import numpy as np
 import pytest
@@ -13,48 +13,42 @@ EVENTS = {"input": {"kind": "events", "step": 125.0}, "data": {"samples_per_digi
 
 
 @pytest.fixture
-def told(monkeypatch):
-    """What training and the choice of the threshold are given, in the place of both."""
-    told = {}
+def choice(monkeypatch):
+    """The arguments of the choice of the threshold, which is replaced."""
+    given = {}
 
-    def train_events(recipe, table, labels, train, seed, checkpoint, advance, start):
-        told.update(recipe=recipe, learn=train, seed=seed, checkpoint=checkpoint)
-        return TrainedOnEvents(recipe, {})
-
-    def threshold(self, table, labels, held, steps, seed):
-        told.update(held=held, steps=steps)
+    def threshold(self, table, labels, held_out, steps, seed):
+        given.update(held_out=held_out, steps=steps)
         return Threshold(0.9, 1.0, 0.5)
 
-    monkeypatch.setattr(event_training, "train_events", train_events)
     monkeypatch.setattr(TrainedOnEvents, "threshold", threshold)
-    return told
+    return given
 
 
-def trained(changes):
+def chosen_on(changes):
     settings = Settings().with_values({**EVENTS, **changes}, "here")
     dataset = Dataset.of(settings)
     samples = event_training.set_apart(dataset, 3)
-    network = event_training.train(settings, samples, 3, "state.npz")
-    chosen = event_training.choose(settings, samples, network, 3)
-    return dataset.split, chosen, len(samples.held)
+    network = TrainedOnEvents.of(settings, {})
+    return dataset.split, samples, event_training.choose(settings, samples, network, 3)
 
 
-def test_without_validation_some_training_samples_are_held_back(told):
-    split, chosen, samples = trained({})
+def test_without_validation_some_training_samples_are_held_out(choice):
+    split, samples, chosen = chosen_on({})
     assert not len(split.validation)
-    assert (told["seed"], told["checkpoint"], told["steps"]) == (3, "state.npz", 16)
-    assert told["recipe"].step_ms == 125.0
-    assert samples == len(told["held"]) > 0
-    assert samples < event_training.FEWEST_HELD
+    assert choice["steps"] == 16
+    np.testing.assert_array_equal(choice["held_out"], samples.held_out)
+    assert 0 < len(samples.held_out) < event_training.FEWEST
     assert (chosen.confidence, chosen.share) == (1, 1)  # waits for the end
-    both = np.concatenate([told["learn"], told["held"]])
+    both = np.concatenate([samples.train, samples.held_out])
     np.testing.assert_array_equal(np.sort(both), split.train)
 
 
-def test_with_validation_samples_they_are_what_is_held_back(told):
+def test_validation_samples_are_the_held_out_samples(choice):
     enough = {"samples_per_digit": 30}
-    split, chosen, samples = trained({"split": {"validation_fraction": 0.5}, "data": enough})
-    assert samples == len(split.validation) == 120
+    changes = {"split": {"validation_fraction": 0.5}, "data": enough}
+    split, samples, chosen = chosen_on(changes)
+    assert len(choice["held_out"]) == len(split.validation) == 120
     assert chosen.confidence == 0.9
-    np.testing.assert_array_equal(told["learn"], split.train)
-    np.testing.assert_array_equal(told["held"], split.validation)
+    np.testing.assert_array_equal(samples.train, split.train)
+    np.testing.assert_array_equal(choice["held_out"], split.validation)
