@@ -92,7 +92,9 @@ def measure(bundle: Bundle, samples: int | None = None) -> dict:
     parts = streams_of(len(images), spec.presentation.stream_length)
     program = compile_spec(spec)
     emulations = {name: Emulation(program, name) for name in kernels_here()}
-    whole_set = _equal_streams(images, parts)
+    # Streams of equal length, without a shorter last one.
+    length = parts[0].stop
+    whole_set = np.stack([images[part] for part in parts if part.stop - part.start == length])
     identical, reference, turns = True, [], {name: [] for name in emulations}
     for emulation in emulations.values():  # compiles, and warms the caches
         emulation.run(whole_set[:1, :1], spec.presentation.steps, spec.presentation.gap)
@@ -139,13 +141,6 @@ def _ratio(reference, turns, part, clock):
         for a, b in zip(reference, turns, strict=True)
     ]
     return float(np.median(ratios))
-
-
-def _equal_streams(images, parts):
-    """The samples as streams of equal length, without a shorter last one."""
-    length = parts[0].stop
-    full = [images[part] for part in parts if part.stop - part.start == length]
-    return np.stack(full)
 
 
 def _pace(turns):

@@ -83,9 +83,9 @@ def measure(task: Task) -> dict:
     task.trained(dataset)
     network = stages.network_artifact("events", task.networks, settings, dataset.origin)
     spec = stages.spec_of(task.networks, settings, dataset, {})
-    shown, labels = dataset.part("test")
-    expected = TrainedOnEvents.of(settings, task.weights("events", dataset)).answers(shown)
-    found = answer(spec, shown, "fast", seed)
+    inputs, labels = dataset.part("test")
+    expected = TrainedOnEvents.of(settings, task.weights("events", dataset)).answers(inputs)
+    found = answer(spec, inputs, "fast", seed)
     by_itself = found.decisions[np.arange(len(labels)), found.stopped_at - 1]
     meant = expected.outputs[:, -1].argmax(-1)
     return {
@@ -95,7 +95,7 @@ def measure(task: Task) -> dict:
         "labels": labels.tolist(),
         "predictions": found.predictions.tolist(),
         "operations": float(sum(n.mean() for n in found.operations.values()) / CNN_MACS),
-        "spikes_in": float(shown.reshape(len(shown), -1).sum(1, dtype=np.int64).mean()),
+        "spikes_in": float(inputs.reshape(len(inputs), -1).sum(1, dtype=np.int64).mean()),
         "merged": EventTable.of(dataset.recordings).lost(settings.input.step, settings.input.rest),
         "confidence": spec.presentation.confidence,
         "share": float(share_of_time(found.stopped_at - 1, expected.last_step).mean()),

@@ -102,15 +102,15 @@ def _on_images(task, dataset):
     """Predictions of the networks, responses of the chip by its stage, the CNN's operations."""
     from pipeline.training import nengodl, networks  # TensorFlow, in the process that needs it
 
-    settings, shown = task.settings, dataset.part("test")[0]
+    settings, inputs = task.settings, dataset.part("test")[0]
     task.trained(dataset)
     found = _cnns(task, dataset, settings)
     weights = task.weights("rate-lif", dataset)
-    found["rate-lif"] = networks.TrainedRates(settings, weights).logits(shown).argmax(1)
-    found["spiking-lif"] = nengodl.predict(settings, weights, shown, max(STEPS))
+    found["rate-lif"] = networks.TrainedRates(settings, weights).logits(inputs).argmax(1)
+    found["spiking-lif"] = nengodl.predict(settings, weights, inputs, max(STEPS))
     spec = stages.spec_of(task.networks, settings, dataset, {})
     chips = {
-        f"chip-{steps}": answer(spec.with_presentation(steps=steps), shown, "fast", task.seed)
+        f"chip-{steps}": answer(spec.with_presentation(steps=steps), inputs, "fast", task.seed)
         for steps in STEPS
     }
     return found, chips, sum(multiply_accumulates(spec).values())
@@ -127,10 +127,10 @@ def _on_events(task, dataset):
     on_images = replace(settings, input=replace(settings.input, kind="image"))
     found = _cnns(task, dataset.seen_by(on_images), on_images)
     trained = TrainedOnEvents.of(settings, task.weights("events", dataset))
-    shown = dataset.part("test")[0]
-    found["trained"] = trained.logits(shown).argmax(1)
+    inputs = dataset.part("test")[0]
+    found["trained"] = trained.logits(inputs).argmax(1)
     spec = stages.spec_of(task.networks, settings, dataset, {})
-    return found, {"chip": answer(spec, shown, "fast", task.seed)}, CNN_MACS
+    return found, {"chip": answer(spec, inputs, "fast", task.seed)}, CNN_MACS
 
 
 def _cnns(task, dataset, settings):
@@ -142,9 +142,9 @@ def _cnns(task, dataset, settings):
     paper = networks.TrainedCNN(settings, weights)
     recipe = networks.RECIPES["loihi"]
     annealed = networks.train_cnn(settings, dataset.part("train"), task.seed, recipe=recipe)
-    shown = dataset.part("test")[0]
+    inputs = dataset.part("test")[0]
     return {
-        stage: network.logits(shown).argmax(1)
+        stage: network.logits(inputs).argmax(1)
         for stage, network in zip(CNNS, (paper, annealed), strict=True)
     }
 

@@ -173,14 +173,10 @@ def _axis(entry, base):
         value = functools.reduce(
             dict.__getitem__, name.split("."), parse_assignments([f"{name}={piece}"])
         )
-        if isinstance(_setting(base, name), tuple) and not isinstance(value, list):
+        if isinstance(base.flat().get(name), tuple) and not isinstance(value, list):
             value = [value]
         axis.append((name, value))
     return axis
-
-
-def _setting(settings, name):
-    return functools.reduce(lambda part, key: getattr(part, key, None), name.split("."), settings)
 
 
 def without_test(dataset: Dataset) -> Dataset:

@@ -74,19 +74,14 @@ def sweep_csv(sweep: dict) -> str:
         *("n_samples", "simulated"),
     ]
     text = io.StringIO()
-    writer = csv.DictWriter(text, [*sweep["names"], *figures, "error"], lineterminator="\n")
+    columns = [*sweep["names"], *figures, "error"]
+    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
-    for point in sweep["points"]:
-        low, high = point["accuracy_ci95"]
-        row = {**point, "accuracy_low": low, "accuracy_high": high}
-        writer.writerow({**_values(point), **{name: row[name] for name in figures}})
-    for point in sweep["failed"]:
-        writer.writerow({**_values(point), "error": point["error"]})
+    for point in [*sweep["points"], *sweep["failed"]]:
+        low, high = point.get("accuracy_ci95", (None, None))
+        changes = {name: _value(value) for name, value in point["changes"].items()}
+        writer.writerow({**point, **changes, "accuracy_low": low, "accuracy_high": high})
     return text.getvalue()
-
-
-def _values(point):
-    return {name: _value(value) for name, value in point["changes"].items()}
 
 
 def _value(value):

@@ -204,10 +204,10 @@ def measure(task: Task) -> dict:
     begun = time.perf_counter()
     dataset, model = task.dataset(), task.subject
     if model in WITH_SLAYER:
-        shown, predictions, history = _slayer(task, dataset)
+        indices, predictions, history = _slayer(task, dataset)
     else:
-        shown, predictions, history = _on_chip_or_before(task, dataset)
-    labels, source = dataset.labels[shown], dataset.recordings.source
+        indices, predictions, history = _on_chip_or_before(task, dataset)
+    labels, source = dataset.labels[indices], dataset.recordings.source
     return {
         "schema": SCHEMA,
         "model": model,
@@ -216,9 +216,9 @@ def measure(task: Task) -> dict:
         "simulated": source.simulated,
         "source_sha256": source.sha256,
         "n_train": len(dataset.split.train),
-        "n_test": len(shown),
+        "n_test": len(indices),
         "accuracy": float(np.mean(predictions == labels)),
-        "samples": [int(i) for i in shown],
+        "samples": [int(i) for i in indices],
         "labels": [int(label) for label in labels],
         "predictions": [int(label) for label in predictions],
         "history": history,
@@ -238,10 +238,10 @@ def _on_chip_or_before(task, dataset):
     network = stages.network_artifact(name, task.networks, settings, dataset.origin)
     history = read_history(network.folder / "history.csv")
     if model.endswith("loihi"):
-        shown = draw_check_samples(test, settings.check.samples, settings.seed)
+        indices = draw_check_samples(test, settings.check.samples, settings.seed)
         spec = stages.spec_of(task.networks, settings, dataset, {})
-        answers = answer(spec, dataset.inputs[shown], LOIHI_TARGET, settings.seed)
-        return shown, answers.predictions, history
+        answers = answer(spec, dataset.inputs[indices], LOIHI_TARGET, settings.seed)
+        return indices, answers.predictions, history
     weights = stages.read_weights(network.folder, settings)
     images = dataset.inputs[test]
     if model == "cnn":

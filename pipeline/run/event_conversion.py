@@ -29,8 +29,8 @@ def deployed_on_events(
     confidence : float
         Confidence for an early decision.
     """
-    recipe, shown = EventRecipe.of(settings), settings.presented(confidence)
-    return spec_of_events(recipe, weights, shown, provenance, settings.deployment.pop_type)
+    recipe, presentation = EventRecipe.of(settings), settings.presented(confidence)
+    return spec_of_events(recipe, weights, presentation, provenance, settings.deployment.pop_type)
 
 
 def spec_of_events(

@@ -116,13 +116,13 @@ def settings_of_nir(path, step: float | None = None, kind: str | None = None) ->
     if (exported := exported_here(network, path)) is not None:
         return {**_settings_of_export(exported), "nir": nir}
     kind = kind or _kind_of(path, network.input_shape)
-    shown = {"kind": kind, "refractory": 0.0}
+    fed = {"kind": kind, "refractory": 0.0}
     if step is not None:
         if kind == "events":
-            shown["step"] = step
+            fed["step"] = step
         else:
             nir["step"] = step
-    return {"input": shown, "nir": nir, "presentation": FROM_REST}
+    return {"input": fed, "nir": nir, "presentation": FROM_REST}
 
 
 def exported_here(network: NirNetwork, source="") -> NetworkSpec | None:
@@ -142,16 +142,15 @@ def exported_here(network: NirNetwork, source="") -> NetworkSpec | None:
 
 def _settings_of_export(spec):
     """Settings with which an exported network gets the same input as before the export."""
-    stimulus, shown = spec.stimulus, spec.presentation
-    changes = {
-        "presentation": {name: getattr(shown, name) for name in ("steps", "gap", "stream_length")},
-    }
+    stimulus, presentation = spec.stimulus, spec.presentation
+    names = ("steps", "gap", "stream_length")
+    changes = {"presentation": {name: getattr(presentation, name) for name in names}}
     if isinstance(stimulus, EventFrames):
         step = round(1000 * stimulus.seconds, 9)
         changes["input"] = {"kind": "events", "step": step, "refractory": stimulus.rest * step}
         return changes
     changes["input"] = {"kind": "image"}
-    changes["presentation"]["readout_start"] = shown.readout_start
+    changes["presentation"]["readout_start"] = presentation.readout_start
     changes["deployment"] = {"first_layer": "host" if stimulus.area is None else "chip"}
     if isinstance(stimulus, ImageSpikes):
         changes["deployment"]["input_rate"] = stimulus.max_rate
@@ -431,10 +430,10 @@ def _outputs(network, stepped, inputs, settings, advance=None, reset="value"):
         if DEPLOYED in network.metadata and isinstance(settings.stimulus, ImageSpikes):
             # exported from a bundle, whose graph is for the input neurons' spikes
             spikes = _input_spikes(settings.stimulus, part, settings.steps)
-            shown = graph_inputs(network, spikes.reshape(*spikes.shape[:2], *part.shape[1:]), 0)
+            presented = graph_inputs(network, spikes.reshape(*spikes.shape[:2], *part.shape[1:]), 0)
         else:
-            shown = graph_inputs(network, part, settings.steps)
-        found = simulate(network, shown, stepped.seconds, stepped.method, reset)
+            presented = graph_inputs(network, part, settings.steps)
+        found = simulate(network, presented, stepped.seconds, stepped.method, reset)
         outputs.append(found.outputs.reshape(*found.outputs.shape[:2], -1))
         counts.append({n: _in_places(s.sum(1, dtype=np.int64)) for n, s in found.spikes.items()})
         if advance is not None:

@@ -47,9 +47,9 @@ def threshold_origin(settings: Settings, dataset: Origin) -> Origin:
 
 def nir_origin(settings: Settings, dataset: Origin) -> Origin:
     """Origin of an imported NIR graph, with its accuracy and threshold."""
-    shown = ["presentation.steps"] if settings.on_events else ["presentation", "image"]
+    presented = ["presentation.steps"] if settings.on_events else ["presentation", "image"]
     graph = ["nir.sha256", "nir.step", "nir.method", "nir.retrain"]
-    return Origin.of(settings, ["input", *graph, *shown], [dataset])
+    return Origin.of(settings, ["input", *graph, *presented], [dataset])
 
 
 def network_origin(settings: Settings, dataset: Origin) -> Origin:

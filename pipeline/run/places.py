@@ -29,15 +29,15 @@ def refuse_other_folders(path: Path, of_results: bool = False):
     """
     if not path.is_dir() or (path / "experiment.toml").exists():
         return
-    held = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith("."))
-    if "MANIFEST.json" in held:
+    found = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith("."))
+    if "MANIFEST.json" in found:
         run = path.absolute().parent
         meant = f"give its run, {path.parent}" if (run / "experiment.toml").exists() else ""
         raise UserError(f"{path}: is a bundle, not a run; {meant or 'give another folder as RUN'}")
-    if held and not of_results:
+    if found and not of_results:
         raise UserError(
-            f"{path}: is not a run (it has no experiment.toml) and not empty (it has {held[0]!r}); "
-            "give a new folder as RUN"
+            f"{path}: is not a run (it has no experiment.toml) and not empty "
+            f"(it has {found[0]!r}); give a new folder as RUN"
         )
 
 

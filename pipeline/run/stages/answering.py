@@ -121,8 +121,8 @@ def _shared(bundle, paths, seed, jobs, advance, meanwhile):
     checks, failures = {}, {}
     with contextlib.ExitStack() as opened:
         for name, path in paths.items():
-            tell = partial(advance, note=name)
-            checks[name] = opened.enter_context(open_check(bundle, name, path, seed, tell))
+            report = partial(advance, note=name)
+            checks[name] = opened.enter_context(open_check(bundle, name, path, seed, report))
         work = [job for check in checks.values() for job in _work(check)]
         for job, records in run_jobs(_answered, work, jobs, meanwhile=meanwhile):
             if isinstance(records, Failure):
