@@ -2,7 +2,7 @@
 
 The output of a network on events is a sum over the steps from a sample's start, trained as logits.
 The confidence is an estimate of the probability that the current answer is right: the largest value
-of the outputs' softmax or, better, the output of a trained confidence estimator (`Judge`).  The
+of the outputs' softmax or, better, the output of a trained confidence estimator (`Estimator`).  The
 network decides in the first step in which the confidence reaches a threshold, or else at the end.
 """
 
@@ -29,7 +29,7 @@ floating-point confidences could otherwise reach."""
 
 
 @dataclass(frozen=True)
-class Judge:
+class Estimator:
     """A confidence estimator: a small network on the host that reads the outputs.
 
     With p the softmax of the outputs at a step, the inputs x are the logarithms of p, its largest
@@ -63,7 +63,7 @@ class Judge:
 
     def arrays(self) -> dict:
         """The arrays by name, for a file."""
-        names = Judge.shapes(2)  # the names are the same for any number of classes
+        names = Estimator.shapes(2)  # the names are the same for any number of classes
         arrays = [array for pair in zip(self.kernels, self.biases) for array in pair]
         return dict(zip(names, arrays))
 
@@ -73,7 +73,7 @@ class Judge:
 
         Returns
         -------
-        Judge or None
+        Estimator or None
             None if none of its arrays exists.
 
         Raises
@@ -94,14 +94,14 @@ class Judge:
 
     def __call__(self, outputs, first: int = 0) -> np.ndarray:
         """Confidence at each step, from 0 to 1; see :func:`confidence`."""
-        signal = judged_by(outputs, first)
+        signal = estimator_inputs(outputs, first)
         for kernel, bias in zip(self.kernels[:-1], self.biases[:-1]):
             signal = np.maximum(signal @ kernel + bias, 0)
         odds = np.clip((signal @ self.kernels[-1] + self.biases[-1])[..., 0], -50, 50)
         return 1 / (1 + np.exp(-odds))
 
 
-def judged_by(outputs, first: int = 0) -> np.ndarray:
+def estimator_inputs(outputs, first: int = 0) -> np.ndarray:
     """Compute the inputs of a confidence estimator.
 
     Parameters
@@ -163,14 +163,14 @@ class Threshold(NamedTuple):
     share: float
 
 
-def confidence(outputs, judge: Optional[Judge] = None, first: int = 0) -> np.ndarray:
+def confidence(outputs, estimator: Optional[Estimator] = None, first: int = 0) -> np.ndarray:
     """Confidence in the outputs at each step, from 0 to `SUREST`.
 
     Parameters
     ----------
     outputs : ndarray, shape (..., steps, classes)
         Accumulated readout from a sample's start.
-    judge : Judge, optional
+    estimator : Estimator, optional
         Default: the largest share of the softmax.
     first : int
         Index in the sample of the first of these steps; only used by an estimator.
@@ -179,13 +179,13 @@ def confidence(outputs, judge: Optional[Judge] = None, first: int = 0) -> np.nda
     -------
     ndarray, shape (..., steps)
     """
-    if judge is not None:
-        return np.minimum(judge(outputs, first), SUREST)
+    if estimator is not None:
+        return np.minimum(estimator(outputs, first), SUREST)
     outputs = np.asarray(outputs, float)
     return np.minimum(1 / np.exp(outputs - outputs.max(-1, keepdims=True)).sum(-1), SUREST)
 
 
-def decide(outputs, threshold: float, judge: Optional[Judge] = None, first: int = 0):
+def decide(outputs, threshold: float, estimator: Optional[Estimator] = None, first: int = 0):
     """Step and class of each sample's decision.
 
     Parameters
@@ -193,7 +193,7 @@ def decide(outputs, threshold: float, judge: Optional[Judge] = None, first: int 
     outputs : ndarray, shape (n_samples, steps, classes)
     threshold : float
         Threshold of the confidence.
-    judge, first
+    estimator, first
         As in :func:`confidence`.
 
     Returns
@@ -202,7 +202,7 @@ def decide(outputs, threshold: float, judge: Optional[Judge] = None, first: int 
         Index in ``outputs``; the last one if the confidence never reaches the threshold.
     classes : ndarray of int, shape (n_samples,)
     """
-    return _decided(np.asarray(outputs), confidence(outputs, judge, first), threshold)
+    return _decided(np.asarray(outputs), confidence(outputs, estimator, first), threshold)
 
 
 def _decided(outputs, sure, threshold):
@@ -224,7 +224,12 @@ def share_of_time(steps, last_step) -> np.ndarray:
 
 
 def choose_threshold(
-    outputs, labels, last_step, loss: float = 0.005, judge: Optional[Judge] = None, weights=None
+    outputs,
+    labels,
+    last_step,
+    loss: float = 0.005,
+    estimator: Optional[Estimator] = None,
+    weights=None,
 ) -> Threshold:
     """Choose the threshold of the earliest decisions with a bounded loss, on validation samples.
 
@@ -234,7 +239,7 @@ def choose_threshold(
     labels, last_step : ndarray of int, shape (n_samples,)
     loss : float
         Maximum difference to the accuracy at the last step.
-    judge : Judge, optional
+    estimator : Estimator, optional
         As in :func:`confidence`.
     weights : ndarray, shape (n_samples,), optional
         Weight of each sample; default: equal weights.
@@ -248,7 +253,7 @@ def choose_threshold(
     def mean(values):
         return float(np.average(values, weights=weights))
 
-    at_the_end, sure = mean(outputs[:, -1].argmax(-1) == labels), confidence(outputs, judge)
+    at_the_end, sure = mean(outputs[:, -1].argmax(-1) == labels), confidence(outputs, estimator)
     best = Threshold(1.0, at_the_end, 1.0)
     for level in 1 - np.geomspace(0.5, 1e-4, 200):
         steps, classes = _decided(outputs, sure, level)

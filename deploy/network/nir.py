@@ -34,7 +34,7 @@ from .. import __version__
 from ..errors import UserError
 from ..files import replacing
 from .build import build
-from .decision import Judge
+from .decision import Estimator
 from .geometry import windows
 from .spec import DT, Layer, NetworkSpec
 from .stream import show, streams_of
@@ -163,7 +163,9 @@ def deployed_network(nodes: dict, metadata: dict) -> Optional[NetworkSpec]:
         value = json.loads(metadata[DEPLOYED])
         area = float(metadata["area"])
         arrays = {
-            name: np.asarray(array) for name, array in metadata.items() if name in Judge.shapes(2)
+            name: np.asarray(array)
+            for name, array in metadata.items()
+            if name in Estimator.shapes(2)
         }
         for plain in value["layers"]:
             node = nodes[f"{plain['name']}_weights"]
@@ -270,7 +272,7 @@ def _metadata(spec):
         "spike": "a pulse of height 1 that lasts one time step dt",
         DEPLOYED: json.dumps(spec.to_json()),
         "area": 1.0 if spec.stimulus.area is None else spec.stimulus.area / DT,
-        **({} if spec.judge is None else spec.judge.arrays()),
+        **({} if spec.estimator is None else spec.estimator.arrays()),
         "steps": shown.steps,
         "gap": shown.gap,
         "readout_start": shown.readout_start,

@@ -128,7 +128,7 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
     decisions[:, start:] = np.argmax(settled(scores, score_unit(spec)), axis=2)
     stopped = None
     if limit is not None:
-        stopped = start + 1 + decide(_sums(spec, scores), limit, spec.judge, start)[0]
+        stopped = start + 1 + decide(_sums(spec, scores), limit, spec.estimator, start)[0]
     return Responses(
         scores=scores[:, -1],
         decisions=decisions,

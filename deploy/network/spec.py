@@ -18,7 +18,7 @@ import numpy as np
 from .. import limits
 from ..errors import UserError
 from .chip import LOIHI
-from .decision import Judge
+from .decision import Estimator
 from .geometry import convolution_fan_out, convolution_shape, pooled_shape
 from .rehearsal import Rehearsal
 from .stimulus import KINDS, ImageCurrent, ImageSpikes, Stimulus
@@ -253,7 +253,7 @@ class NetworkSpec:
     presentation : Presentation
     provenance : dict
         Source of the network: data set, seed, recipe, package version.
-    judge : Judge or None
+    estimator : Estimator or None
         Confidence estimator of the outputs; None for their softmax.
     rehearsal : Rehearsal or None
         Training responses for refitting the readout; None in older bundles.
@@ -265,7 +265,7 @@ class NetworkSpec:
     layers: Tuple[Layer, ...]
     presentation: Presentation
     provenance: dict = field(default_factory=dict)
-    judge: Optional[Judge] = field(default=None, repr=False, compare=False)
+    estimator: Optional[Estimator] = field(default=None, repr=False, compare=False)
     rehearsal: Optional[Rehearsal] = field(default=None, repr=False, compare=False)
 
     def __post_init__(self):
@@ -343,7 +343,7 @@ class NetworkSpec:
             for layer in self.layers
             for name in ("weights", "bias")
         }
-        for more in (self.judge, self.rehearsal):
+        for more in (self.estimator, self.rehearsal):
             if more is not None:
                 arrays.update(more.arrays())
         return arrays
@@ -378,7 +378,7 @@ class NetworkSpec:
                 layers=tuple(layers),
                 presentation=_build(Presentation, value["presentation"]),
                 provenance=dict(value.get("provenance", {})),
-                judge=Judge.from_arrays(arrays, layers[-1].size if layers else 0),
+                estimator=Estimator.from_arrays(arrays, layers[-1].size if layers else 0),
             )
             inputs, classes = layers[-1].weights.shape[1], layers[-1].size
             spec = replace(spec, rehearsal=Rehearsal.from_arrays(arrays, inputs, classes))

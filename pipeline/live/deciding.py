@@ -189,7 +189,7 @@ class _Fast:
 
     def _confidence(self, sums):
         """The confidence for early decisions at each step of the sums."""
-        return confidence(sums, self._spec.judge, self._spec.presentation.readout_start)
+        return confidence(sums, self._spec.estimator, self._spec.presentation.readout_start)
 
 
 class ImageDecider(_Fast):

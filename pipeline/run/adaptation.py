@@ -62,7 +62,7 @@ class Responder:
         )  # fmt: skip
         self.spec = spec
         self._emulation = Emulation(
-            compile_spec(replace(spec, layers=(*spec.layers[:-1], through), judge=None,
+            compile_spec(replace(spec, layers=(*spec.layers[:-1], through), estimator=None,
                                  rehearsal=None), seed)
         )  # fmt: skip
         self._image = image
@@ -251,7 +251,10 @@ def _with_threshold(spec, responder, recordings):
     weights = spec.layers[-1].weights
     outputs = np.concatenate([output @ weights.T for output in responder.outputs(samples)])
     chosen = choose_threshold(
-        running_sums(spec, outputs), recordings.labels, last_steps(samples), judge=spec.judge
+        running_sums(spec, outputs),
+        recordings.labels,
+        last_steps(samples),
+        estimator=spec.estimator,
     )
     return spec.with_presentation(confidence=max(limit, chosen.confidence))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deploy.network.chip import LOIHI
-from deploy.network.decision import Judge
+from deploy.network.decision import Estimator
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import EventFrames
 from models.architecture import parse
@@ -73,5 +73,5 @@ def spec_of_events(
         layers=tuple(layers),
         presentation=presentation,
         provenance=provenance,
-        judge=Judge.from_arrays(weights, architecture.outputs),
+        estimator=Estimator.from_arrays(weights, architecture.outputs),
     )

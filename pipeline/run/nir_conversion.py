@@ -483,8 +483,10 @@ def graph_responses(graph: Path, settings: Settings, bundle: Bundle, advance=Non
     """
     network, inputs, spec = read_nir(graph), bundle.checks.inputs, bundle.spec
     outputs, counts = _outputs(network, Stepped.of(settings, network), inputs, settings, advance)
-    if settings.network == "retrained":  # its judge was trained with it, not with the graph
-        spec = replace(spec, judge=None, presentation=replace(spec.presentation, confidence=None))
+    if settings.network == "retrained":  # its estimator was trained with it, not with the graph
+        spec = replace(
+            spec, estimator=None, presentation=replace(spec.presentation, confidence=None)
+        )
     readout = spec.layers[-1]
     if readout.neurons is None:
         outputs = outputs - readout.bias  # which read_output adds
@@ -492,7 +494,7 @@ def graph_responses(graph: Path, settings: Settings, bundle: Bundle, advance=Non
         sizes = {"input": int(np.prod(spec.input_shape))}
         sizes |= {layer.name: layer.size for layer in spec.layers if layer.neurons}
         silent = {name: np.zeros((len(inputs), size)) for name, size in sizes.items()}
-        found = read_output(replace(spec, judge=None), outputs, silent)
+        found = read_output(replace(spec, estimator=None), outputs, silent)
         return replace(found, spikes={}, operations={})
     spikes = {"input": inputs.reshape(*inputs.shape[:2], -1).sum(1, dtype=np.int64)}
     names = [name for name in spec.spiking_layers if name != "input"]

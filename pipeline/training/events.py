@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass, field, fields
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.network.decision import Judge, Threshold, choose_threshold, delayed
+from deploy.network.decision import Estimator, Threshold, choose_threshold, delayed
 from deploy.network.stimulus import last_steps
 from models.architecture import parse
 from models.keras2 import tf
@@ -28,7 +28,7 @@ from pipeline.recordings.altering import Alteration, alter
 from pipeline.recordings.steps import EventTable, spike_frames
 from pipeline.settings import EventTraining, Input, Settings
 from pipeline.training.checkpoint import Checkpoint, train_epochs
-from pipeline.training.judge import train_judge
+from pipeline.training.estimator import train_estimator
 from pipeline.training.networks import make_deterministic
 
 TAIL = 3
@@ -128,7 +128,7 @@ class TrainedOnEvents:
     recipe : EventRecipe
     weights : dict of str to ndarray
         See :meth:`models.spiking.SpikingNetwork.get_weights`; also the arrays of the confidence
-        estimator (:class:`deploy.network.decision.Judge`).
+        estimator (:class:`deploy.network.decision.Estimator`).
     history : list of dict
         One row per epoch: ``epoch``, ``loss`` (without the penalty), ``accuracy`` and
         ``operations`` (in multiples of the CNN's) on the augmented training samples, ``seconds``,
@@ -149,11 +149,11 @@ class TrainedOnEvents:
         return answer_frames(self.recipe, self.weights, frames, advance)
 
     @property
-    def judge(self) -> Judge:
+    def estimator(self) -> Estimator:
         """The confidence estimator."""
-        return Judge.from_arrays(self.weights, parse(self.recipe.architecture).outputs)
+        return Estimator.from_arrays(self.weights, parse(self.recipe.architecture).outputs)
 
-    def threshold(self, table: EventTable, labels, held, steps: int, seed: int) -> Threshold:
+    def threshold(self, table: EventTable, labels, held_out, steps: int, seed: int) -> Threshold:
         """Choose the confidence for early decisions on held-out samples.
 
         The samples and their augmented copies have equal weight in the choice; see
@@ -163,25 +163,25 @@ class TrainedOnEvents:
         ----------
         table : EventTable
         labels : ndarray of int, shape (n_samples,)
-        held : ndarray of int
+        held_out : ndarray of int
             Indices of the held-out samples, which the network was not trained on.
         steps : int
             Number of steps for which each sample is presented.
         seed : int
             Seed of the data augmentation.
         """
-        often, rng = np.tile(held, ALTERED), np.random.default_rng([seed, 0x7E57])
+        often, rng = np.tile(held_out, ALTERED), np.random.default_rng([seed, 0x7E57])
         sample, step, *place = self.recipe.altered(rng, table, often)
         rest = self.recipe.rest
         altered = spike_frames(sample, step, *place, len(often), steps, table.size, rest)
-        as_they_are = table.frames(held, self.recipe.step_ms, steps, rest)
+        as_they_are = table.frames(held_out, self.recipe.step_ms, steps, rest)
         shown = self.answers(np.moveaxis(np.concatenate([as_they_are, altered], 1), 0, 1))
         return choose_threshold(
             arriving(shown.outputs, self.recipe),
-            np.asarray(labels)[np.concatenate([held, often])],
+            np.asarray(labels)[np.concatenate([held_out, often])],
             shown.last_step,
-            judge=self.judge,
-            weights=np.repeat([1, 1 / ALTERED], [len(held), len(often)]),
+            estimator=self.estimator,
+            weights=np.repeat([1, 1 / ALTERED], [len(held_out), len(often)]),
         )
 
     def logits(self, frames) -> np.ndarray:
@@ -266,8 +266,8 @@ def train_events(
         (lambda: trainer.watch(validation)) if len(validation) else None,
         advance,
     )
-    judge = train_judge(*trainer.outputs_of(train), seed)
-    return TrainedOnEvents(recipe, {**trainer.weights(), **judge.arrays()}, history)
+    estimator = train_estimator(*trainer.outputs_of(train), seed)
+    return TrainedOnEvents(recipe, {**trainer.weights(), **estimator.arrays()}, history)
 
 
 def tune_events(recipe: EventRecipe, weights: dict, table: EventTable, labels, train, seed: int):

@@ -19,7 +19,7 @@ from deploy import requirements as host
 from deploy.check.bundle import CheckSet, write_bundle
 from deploy.check.run import run_check
 from deploy.files import write_json
-from deploy.network.decision import Judge
+from deploy.network.decision import Estimator
 from deploy.network.stimulus import EventFrames, rested
 from tests.deploy.networks import events_spec, random_checks, random_frames, small_spec
 from tests.deploy.standin import STANDIN
@@ -223,13 +223,13 @@ def test_python_38_gives_the_same_result(home, copied):
 
 @old_python
 def test_python_38_answers_a_bundle_of_events(tmp_path):
-    """With taxels that rest and a judge, so that every sample is decided in a step of its own."""
+    """With taxels that rest and an estimator: each sample is decided in a step of its own."""
     rng = np.random.default_rng(0)
-    judge = {name: 0.3 * rng.normal(size=shape) for name, shape in Judge.shapes(3).items()}
+    estimator = {name: 0.3 * rng.normal(size=shape) for name, shape in Estimator.shapes(3).items()}
     spec = replace(
         events_spec(confidence=0.7),
         stimulus=EventFrames(0.01, rest=1),
-        judge=Judge.from_arrays(judge, 3),
+        estimator=Estimator.from_arrays(estimator, 3),
     )
     frames = rested(np.moveaxis(random_frames(spec, 7, share=0.2), 1, 0), 1)
     names = tuple(f"random/{i:03d}" for i in range(7))

@@ -10,7 +10,7 @@ import numpy as np
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.files import read_arrays, understood, write_arrays
-from deploy.network.decision import Judge
+from deploy.network.decision import Estimator
 from models.architecture import parse
 from pipeline.artifacts import Artifact, Library, Origin
 from pipeline.inputs.dataset import Dataset
@@ -244,7 +244,7 @@ def read_weights(folder: Path, settings: Settings) -> dict:
     if settings.on_events:
         architecture = settings.events.architecture
         parsed = parse(architecture)
-        shapes = parsed.event_weight_shapes | Judge.shapes(parsed.outputs)
+        shapes = parsed.event_weight_shapes | Estimator.shapes(parsed.outputs)
     else:
         architecture = settings.cnn.architecture
         shapes = parse(architecture).weight_shapes

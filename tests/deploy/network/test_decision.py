@@ -4,11 +4,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deploy.network.decision import (
-    Judge,
+    Estimator,
     choose_threshold,
     confidence,
     decide,
-    judged_by,
+    estimator_inputs,
     share_of_time,
 )
 
@@ -28,13 +28,15 @@ def test_confidence_by_hand():
 def test_a_threshold_of_1_waits_for_the_end_however_sure_the_outputs_are():
     # As sure as can be from the first step on, and wrong until the last: any earlier is a loss.
     outputs = outputs_of([-1000, -1000, 1000], [-1000, -1000, 1000])
-    certain = Judge(*(tuple(0 * a for a in arrays) for arrays in vars(judge_of(2)).values()))
+    certain = Estimator(
+        *(tuple(0 * a for a in arrays) for arrays in vars(estimator_of(2)).values())
+    )
     certain.biases[2][0] = 1000.0
     assert certain(outputs).tolist() == [[1, 1, 1]] * 2
-    for judge in (None, certain):
-        chosen = choose_threshold(outputs, np.zeros(2, int), np.full(2, 2), judge=judge)
+    for estimator in (None, certain):
+        chosen = choose_threshold(outputs, np.zeros(2, int), np.full(2, 2), estimator=estimator)
         assert chosen == (1, 1, 1)
-        steps, classes = decide(outputs, chosen.confidence, judge)
+        steps, classes = decide(outputs, chosen.confidence, estimator)
         assert (steps.tolist(), classes.tolist()) == ([2, 2], [0, 0])
     assert decide(outputs, 0.9999)[0].tolist() == [0, 0]
 
@@ -74,35 +76,35 @@ def test_a_higher_threshold_never_decides_earlier(seed):
     assert 0 < chosen.share <= 1
 
 
-def judge_of(classes, seed=0):
+def estimator_of(classes, seed=0):
     rng = np.random.default_rng(seed)
-    arrays = {name: rng.normal(size=shape) for name, shape in Judge.shapes(classes).items()}
-    return Judge.from_arrays(arrays, classes)
+    arrays = {name: rng.normal(size=shape) for name, shape in Estimator.shapes(classes).items()}
+    return Estimator.from_arrays(arrays, classes)
 
 
-def test_what_a_judge_goes_by_by_hand():
+def test_what_an_estimator_goes_by_by_hand():
     # Two classes with shares of 1/4 and 3/4, in the sixth step; before it there was nothing.
-    told = judged_by(np.log([[1.0, 3.0]]), first=5)
+    told = estimator_inputs(np.log([[1.0, 3.0]]), first=5)
     low, high = np.log(0.25), np.log(0.75)
     np.testing.assert_allclose(told, [[high, low, 0, 1, low, high, 5, *[0, np.log(3)] * 2]])
 
 
-def test_what_a_judge_is_told_of_the_steps_before():
+def test_what_an_estimator_is_told_of_the_steps_before():
     outputs = np.stack([np.arange(8.0), np.arange(8.0) ** 2], -1)
-    changes = judged_by(np.stack([outputs, 2 * outputs]))[..., -4:]
+    changes = estimator_inputs(np.stack([outputs, 2 * outputs]))[..., -4:]
     for t in range(8):
         expected = [outputs[t] - (outputs[t - lag] if t >= lag else 0) for lag in (2, 5)]
         np.testing.assert_allclose(changes[0, t], np.concatenate(expected))
         np.testing.assert_allclose(changes[1, t], 2 * np.concatenate(expected))
 
 
-def test_a_judge_of_one_unit_by_hand():
-    judge = judge_of(2)
-    kernels, biases = [0 * k for k in judge.kernels], [0 * b for b in judge.biases]
+def test_an_estimator_of_one_unit_by_hand():
+    estimator = estimator_of(2)
+    kernels, biases = [0 * k for k in estimator.kernels], [0 * b for b in estimator.biases]
     kernels[0][6, 3] = 1.0  # the step
     biases[0][3] = -2.0
     kernels[1][3, 0], kernels[2][0, 0], biases[2][0] = 2.0, 0.5, -1.0
-    simple = Judge(tuple(kernels), tuple(biases))
+    simple = Estimator(tuple(kernels), tuple(biases))
     expected = 1 / (1 + np.exp(-(np.maximum(np.arange(6) - 2, 0) - 1)))
     np.testing.assert_allclose(confidence(np.zeros((3, 6, 2)), simple), [expected] * 3)
     np.testing.assert_allclose(confidence(np.zeros((2, 2)), simple, first=4), expected[4:])
@@ -111,24 +113,24 @@ def test_a_judge_of_one_unit_by_hand():
     assert decide(np.zeros((1, 3, 2)), 0.6, simple, first=3)[0].tolist() == [1]
 
 
-def test_a_judge_that_is_very_sure_says_so_without_a_warning():
-    judge = judge_of(3)
+def test_an_estimator_that_is_very_sure_says_so_without_a_warning():
+    estimator = estimator_of(3)
     with np.errstate(all="raise", under="ignore"):
-        sure = confidence(1e4 * np.eye(3)[:, None], judge)
+        sure = confidence(1e4 * np.eye(3)[:, None], estimator)
     assert np.isfinite(sure).all()
 
 
-def test_a_judges_arrays_there_and_back():
-    judge = judge_of(10)
-    again = Judge.from_arrays({**judge.arrays(), "output.weights": np.zeros(3)}, 10)
+def test_an_estimators_arrays_there_and_back():
+    estimator = estimator_of(10)
+    again = Estimator.from_arrays({**estimator.arrays(), "output.weights": np.zeros(3)}, 10)
     outputs = np.random.default_rng(1).normal(size=(4, 7, 10))
-    np.testing.assert_array_equal(judge(outputs), again(outputs))
-    assert Judge.from_arrays({"output.weights": np.zeros(3)}, 10) is None
+    np.testing.assert_array_equal(estimator(outputs), again(outputs))
+    assert Estimator.from_arrays({"output.weights": np.zeros(3)}, 10) is None
 
 
 @pytest.mark.parametrize("change", ["missing", "shape", "nan"])
-def test_wrong_arrays_of_a_judge_are_named(change):
-    arrays = judge_of(10).arrays()
+def test_wrong_arrays_of_an_estimator_are_named(change):
+    arrays = estimator_of(10).arrays()
     if change == "missing":
         del arrays["judge.bias2"]
     elif change == "shape":
@@ -136,16 +138,19 @@ def test_wrong_arrays_of_a_judge_are_named(change):
     else:
         arrays["judge.bias2"] = np.full(32, np.nan)
     with pytest.raises(ValueError, match=r"judge\.bias2"):
-        Judge.from_arrays(arrays, 10)
+        Estimator.from_arrays(arrays, 10)
 
 
-def test_a_threshold_is_chosen_for_the_judge():
-    # Wrong where the first class leads: the softmax cannot know, the judge does.
+def test_a_threshold_is_chosen_for_the_estimator():
+    # Wrong where the first class leads: the softmax cannot know, the estimator does.
     outputs = np.repeat(np.array([[[5.0, 0.0]], [[0.0, 5.0]]]), 4, axis=1)
     outputs[0, 2:] = [0.0, 5.0]
     labels, last = np.ones(2, int), np.full(2, 3)
-    kernels, biases = [0 * k for k in judge_of(2).kernels], [0 * b for b in judge_of(2).biases]
+    kernels, biases = (
+        [0 * k for k in estimator_of(2).kernels],
+        [0 * b for b in estimator_of(2).biases],
+    )
     kernels[0][3, 0], kernels[1][0, 0], kernels[2][0, 0], biases[2][0] = 1.0, 1.0, 9.0, -4.0
-    judge = Judge(tuple(kernels), tuple(biases))
+    estimator = Estimator(tuple(kernels), tuple(biases))
     assert choose_threshold(outputs, labels, last, 0).share == pytest.approx(1)
-    assert choose_threshold(outputs, labels, last, 0, judge).share == pytest.approx((3 + 1) / 8)
+    assert choose_threshold(outputs, labels, last, 0, estimator).share == pytest.approx((3 + 1) / 8)

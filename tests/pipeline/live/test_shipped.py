@@ -38,7 +38,7 @@ def test_it_is_small_and_has_all_that_the_page_needs(bundle):
     assert sum(file.stat().st_size for file in SHIPPED.iterdir()) <= 300_000
     assert sensor_of(bundle, {}) == Sensor()
     assert bundle.spec.rehearsal is not None
-    assert bundle.spec.judge is not None
+    assert bundle.spec.estimator is not None
 
 
 def test_its_accuracy_is_that_of_the_readme(bundle):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deploy.network.decision import Judge, decide
+from deploy.network.decision import Estimator, decide
 from deploy.network.operations import synaptic_operations
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.preflight.plan import make_plan
@@ -92,19 +92,19 @@ def test_the_lower_voltage_bound_that_was_trained_is_deployed():
             assert floor - 0.5 < expected < floor / 2
 
 
-def test_the_judge_decides_on_the_chip_as_in_training():
+def test_the_estimator_decides_on_the_chip_as_in_training():
     recipe = EventRecipe(architecture="10x10x2-12c4s2-32-10o")
     rng, weights, table = np.random.default_rng(0), trained_like(recipe.architecture), table_of()
-    weights |= {name: rng.normal(0, 0.3, shape) for name, shape in Judge.shapes(10).items()}
+    weights |= {name: rng.normal(0, 0.3, shape) for name, shape in Estimator.shapes(10).items()}
     indices, steps = np.arange(len(table)), STEPS + GAP
     frames = np.moveaxis(table.frames(indices, recipe.step_ms, steps, recipe.rest), 0, 1)
     shown = answer_frames(recipe, weights, frames)
     late = len(shown.spikes) + 1
     # What arrives is what was said `late` steps before.
     arrived = np.pad(shown.outputs, ((0, 0), (late, 0), (0, 0)))[:, :steps]
-    judge = Judge.from_arrays(weights, 10)
-    limit = float(np.quantile(judge(arrived), 0.9))
-    expected, _ = decide(arrived, limit, judge)
+    estimator = Estimator.from_arrays(weights, 10)
+    limit = float(np.quantile(estimator(arrived), 0.9))
+    expected, _ = decide(arrived, limit, estimator)
     assert set(expected) - {0, steps - 1}
     assert (expected != decide(arrived, limit)[0]).any()
     presentation = Presentation(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from deploy.network.decision import Judge, choose_threshold
+from deploy.network.decision import Estimator, choose_threshold
 from models.architecture import parse
 from models.keras2 import tf
 from models.spiking import SpikingNetwork
@@ -51,19 +51,19 @@ VALIDATION = np.arange(54, 72)
 
 @pytest.fixture(scope="module")
 def told():
-    """What the judge of `trained` was told, by name."""
+    """What the estimator of `trained` was told, by name."""
     return {}
 
 
 @pytest.fixture(scope="module")
 def trained(data, told):
-    def train_judge(outputs, right, seed):
+    def train_estimator(outputs, right, seed):
         told.update(outputs=outputs, right=right)
         return learn(outputs, right, seed)
 
-    learn = events.train_judge
+    learn = events.train_estimator
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(events, "train_judge", train_judge)
+        patch.setattr(events, "train_estimator", train_estimator)
         return train_events(RECIPE, *data, seed=3, validation=VALIDATION)
 
 
@@ -85,7 +85,7 @@ def test_it_learns(trained):
     assert trained.history[-1]["val_accuracy"] >= 15 / 18
 
 
-def test_the_judge_learns_from_samples_as_they_are_and_altered(trained, told, data):
+def test_the_estimator_learns_from_samples_as_they_are_and_altered(trained, told, data):
     table, labels, train = data
     order = train[np.argsort(table.duration_ms[train], kind="stable")]
     assert len(told["outputs"]) == len(told["right"]) == 2 * len(train)
@@ -107,9 +107,9 @@ def test_weights_have_the_names_and_shapes_of_the_architecture(trained):
     arrays = {k: np.shape(v) for k, v in trained.weights.items() if np.ndim(v)}
     expected = dict(architecture.weight_shapes)
     del expected["output.bias"]  # the readout is a sum of spikes' weights and nothing else
-    assert arrays == {**expected, **Judge.shapes(3)}
+    assert arrays == {**expected, **Estimator.shapes(3)}
     assert trained.weights["conv1.tau_u"] > 0
-    assert trained.judge(np.zeros((5, 3))).shape == (5,)
+    assert trained.estimator(np.zeros((5, 3))).shape == (5,)
 
 
 def test_answers_are_the_chips_integers(trained, data):
@@ -151,7 +151,10 @@ def test_the_threshold_is_that_of_what_arrives_of_samples_as_they_are_and_altere
     whole = replace(table, time_ms=np.floor(table.time_ms / RECIPE.step_ms) * RECIPE.step_ms)
     plain = answers_to(trained.weights, whole, VALIDATION, 40)
     expected = choose_threshold(
-        arriving(plain.outputs, RECIPE), labels[VALIDATION], plain.last_step, judge=trained.judge
+        arriving(plain.outputs, RECIPE),
+        labels[VALIDATION],
+        plain.last_step,
+        estimator=trained.estimator,
     )
     assert none.threshold(whole, labels, VALIDATION, 40, 0) == pytest.approx(expected)
     altered = trained.threshold(table, labels, VALIDATION, 40, 0)

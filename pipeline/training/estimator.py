@@ -6,7 +6,7 @@ import functools
 
 import numpy as np
 
-from deploy.network.decision import HIDDEN, Judge, judged_by
+from deploy.network.decision import HIDDEN, Estimator, estimator_inputs
 from models.keras2 import tf
 
 EPOCHS = 4
@@ -14,7 +14,7 @@ BATCH = 512
 LEARNING_RATE = 0.002
 
 
-def train_judge(outputs, right, seed: int) -> Judge:
+def train_estimator(outputs, right, seed: int) -> Estimator:
     """Train a confidence estimator on the outputs of a network.
 
     The loss is the cross-entropy between its confidence and whether the largest output was right,
@@ -31,13 +31,13 @@ def train_judge(outputs, right, seed: int) -> Judge:
 
     Returns
     -------
-    Judge
+    Estimator
     """
-    told = np.concatenate([judged_by(sample) for sample in outputs])
+    inputs = np.concatenate([estimator_inputs(sample) for sample in outputs])
     right = np.concatenate(right).astype(np.float32)
-    middle, spread = told.mean(0), np.maximum(told.std(0), 1e-3)
-    told = ((told - middle) / spread).astype(np.float32)
-    model, untouched = _model(told.shape[1])
+    middle, spread = inputs.mean(0), np.maximum(inputs.std(0), 1e-3)
+    inputs = ((inputs - middle) / spread).astype(np.float32)
+    model, untouched = _model(inputs.shape[1])
     for variable, value in zip(model.optimizer.variables, untouched, strict=True):
         variable.assign(value)
     for index, layer in enumerate(model.layers):
@@ -46,12 +46,12 @@ def train_judge(outputs, right, seed: int) -> Judge:
         layer.bias.assign(tf.zeros_like(layer.bias))
     rng = np.random.default_rng([seed, 0x10D6])
     for _ in range(EPOCHS):
-        order = rng.permutation(len(told))
-        model.fit(told[order], right[order], batch_size=BATCH, shuffle=False, verbose=0)
+        order = rng.permutation(len(inputs))
+        model.fit(inputs[order], right[order], batch_size=BATCH, shuffle=False, verbose=0)
     kernels, biases = zip(*(layer.get_weights() for layer in model.layers), strict=True)
     # Fold the scaling of the inputs into the first layer.
     first = kernels[0] / spread[:, None]
-    return Judge((first, *kernels[1:]), (biases[0] - middle @ first, *biases[1:]))
+    return Estimator((first, *kernels[1:]), (biases[0] - middle @ first, *biases[1:]))
 
 
 @functools.lru_cache(maxsize=1)

@@ -1,7 +1,7 @@
 import numpy as np
 
 from deploy.network.decision import confidence
-from pipeline.training.judge import train_judge
+from pipeline.training.estimator import train_estimator
 
 
 def answers(samples=400, seed=0):
@@ -20,10 +20,10 @@ def answers(samples=400, seed=0):
     return outputs, right
 
 
-def test_a_judge_knows_more_than_the_lead():
-    judge = train_judge(*answers(), seed=0)
+def test_an_estimator_knows_more_than_the_lead():
+    estimator = train_estimator(*answers(), seed=0)
     outputs, right = answers(100, seed=1)
-    sure = np.concatenate([confidence(sample, judge) for sample in outputs])
+    sure = np.concatenate([confidence(sample, estimator) for sample in outputs])
     lead = np.concatenate([confidence(sample) for sample in outputs])
     right = np.concatenate(right)
 
@@ -36,8 +36,8 @@ def test_a_judge_knows_more_than_the_lead():
     assert sure[which == 0].mean() > 0.8 > 0.2 > sure[which == 2].mean()
 
 
-def test_same_seed_same_judge():
-    one, two, other = (train_judge(*answers(50), seed=seed) for seed in (1, 1, 2))
+def test_same_seed_same_estimator():
+    one, two, other = (train_estimator(*answers(50), seed=seed) for seed in (1, 1, 2))
     for name, array in one.arrays().items():
         np.testing.assert_array_equal(array, two.arrays()[name])
     assert any((one.arrays()[name] != other.arrays()[name]).any() for name in one.arrays())
