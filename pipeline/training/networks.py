@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
@@ -87,12 +88,13 @@ class Trained:
 
     def logits(self, inputs) -> np.ndarray:
         """Logits, shape (n_samples, classes)."""
-        return predict(self._model(), inputs)
+        return predict(self._model, inputs)
 
     def activations(self, inputs) -> dict:
         """Outputs of the neurons of each layer, shape (n_samples, n_neurons), by the layer."""
-        return activations(self._model(), inputs)
+        return activations(self._model, inputs)
 
+    @functools.cached_property
     def _model(self):
         model = self.build(self.settings)
         set_weights(model, self.weights)
