@@ -182,7 +182,7 @@ def events_text(summary: dict) -> str:
     what = "simulated recordings" if summary["simulated"] else "recordings"
     seeds = max(len(row["seeds"]) for row in summary["variants"].values())
     heads = ["", "accuracy", "95 %", "points lost", "p"]
-    accuracy = [heads, *([name, *_judged(row)] for name, row in summary["variants"].items())]
+    accuracy = [heads, *([name, *_cells(row)] for name, row in summary["variants"].items())]
     heads = ["", "operations", "early at", "early right", "agree", "trained", "spikes in", "merged"]
     more = [heads, *([name, *_more(row)] for name, row in summary["variants"].items())]
     return "\n".join(
@@ -204,7 +204,7 @@ def events_text(summary: dict) -> str:
     )
 
 
-def _judged(row):
+def _cells(row):
     low, high = row["accuracy"]["ci95"]
     cells = [f"{100 * row['accuracy']['mean']:.2f}", f"{100 * low:.2f} to {100 * high:.2f}"]
     loss = row["loss"]

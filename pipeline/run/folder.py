@@ -22,6 +22,11 @@ DELETE_ITS_FOLDER = "delete its folder and run the command again"
 """Remedy for a damaged file of a network."""
 
 
+def _inside(name, meaning):
+    """A property of a folder: the path of a file or folder in it."""
+    return property(lambda folder: folder.path / name, doc=meaning)
+
+
 @dataclass(frozen=True)
 class RunFolder:
     """Paths of a run's artifacts.
@@ -37,40 +42,15 @@ class RunFolder:
     def __post_init__(self):
         object.__setattr__(self, "path", Path(self.path))
 
-    @property
-    def experiment(self) -> Path:
-        """The file of all settings, resolved."""
-        return self.path / "experiment.toml"
-
-    @property
-    def dataset(self) -> Path:
-        """The description of the recordings."""
-        return self.path / "dataset.json"
-
-    @property
-    def cnn(self) -> Path:
-        """The folder of the CNN: weights, history and metrics."""
-        return self.path / "cnn"
-
-    @property
-    def snn(self) -> Path:
-        """The folder of the network that becomes the bundle: weights, history and metrics."""
-        return self.path / "snn"
-
-    @property
-    def bundle(self) -> Path:
-        """The folder of the bundle."""
-        return self.path / "bundle"
-
-    @property
-    def nir(self) -> Path:
-        """The folder of a NIR graph that was trained further: the graph and its metrics."""
-        return self.path / "nir"
-
-    @property
-    def ladder(self) -> Path:
-        """The file of the loss ladder."""
-        return self.path / "ladder.json"
+    experiment = _inside("experiment.toml", "The file of all settings, resolved.")
+    dataset = _inside("dataset.json", "The description of the recordings.")
+    cnn = _inside("cnn", "The folder of the CNN: weights, history and metrics.")
+    snn = _inside("snn", "The folder of the network that becomes the bundle, as that of the CNN.")
+    nir = _inside("nir", "The folder of a NIR graph that was trained further, and its metrics.")
+    bundle = _inside("bundle", "The folder of the bundle.")
+    ladder = _inside("ladder.json", "The file of the loss ladder.")
+    whole_ladder = _inside("ladder-whole.json", "The loss ladder on the whole test split.")
+    confusion = _inside("confusion.png", "The stages' confusion matrices on the whole test split.")
 
     def check(self, stage: str, whole: bool = False) -> Path:
         """The file of a stage's result on the check's samples, or on the whole test split."""
@@ -84,16 +64,6 @@ class RunFolder:
         :class:`pipeline.artifacts.Library`.
         """
         return {"cnn": self.cnn, "nir": self.nir}.get(name, self.snn)
-
-    @property
-    def whole_ladder(self) -> Path:
-        """The file of the loss ladder on the whole test split."""
-        return self.path / "ladder-whole.json"
-
-    @property
-    def confusion(self) -> Path:
-        """The picture of each stage's confusion matrix on the whole test split."""
-        return self.path / "confusion.png"
 
     def resolve_settings(self, base: Path | None, changes: dict) -> Settings:
         """Settings of this run, from its folder or from a file, with changes.
