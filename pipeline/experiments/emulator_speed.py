@@ -7,6 +7,7 @@ on the machine slows down both.  Building, compiling and reading files are not i
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import time
 import warnings
 from dataclasses import dataclass
@@ -65,11 +66,7 @@ def _timed(part, method):
 
 def kernels_here() -> tuple:
     """The kernels that can run here, the faster first."""
-    try:
-        import numba  # noqa: F401
-    except ImportError:
-        return KERNELS[1:]
-    return KERNELS
+    return KERNELS if importlib.util.find_spec("numba") else KERNELS[1:]
 
 
 def measure(bundle: Bundle, samples: int | None = None) -> dict:

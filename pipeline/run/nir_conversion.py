@@ -23,6 +23,7 @@ from deploy.network.nir import DEPLOYED, deployed_network
 from deploy.network.responses import Responses, read_output
 from deploy.network.spec import Layer, NetworkSpec, Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes, Stimulus, last_steps
+from models.architecture import Convolution
 from models.integers import on_loihi
 from models.nir_graph import SNNTORCH_STEP, NirError, NirNetwork, read_nir
 from models.nir_layers import NirLayer, chosen, fired, layers_of, rounded
@@ -614,18 +615,10 @@ def _readout(layer: NirLayer, presentation, pop_type) -> Layer:
 
 
 def _geometry(layer, pop_type):
-    return dict(
-        name=layer.name,
-        kind=layer.kind,
-        input_shape=layer.input_shape,
-        shape=layer.shape,
-        kernel=layer.weights.shape[0] if layer.kind == "conv" else 0,
-        block_shape=None,
-        pop_type=pop_type,
-        stride=layer.stride,
-        padding=layer.padding,
-        pool=layer.pool,
-    )
+    same = ("name", "kind", "input_shape", "shape", "stride", "padding", "pool")
+    kernel = layer.weights.shape[0] if layer.kind == "conv" else 0
+    geometry = {name: getattr(layer, name) for name in same}
+    return {**geometry, "kernel": kernel, "block_shape": None, "pop_type": pop_type}
 
 
 def _input_spikes(stimulus, samples, steps):
@@ -649,9 +642,8 @@ def notation(shape, layers) -> str:
         if layer.pool > 1:
             parts.append(f"{layer.pool}a")
         if layer.kind == "conv":
-            text = f"{layer.shape[-1]}c{layer.weights.shape[0]}"
-            text += f"s{layer.stride}" if layer.stride > 1 else ""
-            parts.append(text + ("p" if layer.padding == "same" else ""))
+            filters, kernel = layer.shape[-1], layer.weights.shape[0]
+            parts.append(str(Convolution(filters, kernel, layer.stride, layer.padding)))
         else:
             parts.append(f"{layer.size}{'o' if layer.name == 'output' else ''}")
     return "-".join(parts)
