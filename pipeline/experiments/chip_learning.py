@@ -217,7 +217,6 @@ class _Host:
         self._ends = np.cumsum(rule.steps + pause)
         self.steps = int(self._ends[-1])
         self.answers, self._index, self._at = [], -1, 0
-        self._trains, self._sum, self._error = None, None, None
         self._next()
 
     def _next(self):

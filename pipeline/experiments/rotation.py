@@ -80,15 +80,13 @@ class Fold:
 
     def people_source(self, settings: Settings) -> Source:
         """Name and hash of :meth:`people`, without simulating them."""
-        return source_of(*self._pressed(settings), **self._how)
+        seed, counts = self._pressed(settings)
+        return source_of(seed, counts, parameters=self.parameters, traces=self.traces)
 
     def people(self, settings: Settings) -> Recordings:
         """The fold's trajectories, each pressed on the skin once."""
-        return simulated(*self._pressed(settings), 1, **self._how)
-
-    @property
-    def _how(self):
-        return {"parameters": self.parameters, "traces": self.traces}
+        seed, counts = self._pressed(settings)
+        return simulated(seed, counts, 1, parameters=self.parameters, traces=self.traces)
 
     def _pressed(self, settings):
         counts = np.bincount([trace.digit for trace in self.traces], minlength=10)

@@ -148,8 +148,6 @@ def layers_text(layers: list) -> str:
     lines = [
         "firing rate on the chip in the readout window against the rate network's activation:",
         *(f"  {line}" for line in aligned(rows)),
-    ]
-    lines += [
         f"  lowest correlation: {least_faithful(layers)}",
         "  errors in units of max_rate; in brackets the rate network.  silent: share of neurons",
         "  that fire on no sample; saturated: share that on 1 % of the samples or more fire at",

@@ -137,11 +137,8 @@ def _train_cnn(artifact, place, settings, dataset, say):
     else:
         from pipeline.training.networks import train_cnn  # TensorFlow takes seconds to import
 
-        data, watched = dataset.part("train"), _watched(dataset)
-        with progress("train cnn", settings.cnn.epochs) as advance:
-            begun = time.perf_counter()
-            trained = train_cnn(settings, data, settings.seed, watched, advance)
-            seconds = time.perf_counter() - begun
+        arguments = settings, dataset.part("train"), settings.seed, _watched(dataset)
+        trained, seconds = _timed("cnn", settings.cnn.epochs, train_cnn, *arguments)
     _write_network(artifact.folder, trained, dataset)
     metrics = _metrics(trained, dataset, seconds)
     _say_accuracy("cnn", metrics, say)
@@ -153,11 +150,9 @@ def _train_rates(artifact, place, settings, dataset, say):
     from pipeline.training.networks import snn_recipe, train_rate_network
 
     start = weights_of("cnn", place, settings, dataset.origin)
-    data, watched = dataset.part("train"), _watched(dataset)
-    with progress("train rate-lif", snn_recipe(settings.snn).epochs) as advance:
-        begun = time.perf_counter()
-        trained = train_rate_network(settings, data, settings.seed, start, watched, advance)
-        seconds = time.perf_counter() - begun
+    data, epochs = dataset.part("train"), snn_recipe(settings.snn).epochs
+    arguments = settings, data, settings.seed, start, _watched(dataset)
+    trained, seconds = _timed("rate-lif", epochs, train_rate_network, *arguments)
     _write_network(artifact.folder, trained, dataset)
     metrics = _metrics(trained, dataset, seconds)
     metrics["neurons"] = _neurons(settings, trained, data[0])
@@ -179,17 +174,21 @@ def _train_on_events(artifact, place, settings, dataset, say):
         start, lines = nir_training.start(graph.folder, settings, samples)
         for line in lines:
             say(f"nir: {line}")
-    recipe, (table, labels, train, _) = events.EventRecipe.of(settings), samples
-    with progress("train events", settings.events.epochs) as advance:
-        begun = time.perf_counter()
-        trained = events.train_events(
-            recipe, table, labels, train, settings.seed,
-            checkpoint=checkpoint, advance=advance, start=start,
-        )  # fmt: skip
-        seconds = time.perf_counter() - begun
+    recipe, (table, labels, indices, _) = events.EventRecipe.of(settings), samples
+    arguments = recipe, table, labels, indices, settings.seed
+    more = {"checkpoint": checkpoint, "start": start}
+    trained, seconds = _timed("events", recipe.epochs, events.train_events, *arguments, **more)
     _write_network(artifact.folder, trained, dataset)
     epochs = len(trained.history)
     return {"epochs": epochs, "seconds": seconds, "versions": training_versions()}
+
+
+def _timed(name, epochs, function, *arguments, **more):
+    """Run a training with a progress bar; return the network and the seconds that it took."""
+    with progress(f"train {name}", epochs) as advance:
+        begun = time.perf_counter()
+        trained = function(*arguments, advance=advance, **more)
+        return trained, time.perf_counter() - begun
 
 
 def _choose_threshold(artifact, place, settings, dataset, say):
