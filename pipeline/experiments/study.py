@@ -342,27 +342,21 @@ def measure_splits(
     recordings = recordings_of(settings, workers.processes)
     recordings_fit(recordings, settings)
     folder.save_settings(settings)
-    tasks = [
-        split_task(experiment, folder, on_split(settings, seed), recordings.source.sha256, subject)
-        for seed in range(settings.seed, settings.seed + splits)
-        for subject in experiment.subjects
-    ]
-    results = study(experiment.name, experiment.measure, [[t] for t in tasks], workers, say)
+    sha256, groups = recordings.source.sha256, []
+    for seed in range(settings.seed, settings.seed + splits):
+        split = on_split(settings, seed)
+        dataset = dataset_origin(split, sha256)
+        for subject in experiment.subjects:
+            name = f"{subject} of seed {seed}" if subject else f"split {seed}"
+            file = f"{subject or 'split'}-{seed:02d}.json"
+            origin = experiment.origin(split, dataset, subject)
+            task = Task.of(folder.path, file, name, origin, split, sha256, subject=subject)
+            groups.append([task])
+    results = study(experiment.name, experiment.measure, groups, workers, say)
     whole, failed = successful(results)
     summary = experiment.summarise(whole, recordings.source.simulated)
-    summary["source_sha256"] = recordings.source.sha256
+    summary["source_sha256"] = sha256
     return concluded(folder, experiment.name, summary, failed)
-
-
-def split_task(
-    experiment: Experiment, folder: RunFolder, settings: Settings, recordings: str, subject: str
-) -> Task:
-    """The task of measuring a subject on a split, with settings from :func:`on_split`."""
-    seed = settings.seed
-    name = f"{subject} of seed {seed}" if subject else f"split {seed}"
-    file = f"{subject or 'split'}-{seed:02d}.json"
-    origin = experiment.origin(settings, dataset_origin(settings, recordings), subject)
-    return Task.of(folder.path, file, name, origin, settings, recordings, subject=subject)
 
 
 def counted(task: Task, dataset: Dataset) -> dict:
