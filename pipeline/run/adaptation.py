@@ -28,7 +28,7 @@ KEPT = 500
 COPIES = 10
 """Number of augmented copies of each sample of a person."""
 
-AT_ONCE = 64
+AT_ONCE = 32
 """Number of samples that are run in parallel, which limits the memory."""
 
 
