@@ -7,6 +7,7 @@ import os
 import resource
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import time
@@ -235,15 +236,18 @@ def frames(rng, port, path):
     return made
 
 
-def leaping(rng, port, path):
-    """Pages that do not read, and whose clocks leap with every message."""
+def _page(port, path):
+    """A page of which little is read."""
     from websockets.sync.client import connect
 
+    return connect(f"ws://127.0.0.1:{port}{path}pen", proxy=None, max_queue=1, ping_interval=None)
+
+
+def leaping(rng, port, path):
+    """Pages that do not read, and whose clocks leap with every message."""
     made, step = [], float(rng.choice([30.0, 3000.0, 30_000.0]))
-    for _ in range(4):
-        page = connect(
-            f"ws://127.0.0.1:{port}{path}pen", proxy=None, max_queue=1, ping_interval=None
-        )
+    for _ in range(2):
+        page = _page(port, path)
         made.append(page)
         for n in range(60):
             t = step * (n + 1)
@@ -256,4 +260,31 @@ def leaping(rng, port, path):
     return made
 
 
-ATTACKS = (silent, slow, garbage, frames, leaping)
+def labelling(rng, port, path):
+    """A page that saves one recording after another, and does not read."""
+    page = _page(port, path)
+    _until(page, "ready", 120)
+    for n in range(int(rng.integers(20, 400))):
+        t = 3000.0 * (n + 1)
+        points = [[t, 4.0, 1.0, 0.5, 1], [t + 50, 4.0, 6.0, 0.5, 1], [t + 100, 4.0, 6.0, 0.5, 0]]
+        with contextlib.suppress(Exception):
+            page.send(json.dumps({"type": "pen", "now": t + 100, "points": points}))
+            page.send(json.dumps({"type": "label", "label": int(rng.integers(0, 10))}))
+    return [page]
+
+
+def rejoining(rng, port, path):
+    """A page that leaps and is gone without a word, again and again."""
+    points = [[1000.0, 4.0, 4.0, 0.5, 1], [11_000.0, 4.0, 5.0, 0.5, 1]]
+    leap = json.dumps({"type": "pen", "now": 12_000.0, "points": points})
+    for _ in range(int(rng.integers(10, 60))):
+        page = _page(port, path)
+        _until(page, "ready", 120)
+        for _ in range(50):
+            page.send(leap)
+        page.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        page.socket.close()
+    return []
+
+
+ATTACKS = (silent, slow, garbage, frames, leaping, labelling, rejoining)
