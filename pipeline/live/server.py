@@ -225,9 +225,8 @@ class Live:
         try:
             yield
         finally:
-            self._hands.shutdown()  # what is being saved is saved before the folder is released
-            self._thread.shutdown(wait=False, cancel_futures=True)
-            self._study_thread.shutdown(wait=False, cancel_futures=True)
+            for threads in (self._hands, self._thread, self._study_thread):
+                threads.shutdown(wait=False, cancel_futures=True)
 
     def _make_both(self):
         return self._make_decider(), self._make_learner()
@@ -285,6 +284,8 @@ class Live:
         try:
             await self._talk(socket, limits)
         except (WebSocketDisconnect, RuntimeError):  # Starlette's word for a socket that is closed
+            pass
+        except asyncio.CancelledError:  # by the server, which has ended
             pass
         finally:
             self._free.append(limits)

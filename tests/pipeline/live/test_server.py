@@ -22,6 +22,7 @@ pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
 sync_client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
 from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 
+from pipeline.live import keeping  # noqa: E402
 from pipeline.live.connections import STRANGERS  # noqa: E402
 from pipeline.live.qr import qr_code  # noqa: E402
 from pipeline.live.server import LARGEST, PAGES, listen  # noqa: E402
@@ -434,6 +435,37 @@ def test_odd_requests_are_refused_without_a_word_on_the_terminal(server, monkeyp
             pass
     assert is_well(server)
     assert [record.getMessage() for record in logged.buffer] == []
+
+
+def test_a_recording_that_is_being_saved_when_the_server_ends_is_saved(tmp_path, monkeypatch):
+    """The server does not wait for its page, and says nothing; what comes later is refused."""
+    saving, may_end, save = threading.Event(), threading.Event(), keeping._create
+
+    def slow(*given):
+        saving.set()
+        assert may_end.wait(60)
+        save(*given)
+
+    monkeypatch.setattr(keeping, "_create", slow)
+    logged = logging.handlers.BufferingHandler(1000)
+    with served(tmp_path / "kept") as server:
+        logger = logging.getLogger("uvicorn.error")
+        monkeypatch.setattr(logger, "handlers", [logged])
+        with connect(server) as page:
+            read_until(page, "ready")
+            write(page)
+            page.send(json.dumps({"type": "label", "label": 1}))
+            assert saving.wait(60)
+            server.should_exit = True
+            server.thread.join(60)
+            assert not server.thread.is_alive()
+        may_end.set()
+    assert [path.name for path in (tmp_path / "kept" / "1").iterdir()] == ["w001-0001.mat"]
+    assert not (tmp_path / "kept" / ".lock").exists()
+    errors = [record for record in logged.buffer if record.levelno >= logging.ERROR]
+    assert [record.getMessage() for record in errors] == []
+    with pytest.raises(UserError, match="ends"):
+        server.keeper.save(1, None)
 
 
 @pytest.fixture
