@@ -42,18 +42,14 @@ def attacked(rng, folder, base):
     list of str
         What was wrong.
     """
-    from websockets.sync.client import connect
-
     folder.mkdir(parents=True)
     if rng.random() < 0.5:
         _keep_damaged(rng, folder / "written", base)
     with _served(folder, base) as (server, url):
         port, path = urlsplit(url).port, urlsplit(url).path
         held, findings = [], []
-        address = f"ws://127.0.0.1:{port}{path}pen"
         try:
-            with connect(address, proxy=None, ping_interval=None) as page:
-                _until(page, "ready", 120)
+            with _page(port, path) as page:
                 # Each once: those with the token together leave room for two of the eight pages.
                 for index in rng.permutation(len(ATTACKS))[: int(rng.integers(1, 4))]:
                     held += ATTACKS[index](rng, port, path)
@@ -63,7 +59,7 @@ def attacked(rng, folder, base):
                 page.send(json.dumps({"type": "writer", "number": WRITER, "each": 0}))
                 _until(page, "writer", patience)
                 _until(page, "learned", 10 * patience, writer=WRITER)
-                _another(port, path, patience)
+                _page(port, path, patience).close()
                 time.sleep(2)
                 if (share := (_cpu(server) - used) / (time.monotonic() - begun)) > SHARE:
                     findings.append(f"takes {share:.0%} of a core")
@@ -171,21 +167,6 @@ def _get(port, path, patience):
         assert page.recv(4096).startswith(b"HTTP/1.1 200"), "the page is not served"
 
 
-def _another(port, path, patience):
-    """Open another page; the place of one that is gone may have to become free first."""
-    from websockets.sync.client import connect
-
-    end, address = time.monotonic() + patience, f"ws://127.0.0.1:{port}{path}pen"
-    while True:
-        with connect(address, proxy=None, open_timeout=patience) as other:
-            try:
-                return _until(other, "ready", patience)
-            except ValueError:
-                if time.monotonic() > end:
-                    raise
-        time.sleep(0.1)
-
-
 def _until(page, kind, seconds, **values):
     """Read messages up to one of a kind with some values."""
     wanted, end = {"type": kind, **values}, time.monotonic() + seconds
@@ -250,18 +231,28 @@ def frames(rng, port, path):
     return made
 
 
-def _page(port, path):
-    """A page of which little is read."""
+def _page(port, path, patience=120.0, **options):
+    """A page that is ready; the place of one that is gone may have to become free first."""
     from websockets.sync.client import connect
 
-    return connect(f"ws://127.0.0.1:{port}{path}pen", proxy=None, max_queue=1, ping_interval=None)
+    end, address = time.monotonic() + patience, f"ws://127.0.0.1:{port}{path}pen"
+    while True:
+        page = connect(address, proxy=None, open_timeout=patience, ping_interval=None, **options)
+        try:
+            _until(page, "ready", patience)
+            return page
+        except ValueError:
+            page.close()
+            if time.monotonic() > end:
+                raise
+        time.sleep(0.1)
 
 
 def leaping(rng, port, path):
     """Pages that do not read, and whose clocks leap with every message."""
     made, step = [], float(rng.choice([30.0, 3000.0, 30_000.0]))
     for _ in range(2):
-        page = _page(port, path)
+        page = _page(port, path, max_queue=1)
         made.append(page)
         for n in range(60):
             t = step * (n + 1)
@@ -276,8 +267,7 @@ def leaping(rng, port, path):
 
 def labelling(rng, port, path):
     """A page that saves one recording after another, and does not read."""
-    page = _page(port, path)
-    _until(page, "ready", 120)
+    page = _page(port, path, max_queue=1)
     for n in range(int(rng.integers(20, 400))):
         t = 3000.0 * (n + 1)
         points = [[t, 4.0, 1.0, 0.5, 1], [t + 50, 4.0, 6.0, 0.5, 1], [t + 100, 4.0, 6.0, 0.5, 0]]
@@ -293,10 +283,8 @@ def rejoining(rng, port, path):
     leap = json.dumps({"type": "pen", "now": 12_000.0, "points": points})
     for _ in range(int(rng.integers(10, 60))):
         page = _page(port, path)
-        with contextlib.suppress(ValueError):  # those that are gone still have all places
-            _until(page, "ready", 120)
-            for _ in range(50):
-                page.send(leap)
+        for _ in range(50):
+            page.send(leap)
         page.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         page.socket.close()
     return []
