@@ -10,7 +10,6 @@ import re
 import shutil
 import stat
 import tempfile
-import time
 import zipfile
 from pathlib import Path
 
@@ -85,11 +84,9 @@ def _written_beside(path, prefix, mode, rename):
     temporary = None
     try:
         make_folder(path.parent)
-        remove_abandoned(path.parent, prefix)
-        handle, temporary = tempfile.mkstemp(dir=str(path.parent), prefix=prefix)
+        handle, temporary = temporary_file(path.parent, prefix)
         options = {} if "b" in mode else {"encoding": "utf-8", "newline": "\n"}
         with os.fdopen(handle, mode, **options) as file:
-            claim(handle)
             with at_the_end(os.unlink, temporary):
                 yield file
             file.flush()
@@ -130,16 +127,57 @@ def _name_exclusively(temporary, path):
     os.unlink(temporary)
 
 
-ABANDONED_S = 0.5
-"""Age in seconds from which a file may be abandoned: before :func:`claim` a new
-file is not locked.  Shorter than a command takes to start, so that the next one removes what a
-killed one left."""
+def temporary_file(folder, prefix):
+    """Create a temporary file and lock it; see :func:`temporary_folder`."""
+    return _locked_from_the_start(tempfile.mkstemp, folder, prefix)
 
 
-def claim(handle):
-    """Lock an open temporary file or folder, so that it is not taken for an abandoned one."""
-    with contextlib.suppress(OSError):  # a file system without locks
-        _take(handle)
+def temporary_folder(folder, prefix):
+    """Create a temporary folder and lock it; first remove those of killed processes.
+
+    Parameters
+    ----------
+    folder : path-like
+        Where it is created.
+    prefix : str
+        Start of the name; users do not choose such a name, since abandoned files are removed.
+
+    Returns
+    -------
+    handle : int
+        Locks the folder until it is closed: :func:`remove_abandoned` leaves it alone.
+    path : str
+
+    Raises
+    ------
+    OSError
+        Nothing can be created in ``folder``.
+    """
+
+    def make(**where):
+        while True:
+            path = tempfile.mkdtemp(**where)
+            with contextlib.suppress(FileNotFoundError):  # another process has removed it
+                return os.open(path, os.O_RDONLY), path
+
+    return _locked_from_the_start(make, folder, prefix)
+
+
+def _locked_from_the_start(make, folder, prefix):
+    """Make something that no other process has removed in the moment before it was locked."""
+    remove_abandoned(folder, prefix)
+    while True:
+        handle, path = make(dir=str(folder), prefix=prefix)
+        try:
+            _take(handle)
+        except BlockingIOError:  # another process is about to remove it
+            os.close(handle)
+            continue
+        except OSError:  # a file system without locks, where nothing is removed
+            return handle, path
+        if os.path.lexists(path):
+            return handle, path
+        os.close(handle)
 
 
 def _take(handle):
@@ -160,8 +198,6 @@ def remove_abandoned(folder, prefix):
     with contextlib.suppress(OSError), os.scandir(str(folder)) as entries:
         for entry in [entry for entry in entries if name.fullmatch(entry.name)]:
             with contextlib.suppress(OSError):
-                if time.time() - entry.stat(follow_symlinks=False).st_mtime < ABANDONED_S:
-                    continue
                 handle = os.open(entry.path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
                 try:
                     _take(handle)  # whose owner lives holds it

@@ -11,7 +11,7 @@ import os
 import shutil
 import tempfile
 
-from deploy.files import claim, remove_abandoned
+from deploy.files import temporary_folder
 from deploy.interrupts import at_the_end
 
 PREFIX = ".stmnist-process-"
@@ -26,13 +26,10 @@ def own_folder():
     """
     before, directory = os.environ.get("TMPDIR"), tempfile.tempdir
     try:
-        remove_abandoned(tempfile.gettempdir(), PREFIX)
-        folder = tempfile.mkdtemp(prefix=PREFIX)
-        handle = os.open(folder, os.O_RDONLY)
+        handle, folder = temporary_folder(tempfile.gettempdir(), PREFIX)
     except OSError:
         yield
         return
-    claim(handle)
     os.environ["TMPDIR"], tempfile.tempdir = folder, folder
     try:
         with at_the_end(shutil.rmtree, folder):

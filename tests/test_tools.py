@@ -128,3 +128,40 @@ def test_splits_with_slayer_are_kept_also_if_the_others_are_interrupted(tmp_path
 def test_every_result_has_a_name_of_its_own():
     names = [result.name for result in results.RESULTS]
     assert len(set(names)) == len(names)
+
+
+def test_the_effect_of_the_state_is_counted_over_all_seeds():
+    """Two seeds of ten samples: three right only in streams, one only from rest."""
+    runs = [
+        {
+            "n_test": 10,
+            "fast": 0.9,
+            "fast_from_rest": 0.8,
+            "only_in_stream": 2,
+            "only_from_rest": 1,
+        },
+        {
+            "n_test": 10,
+            "fast": 1.0,
+            "fast_from_rest": 0.9,
+            "only_in_stream": 1,
+            "only_from_rest": 0,
+        },
+    ]
+    found = results._effect_of_state(runs)
+    assert (found["samples"], found["only_in_stream"], found["only_from_rest"]) == (20, 3, 1)
+    assert (found["in_stream"], found["from_rest"]) == pytest.approx((0.95, 0.85))
+    assert found["p_value"] == pytest.approx(2 * (1 + 4) / 2**4)
+
+
+def test_a_run_on_events_is_compared_with_its_answers_from_rest(tmp_path):
+    kept = dict.fromkeys(
+        ("trained", "operations", "agreement", "share", "accuracy_by_itself", "confidence"), 0.5
+    )
+    kept |= {"labels": [1, 2, 3, 4], "predictions": [1, 2, 3, 0], "n_test": 4}
+    kept["predictions_from_rest"] = [1, 0, 0, 4]
+    (tmp_path / "events").mkdir()
+    (tmp_path / "events" / "as-is-00.json").write_text(json.dumps(kept))
+    found = results._run_on_events(results.Work(tmp_path, 1), "events", 0)
+    assert (found["fast"], found["fast_from_rest"]) == (0.75, 0.5)
+    assert (found["only_in_stream"], found["only_from_rest"]) == (2, 1)

@@ -22,8 +22,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
+from deploy.check.intervals import mcnemar
 from deploy.errors import UserError
 from deploy.files import read_json, write_json
 from deploy.tables import aligned
@@ -237,16 +239,40 @@ def _events_over_seeds(work):
         "simulated hands": hands["source_sha256"],
         "real pen trajectories": pens["source_sha256"],
     }
-    return {"simulated": True, "sha256": sources, "runs": runs}
+    alone = [run for name, run in runs.items() if name.startswith("simulated hands")]
+    return {"simulated": True, "sha256": sources, "runs": runs, "state": _effect_of_state(alone)}
 
 
 def _run_on_events(work, folder, seed):
     path = work.folder / folder / f"as-is-{seed:02d}.json"
     content = read_json(path, "delete it and run the command again")
-    right = [a == b for a, b in zip(content["labels"], content["predictions"], strict=True)]
+    labels = np.array(content["labels"])
+    in_stream, from_rest = (
+        np.array(content[key]) == labels for key in ("predictions", "predictions_from_rest")
+    )
     keys = ("trained", "operations", "agreement", "share", "accuracy_by_itself", "confidence")
-    kept = {key: content[key] for key in (*keys, "n_test")}
-    return {"fast": sum(right) / len(right), **kept}
+    return {
+        "fast": float(in_stream.mean()),
+        "fast_from_rest": float(from_rest.mean()),
+        "only_in_stream": int(np.sum(in_stream & ~from_rest)),
+        "only_from_rest": int(np.sum(from_rest & ~in_stream)),
+        **{key: content[key] for key in (*keys, "n_test")},
+    }
+
+
+def _effect_of_state(runs):
+    """Samples that are right in a stream and from rest, over all runs, and McNemar's p."""
+    samples, first, second = (
+        sum(run[key] for run in runs) for key in ("n_test", "only_in_stream", "only_from_rest")
+    )
+    return {
+        "samples": samples,
+        "in_stream": float(np.mean([run["fast"] for run in runs])),
+        "from_rest": float(np.mean([run["fast_from_rest"] for run in runs])),
+        "only_in_stream": first,
+        "only_from_rest": second,
+        "p_value": mcnemar([1] * first + [0] * second, [0] * first + [1] * second),
+    }
 
 
 RESULTS = (

@@ -17,7 +17,6 @@ from __future__ import annotations
 import io
 import os
 import shutil
-import tempfile
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,14 +26,13 @@ import numpy as np
 from .. import limits
 from ..errors import UserError
 from ..files import (
-    claim,
     make_folder,
     read_arrays,
     read_json,
     refuse_linked_folder,
-    remove_abandoned,
     replacing,
     sha256_of,
+    temporary_folder,
     write_arrays,
     write_json,
 )
@@ -109,16 +107,14 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
         raise UserError(f"{path}: is a file, not a bundle's folder; move it away")
     try:
         make_folder(path.parent)
-        remove_abandoned(path.parent, ".bundle.")
-        temporary = Path(tempfile.mkdtemp(dir=str(path.parent), prefix=".bundle."))
-        handle = os.open(str(temporary), os.O_RDONLY)
+        handle, temporary = temporary_folder(path.parent, ".bundle.")
+        temporary = Path(temporary)
     except OSError as error:
         raise UserError(
             f"{path}: cannot write ({error.strerror}); choose another folder"
         ) from error
     try:
         with at_the_end(shutil.rmtree, str(temporary)):
-            claim(handle)
             temporary.chmod(0o755)
             write_json(temporary / "network.json", {"schema": NETWORK_SCHEMA, **spec.to_json()})
             write_arrays(temporary / "weights.npz", **spec.arrays())
@@ -172,22 +168,23 @@ def _exchange(new, path):
     if not path.exists():
         os.replace(str(new), str(path))
         return
-    aside = Path(tempfile.mkdtemp(dir=str(path.parent), prefix=".bundle."))
-    earlier = aside / path.name
+    handle, aside = temporary_folder(path.parent, ".bundle.")
+    earlier = Path(aside) / path.name
 
     def restore():
         if not path.exists():
             os.replace(str(earlier), str(path))
 
     try:
-        with at_the_end(restore), at_the_end(shutil.rmtree, str(aside)):
+        with at_the_end(restore), at_the_end(shutil.rmtree, aside):
             os.replace(str(path), str(earlier))
             os.replace(str(new), str(path))
     except BaseException:
         restore()
         raise
     finally:
-        shutil.rmtree(str(aside), ignore_errors=True)
+        os.close(handle)
+        shutil.rmtree(aside, ignore_errors=True)
 
 
 def read_bundle(path) -> Bundle:

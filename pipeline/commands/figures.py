@@ -255,9 +255,9 @@ TABLES = {
     "output of conversion": lambda: _text(
         "conversion-simulated", "stmnist benchmark conversion", choices_text
     ),
-    "output of events": lambda: _text("events-simulated", "stmnist benchmark events", _rows),
-    "output of events with pen trajectories": lambda: _text(
-        "events-pen", "stmnist benchmark events --data pen.zip --out runs/time-pen", _rows, False
+    "output of events": lambda: _events_output("events-simulated", ""),
+    "output of events with pen trajectories": lambda: _events_output(
+        "events-pen", " --data pen.zip --out runs/time-pen", False
     ),
     "events over seeds": events_markdown,
     "output of sweep": lambda: _sweep_output("sweep", "stmnist sweep runs/sweep"),
@@ -271,14 +271,18 @@ TABLES = {
 """Content between the marks of each name, as Markdown."""
 
 
-def _text(name, command, text_of, built_in=True):
+def _text(name, command, text_of):
     content = result(name)
-    return _output(command, text_of(content), content, built_in)
+    return _output(command, text_of(content), content)
 
 
-def _rows(content):
-    """The rows of :func:`events_text` without the explanation of the columns."""
-    return events_text(content).partition("\n\nas-is:")[0]
+def _events_output(name, options, built_in=True):
+    """The output of ``benchmark events`` without the explanation of its columns."""
+    content = result(name)
+    seeds = len(content["variants"]["as-is"]["seeds"])
+    command = f"stmnist benchmark events{f' --seeds {seeds}' if seeds > 1 else ''}{options}"
+    rows = events_text(content).partition("\n\nas-is:")[0]
+    return _output(command, rows, content, built_in)
 
 
 def _read(path):

@@ -110,5 +110,11 @@ def say_when_files_run_out(loop, say=None):
 
 
 def is_own_error(record) -> bool:
-    """A filter of the log: no traceback for text that is not UTF-8, a mistake of the sender."""
-    return not (record.exc_info and isinstance(record.exc_info[1], UnicodeDecodeError))
+    """A filter of the log, which leaves out what is not an error of the server.
+
+    This is text that is not UTF-8, and that a page was cut off because it did not end in time when
+    the server ended.
+    """
+    if record.exc_info and isinstance(record.exc_info[1], UnicodeDecodeError):
+        return False
+    return not str(record.msg).startswith("Cancel %s running task(s)")

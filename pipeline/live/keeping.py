@@ -120,7 +120,7 @@ class Keeper:
         self._places = places_of(self.sensor.classes)
         self._guard = threading.Lock()
         self._held = contextlib.ExitStack()
-        self._lock = None
+        self._lock, self._closed = None, False
         self._hold()
         try:
             self._refuse_another_sensor()
@@ -156,6 +156,10 @@ class Keeper:
 
     def _hold(self):
         """Hold the folder's lock, which may have been deleted together with the folder."""
+        if self._closed:
+            raise UserError(
+                f"{self.folder}: nothing is saved any more, because 'stmnist live' ends"
+            )
         if self._lock is not None and is_at(self._lock, self.folder / ".lock"):
             return
         self._lock = None
@@ -192,9 +196,10 @@ class Keeper:
         self._kept = sorted(found, key=lambda kept: (kept.writer, kept.number))
 
     def close(self):
-        """Release the folder for other processes."""
-        self._lock = None
-        self._held.close()
+        """Release the folder for other processes, when what is being saved is saved."""
+        with self._guard:
+            self._closed, self._lock = True, None
+            self._held.close()
 
     def __len__(self):
         return len(self._kept)

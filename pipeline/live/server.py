@@ -9,6 +9,7 @@ processed.  On an address of the network the token is the only protection, and i
 from __future__ import annotations
 
 import asyncio
+import collections
 import concurrent.futures
 import contextlib
 import errno
@@ -20,6 +21,7 @@ import secrets
 import socket
 import threading
 import time
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import uvicorn
@@ -44,6 +46,7 @@ from pipeline.live.session import (
     MOST_TAXELS,
     PAUSE_S,
     BadMessage,
+    Limits,
     Session,
     problem,
 )
@@ -147,8 +150,33 @@ async def _turn_away(scope, receive, send, why):
         await send({"type": "websocket.close", "code": 1008, "reason": why})
 
 
+@dataclass
+class _Page:
+    """A page that is open.
+
+    Attributes
+    ----------
+    socket : WebSocket
+    session : Session
+    turn : asyncio.Lock
+        Held by whoever uses the session.
+    wake, study : asyncio.Event
+        Set when there may be something to answer, or to learn.
+    """
+
+    socket: WebSocket
+    session: Session
+    turn: asyncio.Lock = field(default_factory=asyncio.Lock)
+    wake: asyncio.Event = field(default_factory=asyncio.Event)
+    study: asyncio.Event = field(default_factory=asyncio.Event)
+
+
 class Live:
     """The objects that all pages share: network, folder, one thread for the network's answers.
+
+    Messages are handled in threads, as many as there may be pages, because a message can simulate
+    ten seconds of the skin or wait for the disk.  The event loop does neither, so that no page
+    waits for what another one has asked for.
 
     Parameters
     ----------
@@ -177,7 +205,9 @@ class Live:
         self._study_thread = concurrent.futures.ThreadPoolExecutor(1, "learning")
         self._make_decider = make_decider
         self._keeper, self._p, self._about, self._seed = keeper, p, about, seed
-        self._pages, self._numbers = 0, itertools.count(1)
+        self._numbers = itertools.count(1)
+        self._free = collections.deque(Limits() for _ in range(PAGES))  # of pages not open
+        self._hands = concurrent.futures.ThreadPoolExecutor(PAGES, "page")
         self._thread = concurrent.futures.ThreadPoolExecutor(1, "network")
         self._decider = self._tests = None
         self.picture = None  # of the address, for other devices
@@ -195,8 +225,8 @@ class Live:
         try:
             yield
         finally:
-            self._thread.shutdown(wait=False, cancel_futures=True)
-            self._study_thread.shutdown(wait=False, cancel_futures=True)
+            for threads in (self._hands, self._thread, self._study_thread):
+                threads.shutdown(wait=False, cancel_futures=True)
 
     def _make_both(self):
         return self._make_decider(), self._make_learner()
@@ -245,28 +275,28 @@ class Live:
             await socket.close(1008, "the token in the address is missing or wrong")
             return
         await socket.accept()
-        if self._pages >= PAGES:
+        if not self._free:
             text = f"{PAGES} pages are open already; close one of them and reload this page"
             await _say(socket, [problem(text)])
             await socket.close(1013, "too many pages")
             return
-        self._pages += 1
+        limits = self._free.popleft()  # the place that has been free for longest
         try:
-            await self._talk(socket)
+            await self._talk(socket, limits)
         except (WebSocketDisconnect, RuntimeError):  # Starlette's word for a socket that is closed
             pass
+        except asyncio.CancelledError:  # by the server, which has ended
+            pass
         finally:
-            self._pages -= 1
+            self._free.append(limits)
 
-    async def _talk(self, socket):
-        session = Session(next(self._numbers), self._keeper, self._p, self._seed)
+    async def _talk(self, socket, limits):
+        session = Session(next(self._numbers), self._keeper, self._p, self._seed, limits=limits)
+        page, loop = _Page(socket, session), asyncio.get_running_loop()
         hello = {"type": "hello", **self._about, **_LIMITS, "shared": self.picture is not None}
         await _say(socket, [hello, session.state()])
-        wake, study = asyncio.Event(), asyncio.Event()
         tasks = [
-            asyncio.create_task(self._answer(socket, session, wake, study)),
-            asyncio.create_task(self._study(socket, session, study)),
-            asyncio.create_task(self._exhibit(socket, session)),
+            asyncio.create_task(each(page)) for each in (self._answer, self._study, self._exhibit)
         ]
         try:
             while True:
@@ -275,11 +305,14 @@ class Live:
                     return
                 if message.get("text") is None:
                     raise BadMessage("not text")
-                replies = session.handle(message["text"], time.monotonic())
+                async with page.turn:
+                    replies = await loop.run_in_executor(
+                        self._hands, session.handle, message["text"], time.monotonic()
+                    )
                 await _say(socket, replies)
-                study.set()
+                page.study.set()
                 if any(r["type"] == "events" and (r["ns"] or session.clocked) for r in replies):
-                    wake.set()
+                    page.wake.set()
         except BadMessage as error:
             await _say(socket, [problem(f"a message was refused: {error}")])
             await socket.close(1008, "a message was refused")
@@ -287,35 +320,41 @@ class Live:
             for task in tasks:
                 task.cancel()
 
-    async def _exhibit(self, socket, session):
+    async def _exhibit(self, page):
         """Say which examples there are as soon as they are known."""
         tests, reason = await asyncio.shield(self._tests)
+        async with page.turn:
+            examples = page.session.show(tests)
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-            await _say(socket, [{**session.show(tests), "reason": reason}])
+            await _say(page.socket, [{**examples, "reason": reason}])
 
-    async def _study(self, socket, session, study):
+    async def _study(self, page):
         """One lesson at a time, in order."""
         loop = asyncio.get_running_loop()
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             while True:
-                await study.wait()
-                study.clear()
-                for lesson in session.lessons():
+                await page.study.wait()
+                page.study.clear()
+                async with page.turn:
+                    lessons = page.session.lessons()
+                for lesson in lessons:
                     try:
                         learned = await loop.run_in_executor(self._study_thread, lesson)
                     except Exception as error:  # said; what was recorded is safe
                         learned = problem(f"this recording could not be learned: {error}")
-                    await _say(socket, [learned])
+                    await _say(page.socket, [learned])
 
-    async def _answer(self, socket, session, wake, study):
+    async def _answer(self, page):
         """One answer at a time, always to the latest events."""
-        loop = asyncio.get_running_loop()
+        loop, socket = asyncio.get_running_loop(), page.socket
         try:
             decider, learner = await asyncio.shield(self._decider)
         except Exception as error:  # said on the page, whatever it was
             await _say(socket, [problem(f"the network cannot be made ready: {error}")])
             return
-        session.begin(decider, learner)
+        async with page.turn:
+            page.session.begin(decider, learner)
+            state = page.session.state()
         layers = [{"name": layer.name, "neurons": layer.neurons} for layer in decider.layers]
         ready = {
             "type": "ready",
@@ -326,12 +365,13 @@ class Live:
             "threshold": decider.threshold,
         }
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-            await _say(socket, [ready, session.state()])
-            study.set()
+            await _say(socket, [ready, state])
+            page.study.set()
             while True:
-                await wake.wait()
-                wake.clear()
-                ask = session.ask()
+                await page.wake.wait()
+                page.wake.clear()
+                async with page.turn:
+                    ask = page.session.ask()
                 if ask is not None:
                     try:
                         answer = await loop.run_in_executor(self._thread, ask)

@@ -36,7 +36,7 @@ from deploy.errors import UserError, line_of
 from pipeline.live.deciding import Answer, Decider
 from pipeline.live.examples import KEPT, TEST, Examples, Replayed
 from pipeline.live.keeping import WRITERS, Keeper, asked_next
-from pipeline.recordings.events import Events
+from pipeline.recordings.events import Events, joined
 from pipeline.recordings.matfile import MatRecording, Written
 from pipeline.skin.writing import MARGIN, START_S, PenPoint, Writing
 
@@ -64,6 +64,10 @@ beside the page and its network (0.15 s of processor time per second for this nu
 SKIN_RATE = 2.0
 """Mean number of seconds of the skin that may be simulated for a page per second; a person needs
 one.  At one moment it may be the whole of the longest recording."""
+
+PIECE_S = 0.5
+"""Seconds of the skin that are simulated in one piece, so that little memory is needed: an
+intermediate result of a piece takes 8 MB on the largest skin."""
 
 EACH = 1000
 """Maximum number of recordings of each class in a session."""
@@ -112,6 +116,19 @@ class Allowance:
     def charge(self, n: float):
         """Count an amount that was used already; :meth:`take` refuses until the debt is gone."""
         self.left -= n
+
+
+class Limits:
+    """The rates that a page is limited to.
+
+    A server keeps them for its next page, so that a program does not get new ones by connecting
+    again.
+    """
+
+    def __init__(self):
+        self.messages, self.points, self.strokes = (Allowance(n) for n in (400, 6000, 25))
+        self.skin = Allowance(SKIN_RATE, at_once=LONGEST_S)
+        self.requests = Allowance(10)
 
 
 class OpenRecording:
@@ -185,11 +202,15 @@ class OpenRecording:
             until = min(until, max(self.pen[-1][0], until - REST_S))
         else:
             until = min(until, self.writing.settled_s)
-        return self.writing.advance(until)
+        return self._advance(until)
 
     def finish(self) -> Events:
         """Let the skin come to rest."""
-        return self.writing.advance(min(self.writing.settled_s, self._longest_s))
+        return self._advance(min(self.writing.settled_s, self._longest_s))
+
+    def _advance(self, until_s):
+        ends = np.arange(self.writing.time_s + PIECE_S, until_s, PIECE_S).tolist()
+        return joined([self.writing.advance(end_s) for end_s in (*ends, until_s)])
 
 
 class Session:
@@ -206,9 +227,11 @@ class Session:
         examples.
     now : callable, optional
         The time of day as a `datetime.datetime` with its zone.
+    limits : Limits, optional
+        Default: those of a page that has sent nothing yet.
     """
 
-    def __init__(self, number, keeper: Keeper, p, seed=0, now=None):
+    def __init__(self, number, keeper: Keeper, p, seed=0, now=None, limits=None):
         self._number, self._keeper, self._p, self._seed = number, keeper, p, seed
         self._now = now or (lambda: datetime.datetime.now().astimezone())
         self._decider = self._learner = self._examples = None
@@ -218,9 +241,7 @@ class Session:
         self._each, self._handedness = 0, ""
         self.writer = 1
         self.recording = None
-        self._messages, self._points, self._strokes = (Allowance(n) for n in (400, 6000, 25))
-        self._skin = Allowance(SKIN_RATE, at_once=LONGEST_S)
-        self._requests = Allowance(10)
+        self._limits = limits or Limits()
         self._complained_s = -math.inf
 
     def begin(self, decider: Decider, learner: Learner | None = None):
@@ -294,7 +315,7 @@ class Session:
         ------
         BadMessage
         """
-        if not self._messages.take(1, now_s):
+        if not self._limits.messages.take(1, now_s):
             return self._too_fast(now_s)
         try:
             message = json.loads(text)
@@ -307,7 +328,7 @@ class Session:
         if handler is None:
             raise BadMessage("of no known type")
         # What reads or writes the folder is pressed by a hand, and takes longer than a point.
-        if kind not in ("pen", "clear") and not self._requests.take(1, now_s):
+        if kind not in ("pen", "clear") and not self._limits.requests.take(1, now_s):
             return [problem("too many requests at a time; wait a moment and try again")]
         try:
             return handler(self, message, now_s)
@@ -349,8 +370,9 @@ class Session:
         for *_, touches in points:
             lands += touches and not down
             down = touches
-        allowed = self._points.take(len(points), now_s) and self._strokes.take(lands, now_s)
-        if not (allowed and self._skin.take(0, now_s)):
+        limits = self._limits
+        allowed = limits.points.take(len(points), now_s) and limits.strokes.take(lands, now_s)
+        if not (allowed and limits.skin.take(0, now_s)):
             return self._too_fast(now_s)
         replies = []
         for point in points:
@@ -414,7 +436,7 @@ class Session:
         begun_s = recording.writing.time_s
         events = advance(*until)
         if recording.example is None:
-            self._skin.charge(recording.writing.time_s - begun_s)
+            self._limits.skin.charge(recording.writing.time_s - begun_s)
         return {
             "type": "events",
             "recording": recording.number,

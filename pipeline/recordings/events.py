@@ -204,6 +204,15 @@ class Recordings:
         return np.repeat(np.arange(len(self)), np.diff(self.offsets))
 
 
+def joined(parts) -> Events:
+    """Join a list of events, in this order."""
+    columns = (
+        np.concatenate([getattr(part, name) for part in parts]) if parts else np.empty(0, dtype)
+        for name, dtype in EVENT_DTYPES.items()
+    )
+    return Events(*columns)
+
+
 def collect(parts, labels, ids, writers, source, taxels=None, sensor=None) -> Recordings:
     """Join the events of single recordings.
 
@@ -216,12 +225,8 @@ def collect(parts, labels, ids, writers, source, taxels=None, sensor=None) -> Re
     taxels : TaxelMap, optional
     sensor : Sensor, optional
     """
-    columns = (
-        np.concatenate([getattr(part, name) for part in parts]) if parts else np.empty(0, dtype)
-        for name, dtype in EVENT_DTYPES.items()
-    )
     return Recordings(
-        events=Events(*columns),
+        events=joined(parts),
         offsets=np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.int64),
         labels=np.asarray(labels, np.int64),
         ids=tuple(ids),

@@ -1,7 +1,11 @@
+import contextlib
+import errno
+import fcntl
 import os
 import shutil
-import time
+import tempfile
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +19,8 @@ from deploy.files import (
     read_json,
     remove_abandoned,
     replacing,
+    temporary_file,
+    temporary_folder,
     write_arrays,
     write_json,
 )
@@ -132,7 +138,7 @@ def test_a_zip_of_something_else(tmp_path):
 
 
 def test_what_a_killed_process_left_goes_with_the_next_writing(tmp_path):
-    old = time.time() - 60
+    """Also if the process was killed a moment ago."""
     abandoned = [tmp_path / ".a.json.abcd_123", tmp_path / ".bundle.abcdefgh"]
     abandoned[0].write_text("half")
     abandoned[1].mkdir()
@@ -140,24 +146,83 @@ def test_what_a_killed_process_left_goes_with_the_next_writing(tmp_path):
     others = [tmp_path / name for name in (".b.json.abcdefgh", ".a.json.partial", ".a.json.new")]
     for other in others:
         other.write_text("mine")
-    for path in [*abandoned, *others]:
-        os.utime(path, (old, old))
-    (tmp_path / ".a.json.87654321").write_text("of this moment")
-    just = tmp_path / ".a.json.1_second"
-    just.write_text("of a process that was killed before this command was started")
-    os.utime(just, (time.time() - 1,) * 2)
     write_json(tmp_path / "a.json", {})
     assert not abandoned[0].exists()
-    assert not just.exists()
     assert all(other.exists() for other in others)
-    assert (tmp_path / ".a.json.87654321").exists()
-    remove_abandoned(tmp_path, ".bundle.")
+    spec = small_spec()
+    write_bundle(tmp_path / "bundle", spec, random_checks(spec, 3))
     assert not abandoned[1].exists()
+
+
+@pytest.mark.parametrize("make", [temporary_file, temporary_folder])
+@pytest.mark.parametrize("removed", [True, False])
+def test_what_another_process_takes_before_it_is_locked_is_made_again(
+    make, removed, tmp_path, monkeypatch
+):
+    """The other process has removed it, or has locked it and is about to remove it."""
+    flock, taken, locks = fcntl.flock, [], contextlib.ExitStack()
+
+    def raced(handle, how):
+        monkeypatch.setattr(fcntl, "flock", flock)
+        taken.extend(tmp_path.iterdir())
+        if removed:
+            remove_abandoned(tmp_path, ".a.")
+        else:
+            other = os.open(taken[0], os.O_RDONLY)
+            locks.callback(os.close, other)
+            flock(other, how)
+        flock(handle, how)
+
+    monkeypatch.setattr(fcntl, "flock", raced)
+    with locks:
+        handle, path = make(tmp_path, ".a.")
+    assert Path(path) not in taken
+    assert os.path.samestat(os.fstat(handle), os.stat(path))
+    remove_abandoned(tmp_path, ".a.")
+    assert os.path.exists(path)
+    os.close(handle)
+    remove_abandoned(tmp_path, ".a.")
+    assert not os.path.exists(path)
+
+
+def test_a_folder_that_another_process_removes_before_it_is_opened_is_made_again(
+    tmp_path, monkeypatch
+):
+    mkdtemp, made = tempfile.mkdtemp, []
+
+    def raced(**where):
+        made.append(mkdtemp(**where))
+        if len(made) == 1:
+            remove_abandoned(tmp_path, ".a.")
+        return made[-1]
+
+    monkeypatch.setattr(tempfile, "mkdtemp", raced)
+    handle, path = temporary_folder(tmp_path, ".a.")
+    assert made[1:] == [path]
+    os.close(handle)
+
+
+@pytest.mark.parametrize("make", [temporary_file, temporary_folder])
+def test_a_folder_where_nothing_can_be_created(make):
+    """Linux says of it that there is no such file."""
+    with pytest.raises(FileNotFoundError):
+        make("/proc", ".a.")
+
+
+@pytest.mark.parametrize("make", [temporary_file, temporary_folder])
+def test_a_file_system_without_locks(make, tmp_path, monkeypatch):
+    def refused(handle, how):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refused)
+    handles, paths = zip(*[make(tmp_path, ".a.") for _ in range(2)], strict=True)
+    assert all(map(os.path.exists, paths))
+    for handle in handles:
+        os.close(handle)
 
 
 def test_what_is_being_written_is_nobody_elses(tmp_path):
     with replacing(tmp_path / "a.json") as file:
-        os.utime(file.name, (0, 0))  # for long
         write_json(tmp_path / "a.json", {"written": "meanwhile"})
         file.write(b'{"written": "last"}')
     assert read_json(tmp_path / "a.json", "") == {"written": "last"}

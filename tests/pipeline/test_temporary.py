@@ -39,14 +39,11 @@ def test_what_a_killed_process_left_goes_with_the_next_start(tmp_path, monkeypat
     assert len(list(left.iterdir())) == 1
     empty = tmp_path / f"{PREFIX}abcd_123"  # of one that was killed before it wrote anything
     empty.mkdir()
-    for folder in (left, empty):
-        os.utime(folder, (0, 0))
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(tempfile, "tempdir", None)
     with own_folder():
         (mine,) = tmp_path.iterdir()
         assert mine not in (left, empty)
-        os.utime(mine, (0, 0))
         tempfile.tempdir = str(tmp_path)
         with own_folder():
             assert mine.exists()  # whose owner lives stays
@@ -54,7 +51,6 @@ def test_what_a_killed_process_left_goes_with_the_next_start(tmp_path, monkeypat
 
 def test_a_users_own_folder_is_not_abandoned(tmp_path, monkeypatch):
     (own := tmp_path / "stmnist-datasets").mkdir()
-    os.utime(own, (0, 0))
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(tempfile, "tempdir", None)
     with own_folder():

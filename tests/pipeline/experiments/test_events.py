@@ -128,6 +128,7 @@ def test_networks_of_both_ends(tmp_path, monkeypatch, capsys):
         assert row["operations"] > 0
         kept = read_json(out / f"{name}-00.json", "")
         assert kept["n_test"] == len(kept["predictions"]) == 12
+        assert len(kept["predictions_from_rest"]) == 12
         assert 0.5 <= kept["confidence"] <= 1
     assert rows["as-is"]["merged"] != rows["counts"]["merged"]
     assert not list(out.glob("*.npz"))

@@ -46,6 +46,19 @@ def test_a_split_by_writers_is_another_data_set(dataset):
     assert by_writer.origin != dataset.origin
 
 
+@pytest.mark.parametrize("source", ["simulated", "imported"])
+def test_recordings_are_loaded_with_the_settings_of_their_origin(source, tmp_path):
+    """A worker of an experiment can read no others."""
+    settings = SMALL
+    if source == "imported":
+        archive(tmp_path / "mine.zip", good_members(per_digit=6))
+        settings = settings.with_values({"data": {"source": str(tmp_path / "mine.zip")}}, "test")
+    opened = Dataset.of(settings)
+    in_a_worker = Dataset.of(opened.origin.view(settings))
+    assert in_a_worker.origin == opened.origin
+    np.testing.assert_array_equal(in_a_worker.labels, opened.labels)
+
+
 def test_inputs_are_made_with_the_settings_of_a_view_and_no_others(dataset):
     settings = dataset.settings
     image = ("input.kind", "image.aggregation", "image.normalisation")

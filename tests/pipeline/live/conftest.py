@@ -56,7 +56,7 @@ def served(folder, make_decider=None, make_learner=None, tests=(), sensor=None, 
         thread = threading.Thread(target=server.run, daemon=True)
         thread.start()
         assert server.listens.wait(120)
-        server.keeper = keeper
+        server.keeper, server.thread = keeper, thread
         try:
             yield server
         finally:

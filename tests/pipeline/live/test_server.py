@@ -5,8 +5,11 @@ import http.client
 import json
 import logging.handlers
 import socket
+import struct
+import threading
 import time
 from contextlib import ExitStack
+from types import SimpleNamespace
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -19,6 +22,7 @@ pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
 sync_client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
 from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 
+from pipeline.live import keeping  # noqa: E402
 from pipeline.live.connections import STRANGERS  # noqa: E402
 from pipeline.live.qr import qr_code  # noqa: E402
 from pipeline.live.server import LARGEST, PAGES, listen  # noqa: E402
@@ -47,13 +51,14 @@ def connect(server, path=None, **options):
 
 
 def read_until(page, kind, seconds=120):
-    """Messages up to the first of a kind."""
+    """Messages up to the first of a kind, or of one of several."""
+    kinds = (kind,) if isinstance(kind, str) else kind
     messages, end = [], time.monotonic() + seconds
     while time.monotonic() < end:
         messages.append(json.loads(page.recv(timeout=seconds)))
-        if messages[-1]["type"] == kind:
+        if messages[-1]["type"] in kinds:
             return messages
-    raise AssertionError(f"no {kind} in {[message['type'] for message in messages]}")
+    raise AssertionError(f"no {kinds} in {[message['type'] for message in messages]}")
 
 
 def write(page, **options):
@@ -219,6 +224,55 @@ def test_a_thousand_strokes_a_second_are_left_out_and_others_go_on(server):
     assert len(server.keeper) == 0
 
 
+def test_a_page_does_not_wait_for_the_disk_of_another(server, monkeypatch):
+    written, save = threading.Event(), server.keeper.save
+
+    def slow(*given):
+        assert written.wait(60)
+        return save(*given)
+
+    monkeypatch.setattr(server.keeper, "save", slow)
+    with connect(server) as one, connect(server) as other:
+        for page in (one, other):
+            read_until(page, "ready")
+        write(one)
+        one.send(json.dumps({"type": "label", "label": 1}))
+        write(other)
+        read_until(other, "answer")
+        written.set()
+        assert read_until(one, "saved")
+
+
+def test_connecting_again_gives_no_new_limits(server, monkeypatch):
+    """Each place allows one recording of ten seconds and a second one on credit."""
+    monkeypatch.setattr("pipeline.live.server.time", SimpleNamespace(monotonic=lambda: 1.0))
+    points = [[1000.0, 4.0, 4.0, 0.5, 1], [11_000.0, 4.0, 5.0, 0.5, 1]]
+    leap = json.dumps({"type": "pen", "now": 12_000.0, "points": points})
+    kinds = []
+    for _ in range(3 * PAGES):
+        with connect(server) as page:
+            read_until(page, "ready")
+            page.send(leap)
+            kinds.append(read_until(page, ("events", "problem"))[-1]["type"])
+            page.send("{}")  # ends the connection, and the place is free when it has ended
+            refused(page)
+    assert kinds == ["events"] * (2 * PAGES) + ["problem"] * PAGES
+
+
+def test_a_page_that_is_gone_is_not_written_to(server, caplog):
+    """asyncio complains of each message that is written to a connection that was lost."""
+    with connect(server) as page, connect(server) as other:
+        read_until(page, "ready")
+        read_until(other, "ready")
+        for _ in range(2000):
+            page.send('{"type": "clear"}')
+        page.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        page.socket.close()
+        write(other)
+        read_until(other, "answer")
+    assert not [record for record in caplog.records if record.name == "asyncio"]
+
+
 def test_two_pages_write_two_recordings_that_do_not_mix(server):
     with connect(server) as one, connect(server) as other:
         for page in (one, other):
@@ -381,6 +435,37 @@ def test_odd_requests_are_refused_without_a_word_on_the_terminal(server, monkeyp
             pass
     assert is_well(server)
     assert [record.getMessage() for record in logged.buffer] == []
+
+
+def test_a_recording_that_is_being_saved_when_the_server_ends_is_saved(tmp_path, monkeypatch):
+    """The server does not wait for its page, and says nothing; what comes later is refused."""
+    saving, may_end, save = threading.Event(), threading.Event(), keeping._create
+
+    def slow(*given):
+        saving.set()
+        assert may_end.wait(60)
+        save(*given)
+
+    monkeypatch.setattr(keeping, "_create", slow)
+    logged = logging.handlers.BufferingHandler(1000)
+    with served(tmp_path / "kept") as server:
+        logger = logging.getLogger("uvicorn.error")
+        monkeypatch.setattr(logger, "handlers", [logged])
+        with connect(server) as page:
+            read_until(page, "ready")
+            write(page)
+            page.send(json.dumps({"type": "label", "label": 1}))
+            assert saving.wait(60)
+            server.should_exit = True
+            server.thread.join(60)
+            assert not server.thread.is_alive()
+        may_end.set()
+    assert [path.name for path in (tmp_path / "kept" / "1").iterdir()] == ["w001-0001.mat"]
+    assert not (tmp_path / "kept" / ".lock").exists()
+    errors = [record for record in logged.buffer if record.levelno >= logging.ERROR]
+    assert [record.getMessage() for record in errors] == []
+    with pytest.raises(UserError, match="ends"):
+        server.keeper.save(1, None)
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from pipeline.live.examples import Example
 from pipeline.live.keeping import Keeper
 from pipeline.live.session import (
     LONGEST_S,
+    PIECE_S,
     SKIN_RATE,
     Allowance,
     BadMessage,
@@ -22,6 +23,8 @@ from pipeline.live.session import (
 from pipeline.recordings.events import Events, Sensor
 from pipeline.recordings.matfile import read_recording
 from pipeline.skin import parameters
+from pipeline.skin.simulate import STEP_S
+from pipeline.skin.writing import Writing
 from tests.pipeline.live.conftest import Parrot, stroke
 
 P = parameters.load()
@@ -326,6 +329,26 @@ def test_a_clock_that_leaps_simulates_no_more_than_a_hand_needs(session, monkeyp
     for message in stroke(start_ms=9e6):
         say(session, message, later)
     assert of(say(session, {"type": "label", "label": 1}, later), "saved")
+
+
+def test_a_long_time_is_simulated_in_pieces(session, monkeypatch):
+    """The memory of a piece is limited, however long the page has said nothing."""
+    spans, advance = [], Writing.advance
+
+    def counted(writing, until_s):
+        begun_s = writing.time_s
+        events = advance(writing, until_s)
+        spans.append(writing.time_s - begun_s)
+        return events
+
+    monkeypatch.setattr(Writing, "advance", counted)
+    points = [[0.0, 4.0, 1.0, 0.5, 1], [9000.0, 4.0, 8.0, 0.5, 1]]
+    replies = session.handle(json.dumps({"type": "pen", "now": 9000.0, "points": points}), 0.0)
+    (told,) = of(replies, "events")
+    assert sum(spans) == pytest.approx(9.0, abs=0.01)
+    assert max(spans) <= PIECE_S + STEP_S
+    assert len(told["ns"]) == len(session.recording.writing.events) > 100
+    assert told["ns"] == sorted(told["ns"])
 
 
 def test_a_hand_that_writes_all_the_time_is_never_too_fast(session):
