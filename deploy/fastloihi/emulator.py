@@ -294,7 +294,7 @@ def take_over(emulator, kind=FastEmulator):
     except Unforeseen as reason:
         emulator.__class__ = EmulatorInterface
         if kernel is not None:
-            say_once(f"NengoLoihi's own emulator is used, for {reason}")
+            say_once(f"NengoLoihi's own emulator is used, because of {reason}")
         return
     emulator.__class__ = kind
     _connect(emulator, link)
@@ -365,7 +365,7 @@ def _unlock(link):
 def hand_over(emulator, reason):
     """Let an emulator continue with NengoLoihi's own steps, with one warning."""
     _disconnect(emulator)
-    say_once(f"NengoLoihi's own emulator goes on, for {reason}")
+    say_once(f"NengoLoihi's own emulator continues, because of {reason}")
 
 
 def one_step_as_nengo_loihi(emulator):

@@ -30,6 +30,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 PACKAGE = "deploy/fastloihi"
 TESTS = "tests/deploy/fastloihi"
+FIRST = ("test_hand_over", "test_life")  # as they are quick
 COPIED = ("deploy", "models", "pipeline", "stmnist", "tests", "pyproject.toml")
 PATIENCE = 120  # seconds of processor time, after which a loop is called endless; such a fault is caught too
 
@@ -314,7 +315,7 @@ EMULATOR = [
     ("handing over forgets spikes that wait for a trace", "synapses.trace_spikes, synapses.spikes_in, probes.outputs = trace_spikes, spikes_in, lists", "synapses.trace_spikes, synapses.spikes_in, probes.outputs = {s: set() for s in synapses.traces}, spikes_in, lists"),
     ("handing over forgets probed values", "[list(part) for part in parts]", "[[] for part in parts]"),
     ("handed over arrays stay read-only", "    _unlock(link)\n    emulator", "    emulator"),
-    ("handing over is silent", "    say_once(f\"NengoLoihi's own emulator goes on, for {reason}\")\n", ""),
+    ("handing over is silent", "    say_once(f\"NengoLoihi's own emulator continues, because of {reason}\")\n", ""),
     ("after a step of NengoLoihi's the spikes of before are older", "    link.before[: len(spiked)] = spiked\n", ""),
     ("after a step of NengoLoihi's the inputs' spikes are older", "    link.last_spikes = [spikes for _, spikes in last]\n", ""),
     ("after a step of NengoLoihi's spikes wait for traces still", "    link.pending[:] = 0\n", ""),
@@ -384,7 +385,8 @@ def first_failure(folder, cache, as_python):
             del sys.modules[name]
         os.environ["HYPOTHESIS_STORAGE_DIRECTORY"] = str(temporary / "hypothesis")
         numba.config.CACHE_DIR = str(cache)
-        chosen = [TESTS]
+        files = sorted(Path(TESTS).glob("test_*.py"), key=lambda path: path.stem not in FIRST)
+        chosen = list(map(str, files))
         if as_python:
             numba.config.DISABLE_JIT = 1
             np.seterr(all="ignore")  # Python tells of integers that wrap
