@@ -394,7 +394,7 @@ def _rows_of(synapse, index, atom, pools):
     of = synapse.axon_to_weight_map
     row[used] = index[used] if of is None else _integers([of[i] for i in index[used].tolist()])
     n_atoms = pools.atoms[synapse]
-    if np.any(used & ((row < 0) | (row >= len(synapse.weights)))):
+    if np.any(used & (row < 0)):
         raise Unforeseen("an axon that its synapse does not have")
     if np.any(used & ((atom < 0) | (atom >= n_atoms))):
         raise Unforeseen("an atom that its synapse does not have")

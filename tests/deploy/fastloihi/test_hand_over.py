@@ -66,7 +66,7 @@ def negative_number_of_weights(parts):
 
 
 def atom_that_is_not_there(parts):
-    parts.axon.set_compartment_axon_map(np.arange(N), atoms=np.array([0, 0, 0, 0, 0, 1]))
+    parts.axon.set_compartment_axon_map(np.arange(N), atoms=np.array([0, 1, 0, 0, 0, 0]))
 
 
 def map_that_is_too_short(parts):
@@ -262,10 +262,13 @@ def weights_of_other_shapes_than_their_indices(parts):
     parts.finish = finish
 
 
-def a_row_of_more_atoms_than_the_others(parts):
+def rows_with_numbers_of_atoms_of_their_own(parts):
+    """As many in all as if each had those of the first."""
+
     def finish():
         for arrays in (parts.synapse.weights, parts.synapse.indices):
-            arrays[5] = np.vstack([arrays[5]] * 2)
+            counts = (2, 1, 3, 2, 2, 2)
+            arrays[:] = [np.vstack([a] * n) for a, n in zip(arrays, counts, strict=True)]
 
     parts.finish = finish
 
@@ -378,7 +381,7 @@ AT_ONCE = [
     indices_of_8_bits,
     indices_that_are_missing,
     weights_of_other_shapes_than_their_indices,
-    a_row_of_more_atoms_than_the_others,
+    rows_with_numbers_of_atoms_of_their_own,
     learning_without_a_rate,
     weights_of_one_dimension,
     noise_whose_sum_is_beyond_32_bits,

@@ -82,6 +82,13 @@ def test_a_closed_emulator_has_its_random_state_and_its_probed_values(change):
         assert np.array_equal(plain.collect_probe_output(mine), fast.collect_probe_output(its))
 
 
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_is_handed_over_has_drawn_its_random_numbers(change):
+    plain, fast = both(change)
+    emulator.hand_over(fast, "a test")
+    assert words_of(plain.rng) == words_of(fast.rng)
+
+
 def test_the_arrays_of_a_model_can_be_changed_after_its_emulator_is_closed():
     fast = both()[1]
     (synapse,) = fast.synapses.slices
