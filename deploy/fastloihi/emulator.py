@@ -11,6 +11,7 @@ does not support (`Unforeseen`), and for a step with a warning that should be an
 
 from __future__ import annotations
 
+import copy
 import warnings
 from typing import Mapping
 
@@ -19,14 +20,16 @@ from nengo_loihi.emulator import interface
 from nengo_loihi.emulator.interface import (
     CompartmentState,
     EmulatorInterface,
+    NoiseState,
     ProbeState,
     SynapseState,
 )
 
 from .layout import Unforeseen
-from .link import COUNTERS, ROWS, Arriving, Link, words_of
+from .link import COUNTERS, ROWS, Arriving, Link
 
 FIXED = ("decay_u", "decay_v", "scale_u", "scale_v", "vmin", "vmax", "ref")
+FIXED_NOISE = ("mant_offset", "mult", "target_u")
 
 LOST, TRACE, WEIGHTS, OVERFLOWS = range(4)  # in the kernel's log
 
@@ -71,30 +74,50 @@ class FastEmulator(EmulatorInterface):
     @property
     def rng(self):
         """The random state after the last step."""
-        link = self.__dict__.get("_link")
-        if link is not None:
-            link.settle_random(self.block_info.n_compartments)
+        random = self.__dict__.get("_random")
+        if random is not None:
+            random.share()
         return self.__dict__["rng"]
 
     @rng.setter
     def rng(self, rng):
         self.__dict__["rng"] = rng
-        link = self.__dict__.get("_link")
-        if link is not None:
-            link.owed = 0
+        if self.__dict__.get("_link") is not None:
             try:
-                link.words = words_of(rng)
+                self._random.draw_from(rng)
             except Unforeseen as reason:
                 hand_over(self, reason)
+            else:
+                self._random.share()
+
+    def __deepcopy__(self, memo):
+        """Copy the state as NengoLoihi keeps it; the copy has arrays of the kernel of its own."""
+        link, kind = self._link, type(self)
+        if link is None:
+            raise TypeError("a closed emulator cannot be copied")
+        _disconnect(self)
+        try:
+            other = copy.deepcopy(self, memo)
+        finally:
+            self.__class__ = kind
+            _connect(self, link)
+        take_over(other, kind)
+        return other
 
     def close(self):
+        if self._link is not None:
+            _unlock(self._link)
         super().close()
         self._link = None
 
     def step(self):
-        self.run_steps(1)
+        if self._link is not None:
+            self.run_steps(1)
+        else:
+            super().step()
 
     def run_steps(self, steps):
+        steps = len(range(steps))
         while steps > 0 and isinstance(self, FastEmulator) and self._link is not None:
             steps -= self._advance(min(steps, self._link.at_once))
         if steps > 0:
@@ -127,7 +150,10 @@ class FastEmulator(EmulatorInterface):
         self.t += done
         arriving.forget(self.inputs, done)
         link.last_spikes = arriving.of_step(done - 1)
-        link.owed += 0 if link.draws else done
+        if not link.draws:
+            link.random.owed += done
+            if link.random.is_shared:
+                link.random.settle()
         if link.has_probes:
             current, voltage, spikes = link.histories
             histories = (current, voltage, spikes.view(bool))
@@ -174,8 +200,19 @@ class _Compartments(CompartmentState):
     def __setattr__(self, name, value):
         if name in (*ROWS, *COUNTERS, "spiked"):
             self.__dict__[name][...] = value
+        elif name in (*FIXED, "noise"):
+            raise ValueError(f"{name} is compiled in and cannot be replaced")
         else:
             super().__setattr__(name, value)
+
+
+class _Noise(NoiseState):
+    """Parameters of noise, which cannot be replaced."""
+
+    def __setattr__(self, name, value):
+        if name in FIXED_NOISE:
+            raise ValueError(f"{name} is compiled in and cannot be replaced")
+        super().__setattr__(name, value)
 
 
 class _Synapses(SynapseState):
@@ -248,7 +285,7 @@ def take_over(emulator, kind=FastEmulator):
     kind : type
         `FastEmulator` or a class derived from it.
     """
-    emulator.__dict__["_link"] = None
+    emulator.__dict__["_link"] = emulator.__dict__["_random"] = None
     kernel = find_kernel()
     try:
         if kernel is None:
@@ -257,7 +294,7 @@ def take_over(emulator, kind=FastEmulator):
     except Unforeseen as reason:
         emulator.__class__ = EmulatorInterface
         if kernel is not None:
-            say_once(f"NengoLoihi's own emulator is used, for {reason}")
+            say_once(f"NengoLoihi's own emulator is used, because of {reason}")
         return
     emulator.__class__ = kind
     _connect(emulator, link)
@@ -267,7 +304,7 @@ def _connect(emulator, link):
     """Let an emulator use the arrays of a link, which have its state."""
     state, synapses, probes = emulator.compartment, emulator.synapses, emulator.probes
     vars(state).update(link.state_arrays())
-    _set_writeable(emulator, False)
+    _lock(emulator, link)
     link.learn_from(synapses)
     lists = vars(probes).pop("outputs")
     probes.kept = {
@@ -278,13 +315,14 @@ def _connect(emulator, link):
     vars(synapses).pop("trace_spikes")
     synapses.link = link
     state.__class__, synapses.__class__, probes.__class__ = _Compartments, _Synapses, _Probes
-    emulator.__dict__["_link"] = link
+    state.noise.__class__ = _Noise
+    emulator.__dict__["_link"], emulator.__dict__["_random"] = link, link.random
 
 
 def _disconnect(emulator):
     """The inverse of `_connect`: NengoLoihi's own steps find all arrays where they expect them."""
     link = emulator._link
-    link.settle_random(emulator.block_info.n_compartments)
+    link.random.settle()
     state, synapses, probes = emulator.compartment, emulator.synapses, emulator.probes
     trace_spikes, spikes_in = synapses.trace_spikes, synapses.spikes_in
     lists = {probe: [list(part) for part in parts] for probe, parts in probes.outputs.items()}
@@ -293,27 +331,41 @@ def _disconnect(emulator):
         SynapseState,
         ProbeState,
     )
+    state.noise.__class__ = NoiseState
     synapses.trace_spikes, synapses.spikes_in, probes.outputs = trace_spikes, spikes_in, lists
     del synapses.link, probes.kept
-    _set_writeable(emulator, True)
+    _unlock(link)
     emulator.__class__ = EmulatorInterface
-    emulator._link = None
+    emulator._link = emulator._random = None
 
 
-def _set_writeable(emulator, is_so):
+def _lock(emulator, link):
     """Protect the arrays that the kernel has copied: changing them would have no effect."""
-    for name in FIXED:
-        getattr(emulator.compartment, name).flags.writeable = is_so
+    state = emulator.compartment
+    arrays = [getattr(state, name) for name in FIXED]
+    arrays += [getattr(state.noise, name) for name in FIXED_NOISE]
     for synapse in emulator.synapses.slices:
+        arrays += synapse.indices
         if not synapse.learning:
-            for weights in synapse.weights:
-                weights.flags.writeable = is_so
+            arrays += synapse.weights
+    for source in (*emulator.inputs, *emulator.block_info.blocks):
+        for axon in source.axons:
+            maps = (axon.compartment_map, axon.compartment_atoms)
+            arrays += [given for given in maps if given is not None]
+    link.locked = [array for array in arrays if array.flags.writeable]
+    for array in link.locked:
+        array.flags.writeable = False
+
+
+def _unlock(link):
+    for array in link.locked:
+        array.flags.writeable = True
 
 
 def hand_over(emulator, reason):
     """Let an emulator continue with NengoLoihi's own steps, with one warning."""
     _disconnect(emulator)
-    say_once(f"NengoLoihi's own emulator goes on, for {reason}")
+    say_once(f"NengoLoihi's own emulator continues, because of {reason}")
 
 
 def one_step_as_nengo_loihi(emulator):

@@ -75,8 +75,16 @@ def make_layout(emulator) -> Layout:
     Raises
     ------
     Unforeseen
-        The network has a feature that the kernel does not support.
+        The network has a feature that the kernel does not support, or something in it cannot be
+        read: NengoLoihi may read it later, never, or raise an error of its own.
     """
+    try:
+        return _layout(emulator)
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise Unforeseen(f"a network that cannot be read ({error!r})") from error
+
+
+def _layout(emulator):
     info, state = emulator.block_info, emulator.compartment
     integers = state.dtype == np.int32
     for item in emulator.inputs:
@@ -143,7 +151,8 @@ def _noise(noise, integers):
     if noise.mult.dtype != scale_type:
         raise Unforeseen(f"noise of type {noise.mult.dtype}")
     if integers:
-        largest = (127.0 + np.abs(noise.mant_offset.astype(float))) * noise.mult
+        largest = 127.0 + np.abs(noise.mant_offset.astype(float))
+        largest *= np.maximum(noise.mult, 1)  # the sum must fit as well
         if np.any(~(largest < 2.0**31)):
             raise Unforeseen("noise beyond 32 bits")
     return noise.mant_offset, noise.mult, noise.target_u.astype(np.uint8)
@@ -239,6 +248,8 @@ class _Rows:
         self.n_atoms = weights[0].shape[0]
         if any(w.shape != i.shape or len(w) != self.n_atoms for w, i in zip(weights, indices)):
             raise Unforeseen("weights and indices of different shapes")
+        if any(i.dtype not in (np.int32, np.int64) for i in indices):
+            raise Unforeseen("indices of another type than integers of 32 or 64 bits")
         self.lengths = np.repeat([w.shape[1] for w in weights], self.n_atoms)
         self.weights = np.concatenate([w.ravel() for w in weights])
         self.targets = np.concatenate([i.ravel() for i in indices]).astype(np.int64)
@@ -360,14 +371,16 @@ def _routes(emulator, pools):
 
 def _mapped(axon, n):
     """Axon and atom of the spike of each neuron of a source; a negative axon means none."""
-    for given in (axon.compartment_map, axon.compartment_atoms):
-        if given is not None and len(given) < n:
-            raise Unforeseen("an axon that has no place for all neurons")
     who = np.arange(n)
-    index, atom = np.asarray(axon.map_axon(who)), np.asarray(axon.map_atoms(who))
-    if n and not (index.dtype.kind in "iu" and atom.dtype.kind in "iu"):
+    return _integers(axon.map_axon(who)), _integers(axon.map_atoms(who))
+
+
+def _integers(values):
+    """Numbers of axons, atoms and the like as an array; others than integers are errors there."""
+    values = np.asarray(values)
+    if len(values) and values.dtype.kind not in "iu":
         raise Unforeseen("axons that are not numbered by integers")
-    return index.astype(np.int64), atom.astype(np.int64)
+    return values.astype(np.int64)
 
 
 def _rows_of(synapse, index, atom, pools):
@@ -375,19 +388,13 @@ def _rows_of(synapse, index, atom, pools):
     used = index >= 0
     base = np.zeros(len(index), np.int64)
     if synapse.axon_compartment_bases is not None:
-        bases = np.asarray(synapse.axon_compartment_bases)
-        if np.any(index >= len(bases)):
-            raise Unforeseen("an axon that its synapse does not have")
-        base[used] = bases[index[used]]
+        base[used] = _integers(synapse.axon_compartment_bases)[index[used]]
         used = used & (base >= 0)
     row = np.full(len(index), -1)
     of = synapse.axon_to_weight_map
-    try:
-        row[used] = [of[i] for i in index[used].tolist()] if of is not None else index[used]
-    except (KeyError, IndexError):
-        raise Unforeseen("an axon that its synapse does not have") from None
+    row[used] = index[used] if of is None else _integers([of[i] for i in index[used].tolist()])
     n_atoms = pools.atoms[synapse]
-    if np.any(used & ((row < 0) | (row >= len(synapse.weights)))):
+    if np.any(used & (row < 0)):
         raise Unforeseen("an axon that its synapse does not have")
     if np.any(used & ((atom < 0) | (atom >= n_atoms))):
         raise Unforeseen("an atom that its synapse does not have")
@@ -402,6 +409,13 @@ def _learning(synapses, pools, integers):
         n, n_errors = s.n_axons, len(synapses.pes_errors[s])
         product = old = new = bits = limit = 0
         rate = s._lr_int if integers else 0
+        whole = [s.train_epoch, s.learn_epoch]
+        if integers:
+            whole += [rate, s._lr_exp, s.synapse_cfg.real_weight_exp, s.synapse_cfg.shift_bits]
+        if any(type(value) is not int for value in whole):  # NumPy's make NengoLoihi use 64 bits
+            raise Unforeseen("a learning rule whose parameters are not Python's integers")
+        if not (min(s.train_epoch, s.learn_epoch) > 0 and s.tracing_tau > 0):
+            raise Unforeseen("a learning rule with a period that is not positive")
         if integers:
             exponent, spare = s.synapse_cfg.real_weight_exp, s.synapse_cfg.shift_bits
             product = LEARN_FRAC + s._lr_exp - learn_overflow_bits(n_factors=2)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import ctypes
-from itertools import accumulate, chain, compress
+from itertools import accumulate, chain, repeat
+from operator import attrgetter
 from types import SimpleNamespace
 
 import numpy as np
-from nengo_loihi.emulator.interface import CompartmentState, ProbeState, SynapseState
+from nengo_loihi.emulator.interface import CompartmentState, NoiseState, ProbeState, SynapseState
 
 from .layout import Unforeseen, make_layout
 
@@ -18,20 +19,57 @@ HISTORY = 32 << 20  # bytes of probed values in one call of the kernel
 AT_ONCE = 1 << 28  # updates of compartments in one call, after which Ctrl-C is heard: half a second
 LOG = 256  # lines of the kernel's log of warnings
 
+# What a synapse learns by, in floating point and in integers.
+PERIODS = ("train_epoch", "learn_epoch", "tracing_tau", "tracing_mag")
+parameters_of_floats = attrgetter(*PERIODS, "learning_rate")
+parameters_of_integers = attrgetter(*PERIODS, "_lr_int", "_lr_exp")
+
 _NONE = []  # the spikes of an input in a step without any
 _NOTHING = np.zeros(0, np.int64)
 
 
-def words_of(rng):
-    """The memory of a `RandomState`: 624 words of 32 bits and the position of the next one."""
-    generator = getattr(rng, "_bit_generator", None)
-    if isinstance(generator, np.random.MT19937):
+class Random:
+    """The random numbers of an emulator, which are drawn late where nothing depends on them.
+
+    Attributes
+    ----------
+    words : (625,) uint32 array
+        The memory of a `RandomState`: 624 words of 32 bits and the position of the next one.
+    owed : int
+        Number of steps whose random numbers were not drawn.
+    is_shared : bool
+        True if other code has the `RandomState`, so that no step may be owed after a call.
+    """
+
+    def __init__(self, rng, skip, n_each):
+        self._skip, self._n_each = skip, n_each
+        self.draw_from(rng)
+
+    def draw_from(self, rng):
+        """Draw all further random numbers from a `RandomState`."""
+        generator = getattr(rng, "_bit_generator", None)
+        if not isinstance(generator, np.random.MT19937):
+            raise Unforeseen("random numbers of another kind than MT19937")
         _, words, position, *_ = rng.get_state()
         address = generator.ctypes.state_address
         memory = np.ctypeslib.as_array((ctypes.c_uint32 * 625).from_address(address))
-        if np.array_equal(memory, np.append(words, position).astype(np.uint32)):
-            return memory
-    raise Unforeseen("random numbers that NumPy keeps in another way")
+        if not np.array_equal(memory, np.append(words, position).astype(np.uint32)):
+            raise Unforeseen("random numbers that NumPy keeps in another way")
+        self.words = memory
+        self._rng = rng  # whose memory must not be freed
+        self.owed = 0
+        self.is_shared = False
+
+    def share(self):
+        """Draw the numbers that are owed; from now on, they are drawn after each call."""
+        self.settle()
+        self.is_shared = True
+
+    def settle(self):
+        """Draw the numbers that are owed."""
+        if self.owed:
+            self._skip(self.words, self._n_each * self.owed)
+            self.owed = 0
 
 
 class Link:
@@ -46,23 +84,23 @@ class Link:
         Spikes of each input that arrived in the last step.
     draws : bool
         True if anything depends on random numbers; otherwise the kernel does not draw them.
-    owed : int
-        Number of steps whose random numbers were not drawn.
+    random : Random
     """
 
     def __init__(self, emulator, kernel):
-        kinds = {"compartment": CompartmentState, "synapses": SynapseState, "probes": ProbeState}
-        for name, kind in kinds.items():
-            if type(getattr(emulator, name)) is not kind:
-                raise Unforeseen(f"{name} of the class {type(getattr(emulator, name)).__name__}")
-        self.layout = layout = make_layout(emulator)
-        self.words = words_of(vars(emulator)["rng"])
         state, synapses = emulator.compartment, emulator.synapses
+        kinds = {state: CompartmentState, state.noise: NoiseState, synapses: SynapseState,
+                 emulator.probes: ProbeState}  # fmt: skip
+        for part, kind in kinds.items():
+            if type(part) is not kind:
+                raise Unforeseen(f"a state of the class {type(part).__name__}")
+        self.layout = layout = make_layout(emulator)
         n, dtype = emulator.block_info.n_compartments, state.dtype
         integers = dtype == np.int32
         self._kernel = kernel
         self._advance = kernel.advance_integers if integers else kernel.advance_floats
-        self._skip = (kernel.skip_samples, n) if integers else (kernel.skip_words, 2 * n)
+        skip = (kernel.skip_samples, n) if integers else (kernel.skip_words, 2 * n)
+        self.random = Random(vars(emulator)["rng"], *skip)
         self.cells = np.zeros((len(ROWS), n), dtype)
         self.counters = np.zeros((len(COUNTERS), n), np.int32)
         for row, name in enumerate(ROWS):
@@ -85,7 +123,7 @@ class Link:
             error += len(synapses.pes_errors[s])
         self.wide = layout.network[8]
         self.draws = bool(layout.is_noisy or (integers and sizes))
-        self.owed = 0
+        self._parameters_of = parameters_of_integers if integers else parameters_of_floats
         self.has_probes = bool(layout.columns)
         self._spikes_in = synapses.spikes_in  # of a step before the first of ours
         self.last_spikes = None
@@ -126,16 +164,31 @@ class Link:
     def learn_from(self, synapses):
         """Make traces, errors and weights of learning synapses views of the kernel's arrays."""
         error = 0
+        self._learning = []
         for s, first in self.first_trace.items():
             n_errors = len(synapses.pes_errors[s])
             synapses.traces[s] = self.traces[first : first + s.n_axons]
             synapses.pes_errors[s] = self.errors[error : error + n_errors]
             error += n_errors
             s.weights[:] = self.layout.weights[s]
+            views = s.weights[0], synapses.traces[s], synapses.pes_errors[s]
+            self._learning.append((s, self._parameters_of(s), *views))
+
+    def _check_learning(self, synapses):
+        """Check that no other code replaced parameters or arrays of a synapse that learns."""
+        for s, parameters, weights, trace, errors in self._learning:
+            if not (
+                self._parameters_of(s) == parameters
+                and s.weights[0] is weights
+                and synapses.traces[s] is trace
+                and synapses.pes_errors[s] is errors
+            ):
+                raise Unforeseen("a learning rule or its arrays, which were replaced")
 
     def run(self, emulator, steps, arriving, careful):
         """Call the kernel; return the number of steps that it ran."""
         layout = self.layout
+        self._check_learning(emulator.synapses)
         if self.has_probes:
             self.histories = [
                 np.empty((steps, width), kind) if width else empty
@@ -143,7 +196,7 @@ class Link:
             ]
         self.log[0, 0] = 0
         done = self._advance(
-            *self._arguments, self.words, layout.recorded, layout.is_noisy, self.draws,
+            *self._arguments, self.random.words, layout.recorded, layout.is_noisy, self.draws,
             emulator.t, steps, arriving.spikes, arriving.ends, *self.histories, self.log, careful,
         )  # fmt: skip
         if done < 0:
@@ -156,20 +209,13 @@ class Link:
         """Copy the state that a call of the kernel changes."""
         learned = self.wide if len(self.traces) else _NOTHING
         changed = (self.cells, self.counters, self.spiked, self.before, self.traces, self.pending)
-        return [array.copy() for array in (*changed, learned, self.words)]
+        return [array.copy() for array in (*changed, learned, self.random.words)]
 
     def restore(self, kept):
         learned = self.wide if len(self.traces) else _NOTHING
         changed = (self.cells, self.counters, self.spiked, self.before, self.traces, self.pending)
-        for array, before in zip((*changed, learned, self.words), kept):
+        for array, before in zip((*changed, learned, self.random.words), kept):
             array[...] = before
-
-    def settle_random(self, n):
-        """Draw the random numbers that were not drawn before."""
-        if self.owed:
-            skip, each = self._skip
-            skip(self.words, each * self.owed)
-            self.owed = 0
 
     def trace_spikes(self, synapses):
         return {
@@ -204,21 +250,17 @@ class Arriving:
 
     def __init__(self, inputs, t, steps):
         self._t, self._n = t, len(inputs)
-        columns = [list(map(item.spikes.get, range(t, t + steps))) for item in inputs]
+        columns = [
+            list(map(item.spikes.get, range(t, t + steps), repeat(_NONE))) for item in inputs
+        ]
         if t == 0:
             for column in columns:
-                column[0] = None  # NengoLoihi's first step has no spikes of inputs
-        sent = columns[0] if self._n == 1 else chain.from_iterable(zip(*columns))
-        self._lists = [_NONE if spikes is None else spikes for spikes in sent]
-        counts = list(map(len, self._lists))
-        self.ends = np.array(list(accumulate(counts, initial=0)), np.int64)
+                column[0] = _NONE  # NengoLoihi's first step has no spikes of inputs
+        self._lists = columns[0] if self._n == 1 else list(chain.from_iterable(zip(*columns)))
+        found = [_numbers(spikes) for spikes in self._lists if spikes is not _NONE]
+        self.ends = np.array(list(accumulate(map(len, self._lists), initial=0)), np.int64)
         self.spikes = _NOTHING
         if self.ends[-1]:
-            found = [np.asarray(spikes) for spikes in compress(self._lists, counts)]
-            if {spikes.dtype.kind for spikes in found} - {"i", "u"}:
-                raise Unforeseen("spikes of an input that are not numbered by integers")
-            if {spikes.ndim for spikes in found} != {1}:
-                raise Unforeseen("spikes of an input in several dimensions")
             joined = found[0] if len(found) == 1 else np.concatenate(found)
             self.spikes = np.ascontiguousarray(joined, np.int64)
 
@@ -233,3 +275,12 @@ class Arriving:
             for sent in range(max(self._t, 1), self._t + done):
                 if sent in spikes and sent not in permanent:
                     del spikes[sent]
+
+
+def _numbers(spikes):
+    """Spikes of an input in a step as an array, if NengoLoihi would accept them."""
+    if type(spikes) is list:
+        spikes = np.asarray(spikes) if spikes else _NOTHING
+    if type(spikes) is not np.ndarray or spikes.ndim != 1 or spikes.dtype.kind not in "iu":
+        raise Unforeseen("spikes of an input in another form than a list of integers")
+    return spikes

@@ -83,6 +83,69 @@ def convolution(size=8):
         return network, [nengo.Probe(layer.neurons) for layer in layers]
 
 
+def two_rules(n=40):
+    """Two learning rules with errors of three dimensions and of one, worked out on the host."""
+    with nengo.Network(seed=6) as network:
+        wave = nengo.Node(lambda t: [np.sin(20 * t), 0.5, -t])
+        a, b = nengo.Ensemble(n, 3), nengo.Ensemble(n + 11, 3)
+        error, three, one = (nengo.Node(lambda t, x: x, size_in=size) for size in (3, 3, 1))
+        nengo.Connection(wave, a)
+        nengo.Connection(wave, b)
+        first = nengo.Connection(
+            a, three, function=lambda x: [0, 0, 0], learning_rule_type=nengo.PES(2e-3)
+        )
+        second = nengo.Connection(
+            b, one, function=lambda x: x[0], learning_rule_type=nengo.PES(1e-2)
+        )
+        nengo.Connection(three, error)
+        nengo.Connection(wave, error, transform=-1)
+        nengo.Connection(error, first.learning_rule)
+        nengo.Connection(error[0], second.learning_rule)
+        return network, [nengo.Probe(three), nengo.Probe(one), nengo.Probe(a.neurons)]
+
+
+def through_the_host(n=40):
+    """From the chip to a noisy ensemble on the host and back, by its neurons too; in a loop."""
+    weights = np.random.RandomState(1).normal(size=(n, n)) * 1e-3
+    with nengo.Network(seed=7) as network:
+        nengo_loihi.add_params(network)
+        a, b = nengo.Ensemble(n, 1), nengo.Ensemble(n, 1)
+        host = nengo.Ensemble(n, 1, noise=nengo.processes.WhiteNoise(seed=1))
+        network.config[host].on_chip = False
+        nengo.Connection(nengo.Node(nengo.processes.WhiteSignal(1, 5, seed=3)), a)
+        nengo.Connection(a, host)
+        nengo.Connection(host, b)
+        nengo.Connection(host.neurons, b.neurons, transform=weights)
+        nengo.Connection(b, a, transform=-0.5, synapse=0.02)
+        probes = [nengo.Probe(host, sample_every=0.003), nengo.Probe(b, synapse=0.01)]
+        return network, probes
+
+
+def passthrough(n=30):
+    """Arrays of ensembles, whose nodes NengoLoihi may remove, and a probe of some neurons.
+
+    Which connections come first in their stead differs from time to time.
+    """
+    with nengo.Network(seed=2) as network:
+        wave = nengo.Node(lambda t: [np.sin(9 * t), np.cos(5 * t)])
+        a, b = nengo.networks.EnsembleArray(n, 2), nengo.networks.EnsembleArray(n, 2)
+        nengo.Connection(wave, a.input)
+        nengo.Connection(a.output, b.input, transform=[[0, 1], [1, 0]])
+        neurons = b.ea_ensembles[0].neurons
+        return network, [nengo.Probe(b.output, synapse=0.02), nengo.Probe(neurons[::3], "voltage")]
+
+
+def several_chips(n=270):
+    """More blocks than a chip has cores."""
+    with nengo.Network(seed=4) as network:
+        nengo_loihi.add_params(network)
+        a, b = nengo.Ensemble(n, 1), nengo.Ensemble(20, 1)
+        network.config[a].block_shape = nengo_loihi.BlockShape((2,), (n,))
+        nengo.Connection(nengo.Node(lambda t: np.sin(20 * t)), a)
+        nengo.Connection(a, b)
+        return network, [nengo.Probe(b, synapse=0.01), nengo.Probe(a.neurons)]
+
+
 NETWORKS = {
     "channel": channel,
     "integrator": integrator,
@@ -90,4 +153,7 @@ NETWORKS = {
     "learning": learning,
     "feedback": feedback,
     "convolution": convolution,
+    "two rules": two_rules,
+    "through the host": through_the_host,
+    "several chips": several_chips,
 }

@@ -66,7 +66,7 @@ def negative_number_of_weights(parts):
 
 
 def atom_that_is_not_there(parts):
-    parts.axon.set_compartment_axon_map(np.arange(N), atoms=np.array([0, 0, 0, 0, 0, 1]))
+    parts.axon.set_compartment_axon_map(np.arange(N), atoms=np.array([0, 1, 0, 0, 0, 0]))
 
 
 def map_that_is_too_short(parts):
@@ -216,6 +216,102 @@ def input_of_another_class(parts):
     parts.input.__class__ = Doubled
 
 
+def map_that_is_a_list(parts):
+    parts.axon.set_compartment_axon_map(list(range(N)))
+
+
+def axon_without_a_target(parts):
+    parts.axon.target = None
+
+
+def bases_in_floating_point(parts):
+    parts.synapse.axon_compartment_bases = [0.0] * N
+
+
+def rows_in_floating_point(parts):
+    parts.synapse.axon_to_weight_map = {i: float(i) for i in range(N)}
+
+
+def indices_in_floating_point(parts):
+    def finish():
+        parts.synapse.indices[:] = [i.astype(float) for i in parts.synapse.indices]
+
+    parts.finish = finish
+
+
+def indices_of_8_bits(parts):
+    """To which a base is added in 8 bits."""
+
+    def finish():
+        parts.synapse.indices[:] = [i.astype(np.uint8) for i in parts.synapse.indices]
+
+    parts.finish = finish
+
+
+def indices_that_are_missing(parts):
+    parts.finish = lambda: parts.synapse.indices.pop()
+
+
+def weights_of_other_shapes_than_their_indices(parts):
+    """As many in all."""
+
+    def finish():
+        first, second = parts.synapse.weights[:2]
+        parts.synapse.weights[:2] = [first[:, :-1], np.hstack([second, second[:, :1]])]
+
+    parts.finish = finish
+
+
+def rows_with_numbers_of_atoms_of_their_own(parts):
+    """As many in all as if each had those of the first."""
+
+    def finish():
+        for arrays in (parts.synapse.weights, parts.synapse.indices):
+            counts = (2, 1, 3, 2, 2, 2)
+            arrays[:] = [np.vstack([a] * n) for a, n in zip(arrays, counts, strict=True)]
+
+    parts.finish = finish
+
+
+def learning_without_a_rate(parts):
+    parts.synapse.set_learning(tracing_mag=20.0)
+    parts.finish = lambda: delattr(parts.synapse, "_lr_int")
+
+
+def weights_of_one_dimension(parts):
+    def finish():
+        parts.synapse.weights[:] = [w[0] for w in parts.synapse.weights]
+        parts.synapse.indices[:] = [i[0] for i in parts.synapse.indices]
+
+    parts.finish = finish
+
+
+def noise_whose_sum_is_beyond_32_bits(parts):
+    def finish():
+        parts.block.compartment.enable_noise[:] = True
+        parts.block.compartment.noise_exp, parts.block.compartment.noise_offset = -10, 2**25 - 1
+
+    parts.finish = finish
+
+
+def learning_with(**values):
+    def change(parts):
+        parts.synapse.set_learning(tracing_mag=20.0)
+        parts.finish = lambda: vars(parts.synapse).update(values)
+
+    change.__name__ = "learning_with_" + "_".join(f"{k}_{v!r}" for k, v in values.items())
+    return change
+
+
+def learning_in_floating_point_with_a_rate_for_each_weight(parts):
+    parts.discretized = False
+    learning_with(learning_rate=np.ones(N, np.float32))(parts)
+
+
+def probe_of_a_compartment_that_is_not_there(parts):
+    parts.probe = LoihiProbe(target=[parts.block], key="voltage", slice=[[2, N]])
+
+
 def spike_of_a_neuron_that_is_not_there(parts):
     parts.spikes[3] = [2, N]
 
@@ -235,6 +331,15 @@ def spikes_as_booleans(parts):
         parts.input.add_spikes(7, np.array([True, False, True, False, False, False]))
 
     parts.finish = finish
+
+
+def spikes_that_are(spikes):
+    def change(parts):
+        parts.axon.set_compartment_axon_map(np.arange(N))
+        parts.finish = lambda: parts.input.add_spikes(7, spikes)
+
+    change.__name__ = f"spikes_that_are_{spikes!r}"
+    return change
 
 
 AT_ONCE = [
@@ -268,12 +373,41 @@ AT_ONCE = [
     probe_of_nothing,
     probe_of_one_number,
     input_of_another_class,
+    map_that_is_a_list,
+    axon_without_a_target,
+    bases_in_floating_point,
+    rows_in_floating_point,
+    indices_in_floating_point,
+    indices_of_8_bits,
+    indices_that_are_missing,
+    weights_of_other_shapes_than_their_indices,
+    rows_with_numbers_of_atoms_of_their_own,
+    learning_without_a_rate,
+    weights_of_one_dimension,
+    noise_whose_sum_is_beyond_32_bits,
+    learning_with(train_epoch=0),
+    learning_with(learn_epoch=0),
+    learning_with(learn_epoch=-4),
+    learning_with(learn_epoch=2.5),
+    learning_with(learn_epoch=2**70),
+    learning_with(tracing_tau=0),
+    learning_with(tracing_tau=-1),
+    learning_with(_lr_int=1.5),
+    learning_with(_lr_int=np.int64(2**28)),
+    learning_with(_lr_exp=np.int64(3)),
+    learning_in_floating_point_with_a_rate_for_each_weight,
+    probe_of_a_compartment_that_is_not_there,
 ]
 IN_A_STEP = [
     spike_of_a_neuron_that_is_not_there,
     negative_number_of_a_neuron,
     spikes_in_two_dimensions,
     spikes_as_booleans,
+    spikes_that_are(2),
+    spikes_that_are(None),
+    spikes_that_are((1, 2)),
+    spikes_that_are(range(3)),
+    spikes_that_are(np.array([])),
 ]
 
 
@@ -312,6 +446,18 @@ def test_without_a_change_the_kernel_runs():
     fast.run_steps(10)
     assert type(fast) is FastEmulator
     assert said == 0
+
+
+def test_a_list_may_have_spikes_or_none():
+    def lists(parts):
+        parts.axon.set_compartment_axon_map(np.arange(N))
+        parts.finish = lambda: [parts.input.add_spikes(t, [1, 2] * (t % 2)) for t in (7, 8, 9)]
+
+    plain, fast = (made(kind, lists)[0] for kind in (EmulatorInterface, FastEmulator))
+    for chip in (plain, fast):
+        chip.run_steps(12)
+    assert_same(state_of(plain), state_of(fast))
+    assert type(fast) is FastEmulator
 
 
 def test_more_spikes_than_a_sum_of_16_bits_holds(monkeypatch):

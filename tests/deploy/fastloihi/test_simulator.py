@@ -22,8 +22,15 @@ from nengo_loihi.emulator.interface import EmulatorInterface
 from deploy.fastloihi import FastEmulator, NotAccelerated, emulator
 from tests.command import ROOT, environment
 from tests.deploy.fast_networks import images_for, random_spec
-from tests.deploy.fastloihi.comparison import Outcome, assert_same, state_of
-from tests.deploy.fastloihi.networks import NETWORKS, channel, convolution, feedback, learning
+from tests.deploy.fastloihi.comparison import Both, Outcome, assert_same, state_of
+from tests.deploy.fastloihi.networks import (
+    NETWORKS,
+    channel,
+    convolution,
+    feedback,
+    learning,
+    passthrough,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -80,6 +87,58 @@ def test_the_networks_on_which_the_target_fast_is_tried(seed):
 def test_precomputed_or_not(precompute):
     expected = run(nengo_loihi.Simulator, channel, precompute=precompute)
     assert_same_run(expected, run(FastSimulator, channel, precompute=precompute))
+
+
+@pytest.mark.parametrize("remove_passthrough", [True, False])
+def test_nodes_are_removed_or_not(remove_passthrough, monkeypatch):
+    """Both emulators have one model, because NengoLoihi may build another one the next time."""
+    monkeypatch.setattr(nengo_loihi.simulator, "EmulatorInterface", Both)
+    options = {"target": "sim", "seed": 7, "remove_passthrough": remove_passthrough}
+    with nengo_loihi.Simulator(passthrough()[0], **options) as simulator:
+        chip = simulator.sims["emulator"]
+        for steps in (30, 1, 50):
+            simulator.run_steps(steps)
+        assert type(chip.fast) is FastEmulator
+        assert chip.compartment.spike_count.any()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"dt": 0.002}, {"hardware_options": {"n_chips": 2, "snip_max_spikes_per_step": 4}}],
+)
+def test_options_are_those_of_nengo_loihi(options):
+    expected = run(nengo_loihi.Simulator, channel, **options)
+    assert_same_run(expected, run(FastSimulator, channel, **options))
+
+
+@pytest.mark.parametrize("loop", [True, False])
+def test_a_simulator_goes_on_after_an_error_on_the_host(loop):
+    runs = []
+    for kind in (nengo_loihi.Simulator, FastSimulator):
+        with nengo.Network(seed=1) as network:
+            fails = nengo.Node(lambda t, *x: 1 / (round(t / 0.001) - 20), size_in=int(loop))
+            a = nengo.Ensemble(40, 1)
+            nengo.Connection(fails, a)
+            if loop:
+                nengo.Connection(a, fails)
+            probe = nengo.Probe(a, synapse=0.01)
+        with kind(network, target="sim", seed=7) as simulator:
+            simulator.run_steps(10)
+            with pytest.raises(ZeroDivisionError):
+                simulator.run_steps(20)
+            simulator.run_steps(15)
+            runs.append(([simulator.data[probe]], state_of(simulator.sims["emulator"])))
+    assert_same_run(*runs)
+
+
+def test_probed_values_can_be_cleared_and_reset_is_refused():
+    def clear(simulator):
+        simulator.clear_probes()
+        with pytest.raises(NotImplementedError):
+            simulator.reset()
+
+    expected = run(nengo_loihi.Simulator, channel, after_first=clear)
+    assert_same_run(expected, run(FastSimulator, channel, after_first=clear))
 
 
 @pytest.mark.parametrize("make", [channel, learning, convolution])
