@@ -64,11 +64,16 @@ def load_recordings(
 def recordings_of(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
     """Recordings named in the settings; see :func:`load_recordings`."""
     data, reading = settings.data, Reading(settings.skin.rows, settings.skin.columns)
-    if data.source != SIMULATED:  # of which no file is read
+    if data.source == SIMULATED:
+        drawn = {
+            "simulation_seed": data.simulation_seed,
+            "samples_per_digit": data.samples_per_digit,
+        }
+    else:  # an experiment's settings have no seed of a simulation then
+        drawn = {}
         reading = replace(reading, time_unit=data.time_unit, downsample=data.downsample)
     return load_recordings(
-        *(data.source, data.simulation_seed, data.samples_per_digit, data.skip_bad),
-        *(jobs, warn, reading),
+        data.source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading, **drawn
     )
 
 
