@@ -28,6 +28,7 @@ from pipeline.run.origins import (
     rates_origin,
     threshold_origin,
 )
+from pipeline.run.places import refuse_other_folders
 from pipeline.run.stages.answering import check_artifact
 from pipeline.run.stages.training import (
     cnn_artifact,
@@ -85,6 +86,7 @@ def status_of(run: RunFolder, settings: Settings | None = None) -> list:
         The folder has no run, or a file of it is damaged.
     """
     if not run.experiment.is_file():
+        refuse_other_folders(run.path)
         raise UserError(
             f"{run.path}: not the folder of a run, since it has no {run.experiment.name}; make one "
             f"with 'stmnist ladder {run.path}'"
