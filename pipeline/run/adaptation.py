@@ -19,6 +19,7 @@ from pipeline.inputs.images import tactile_images
 from pipeline.recordings.altering import Alteration, altered_recordings
 from pipeline.recordings.events import DIGITS, Recordings
 from pipeline.recordings.steps import EventTable
+from pipeline.recordings.words import shortened_apart
 from pipeline.settings import Image
 from pipeline.training.readout import Person, Refit, refit
 
@@ -250,7 +251,7 @@ def fits(spec: NetworkSpec, recordings: Recordings):
 
 
 def _listed(names):
-    names = [str(name)[:20] for name in names]
+    names = shortened_apart([str(name) for name in names], 24)
     return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
 
 
