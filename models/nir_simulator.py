@@ -32,6 +32,7 @@ a graph does not record; the effect can be measured with :data:`RESETS`.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,7 +74,7 @@ def simulate(
     ----------
     network : NirNetwork
     inputs : array_like, shape (n_samples, steps, ...)
-        Input at each step, in the shape of ``network.input_shape``.
+        Input at each step, in the shape of ``network.input_shape`` or flat.
     step : float
         Length of a step in seconds.
     method : str
@@ -85,9 +86,17 @@ def simulate(
     ------
     NirError
         A time constant is shorter than a step.
+    ValueError
+        There are no samples, or they do not have the shape of the graph's input.
     """
     check_step(network, step)
     inputs = np.asarray(inputs)
+    shape, wanted = inputs.shape[2:], tuple(network.input_shape)
+    one_is_flat = min(len(shape), len(wanted)) == 1 and math.prod(shape) == math.prod(wanted)
+    if shape != wanted and not one_is_flat:
+        raise ValueError(
+            f"inputs of shape {inputs.shape}; expected (samples, steps, {str(wanted)[1:-1]})"
+        )
     outputs, spikes = [], []
     for start in range(0, len(inputs), AT_ONCE):
         signal, found = inputs[start : start + AT_ONCE].astype(float), {}

@@ -784,7 +784,8 @@ def check_fits(s: Settings, rows: int, columns: int, classes: int, origin: str):
             found = "x".join(map(str, architecture.input_shape))
             raise UserError(
                 f"{s.cnn.model}: for an input of {found} and {architecture.outputs} classes; the "
-                f"tactile images have {rows}x{columns}x1 and {classes} classes: train one for those"
+                f"tactile images have {rows}x{columns}x1 and {classes} classes: train one for "
+                "those, or give the recordings that it is for (--data)"
             )
         like = "-".join([size, *map(str, architecture.layers[:-1]), f"{classes}o"])
         raise UserError(

@@ -245,7 +245,7 @@ def plot(
     figures.format_of(out)  # said before the recordings are read
     recordings = load_recordings(data, seed, jobs=jobs, reading=reading)
     if what == "layout":
-        figure = drawn.layout(recordings.taxels)
+        figure = drawn.layout(recordings.taxels, drawn.is_as_in_paper(recordings))
     elif what == "sheet":
         figure = drawn.sheet(recordings, per_digit, seed)
     else:

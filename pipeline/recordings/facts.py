@@ -63,7 +63,7 @@ def reading_text(recordings: Recordings) -> str:
     parts = [
         f"{len(recordings)} recordings",
         size_text(sensor),
-        f"{len(sensor.classes)} classes",
+        f"{len(sensor.classes)} class{'es' * (len(sensor.classes) != 1)}",
         f"{lasts.min():.2g} to {lasts.max():.2g} s",
     ]
     if recordings.source.time_unit:

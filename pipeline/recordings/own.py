@@ -97,8 +97,13 @@ def _class_of(label, names, fixed):
         if not 0 <= label < len(names):
             raise BadRecording(f"has the label {label}, not from 0 to {len(names) - 1}")
         name = names[label]
-    else:
+    elif isinstance(label, (str, int, np.integer)):
         name = str(label)
+    else:
+        raise BadRecording(
+            f"has a label of the type {type(label).__name__}; give pairs (events, label) with a "
+            "number or a name as label"
+        )
     parts = PurePosixPath(name).parts
     if len(parts) != 1 or parts[0] in ("..", "/") or name.startswith(".") or not name.isprintable():
         raise BadRecording(f"has the class {name!r}, which is no name of a folder")

@@ -210,8 +210,8 @@ def _of_camera(path, read, reading):
 GIVE_UNIT = "--time-unit of 'stmnist data', else --set data.time_unit=..."
 
 MIXED_UNITS = (
-    f"has times {MIXED} times as long or as short as most have; are they in another unit? "
-    "Write all of them in one"
+    f"has times more than {MIXED} times as long or as short as most have; are they in another "
+    "unit? Write all of them in one"
 )
 
 

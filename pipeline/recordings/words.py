@@ -16,8 +16,8 @@ def is_written(rows: int, columns: int, classes) -> bool:
 
 
 def listed(names) -> str:
-    """The first twelve names, each cut after 20 characters, separated by commas."""
-    names = [str(name)[:20] for name in names]
+    """The first twelve names, shortened but still different, separated by commas."""
+    names = shortened_apart([str(name) for name in names], 24)
     return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
 
 

@@ -84,6 +84,7 @@ def read_runs(paths, whole: bool = False) -> list:
     Parameters
     ----------
     paths : sequence of path-like
+        Folders of at least two runs.
     whole : bool
         Compare the whole test split, not the check's samples.
 
@@ -96,6 +97,8 @@ def read_runs(paths, whole: bool = False) -> list:
     UserError
         There are fewer than two runs, duplicates, or a folder without a run, bundle or results.
     """
+    if isinstance(paths, (str, Path)):
+        paths = [paths]
     paths = [Path(path) for path in paths]
     if len(paths) < 2:
         raise UserError("one run alone cannot be compared; name at least two")

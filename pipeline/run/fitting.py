@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from deploy.errors import SeveralErrors, UserError
 from models.architecture import NotationError, parse
+from models.nir_graph import read_nir
 from pipeline.inputs.dataset import TOO_SMALL, split_of
 from pipeline.inputs.library import recordings_of
 from pipeline.paper import CNN_MACS
@@ -23,6 +25,7 @@ from pipeline.recordings.facts import reading_text, size_text
 from pipeline.recordings.sensors import too_small
 from pipeline.recordings.steps import EventTable
 from pipeline.run.chip_fit import chip_problems
+from pipeline.run.nir_conversion import fits
 from pipeline.settings import SIMULATED, Settings, check_fits
 
 LARGEST_MAP = 14
@@ -102,9 +105,9 @@ def fitted(
     problems += _unfit(result, recordings)
     if problems:
         source = settings.data.source
+        named = tuple(filter(None, (source, settings.cnn.model, settings.nir.file)))
         raise SeveralErrors(
-            line if line.startswith((source, settings.cnn.model or source)) else f"{source}: {line}"
-            for line in problems
+            line if line.startswith(named) else f"{source}: {line}" for line in problems
         )
     if say is not None:
         for line in chosen_text(settings, result, recordings):
@@ -116,7 +119,7 @@ def chosen_text(before: Settings, after: Settings, recordings: Recordings) -> li
     """The choices of :func:`fitted`, one line for each that changes the training."""
     lines, name = [], "events.architecture" if after.on_events else "cnn.architecture"
     architecture, sensor = after.flat()[name], recordings.sensor
-    if architecture != before.flat()[name]:
+    if architecture != before.flat()[name] and not after.nir.file:
         lines.append(
             f"{architecture}: chosen for {size_text(sensor)} and "
             f"{len(sensor.classes)} classes (another: --set {name}=...)"
@@ -226,6 +229,9 @@ def _unfit(settings, recordings):
     sensor, source = recordings.sensor, settings.data.source
     try:
         check_fits(settings, sensor.rows, sensor.columns, len(sensor.classes), source)
+        if settings.nir.file and Path(settings.nir.file).exists():
+            shape = sensor.rows, sensor.columns, 2 if settings.on_events else 1
+            fits(read_nir(settings.nir.file), shape, len(sensor.classes), settings.nir.file)
     except (UserError, NotationError) as error:
         return [str(error)]
     return chip_problems(settings)

@@ -255,9 +255,9 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     likeliest = float(np.bincount(dataset.labels[index]).max() / len(index))
     if interval[0] <= likeliest:
         say(
-            "nir: hardly better than chance: never trained, trained on other inputs (channels are "
-            "ON and OFF, then rows from the top, then columns), in other steps (--step), or with "
-            "the classes in another order"
+            "nir: hardly better than chance; was it trained, on such inputs (channels ON and OFF, "
+            "then rows from the top, then columns), in such steps (--step), and with the classes "
+            "in this order?"
         )
     return metrics
 
@@ -313,9 +313,9 @@ def fits(network: NirNetwork, fed_shape, classes: int, source):
     if shape not in ((channels, rows, columns), (channels * rows * columns,)):
         what = "events" if channels == 2 else "an image"
         raise UserError(
-            f"{source}: for an input of {' x '.join(map(str, shape))}; {what} of {rows} x "
-            f"{columns} taxels is {channels} x {rows} x {columns}: train it for that, or give "
-            "recordings of its sensor (--data), or the other --input"
+            f"{source}: has an input of {' x '.join(map(str, shape))}; {what} of {rows} x "
+            f"{columns} taxels would be {channels} x {rows} x {columns} (channels, rows, columns): "
+            "train it for that, or give recordings of its sensor (--data), or the other --input"
         )
     if network.outputs != classes:
         raise UserError(

@@ -25,8 +25,14 @@ def refuse_other_folders(path: Path, of_results: bool = False):
     Raises
     ------
     UserError
-        The folder is a bundle, or has files that are not those of a run.
+        The folder is a bundle or in one, or has files that are not those of a run.
     """
+    for folder in path.absolute().parents:
+        if (folder / "MANIFEST.json").is_file() and (folder / "network.json").is_file():
+            raise UserError(
+                f"{path}: is in a bundle, {folder}, which may have no other files; "
+                "give another folder as RUN"
+            )
     if not path.is_dir() or (path / "experiment.toml").exists():
         return
     found = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith("."))

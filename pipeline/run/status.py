@@ -19,6 +19,7 @@ from pipeline.inputs.library import content_of
 from pipeline.run.folder import RunFolder
 from pipeline.run.ladder import BOARDS, ladder_artifact, ladder_stages
 from pipeline.run.origins import check_origin
+from pipeline.run.places import refuse_other_folders
 from pipeline.run.stages.answering import check_artifact
 from pipeline.run.stages.bundling import bundle_artifact
 from pipeline.run.stages.opening import dataset_artifact
@@ -72,6 +73,7 @@ def status_of(run: RunFolder, settings: Settings | None = None) -> list:
         The folder has no run, or a file of it is damaged.
     """
     if not run.experiment.is_file():
+        refuse_other_folders(run.path)
         raise UserError(
             f"{run.path}: not the folder of a run, since it has no {run.experiment.name}; make one "
             f"with 'stmnist ladder {run.path}'"

@@ -129,6 +129,16 @@ def test_samples_do_not_see_each_other():
     assert both.any()
 
 
+def test_inputs_have_the_shape_of_the_graph_s_input_or_are_flat():
+    network = network_of((2, 3, 4), lif(np.full((2, 3, 4), 2 * H)))
+    frames = np.random.default_rng(0).random((2, 5, 2, 3, 4))
+    flat = simulate(network, frames.reshape(2, 5, 24), H).outputs
+    np.testing.assert_array_equal(flat, simulate(network, frames, H).outputs)
+    for wrong in (frames.swapaxes(-1, -2), frames[0], frames[:, 0], frames[..., :2]):
+        with pytest.raises(ValueError, match="2, 3, 4"):
+            simulate(network, wrong, H)
+
+
 def test_a_step_longer_than_a_time_constant_is_refused():
     network = network_of((1,), lif(0.001))
     with pytest.raises(NirError, match=r"'n0' \(LIF\): a tau of 0.001 s"):

@@ -118,7 +118,7 @@ def animate(path, bundle: Bundle, recordings: Recordings, index: int, advance=No
         name: raster.plot([], [], "|", color=colour, markersize=4, label=name)[0]
         for name, colour in (("ON", "red"), ("OFF", "black"))
     }
-    raster.legend(loc="upper right", fontsize=8)
+    raster.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, fontsize=8)
     lines = {
         name: scores.plot([], [], label=shortened(classes[name], LONGEST_NAME))[0] for name in top
     }

@@ -11,6 +11,7 @@ from pipeline.recordings.events import (
     Recordings,
     TaxelMap,
 )
+from pipeline.recordings.words import is_written, shortened, shortened_apart
 from pipeline.report.figures import plain
 
 ON, OFF = "red", "black"
@@ -18,6 +19,9 @@ ON, OFF = "red", "black"
 
 FRAMES = 8
 """Tactile images above the raster."""
+
+NAME, CHARACTER = 24, 0.085
+"""Largest number of characters of a class on a sheet, and the width of one in inches."""
 
 
 def recording(recordings: Recordings, index: int) -> Figure:
@@ -74,27 +78,34 @@ def events_by_taxel(recordings: Recordings, index: int) -> Figure:
         axes.vlines(x[mine], zero[mine], tip, colour, linewidth=0.6, label=label)
     for taxel, (row, column) in enumerate(zip(taxels.row, taxels.column, strict=True)):
         axes.text(column - 0.47, row - 0.3, taxel + 1, fontsize=7, color="0.5")
-    _cells(axes, recordings.sensor.rows, recordings.sensor.columns)
+    _cells(axes, recordings.sensor.rows, recordings.sensor.columns, is_as_in_paper(recordings))
     until = f"{recordings.sensor.duration_s:g} s"
     axes.set(title=f"{_title(recordings, index)}: each taxel's events, 0 to {until}")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.03), ncols=2, frameon=False)
     return figure
 
 
-def layout(taxels: TaxelMap) -> Figure:
-    """The position of each taxel: address in bold, (X, Y) below it, 1-based (paper, Figure 1)."""
+def layout(taxels: TaxelMap, as_in_paper: bool = True) -> Figure:
+    """The position of each taxel: address in bold, its place below it, 1-based (paper, Figure 1).
+
+    Parameters
+    ----------
+    taxels : TaxelMap
+    as_in_paper : bool
+        True for the paper's names of rows and columns, X and Y.
+    """
     figure = Figure(figsize=(7, 7), layout="constrained")
     axes = figure.subplots()
     for taxel, (x, y) in enumerate(zip(taxels.row, taxels.column, strict=True)):
         axes.text(y, x - 0.12, taxel + 1, ha="center", va="center", weight="bold", fontsize=11)
         axes.text(y, x + 0.22, f"({x + 1},{y + 1})", ha="center", va="center", fontsize=8)
-    _cells(axes, int(taxels.row.max()) + 1, int(taxels.column.max()) + 1)
-    axes.set(aspect="equal", title="Taxel addresses and (X, Y)")
+    _cells(axes, int(taxels.row.max()) + 1, int(taxels.column.max()) + 1, as_in_paper)
+    axes.set(aspect="equal", title=f"Taxel addresses and ({', '.join(_names(as_in_paper))})")
     return figure
 
 
 def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
-    """Tactile images of samples drawn at random, a row for each digit.
+    """Tactile images of samples drawn at random, a row for each class.
 
     Parameters
     ----------
@@ -106,16 +117,18 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
     rng = np.random.default_rng(seed)
     digits = np.unique(recordings.labels)
     images = normalise(aggregate(recordings))
-    figure = Figure(figsize=(0.6 * per_digit + 0.4, 0.6 * len(digits) + 0.5))
+    classes = recordings.sensor.classes
+    names = dict(zip(digits, shortened_apart([classes[d] for d in digits], NAME), strict=True))
+    margin = max(0.3, 0.2 + CHARACTER * max(map(len, names.values())))
+    width = 0.6 * per_digit + 0.1 + margin
+    figure = Figure(figsize=(width, 0.6 * len(digits) + 0.5))
     figure.suptitle(_source(recordings))
     panels = figure.subplots(len(digits), per_digit, squeeze=False)
-    figure.subplots_adjust(0.03, 0.01, 0.99, 0.94, 0.06, 0.06)
+    figure.subplots_adjust(margin / width, 0.01, 0.99, 0.94, 0.06, 0.06)
     for row, digit in zip(panels, digits, strict=True):
         pool = np.flatnonzero(recordings.labels == digit)
         chosen = np.sort(rng.choice(pool, min(per_digit, len(pool)), replace=False))
-        row[0].set_ylabel(
-            plain(recordings.sensor.classes[digit]), rotation=0, labelpad=8, va="center"
-        )
+        row[0].set_ylabel(plain(names[digit]), rotation=0, labelpad=4, ha="right", va="center")
         for axes in row[len(chosen) :]:
             axes.set_visible(False)
         for axes, index in zip(row, chosen, strict=False):
@@ -123,14 +136,26 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
     return figure
 
 
-def _cells(axes, rows, columns):
+def is_as_in_paper(recordings):
+    """True for the paper's sensor and digits, whose figures have the paper's names."""
+    sensor = recordings.sensor
+    return is_written(sensor.rows, sensor.columns, sensor.classes)
+
+
+def _names(as_in_paper):
+    """Names of a row and a column: the paper's X goes down."""
+    return ("X", "Y") if as_in_paper else ("row", "column")
+
+
+def _cells(axes, rows, columns, as_in_paper):
     """A grid of taxels, numbered as in the paper."""
     axes.hlines(np.arange(rows + 1) - 0.5, -0.5, columns - 0.5, "0.8", linewidth=0.8)
     axes.vlines(np.arange(columns + 1) - 0.5, -0.5, rows - 0.5, "0.8", linewidth=0.8)
     axes.set_xticks(range(columns), range(1, columns + 1))
     axes.set_yticks(range(rows), range(1, rows + 1))
     axes.tick_params(length=0)
-    axes.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), xlabel="Y", ylabel="X")
+    down, right = _names(as_in_paper)
+    axes.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), xlabel=right, ylabel=down)
 
 
 def _show(axes, image):
@@ -146,7 +171,11 @@ def _source(recordings):
 
 
 def _title(recordings, index):
-    name = plain(recordings.ids[index])
-    classes = recordings.sensor.classes
-    of = f"{'digit' if classes == DIGITS else 'class'} {plain(classes[recordings.labels[index]])}"
-    return f"{of}, sample {name} ({_source(recordings)})"
+    name, classes = recordings.ids[index], recordings.sensor.classes
+    of = classes[recordings.labels[index]]
+    sample = f"sample {plain(shortened(name, 60))} ({_source(recordings)})"
+    if classes == DIGITS:
+        return f"digit {of}, {sample}"
+    if name.startswith(f"{of}/"):  # which names the class
+        return sample
+    return f"class {plain(shortened(of, 60))}, {sample}"

@@ -22,6 +22,7 @@ from pipeline.jobs import Failure
 from pipeline.run.origins import threshold_origin
 from pipeline.settings import Settings, read_settings
 from tests.command import call
+from tests.own_sensor import write_folder
 
 SMALL = Settings().with_values(
     {"data": {"samples_per_digit": 12}, "split": {"validation_fraction": 0.25}}, "test"
@@ -328,6 +329,16 @@ def test_a_sweep_on_events(tmp_path, capsys):
         assert (p["n_samples"], p["cnn_accuracy"]) == (48, None)
     assert not (folder / "networks" / "cnn").exists()
     assert imread(folder / "pareto.png")[..., :3].std() > 0.05
+
+
+def test_a_sweep_on_own_recordings_needs_no_architecture(tmp_path, capsys):
+    data = write_folder(tmp_path / "own", per_class=8)
+    few = ("--set", "cnn.epochs=1", "--set", "snn.epochs=1", "--jobs", 1)
+    grid = ("--grid", "presentation.steps=25,50")
+    assert call("sweep", tmp_path / "out", "--data", data, *few, *grid) == 0
+    summary = read_json(tmp_path / "out" / "sweep.json", "")
+    assert sorted(p["changes"]["presentation.steps"] for p in summary["points"]) == [25, 50]
+    assert read_settings(tmp_path / "out" / "experiment.toml").cnn.architecture.startswith("9x12-")
 
 
 def test_architectures_of_another_skin_are_swept(tmp_path):

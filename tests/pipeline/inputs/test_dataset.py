@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from pipeline.inputs.dataset import Dataset, split_of
+from pipeline.inputs.dataset import Dataset, dataset_origin, split_of
 from pipeline.inputs.images import tactile_images
+from pipeline.inputs.library import content_of, recordings_of
 from pipeline.inputs.splits import random_split, writer_split
 from pipeline.run.folder import RunFolder
 from pipeline.run.stages import open_dataset
-from pipeline.settings import Settings, UndeclaredSetting
+from pipeline.settings import SIMULATED, Settings, UndeclaredSetting
+from tests.own_sensor import write_folder
 from tests.pipeline.handmade import archive, good_members, recordings
 
 SMALL = Settings().with_values(
@@ -20,6 +22,14 @@ SMALL = Settings().with_values(
 @pytest.fixture(scope="module")
 def dataset():
     return Dataset.of(SMALL)
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_the_settings_of_an_experiment_suffice_to_read_the_recordings(tmp_path, own):
+    source = str(write_folder(tmp_path / "own", per_class=5)) if own else SIMULATED
+    settings = SMALL.with_values({"data": {"source": source}}, "test")
+    seen = dataset_origin(settings, content_of(settings)).view(settings)
+    assert len(recordings_of(seen)) == (20 if own else 60)
 
 
 def test_inputs_and_labels_are_those_of_the_recordings(dataset):

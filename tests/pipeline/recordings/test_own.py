@@ -55,6 +55,7 @@ def test_names_writers_and_the_unit(tmp_path):
     ([(events, 9) for events, _ in gestures(1)], "label 9"),
     ([(events, "../up") for events, _ in gestures(1)], "no name of a folder"),
     ([(events, "unknown") for events, _ in gestures(1)], "none of those given"),
+    ([(label, events) for events, label in gestures(1)], "label of the type tuple"),
     (gestures(1), "only one recording"),
     ([], "no recordings"),
 ])  # fmt: skip

@@ -33,6 +33,7 @@ from tests.deploy.networks import (
     small_spec,
 )
 from tests.models.nir_graphs import affine, conv, cuba_lif, lif, network_of, spikes
+from tests.own_sensor import write_folder
 
 nir = pytest.importorskip("nir")
 
@@ -251,7 +252,7 @@ BAD = [
     (["--retrain"], "--nir FILE"),
     (["--nir", "small.nir", "--step", "5000"], "'input.step' must be"),
     (["--nir", "small.nir", "--step", "200"], "shorter than the step"),
-    (["--nir", "small.nir", "--input", "image"], "for an input of 2 x 10 x 10"),
+    (["--nir", "small.nir", "--input", "image"], "2 x 10 x 10"),
     (["--nir", "small.nir", "--set", "skin.rows=12", "--set", "skin.columns=12"], "2 x 12 x 12"),
     (["--nir", "nine.nir"], "puts out 9 values"),
     (["--nir", "large.nir"], "large.nir: layer output (nodes"),
@@ -281,6 +282,23 @@ def test_mistakes_are_one_line(options, message, tmp_path, monkeypatch, capsys):
     assert stmnist("convert", tmp_path / "run", *options, *few) == 2
     last = capsys.readouterr().err.strip().splitlines()[-1]
     assert message in last
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_graph_for_another_sensor_leaves_nothing(tmp_path, capsys):
+    """A graph with rows and columns exchanged, on a user's recordings on 9 rows of 12 taxels."""
+    data = write_folder(tmp_path / "own", per_class=5)
+    graph = nir.NIRGraph.from_list(
+        nir.Input({"input": np.array([2, 12, 9])}),
+        nir.Flatten({"input": np.array([2, 12, 9])}, 0),
+        nir.Affine(np.full((4, 216), 0.1), np.zeros(4)),
+        nir.LIF(*(np.full(4, x) for x in (0.1, 8.0, 0.0, 1.0))),
+        nir.Output({"output": np.array([4])}),
+    )
+    nir.write(tmp_path / "some.nir", graph)
+    given = ("--nir", tmp_path / "some.nir", "--step", 20, "--data", data, "--jobs", 1)
+    assert stmnist("convert", tmp_path / "run", *given) == 2
+    assert "2 x 9 x 12" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
 
 

@@ -16,6 +16,27 @@ def test_a_bundle_is_no_run(tmp_path, capsys):
     assert [entry.name for entry in bundle.iterdir()] == ["MANIFEST.json"]
 
 
+def test_a_run_in_a_bundle_is_refused(tmp_path, capsys):
+    bundle = tmp_path / "own" / "bundle"
+    bundle.mkdir(parents=True)
+    for name in ("MANIFEST.json", "network.json"):
+        (bundle / name).write_text("{}")
+    for verb in ("train", "ladder", "live"):
+        assert call(verb, bundle / "new" / "run") == 2
+        assert str(bundle) in capsys.readouterr().err
+    assert call("sweep", bundle / "sweep") == 2
+    assert sorted(entry.name for entry in bundle.iterdir()) == ["MANIFEST.json", "network.json"]
+
+
+def test_the_status_of_a_bundle_names_its_run(tmp_path, capsys):
+    bundle = tmp_path / "own" / "bundle"
+    bundle.mkdir(parents=True)
+    (bundle / "MANIFEST.json").write_text("{}")
+    (tmp_path / "own" / "experiment.toml").write_text("")
+    assert call("status", bundle) == 2
+    assert f"ladder {bundle}" not in capsys.readouterr().err
+
+
 def test_a_folder_of_other_things_is_no_run(tmp_path, capsys):
     (tmp_path / "thesis.tex").write_text("")
     assert call("ladder", tmp_path) == 2

@@ -1,9 +1,11 @@
 """Figures of recordings: what is drawn, and where."""
 
+import dataclasses
 import io
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from pipeline.recordings.events import Events, Source, TaxelMap, collect
 from pipeline.report.figures import recordings as data_figures
@@ -68,6 +70,28 @@ def test_layout_names_every_taxel():
     assert texts[texts.index("12") + 1] == "(2,2)"
     assert texts[texts.index("71") + 1] == "(1,8)"
     assert axes.yaxis_inverted()
+
+
+def test_axes_of_another_sensor_have_no_names_of_the_paper(recordings):
+    own = dataclasses.replace(recordings.sensor, classes=tuple("abcdefghij"))
+    other = dataclasses.replace(recordings, sensor=own)
+    for drawn_of, names in ((recordings, ("X", "Y")), (other, ("row", "column"))):
+        (axes,) = data_figures.events_by_taxel(drawn_of, 0).get_axes()
+        assert (axes.get_ylabel(), axes.get_xlabel()) == names
+
+
+def test_long_names_of_classes_are_beside_the_images_of_a_sheet(recordings):
+    names = tuple(f"{n}: quer über die ganze Fläche gestrichen" for n in range(10))
+    own = dataclasses.replace(recordings.sensor, classes=names)
+    figure = data_figures.sheet(dataclasses.replace(recordings, sensor=own), per_digit=3)
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    figure.draw(renderer)
+    named = [axes for axes in figure.get_axes() if axes.get_ylabel()]
+    assert len({axes.get_ylabel() for axes in named}) == 2
+    for axes in named:
+        box = axes.yaxis.label.get_window_extent(renderer)
+        assert box.x0 >= 0
+        assert box.x1 <= axes.get_window_extent(renderer).x0
 
 
 def test_sheet_has_a_row_for_each_digit(recordings):
