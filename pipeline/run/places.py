@@ -19,13 +19,14 @@ def refuse_other_folders(path: Path, of_results: bool = False):
     ----------
     path : Path
     of_results : bool
-        True for the folder of a benchmark, which may have results of an interrupted one: only a
-        bundle is refused.
+        True for the folder of a benchmark or sweep, which may have results of an interrupted one:
+        only a bundle and a run are refused.
 
     Raises
     ------
     UserError
-        The folder is a bundle or in one, or has files that are not those of a run.
+        The folder is a bundle or in one, has files that are not those of a run, or is a run where
+        results of a benchmark are meant.
     """
     for folder in path.absolute().parents:
         if (folder / "MANIFEST.json").is_file() and (folder / "network.json").is_file():
@@ -33,6 +34,10 @@ def refuse_other_folders(path: Path, of_results: bool = False):
                 f"{path}: is in a bundle, {folder}, which may have no other files; "
                 "give another folder as RUN"
             )
+    if of_results and (path / "dataset.json").is_file():
+        raise UserError(
+            f"{path}: is a run, whose settings would be replaced; give another folder for the results"
+        )
     if not path.is_dir() or (path / "experiment.toml").exists():
         return
     found = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith("."))

@@ -491,9 +491,11 @@ def test_the_confidence_is_one_value_and_its_curve_shows_the_decision(page):
     seconds, values = last["curve"]
     assert last["confidence"] == pytest.approx(values[-1], abs=1e-4)
     assert page.inner_text("#confidence") == "99 % sure"  # the stand-in's is 1 in the end
-    reached = seconds[next(i for i, value in enumerate(values) if value >= 0.9)]
+    # The values are rounded: one that is 0.9 here may have been just below it.
+    first = next(i for i, value in enumerate(values) if value >= 0.9)
+    after = next(i for i, value in enumerate(values) if value > 0.9)
     shown = float(page.locator("#decided").get_attribute("data-s"))
-    assert shown == pytest.approx(reached, abs=1e-3)
+    assert seconds[first] - 1e-3 <= shown <= seconds[after] + 1e-3
     drawn = """() => {
       const canvas = document.querySelector("#curve"), context = canvas.getContext("2d");
       return new Set(context.getImageData(0, 0, canvas.width, canvas.height).data).size;

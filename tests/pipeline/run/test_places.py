@@ -28,6 +28,18 @@ def test_a_run_in_a_bundle_is_refused(tmp_path, capsys):
     assert sorted(entry.name for entry in bundle.iterdir()) == ["MANIFEST.json", "network.json"]
 
 
+@pytest.mark.parametrize("command", [
+    ("sweep", "RUN"), ("benchmark", "table2", "--out", "RUN"), ("benchmark", "losses", "--out", "RUN"),
+])  # fmt: skip
+def test_a_run_does_not_become_the_folder_of_a_benchmark(tmp_path, capsys, command):
+    """Its settings would be replaced by those of the benchmark, and its results be outdated."""
+    for name in ("experiment.toml", "dataset.json"):
+        (tmp_path / name).write_text("")
+    assert call(*(tmp_path if word == "RUN" else word for word in command)) == 2
+    assert str(tmp_path) in capsys.readouterr().err
+    assert (tmp_path / "experiment.toml").read_text() == ""
+
+
 def test_the_status_of_a_bundle_names_its_run(tmp_path, capsys):
     bundle = tmp_path / "own" / "bundle"
     bundle.mkdir(parents=True)
