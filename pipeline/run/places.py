@@ -36,7 +36,8 @@ def refuse_other_folders(path: Path, of_results: bool = False):
             )
     if of_results and (path / "dataset.json").is_file():
         raise UserError(
-            f"{path}: is a run, whose settings would be replaced; give another folder for the results"
+            f"{path}: is a run, whose settings would be replaced; give another folder for "
+            "the results"
         )
     if not path.is_dir() or (path / "experiment.toml").exists():
         return
