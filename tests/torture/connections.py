@@ -31,7 +31,7 @@ WRITER = 7
 """Who writes on the page."""
 
 SHARE = 0.6
-"""Of a core, at most, after the attacks."""
+"""Largest share of a core that the server may use after the attacks."""
 
 
 def attacked(rng, folder, base):

@@ -51,7 +51,7 @@ VALIDATION = np.arange(54, 72)
 
 @pytest.fixture(scope="module")
 def told():
-    """What the estimator of `trained` was told, by name."""
+    """Inputs of the confidence estimator of `trained`, by name."""
     return {}
 
 
