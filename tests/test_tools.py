@@ -87,12 +87,21 @@ def test_another_version_of_a_package_makes_a_result_out_of_date(two, monkeypatc
 
 def test_rows_of_table_2_are_kept_apart(tmp_path, monkeypatch):
     rows = [{"model": name} for name in ("cnn", "loihi", "slayer")]
-    pairs = [{"a": "cnn", "b": "loihi"}, {"a": "cnn", "b": "slayer"}]
+    pairs = [
+        {"split": split, "a": "cnn", "b": b}
+        for b in ("loihi", "slayer")
+        for split in ("random", "writers")
+    ]
     table = {"rows": rows, "writer_rows": rows, "comparisons": pairs}
     monkeypatch.setattr(results.Work, "summary", lambda *words: dict(table))
     found = results._table2("cnn,loihi")(results.Work(tmp_path, 1))
     assert [row["model"] for row in found["rows"]] == ["cnn", "loihi"]
-    assert found["comparisons"] == pairs[:1]
+    assert found["writer_rows"] == found["rows"]
+    assert found["comparisons"] == pairs[:2]
+    found = results._table2("cnn,loihi", "writers")(results.Work(tmp_path, 1))
+    assert found["rows"] == []
+    assert [row["model"] for row in found["writer_rows"]] == ["cnn", "loihi"]
+    assert found["comparisons"] == pairs[1:2]
 
 
 def test_a_command_that_fails_leaves_no_result(two, tmp_path):
@@ -118,11 +127,23 @@ def test_splits_with_slayer_are_kept_also_if_the_others_are_interrupted(tmp_path
     earlier.parent.mkdir(parents=True)
     earlier.write_text('{"accuracy": 0.75}')
     with pytest.raises(UserError, match="interrupted"):
-        results._slayer(results.Work(tmp_path / "work", 1))
+        results._slayer("random")(results.Work(tmp_path / "work", 1))
     splits = tmp_path / "work" / "table2" / "splits"
     assert json.loads((splits / "random-00" / "slayer-small.json").read_text())["accuracy"] == 0.75
     kept = tmp_path / "kept" / "random-01" / "slayer.json"
     assert json.loads(kept.read_text())["accuracy"] == 0.5
+
+
+def test_the_last_epochs_of_slayer_are_averaged_over_the_splits(tmp_path):
+    for split, accuracies in enumerate(([0.1, 0.5, 0.7], [0.9, 0.8, 0.6])):
+        folder = tmp_path / f"random-{split:02d}"
+        folder.mkdir()
+        history = [{"test_accuracy": value, "accuracy": value + 0.1} for value in accuracies]
+        (folder / "slayer.json").write_text(json.dumps({"history": history}))
+    found = results._last_epochs(tmp_path, "random", "slayer", count=2)
+    assert found["test_accuracy"] == pytest.approx(0.65)
+    assert found["test_accuracy_sd_of_epochs"] == pytest.approx(0.2 / 2**0.5)
+    assert found["training_accuracy"] == pytest.approx(0.75)
 
 
 def test_every_result_has_a_name_of_its_own():

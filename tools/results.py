@@ -32,6 +32,7 @@ from deploy.tables import aligned
 from pipeline.artifacts import CURRENT, Artifact, Origin
 from pipeline.commands.figures import FOLDER
 from pipeline.commands.main import run_tool
+from pipeline.experiments.table2_splits import WITH_SLAYER
 from pipeline.inputs.library import recordings_of
 from pipeline.settings import Settings
 
@@ -153,35 +154,65 @@ class Result:
         return Origin.of(Settings(), contents={"recordings": recordings, **versions})
 
 
-def _table2(models):
-    """Measure rows of Table 2, on ten random splits and ten with new writers."""
+def _table2(models, kind="both"):
+    """Measure rows of Table 2 on ten random splits, ten with new writers, or both."""
 
     def measure(work):
-        words = ("benchmark", "table2", "--models", models)
+        words = ("benchmark", "table2", "--models", models, "--kind", kind)
         table = work.summary("table2/table2.json", *words)
         asked = models.split(",")
-        for key in ("rows", "writer_rows"):
-            table[key] = [row for row in table[key] if row["model"] in asked]
-        table["comparisons"] = [c for c in table["comparisons"] if {c["a"], c["b"]} <= {*asked}]
+        for key, of_kind in (("rows", "random"), ("writer_rows", "writers")):
+            rows = table[key] if kind in ("both", of_kind) else []
+            table[key] = [row for row in rows if row["model"] in asked]
+        table["comparisons"] = [
+            pair
+            for pair in table["comparisons"]
+            if {pair["a"], pair["b"]} <= {*asked} and kind in ("both", pair["split"])
+        ]
         return table
 
     return measure
 
 
-def _slayer(work):
-    """Rows of Table 2 with SLAYER; continues with the splits that the repository has.
+def _slayer(kind):
+    """Measure the rows with SLAYER; continues with the splits that the repository has.
 
     A split takes a quarter of an hour, so each is saved as soon as it is measured.
     """
-    splits = work.folder / "table2" / "splits"
-    for path in _of_slayer(KEPT):
-        if not (splits / path).exists():
-            _copy(path, KEPT, splits)
-    try:
-        return _table2("slayer,slayer-small")(work)
-    finally:
-        for path in _of_slayer(splits):
-            _copy(path, splits, KEPT)
+
+    def measure(work):
+        splits = work.folder / "table2" / "splits"
+        for path in _of_slayer(KEPT):
+            if not (splits / path).exists():
+                _copy(path, KEPT, splits)
+        try:
+            table = _table2(",".join(WITH_SLAYER), kind)(work)
+        finally:
+            for path in _of_slayer(splits):
+                _copy(path, splits, KEPT)
+        return {**table, "last_epochs": {m: _last_epochs(splits, kind, m) for m in WITH_SLAYER}}
+
+    return measure
+
+
+def _last_epochs(splits, kind, model, count=10):
+    """Means over the splits: how much the result depends on the epoch after which training ends."""
+    paths = sorted(splits.glob(f"{kind}-*/{model}.json"))
+    histories = [read_json(path, "delete it")["history"][-count:] for path in paths]
+    tests = np.array([[epoch["test_accuracy"] for epoch in history] for history in histories])
+    return {
+        "test_accuracy": float(tests.mean()),
+        "test_accuracy_sd_of_epochs": float(tests.std(axis=1, ddof=1).mean()),
+        "training_accuracy": float(np.mean([history[-1]["accuracy"] for history in histories])),
+    }
+
+
+def _slayer_in_milliseconds(work):
+    """The authors' time constants of 10 and 1 steps as milliseconds, on one split, 20 epochs."""
+    words = ("--models", "slayer-small", "--kind", "random", "--splits", 1)
+    for setting in ("epochs=20", "tau_s=0.01", "tau_r=0.001"):
+        words += ("--set", f"slayer.{setting}")
+    return work.summary("slayer-milliseconds/table2.json", "benchmark", "table2", *words)
 
 
 def _of_slayer(folder):
@@ -287,7 +318,9 @@ RESULTS = (
     Result("table2-events", 80, _table2("events,events-loihi"), CHIP),
     Result("events-simulated", 100, _events, CHIP),
     Result("events-seeds", 1, _events_over_seeds, CHIP, pen=True),
-    Result("table2-slayer", 270, _slayer, SLAYER),
+    Result("slayer-milliseconds", 4, _slayer_in_milliseconds, SLAYER),
+    Result("table2-slayer-random", 150, _slayer("random"), SLAYER),
+    Result("table2-slayer-writers", 150, _slayer("writers"), SLAYER),
 )
 """All results, in the order of measurement: quick ones first, events-seeds after its parts."""
 

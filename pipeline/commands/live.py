@@ -69,12 +69,10 @@ def _network(run, given, jobs):
     folder = RunFolder(run)
     if not asked and (found := network_of_run(folder)):
         return found
-    if not folder.bundle.exists():
-        options.say(f"live: {run} has no network yet; training it first, about a minute")
     fit = options.fit_recordings(jobs, until="bundle")
-    with (
-        options.opened(run, given, fit=fit) as (folder, resolved),
-        numbered(stages.bars(resolved, "bundle")),
-    ):
-        _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
+    with options.opened(run, given, fit=fit) as (folder, resolved):
+        if not folder.bundle.exists():
+            options.say(f"live: {run} has no network yet; training it first, about a minute")
+        with numbered(stages.bars(resolved, "bundle")):
+            _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
     return bundle, resolved.image

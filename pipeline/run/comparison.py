@@ -195,7 +195,8 @@ def compare_runs(runs) -> dict:
 
 def _different_settings(runs):
     """Settings that at least two runs read and that differ; None for runs that do not read them."""
-    read = [run.settings.relevant() for run in runs]
+    # A run whose steps are the default, 0, may have as many as one with a number.
+    read = [{**run.settings.relevant(), "presentation.steps": run.settings.steps} for run in runs]
     different = []
     for name in runs[0].settings.flat():
         values = [settings.get(name) for settings in read]

@@ -57,7 +57,7 @@ def test_a_figure_that_is_not_there_is_an_error(folder, address):
 
 def test_a_row_says_its_recordings_and_how_many_splits_there_are(folder):
     store(folder, "table2-images", NOW)
-    store(folder, "table2-slayer", BEFORE, "slayer", splits=1)
+    store(folder, "table2-slayer-random", BEFORE, "slayer", splits=1)
     assert row_of("CNN") == ["0.891 (0.006)", "not measured", "0.89 (0.01)"]
     ours, _, paper = row_of("SNN-SLAYER")
     assert ours.startswith("0.891")

@@ -101,6 +101,16 @@ def test_settings_that_differ_and_no_others():
     assert "no setting differs" in runs_text(compare_runs([a, a]))
 
 
+def test_the_default_number_of_steps_is_that_number():
+    steps = ({"presentation": {"steps": number}} for number in (0, Settings().steps, 40))
+    a, b, c = (
+        run(name, [result("fast", ALL)], changes=s) for name, s in zip("abc", steps, strict=True)
+    )
+    assert compare_runs([a, b])["settings"] == []
+    (found,) = compare_runs([a, c])["settings"]
+    assert found == {"name": "presentation.steps", "values": [Settings().steps, 40]}
+
+
 def test_stages_that_two_runs_have_and_every_pair():
     runs = [
         run("a", [result("cnn", ALL), result("nengo", ALL)]),
