@@ -50,7 +50,7 @@ check: convert  ## Run the check on TARGET, and compare it with the reference si
 	@$(STMNIST) check run "$(RUN)/bundle" --target $(TARGET)
 	@$(STMNIST) check compare "$(RUN)/checks/nengo.json" "$(RUN)/checks/$(TARGET).json"
 
-benchmark: setup  ## Measure the paper's Table 2 on ten splits (without SLAYER)
+benchmark: setup  ## Measure the paper's Table 2 on ten splits (hours; SLAYER last)
 	@$(STMNIST) benchmark table2 --out "$$(dirname "$(RUN)")/table2" $(DATA_OPTIONS) $(if $(SAMPLES),--set check.samples=$(SAMPLES)) $(if $(STEPS),--set presentation.steps=$(STEPS))
 
 results: setup  ## Measure the files in results/ again that are out of date (hours; maintainers)

@@ -21,6 +21,7 @@ from pipeline.inputs.dataset import KINDS, recordings_fit, split_of
 from pipeline.inputs.library import recordings_of
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.jobs import Failure
+from pipeline.run.fitting import with_slayer
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings
 
@@ -84,8 +85,14 @@ def measure_table(
             f"{settings.data.source}: {error}; change --kind, check.samples or the data"
         ) from error
     for model in models:
-        if model not in WITH_SLAYER:  # whose architecture is compared with its frames
+        if model not in WITH_SLAYER:
             recordings_fit(recordings, settings_of(settings, model))
+    if {*models} & {*WITH_SLAYER}:
+        given, settings = settings, with_slayer(settings, recordings)
+        if settings is not given:
+            say(
+                f"{settings.slayer.architecture}: chosen for SLAYER (--set slayer.architecture=...)"
+            )
     folder.save_settings(settings)
     benchmark = Benchmark(
         *(settings, recordings.source.sha256, folder.path.absolute(), kinds, splits, models)
@@ -116,7 +123,8 @@ def _time_of_slayer(benchmark, n_recordings, workers):
     line = f"table 2: {number} trainings with SLAYER, about {each:.0f} minutes each"
     if workers.scheduler is not None:
         return line
-    return f"{line}, {each * -(-number // workers.processes) / 60:.1f} hours in all"
+    hours = each * -(-number // workers.processes) / 60
+    return f"{line}, {hours:.1f} hours in all; all other rows come first"
 
 
 def _kinds(kind, recordings):

@@ -26,7 +26,7 @@ from pipeline.recordings.sensors import too_small
 from pipeline.recordings.steps import EventTable
 from pipeline.run.chip_fit import chip_problems
 from pipeline.run.nir_conversion import fits
-from pipeline.settings import SIMULATED, Settings, check_fits
+from pipeline.settings import SIMULATED, Settings, Slayer, check_fits
 
 LARGEST_MAP = 14
 """Rows and columns of the first convolution's output on images, at most, on average."""
@@ -185,6 +185,40 @@ def _architecture(settings, recordings, changes):
             changes[section]["budget"] = float(min(round(budget, 1), 1000.0))
     if section == "cnn" and len(settings.snn.max_rates) > len(parse(chosen).spiking):
         changes["snn"] = {"max_rates": settings.snn.max_rates[:1]}
+
+
+def with_slayer(settings: Settings, recordings: Recordings) -> Settings:
+    """Choose ``slayer.architecture`` if it has its default and this does not fit the recordings.
+
+    Parameters
+    ----------
+    settings : Settings
+    recordings : Recordings
+
+    Returns
+    -------
+    Settings
+        The same object if nothing was chosen.
+
+    Raises
+    ------
+    UserError
+        The architecture is the user's and does not fit.
+    """
+    sensor, default = recordings.sensor, Slayer().architecture
+    size, classes = f"{sensor.rows}x{sensor.columns}x2", len(sensor.classes)
+    given = parse(settings.slayer.architecture)
+    if "x".join(map(str, given.input_shape)) == size and given.outputs == classes:
+        return settings
+    if settings.slayer.architecture != default:
+        raise UserError(
+            f"{recordings.source.name}: 'slayer.architecture' must be for {size}, a channel for "
+            f"each polarity, and {classes} classes, not {settings.slayer.architecture}"
+        )
+    alike = default if default.startswith(size) else architecture_for(sensor, on_events=False)
+    layers = alike.split("-")[1:-1]
+    chosen = "-".join([size, *layers, f"{classes}o"])
+    return settings.with_values({"slayer": {"architecture": chosen}}, recordings.source.name)
 
 
 def _operations_of_input(architecture, recordings):

@@ -14,7 +14,8 @@ from pipeline.experiments.study import Workers
 from pipeline.experiments.table2 import summarise, table_text
 from pipeline.experiments.table2_splits import MODELS
 from pipeline.jobs import Failure
-from pipeline.settings import Settings
+from pipeline.settings import Settings, read_settings
+from tests.own_sensor import write_folder
 from tests.untraced import untraced
 
 
@@ -260,8 +261,18 @@ def test_the_rows_on_events(tmp_path, monkeypatch, capsys):
     assert not list(out.rglob("checkpoint.npz"))
 
 
+def test_slayer_on_own_recordings_needs_no_architecture(tmp_path, capsys):
+    out, data = tmp_path / "out", write_folder(tmp_path / "own", per_class=8)
+    few = ("--models", "slayer", "--splits", "1", "--set", "slayer.epochs=1", "--json")
+    status, said = run(capsys, "--out", str(out), "--data", str(data), *few)
+    assert status == 0, said.err
+    (row,) = json.loads(said.out)["rows"]
+    assert (row["model"], row["n_test"]) == ("slayer", 6)  # a fifth of 32
+    assert read_settings(out / "experiment.toml").slayer.architecture == "9x12x2-6c4-24c3-4o"
+
+
 def test_what_takes_long_is_only_run_if_asked_for():
-    slow = {"slayer", "slayer-small", "events", "events-loihi"}
+    slow = {"slayer-small", "events", "events-loihi"}
     assert set(MODELS) - set(BY_DEFAULT) == slow
 
 
