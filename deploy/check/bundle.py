@@ -120,7 +120,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
             write_arrays(temporary / "weights.npz", **spec.arrays())
             write_arrays(
                 temporary / "checks.npz",
-                inputs=np.asarray(checks.inputs, np.float32 if spec.stimulus.held else np.uint8),
+                inputs=np.asarray(checks.inputs, np.float32 if spec.stimulus.static else np.uint8),
                 labels=np.asarray(checks.labels, np.int64),
                 ids=np.array(checks.ids, dtype=str),
                 seed=np.int64(checks.seed),
@@ -233,7 +233,7 @@ def _read_checks(path, spec):
         raise UserError(f"{path}: does not fit the network: {wrong}; {_REMEDY}")
     inputs = _inputs_of(arrays)
     return CheckSet(
-        inputs=inputs.astype(float) if spec.stimulus.held else inputs,
+        inputs=inputs.astype(float) if spec.stimulus.static else inputs,
         labels=arrays["labels"],
         ids=tuple(arrays["ids"].tolist()),
         seed=int(arrays["seed"]),

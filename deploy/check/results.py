@@ -99,7 +99,7 @@ def _while_written(bundle, decisions, labels, samples) -> dict:
     Writing ends with the sample's last event; steps after the end count as the last step.
     """
     spec = bundle.spec
-    if spec.stimulus.held:
+    if spec.stimulus.static:
         return {}
     written = last_steps(bundle.checks.inputs) + 1
     everyone = np.arange(len(labels))

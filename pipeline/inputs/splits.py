@@ -127,7 +127,7 @@ def hold_out(train: np.ndarray, seed: int):
 
     Returns
     -------
-    learn, held : ndarray of int
+    train, held_out : ndarray of int
         In increasing order.
     """
     order = np.random.default_rng([seed, 0x4E1D]).permutation(train)

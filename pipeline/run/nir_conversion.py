@@ -491,7 +491,7 @@ def graph_responses(graph: Path, settings: Settings, bundle: Bundle, advance=Non
     readout = spec.layers[-1]
     if readout.neurons is None:
         outputs = outputs - readout.bias  # which read_output adds
-    if spec.stimulus.held:  # a graph takes the image itself, not spikes
+    if spec.stimulus.static:  # a graph takes the image itself, not spikes
         sizes = {"input": int(np.prod(spec.input_shape))}
         sizes |= {layer.name: layer.size for layer in spec.layers if layer.neurons}
         silent = {name: np.zeros((len(inputs), size)) for name, size in sizes.items()}

@@ -91,7 +91,7 @@ def animate(path, bundle: Bundle, recordings: Recordings, index: int, advance=No
     seconds = 1e-9 * (events.time_ns - first)
     lasts = max(float(seconds.max(initial=0)), 0.1)
     step, start = spec.stimulus.step_seconds, spec.presentation.readout_start
-    on_events = not spec.stimulus.held
+    on_events = not spec.stimulus.static
     answers = chances.argmax(axis=1)
     changed = np.flatnonzero(answers != answers[-1])
     decided_at = start + 1 + (int(changed[-1]) + 1 if len(changed) else 0)  # for good
