@@ -31,11 +31,11 @@ def main(arguments=None) -> int:
     try:
         options = _parser().parse_args(arguments)
         options.run(options)
-        sys.stdout.flush()  # at Python's end it is too late for a line
+        sys.stdout.flush()  # errors could not be reported when Python exits
         return 0
     except CheckFailed as error:
         return _say(line_of(error), 1)
-    except BrokenPipeError:  # the reader, such as head, has seen enough
+    except BrokenPipeError:  # the reader, such as head, has closed the pipe
         return 0
     except (UserError, MemoryError, OSError) as error:
         return _say(line_of(error), 2)

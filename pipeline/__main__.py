@@ -16,7 +16,7 @@ command's last line; this is suppressed."""
 def hear_threads():
     """Report errors of threads, except a harmless one of joblib when its jobs are cancelled.
 
-    Its thread looks up jobs that it has just removed (a KeyError; loky 3.6).  The thread ends, as
+    A thread of joblib looks up jobs that it has just removed (a KeyError; loky 3.6), and ends, as
     intended.
     """
     hook = threading.excepthook
@@ -36,8 +36,8 @@ def main():
     try:
         os.getcwd()
     except OSError as error:  # libraries ask for it while they are imported
-        where = "stmnist: the folder that it was started in"
-        remark(f"{where}: {error.strerror}; change to one that is there")
+        where = "stmnist: the current folder"
+        remark(f"{where}: {error.strerror}; change to a folder that exists (cd)")
         sys.exit(2)
     hear_threads()
     filters = os.environ.get("PYTHONWARNINGS")
@@ -49,7 +49,7 @@ def main():
         try:
             command()
         finally:
-            # Python looks for garbage as it ends, with TensorFlow for most of a second.
+            # Skips the garbage collection when Python exits: with TensorFlow most of a second.
             gc.freeze()
 
 

@@ -46,7 +46,7 @@ DECAY, MAGNITUDE, REAL_RATE = range(3)  # columns of `rates`
 
 # Kinds of warnings in the log.  The number beside the last has a bit for each place of overflow.
 LOST, TRACE, WEIGHTS, OVERFLOWS = np.int64(0), np.int64(1), np.int64(2), np.int64(3)
-UNFORESEEN = -1  # instead of the number of steps done: nothing was done
+UNSUPPORTED = -1  # instead of the number of steps done: nothing was done
 
 ROOM = 32767  # the largest sum of 16 bits
 
@@ -239,7 +239,7 @@ def _trace(spikes, first, last, offset, entries, pending):
 
 
 @_jit()
-def _is_foreseen(arriving, arriving_ends, input_sizes):
+def _are_spikes_of_inputs(arriving, arriving_ends, input_sizes):
     """True if every spike of an input belongs to one of its neurons."""
     n_inputs = len(input_sizes)
     for place in range(len(arriving_ends) - 1):
@@ -494,17 +494,17 @@ def advance_integers(
     -------
     int
         Number of steps: fewer than requested if the log of warnings is full, or if it has a warning
-        that should be an error; `UNFORESEEN`, without a step, if NengoLoihi's own code should run.
+        that should be an error; `UNSUPPORTED`, without a step, if NengoLoihi's own code should run.
     """
     current, voltage, total = cells[CURRENT], cells[VOLTAGE], cells[INPUT]
     bias, threshold = cells[BIAS], cells[THRESHOLD]
     waiting, count = counters[WAITING], counters[COUNT]
     n, n_inputs, n_blocks, n_rules = len(current), len(input_sizes), len(blocks), len(rules)
-    if not _is_foreseen(arriving, arriving_ends, input_sizes):
-        return UNFORESEEN
+    if not _are_spikes_of_inputs(arriving, arriving_ends, input_sizes):
+        return UNSUPPORTED
     for i in range(uint64(n)):
         if current[i] == int32(-2147483648) or voltage[i] == int32(-2147483648):
-            return UNFORESEEN  # which has no positive counterpart
+            return UNSUPPORTED  # which has no positive counterpart
     for g in range(len(segments)):
         waits[g] = uint8(segments[g, REFRACTORY] > 1)
         for i in range(segments[g, START], segments[g, STOP]):
@@ -615,8 +615,8 @@ def advance_floats(
     bias, threshold = cells[BIAS], cells[THRESHOLD]
     waiting, count = counters[WAITING], counters[COUNT]
     n, n_inputs, n_blocks, n_rules = len(current), len(input_sizes), len(blocks), len(rules)
-    if not _is_foreseen(arriving, arriving_ends, input_sizes):
-        return UNFORESEEN
+    if not _are_spikes_of_inputs(arriving, arriving_ends, input_sizes):
+        return UNSUPPORTED
     _list(words, blocks, events, ends, in_use)
     for s in range(n_steps):
         if log[0, 0] and (stop_at_warning or log[0, 0] + 3 * n_rules + 2 > len(log)):

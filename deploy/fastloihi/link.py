@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 from nengo_loihi.emulator.interface import CompartmentState, NoiseState, ProbeState, SynapseState
 
-from .layout import Unforeseen, make_layout
+from .layout import Unsupported, make_layout
 
 ROWS = ("current", "voltage", "input", "bias", "vth")  # of `cells`, as NengoLoihi calls them
 COUNTERS = ("ref_count", "spike_count")  # of `counters`
@@ -49,12 +49,12 @@ class Random:
         """Draw all further random numbers from a `RandomState`."""
         generator = getattr(rng, "_bit_generator", None)
         if not isinstance(generator, np.random.MT19937):
-            raise Unforeseen("random numbers of another kind than MT19937")
+            raise Unsupported("random numbers of another kind than MT19937")
         _, words, position, *_ = rng.get_state()
         address = generator.ctypes.state_address
         memory = np.ctypeslib.as_array((ctypes.c_uint32 * 625).from_address(address))
         if not np.array_equal(memory, np.append(words, position).astype(np.uint32)):
-            raise Unforeseen("random numbers that NumPy keeps in another way")
+            raise Unsupported("random numbers that NumPy keeps in another way")
         self.words = memory
         self._rng = rng  # whose memory must not be freed
         self.owed = 0
@@ -93,7 +93,7 @@ class Link:
                  emulator.probes: ProbeState}  # fmt: skip
         for part, kind in kinds.items():
             if type(part) is not kind:
-                raise Unforeseen(f"a state of the class {type(part).__name__}")
+                raise Unsupported(f"a state of the class {type(part).__name__}")
         self.layout = layout = make_layout(emulator)
         n, dtype = emulator.block_info.n_compartments, state.dtype
         integers = dtype == np.int32
@@ -183,7 +183,7 @@ class Link:
                 and synapses.traces[s] is trace
                 and synapses.pes_errors[s] is errors
             ):
-                raise Unforeseen("a learning rule or its arrays, which were replaced")
+                raise Unsupported("a learning rule or its arrays, which were replaced")
 
     def run(self, emulator, steps, arriving, careful):
         """Call the kernel; return the number of steps that it ran."""
@@ -200,7 +200,7 @@ class Link:
             emulator.t, steps, arriving.spikes, arriving.ends, *self.histories, self.log, careful,
         )  # fmt: skip
         if done < 0:
-            raise Unforeseen(
+            raise Unsupported(
                 "spikes of neurons that an input does not have, or a voltage of -2**31"
             )
         return done
@@ -282,5 +282,5 @@ def _numbers(spikes):
     if type(spikes) is list:
         spikes = np.asarray(spikes) if spikes else _NOTHING
     if type(spikes) is not np.ndarray or spikes.ndim != 1 or spikes.dtype.kind not in "iu":
-        raise Unforeseen("spikes of an input in another form than a list of integers")
+        raise Unsupported("spikes of an input in another form than a list of integers")
     return spikes

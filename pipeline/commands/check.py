@@ -138,7 +138,7 @@ def _checked(bundle, path, target, seed, chosen):
 def _loss(bundle, result):
     """The loss relative to the network that the bundle was made from, if its answers exist."""
     for first, *_ in REFERENCES.values():
-        with contextlib.suppress(UserError):  # none there, or damaged: then there is nothing to say
+        with contextlib.suppress(UserError):  # missing or damaged: no comparison
             reference = read_result(bundle.path.absolute().parent / "checks" / f"{first}.json")
             if reference["bundle"] == bundle.id:
                 return loss_text(reference, result)
@@ -147,7 +147,7 @@ def _loss(bundle, result):
 
 def _on_others(bundle, target, others, seed, out, check):
     """Run the check on other recordings; return the result and its file."""
-    from pipeline.run import elsewhere  # with what reads recordings
+    from pipeline.run import elsewhere  # imports the code that reads recordings
 
     experiment = bundle.path.absolute().parent / "experiment.toml"
     settings = read_settings(experiment) if experiment.exists() else Settings()

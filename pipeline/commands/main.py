@@ -143,7 +143,7 @@ class _Later(_Command):
         made = _typer(self.help, add_completion=False)
         for name, verb in _imported(self.name).items():
             made.command(name, cls=_Command)(for_typer(verb))
-        return typer.main.get_command(made)  # of one verb it is that verb, else the group
+        return typer.main.get_command(made)  # a single command, or a group of them
 
     def make_context(self, *arguments, **options):
         return self.chosen.make_context(*arguments, **options)
@@ -204,11 +204,11 @@ def main(arguments=None, command=None):
     """
     prepare()
     try:
-        name = "stmnist" if command is None else None  # None: as Python was started
+        name = "stmnist" if command is None else None  # None: the name in sys.argv
         status = (command or command_line())(args=arguments, prog_name=name, standalone_mode=False)
         if status == interrupts.STATUS:  # Typer turns an interruption into this status
             raise KeyboardInterrupt
-        sys.stdout.flush()  # at Python's end it is too late for a line
+        sys.stdout.flush()  # errors could not be reported when Python exits
     except (KeyboardInterrupt, typer.Abort):
         status = _say(interrupts.LINE, interrupts.STATUS)
     except UsageError as error:
@@ -226,11 +226,11 @@ def main(arguments=None, command=None):
     except (UserError, NotationError) as error:
         status = _say(str(error), 2)
     except (BrokenPipeError, SystemExit) as end:
-        # The reader, such as head, has seen enough.  Typer ends with status 1 then.
+        # The reader, such as head, has closed the pipe.  Typer then ends with status 1.
         if isinstance(end, SystemExit) and not isinstance(end.__context__, BrokenPipeError):
             raise
         status = 0
-    except (MemoryError, OSError) as error:  # what no module foresaw
+    except (MemoryError, OSError) as error:  # not handled by any module
         status = _say(line_of(error), 2)
     drop_unwritable()
     sys.exit(status or 0)

@@ -110,10 +110,10 @@ def say_when_files_run_out(loop, say=None):
 
 
 def is_own_error(record) -> bool:
-    """A filter of the log, which leaves out what is not an error of the server.
+    """A log filter that suppresses messages which do not report an error of the server.
 
-    This is text that is not UTF-8, and that a page was cut off because it did not end in time when
-    the server ended.
+    These are messages about text that is not UTF-8, and about pages that did not close in time
+    when the server ended.
     """
     if record.exc_info and isinstance(record.exc_info[1], UnicodeDecodeError):
         return False

@@ -201,16 +201,16 @@ class Live:
     ):  # fmt: skip
         self._make_learner = make_learner or (lambda: None)
         self._make_tests = make_tests or list
-        # Of its own: a decision does not wait until a digit has been learned.
+        # A separate thread, so that decisions do not wait until a digit has been learned.
         self._study_thread = concurrent.futures.ThreadPoolExecutor(1, "learning")
         self._make_decider = make_decider
         self._keeper, self._p, self._about, self._seed = keeper, p, about, seed
         self._numbers = itertools.count(1)
-        self._free = collections.deque(Limits() for _ in range(PAGES))  # of pages not open
+        self._free = collections.deque(Limits() for _ in range(PAGES))  # of closed pages
         self._hands = concurrent.futures.ThreadPoolExecutor(PAGES, "page")
         self._thread = concurrent.futures.ThreadPoolExecutor(1, "network")
         self._decider = self._tests = None
-        self.picture = None  # of the address, for other devices
+        self.picture = None  # QR code of the address, for other devices
         self._files = {file.name: file for file in PAGE.iterdir() if file.suffix in _KINDS}
         self.strangers = Strangers()
         self.token = secrets.token_urlsafe(18)
@@ -283,9 +283,9 @@ class Live:
         limits = self._free.popleft()  # the place that has been free for longest
         try:
             await self._talk(socket, limits)
-        except (WebSocketDisconnect, RuntimeError):  # Starlette's word for a socket that is closed
+        except (WebSocketDisconnect, RuntimeError):  # from Starlette if the socket is closed
             pass
-        except asyncio.CancelledError:  # by the server, which has ended
+        except asyncio.CancelledError:  # the server has ended
             pass
         finally:
             self._free.append(limits)
@@ -340,7 +340,7 @@ class Live:
                 for lesson in lessons:
                     try:
                         learned = await loop.run_in_executor(self._study_thread, lesson)
-                    except Exception as error:  # said; what was recorded is safe
+                    except Exception as error:  # reported; the recording is saved
                         learned = problem(f"this recording could not be learned: {error}")
                     await _say(page.socket, [learned])
 
@@ -349,7 +349,7 @@ class Live:
         loop, socket = asyncio.get_running_loop(), page.socket
         try:
             decider, learner = await asyncio.shield(self._decider)
-        except Exception as error:  # said on the page, whatever it was
+        except Exception as error:  # any error is reported on the page
             await _say(socket, [problem(f"the network cannot be made ready: {error}")])
             return
         async with page.turn:
@@ -375,7 +375,7 @@ class Live:
                 if ask is not None:
                     try:
                         answer = await loop.run_in_executor(self._thread, ask)
-                    except Exception as error:  # said, and the next one may do
+                    except Exception as error:  # reported; the next answer may succeed
                         answer = problem(f"the network could not answer: {error}")
                     await _say(socket, [answer] if answer is not None else [])
                     await asyncio.sleep(APART_S)
@@ -469,12 +469,12 @@ class Server(uvicorn.Server):
                 http=protocol_of(live.strangers),
                 ws="websockets-sansio",
                 ws_max_size=LARGEST,
-                ws_ping_interval=None,  # a page that sleeps is no page that has gone
-                ws_per_message_deflate=False,  # to oneself, and every millisecond counts
+                ws_ping_interval=None,  # a page in a sleeping tab does not answer
+                ws_per_message_deflate=False,  # local traffic; saves milliseconds
                 server_header=False,
                 timeout_graceful_shutdown=1,
-                # asyncio accepts as many at once before it looks at any: the strangers' limit would
-                # come too late, and where no file is left asyncio tries, and complains, as often.
+                # asyncio accepts up to this many connections at once.  With more, the limit for
+                # strangers would act too late, and errors without a free file would be repeated.
                 backlog=1,
             )
         )

@@ -52,7 +52,7 @@ def probabilities(bundle: Bundle, indices, seed: int = 0) -> dict:
         mine = sorted(wanted & set(range(part.start, part.stop)))
         if not mine:
             continue
-        # What is left in the neurons of the sample before counts: the stream from its start.
+        # The state that previous samples leave matters, so the stream is run from its start.
         samples = spec.stimulus.flat(bundle.checks.inputs[part.start : mine[-1] + 1])
         output = emulation.run(np.asarray(samples)[None], shown.steps, shown.gap).output[0]
         sums = running_sums(spec, output[:, shown.gap :])

@@ -243,7 +243,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
         "versions": NUMPY,
     }
     if source != folder / GRAPH:
-        for record in ("metrics.json", "training.json"):  # of what was there before
+        for record in ("metrics.json", "training.json"):  # of the previous network
             (folder / record).unlink(missing_ok=True)
         with replacing(folder / GRAPH) as file, open(source, "rb") as graph:
             shutil.copyfileobj(graph, file)

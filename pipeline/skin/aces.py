@@ -171,7 +171,7 @@ def encode(time_ns, taxel, polarity, p, start_ns, n_ticks) -> np.ndarray:
     wire = np.zeros(n_ticks, np.float32)
     for first, columns, delay in zip(*_ticks(time_ns, polarity, p), delays, strict=True):
         ticks = (first + delay - start_ns // TICK_NS)[:, None] + np.arange(columns)
-        wire[ticks[(ticks >= 0) & (ticks < n_ticks)]] += 1  # a signature meets itself nowhere
+        wire[ticks[(ticks >= 0) & (ticks < n_ticks)]] += 1  # its pulses do not overlap
     return wire
 
 

@@ -246,7 +246,7 @@ def motion(sample, who, rng, p):
     """
     form, kinematics = p.forms[sample.digit], p.kinematics
     start = rng.uniform(*kinematics.onset_s)
-    # Nobody is ever out of all proportion.
+    # Limits the deviations to plausible ones.
     faster, harder = np.clip(rng.standard_normal(2), -2.5, 2.5)
     tempo = np.exp(form.spread * (who.tempo + p.shapes.trial_tempo * faster))
     force = form.force + form.spread * (who.force + p.trials.force * harder)
@@ -257,7 +257,7 @@ def motion(sample, who, rng, p):
     place = handwriting.placing(who, rng, p.trials, form, width)
     strokes = [place(stroke) for stroke in strokes]
     length = handwriting.length_s(strokes, kinematics)
-    # Nobody takes longer than the recording lasts.
+    # The writing must end within the recording.
     tempo = max(tempo, length / (kinematics.end_s - start - kinematics.settle_s))
     moved = handwriting.move(strokes, tempo, STEP_S, start, kinematics)
     return replace(moved, force=np.exp(force) * moved.force * _waver(moved, rng, kinematics))

@@ -94,7 +94,7 @@ def animate(path, bundle: Bundle, recordings: Recordings, index: int, advance=No
     on_events = not spec.stimulus.static
     answers = chances.argmax(axis=1)
     changed = np.flatnonzero(answers != answers[-1])
-    decided_at = start + 1 + (int(changed[-1]) + 1 if len(changed) else 0)  # for good
+    decided_at = start + 1 + (int(changed[-1]) + 1 if len(changed) else 0)  # finally
     label = int(bundle.checks.labels[index])
     top = np.argsort(-chances[-1], kind="stable")[:SHOWN_CLASSES].tolist()
     if label not in top:

@@ -118,7 +118,7 @@ def train(name: str, place: Place, settings: Settings, dataset: Dataset, say=pri
     view = artifact.origin.view(settings)
     record = artifact.write(make(artifact, place, view, dataset.seen_by(view), say))
     if name == "events":
-        (artifact.folder / CHECKPOINT).unlink(missing_ok=True)  # its training is complete
+        (artifact.folder / CHECKPOINT).unlink(missing_ok=True)  # the training is complete
     return record
 
 
