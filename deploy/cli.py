@@ -87,7 +87,7 @@ def _parser():
     )
     plan.add_argument("bundle", type=Path, help="the bundle's folder")
     plan.add_argument("--chips", type=int, default=defaults.chips, metavar="N")
-    plan.add_argument("--json", action="store_true", help="for a program to read")
+    plan.add_argument("--json", action="store_true", help="print JSON")
     plan.set_defaults(run=_plan)
     board = verbs.add_parser("board", help="report whether this host can use a board")
     board.set_defaults(run=lambda _: show(f"NxSDK {nxsdk_version()}: target loihi can be used"))

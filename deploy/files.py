@@ -45,7 +45,7 @@ def replacing(path, mode="wb"):
         The folder or file cannot be written.
     """
     path = Path(path)
-    if path.exists() and not path.is_file():  # /dev/null would be gone
+    if path.exists() and not path.is_file():  # would replace /dev/null
         raise UserError(f"{path}: cannot write (not a file); choose another name")
     with _written_beside(path, "." + path.name + ".", mode, os.replace) as file:
         yield file
@@ -200,7 +200,7 @@ def remove_abandoned(folder, prefix):
             with contextlib.suppress(OSError):
                 handle = os.open(entry.path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
                 try:
-                    _take(handle)  # whose owner lives holds it
+                    _take(handle)  # fails while the owner is running
                     if entry.is_dir(follow_symlinks=False):
                         shutil.rmtree(entry.path)
                     else:
@@ -353,7 +353,7 @@ def locked_folder(folder, taken: str):
                 if is_at(file, path):
                     path.unlink()
                     for each in made:
-                        each.rmdir()  # fails if the folder holds anything, as it should
+                        each.rmdir()  # fails if the folder is not empty, as intended
 
         try:
             with at_the_end(leave):
@@ -465,7 +465,7 @@ def read_json(path, remedy):
 
 
 def _no_number(name):
-    raise ValueError(f"{name} is no number of JSON")
+    raise ValueError(f"{name} is not a JSON number")
 
 
 def _is_deeper(value, most):
@@ -508,7 +508,7 @@ def understood(path, remedy):
 def write_arrays(path, compress=True, **arrays):
     """Write named arrays as ``.npz``, completely or not at all; equal arrays give equal bytes."""
     kind = zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED
-    # Not numpy.savez: it stamps each member with the time of day, and a bundle's id is a hash.
+    # Not numpy.savez: it writes the time of day into each member, and a bundle's id is a hash.
     with replacing(path) as file, zipfile.ZipFile(file, "w", kind) as archive:
         for name in sorted(arrays):
             member = zipfile.ZipInfo(name + ".npy", date_time=(1980, 1, 1, 0, 0, 0))

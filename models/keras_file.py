@@ -116,7 +116,7 @@ def read_model_file(path) -> SavedModel:
     try:
         answer, arrays = read_apart("models.keras_file", content)
     except TooSlow as error:
-        problem = f"could not be read in {MAX_SECONDS} s, seems damaged"
+        problem = f"could not be read in {MAX_SECONDS} s and may be damaged"
         raise ModelFileError(f"{path}: {problem}; {REMEDY}") from error
     except Crashed as error:
         raise ModelFileError(f"{path}: damaged; {REMEDY}") from error

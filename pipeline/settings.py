@@ -141,7 +141,7 @@ class Input(Section):
     """Recording time in milliseconds that one step of the chip represents; for ``events`` only."""
     refractory: Annotated[float, AT_LEAST_0] = 10.0
     """Refractory period of a taxel and polarity after a spike, in milliseconds, rounded down to
-    whole steps, as of an event camera's pixel: its events are ignored.  For ``events`` only."""
+    whole steps, as of an event camera's pixel: events in it are ignored.  For ``events`` only."""
 
     @property
     def rest(self) -> int:
@@ -166,11 +166,11 @@ class Image(Section):
 
     aggregation: Annotated[str, one_of(*AGGREGATIONS)] = "count"
     """Quantity for each taxel: ``count``, physical events; ``columns``, columns of the file, as in
-    the paper's Table 1; ``signed``, ON minus OFF events; ``on``, ``off``, those of one polarity."""
+    the paper's Table 1; ``signed``, ON minus OFF events; ``on`` or ``off``, one polarity only."""
     normalisation: Annotated[str, one_of(*NORMALISATIONS)] = "max"
     """Divisor of an image: ``max``, its largest magnitude; ``sum``, the sum of magnitudes;
-    ``sqrt-max``, as ``max`` after the square root of each magnitude; ``none``, no
-    division: the counts, for the CNN only, ``deployment.first_layer = "host"`` or a low
+    ``sqrt-max``, as ``max`` after the square root of each magnitude; ``none``,
+    undivided counts, only for the CNN, ``deployment.first_layer = "host"`` or a low
     ``deployment.input_rate``."""
 
 
@@ -755,7 +755,7 @@ def _validate(s: Settings, origin):
     need(n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output")
     on_chip = architecture.convs[1:] if s.deployment.first_layer == "host" else architecture.convs
     need(s.deployment.pop_type == 32 or not any(conv.filters % 4 for conv in on_chip),
-         "deployment.pop_type", "32 unless layers on the chip have 4, 8, ... filters")  # fmt: skip
+         "deployment.pop_type", "32, or 16 if layers have a multiple of 4 filters")  # fmt: skip
     need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3, "snn.max_rates",
          f"1 to {n_spiking} rates above 0, one per layer of neurons")  # fmt: skip
     need(max(s.snn.max_rates) * s.snn.tau_ref < 1, "snn.max_rates",

@@ -261,7 +261,7 @@ def _run_on_events(work, folder, seed):
 
 
 def _effect_of_state(runs):
-    """Samples that are right in a stream and from rest, over all runs, and McNemar's p."""
+    """Samples that are right only in a stream or only from rest, over all runs; McNemar's p."""
     samples, first, second = (
         sum(run[key] for run in runs) for key in ("n_test", "only_in_stream", "only_from_rest")
     )

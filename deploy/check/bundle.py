@@ -147,7 +147,7 @@ def result_beside(folder, target: str) -> Path:
     Parameters
     ----------
     folder : Path
-        The run, or the bundle where it was copied from its run.
+        The run, or a bundle that was copied without its run.
     target : str
 
     Raises
@@ -199,7 +199,7 @@ def read_bundle(path) -> Bundle:
     path = Path(path)
     if not path.is_dir():
         raise UserError(f"{path}: no such bundle folder; make one with 'stmnist convert RUN'")
-    manifest = read_json(path / "MANIFEST.json", "is this a bundle? " + _REMEDY)
+    manifest = read_json(path / "MANIFEST.json", "give the folder of a bundle, or " + _REMEDY)
     _check_schema(path / "MANIFEST.json", manifest.get("schema"), (MANIFEST_SCHEMA,))
     hashes = manifest.get("files")
     if not isinstance(hashes, dict) or sorted(hashes) != sorted(FILES):
@@ -247,8 +247,8 @@ def _inputs_of(arrays):
 def _wrong_with(arrays, spec):
     """The reason why arrays cannot be the samples of a network's check, or None."""
     if sorted(arrays) not in (["ids", name, "labels", "seed"] for name in ("images", "inputs")):
-        held = ", ".join(sorted(arrays)[:10])
-        return f"not the samples of a check, ids, inputs, labels and seed, but {held}"
+        names = ", ".join(sorted(arrays)[:10])
+        return f"its arrays are {names}, not ids, inputs, labels and seed"
     inputs, labels, ids, seed = (
         _inputs_of(arrays), *(arrays[name] for name in ("labels", "ids", "seed"))
     )  # fmt: skip
@@ -256,15 +256,15 @@ def _wrong_with(arrays, spec):
     if not all(kind in known for kind, known in zip(kinds, ("iu", "U", "iu"))):
         return "labels and seed are not whole numbers, or ids not text"
     if (labels.ndim, ids.ndim, seed.ndim) != (1, 1, 0) or inputs.ndim < 1:
-        return "inputs, labels and ids have other shapes"
+        return "inputs, labels, ids or seed have a wrong number of dimensions"
     if not limits.SAMPLES >= len(inputs) == len(labels) == len(ids) >= 1:
-        return "inputs, labels and ids differ in number, or there are none or too many"
+        return "inputs, labels and ids differ in length, or there are none or too many"
     classes = spec.layers[-1].size
     if labels.min() < 0 or labels.max() >= classes:
         return f"labels are not from 0 to {classes - 1}"
     try:
         if len({name.encode("utf-8") for name in ids.tolist()}) != len(ids):
-            return "two samples have one id"
+            return "two samples have the same id"
     except UnicodeEncodeError:
         return "an id is not text in UTF-8"
     return spec.stimulus.complaint(inputs, spec.input_shape, spec.presentation.steps)

@@ -395,7 +395,7 @@ def loss_text(reference: dict, result: dict) -> Optional[str]:
     own, found = compared.accuracies
     return WARNING + (
         f"{result['target']} is significantly less accurate than {reference['target']} on the same "
-        f"samples: {found:.3f}, not {own:.3f} (McNemar p = {compared.p_value:.2g})"
+        f"samples: {found:.3f} instead of {own:.3f} (McNemar p = {compared.p_value:.2g})"
     )
 
 

@@ -191,7 +191,7 @@ def _warnings_are_errors():
     return False
 
 
-# --- NengoLoihi's parts, with what the kernel does not keep worked out on demand ------------------
+# --- NengoLoihi's parts, which compute on request what the kernel does not store ------------------
 
 
 class _Compartments(CompartmentState):

@@ -23,9 +23,9 @@ from nengo_loihi.block import Axon, Synapse
 from nengo_loihi.builder.discretize import LEARN_FRAC, learn_overflow_bits
 from nengo_loihi.inputs import SpikeInput
 
-KEYS = ("current", "voltage", "spiked")  # of probes; numbered so in the kernel
-LANES = 16  # what narrow runs are padded to: a vector of 256 bits
-LARGEST_NARROW = 4095  # eight rows at least fit a sum of 16 bits
+KEYS = ("current", "voltage", "spiked")  # of probes; the kernel has their indices
+LANES = 16  # narrow runs are padded to multiples: vectors of 256 bits
+LARGEST_NARROW = 4095  # a sum of 16 bits has room for at least eight rows
 
 
 class Unsupported(Exception):
@@ -276,10 +276,10 @@ class _Rows:
         if not alone:
             raise Unsupported("learning on sparse weights")
         if len(self.synapse.weights) != self.synapse.n_axons:
-            raise Unsupported("learning on other than one row of weights an axon")
+            raise Unsupported("learning with a number of rows of weights other than one per axon")
 
     def _sort(self):
-        """Sort by target; as in ``q[indices] += weights``, the last of equal ones counts."""
+        """Sort by target; as in ``q[indices] += weights``, the last of equal targets counts."""
         rises = (self.row[1:] > self.row[:-1]) | (self.targets[1:] > self.targets[:-1])
         if np.all(rises):
             return
@@ -330,7 +330,7 @@ def _routes(emulator, pools):
     sources = [(i, 0, item) for i, item in enumerate(inputs)]
     sources += [(len(inputs) + b, info.slices[k].start, k) for b, k in enumerate(info.blocks)]
     found = [(axon.target, axon, *source) for source in sources for axon in source[2].axons]
-    found.sort(key=lambda route: order[route[0]])  # leaves the order of a synapse's routes
+    found.sort(key=lambda route: order[route[0]])  # leaves a synapse's order unchanged
     number = {block: b for b, block in enumerate(info.blocks)}
     table, columns, size = [], [], 0
     for synapse, axon, source, start, sender in found:
@@ -412,7 +412,7 @@ def _learning(synapses, pools, integers):
         whole = [s.train_epoch, s.learn_epoch]
         if integers:
             whole += [rate, s._lr_exp, s.synapse_cfg.real_weight_exp, s.synapse_cfg.shift_bits]
-        if any(type(value) is not int for value in whole):  # NumPy's make NengoLoihi use 64 bits
+        if any(type(value) is not int for value in whole):  # NengoLoihi uses 64 bits for NumPy's
             raise Unsupported("a learning rule whose parameters are not Python's integers")
         if not (min(s.train_epoch, s.learn_epoch) > 0 and s.tracing_tau > 0):
             raise Unsupported("a learning rule with a period that is not positive")
@@ -426,7 +426,7 @@ def _learning(synapses, pools, integers):
             if not -(2**31) <= rate < 2**31 or not 0 <= s.tracing_mag < 2**30:
                 raise Unsupported("a learning rate beyond 32 bits")
         elif int(np.__version__.split(".")[0]) < 2:
-            raise Unsupported("learning in floating point as NumPy 1 rounds it")
+            raise Unsupported("learning in floating point on NumPy 1, which rounds differently")
         product_type = (s.learning_rate * np.ones(1, np.float32)).dtype
         rules.append(
             (trace, trace + n, error, error + n_errors, pools.place(s), s.train_epoch,

@@ -12,14 +12,14 @@ from nengo_loihi.emulator.interface import CompartmentState, NoiseState, ProbeSt
 
 from .layout import Unsupported, make_layout
 
-ROWS = ("current", "voltage", "input", "bias", "vth")  # of `cells`, as NengoLoihi calls them
+ROWS = ("current", "voltage", "input", "bias", "vth")  # of `cells`, by NengoLoihi's names
 COUNTERS = ("ref_count", "spike_count")  # of `counters`
 
 HISTORY = 32 << 20  # bytes of probed values in one call of the kernel
 AT_ONCE = 1 << 28  # updates of compartments in one call, after which Ctrl-C is heard: half a second
 LOG = 256  # lines of the kernel's log of warnings
 
-# What a synapse learns by, in floating point and in integers.
+# Learning parameters of a synapse, in floating point and in integers.
 PERIODS = ("train_epoch", "learn_epoch", "tracing_tau", "tracing_mag")
 parameters_of_floats = attrgetter(*PERIODS, "learning_rate")
 parameters_of_integers = attrgetter(*PERIODS, "_lr_int", "_lr_exp")
@@ -125,7 +125,7 @@ class Link:
         self.draws = bool(layout.is_noisy or (integers and sizes))
         self._parameters_of = parameters_of_integers if integers else parameters_of_floats
         self.has_probes = bool(layout.columns)
-        self._spikes_in = synapses.spikes_in  # of a step before the first of ours
+        self._spikes_in = synapses.spikes_in  # of the step before the kernel's first
         self.last_spikes = None
         self.at_once = max(
             1, min(AT_ONCE // max(n, 1000), HISTORY // max(1, 4 * sum(layout.widths)))

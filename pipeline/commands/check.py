@@ -38,8 +38,8 @@ Board = signatures.group(
         "SLURM partition (default: the board is on this host).",
     ),
     chips=_board_option(int, "Largest number of chips to use."),
-    attempts=_board_option(int, "Largest number of attempts for each stream."),
-    wait=_board_option(float, "Seconds before the second attempt, then twice as long."),
+    attempts=_board_option(int, "Largest number of attempts for each stream of samples."),
+    wait=_board_option(float, "Seconds before the second attempt, doubled for each further one."),
     timeout=_board_option(float, "Seconds after which a stream that hangs is abandoned."),
     energy=Annotated[
         bool,
@@ -166,11 +166,11 @@ def compare_checks(
     b: Annotated[Path, typer.Argument(help="Another result of the same bundle.")],
     max_disagreements: Annotated[
         Optional[int],  # noqa: UP045
-        typer.Option(help="Exit with status 1 if more predictions differ."),
+        typer.Option(help="Exit with status 1 if more predictions than this differ."),
     ] = None,
     max_accuracy_drop: Annotated[
         Optional[float],  # noqa: UP045
-        typer.Option(help="Exit with status 1 if B is less accurate by more than this."),
+        typer.Option(help="Exit with status 1 if B is less accurate by more, such as 0.01."),
     ] = None,
     as_json: options.Json = False,
 ):

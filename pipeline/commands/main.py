@@ -1,4 +1,4 @@
-"""The command ``stmnist``: joins the verbs and converts errors to one line and an exit status."""
+"""The command ``stmnist``: its sub-commands, and errors as one line and an exit status."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ VERBS = {
         },
     ),
     "sweep": (
-        "Compare settings by accuracy, synaptic operations, cores and steps, on a validation part.",
+        "Compare settings by accuracy, synaptic operations, cores and steps, on held-out samples.",
         "sweep.sweep",
     ),
     "report": (
@@ -100,9 +100,9 @@ VERBS = {
         "settings.settings",
     ),
 }
-"""Every verb: its line in the list, and its function, as ``module.function`` of this package, or
-its own verbs.  A module is imported only when one of its verbs is chosen, so that ``--help`` and a
-TAB do not wait for the second that importing all of them takes."""
+"""Each sub-command: its line in the list, and its function, as ``module.function`` of this package,
+or its own sub-commands.  A module is imported only when one of its commands is chosen, so that
+``--help`` and TAB do not wait for the second that importing all of them takes."""
 
 
 class _Flags:

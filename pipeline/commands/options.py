@@ -1,4 +1,4 @@
-"""Options that several verbs share, and functions that apply them: settings, workers, output."""
+"""Options that several commands share, and functions that apply them: settings, workers, output."""
 
 from __future__ import annotations
 

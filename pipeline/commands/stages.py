@@ -53,7 +53,7 @@ def convert(
     ] = None,
     step: Annotated[
         Optional[float],  # noqa: UP045
-        typer.Option(help="With --nir: duration in ms of a step of the chip."),
+        typer.Option(help="With --nir: milliseconds of the graph's time in a step of the chip."),
     ] = None,
     retrain: Annotated[
         bool,

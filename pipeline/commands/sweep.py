@@ -28,7 +28,7 @@ def sweep(
     workers: options.Workers,
     as_json: options.Json = False,
 ):
-    """Compare settings by accuracy, synaptic operations, cores and steps, on a validation part.
+    """Compare settings by accuracy, synaptic operations, cores and steps, on held-out samples.
 
     Writes sweep.json, sweep.csv and pareto.png.  Existing points are not computed again.
     """

@@ -1,4 +1,4 @@
-"""Networks for people to whose handwriting nothing was fitted, in rotation over people.
+"""Cross-validation over writers: networks for people whose handwriting was not used before.
 
 The people of a file of pen trajectories are divided into folds.  For each fold the model of
 handwriting is estimated from all other people, a network is trained on recordings simulated with

@@ -301,7 +301,7 @@ class Experiment:
 
 
 CNN_SETTINGS = ("image", "cnn.architecture", "cnn.epochs", "cnn.batch_size", "cnn.learning_rate")
-"""Settings on which networks depend that are trained as the CNN is."""
+"""Settings that affect every network with the CNN's recipe of training."""
 
 
 def on_split(settings: Settings, seed: int) -> Settings:

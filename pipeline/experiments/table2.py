@@ -84,7 +84,7 @@ def measure_table(
             f"{settings.data.source}: {error}; change --kind, check.samples or the data"
         ) from error
     for model in models:
-        if model not in WITH_SLAYER:  # whose architecture is compared with its frames
+        if model not in WITH_SLAYER:  # checked with its frames of events
             recordings_fit(recordings, settings_of(settings, model))
     folder.save_settings(settings)
     benchmark = Benchmark(

@@ -93,7 +93,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class DrawnLayer:
-    """A layer for the page's drawing."""
+    """Name and number of neurons of a layer whose spikes the page draws."""
 
     name: str
     neurons: int

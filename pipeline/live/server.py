@@ -329,7 +329,7 @@ class Live:
             await _say(page.socket, [{**examples, "reason": reason}])
 
     async def _study(self, page):
-        """One lesson at a time, in order."""
+        """Run lessons one at a time, in order, and report what was learned."""
         loop = asyncio.get_running_loop()
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             while True:
@@ -345,7 +345,7 @@ class Live:
                     await _say(page.socket, [learned])
 
     async def _answer(self, page):
-        """One answer at a time, always to the latest events."""
+        """Send answers one at a time, each to the latest events."""
         loop, socket = asyncio.get_running_loop(), page.socket
         try:
             decider, learner = await asyncio.shield(self._decider)

@@ -31,7 +31,7 @@ from pipeline.recordings.eventarrays import (
 from pipeline.recordings.matfile import BadRecording
 
 SUFFIXES = (".npz", ".npy", ".csv", ".bin", ".aedat", *CAMERA_SUFFIXES)
-"""Ends of the names of files of events."""
+"""File name endings of files of events."""
 
 MOST_ARRAYS = 16
 """Largest number of arrays in a .npz file."""
@@ -73,7 +73,7 @@ def read_events(
 
 
 NMNIST_OVERFLOW, NMNIST_LAP = 240, 2**13
-"""The y of an entry that is no event, and by how many microseconds it puts later events off."""
+"""The y of an entry that marks an overflow of the clock, and the microseconds to add after it."""
 
 
 def _nmnist(content):

@@ -166,8 +166,8 @@ def _of_camera(path, read, reading):
         unit = recognised([r.time for _, _, r in read])
     if not unit:
         problems.append(
-            f"{len(read)} of {len(read)}: their times are in no unit that fits recordings of up to "
-            f"{LATEST_S:g} s; say which it is ({GIVE_UNIT})"
+            f"{len(read)} of {len(read)}: no unit of time fits recordings of up to "
+            f"{LATEST_S:g} s; give the unit ({GIVE_UNIT})"
         )
         unit = "s"
     reasons = {read[i][0]: MIXED_UNITS for i in strangers([r.time for _, _, r in read])}

@@ -169,8 +169,8 @@ def _kind_of(path, shape):
             if shape[0] == channels * side * side:
                 return kind
         raise UserError(
-            f"{path}: {shape[0]} inputs are neither a square array of taxels nor two of them; say "
-            "what the graph is fed with --input events or --input image"
+            f"{path}: {shape[0]} inputs are neither a square array of taxels nor two of them; "
+            "give its input with --input events or --input image"
         )
     raise UserError(
         f"{path}: an input of {' x '.join(map(str, shape))}; the skin has two channels of events "
@@ -255,9 +255,9 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     likeliest = float(np.bincount(dataset.labels[index]).max() / len(index))
     if interval[0] <= likeliest:
         say(
-            "nir: hardly better than chance; was it trained, on such inputs (channels ON and OFF, "
-            "then rows from the top, then columns), in such steps (--step), and with the classes "
-            "in this order?"
+            "nir: hardly better than chance; was the graph trained on inputs in this order (ON and "
+            "OFF, rows from the top, columns), in steps of this duration (--step) and with the "
+            "classes in this order?"
         )
     return metrics
 
@@ -405,7 +405,7 @@ def _reset_text(cost):
     )
     if there <= here:
         return text
-    return text + "; if it was trained so, train it with a reset to zero"
+    return text + "; if it was trained with that reset, train it with a reset to zero"
 
 
 def _threshold(network, stepped, layers, settings, dataset):

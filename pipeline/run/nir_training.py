@@ -160,7 +160,7 @@ def start(folder: Path, settings: Settings, samples) -> tuple:
     folder : Path
         Folder of the graph.
     settings : Settings
-    samples : pipeline.run.event_training.Apart
+    samples : pipeline.run.event_training.EventSamples
 
     Returns
     -------

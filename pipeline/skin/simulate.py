@@ -40,7 +40,7 @@ Fixed, so that the bytes do not depend on the processes.
 
 @dataclass(frozen=True)
 class Sample:
-    """A sample to be recorded: a digit by a writer, or a given trace."""
+    """A sample to be recorded: number ``index`` of a digit, by a writer or from a given trace."""
 
     digit: int
     index: int

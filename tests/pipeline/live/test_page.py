@@ -336,7 +336,7 @@ def test_clear_empties_the_decision(page):
     assert page.inner_text("#confidence") == ""
     page.click("#label-3")
     page.wait_for_selector("#problem:not([hidden])")
-    assert "nothing is written" in page.inner_text("#problem")
+    assert "nothing has been written" in page.inner_text("#problem")
     assert page.inner_text("#saved") == "0"
 
 
