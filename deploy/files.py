@@ -264,13 +264,13 @@ def open_own(path):
         handle = os.open(str(path), flags, 0o666)
     except OSError as error:
         if error.errno == errno.ELOOP:
-            message = "a symbolic link, which is not written through"
+            message = "a symbolic link, which is not followed"
             raise OSError(errno.ELOOP, message, str(path)) from error
         raise
     about = os.fstat(handle)
     if not stat.S_ISREG(about.st_mode) or about.st_nlink > 1:
         os.close(handle)
-        raise OSError(errno.EPERM, "not a file of its own", str(path))
+        raise OSError(errno.EPERM, "not a regular file with a single name", str(path))
     return os.fdopen(handle, "a+b", buffering=0)
 
 
@@ -403,8 +403,8 @@ def refuse_linked_folder(folder):
     """
     if os.path.islink(str(folder)):
         raise UserError(
-            f"{folder}: is a symbolic link to another folder, which is not written through; "
-            "put a folder or nothing in its place"
+            f"{folder}: is a symbolic link to another folder, which is not followed; "
+            "remove it, or replace it by a folder"
         )
 
 
@@ -502,7 +502,7 @@ def understood(path, remedy):
         yield
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         problem = f"{type(error).__name__}: {str(error)[:200]}"
-        raise UserError(f"{path}: damaged, or not a whole record ({problem}); {remedy}") from error
+        raise UserError(f"{path}: damaged or incomplete ({problem}); {remedy}") from error
 
 
 def write_arrays(path, compress=True, **arrays):

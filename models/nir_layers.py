@@ -196,7 +196,7 @@ def _layer(nodes, step, method, before, place, is_image, last) -> NirLayer:
     """One layer; ``before`` is the graph's shape of its input and ``place`` the chip's."""
     neuron = nodes[-1] if nodes[-1].kind in SPIKING else None
     between = nodes[:-1] if neuron is not None else nodes
-    keeps = []  # of the filters on the way: (share that is kept, node)
+    keeps = []  # (share that remains per step, node) of each filter
     for node in between:
         if node.kind in FILTERS:
             if node.kind == "CubaLI" and neuron is not None:

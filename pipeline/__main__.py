@@ -13,7 +13,7 @@ QUIET = "ignore:resource_tracker:UserWarning"
 command's last line; this is suppressed."""
 
 
-def hear_threads():
+def report_thread_errors():
     """Report errors of threads, except a harmless one of joblib when its jobs are cancelled.
 
     A thread of joblib looks up jobs that it has just removed (a KeyError; loky 3.6), and ends, as
@@ -21,11 +21,11 @@ def hear_threads():
     """
     hook = threading.excepthook
 
-    def hear(told):
+    def report(told):
         if told.exc_type is not KeyError or told.thread.name != "ExecutorManagerThread":
             hook(told)
 
-    threading.excepthook = hear
+    threading.excepthook = report
 
 
 def main():
@@ -39,7 +39,7 @@ def main():
         where = "stmnist: the current folder"
         remark(f"{where}: {error.strerror}; change to a folder that exists (cd)")
         sys.exit(2)
-    hear_threads()
+    report_thread_errors()
     filters = os.environ.get("PYTHONWARNINGS")
     os.environ["PYTHONWARNINGS"] = f"{filters},{QUIET}" if filters else QUIET
     from pipeline.commands.main import main as command

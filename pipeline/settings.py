@@ -759,7 +759,7 @@ def _validate(s: Settings, origin):
     need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3, "snn.max_rates",
          f"1 to {n_spiking} rates above 0, one per layer of neurons")  # fmt: skip
     need(max(s.snn.max_rates) * s.snn.tau_ref < 1, "snn.max_rates",
-         f"below 1 / snn.tau_ref = {1 / s.snn.tau_ref:g} spikes a second")  # fmt: skip
+         f"below 1 / snn.tau_ref = {1 / s.snn.tau_ref:g} spikes per second")  # fmt: skip
 
 
 def check_fits(s: Settings, rows: int, columns: int, classes: int, origin: str):

@@ -148,12 +148,12 @@ def read_result(path, remedy="run 'stmnist check run' again") -> dict:
     for name, fits in _FIELDS.items():
         if not fits(result[name]) if name in result else name not in _OPTIONAL:
             raise UserError(
-                f"{path}: not a whole check result ({name!r} is missing or wrong); {remedy}"
+                f"{path}: not a complete check result ({name!r} is missing or wrong); {remedy}"
             )
     samples = result["samples"]
     for index, sample in enumerate(samples):
         if not _is_sample(sample):
-            raise UserError(f"{path}: not a whole check result (sample {index + 1}); {remedy}")
+            raise UserError(f"{path}: not a complete check result (sample {index + 1}); {remedy}")
     right = sum(sample["label"] == sample["prediction"] for sample in samples)
     sound = (
         len(samples) == result["n_samples"]

@@ -91,7 +91,7 @@ class FastEmulator(EmulatorInterface):
                 self._random.share()
 
     def __deepcopy__(self, memo):
-        """Copy the state as NengoLoihi keeps it; the copy has arrays of the kernel of its own."""
+        """Copy the state as NengoLoihi keeps it; the copy has its own arrays of the kernel."""
         link, kind = self._link, type(self)
         if link is None:
             raise TypeError("a closed emulator cannot be copied")

@@ -32,7 +32,7 @@ def live(
         Optional[Path],  # noqa: UP045
         typer.Option(
             help="Folder for the recordings, which can be given as --data.",
-            show_default=f"{RECORD}; for other data than digits {RECORD}- and its name",
+            show_default=f"{RECORD}; for data other than digits, {RECORD}-NAME",
         ),
     ] = None,
     host: Annotated[

@@ -135,7 +135,7 @@ def _imported(name):
     return functions
 
 
-class _Later(_Command):
+class _Deferred(_Command):
     """Placeholder in the list for a verb whose modules are imported when it is chosen."""
 
     @cached_property
@@ -176,7 +176,7 @@ def command_line() -> TyperGroup:
     made.callback(invoke_without_command=True)(root)
     group = typer.main.get_command(made)
     for name, (summary, _) in VERBS.items():
-        group.add_command(_Later(name, help=summary))
+        group.add_command(_Deferred(name, help=summary))
     return group
 
 

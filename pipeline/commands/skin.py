@@ -35,8 +35,8 @@ def handwriting(
 ):
     """Estimate the model of handwriting from recorded pen trajectories.
 
-    pipeline/skin/shape_model.py describes the model.  The simulation reads the file that is written
-    by default; it has the model's parameters and no trajectory.
+    pipeline/skin/shape_model.py describes the model.  The file has its parameters and no
+    trajectory; the simulation reads the file that is written by default.
     """
     traces = unipen.read(file)
     content = sha256_of(file)

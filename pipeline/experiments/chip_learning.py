@@ -191,7 +191,7 @@ def present(weights, bias, lesson: Lesson, rule: Rule, seed: int = 0, on: str = 
         The weights on the chip afterwards.
     """
     weights = np.asarray(weights)
-    # A first build tells the chip's units: the largest weight in levels, and the trace's increment,
+    # A first build gives the chip's units: the largest weight in levels, and the trace's increment,
     # which is proportional to the learning rate.
     gain, first = LARGEST / max(np.abs(weights).max(), 1e-12), RATE * weights.shape[1]
     with warnings.catch_warnings():

@@ -288,7 +288,7 @@ def _prepared(rotation, task, index):
 TUNING_EPOCHS, TUNING_RATE = 2, 1e-3
 
 HALF = 500
-"""Training samples, and as many repetitions of a person's, in an epoch of tuning all layers."""
+"""Number of training samples, and of repeated samples of the person, in an epoch of tuning."""
 
 
 def _tuning(settings, dataset, people, weights, confidence):

@@ -149,5 +149,5 @@ def draw_check_samples(test: np.ndarray, n_samples: int, seed: int) -> np.ndarra
         There are fewer test samples than requested.
     """
     if n_samples > len(test):
-        raise ValueError(f"{n_samples} samples asked for, the test split has {len(test)}")
+        raise ValueError(f"{n_samples} samples requested, the test split has {len(test)}")
     return np.random.default_rng([seed, 0xC4EC]).choice(np.sort(test), n_samples, replace=False)

@@ -237,7 +237,7 @@ class Live:
             await asyncio.shield(self._decider)
             loop = asyncio.get_running_loop()
             return await loop.run_in_executor(self._study_thread, self._make_tests), ""
-        except Exception as error:  # the page says so; everything else works without them
+        except Exception as error:  # reported on the page, which works without examples
             return [], str(error)
 
     def app(self, host: str, port: int):

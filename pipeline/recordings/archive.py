@@ -187,7 +187,7 @@ def _of_classes(recordings):
         if of_user := labelled.class_of_user_file(file):
             kept.append((file, of_user))
             continue
-        # One file in a folder of its own beside the ten digits makes no eleventh class.
+        # A single file in a folder beside those of the ten digits is not an eleventh class.
         if of_digits and name not in DIGITS and (names[name] < 2 or not name):
             strays.append((file, "is not in a folder named for a digit, 0 to 9, as the others are"))
         elif not name or PurePosixPath(file).parent in above:

@@ -329,7 +329,7 @@ def read_lookup_table(content: bytes) -> TaxelMap:
         ):
             break
     else:
-        raise BadRecording("has no table of rows with X and Y, or address, X and Y, one a taxel")
+        raise BadRecording("has no table of rows with X and Y, or address, X and Y, one per taxel")
     n = len(table)
     if n > MAX_TAXELS:
         raise BadRecording(f"has {n} rows, more than the {MAX_TAXELS} taxels of any array")

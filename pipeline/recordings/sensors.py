@@ -116,7 +116,7 @@ def settle(path, read, lookup: TaxelMap | None = None, reading: Reading = AS_FOU
         for what, given, found in (("rows", rows, lookup.row), ("columns", columns, lookup.column)):
             if given and given <= found.max():
                 raise UserError(
-                    f"{path}: LUT.mat has coordinates outside the {given} {what} asked for; "
+                    f"{path}: LUT.mat has coordinates outside the {given} {what} requested; "
                     f"give at least {found.max() + 1}, or 0 for as many as there are"
                 )
         rows, columns = rows or int(lookup.row.max()) + 1, columns or int(lookup.column.max()) + 1

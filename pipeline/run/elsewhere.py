@@ -100,7 +100,7 @@ def with_recordings(
         chosen = draw_check_samples(np.arange(n), count, seed)
     except ValueError as error:
         raise UserError(
-            f"{recordings.source.name}: {count} samples asked for, there are {n}"
+            f"{recordings.source.name}: {count} samples requested, only {n} exist"
         ) from error
     spec, drawn = bundle.spec, recordings.part(chosen)
     inputs = inputs_for(spec, drawn, image)

@@ -96,7 +96,7 @@ def fitted(
             changes["check"] = {"samples": n_test}
         else:
             problems.append(
-                f"{settings.check.samples} samples asked for, the test split has {n_test}; "
+                f"{settings.check.samples} samples requested, the test split has {n_test}; "
                 f"{TOO_SMALL}"
             )
     if problem := too_small(recordings):

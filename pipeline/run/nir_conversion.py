@@ -46,8 +46,8 @@ RESETTING = ("IF", "LIF", "CubaLIF")
 FROM_REST = {"gap": 0, "stream_length": 1}
 """Default presentation of samples to an imported network: each from rest.  Trainings in PyTorch
 start every sample with the neurons' state at rest (``reset_hidden`` of snnTorch, a state of None in
-Norse), so that this is what the network was trained for.  A board begins each stream by loading the
-network, so there it means one loading a sample."""
+Norse), so that this is what the network was trained for.  A board loads the network at the start of
+each stream, so that it is then loaded for each sample."""
 
 RESET_ON = 200
 """Maximum number of training samples on which the two resets are compared."""
@@ -350,7 +350,7 @@ def notes(network: NirNetwork, layers: tuple, stepped: Stepped):
             )
     for node in network.nodes:
         if node.kind == "IF":
-            yield f"{node}: the chip's neurons leak, at least 1/4096 of the voltage a step"
+            yield f"{node}: the chip's neurons leak at least 1/4096 of the voltage per step"
             if stepped.seconds < 1 and (node["r"] == 1).all():
                 yield (
                     f"{node}: its input is multiplied by the step, as NIR says; Norse and others "

@@ -290,7 +290,7 @@ def _receive(touches, p):
     touches = [touches[index] for index in order]
     first = np.cumsum([0] + [len(touch.taxels) for touch in touches])
     widths, columns = np.diff(first), list(itertools.starmap(slice, itertools.pairwise(first)))
-    # One row before the pen comes, when nobody touches the skin.
+    # One row before the pen touches the skin.
     ends = [1 + len(touch.felt) for touch in touches]
     signal = np.empty((ends[0], first[-1]), np.float32)
     signal[0] = 0

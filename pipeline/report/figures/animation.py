@@ -140,7 +140,7 @@ def animate(path, bundle: Bundle, recordings: Recordings, index: int, advance=No
     whole = max(float(normalise(grown_to[-1:], "none").max()), 1.0)
     on = events.polarity > 0
     times = step * (start + 1 + np.arange(len(chances)))
-    # The writers choose the format by the file's name, and write where they are told to.
+    # The writers derive the format from the name, and do not write atomically.
     with tempfile.TemporaryDirectory() as folder:
         written = Path(folder) / f"animation{path.suffix.lower()}"
         with writer.saving(figure, written, dpi=90):

@@ -464,7 +464,7 @@ def test_a_recording_that_is_being_saved_when_the_server_ends_is_saved(tmp_path,
     assert not (tmp_path / "kept" / ".lock").exists()
     errors = [record for record in logged.buffer if record.levelno >= logging.ERROR]
     assert [record.getMessage() for record in errors] == []
-    with pytest.raises(UserError, match="ends"):
+    with pytest.raises(UserError, match="nothing is saved"):
         server.keeper.save(1, None)
 
 
