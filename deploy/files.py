@@ -118,7 +118,7 @@ def _name_exclusively(temporary, path):
             os.link(temporary, path, follow_symlinks=False)
         except FileExistsError:
             raise
-        except OSError:  # a file system without links: the name is reserved by an empty file
+        except OSError:  # no links in this file system: an empty file reserves the name
             os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW))
             os.replace(temporary, path)
             return
@@ -545,7 +545,7 @@ def read_arrays(path, remedy, most=limits.ARRAY_BYTES):
         raise UserError(f"{path}: cannot read ({error.strerror or error}); {remedy}") from error
     except (ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:
         raise UserError(f"{path}: damaged or not an .npz of plain arrays; {remedy}") from error
-    except Exception as error:  # zlib.error and whatever else a damaged archive provokes
+    except Exception as error:  # zlib.error and other errors of damaged archives
         raise UserError(f"{path}: damaged ({type(error).__name__}); {remedy}") from error
     if not all(isinstance(array, np.ndarray) for array in arrays.values()):
         raise UserError(f"{path}: damaged or not an .npz of plain arrays; {remedy}")

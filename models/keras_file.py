@@ -492,7 +492,7 @@ class _Budget:
             raise ModelFileError(
                 f"has more than {MAX_NUMBERS} weights, which no network for the chip needs"
             )
-        # A plain array takes its own size in the file: not virtual, external or compressed.
+        # A plain array needs its own size in the file, unlike virtual, external or compressed ones.
         plain = dataset.chunks is None and not dataset.is_virtual and not dataset.external
         if not plain or dataset.id.get_storage_size() != size * dataset.dtype.itemsize:
             raise ModelFileError(f"an array is not stored in Keras's way; {REMEDY}")

@@ -9,8 +9,8 @@ from deploy import children, interrupts
 from deploy.terminal import prepare, remark
 
 QUIET = "ignore:resource_tracker:UserWarning"
-"""joblib's process that cleans up after workers prints a message about an interruption, after the
-command's last line; this is suppressed."""
+"""Suppresses a message about an interruption that joblib's resource tracker prints after the last
+line of the command."""
 
 
 def report_thread_errors():
@@ -35,7 +35,7 @@ def main():
     children.end_with_named_parent()
     try:
         os.getcwd()
-    except OSError as error:  # libraries ask for it while they are imported
+    except OSError as error:  # libraries need it while they are imported
         where = "stmnist: the current folder"
         remark(f"{where}: {error.strerror}; change to a folder that exists (cd)")
         sys.exit(2)

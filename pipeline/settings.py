@@ -605,7 +605,7 @@ def put(values: dict, name: str, value, origin: str):
 def _toml(value):
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(_toml, value)) + "]"
-    # The same for text, numbers and booleans, but for one character that only TOML escapes.
+    # TOML's text, numbers and booleans are JSON's, except for one character that TOML escapes.
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
@@ -653,7 +653,7 @@ def _coerced(value, default, origin, name):
             fail("a whole number")
         return value
     if isinstance(default, float):
-        if not number or not -LARGEST <= value <= LARGEST:  # NaN is neither
+        if not number or not -LARGEST <= value <= LARGEST:  # NaN fails both comparisons
             fail("a number")
         return float(value)
     if isinstance(default, tuple):

@@ -362,8 +362,8 @@ def main(
         if result.pen and not pen:
             print(f"{result.name}: left out; it needs --pen", file=sys.stderr)
             continue
-        print(f"{result.name}: some {result.minutes} minutes", flush=True)
-        # What other versions have measured must not be taken for a result of these.
+        print(f"{result.name}: about {result.minutes} minutes", flush=True)
+        # Partial results of other versions must not be used.
         folder = work / result.origin(recordings).key[:16]
         measure(result, Work(folder, jobs, pen), recordings)
 

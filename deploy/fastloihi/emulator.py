@@ -185,7 +185,7 @@ def _warn(emulator, kind, count):
 
 def _warnings_are_errors():
     """True if a filter turns a `UserWarning` into an error."""
-    for entry in warnings.filters:  # a loop, as this is asked before every call
+    for entry in warnings.filters:  # a loop is fast, and this runs before every call
         if entry[0] == "error" and issubclass(UserWarning, entry[2]):
             return True
     return False

@@ -37,7 +37,7 @@ SHIFT, WIDE, FIRST_SEGMENT, LAST_SEGMENT = 2, 3, 4, 5  # columns of `blocks`, af
 SOURCE, OFFSET, BLOCK, IS_WIDE, LARGEST, RULE = range(6)  # columns of `routes`
 ROW, TARGET, AXON = range(3)  # rows of `entries`
 
-SPENT, LOADED = range(2)  # columns of `blocks_now`: what sums may have reached, if input is in use
+SPENT, LOADED = range(2)  # columns of `blocks_now`: bound of the sums, whether there is input
 
 # Columns of `rules`: a synapse's traces, its errors and its weights; when it learns, and how much.
 TRACE0, TRACE1, ERROR0, ERROR1, WEIGHT0, TRACE_EPOCH, LEARN_EPOCH = range(7)

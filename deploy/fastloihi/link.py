@@ -16,7 +16,7 @@ ROWS = ("current", "voltage", "input", "bias", "vth")  # of `cells`, by NengoLoi
 COUNTERS = ("ref_count", "spike_count")  # of `counters`
 
 HISTORY = 32 << 20  # bytes of probed values in one call of the kernel
-AT_ONCE = 1 << 28  # updates of compartments in one call, after which Ctrl-C is heard: half a second
+AT_ONCE = 1 << 28  # updates of compartments in one call: half a second, in which Ctrl-C waits
 LOG = 256  # lines of the kernel's log of warnings
 
 # Learning parameters of a synapse, in floating point and in integers.

@@ -46,7 +46,7 @@ class Stimulus:
 
     @property
     def shortest_interval(self) -> int:
-        """Fewest steps between two spikes of an input neuron."""
+        """Minimum number of steps between two spikes of an input neuron."""
         return 1
 
     def sample_shape(self, input_shape, steps: int) -> tuple:
@@ -106,7 +106,7 @@ class ImageSpikes(Stimulus):
 
     @property
     def shortest_interval(self) -> int:
-        """Fewest steps between two spikes of a pixel of at most 1."""
+        """Minimum number of steps between two spikes of a pixel of at most 1."""
         return max(1, int(1 / (self.max_rate * LOIHI.dt)))
 
     def complaint(self, samples, input_shape, steps: int) -> Optional[str]:
@@ -158,7 +158,7 @@ class EventFrames(Stimulus):
 
     @property
     def shortest_interval(self) -> int:
-        """Fewest steps between two spikes of a taxel and polarity."""
+        """Minimum number of steps between two spikes of a taxel and polarity."""
         return 1 + self.rest
 
     @property

@@ -258,7 +258,7 @@ def _core_plan(layer, part, chip, core, block, intervals):
 
 
 def _shortest_intervals(spec, model):
-    """Fewest steps between two spikes of a source, for each synapse object by its ``id``."""
+    """Minimum interval in steps of a source's spikes, for each synapse object by its ``id``."""
     intervals = {}
     for source in model.inputs:
         for axon in source.axons:

@@ -52,7 +52,7 @@ class Case:
     ----------
     spec : NetworkSpec
     scale : float
-        Factor from scores to the logits with which the network was trained.
+        Factor that converts scores to the logits of the training.
     training : Person
         The recordings to which the network is fitted.
     rest, others : tuple of ndarray

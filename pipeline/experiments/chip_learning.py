@@ -134,7 +134,7 @@ def learn_on_chip(
     rest : ndarray, shape (n, inputs)
         Responses to the samples to classify.
     scale : float
-        Factor from scores to the logits with which the network was trained.
+        Factor that converts scores to the logits of the training.
     rule : Rule
     seed : int
         Seed of the order of the samples and of the chip's stochastic rounding.

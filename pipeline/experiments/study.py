@@ -196,7 +196,7 @@ def study(label: str, measure: Callable, groups, workers: Workers, say: Callable
     with progress(label, sum(map(len, left))) as advance:
         work = partial(_work, measure, __version__)
         for group, found in run_jobs(work, left, workers.processes, workers.scheduler, say):
-            if isinstance(found, Failure):  # of the process, not of a task
+            if isinstance(found, Failure):  # an error of the process, not of a task
                 found = [found] * len(group)
             for task, result in zip(group, found, strict=True):
                 if not isinstance(result, Failure):

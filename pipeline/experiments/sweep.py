@@ -283,7 +283,7 @@ def summarise(points, results) -> dict:
     both = list(zip(points, results, strict=True))
     done = [
         {
-            # One that was read again has its entries in another order than one of this session.
+            # Results that were read from a file have their entries in another order.
             **{key: result[key] for key in sorted(result) if key != "made_from"},
             "changes": dict(point.changes),
         }

@@ -264,7 +264,7 @@ def _cells(row):
     paper = "" if row["paper_mean"] is None else f"{row['paper_mean']:.2f} ({row['paper_sd']:.2f})"
     if row["accuracy_mean"] is None:
         return [row["title"], "not run", "", "0", paper]
-    # An SD that is not there leaves its place free, so that means stand below each other.
+    # A missing SD is replaced by blanks, so that the means are aligned.
     sd = " " * 8 if row["accuracy_sd"] is None else f" ({row['accuracy_sd']:.3f})"
     interval = row["accuracy_ci95"]
     interval = "" if interval is None else f"{interval[0]:.3f} to {interval[1]:.3f}"

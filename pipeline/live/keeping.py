@@ -345,7 +345,7 @@ def _create(path, content):
     try:
         folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
         try:
-            os.fsync(folder)  # the new name too
+            os.fsync(folder)  # syncs the new name too
         finally:
             os.close(folder)
     except OSError as error:

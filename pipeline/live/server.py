@@ -280,7 +280,7 @@ class Live:
             await _say(socket, [problem(text)])
             await socket.close(1013, "too many pages")
             return
-        limits = self._free.popleft()  # the place that has been free for longest
+        limits = self._free.popleft()  # of the page that was closed first
         try:
             await self._talk(socket, limits)
         except (WebSocketDisconnect, RuntimeError):  # from Starlette if the socket is closed

@@ -105,7 +105,7 @@ def serve(
             say(note)
 
         def make_decider():
-            from pipeline.live.deciding import decider_of  # Nengo: a second that the page can spare
+            from pipeline.live.deciding import decider_of  # Nengo takes a second to import
 
             return decider_of(bundle, image, sensor)
 

@@ -41,7 +41,7 @@ from pipeline.recordings.matfile import MatRecording, Written
 from pipeline.skin.writing import MARGIN, START_S, PenPoint, Writing
 
 if TYPE_CHECKING:
-    from pipeline.live.learning import Learner  # Nengo: a second that the page can spare
+    from pipeline.live.learning import Learner  # Nengo takes a second to import
 
 LONGEST_S = 10.0
 """Maximum duration of a recording.  The published ones last 2 s; some people write

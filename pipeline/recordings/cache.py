@@ -48,7 +48,7 @@ def store(key: str, recordings: Recordings):
     source, sensor = recordings.source, recordings.sensor
     write_arrays(
         _path(key),
-        compress=False,  # loads at the disk's speed
+        compress=False,  # loads faster than compressed arrays
         **{name: getattr(recordings.events, name) for name in EVENT_DTYPES},
         offsets=recordings.offsets,
         labels=recordings.labels,

@@ -247,7 +247,7 @@ def read_variables(content: bytes, names=None) -> dict:
         raise
     except (ValueError, TypeError, KeyError, OSError, EOFError, IndexError, zlib.error) as error:
         raise BadRecording("is a damaged MAT file") from error
-    except Exception as error:  # h5py's fails in many ways on damaged files
+    except Exception as error:  # h5py fails in many ways on damaged files
         raise BadRecording(f"is a damaged MAT file ({type(error).__name__})") from error
 
 
@@ -296,7 +296,7 @@ def spiketrain_of(events: Events, n_taxels: int = N_TAXELS) -> np.ndarray:
 
 def recording_bytes(recording: MatRecording) -> bytes:
     """A recording as a compressed MATLAB 5 file; inverse of :func:`read_recording`."""
-    variables = {}  # the events last: without them a file that was cut short is no recording
+    variables = {}  # the events last: a truncated file then has no events
     if recording.simulated:
         variables["simulated"] = 1.0
     if recording.writer >= 0:

@@ -69,7 +69,7 @@ class Responder:
 
     @property
     def scale(self) -> float:
-        """Factor from scores to the logits with which the network was trained."""
+        """Factor that converts scores to the logits of the training."""
         presentation = self.spec.presentation
         on_events = isinstance(self.spec.stimulus, EventFrames)
         return float(presentation.steps - presentation.readout_start) if on_events else 1.0

@@ -198,7 +198,7 @@ def _presentation(settings, recordings, changes):
     """Present events for as long as the recordings last, with a suitable length of steps."""
     default = Settings()
     if settings.presentation.steps or recordings.sensor.duration_s == Sensor().duration_s:
-        return  # as long as the published recordings, which the default is for
+        return  # as long as the published recordings: the default fits
     longest = float(EventTable.of(recordings).duration_ms.max(initial=0))
     step = settings.input.step
     if replace(settings.input, kind=default.input.kind) == default.input:

@@ -72,7 +72,7 @@ class Shaking:
 
     def __init__(self, gain, step_s, p):
         self._gain, self._step_s, self._p = gain.astype(np.float32), step_s, p
-        self._jolts = []  # (rows since the landing, what each taxel feels of it)
+        self._jolts = []  # (rows since the landing, signal of each taxel)
 
     def advance(self, pressure, jolts):
         """Convert the pressure of some steps to the signal of the taxels, in place.

@@ -181,7 +181,7 @@ def _samples(seed, counts, n_writers, traces):
         pool = [trace for trace in traces if trace.digit == digit]
         if count and not pool:
             raise UserError(f"the recorded handwriting has no {digit}; ask for none of it")
-        # All of the pool once, in random order, before any comes twice.
+        # Each trace is used once, in random order, before any is used again.
         deal = np.random.default_rng([seed, 3, digit])
         rounds = [deal.permutation(len(pool)) for _ in range(-(-count // max(len(pool), 1)))]
         chosen = np.concatenate([np.empty(0, int), *rounds])[:count]
@@ -206,7 +206,7 @@ def _batch(seed, samples, p, size):
 def array_gain(rng, p, size=SIZE):
     """Gain of each taxel of an array, shape (n_taxels,): random for each taxel, and a gradient."""
     taxels = TaxelMap.grid(*size)
-    # As much from edge to edge as on the paper's array.
+    # The gradient from edge to edge is that of the paper's array.
     down, right = (
         GRID / n * (at - (n - 1) / 2)
         for at, n in zip((taxels.row, taxels.column), size, strict=True)

@@ -120,7 +120,7 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
     seed : int
         Seed of the folds.
     scale : float
-        Factor from scores to the logits that the network was trained with.
+        Factor that converts scores to the logits of the training.
 
     Returns
     -------
