@@ -77,7 +77,7 @@ class Limit(NamedTuple):
 
 def one_of(*values) -> Limit:
     """The limit of a setting that has only these values."""
-    return Limit(lambda value: value in values, "one of " + ", ".join(values))
+    return Limit(lambda value: value in values, "one of " + ", ".join(v or "''" for v in values))
 
 
 def between(low, high, unit="") -> Limit:
@@ -638,7 +638,7 @@ def _meant(name, known, prefix):
     if not near and not prefix:  # the section was left out
         last = {full.rpartition(".")[2]: full for full in reversed(Settings().flat())}
         near = [last[word] for word in difflib.get_close_matches(str(name), last, n=1)]
-    return f", did you mean {prefix + near[0]!r}?" if near else ""
+    return f" (did you mean {prefix + near[0]!r}?)" if near else ""
 
 
 def _coerced(value, default, origin, name):

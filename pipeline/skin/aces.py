@@ -302,8 +302,8 @@ def wire_losses(trials: int, seed: int, p, advance=None) -> list:
 
 
 def wire_losses_text(rows: list) -> str:
-    """The conditions as a table."""
-    table = [["noise", "at once", "found", "polarity", "false/event", "timing (ns)", "sent"]]
+    """The conditions as a table, with an explanation of its columns."""
+    table = [["noise", "taxels", "found", "polarity", "false/event", "timing (ns)", "sent"]]
     table += [
         [
             f"{row['noise']:.2f}",
@@ -314,4 +314,8 @@ def wire_losses_text(rows: list) -> str:
         ]
         for row in rows
     ]
-    return "\n".join(aligned(table, left=0))
+    notes = (
+        "noise: SD, in heights of a pulse; taxels: number that fire within one signature",
+        "found, polarity: shares of correct events; false/event: false events for each one sent",
+    )
+    return "\n".join([*aligned(table, left=0), *notes])
