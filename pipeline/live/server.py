@@ -33,7 +33,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from deploy.errors import UserError
 from pipeline.live.connections import (
-    Strangers,
+    Unauthenticated,
     is_own_error,
     protocol_of,
     say_when_files_run_out,
@@ -212,7 +212,7 @@ class Live:
         self._decider = self._tests = None
         self.picture = None  # QR code of the address, for other devices
         self._files = {file.name: file for file in PAGE.iterdir() if file.suffix in _KINDS}
-        self.strangers = Strangers()
+        self.unauthenticated = Unauthenticated()
         self.token = secrets.token_urlsafe(18)
 
     @contextlib.asynccontextmanager
@@ -256,7 +256,7 @@ class Live:
         token = connection.path_params["token"]
         if not secrets.compare_digest(token.encode(), self.token.encode()):
             return False
-        self.strangers.left(connection.client)
+        self.unauthenticated.left(connection.client)
         return True
 
     async def _page(self, request: Request):
@@ -454,7 +454,7 @@ class Server(uvicorn.Server):
 
     def __init__(self, live: Live, listening, when_listening=None, host: str = HOST):
         self._listening, self._when_listening = listening, when_listening
-        self.strangers = live.strangers
+        self.unauthenticated = live.unauthenticated
         port = listening.getsockname()[1]
         host = f"[{host}]" if ":" in host else host
         self.url = f"http://{host}:{port}/{live.token}/"
@@ -466,15 +466,15 @@ class Server(uvicorn.Server):
                 live.app(host, port),
                 log_level="error",
                 access_log=False,
-                http=protocol_of(live.strangers),
+                http=protocol_of(live.unauthenticated),
                 ws="websockets-sansio",
                 ws_max_size=LARGEST,
                 ws_ping_interval=None,  # a page in a sleeping tab does not answer
                 ws_per_message_deflate=False,  # local traffic; saves milliseconds
                 server_header=False,
                 timeout_graceful_shutdown=1,
-                # asyncio accepts up to this many connections at once.  With more, the limit for
-                # strangers would act too late, and errors without a free file would be repeated.
+                # asyncio accepts up to this many connections at once.  With more, their limit
+                # would act too late, and errors without a free file would be repeated.
                 backlog=1,
             )
         )

@@ -22,9 +22,9 @@ from pipeline.recordings.timeunits import (
     MIXED,
     UNIT_NAMES,
     UNITS,
+    of_other_units,
     recognised,
     span_of,
-    strangers,
     to_ns,
 )
 
@@ -170,7 +170,7 @@ def _of_camera(path, read, reading):
             f"{LATEST_S:g} s; give the unit ({GIVE_UNIT})"
         )
         unit = "s"
-    reasons = {read[i][0]: MIXED_UNITS for i in strangers([r.time for _, _, r in read])}
+    reasons = {read[i][0]: MIXED_UNITS for i in of_other_units([r.time for _, _, r in read])}
     reasons |= _elsewhere(read, reading)
     for file, _, recording in read:
         if span_of(recording.time) * UNITS[unit] > LATEST_S and not problems:

@@ -54,7 +54,7 @@ def recognised(times) -> str:
     return "s" if not whole and typical <= LATEST_S else ""
 
 
-def strangers(times) -> list:
+def of_other_units(times) -> list:
     """Indices of recordings whose times cannot be in the unit of the others.
 
     Recordings with a single event have no duration, and fit any unit.
