@@ -176,7 +176,7 @@ def _alone(function, job):
     try:
         return next(results_of([delayed(attempt)(function, job)], 2))  # 1 is this process
     except TerminatedWorkerError:
-        message = "its process was killed; has the machine enough memory?"
+        message = "its process was killed, perhaps for lack of memory; use fewer --jobs"
         return Failure(message, message, UserError(message))
 
 
