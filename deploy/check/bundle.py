@@ -101,6 +101,18 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
 
     The folder is filled under a temporary name and then renamed, so that after an interruption the
     previous bundle or the complete new one exists.
+
+    Parameters
+    ----------
+    path : path-like
+    spec : NetworkSpec
+    checks : CheckSet
+        With inputs in the format of the network's stimulus.
+
+    Raises
+    ------
+    UserError
+        The path is a file's, or the folder cannot be written.
     """
     path = Path(path)
     if path.exists() and not path.is_dir():

@@ -336,6 +336,11 @@ class Comparison:
 def compare_results(a: dict, b: dict) -> Comparison:
     """Compare two results sample by sample.
 
+    Parameters
+    ----------
+    a, b : dict
+        See :func:`result_of`.
+
     Raises
     ------
     UserError

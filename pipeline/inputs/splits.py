@@ -138,6 +138,12 @@ def hold_out(train: np.ndarray, seed: int):
 def draw_check_samples(test: np.ndarray, n_samples: int, seed: int) -> np.ndarray:
     """Draw the samples of the check from the test split (paper, Section 3.2.2: 200 at random).
 
+    Parameters
+    ----------
+    test : ndarray of int
+        Indices of the test samples.
+    n_samples, seed : int
+
     Returns
     -------
     ndarray of int, shape (n_samples,)

@@ -29,9 +29,16 @@ from pipeline.settings import Settings
 def make_bundle(
     run: RunFolder, settings: Settings, jobs: int = 1, say=print, dataset: Dataset | None = None
 ) -> tuple:
-    """Make the missing artifacts of a run up to its bundle; return the dataset and the bundle.
+    """Make the missing artifacts of a run up to its bundle.
 
-    ``dataset`` is as in :func:`open_dataset`.
+    Parameters
+    ----------
+    run, settings, jobs, say, dataset
+        As in :func:`open_dataset`, whose ``warn`` is ``say``; it also gets a line for each stage.
+
+    Returns
+    -------
+    Dataset, Bundle
     """
     dataset = open_dataset(run, settings, jobs, say, dataset=dataset)
     train_all(run, settings, dataset, say)
