@@ -484,7 +484,7 @@ def _is_deeper(value, most):
 
 
 @contextlib.contextmanager
-def understood(path, remedy):
+def reporting_damage(path, remedy):
     """Report a file as damaged if the block finds a value missing or of another type.
 
     Parameters

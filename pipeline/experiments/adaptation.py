@@ -20,7 +20,7 @@ from deploy.network.spec import NetworkSpec
 from deploy.tables import aligned
 from pipeline.experiments.chip_learning import Rule, learn_on_chip
 from pipeline.recordings.events import Recordings
-from pipeline.run.adaptation import Responder, fits
+from pipeline.run.adaptation import Responder, require_fit
 from pipeline.training.readout import Person, refit
 
 SCHEMA = "stmnist-adaptation/2"
@@ -204,7 +204,7 @@ class Subjects:
         UserError
             Fewer than two writers have enough recordings of each class.
         """
-        fits(spec, recordings)
+        require_fit(spec, recordings)
         known = _enough(recordings, len(recordings.sensor.classes), max(plan.each))
         if len(known) < 2:
             raise UserError(

@@ -19,7 +19,7 @@ from deploy import __version__
 from deploy.errors import CheckFailed, UserError
 from deploy.files import write_json
 from pipeline.artifacts import Artifact, Library, Origin
-from pipeline.inputs.dataset import Dataset, dataset_origin, recordings_fit
+from pipeline.inputs.dataset import Dataset, dataset_origin, require_recordings_fit
 from pipeline.inputs.library import recordings_of
 from pipeline.jobs import Failure, attempt, run_jobs
 from pipeline.progress import hidden, progress
@@ -340,7 +340,7 @@ def measure_splits(
     """
     experiment.refuse(settings)
     recordings = recordings_of(settings, workers.processes)
-    recordings_fit(recordings, settings)
+    require_recordings_fit(recordings, settings)
     folder.save_settings(settings)
     sha256, groups = recordings.source.sha256, []
     for seed in range(settings.seed, settings.seed + splits):

@@ -17,7 +17,7 @@ from pipeline.experiments.table2_splits import (
     measure,
     settings_of,
 )
-from pipeline.inputs.dataset import KINDS, recordings_fit, split_of
+from pipeline.inputs.dataset import KINDS, require_recordings_fit, split_of
 from pipeline.inputs.library import recordings_of
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.jobs import Failure
@@ -85,7 +85,7 @@ def measure_table(
         ) from error
     for model in models:
         if model not in WITH_SLAYER:  # checked with its frames of events
-            recordings_fit(recordings, settings_of(settings, model))
+            require_recordings_fit(recordings, settings_of(settings, model))
     folder.save_settings(settings)
     benchmark = Benchmark(
         *(settings, recordings.source.sha256, folder.path.absolute(), kinds, splits, models)

@@ -25,7 +25,7 @@ from pipeline.recordings.facts import reading_text, size_text
 from pipeline.recordings.sensors import too_small
 from pipeline.recordings.steps import EventTable
 from pipeline.run.chip_fit import chip_problems
-from pipeline.run.nir_conversion import fits
+from pipeline.run.nir_conversion import require_fit
 from pipeline.settings import SIMULATED, Settings, check_fits
 
 LARGEST_MAP = 14
@@ -231,7 +231,7 @@ def _unfit(settings, recordings):
         check_fits(settings, sensor.rows, sensor.columns, len(sensor.classes), source)
         if settings.nir.file and Path(settings.nir.file).exists():
             shape = sensor.rows, sensor.columns, 2 if settings.on_events else 1
-            fits(read_nir(settings.nir.file), shape, len(sensor.classes), settings.nir.file)
+            require_fit(read_nir(settings.nir.file), shape, len(sensor.classes), settings.nir.file)
     except (UserError, NotationError) as error:
         return [str(error)]
     return chip_problems(settings)

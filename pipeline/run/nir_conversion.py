@@ -211,7 +211,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     network = read_nir(source)
     if sha256_of(source) != settings.nir.sha256:
         raise UserError(f"{source}: has changed; {AGAIN}")
-    fits(network, _fed_shape(dataset), len(dataset.recordings.sensor.classes), source)
+    require_fit(network, _fed_shape(dataset), len(dataset.recordings.sensor.classes), source)
     stepped = Stepped.of(settings, network)
     exported, cost = exported_here(network, source), None
     if exported is None:
@@ -281,7 +281,7 @@ def refuse_early(settings: Settings):
         return
     if settings.data.source == SIMULATED:
         skin = settings.skin.rows or paper.ROWS, settings.skin.columns or paper.COLUMNS
-        fits(network, (*skin, 2 if settings.on_events else 1), paper.CLASSES, source)
+        require_fit(network, (*skin, 2 if settings.on_events else 1), paper.CLASSES, source)
     stepped, area = Stepped.of(settings, network), settings.stimulus.area
     try:
         first, *others = layers_of(network, stepped.seconds, stepped.method)
@@ -293,7 +293,7 @@ def refuse_early(settings: Settings):
         raise UserError(f"{source}: {error}") from error
 
 
-def fits(network: NirNetwork, fed_shape, classes: int, source):
+def require_fit(network: NirNetwork, fed_shape, classes: int, source):
     """Refuse a graph for another sensor or other classes.
 
     Parameters

@@ -9,7 +9,7 @@ import numpy as np
 
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
-from deploy.files import read_arrays, understood, write_arrays
+from deploy.files import read_arrays, reporting_damage, write_arrays
 from deploy.network.decision import Estimator
 from models.architecture import parse
 from pipeline.artifacts import Artifact, Library, Origin
@@ -202,7 +202,7 @@ def _choose_threshold(artifact, place, settings, dataset, say):
     samples = event_samples(dataset, settings.seed)
     chosen = choose(settings, samples, trained, settings.seed)
     training = network_artifact("events", place, settings, dataset.origin)
-    with understood(training.record, DELETE_ITS_FOLDER):
+    with reporting_damage(training.record, DELETE_ITS_FOLDER):
         record = training.state().record
         seconds, epochs = float(record["seconds"]), int(record["epochs"])
     metrics = _metrics(trained, dataset, seconds)
