@@ -31,11 +31,11 @@ def main(arguments=None) -> int:
     try:
         options = _parser().parse_args(arguments)
         options.run(options)
-        sys.stdout.flush()  # at Python's end it is too late for a line
+        sys.stdout.flush()  # errors could not be reported when Python exits
         return 0
     except CheckFailed as error:
         return _say(line_of(error), 1)
-    except BrokenPipeError:  # the reader, such as head, has seen enough
+    except BrokenPipeError:  # the reader, such as head, has closed the pipe
         return 0
     except (UserError, MemoryError, OSError) as error:
         return _say(line_of(error), 2)
@@ -55,21 +55,22 @@ def _parser():
         prog="deploy.pyz", description="Run a bundle's check where only NengoLoihi is installed."
     )
     parser.add_argument("--version", action="version", version=__version__)
-    verbs = parser.add_subparsers(metavar="VERB")
+    verbs = parser.add_subparsers(metavar="COMMAND")
     parser.set_defaults(run=lambda _: parser.error("name a command: check, compare, plan or board"))
     check = verbs.add_parser("check", help="run a target on the bundle's samples")
     check.add_argument("bundle", type=Path, help="the bundle's folder")
     check.add_argument("--target", required=True, metavar="T", help=", ".join(TARGETS))
     check.add_argument("--out", type=Path, help="the result (default: BUNDLE/checks/TARGET.json)")
-    check.add_argument("--seed", type=int, default=0)
+    check.add_argument("--seed", type=int, default=0, help="seed of the simulator (default: 0)")
     board = check.add_argument_group("target loihi")
     defaults = BoardOptions()
     board.add_argument("--board", help="name of a board (default: the cluster's choice)")
     board.add_argument("--partition", help="SLURM partition (default: the board is on this host)")
-    board.add_argument("--chips", type=int, default=defaults.chips, metavar="N")
+    chips = {"type": int, "default": defaults.chips, "metavar": "N", "help": "number of chips"}
+    board.add_argument("--chips", **chips)
     board.add_argument(
         "--attempts", type=int, default=defaults.attempts, metavar="N",
-        help="largest number of attempts for each stream (default: %(default)s)",
+        help="largest number of attempts for each stream of samples (default: %(default)s)",
     )  # fmt: skip
     board.add_argument(
         "--wait", type=float, default=defaults.wait, metavar="S",
@@ -83,11 +84,11 @@ def _parser():
     board.add_argument("--energy", action="store_true", help="measure power if the board can")
     check.set_defaults(run=_check)
     plan = verbs.add_parser(
-        "plan", help="resources that the network needs of each core, and whether it fits"
+        "plan", help="resources that the network needs on each core, and whether it fits"
     )
     plan.add_argument("bundle", type=Path, help="the bundle's folder")
-    plan.add_argument("--chips", type=int, default=defaults.chips, metavar="N")
-    plan.add_argument("--json", action="store_true", help="for a program to read")
+    plan.add_argument("--chips", **chips)
+    plan.add_argument("--json", action="store_true", help="print JSON")
     plan.set_defaults(run=_plan)
     board = verbs.add_parser("board", help="report whether this host can use a board")
     board.set_defaults(run=lambda _: show(f"NxSDK {nxsdk_version()}: target loihi can be used"))

@@ -45,7 +45,7 @@ def replacing(path, mode="wb"):
         The folder or file cannot be written.
     """
     path = Path(path)
-    if path.exists() and not path.is_file():  # /dev/null would be gone
+    if path.exists() and not path.is_file():  # would replace /dev/null
         raise UserError(f"{path}: cannot write (not a file); choose another name")
     with _written_beside(path, "." + path.name + ".", mode, os.replace) as file:
         yield file
@@ -118,7 +118,7 @@ def _name_exclusively(temporary, path):
             os.link(temporary, path, follow_symlinks=False)
         except FileExistsError:
             raise
-        except OSError:  # a file system without links: the name is reserved by an empty file
+        except OSError:  # no links in this file system: an empty file reserves the name
             os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW))
             os.replace(temporary, path)
             return
@@ -200,7 +200,7 @@ def remove_abandoned(folder, prefix):
             with contextlib.suppress(OSError):
                 handle = os.open(entry.path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
                 try:
-                    _take(handle)  # whose owner lives holds it
+                    _take(handle)  # fails while the owner is running
                     if entry.is_dir(follow_symlinks=False):
                         shutil.rmtree(entry.path)
                     else:
@@ -264,13 +264,13 @@ def open_own(path):
         handle = os.open(str(path), flags, 0o666)
     except OSError as error:
         if error.errno == errno.ELOOP:
-            message = "a symbolic link, which is not written through"
+            message = "a symbolic link, which is not followed"
             raise OSError(errno.ELOOP, message, str(path)) from error
         raise
     about = os.fstat(handle)
     if not stat.S_ISREG(about.st_mode) or about.st_nlink > 1:
         os.close(handle)
-        raise OSError(errno.EPERM, "not a file of its own", str(path))
+        raise OSError(errno.EPERM, "not a regular file with a single name", str(path))
     return os.fdopen(handle, "a+b", buffering=0)
 
 
@@ -353,7 +353,7 @@ def locked_folder(folder, taken: str):
                 if is_at(file, path):
                     path.unlink()
                     for each in made:
-                        each.rmdir()  # fails if the folder holds anything, as it should
+                        each.rmdir()  # fails if the folder is not empty, as intended
 
         try:
             with at_the_end(leave):
@@ -403,8 +403,8 @@ def refuse_linked_folder(folder):
     """
     if os.path.islink(str(folder)):
         raise UserError(
-            f"{folder}: is a symbolic link to another folder, which is not written through; "
-            "put a folder or nothing in its place"
+            f"{folder}: is a symbolic link to another folder, which is not followed; "
+            "remove it, or replace it by a folder"
         )
 
 
@@ -465,7 +465,7 @@ def read_json(path, remedy):
 
 
 def _no_number(name):
-    raise ValueError(f"{name} is no number of JSON")
+    raise ValueError(f"{name} is not a JSON number")
 
 
 def _is_deeper(value, most):
@@ -484,7 +484,7 @@ def _is_deeper(value, most):
 
 
 @contextlib.contextmanager
-def understood(path, remedy):
+def reporting_damage(path, remedy):
     """Report a file as damaged if the block finds a value missing or of another type.
 
     Parameters
@@ -502,13 +502,13 @@ def understood(path, remedy):
         yield
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         problem = f"{type(error).__name__}: {str(error)[:200]}"
-        raise UserError(f"{path}: damaged, or not a whole record ({problem}); {remedy}") from error
+        raise UserError(f"{path}: damaged or incomplete ({problem}); {remedy}") from error
 
 
 def write_arrays(path, compress=True, **arrays):
     """Write named arrays as ``.npz``, completely or not at all; equal arrays give equal bytes."""
     kind = zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED
-    # Not numpy.savez: it stamps each member with the time of day, and a bundle's id is a hash.
+    # Not numpy.savez: it writes the time of day into each member, and a bundle's id is a hash.
     with replacing(path) as file, zipfile.ZipFile(file, "w", kind) as archive:
         for name in sorted(arrays):
             member = zipfile.ZipInfo(name + ".npy", date_time=(1980, 1, 1, 0, 0, 0))
@@ -545,7 +545,7 @@ def read_arrays(path, remedy, most=limits.ARRAY_BYTES):
         raise UserError(f"{path}: cannot read ({error.strerror or error}); {remedy}") from error
     except (ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:
         raise UserError(f"{path}: damaged or not an .npz of plain arrays; {remedy}") from error
-    except Exception as error:  # zlib.error and whatever else a damaged archive provokes
+    except Exception as error:  # zlib.error and other errors of damaged archives
         raise UserError(f"{path}: damaged ({type(error).__name__}); {remedy}") from error
     if not all(isinstance(array, np.ndarray) for array in arrays.values()):
         raise UserError(f"{path}: damaged or not an .npz of plain arrays; {remedy}")

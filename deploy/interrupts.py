@@ -26,7 +26,7 @@ class _End:
     def __init__(self, name):
         self._line = (name + ": " + LINE + "\n").encode()
         try:
-            self._stderr = os.dup(2)  # 2 itself is redirected while a library is kept silent
+            self._stderr = os.dup(2)  # libraries are silenced by redirecting 2
         except OSError:
             self._stderr = 2
 
@@ -54,8 +54,8 @@ def end_at_once(name):
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _End(name))
-        # Registered before all others, so it runs after them: in its last moment, when Python
-        # removes its handlers, the process ignores Ctrl-C.
+        # Registered first, so that it runs last: Ctrl-C is then ignored while Python removes its
+        # signal handlers.
         atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
 
 

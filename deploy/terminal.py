@@ -12,14 +12,14 @@ import os
 import sys
 
 COLUMNS = (20, 1000)
-"""Accepted widths of a terminal.  At a width of 0 a help text is empty, and at a thousand
-million it takes 20 s."""
+"""Accepted widths of a terminal.  At a width of 0 a help text is empty, and at 10^9 it
+takes 20 s."""
 
 
 def printable(text) -> str:
     """Text as one line, in which control sequences of terminals and line ends are escaped."""
     text = str(text)
-    if text.isprintable():  # as nearly all is, however long
+    if text.isprintable():  # fast for the usual text
         return text
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 

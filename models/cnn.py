@@ -114,7 +114,7 @@ def noisy_layers(model: tf.keras.Model) -> list:
 
 
 def predict(model: tf.keras.Model, images) -> np.ndarray:
-    """Logits, shape (n_samples, outputs)."""
+    """Logits of images (n_samples, rows, columns, channels), shape (n_samples, outputs)."""
     return np.concatenate([model(part, training=False) for part in _parts(images)])
 
 

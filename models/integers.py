@@ -20,7 +20,7 @@ WEIGHT_UNIT = 128
 
 THRESHOLD_UNIT = 64
 MAX_THRESHOLD = (2**17 - 2) * THRESHOLD_UNIT
-"""A unit below the chip's largest, where NengoLoihi's scaling can round past it and halves all."""
+"""A unit below the chip's maximum: NengoLoihi may round that up, and then halves all values."""
 
 DECAY_UNIT = LOIHI.decay_unit
 BIAS_MANTISSA = 2**LOIHI.bias_bits - 1

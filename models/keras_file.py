@@ -116,7 +116,7 @@ def read_model_file(path) -> SavedModel:
     try:
         answer, arrays = read_apart("models.keras_file", content)
     except TooSlow as error:
-        problem = f"could not be read in {MAX_SECONDS} s, seems damaged"
+        problem = f"could not be read in {MAX_SECONDS} s and may be damaged"
         raise ModelFileError(f"{path}: {problem}; {REMEDY}") from error
     except Crashed as error:
         raise ModelFileError(f"{path}: damaged; {REMEDY}") from error
@@ -492,7 +492,7 @@ class _Budget:
             raise ModelFileError(
                 f"has more than {MAX_NUMBERS} weights, which no network for the chip needs"
             )
-        # A plain array takes its own size in the file: not virtual, external or compressed.
+        # A plain array needs its own size in the file, unlike virtual, external or compressed ones.
         plain = dataset.chunks is None and not dataset.is_virtual and not dataset.external
         if not plain or dataset.id.get_storage_size() != size * dataset.dtype.itemsize:
             raise ModelFileError(f"an array is not stored in Keras's way; {REMEDY}")

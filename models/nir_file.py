@@ -86,12 +86,12 @@ def read_nir_file(path) -> dict:
     except ValueError as error:
         raise NirError(str(error)) from error
     if len(content) > MAX_FILE:
-        raise NirError(f"{path}: larger than {MAX_FILE >> 20} MiB, no network for a chip")
+        raise NirError(f"{path}: larger than the {MAX_FILE >> 20} MiB that can be read")
     try:
         answer, arrays = read_apart("models.nir_file", content)
     except TooSlow as error:
         raise NirError(
-            f"{path}: could not be read in {MAX_SECONDS} s, seems damaged; {REMEDY}"
+            f"{path}: could not be read in {MAX_SECONDS} s and may be damaged; {REMEDY}"
         ) from error
     except Crashed as error:
         raise NirError(f"{path}: damaged; {REMEDY}") from error
@@ -129,7 +129,7 @@ def read_content(content: bytes) -> tuple:
     except NirError:
         raise
     except MemoryError as error:
-        raise NirError(f"takes too much memory, seems damaged; {REMEDY}") from error
+        raise NirError(f"needs too much memory and may be damaged; {REMEDY}") from error
     except Exception as error:  # h5py fails in many ways on damaged files
         raise NirError(f"damaged ({type(error).__name__}); {REMEDY}") from error
 
@@ -148,7 +148,7 @@ class _Reader:
         for name in names:
             self.objects -= 1
             if self.objects < 0:
-                raise NirError(f"has more than {MAX_OBJECTS} entries, no network for a chip")
+                raise NirError(f"has more than the {MAX_OBJECTS} entries that can be read")
             where = _where(parents, name)
             if not isinstance(group.get(name, getlink=True), h5py.HardLink):
                 raise NirError(f"{where} is a link to another place; {REMEDY}")
@@ -174,11 +174,11 @@ class _Reader:
         self.numbers -= size
         if self.numbers < 0:
             raise NirError(
-                f"{where} is one array too many: more than {MAX_NUMBERS} numbers, no network for a "
-                "chip"
+                f"{where} exceeds the {MAX_NUMBERS} numbers that can be read from a file; give a "
+                "smaller network"
             )
         if h5py.check_string_dtype(dataset.dtype) is not None:
-            long = f"{where} is too long a text; {REMEDY}"
+            long = f"{where} is a text that is too long; {REMEDY}"
             if size > MAX_OBJECTS or size * dataset.dtype.itemsize > MAX_FILE:
                 raise NirError(long)
             texts = np.asarray(dataset.asstr()[()], object)
@@ -186,7 +186,7 @@ class _Reader:
                 raise NirError(long)
             return ["text", texts.tolist()]
         if dataset.dtype.kind not in "fiub" or dataset.dtype.itemsize > 8:
-            raise NirError(f"{where} is of type {dataset.dtype}, no numbers; {REMEDY}")
+            raise NirError(f"{where} has type {dataset.dtype}, not numbers; {REMEDY}")
         key = str(len(self.arrays))
         self.arrays[key] = np.asarray(dataset[()])
         return ["array", key]

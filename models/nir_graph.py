@@ -179,16 +179,16 @@ def _opened(tree, prefix="", depth=0) -> tuple:
     if not isinstance(nodes, dict) or not all(isinstance(n, dict) for n in nodes.values()):
         raise NirError("is not a NIR graph: it has no nodes; write a nir.NIRGraph")
     if len(nodes) > MAX_NODES:
-        raise NirError(f"has {len(nodes)} nodes, more than {MAX_NODES}, no network for a chip")
+        raise NirError(f"has {len(nodes)} nodes, more than the {MAX_NODES} that can be read")
     edges = [] if edges is None else edges
     if np.size(edges) > 2 * MAX_EDGES:
-        raise NirError(f"has more than {MAX_EDGES} edges, no network for a chip")
+        raise NirError(f"has more than the {MAX_EDGES} edges that can be read")
     edges = np.asarray(edges, object)
     if edges.size and edges.shape[1:] != (2,):
-        raise NirError("is not a NIR graph: its edges are no pairs; write a nir.NIRGraph")
+        raise NirError("is not a NIR graph: its edges are not pairs; write a nir.NIRGraph")
     pairs = {(_text(a), _text(b)) for a, b in edges.reshape(-1, 2)}
     for name in {name for pair in pairs for name in pair} - nodes.keys():
-        raise NirError(f"an edge leads to {shown(prefix + name)}, which is no node; write it anew")
+        raise NirError(f"an edge to {shown(prefix + name)}, which does not exist; write it again")
     found, inside = {}, {}
     for name, node in nodes.items():
         if _kind(node) != "NIRGraph":
@@ -201,7 +201,7 @@ def _opened(tree, prefix="", depth=0) -> tuple:
         inside[name] = ends
         found |= own
         if len(found) > MAX_NODES:
-            raise NirError(f"has more than {MAX_NODES} nodes, no network for a chip")
+            raise NirError(f"has more than the {MAX_NODES} nodes that can be read")
         pairs |= {("", pair) for pair in own_pairs}
     resolved = set()
     for a, b in pairs:
@@ -211,7 +211,7 @@ def _opened(tree, prefix="", depth=0) -> tuple:
         a = inside[a]["Output"] if a in inside else prefix + a
         b = inside[b]["Input"] if b in inside else prefix + b
         resolved.add((a, b))
-    for ends in inside.values():  # what only passes on is taken out
+    for ends in inside.values():  # remove nodes that only pass values on
         for end in ends.values():
             before = [a for a, b in resolved if b == end]
             after = [b for a, b in resolved if a == end]
@@ -339,20 +339,20 @@ class _Values:
         if value is None:
             value = default
         if value is None:
-            self.refuse(f"has no {name}; write the graph anew with a current version of nir")
+            self.refuse(f"has no {name}; write the graph with a current version of nir")
         try:
             array = np.asarray(value)
             array = array.astype(float) if array.dtype.kind in "fiub" else None
         except (TypeError, ValueError):
             array = None
         if array is None:
-            self.refuse(f"its {name} is no array of numbers; write the graph anew")
+            self.refuse(f"its {name} is not an array of numbers; write the graph again")
         if not np.isfinite(array).all():
             self.refuse(
                 f"its {name} has NaN or infinite values; train again, and keep decays below 1"
             )
         if np.abs(array).max(initial=0) > limits.MAGNITUDE:
-            self.refuse(f"its {name} has a value past {limits.MAGNITUDE:g}; scale it")
+            self.refuse(f"its {name} has a value above {limits.MAGNITUDE:g}; scale it")
         return array
 
     def spread(self, name, shape, default=None) -> np.ndarray:
@@ -364,7 +364,7 @@ class _Values:
             if array.size == math.prod(shape):
                 return array.reshape(shape)
             self.refuse(
-                f"its {name} has shape {array.shape}, what comes in {shape}; give one value, or "
+                f"its {name} has shape {array.shape}, its input {shape}; give one value, or "
                 "one for each neuron"
             )
 
@@ -382,15 +382,15 @@ class _Values:
         good = array.size == dimensions and (array == np.rint(array)).all()
         if not good or array.min() < least or array.max() > limits.NEURONS:
             self.refuse(
-                f"its {name} is not {dimensions} whole number(s) from {least} on; write it so"
+                f"its {name} must be {dimensions} whole number(s), at least {least}; correct it"
             )
         return tuple(int(n) for n in array)
 
     def image(self, shape, dimensions=2):
         if len(shape) != dimensions + 1:
             self.refuse(
-                f"reads {'rows and columns' if dimensions == 2 else 'a row'} of channels, and what "
-                f"comes in has shape {shape}; put it before the Flatten, or shape the input so"
+                f"reads {'rows and columns' if dimensions == 2 else 'a row'} of channels, and its "
+                f"input has shape {shape}; put it before the Flatten, or reshape the input"
             )
 
 
@@ -403,7 +403,7 @@ def _affine(values, shape):
         shape = (after_flat,)
     if shape != (weight.shape[1],):
         values.refuse(
-            f"for {weight.shape[1]} values, and {' x '.join(map(str, shape))} come in; put a "
+            f"for {weight.shape[1]} values, and its input is {' x '.join(map(str, shape))}; put a "
             "Flatten before it, or train it for that input"
         )
     bias = values.spread("bias", (weight.shape[0],), 0.0)
@@ -423,7 +423,7 @@ def _convolution(dimensions):
         channels = weight.shape[1] * groups
         if channels != shape[0] or weight.shape[0] % groups:
             values.refuse(
-                f"for {channels} channels in {groups} group(s), and {shape[0]} come in; train it "
+                f"for {channels} channels in {groups} group(s), its input has {shape[0]}; train it "
                 "for that input, with groups that divide its filters"
             )
         stride = values.counts("stride", dimensions, default=1)
@@ -435,7 +435,7 @@ def _convolution(dimensions):
             for n, pads, r, s in zip(shape[1:], padding, reach, stride, strict=True)
         ]
         if min(sizes) < 1:
-            values.refuse("its kernel is larger than what comes in; use a smaller one, or padding")
+            values.refuse("its kernel is larger than its input; use a smaller one, or padding")
         parameters = {
             "weight": weight,
             "bias": values.spread("bias", (weight.shape[0],), 0.0),
@@ -475,7 +475,7 @@ def _pool(values, shape):
         for n, pads, k, s in zip(shape[1:], padding, size, stride, strict=True)
     ]
     if min(sizes) < 1:
-        values.refuse("its windows are larger than what comes in; use smaller ones")
+        values.refuse("its windows are larger than its input; use smaller ones")
     return (shape[0], *sizes), {"kernel_size": size, "stride": stride, "padding": padding}
 
 
@@ -504,7 +504,7 @@ def _scale(values, shape):
 def _threshold(values, shape):
     threshold = values.spread("threshold", shape)
     if threshold.min() <= 0:
-        values.refuse("a threshold that is not above 0 spikes in silence; train one above 0")
+        values.refuse("its threshold must be above 0, or it spikes without input; train it again")
     return shape, {"threshold": threshold}
 
 
@@ -520,10 +520,7 @@ def _neurons(times, *, spikes, leak=True, weighs=False):
             parameters["v_threshold"] = values.spread("v_threshold", shape)
             parameters["v_reset"] = values.spread("v_reset", shape, 0.0)
             if (parameters["v_threshold"] <= parameters["v_reset"]).any():
-                values.refuse(
-                    "a v_threshold that is not above v_reset never lets it rest; train it with one "
-                    "above v_reset"
-                )
+                values.refuse("its v_threshold must be above its v_reset; train it again")
         return shape, parameters
 
     return handler

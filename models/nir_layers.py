@@ -68,7 +68,7 @@ CLIPS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
 """Shares of a layer's largest weight that may become 127; larger weights are clipped."""
 
 MOMENTS_EVERY = 4
-"""Steps from one moment of the voltage to the next that counts for the rounding of weights."""
+"""Interval in steps at which inputs are sampled for the rounding of weights."""
 
 DAMPING = 0.01
 """Added to the diagonal of the moments, in units of its mean."""
@@ -174,7 +174,7 @@ def layers_of(network: NirNetwork, step: float, method: str = "exact", input_sha
     as_given = len(shape) != 3 or place == _places_first(shape)
     if math.prod(place) != math.prod(shape) or not as_given:
         raise NirError(
-            f"is for an input of {_times(shape)}, and the chip is fed {_times(place)} (rows, "
+            f"is for an input of {_times(shape)}, and that of the chip is {_times(place)} (rows, "
             "columns, channels)"
         )
     is_image = len(shape) == 3
@@ -196,12 +196,12 @@ def _layer(nodes, step, method, before, place, is_image, last) -> NirLayer:
     """One layer; ``before`` is the graph's shape of its input and ``place`` the chip's."""
     neuron = nodes[-1] if nodes[-1].kind in SPIKING else None
     between = nodes[:-1] if neuron is not None else nodes
-    keeps = []  # of the filters on the way: (share that is kept, node)
+    keeps = []  # (share that remains per step, node) of each filter
     for node in between:
         if node.kind in FILTERS:
             if node.kind == "CubaLI" and neuron is not None:
                 raise NirError(
-                    f"{node}: its two filters stand before neurons, which have room for one; use "
+                    f"{node}: has two filters before neurons, and the chip has one; use "
                     "LI, or CubaLIF neurons with its time constant"
                 )
             keep = decay(node["tau" if node.kind == "LI" else "tau_mem"], step, method)
@@ -290,8 +290,8 @@ def _same(node, keep, what) -> float:
     low, high = (int(np.rint(DECAY_UNIT * k)) for k in (keep.min(), keep.max()))
     if low != high:
         raise NirError(
-            f"{node}: its {what} differ between neurons, keeping {low} to {high} 4096ths a step; "
-            "NengoLoihi has one a layer: train one time constant for all neurons of a layer"
+            f"{node}: its {what} differ between neurons, keeping {low} to {high} 4096ths per step; "
+            "NengoLoihi has one per layer: train one time constant for all neurons of a layer"
         )
     return float(keep.mean())
 
@@ -490,16 +490,16 @@ def rounded(layer: NirLayer, clip: float = 1.0, moments=None) -> Integers:
     NirError
         Threshold and bias do not fit with any exponent of the weights.
     """
-    real = layer.weights / layer.pool**2  # of each value, where the layer's are of averages
+    real = layer.weights / layer.pool**2  # the layer's weights are those of averages
     if not all(np.isfinite(part).all() for part in (real, layer.bias, layer.keep_u, layer.keep_v)):
         raise NirError(
-            f"{layer}: its weights and biases are no numbers any more, divided by its threshold; "
+            f"{layer}: its weights or biases become infinite when divided by its threshold; "
             "scale the threshold to about 1 in training"
         )
     largest = float(np.abs(real).max()) * clip
     if largest == 0:
         raise NirError(f"{layer}: all its weights are 0; train it, or leave it out")
-    # The threshold is a whole number of its units: the largest weights give way, not all of them.
+    # The threshold, a whole number of units, is rounded up: only the largest weights are clipped.
     with np.errstate(over="ignore"):
         units = np.ceil(WEIGHT_UNIT / THRESHOLD_UNIT * WEIGHT_LEVELS / largest - 1e-9)
     units = min(units, 2.0**1000)  # weights of 1e-310 are too small, as the loop below finds

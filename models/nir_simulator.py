@@ -175,7 +175,7 @@ def apply(node: Node, signal) -> np.ndarray:
 
 
 def decay(tau, step: float, method: str) -> np.ndarray:
-    """The share that remains after a step of a value that decays with the time constant ``tau``."""
+    """Remaining share after a step of a value with time constant ``tau``; both in seconds."""
     return np.exp(-step / tau) if method == "exact" else np.maximum(1 - step / tau, 0.0)
 
 
@@ -202,7 +202,7 @@ def _after_spike(node, voltage, step, method, reset):
     if reset == "value":
         return node["v_reset"]
     taken = node["v_threshold"] - node["v_reset"]
-    if reset == "subtract-late" and node.kind != "IF":  # so that it is whole after the next leak
+    if reset == "subtract-late" and node.kind != "IF":  # the leak reduces it
         taken = taken / decay(node["tau" if node.kind == "LIF" else "tau_mem"], step, method)
     return voltage - taken
 

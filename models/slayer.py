@@ -329,7 +329,7 @@ class _Convolution(_Layer):
         self.taps = _taps(folded)
         site, channel = np.divmod(np.arange(len(self.window)), channels)
         group, bit = np.divmod(channel, self.bits)
-        # Column by column: the neurons of successive sites are then the same, or apart, and a sum
+        # Column by column: successive sites then reach the same neurons or distant ones, and a sum
         # need not wait until the one before it is stored.
         order = np.arange(len(self.window)).reshape(folded.input_shape).swapaxes(0, 1).ravel()
         numbers = order, site * self.groups + group, group << self.bits, 1 << bit
@@ -479,7 +479,7 @@ def _taps(folded):
     layer, (rows, columns, channels) = folded.layer, folded.pooled_shape
     side, taps = layer.kernel, []
     (above, _), (left, _) = layer.pads(folded.pooled_shape)
-    # Row by row last: the inputs of successive taps are then the same, or apart.
+    # Column by column: successive taps then have the same inputs or distant ones.
     for x, y, i in np.ndindex(folded.shape[1], folded.shape[0], side):
         row, column = y * layer.stride - above + i, x * layer.stride - left
         begin, end = max(column, 0), min(column + side, columns)

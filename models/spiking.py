@@ -205,7 +205,7 @@ class SpikingNetwork(tf.Module):
             The spikes of each layer, 0 or 1.
         """
         values = self.variables_by_name if values is None else values
-        steps, samples = tf.unstack(tf.shape(frames)[:2])  # dynamic: one trace for every number
+        steps, samples = tf.unstack(tf.shape(frames)[:2])  # one trace for any number
         signal, spikes = tf.cast(frames, dtype), []
         layers = zip(self.names, self.architecture.layers, self.architecture.shapes, strict=False)
         for index, (name, layer, before) in enumerate(layers):

@@ -9,23 +9,23 @@ from deploy import children, interrupts
 from deploy.terminal import prepare, remark
 
 QUIET = "ignore:resource_tracker:UserWarning"
-"""joblib's process that cleans up after workers prints a message about an interruption, after the
-command's last line; this is suppressed."""
+"""Suppresses a message about an interruption that joblib's resource tracker prints after the last
+line of the command."""
 
 
-def hear_threads():
+def report_thread_errors():
     """Report errors of threads, except a harmless one of joblib when its jobs are cancelled.
 
-    Its thread looks up jobs that it has just removed (a KeyError; loky 3.6).  The thread ends, as
+    A thread of joblib looks up jobs that it has just removed (a KeyError; loky 3.6), and ends, as
     intended.
     """
     hook = threading.excepthook
 
-    def hear(told):
+    def report(told):
         if told.exc_type is not KeyError or told.thread.name != "ExecutorManagerThread":
             hook(told)
 
-    threading.excepthook = hear
+    threading.excepthook = report
 
 
 def main():
@@ -35,11 +35,11 @@ def main():
     children.end_with_named_parent()
     try:
         os.getcwd()
-    except OSError as error:  # libraries ask for it while they are imported
-        where = "stmnist: the folder that it was started in"
-        remark(f"{where}: {error.strerror}; change to one that is there")
+    except OSError as error:  # libraries need it while they are imported
+        where = "stmnist: the current folder"
+        remark(f"{where}: {error.strerror}; change to a folder that exists (cd)")
         sys.exit(2)
-    hear_threads()
+    report_thread_errors()
     filters = os.environ.get("PYTHONWARNINGS")
     os.environ["PYTHONWARNINGS"] = f"{filters},{QUIET}" if filters else QUIET
     from pipeline.commands.main import main as command
@@ -49,7 +49,7 @@ def main():
         try:
             command()
         finally:
-            # Python looks for garbage as it ends, with TensorFlow for most of a second.
+            # Skips the garbage collection when Python exits: with TensorFlow most of a second.
             gc.freeze()
 
 

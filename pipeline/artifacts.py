@@ -70,8 +70,8 @@ class Origin:
         ----------
         settings : Settings
         reads : sequence of str
-            Settings (``"cnn.epochs"``) and sections (``"image"``) that the code reads which makes
-            the artifact, in addition to those of the artifacts that it uses.
+            Settings (``"cnn.epochs"``) and sections (``"image"``) that are read to make the
+            artifact, in addition to those of the artifacts that it uses.
         uses : sequence of Origin
             Origins of the artifacts from which it is made.
         contents : dict of str to str, optional
@@ -92,7 +92,7 @@ class Origin:
         return hashlib.sha256(text.encode()).hexdigest()
 
     def view(self, settings: Settings) -> Settings:
-        """The settings that code which makes the artifact may read."""
+        """The settings restricted to those that may be read to make the artifact."""
         return settings.only(self.settings)
 
     def to_json(self) -> dict:
@@ -105,7 +105,7 @@ class Origin:
         Parameters
         ----------
         recorded : dict or None
-            From :meth:`to_json`; anything else is of a version that did not record origins.
+            From :meth:`to_json`; anything else was written before origins were recorded.
 
         Returns
         -------
@@ -223,7 +223,7 @@ class Artifact:
     files : tuple of Path
         The other files; without one of them the artifact is missing.
     made_from : callable
-        Function from the content of the record to the artifact's origin in it.
+        Function that returns the origin recorded in a record's content.
     """
 
     name: str

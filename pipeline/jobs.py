@@ -115,9 +115,9 @@ def run_jobs(
             yield job, attempt(function, job)
     else:
         with warnings.catch_warnings():
-            # Workers whose memory has grown are replaced between jobs, which is as it should be.
+            # Workers whose memory has grown are replaced between jobs, which is expected.
             warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
-            # That jobs are given up where the caller gives up is no news either.
+            # The same holds for jobs that are cancelled because the caller stops.
             warnings.filterwarnings("ignore", message=r"\d+ tasks (which were|have been)")
             yield from _in_processes(function, jobs, processes, meanwhile)
 
@@ -141,10 +141,10 @@ def results_of(calls, processes: int, in_order: bool = True):
     parallel = Parallel(processes, return_as=order, **(_beginning() if processes != 1 else {}))
     if processes != 1:
         for tracker in (resource_tracker, multiprocessing.resource_tracker):
-            tracker.ensure_running()  # started later they would unblock again
+            tracker.ensure_running()  # if started later, it would unblock the signal
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        return parallel(calls)  # here the processes are started, and inherit what is blocked
+        return parallel(calls)  # starts the processes, which inherit the blocked signal
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
@@ -158,13 +158,13 @@ def _in_processes(function, jobs, processes, meanwhile):
             for number, result in results:
                 yield left.pop(number), result
     except TerminatedWorkerError:
-        # Nothing tells whose process was killed, so each job that is left gets one to itself.
+        # It is unknown whose process was killed: each remaining job gets a process of its own.
         for job in left.values():
             yield job, _alone(function, job)
 
 
 def _beginning():
-    """Options with which workers end when this process ends.
+    """Options for joblib that let its workers end when this process ends.
 
     In a process that uses ``stmnist``, workers bind its packages first.
     """
@@ -176,7 +176,7 @@ def _alone(function, job):
     try:
         return next(results_of([delayed(attempt)(function, job)], 2))  # 1 is this process
     except TerminatedWorkerError:
-        message = "its process was killed; has the machine enough memory?"
+        message = "its process was killed, perhaps for lack of memory; use fewer --jobs"
         return Failure(message, message, UserError(message))
 
 
@@ -196,7 +196,7 @@ def attempt(function, job):
 
 def _one_line(error):
     message = " ".join(str(error).split()) or "no message"
-    if len(message) > MESSAGE_LENGTH:  # TensorFlow's hold a traceback of their own
+    if len(message) > MESSAGE_LENGTH:  # TensorFlow's messages contain a traceback
         message = message[: MESSAGE_LENGTH - 1] + "…"
     return f"{type(error).__name__}: {message}"
 
@@ -215,7 +215,7 @@ def _on_cluster(function, jobs, scheduler, say):
             f"--scheduler {scheduler}: no Dask scheduler answers there ({type(error).__name__}); "
             "start one with 'dask scheduler' and give the address that it prints"
         ) from error
-    # What it logs of a lost connection are tracebacks; what was lost is told below.
+    # It logs tracebacks of a lost connection, which is reported below.
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     with client:
         if not client.scheduler_info()["workers"]:
@@ -227,6 +227,6 @@ def _on_cluster(function, jobs, scheduler, say):
             elif task.status == "cancelled":
                 message = f"lost the scheduler {scheduler}"
                 yield tasks[task], Failure(message, message)
-            else:  # several workers died of it, or do not have this package
+            else:  # it has killed several workers, or they do not have this package
                 error = task.exception()
                 yield tasks[task], Failure(_one_line(error), f"{type(error).__name__}: {error}")

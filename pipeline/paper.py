@@ -9,13 +9,13 @@ ROWS = COLUMNS = 10
 """Rows and columns of taxels (Section 2.1)."""
 
 CLASSES = 10
-"""Digits."""
+"""Number of classes, the ten digits."""
 
 DURATION_S = 2.0
 """Length of a recording in seconds (Section 2.2)."""
 
 TEST_FRACTION = 0.2
-"""Share of the samples that test: random 80-20 splits (Section 3.2)."""
+"""Share of test samples in its random 80-20 splits (Section 3.2)."""
 
 CNN_MACS = 43104
 """Multiply-accumulates of an inference of its CNN, 10x10-6c4-24c3-10o (Fig. 4)."""

@@ -28,7 +28,7 @@ _stages: tuple = ()
 
 @contextlib.contextmanager
 def hidden():
-    """Hide all bars inside the block, if a bar around it or in another process is sufficient."""
+    """Hide all bars inside the block, for code whose caller shows a bar of its own."""
     global _hidden
     before, _hidden = _hidden, True
     try:
@@ -44,7 +44,7 @@ def stages(names):
     Parameters
     ----------
     names : sequence of str
-        In order; a bar belongs to the stage with whose name its label begins.
+        In order; a bar belongs to the stage whose name is the beginning of its label.
     """
     global _stages
     before, _stages = _stages, tuple(names)
@@ -55,7 +55,7 @@ def stages(names):
 
 
 def stage_of(label: str) -> str:
-    """Number of the stage of a bar, such as ``"2 of 4 "``; empty outside of :func:`stages`."""
+    """Number of a bar's stage, such as ``"2 of 4 "``; empty outside of :func:`stages`."""
     numbers = (n for n, name in enumerate(_stages, 1) if f"{label} ".startswith(f"{name} "))
     number = next(numbers, None)
     return f"{number} of {len(_stages)} " if number else ""

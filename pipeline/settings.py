@@ -51,8 +51,8 @@ class _Hidden:
 _HIDDEN = _Hidden()
 
 PATHS = ("data.source", "cnn.model", "nir.file")
-"""Settings with the path of a file.  They are never part of the origin of an artifact,
-because the file's content does, and every artifact may read them."""
+"""Settings with the path of a file.  The origin of an artifact has a hash of the file's content
+instead of the path, so that every artifact may read these settings."""
 
 
 class Section:
@@ -77,7 +77,7 @@ class Limit(NamedTuple):
 
 def one_of(*values) -> Limit:
     """The limit of a setting that has only these values."""
-    return Limit(lambda value: value in values, "one of " + ", ".join(values))
+    return Limit(lambda value: value in values, "one of " + ", ".join(v or "''" for v in values))
 
 
 def between(low, high, unit="") -> Limit:
@@ -140,8 +140,8 @@ class Input(Section):
     step: Annotated[float, STEP] = 10.0
     """Recording time in milliseconds that one step of the chip represents; for ``events`` only."""
     refractory: Annotated[float, AT_LEAST_0] = 10.0
-    """Refractory period in milliseconds, in whole steps after a step with a spike, as of an event
-    camera's pixel: further events of the taxel and polarity are ignored.  For ``events`` only."""
+    """Refractory period of a taxel and polarity after a spike, in milliseconds, rounded down to
+    whole steps, as of an event camera's pixel: events in it are ignored.  For ``events`` only."""
 
     @property
     def rest(self) -> int:
@@ -166,11 +166,11 @@ class Image(Section):
 
     aggregation: Annotated[str, one_of(*AGGREGATIONS)] = "count"
     """Quantity for each taxel: ``count``, physical events; ``columns``, columns of the file, as in
-    the paper's Table 1; ``signed``, ON minus OFF events; ``on``, ``off``: of one polarity."""
+    the paper's Table 1; ``signed``, ON minus OFF events; ``on`` or ``off``, one polarity only."""
     normalisation: Annotated[str, one_of(*NORMALISATIONS)] = "max"
     """Divisor of an image: ``max``, its largest magnitude; ``sum``, the sum of magnitudes;
-    ``sqrt-max``, as ``max`` after the square root of each magnitude; ``none``, nothing: the
-    counts themselves, for the CNN, ``deployment.first_layer = "host"`` or a low
+    ``sqrt-max``, as ``max`` after the square root of each magnitude; ``none``,
+    undivided counts, only for the CNN, ``deployment.first_layer = "host"`` or a low
     ``deployment.input_rate``."""
 
 
@@ -221,8 +221,8 @@ class SNN(Section):
     """Standard deviation of the noise on each neuron's input while training, relative to the
     activation at ``max_rates``; recipe ``loihi`` only."""
     spike_penalty: Annotated[float, AT_LEAST_0] = 0.05
-    """Weight in the loss of the penalty on synaptic operations, which are counted over 100 steps in
-    units of the CNN's multiply-accumulates; recipe ``loihi`` only."""
+    """Weight of the penalty on synaptic operations in the loss; they are counted over 100 steps, in
+    multiples of the CNN's multiply-accumulates.  Recipe ``loihi`` only."""
     max_rates: tuple = (150.0,)
     """Spikes per second of the neurons of each convolution and hidden dense layer at activation 1;
     the last entry also applies to all layers after it."""
@@ -246,8 +246,8 @@ class NIR(Section):
     """A NIR graph that replaces the trained network; see :mod:`pipeline.run.nir_conversion`."""
 
     file: str = ""
-    """A NIR graph, such as one exported from PyTorch; ``convert --nir`` sets it, and an empty text
-    selects networks trained here."""
+    """A NIR graph, such as one exported from PyTorch; ``convert --nir`` sets it; empty for
+    networks that are trained here."""
     sha256: str = ""
     """SHA-256 of that file's content."""
     step: Annotated[float, STEP_OR_NONE] = 0.0
@@ -275,10 +275,10 @@ class EventTraining(Section):
     learning_rate: Annotated[float, ABOVE_0] = 0.003
     """Initial learning rate of Adam; it falls to 0 along a half cosine."""
     early: Annotated[float, AT_LEAST_0] = 1.0
-    """Weight in the loss of correct early decisions, while the digit is still being written."""
+    """Weight of the loss term for early decisions, while the digit is still being written."""
     budget: Annotated[float, ABOVE_0] = 0.8
-    """Synaptic operations of an inference, in multiples of the paper's CNN's multiply-accumulates,
-    above which the loss has a penalty."""
+    """Synaptic operations per inference above which the loss has a penalty, in multiples of the
+    multiply-accumulates of the paper's CNN."""
 
 
 @dataclass(frozen=True)
@@ -326,8 +326,8 @@ class Deployment(Section):
     input_rate: Annotated[float, RATE] = 500.0
     """Spikes per second of a pixel of value 1."""
     input_phase: Annotated[float, FROM_0_BELOW_1] = 0.5
-    """Voltage of a blank pixel's input neuron, as a share of its threshold: the number of spikes of
-    a sample is the expected number, rounded to the nearest with 0.5 and down with 0."""
+    """Initial voltage of an input neuron in a sample, as a share of its threshold.  Its number of
+    spikes is the expected number, rounded to the nearest with 0.5 and down with 0."""
     synapse: Annotated[float, TAU_OR_NONE] = 0.008
     """Time constant in seconds of the low-pass on every spiking connection; 0 for none."""
     pop_type: Annotated[int, POP_TYPE] = 32
@@ -336,19 +336,19 @@ class Deployment(Section):
 
 
 @dataclass(frozen=True)
-class Showing(Section):
+class PresentationSettings(Section):
     """Presentation of the samples; see :class:`deploy.network.spec.Presentation`."""
 
     steps: Annotated[int, STEPS_OR_NONE] = 0
-    """Steps for which a sample is presented: of 1 ms, or with events each of ``input.step``; 0 for
-    100, or with events for the two seconds of a recording."""
+    """Number of steps for which a sample is presented: steps of 1 ms, or with events of
+    ``input.step``.  0 for 100 steps, or with events for the two seconds of a recording."""
     gap: Annotated[int, STEPS_OR_NONE] = Presentation.gap
     """Blank steps before each sample."""
     readout_start: int = Presentation.readout_start
-    """First step of the mean output from which the decision is made; with events always the first
-    step."""
+    """First step of the readout window, over which the output is averaged for the decision; with
+    events always the first step of the presentation."""
     stream_length: Annotated[int, SAMPLES] = Presentation.stream_length
-    """Samples that are presented one after the other before the network is reset."""
+    """Number of samples that are presented before the network is reset."""
 
 
 @dataclass(frozen=True)
@@ -376,7 +376,7 @@ class Settings(Section):
     events: EventTraining = field(default_factory=EventTraining)
     slayer: Slayer = field(default_factory=Slayer)
     deployment: Deployment = field(default_factory=Deployment)
-    presentation: Showing = field(default_factory=Showing)
+    presentation: PresentationSettings = field(default_factory=PresentationSettings)
     check: Check = field(default_factory=Check)
 
     def with_values(self, changes: dict, origin: str = "settings") -> Settings:
@@ -605,7 +605,7 @@ def put(values: dict, name: str, value, origin: str):
 def _toml(value):
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(_toml, value)) + "]"
-    # The same for text, numbers and booleans, but for one character that only TOML escapes.
+    # TOML's text, numbers and booleans are JSON's, except for one character that TOML escapes.
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
@@ -638,7 +638,7 @@ def _meant(name, known, prefix):
     if not near and not prefix:  # the section was left out
         last = {full.rpartition(".")[2]: full for full in reversed(Settings().flat())}
         near = [last[word] for word in difflib.get_close_matches(str(name), last, n=1)]
-    return f", did you mean {prefix + near[0]!r}?" if near else ""
+    return f" (did you mean {prefix + near[0]!r}?)" if near else ""
 
 
 def _coerced(value, default, origin, name):
@@ -653,7 +653,7 @@ def _coerced(value, default, origin, name):
             fail("a whole number")
         return value
     if isinstance(default, float):
-        if not number or not -LARGEST <= value <= LARGEST:  # NaN is neither
+        if not number or not -LARGEST <= value <= LARGEST:  # NaN fails both comparisons
             fail("a number")
         return float(value)
     if isinstance(default, tuple):
@@ -738,28 +738,28 @@ def _validate(s: Settings, origin):
     inside = 0 <= s.presentation.readout_start < s.steps
     need(s.on_events or inside, "presentation.readout_start",
          f"from 0 to below presentation.steps ({s.steps}), not {s.presentation.readout_start}; "
-         "with so few steps give another one too, such as "
+         "with so few steps give it too, such as "
          f"--set presentation.readout_start={s.steps // 5}")  # fmt: skip
     on_events = _parsed(s.events.architecture, "events.architecture", origin)
     need(len(on_events.layers) > 1 and all(layer.kind != "pool" for layer in on_events.layers),
          "events.architecture", "a network with a hidden layer and without pooling")  # fmt: skip
     of_events = _parsed(s.slayer.architecture, "slayer.architecture", origin)
     architecture = _parsed(s.cnn.architecture, "cnn.architecture", origin)
-    if s.data.source == SIMULATED:  # the sensor of recordings is known once they are read
+    if s.data.source == SIMULATED:  # other recordings must be read first to know their sensor
         rows, columns = s.skin.rows or paper.ROWS, s.skin.columns or paper.COLUMNS
         check_fits(s, rows, columns, paper.CLASSES, origin)
-        if (rows, columns) == (paper.ROWS, paper.COLUMNS):  # else it need not be in use
+        if (rows, columns) == (paper.ROWS, paper.COLUMNS):  # otherwise this setting may be unused
             need(of_events.input_shape == (rows, columns, 2), "slayer.architecture",
                  f"for {rows}x{columns}x2, a channel for each polarity")  # fmt: skip
     n_spiking = len(architecture.spiking)
     need(n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output")
     on_chip = architecture.convs[1:] if s.deployment.first_layer == "host" else architecture.convs
     need(s.deployment.pop_type == 32 or not any(conv.filters % 4 for conv in on_chip),
-         "deployment.pop_type", "32 unless filters on the chip come in multiples of 4")  # fmt: skip
+         "deployment.pop_type", "32, or 16 if layers have a multiple of 4 filters")  # fmt: skip
     need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3, "snn.max_rates",
-         f"1 to {n_spiking} rates above 0, one a layer of neurons")  # fmt: skip
+         f"1 to {n_spiking} rates above 0, one per layer of neurons")  # fmt: skip
     need(max(s.snn.max_rates) * s.snn.tau_ref < 1, "snn.max_rates",
-         f"below 1 / snn.tau_ref = {1 / s.snn.tau_ref:g} spikes a second")  # fmt: skip
+         f"below 1 / snn.tau_ref = {1 / s.snn.tau_ref:g} spikes per second")  # fmt: skip
 
 
 def check_fits(s: Settings, rows: int, columns: int, classes: int, origin: str):

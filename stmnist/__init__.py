@@ -53,7 +53,7 @@ _PLACES = {
     "pipeline.settings": ("Settings", "read_settings", "write_settings"),
     "pipeline.training.networks": ("train_cnn", "train_rate_network"),
 }
-"""Module of each public name; of ``stages``, a module itself, the package."""
+"""Public names by the module that has them; ``stages`` is itself a module, in a package."""
 
 _BEFORE = {"deploy.fastloihi": "deploy.network.loihi_import"}
 """Modules to import before others: NengoLoihi 1.1 needs substitutions on NumPy 2."""

@@ -125,7 +125,7 @@ def test_of_images(tiny_run, person, tmp_path, capsys):
     assert result["samples"] == 50
     if result["bundle"] is not None:
         assert result["after"] > result["before"]
-        assert read_bundle(result["bundle"]).spec.stimulus.held
+        assert read_bundle(result["bundle"]).spec.stimulus.static
     from deploy.targets.registry import answer
     from pipeline.run.adaptation import Responder
 

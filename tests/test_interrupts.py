@@ -10,7 +10,7 @@ import threading
 
 import pytest
 
-from pipeline.__main__ import QUIET, hear_threads
+from pipeline.__main__ import QUIET, report_thread_errors
 
 from .command import ROOT, environment, process_of
 
@@ -289,7 +289,7 @@ def test_the_script_begins_where_the_guard_is():
 def test_joblib_may_trip_over_jobs_that_are_given_up(monkeypatch, name, error, heard):
     said = []
     monkeypatch.setattr(threading, "excepthook", lambda told: said.append(told.exc_type))
-    hear_threads()
+    report_thread_errors()
 
     def trip():
         raise error(2)

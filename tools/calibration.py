@@ -57,10 +57,10 @@ LIMITS = {
 """Limits of the errors of mean and SD: relative for counts, in taxels for places and ranges."""
 
 LEFT_OUT = frozenset({(3, "off", "sd")})
-"""Cells that aren't fitted.
+"""Cells that are not fitted.
 
 An SD of 1403 OFF events at a mean of 810 (paper, Table 1, digit 3), where the ON events have 673 at
-1053, can only come from a recording or two that went wrong.
+1053, can only come from one or two faulty recordings.
 """
 
 BOUNDS = {

@@ -33,7 +33,7 @@ def growth(spec: NetworkSpec, images) -> dict:
         ``samples``, ``steps`` and ``brightness``: lists of dicts with the seconds of each; the
         last with the mean rate on the chip in Hz, for events with all events and with none.
     """
-    held = spec.stimulus.held
+    static = spec.stimulus.static
     images = spec.stimulus.flat(images)
     emulation = Emulation(compile_spec(spec))
     length = min(spec.presentation.stream_length, len(images))
@@ -44,7 +44,7 @@ def growth(spec: NetworkSpec, images) -> dict:
         return repeated.reshape(n, length, *images.shape[1:])
 
     def lasting(streams, n):
-        return streams if held else _lasting(streams, n)
+        return streams if static else _lasting(streams, n)
 
     base = streams(max(1, len(images) // length))
     return {
@@ -62,7 +62,7 @@ def growth(spec: NetworkSpec, images) -> dict:
                 "chip_hz": _chip_rate(spec, emulation, factor * base),
                 "seconds": _best(emulation, factor * base, steps, gap),
             }
-            for factor in ((0.0, 0.5, 1.0, 2.0) if held else (0, 1))
+            for factor in ((0.0, 0.5, 1.0, 2.0) if static else (0, 1))
         ],
     }
 

@@ -292,7 +292,7 @@ def _run_on_events(work, folder, seed):
 
 
 def _effect_of_state(runs):
-    """Samples that are right in a stream and from rest, over all runs, and McNemar's p."""
+    """Samples that are right only in a stream or only from rest, over all runs; McNemar's p."""
     samples, first, second = (
         sum(run[key] for run in runs) for key in ("n_test", "only_in_stream", "only_from_rest")
     )
@@ -395,8 +395,8 @@ def main(
         if result.pen and not pen:
             print(f"{result.name}: left out; it needs --pen", file=sys.stderr)
             continue
-        print(f"{result.name}: some {result.minutes} minutes", flush=True)
-        # What other versions have measured must not be taken for a result of these.
+        print(f"{result.name}: about {result.minutes} minutes", flush=True)
+        # Partial results of other versions must not be used.
         folder = work / result.origin(recordings).key[:16]
         measure(result, Work(folder, jobs, pen), recordings)
 

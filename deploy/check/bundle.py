@@ -101,6 +101,18 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
 
     The folder is filled under a temporary name and then renamed, so that after an interruption the
     previous bundle or the complete new one exists.
+
+    Parameters
+    ----------
+    path : path-like
+    spec : NetworkSpec
+    checks : CheckSet
+        With inputs in the format of the network's stimulus.
+
+    Raises
+    ------
+    UserError
+        The path is a file's, or the folder cannot be written.
     """
     path = Path(path)
     if path.exists() and not path.is_dir():
@@ -120,7 +132,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
             write_arrays(temporary / "weights.npz", **spec.arrays())
             write_arrays(
                 temporary / "checks.npz",
-                inputs=np.asarray(checks.inputs, np.float32 if spec.stimulus.held else np.uint8),
+                inputs=np.asarray(checks.inputs, np.float32 if spec.stimulus.static else np.uint8),
                 labels=np.asarray(checks.labels, np.int64),
                 ids=np.array(checks.ids, dtype=str),
                 seed=np.int64(checks.seed),
@@ -147,7 +159,7 @@ def result_beside(folder, target: str) -> Path:
     Parameters
     ----------
     folder : Path
-        The run, or the bundle where it was copied from its run.
+        The run, or a bundle that was copied without its run.
     target : str
 
     Raises
@@ -199,7 +211,7 @@ def read_bundle(path) -> Bundle:
     path = Path(path)
     if not path.is_dir():
         raise UserError(f"{path}: no such bundle folder; make one with 'stmnist convert RUN'")
-    manifest = read_json(path / "MANIFEST.json", "is this a bundle? " + _REMEDY)
+    manifest = read_json(path / "MANIFEST.json", "give the folder of a bundle, or " + _REMEDY)
     _check_schema(path / "MANIFEST.json", manifest.get("schema"), (MANIFEST_SCHEMA,))
     hashes = manifest.get("files")
     if not isinstance(hashes, dict) or sorted(hashes) != sorted(FILES):
@@ -233,7 +245,7 @@ def _read_checks(path, spec):
         raise UserError(f"{path}: does not fit the network: {wrong}; {_REMEDY}")
     inputs = _inputs_of(arrays)
     return CheckSet(
-        inputs=inputs.astype(float) if spec.stimulus.held else inputs,
+        inputs=inputs.astype(float) if spec.stimulus.static else inputs,
         labels=arrays["labels"],
         ids=tuple(arrays["ids"].tolist()),
         seed=int(arrays["seed"]),
@@ -247,8 +259,8 @@ def _inputs_of(arrays):
 def _wrong_with(arrays, spec):
     """The reason why arrays cannot be the samples of a network's check, or None."""
     if sorted(arrays) not in (["ids", name, "labels", "seed"] for name in ("images", "inputs")):
-        held = ", ".join(sorted(arrays)[:10])
-        return f"not the samples of a check, ids, inputs, labels and seed, but {held}"
+        names = ", ".join(sorted(arrays)[:10])
+        return f"its arrays are {names}, not ids, inputs, labels and seed"
     inputs, labels, ids, seed = (
         _inputs_of(arrays), *(arrays[name] for name in ("labels", "ids", "seed"))
     )  # fmt: skip
@@ -256,15 +268,15 @@ def _wrong_with(arrays, spec):
     if not all(kind in known for kind, known in zip(kinds, ("iu", "U", "iu"))):
         return "labels and seed are not whole numbers, or ids not text"
     if (labels.ndim, ids.ndim, seed.ndim) != (1, 1, 0) or inputs.ndim < 1:
-        return "inputs, labels and ids have other shapes"
+        return "inputs, labels, ids or seed have a wrong number of dimensions"
     if not limits.SAMPLES >= len(inputs) == len(labels) == len(ids) >= 1:
-        return "inputs, labels and ids differ in number, or there are none or too many"
+        return "inputs, labels and ids differ in length, or there are none or too many"
     classes = spec.layers[-1].size
     if labels.min() < 0 or labels.max() >= classes:
         return f"labels are not from 0 to {classes - 1}"
     try:
         if len({name.encode("utf-8") for name in ids.tolist()}) != len(ids):
-            return "two samples have one id"
+            return "two samples have the same id"
     except UnicodeEncodeError:
         return "an id is not text in UTF-8"
     return spec.stimulus.complaint(inputs, spec.input_shape, spec.presentation.steps)

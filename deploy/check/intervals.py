@@ -18,7 +18,7 @@ def wilson_interval(correct: int, n: int):
     low, high : float
         In [0, 1].
     """
-    from scipy import stats  # takes a third of a second, which --help should not cost
+    from scipy import stats  # slow to import, which --help need not wait for
 
     interval = stats.binomtest(correct, n).proportion_ci(0.95, method="wilson")
     return float(interval.low), float(interval.high)

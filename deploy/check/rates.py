@@ -84,7 +84,7 @@ def chip_rates(spec: NetworkSpec, samples) -> Dict[str, dict]:
     on_chip = [layer.name for layer in spec.layers if layer.placement == "chip"]
     rates = firing_rates(spec, samples)
     return rate_summary(
-        {name: rates[name] for name in on_chip}, spec.stimulus.step_seconds, spec.stimulus.held
+        {name: rates[name] for name in on_chip}, spec.stimulus.step_seconds, spec.stimulus.static
     )
 
 

@@ -99,7 +99,7 @@ def _while_written(bundle, decisions, labels, samples) -> dict:
     Writing ends with the sample's last event; steps after the end count as the last step.
     """
     spec = bundle.spec
-    if spec.stimulus.held:
+    if spec.stimulus.static:
         return {}
     written = last_steps(bundle.checks.inputs) + 1
     everyone = np.arange(len(labels))
@@ -148,12 +148,12 @@ def read_result(path, remedy="run 'stmnist check run' again") -> dict:
     for name, fits in _FIELDS.items():
         if not fits(result[name]) if name in result else name not in _OPTIONAL:
             raise UserError(
-                f"{path}: not a whole check result ({name!r} is missing or wrong); {remedy}"
+                f"{path}: not a complete check result ({name!r} is missing or wrong); {remedy}"
             )
     samples = result["samples"]
     for index, sample in enumerate(samples):
         if not _is_sample(sample):
-            raise UserError(f"{path}: not a whole check result (sample {index + 1}); {remedy}")
+            raise UserError(f"{path}: not a complete check result (sample {index + 1}); {remedy}")
     right = sum(sample["label"] == sample["prediction"] for sample in samples)
     sound = (
         len(samples) == result["n_samples"]
@@ -336,6 +336,11 @@ class Comparison:
 def compare_results(a: dict, b: dict) -> Comparison:
     """Compare two results sample by sample.
 
+    Parameters
+    ----------
+    a, b : dict
+        See :func:`result_of`.
+
     Raises
     ------
     UserError
@@ -395,7 +400,7 @@ def loss_text(reference: dict, result: dict) -> Optional[str]:
     own, found = compared.accuracies
     return WARNING + (
         f"{result['target']} is significantly less accurate than {reference['target']} on the same "
-        f"samples: {found:.3f}, not {own:.3f} (McNemar p = {compared.p_value:.2g})"
+        f"samples: {found:.3f} instead of {own:.3f} (McNemar p = {compared.p_value:.2g})"
     )
 
 

@@ -212,11 +212,11 @@ def open_check(
         As :func:`run_check`.
     """
     target_named(target)
-    if type(seed) is not int or not 0 <= seed < 2**31:  # a bundle may say anything
+    if type(seed) is not int or not 0 <= seed < 2**31:  # a bundle's seed is not validated
         raise UserError(f"seed {seed}: must be from 0 to {2**31 - 1}")
     refuse_unfit(bundle.spec, target, seed)
     out = Path(out)
-    if out.exists() and not out.is_file():  # checked now, before the samples are run
+    if out.exists() and not out.is_file():  # before the samples are run
         raise UserError(f"{out}: cannot write (not a file); choose another --out")
     saved = out.with_name("." + out.name + ".partial")
     shown = hashlib.sha256("\n".join(bundle.checks.ids).encode()).hexdigest()

@@ -64,7 +64,7 @@ def others_text(result: dict) -> str:
         if label != prediction and count
     ]
     for count, label, prediction in sorted(wrong, key=lambda entry: -entry[0])[:5]:
-        lines.append(f"{count} times {short[label]} was taken for {short[prediction]}")
+        lines.append(f"{short[label]} classified as {short[prediction]}: {count}")
     return "\n".join(lines)
 
 

@@ -6,7 +6,7 @@ NengoLoihi's steps use (the spikes of the last step, random numbers that nothing
 computed on request.
 
 In two cases NengoLoihi's own steps run, so that no result can differ: for networks that `layout`
-does not support (`Unforeseen`), and for a step with a warning that should be an error.
+does not support (`Unsupported`), and for a step with a warning that should be an error.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from nengo_loihi.emulator.interface import (
     SynapseState,
 )
 
-from .layout import Unforeseen
+from .layout import Unsupported
 from .link import COUNTERS, ROWS, Arriving, Link
 
 FIXED = ("decay_u", "decay_v", "scale_u", "scale_v", "vmin", "vmax", "ref")
@@ -85,13 +85,13 @@ class FastEmulator(EmulatorInterface):
         if self.__dict__.get("_link") is not None:
             try:
                 self._random.draw_from(rng)
-            except Unforeseen as reason:
+            except Unsupported as reason:
                 hand_over(self, reason)
             else:
                 self._random.share()
 
     def __deepcopy__(self, memo):
-        """Copy the state as NengoLoihi keeps it; the copy has arrays of the kernel of its own."""
+        """Copy the state as NengoLoihi keeps it; the copy has its own arrays of the kernel."""
         link, kind = self._link, type(self)
         if link is None:
             raise TypeError("a closed emulator cannot be copied")
@@ -131,7 +131,7 @@ class FastEmulator(EmulatorInterface):
         try:
             arriving = Arriving(self.inputs, self.t, steps)
             done = link.run(self, steps, arriving, careful)
-        except Unforeseen as reason:
+        except Unsupported as reason:
             hand_over(self, reason)
             return 0
         if careful and link.log[0, 0]:
@@ -185,13 +185,13 @@ def _warn(emulator, kind, count):
 
 def _warnings_are_errors():
     """True if a filter turns a `UserWarning` into an error."""
-    for entry in warnings.filters:  # a loop, as this is asked before every call
+    for entry in warnings.filters:  # a loop is fast, and this runs before every call
         if entry[0] == "error" and issubclass(UserWarning, entry[2]):
             return True
     return False
 
 
-# --- NengoLoihi's parts, with what the kernel does not keep worked out on demand ------------------
+# --- NengoLoihi's parts, which compute on request what the kernel does not store ------------------
 
 
 class _Compartments(CompartmentState):
@@ -289,9 +289,9 @@ def take_over(emulator, kind=FastEmulator):
     kernel = find_kernel()
     try:
         if kernel is None:
-            raise Unforeseen
+            raise Unsupported
         link = Link(emulator, kernel)
-    except Unforeseen as reason:
+    except Unsupported as reason:
         emulator.__class__ = EmulatorInterface
         if kernel is not None:
             say_once(f"NengoLoihi's own emulator is used, because of {reason}")

@@ -37,16 +37,16 @@ SHIFT, WIDE, FIRST_SEGMENT, LAST_SEGMENT = 2, 3, 4, 5  # columns of `blocks`, af
 SOURCE, OFFSET, BLOCK, IS_WIDE, LARGEST, RULE = range(6)  # columns of `routes`
 ROW, TARGET, AXON = range(3)  # rows of `entries`
 
-SPENT, LOADED = range(2)  # columns of `blocks_now`: what sums may have reached, if input is in use
+SPENT, LOADED = range(2)  # columns of `blocks_now`: bound of the sums, whether there is input
 
 # Columns of `rules`: a synapse's traces, its errors and its weights; when it learns, and how much.
 TRACE0, TRACE1, ERROR0, ERROR1, WEIGHT0, TRACE_EPOCH, LEARN_EPOCH = range(7)
 RATE, PRODUCT_SHIFT, OLD_SHIFT, FRACTION_BITS, NEW_SHIFT, LIMIT, IS_DOUBLE = range(7, 14)
 DECAY, MAGNITUDE, REAL_RATE = range(3)  # columns of `rates`
 
-# Kinds of warnings in the log.  The number beside the last has a bit for each place of overflow.
+# Kinds of warnings in the log.  The count of the last is a bit mask of the places of overflow.
 LOST, TRACE, WEIGHTS, OVERFLOWS = np.int64(0), np.int64(1), np.int64(2), np.int64(3)
-UNFORESEEN = -1  # instead of the number of steps done: nothing was done
+UNSUPPORTED = -1  # returned instead of a number of steps; no step was run
 
 ROOM = 32767  # the largest sum of 16 bits
 
@@ -70,7 +70,7 @@ def _jit(from_python=False, **options):
     def decorate(function):
         try:
             return numba.njit(cache=True, **common, **options)(function)
-        except RuntimeError:  # in an archive Numba finds no place for its cache
+        except RuntimeError:  # in a zip archive there is no place for Numba's cache
             return numba.njit(**common, **options)(function)
 
     return decorate
@@ -179,7 +179,7 @@ def _unit(high, low):
 def _list(words, blocks, events, ends, in_use):
     """List the compartments that spike, in order, and the end of each block in this list."""
     n_in_use, n = uint64(0), uint64(0)
-    for w in range(uint64(len(words))):  # without a branch, of which most would be alike
+    for w in range(uint64(len(words))):  # without a branch, which is faster
         in_use[n_in_use] = w
         n_in_use += uint64(words[w] != 0)
     for j in range(n_in_use):
@@ -239,7 +239,7 @@ def _trace(spikes, first, last, offset, entries, pending):
 
 
 @_jit()
-def _is_foreseen(arriving, arriving_ends, input_sizes):
+def _are_spikes_of_inputs(arriving, arriving_ends, input_sizes):
     """True if every spike of an input belongs to one of its neurons."""
     n_inputs = len(input_sizes)
     for place in range(len(arriving_ends) - 1):
@@ -385,7 +385,7 @@ def _learn(rule, traces, errors, wide, drawn, scratch):
         new = int32(weight + scratch[i])
         negative = int32(new >> int32(31))
         size = uint32(int32(int32(new ^ negative) - negative))
-        # A fraction of so many bits is above a number of 53 if it is above that one's first bits.
+        # The fraction exceeds the random number of 53 bits if it exceeds that number's first bits.
         above = int32(int32(size) & mask) > int32(drawn[uint64(2) * i] >> rest)
         y = int32(int32(size >> bits) + int32(above))
         scratch[i] = y
@@ -494,17 +494,17 @@ def advance_integers(
     -------
     int
         Number of steps: fewer than requested if the log of warnings is full, or if it has a warning
-        that should be an error; `UNFORESEEN`, without a step, if NengoLoihi's own code should run.
+        that should be an error; `UNSUPPORTED`, without a step, if NengoLoihi's own code should run.
     """
     current, voltage, total = cells[CURRENT], cells[VOLTAGE], cells[INPUT]
     bias, threshold = cells[BIAS], cells[THRESHOLD]
     waiting, count = counters[WAITING], counters[COUNT]
     n, n_inputs, n_blocks, n_rules = len(current), len(input_sizes), len(blocks), len(rules)
-    if not _is_foreseen(arriving, arriving_ends, input_sizes):
-        return UNFORESEEN
+    if not _are_spikes_of_inputs(arriving, arriving_ends, input_sizes):
+        return UNSUPPORTED
     for i in range(uint64(n)):
         if current[i] == int32(-2147483648) or voltage[i] == int32(-2147483648):
-            return UNFORESEEN  # which has no positive counterpart
+            return UNSUPPORTED  # -2**31 has no positive counterpart
     for g in range(len(segments)):
         waits[g] = uint8(segments[g, REFRACTORY] > 1)
         for i in range(segments[g, START], segments[g, STOP]):
@@ -615,8 +615,8 @@ def advance_floats(
     bias, threshold = cells[BIAS], cells[THRESHOLD]
     waiting, count = counters[WAITING], counters[COUNT]
     n, n_inputs, n_blocks, n_rules = len(current), len(input_sizes), len(blocks), len(rules)
-    if not _is_foreseen(arriving, arriving_ends, input_sizes):
-        return UNFORESEEN
+    if not _are_spikes_of_inputs(arriving, arriving_ends, input_sizes):
+        return UNSUPPORTED
     _list(words, blocks, events, ends, in_use)
     for s in range(n_steps):
         if log[0, 0] and (stop_at_warning or log[0, 0] + 3 * n_rules + 2 > len(log)):

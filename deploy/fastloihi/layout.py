@@ -23,12 +23,12 @@ from nengo_loihi.block import Axon, Synapse
 from nengo_loihi.builder.discretize import LEARN_FRAC, learn_overflow_bits
 from nengo_loihi.inputs import SpikeInput
 
-KEYS = ("current", "voltage", "spiked")  # of probes; numbered so in the kernel
-LANES = 16  # what narrow runs are padded to: a vector of 256 bits
-LARGEST_NARROW = 4095  # eight rows at least fit a sum of 16 bits
+KEYS = ("current", "voltage", "spiked")  # of probes; the kernel has their indices
+LANES = 16  # narrow runs are padded to multiples: vectors of 256 bits
+LARGEST_NARROW = 4095  # a sum of 16 bits has room for at least eight rows
 
 
-class Unforeseen(Exception):
+class Unsupported(Exception):
     """A property of a model that requires NengoLoihi's own code; the message names it."""
 
 
@@ -74,14 +74,14 @@ def make_layout(emulator) -> Layout:
 
     Raises
     ------
-    Unforeseen
+    Unsupported
         The network has a feature that the kernel does not support, or something in it cannot be
         read: NengoLoihi may read it later, never, or raise an error of its own.
     """
     try:
         return _layout(emulator)
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        raise Unforeseen(f"a network that cannot be read ({error!r})") from error
+        raise Unsupported(f"a network that cannot be read ({error!r})") from error
 
 
 def _layout(emulator):
@@ -89,7 +89,7 @@ def _layout(emulator):
     integers = state.dtype == np.int32
     for item in emulator.inputs:
         if type(item) is not SpikeInput:
-            raise Unforeseen(f"an input of the class {type(item).__name__}")
+            raise Unsupported(f"an input of the class {type(item).__name__}")
     noise = _noise(state.noise, integers)
     segments, constants, bounds = _segments(info, state, integers)
     pools = _Pools(emulator.synapses, info, integers)
@@ -129,9 +129,9 @@ def _segments(info, state, integers):
     if integers:
         for keep in (keep_u, keep_v):
             if np.any((keep < 0) | (keep > 4096)):
-                raise Unforeseen("decays outside of 12 bits")
+                raise Unsupported("decays outside of 12 bits")
         if np.any(state.vmin <= -(2**31)):
-            raise Unforeseen("a minimum voltage beyond 32 bits")
+            raise Unsupported("a minimum voltage beyond 32 bits")
     columns = [keep_u, keep_v, state.scale_u, state.scale_v, state.vmin, state.vmax]
     table = np.stack([*columns, state.ref], axis=1).astype(state.dtype)
     edge = np.ones(len(table) + 1, bool)
@@ -149,12 +149,12 @@ def _segments(info, state, integers):
 def _noise(noise, integers):
     scale_type = np.float64 if integers else np.float32
     if noise.mult.dtype != scale_type:
-        raise Unforeseen(f"noise of type {noise.mult.dtype}")
+        raise Unsupported(f"noise of type {noise.mult.dtype}")
     if integers:
         largest = 127.0 + np.abs(noise.mant_offset.astype(float))
         largest *= np.maximum(noise.mult, 1)  # the sum must fit as well
         if np.any(~(largest < 2.0**31)):
-            raise Unforeseen("noise beyond 32 bits")
+            raise Unsupported("noise beyond 32 bits")
     return noise.mant_offset, noise.mult, noise.target_u.astype(np.uint8)
 
 
@@ -202,7 +202,7 @@ class _Pools:
                 self._runs_of_row.append(per_row)
                 n_rows += len(per_row)
         if max(self._sizes.values()) >= 2**31:
-            raise Unforeseen("more than 2 ** 31 weights")
+            raise Unsupported("more than 2 ** 31 weights")
 
     def arrays(self, dtype):
         """``first_run, runs, narrow, wide``."""
@@ -244,12 +244,12 @@ class _Rows:
         self.synapse = synapse
         weights, indices = synapse.weights, synapse.indices
         if not weights or any(w.dtype != dtype for w in weights):
-            raise Unforeseen(f"weights of another type than {dtype}")
+            raise Unsupported(f"weights of another type than {dtype}")
         self.n_atoms = weights[0].shape[0]
         if any(w.shape != i.shape or len(w) != self.n_atoms for w, i in zip(weights, indices)):
-            raise Unforeseen("weights and indices of different shapes")
+            raise Unsupported("weights and indices of different shapes")
         if any(i.dtype not in (np.int32, np.int64) for i in indices):
-            raise Unforeseen("indices of another type than integers of 32 or 64 bits")
+            raise Unsupported("indices of another type than integers of 32 or 64 bits")
         self.lengths = np.repeat([w.shape[1] for w in weights], self.n_atoms)
         self.weights = np.concatenate([w.ravel() for w in weights])
         self.targets = np.concatenate([i.ravel() for i in indices]).astype(np.int64)
@@ -274,12 +274,12 @@ class _Rows:
         alone = all(w.shape == (1, n) and np.array_equal(i[0], np.arange(n)) for w, i in
                     zip(self.synapse.weights, self.synapse.indices))  # fmt: skip
         if not alone:
-            raise Unforeseen("learning on sparse weights")
+            raise Unsupported("learning on sparse weights")
         if len(self.synapse.weights) != self.synapse.n_axons:
-            raise Unforeseen("learning on other than one row of weights an axon")
+            raise Unsupported("learning with a number of rows of weights other than one per axon")
 
     def _sort(self):
-        """Sort by target; as in ``q[indices] += weights``, the last of equal ones counts."""
+        """Sort by target; as in ``q[indices] += weights``, the last of equal targets counts."""
         rises = (self.row[1:] > self.row[:-1]) | (self.targets[1:] > self.targets[:-1])
         if np.all(rises):
             return
@@ -330,23 +330,23 @@ def _routes(emulator, pools):
     sources = [(i, 0, item) for i, item in enumerate(inputs)]
     sources += [(len(inputs) + b, info.slices[k].start, k) for b, k in enumerate(info.blocks)]
     found = [(axon.target, axon, *source) for source in sources for axon in source[2].axons]
-    found.sort(key=lambda route: order[route[0]])  # leaves the order of a synapse's routes
+    found.sort(key=lambda route: order[route[0]])  # leaves a synapse's order unchanged
     number = {block: b for b, block in enumerate(info.blocks)}
     table, columns, size = [], [], 0
     for synapse, axon, source, start, sender in found:
         for part, kind in ((synapse, Synapse), (axon, Axon)):
             if type(part) is not kind:
-                raise Unforeseen(f"the class {type(part).__name__}")
+                raise Unsupported(f"the class {type(part).__name__}")
         index, atom = _mapped(axon, sender.n_neurons)
         row, base = _rows_of(synapse, index, atom, pools)
         part = synapses.slices[synapse]
         reach = np.where(row >= 0, base + pools.reach[synapse][1][row], 0)
         depth = np.where(row >= 0, base + pools.reach[synapse][0][row], 0)
         if np.any(reach >= part.stop - part.start) or np.any(depth < 0):
-            raise Unforeseen("a weight to a compartment that its block does not have")
+            raise Unsupported("a weight to a compartment that its block does not have")
         traced = synapse in rule
         if traced and np.any(index >= synapse.n_axons):
-            raise Unforeseen("an axon that its synapse does not have")
+            raise Unsupported("an axon that its synapse does not have")
         columns.append(
             (
                 np.where(row >= 0, pools.first_row[synapse] + row, -1),
@@ -379,7 +379,7 @@ def _integers(values):
     """Numbers of axons, atoms and the like as an array; others than integers are errors there."""
     values = np.asarray(values)
     if len(values) and values.dtype.kind not in "iu":
-        raise Unforeseen("axons that are not numbered by integers")
+        raise Unsupported("axons that are not numbered by integers")
     return values.astype(np.int64)
 
 
@@ -395,9 +395,9 @@ def _rows_of(synapse, index, atom, pools):
     row[used] = index[used] if of is None else _integers([of[i] for i in index[used].tolist()])
     n_atoms = pools.atoms[synapse]
     if np.any(used & (row < 0)):
-        raise Unforeseen("an axon that its synapse does not have")
+        raise Unsupported("an axon that its synapse does not have")
     if np.any(used & ((atom < 0) | (atom >= n_atoms))):
-        raise Unforeseen("an atom that its synapse does not have")
+        raise Unsupported("an atom that its synapse does not have")
     return np.where(used, row * n_atoms + atom, -1), np.where(used, base, 0)
 
 
@@ -412,21 +412,21 @@ def _learning(synapses, pools, integers):
         whole = [s.train_epoch, s.learn_epoch]
         if integers:
             whole += [rate, s._lr_exp, s.synapse_cfg.real_weight_exp, s.synapse_cfg.shift_bits]
-        if any(type(value) is not int for value in whole):  # NumPy's make NengoLoihi use 64 bits
-            raise Unforeseen("a learning rule whose parameters are not Python's integers")
+        if any(type(value) is not int for value in whole):  # NengoLoihi uses 64 bits for NumPy's
+            raise Unsupported("a learning rule whose parameters are not Python's integers")
         if not (min(s.train_epoch, s.learn_epoch) > 0 and s.tracing_tau > 0):
-            raise Unforeseen("a learning rule with a period that is not positive")
+            raise Unsupported("a learning rule with a period that is not positive")
         if integers:
             exponent, spare = s.synapse_cfg.real_weight_exp, s.synapse_cfg.shift_bits
             product = LEARN_FRAC + s._lr_exp - learn_overflow_bits(n_factors=2)
             old, new = LEARN_FRAC - exponent, exponent + spare
             bits, limit = LEARN_FRAC + spare, 2 ** (8 - spare) - 1
             if not (abs(product) < 32 and abs(old) < 32 and 0 <= new < 32 and 0 < bits < 28):
-                raise Unforeseen("learning with shifts beyond 32 bits")
+                raise Unsupported("learning with shifts beyond 32 bits")
             if not -(2**31) <= rate < 2**31 or not 0 <= s.tracing_mag < 2**30:
-                raise Unforeseen("a learning rate beyond 32 bits")
+                raise Unsupported("a learning rate beyond 32 bits")
         elif int(np.__version__.split(".")[0]) < 2:
-            raise Unforeseen("learning in floating point as NumPy 1 rounds it")
+            raise Unsupported("learning in floating point on NumPy 1, which rounds differently")
         product_type = (s.learning_rate * np.ones(1, np.float32)).dtype
         rules.append(
             (trace, trace + n, error, error + n_errors, pools.place(s), s.train_epoch,
@@ -442,13 +442,13 @@ def _recorded(probes):
     runs, columns, widths = [], {}, [0] * len(KEYS)
     for probe, blocks in probes.probes.items():
         if probe.key not in KEYS:
-            raise Unforeseen(f"a probe of {probe.key!r}")
+            raise Unsupported(f"a probe of {probe.key!r}")
         key = KEYS.index(probe.key)
         parts = []
         for part, chosen in zip(blocks.values(), probe.slice):
             where = np.arange(part.start, part.stop)[chosen]
             if where.ndim != 1:
-                raise Unforeseen("a probe of a single compartment by its number")
+                raise Unsupported("a probe of a single compartment by its number")
             starts = np.flatnonzero(np.diff(where, prepend=-2) != 1)
             lengths = np.diff(np.append(starts, len(where)))
             runs += [

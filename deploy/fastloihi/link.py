@@ -10,16 +10,16 @@ from types import SimpleNamespace
 import numpy as np
 from nengo_loihi.emulator.interface import CompartmentState, NoiseState, ProbeState, SynapseState
 
-from .layout import Unforeseen, make_layout
+from .layout import Unsupported, make_layout
 
-ROWS = ("current", "voltage", "input", "bias", "vth")  # of `cells`, as NengoLoihi calls them
+ROWS = ("current", "voltage", "input", "bias", "vth")  # of `cells`, by NengoLoihi's names
 COUNTERS = ("ref_count", "spike_count")  # of `counters`
 
 HISTORY = 32 << 20  # bytes of probed values in one call of the kernel
-AT_ONCE = 1 << 28  # updates of compartments in one call, after which Ctrl-C is heard: half a second
+AT_ONCE = 1 << 28  # updates of compartments in one call: half a second, in which Ctrl-C waits
 LOG = 256  # lines of the kernel's log of warnings
 
-# What a synapse learns by, in floating point and in integers.
+# Learning parameters of a synapse, in floating point and in integers.
 PERIODS = ("train_epoch", "learn_epoch", "tracing_tau", "tracing_mag")
 parameters_of_floats = attrgetter(*PERIODS, "learning_rate")
 parameters_of_integers = attrgetter(*PERIODS, "_lr_int", "_lr_exp")
@@ -49,12 +49,12 @@ class Random:
         """Draw all further random numbers from a `RandomState`."""
         generator = getattr(rng, "_bit_generator", None)
         if not isinstance(generator, np.random.MT19937):
-            raise Unforeseen("random numbers of another kind than MT19937")
+            raise Unsupported("random numbers of another kind than MT19937")
         _, words, position, *_ = rng.get_state()
         address = generator.ctypes.state_address
         memory = np.ctypeslib.as_array((ctypes.c_uint32 * 625).from_address(address))
         if not np.array_equal(memory, np.append(words, position).astype(np.uint32)):
-            raise Unforeseen("random numbers that NumPy keeps in another way")
+            raise Unsupported("random numbers that NumPy keeps in another way")
         self.words = memory
         self._rng = rng  # whose memory must not be freed
         self.owed = 0
@@ -93,7 +93,7 @@ class Link:
                  emulator.probes: ProbeState}  # fmt: skip
         for part, kind in kinds.items():
             if type(part) is not kind:
-                raise Unforeseen(f"a state of the class {type(part).__name__}")
+                raise Unsupported(f"a state of the class {type(part).__name__}")
         self.layout = layout = make_layout(emulator)
         n, dtype = emulator.block_info.n_compartments, state.dtype
         integers = dtype == np.int32
@@ -125,7 +125,7 @@ class Link:
         self.draws = bool(layout.is_noisy or (integers and sizes))
         self._parameters_of = parameters_of_integers if integers else parameters_of_floats
         self.has_probes = bool(layout.columns)
-        self._spikes_in = synapses.spikes_in  # of a step before the first of ours
+        self._spikes_in = synapses.spikes_in  # of the step before the kernel's first
         self.last_spikes = None
         self.at_once = max(
             1, min(AT_ONCE // max(n, 1000), HISTORY // max(1, 4 * sum(layout.widths)))
@@ -183,7 +183,7 @@ class Link:
                 and synapses.traces[s] is trace
                 and synapses.pes_errors[s] is errors
             ):
-                raise Unforeseen("a learning rule or its arrays, which were replaced")
+                raise Unsupported("a learning rule or its arrays, which were replaced")
 
     def run(self, emulator, steps, arriving, careful):
         """Call the kernel; return the number of steps that it ran."""
@@ -200,7 +200,7 @@ class Link:
             emulator.t, steps, arriving.spikes, arriving.ends, *self.histories, self.log, careful,
         )  # fmt: skip
         if done < 0:
-            raise Unforeseen(
+            raise Unsupported(
                 "spikes of neurons that an input does not have, or a voltage of -2**31"
             )
         return done
@@ -282,5 +282,5 @@ def _numbers(spikes):
     if type(spikes) is list:
         spikes = np.asarray(spikes) if spikes else _NOTHING
     if type(spikes) is not np.ndarray or spikes.ndim != 1 or spikes.dtype.kind not in "iu":
-        raise Unforeseen("spikes of an input in another form than a list of integers")
+        raise Unsupported("spikes of an input in another form than a list of integers")
     return spikes

@@ -26,7 +26,7 @@ class FastSimulator(nengo_loihi.Simulator):
     """
 
     def __init__(self, network, *args, **kwargs):
-        if len(args) < 5 and kwargs.get("target") is None:  # target is the sixth of all
+        if len(args) < 5 and kwargs.get("target") is None:  # target is the sixth parameter
             kwargs["target"] = "sim"
         super().__init__(network, *args, **kwargs)
         if "emulator" in self.sims:

@@ -44,7 +44,7 @@ def block_shapes(layers) -> Dict[str, Tuple[int, ...]]:
             shapes[layer.name] = layer.block_shape or default_block(layer, *after)
             after = layer, shapes[layer.name]
         else:
-            after = ()  # a layer on the host is read without axons
+            after = ()  # a layer on the host needs no axons
     return shapes
 
 
@@ -113,7 +113,7 @@ def _lines(layer) -> List[_Line]:
     for n, read in zip(layer.input_shape[:2], layer.read_shape[:2]):
         count, before, _ = windows(read, layer.kernel, layer.stride, layer.padding)
         size = layer.kernel * pool, layer.stride * pool, before * pool
-        # With padding, what an averaging leaves over is cut off: a window would reach it.
+        # With padding a window would reach values outside of complete pooling windows.
         lines.append(_Line(read * pool if layer.padding == "same" else n, count, *size))
     return lines
 

@@ -112,7 +112,7 @@ def input_spikes(spec: NetworkSpec, samples) -> np.ndarray:
     """
     flat, period = spec.stimulus.flat(samples), spec.presentation.period
     size = flat.shape[-1]
-    # the input neurons alone, with a readout of nothing
+    # the input neurons alone, with a readout of zeros
     nothing = Layer(
         name="nothing", kind="dense", input_shape=spec.input_shape, shape=(1,), placement="host",
         neurons=None, synapse=None, kernel=0, block_shape=None, pop_type=32,

@@ -128,7 +128,7 @@ class Layer:
             object.__setattr__(self, name, array)
             _require(np.isfinite(array).all(), where, f"{name} has NaN or infinite values")
             _require(np.abs(array).max(initial=0) <= limits.MAGNITUDE, where,
-                     f"{name} has a value past {limits.MAGNITUDE:g}")  # fmt: skip
+                     f"{name} has a value above {limits.MAGNITUDE:g}")  # fmt: skip
         _require(self.kind in ("conv", "dense"), where, "kind is neither 'conv' nor 'dense'")
         _require(self.placement in ("chip", "host"), where, "placement is not 'chip' or 'host'")
         _require(self.neurons is not None or self.placement == "host", where,
@@ -141,14 +141,14 @@ class Layer:
         if self.block_shape is not None:
             _check_shape(self.block_shape, where, "block_shape")
             _require(len(self.block_shape) == len(self.shape), where,
-                     f"block_shape {self.block_shape} has other sides than shape")  # fmt: skip
+                     f"block_shape {self.block_shape} and shape differ in length")  # fmt: skip
         for name in ("stride", "pool"):
             value = getattr(self, name)
             _require(type(value) is int and value >= 1, where, f"{name} must be at least 1")
         _require(self.padding in ("valid", "same"), where, "padding is neither 'valid' nor 'same'")
         image = self.kind == "conv" or self.pool > 1
         _require(len(self.input_shape) in ((3,) if image else (1, 3)), where,
-                 f"input_shape {self.input_shape} is of the wrong kind")  # fmt: skip
+                 f"input_shape {self.input_shape} has a wrong number of dimensions")  # fmt: skip
         read = self.read_shape
         _require(min(read) >= 1, where, "its averaging is larger than its input")
         if self.kind == "conv":
@@ -274,8 +274,8 @@ class NetworkSpec:
         _check_shape(self.input_shape, "network", "input_shape")
         _require(1 <= len(self.layers) <= limits.LAYERS, "network", "has no layers, or too many")
         names = [layer.name for layer in self.layers]
-        _require(all(map(_is_name, names)), "network", "a layer's name is no short text")
-        _require(len(set(names)) == len(names), "network", "has two layers of one name")
+        _require(all(map(_is_name, names)), "network", "a layer's name is not a short text")
+        _require(len(set(names)) == len(names), "network", "has two layers of the same name")
         _require(
             "input" not in names, "network", "'input' is the input neurons' name, not a layer's"
         )

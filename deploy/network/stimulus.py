@@ -25,14 +25,14 @@ class Stimulus:
     ----------
     kind : str
         Name of the class in a bundle.
-    held : bool
+    static : bool
         True if a sample is one constant frame for all steps; else it has one frame per step.
     area : float or None
         Area of one spike of the input neurons; None if there are none.
     """
 
     kind: ClassVar[str] = ""
-    held: ClassVar[bool] = True
+    static: ClassVar[bool] = True
 
     @property
     def area(self) -> Optional[float]:
@@ -46,17 +46,17 @@ class Stimulus:
 
     @property
     def shortest_interval(self) -> int:
-        """Fewest steps between two spikes of an input neuron."""
+        """Minimum number of steps between two spikes of an input neuron."""
         return 1
 
     def sample_shape(self, input_shape, steps: int) -> tuple:
-        """Shape of one sample: (rows, columns, channels), with (steps,) before it if not held."""
-        return tuple(input_shape) if self.held else (steps, *input_shape)
+        """Shape of one sample: (rows, columns, channels), with (steps,) before it unless static."""
+        return tuple(input_shape) if self.static else (steps, *input_shape)
 
     def flat(self, samples) -> np.ndarray:
         """Samples in the network's input format: (n_samples, size), or (n_samples, steps, size)."""
         samples = np.asarray(samples)
-        if self.held:
+        if self.static:
             return samples.reshape(len(samples), -1).astype(float)
         return samples.reshape(*samples.shape[:2], -1)
 
@@ -106,7 +106,7 @@ class ImageSpikes(Stimulus):
 
     @property
     def shortest_interval(self) -> int:
-        """Fewest steps between two spikes of a pixel of at most 1."""
+        """Minimum number of steps between two spikes of a pixel of at most 1."""
         return max(1, int(1 / (self.max_rate * LOIHI.dt)))
 
     def complaint(self, samples, input_shape, steps: int) -> Optional[str]:
@@ -147,7 +147,7 @@ class EventFrames(Stimulus):
     """
 
     kind: ClassVar[str] = "events"
-    held: ClassVar[bool] = False
+    static: ClassVar[bool] = False
     seconds: float = 0.02
     rest: int = 0
 
@@ -158,7 +158,7 @@ class EventFrames(Stimulus):
 
     @property
     def shortest_interval(self) -> int:
-        """Fewest steps between two spikes of a taxel and polarity."""
+        """Minimum number of steps between two spikes of a taxel and polarity."""
         return 1 + self.rest
 
     @property

@@ -148,7 +148,7 @@ def make_plan(spec: NetworkSpec, chips: int = 1) -> Plan:
     if needed > chips:
         problems.append(
             f"the network: {len(cores)} cores need {needed} chips, {needed - chips} more than the "
-            f"{chips} asked for; ask for more with --chips, or use larger blocks"
+            f"{chips} allowed; allow more with --chips, or use larger blocks"
         )
     warnings = [*_lost_weights(spec, cores), *(line for core in cores for line in _warnings(core))]
     return Plan(cores, needed, problems, warnings)
@@ -258,7 +258,7 @@ def _core_plan(layer, part, chip, core, block, intervals):
 
 
 def _shortest_intervals(spec, model):
-    """Fewest steps between two spikes of a source, for each synapse object by its ``id``."""
+    """Minimum interval in steps of a source's spikes, for each synapse object by its ``id``."""
     intervals = {}
     for source in model.inputs:
         for axon in source.axons:

@@ -161,7 +161,7 @@ def options_for(name: str, **given):
 
 
 def refuse_unfit(spec: NetworkSpec, target: str, seed=0):
-    """Refuse a network that the chip's integers cannot hold before a floating-point target runs it.
+    """Refuse a network whose values do not fit the chip's integers, for targets in floating point.
 
     All other targets refuse it when they build it.  This builds NengoLoihi's model once more, so it
     is called once for all samples and not for each stream.

@@ -1,1 +1,1 @@
-"""The verbs of the command ``stmnist``, one module a group."""
+"""The sub-commands of ``stmnist``, one module per group."""

@@ -47,7 +47,7 @@ def adapt(
     Nothing is written if the accuracy in cross-validation on the person's recordings does not
     improve.  The original bundle is not changed.
     """
-    from pipeline.run import adaptation  # Nengo: a second that an error above can spare
+    from pipeline.run import adaptation  # Nengo takes a second to import
 
     bundle, beside = _bundle_of(run)
     recordings, who = _of_one(load_recordings(data, jobs=jobs, warn=options.say), writer)

@@ -34,9 +34,9 @@ def table2(
         str,
         typer.Option(
             help=f"Rows, separated by commas: {', '.join(MODELS)}. Left out by default are "
-            "slayer-small, events and events-loihi. A split takes SLAYER 14 minutes, the network "
-            "on events 8 and all others together less than one.",
-            show_default=False,  # one long word without a place to break it
+            "slayer-small, events and events-loihi. SLAYER takes 14 minutes per split, the network "
+            "on events 8, all others together less than one.",
+            show_default=False,  # without spaces, it could not be wrapped
         ),
     ] = ",".join(BY_DEFAULT),
     kind: Annotated[
@@ -103,8 +103,8 @@ def losses(
 ):
     """Measure the loss from the CNN to the chip on the complete test split, over seeds.
 
-    The chip is the target fast, on images with 100 and with 50 steps, on events as in the
-    settings.  An interrupted command continues if it is repeated.
+    The target fast stands for the chip: on images with 100 and with 50 steps, on events with the
+    steps of the settings.  An interrupted command continues if it is repeated.
     """
     _measure(losses_.EXPERIMENT, out, seeds, given, workers, as_json)
 
@@ -141,7 +141,7 @@ def emulator(
     ] = None,
     networks: Annotated[
         bool,
-        typer.Option("--networks", help="Measure FastSimulator on six networks, not a bundle."),
+        typer.Option("--networks", help="Measure FastSimulator on six networks, without a bundle."),
     ] = False,
     as_json: options.Json = False,
 ):
@@ -188,18 +188,18 @@ def adapt(
     handwriting: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option(
-            help="Instead of RUN and --data: a UNIPEN file of digits. For each fold of its writers "
-            "a network is trained on simulated handwriting like that of the other writers, and "
-            "fitted to each writer of the fold.",
+            help="Instead of RUN and --data: PEN, a UNIPEN file of digits. For each fold of its "
+            "writers a network is trained on simulated handwriting like that of the other writers, "
+            "and fitted to each writer of the fold.",
             metavar="PEN",
         ),
     ] = None,
-    folds: Annotated[int, typer.Option(help="Number of folds of the writers in PEN.", min=2)] = 3,
+    folds: Annotated[int, typer.Option(help="With PEN: number of folds.", min=2)] = 3,
     fitted: Annotated[
         int,
         typer.Option(
-            help="Number of writers from whom the model of handwriting is estimated; 0: all "
-            "writers of the other folds.",
+            help="With PEN: number of writers from whom the model of handwriting is estimated; 0: "
+            "all writers of the other folds.",
             min=0,
         ),
     ] = 0,
@@ -231,7 +231,7 @@ def adapt(
 ):
     """Measure the gain of fitting a network to one person, as a mean over people.
 
-    With PEN, an interrupted command continues if it is repeated.
+    With --handwriting PEN, an interrupted command continues if it is repeated.
     """
     from pipeline.experiments import adaptation, rotation  # Nengo
 
@@ -268,5 +268,5 @@ def _counts(each):
     except ValueError:
         counts = (0,)
     if min(counts) < 1:
-        raise UserError(f"--each {each!r}: whole numbers from 1 on, separated by commas")
+        raise UserError(f"--each {each!r}: must be whole numbers from 1 on, separated by commas")
     return counts

@@ -38,8 +38,8 @@ Board = signatures.group(
         "SLURM partition (default: the board is on this host).",
     ),
     chips=_board_option(int, "Largest number of chips to use."),
-    attempts=_board_option(int, "Largest number of attempts for each stream."),
-    wait=_board_option(float, "Seconds before the second attempt, then twice as long."),
+    attempts=_board_option(int, "Largest number of attempts for each stream of samples."),
+    wait=_board_option(float, "Seconds before the second attempt, doubled for each further one."),
     timeout=_board_option(float, "Seconds after which a stream that hangs is abandoned."),
     energy=Annotated[
         bool,
@@ -138,7 +138,7 @@ def _checked(bundle, path, target, seed, chosen):
 def _loss(bundle, result):
     """The loss relative to the network that the bundle was made from, if its answers exist."""
     for first, *_ in REFERENCES.values():
-        with contextlib.suppress(UserError):  # none there, or damaged: then there is nothing to say
+        with contextlib.suppress(UserError):  # missing or damaged: no comparison
             reference = read_result(bundle.path.absolute().parent / "checks" / f"{first}.json")
             if reference["bundle"] == bundle.id:
                 return loss_text(reference, result)
@@ -147,7 +147,7 @@ def _loss(bundle, result):
 
 def _on_others(bundle, target, others, seed, out, check):
     """Run the check on other recordings; return the result and its file."""
-    from pipeline.run import elsewhere  # with what reads recordings
+    from pipeline.run import elsewhere  # imports the code that reads recordings
 
     experiment = bundle.path.absolute().parent / "experiment.toml"
     settings = read_settings(experiment) if experiment.exists() else Settings()
@@ -166,11 +166,11 @@ def compare_checks(
     b: Annotated[Path, typer.Argument(help="Another result of the same bundle.")],
     max_disagreements: Annotated[
         Optional[int],  # noqa: UP045
-        typer.Option(help="Exit with status 1 if more predictions differ."),
+        typer.Option(help="Exit with status 1 if more predictions than this differ."),
     ] = None,
     max_accuracy_drop: Annotated[
         Optional[float],  # noqa: UP045
-        typer.Option(help="Exit with status 1 if B is less accurate by more than this."),
+        typer.Option(help="Exit with status 1 if B is less accurate by more, such as 0.01."),
     ] = None,
     as_json: options.Json = False,
 ):

@@ -242,7 +242,7 @@ def plot(
 
     if what not in FIGURES:
         raise UserError(f"{what!r} is not a figure; choose one of {', '.join(FIGURES)}")
-    figures.format_of(out)  # said before the recordings are read
+    figures.format_of(out)  # reports a wrong format before the recordings are read
     recordings = load_recordings(data, seed, jobs=jobs, reading=reading)
     if what == "layout":
         figure = drawn.layout(recordings.taxels, drawn.is_as_in_paper(recordings))

@@ -72,7 +72,7 @@ def with_parts(text: str) -> str:
 def _sections(command, words, depth):
     summary = _plain(command.help)
     if hasattr(command, "commands"):
-        if depth > 2:  # the command itself has a title of its own
+        if depth > 2:  # the top command has its own title
             yield f"\n{'#' * (depth - 1)} {words}\n\n{summary}"
         for name, below in command.commands.items():
             yield from _sections(below, f"{words} {name}", depth + 1)

@@ -113,7 +113,7 @@ def table2_markdown() -> str:
 
 
 def _cell(model, key):
-    """Mean (SD) over the splits of a row; how many where they are not ten; their recordings."""
+    """Mean (SD) over the splits of a row; their number unless it is ten; a note on recordings."""
     for name in TABLE2:
         if not (FOLDER / f"{name}.json").exists():
             continue

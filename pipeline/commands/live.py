@@ -31,8 +31,8 @@ def live(
     record: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option(
-            help="Folder for the recordings; it can be used as DATA.",
-            show_default=f"{RECORD}; for other data than digits {RECORD}- and its name",
+            help="Folder for the recordings, which can be given as --data.",
+            show_default=f"{RECORD}; for data other than digits, {RECORD}-NAME",
         ),
     ] = None,
     host: Annotated[

@@ -1,4 +1,4 @@
-"""The command ``stmnist``: joins the verbs and converts errors to one line and an exit status."""
+"""The command ``stmnist``: its sub-commands, and errors as one line and an exit status."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ VERBS = {
         },
     ),
     "sweep": (
-        "Compare settings by accuracy, synaptic operations, cores and steps, on a validation part.",
+        "Compare settings by accuracy, synaptic operations, cores and steps, on held-out samples.",
         "sweep.sweep",
     ),
     "report": (
@@ -100,9 +100,9 @@ VERBS = {
         "settings.settings",
     ),
 }
-"""Every verb: its line in the list, and its function, as ``module.function`` of this package, or
-its own verbs.  A module is imported only when one of its verbs is chosen, so that ``--help`` and a
-TAB do not wait for the second that importing all of them takes."""
+"""Each sub-command: its line in the list, and its function, as ``module.function`` of this package,
+or its own sub-commands.  A module is imported only when one of its commands is chosen, so that
+``--help`` and TAB do not wait for the second that importing all of them takes."""
 
 
 class _Flags:
@@ -135,7 +135,7 @@ def _imported(name):
     return functions
 
 
-class _Later(_Command):
+class _Deferred(_Command):
     """Placeholder in the list for a verb whose modules are imported when it is chosen."""
 
     @cached_property
@@ -143,7 +143,7 @@ class _Later(_Command):
         made = _typer(self.help, add_completion=False)
         for name, verb in _imported(self.name).items():
             made.command(name, cls=_Command)(for_typer(verb))
-        return typer.main.get_command(made)  # of one verb it is that verb, else the group
+        return typer.main.get_command(made)  # a single command, or a group of them
 
     def make_context(self, *arguments, **options):
         return self.chosen.make_context(*arguments, **options)
@@ -176,7 +176,7 @@ def command_line() -> TyperGroup:
     made.callback(invoke_without_command=True)(root)
     group = typer.main.get_command(made)
     for name, (summary, _) in VERBS.items():
-        group.add_command(_Later(name, help=summary))
+        group.add_command(_Deferred(name, help=summary))
     return group
 
 
@@ -204,11 +204,11 @@ def main(arguments=None, command=None):
     """
     prepare()
     try:
-        name = "stmnist" if command is None else None  # None: as Python was started
+        name = "stmnist" if command is None else None  # None: the name in sys.argv
         status = (command or command_line())(args=arguments, prog_name=name, standalone_mode=False)
         if status == interrupts.STATUS:  # Typer turns an interruption into this status
             raise KeyboardInterrupt
-        sys.stdout.flush()  # at Python's end it is too late for a line
+        sys.stdout.flush()  # errors could not be reported when Python exits
     except (KeyboardInterrupt, typer.Abort):
         status = _say(interrupts.LINE, interrupts.STATUS)
     except UsageError as error:
@@ -226,11 +226,11 @@ def main(arguments=None, command=None):
     except (UserError, NotationError) as error:
         status = _say(str(error), 2)
     except (BrokenPipeError, SystemExit) as end:
-        # The reader, such as head, has seen enough.  Typer ends with status 1 then.
+        # The reader, such as head, has closed the pipe.  Typer then ends with status 1.
         if isinstance(end, SystemExit) and not isinstance(end.__context__, BrokenPipeError):
             raise
         status = 0
-    except (MemoryError, OSError) as error:  # what no module foresaw
+    except (MemoryError, OSError) as error:  # not handled by any module
         status = _say(line_of(error), 2)
     drop_unwritable()
     sys.exit(status or 0)

@@ -1,4 +1,4 @@
-"""Options that several verbs share, and functions that apply them: settings, workers, output."""
+"""Options that several commands share, and functions that apply them: settings, workers, output."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ Bundle = Annotated[Path, typer.Argument(help="Folder of the bundle or of its run
 Data = Annotated[
     Optional[str],  # noqa: UP045 - Typer reads the annotation at run time
     typer.Option(
-        help="Zip or folder of recordings, or 'simulated' (default: the run's own).",
+        help="Zip or folder of recordings, or 'simulated' (default: as in the settings).",
         autocompletion=data_sets,
     ),
 ]
@@ -70,11 +70,11 @@ Input = Annotated[
         "--input", help="Input of the chip: 'image' or 'events'.", **one_of("image", "events")
     ),
 ]
-Samples = Annotated[Optional[int], typer.Option(help="Samples of the check.")]  # noqa: UP045
-Steps = Annotated[Optional[int], typer.Option(help="Steps for which a sample is presented.")]  # noqa: UP045
+Samples = Annotated[Optional[int], typer.Option(help="Number of samples of the check.")]  # noqa: UP045
+Steps = Annotated[Optional[int], typer.Option(help="Number of steps of a sample.")]  # noqa: UP045
 SettingsFile = Annotated[
     Optional[Path],  # noqa: UP045
-    typer.Option("--settings", help="TOML file of settings that replaces the run's."),
+    typer.Option("--settings", help="TOML file of settings that replaces the folder's."),
 ]
 Assignments = Annotated[
     Optional[list[str]],  # noqa: UP045
@@ -209,7 +209,7 @@ def fit_recordings(jobs: int, until: str):
         if settings.data.source == SIMULATED:
             return fitted(settings, jobs)
         with stages(bars(settings, until)):
-            recordings = recordings_of(settings, jobs)  # what is left out is told later
+            recordings = recordings_of(settings, jobs)  # files that are left out are reported later
         is_new = not folder.experiment.exists()
         try:
             chosen = fitted(settings, jobs, None, recordings, check=until != "train")

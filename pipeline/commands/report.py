@@ -28,7 +28,7 @@ def animate(
     from pipeline.inputs.library import recordings_of
     from pipeline.report.figures import animation
 
-    animation.writer_for(out)  # what the name ends in is told before anything is computed
+    animation.writer_for(out)  # reports a wrong ending of the name before anything is computed
     bundle = read_bundle(options.bundle_in(run))
     experiment = RunFolder(run).experiment
     if not experiment.exists():

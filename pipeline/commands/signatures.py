@@ -1,7 +1,7 @@
-"""Signatures of the verbs, as Typer reads them: groups of options, and short placeholders.
+"""Signatures of the commands, as Typer reads them: groups of options, and short placeholders.
 
-Verbs share groups of options, such as those that choose the settings of a run.  A verb receives a
-group as one value::
+Commands share groups of options, such as those that choose the settings of a run.  A command
+receives a group as one value::
 
     def train(run: options.Run, given: options.RunGiven, jobs: options.Jobs = 2): ...
 
@@ -27,7 +27,7 @@ placeholders, such as ``<int range>``, would take a third of a help text 60 colu
 
 @dataclass(frozen=True)
 class Group:
-    """Options that a verb receives as one value.
+    """Options that a command receives as one value.
 
     Attributes
     ----------

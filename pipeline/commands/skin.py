@@ -1,4 +1,4 @@
-"""``stmnist data handwriting`` and ``aces``: model of handwriting, errors of the shared wire."""
+"""``stmnist data handwriting`` and ``aces``: model of handwriting, errors of ACES."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def handwriting(
 ):
     """Estimate the model of handwriting from recorded pen trajectories.
 
-    pipeline/skin/shape_model.py describes the model.  The simulation reads the file that is written
-    by default; it has the model's parameters and no trajectory.
+    pipeline/skin/shape_model.py describes the model.  The file has its parameters and no
+    trajectory; the simulation reads the file that is written by default.
     """
     traces = unipen.read(file)
     content = sha256_of(file)
@@ -57,7 +57,7 @@ def aces_(
     seed: Annotated[int, typer.Option(help="Seed of the trials.", min=0)] = 0,
     as_json: options.Json = False,
 ):
-    """Measure the errors of the shared wire: encode, add noise, decode, compare."""
+    """Measure the errors of ACES, the code by which all taxels share a wire, with noise on it."""
     with progress("aces", len(aces.NOISES) * len(aces.AT_ONCE)) as advance:
         rows = aces.wire_losses(trials, seed, parameters.load().aces, advance)
     options.tell(rows, aces.wire_losses_text, as_json)

@@ -53,7 +53,7 @@ def convert(
     ] = None,
     step: Annotated[
         Optional[float],  # noqa: UP045
-        typer.Option(help="With --nir: duration in ms of a step of the chip."),
+        typer.Option(help="With --nir: milliseconds of the graph's time in a step of the chip."),
     ] = None,
     retrain: Annotated[
         bool,
@@ -118,7 +118,7 @@ def ladder(
     as_json: options.Json = False,
 ):
     """Run the missing stages up to the emulator, and print the loss of each stage."""
-    if limit is not None and not -100 <= limit <= 100:  # nothing is more than NaN
+    if limit is not None and not -100 <= limit <= 100:  # no loss exceeds NaN
         raise UserError(f"--limit {limit:g}: must be from -100 to 100 points")
     fit = options.fit_recordings(jobs, until="ladder")
     with options.opened(run, given, fit=fit) as (folder, resolved):

@@ -19,8 +19,8 @@ def sweep(
         typer.Option(
             help="Values of a setting, such as cnn.epochs=5,10 or "
             "snn.max_rates=100,150; repeatable, all combinations are tried "
-            "(default: 16 points of steps, synapse, rates and penalty, on events four of budget "
-            "and early; see docs/training.md).",
+            "(default: 16 combinations of steps, synapse, rates and penalty, on events four of "
+            "budget and early; see docs/training.md).",
         ),
     ] = None,
     *,
@@ -28,7 +28,7 @@ def sweep(
     workers: options.Workers,
     as_json: options.Json = False,
 ):
-    """Compare settings by accuracy, synaptic operations, cores and steps, on a validation part.
+    """Compare settings by accuracy, synaptic operations, cores and steps, on held-out samples.
 
     Writes sweep.json, sweep.csv and pareto.png.  Existing points are not computed again.
     """

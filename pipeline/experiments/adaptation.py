@@ -20,7 +20,7 @@ from deploy.network.spec import NetworkSpec
 from deploy.tables import aligned
 from pipeline.experiments.chip_learning import Rule, learn_on_chip
 from pipeline.recordings.events import Recordings
-from pipeline.run.adaptation import Responder, fits
+from pipeline.run.adaptation import Responder, require_fit
 from pipeline.training.readout import Person, refit
 
 SCHEMA = "stmnist-adaptation/2"
@@ -52,7 +52,7 @@ class Case:
     ----------
     spec : NetworkSpec
     scale : float
-        Factor from scores to the logits with which the network was trained.
+        Factor that converts scores to the logits of the training.
     training : Person
         The recordings to which the network is fitted.
     rest, others : tuple of ndarray
@@ -71,7 +71,7 @@ class Case:
     seed: int
     tuned: Callable | None = None
 
-    def right(self, weights) -> tuple:
+    def accuracies(self, weights) -> tuple:
         """Accuracy of a readout on the rest and on the others."""
         bias = self.spec.layers[-1].bias
         return tuple(
@@ -85,11 +85,11 @@ def on_host(case: Case) -> dict:
     readout, kept = case.spec.layers[-1], case.spec.rehearsal
     fit = refit(readout.weights, readout.bias, case.training, kept, case.seed, case.scale)
     weights, exact = (fit.weights, fit.exact) if fit.helps else [readout.weights] * 2
-    after, others_after = case.right(weights)
+    after, others_after = case.accuracies(weights)
     return {
         "after": after,
         "others_after": others_after,
-        "exact": case.right(exact)[0],
+        "exact": case.accuracies(exact)[0],
         "used": float(fit.helps),
     }
 
@@ -100,7 +100,7 @@ def with_pes(case: Case) -> dict:
     scores, weights = learn_on_chip(
         readout.weights, readout.bias, case.training, kept, rest, case.scale, Rule(), case.seed
     )
-    exact, others_after = case.right(weights)
+    exact, others_after = case.accuracies(weights)
     after = float((scores.argmax(1) == labels).mean())
     return {"after": after, "others_after": others_after, "exact": exact}
 
@@ -109,7 +109,7 @@ def all_layers(case: Case) -> dict:
     """Train all layers further, not only the readout."""
     rest, others, weights = case.tuned(case.training.labels, case.seed)
     new = replace(case, rest=(rest, case.rest[1]), others=(others, case.others[1]))
-    after, others_after = new.right(weights)
+    after, others_after = new.accuracies(weights)
     return {"after": after, "others_after": others_after, "exact": after}
 
 
@@ -204,7 +204,7 @@ class Subjects:
         UserError
             Fewer than two writers have enough recordings of each class.
         """
-        fits(spec, recordings)
+        require_fit(spec, recordings)
         known = _enough(recordings, len(recordings.sensor.classes), max(plan.each))
         if len(known) < 2:
             raise UserError(
@@ -251,7 +251,7 @@ class Subjects:
                     training = Person(person.responses[some], labels, person.copies[some])
                     tuned = self.tune and self.tune(who, some, test)
                     case = Case(self.spec, self.scale, training, rest, self.others, draw, tuned)
-                    before, others_before = case.right(old)
+                    before, others_before = case.accuracies(old)
                     row = {"who": who, "each": count, "draw": draw, "before": before}
                     row |= {"others_before": others_before, "used": 1.0}
                     begun = time.process_time()

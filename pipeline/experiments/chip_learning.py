@@ -41,8 +41,8 @@ LARGEST = 0.3
 """Decoded output of a spike through the largest weight, far from the range of the output."""
 
 RATE = 1e-7
-"""Learning rate of the first build for each input: its trace's increment is finely resolved and far
-from its limit."""
+"""Learning rate of the first build, per input: with it, the trace's increment is finely resolved
+and far from its limit."""
 
 SIMULATORS = {"fast": FastSimulator, "emulator": nengo_loihi.Simulator}
 
@@ -134,7 +134,7 @@ def learn_on_chip(
     rest : ndarray, shape (n, inputs)
         Responses to the samples to classify.
     scale : float
-        Factor from scores to the logits with which the network was trained.
+        Factor that converts scores to the logits of the training.
     rule : Rule
     seed : int
         Seed of the order of the samples and of the chip's stochastic rounding.
@@ -158,7 +158,7 @@ def learn_on_chip(
     lesson = Lesson(
         np.clip(np.rint(responses / unit), 0, rule.most).astype(int),
         np.concatenate([labels[order], np.zeros(len(rest), int)]),
-        # The error becomes smaller, so that the last samples do not count most.
+        # Decreasing errors, so that the last samples do not have the largest effect.
         np.concatenate([1 - np.arange(len(order)) / len(order), np.zeros(len(rest))]),
     )
     scores, learned = present(
@@ -191,11 +191,11 @@ def present(weights, bias, lesson: Lesson, rule: Rule, seed: int = 0, on: str = 
         The weights on the chip afterwards.
     """
     weights = np.asarray(weights)
-    # A first build tells the chip's units: the largest weight in levels, and the trace's increment,
+    # A first build gives the chip's units: the largest weight in levels, and the trace's increment,
     # which is proportional to the learning rate.
     gain, first = LARGEST / max(np.abs(weights).max(), 1e-12), RATE * weights.shape[1]
     with warnings.catch_warnings():
-        # Of learning rates in other units, and of traces and weights that stay at their limits.
+        # Warnings about units of learning rates, and about traces and weights at their limits.
         warnings.simplefilter("ignore")
         with _Chip(weights, bias, lesson, rule, gain, first, seed).simulator("emulator") as built:
             synapse = _synapse(built)

@@ -61,7 +61,7 @@ def _timed(part, method):
     try:
         yield seconds
     finally:
-        delattr(part, method)  # the method of its class again
+        delattr(part, method)  # restores the class's method
 
 
 def kernels_here() -> tuple:

@@ -103,7 +103,7 @@ def convolutions(size: int = 28):
 
 @dataclass(frozen=True)
 class Case:
-    """A network, and the number of steps that a measurement runs."""
+    """A network to measure: its title, the function that makes it, and the steps to run."""
 
     title: str
     make: Callable

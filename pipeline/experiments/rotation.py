@@ -1,4 +1,4 @@
-"""Networks for people to whose handwriting nothing was fitted, in rotation over people.
+"""Cross-validation over writers: networks for people whose handwriting was not used before.
 
 The people of a file of pen trajectories are divided into folds.  For each fold the model of
 handwriting is estimated from all other people, a network is trained on recordings simulated with
@@ -288,7 +288,7 @@ def _prepared(rotation, task, index):
 TUNING_EPOCHS, TUNING_RATE = 2, 1e-3
 
 HALF = 500
-"""Training samples, and as many repetitions of a person's, in an epoch of tuning all layers."""
+"""Number of training samples, and of repeated samples of the person, in an epoch of tuning."""
 
 
 def _tuning(settings, dataset, people, weights, confidence):

@@ -19,7 +19,7 @@ from deploy import __version__
 from deploy.errors import CheckFailed, UserError
 from deploy.files import write_json
 from pipeline.artifacts import Artifact, Library, Origin
-from pipeline.inputs.dataset import Dataset, dataset_origin, recordings_fit
+from pipeline.inputs.dataset import Dataset, dataset_origin, require_recordings_fit
 from pipeline.inputs.library import recordings_of
 from pipeline.jobs import Failure, attempt, run_jobs
 from pipeline.progress import hidden, progress
@@ -196,7 +196,7 @@ def study(label: str, measure: Callable, groups, workers: Workers, say: Callable
     with progress(label, sum(map(len, left))) as advance:
         work = partial(_work, measure, __version__)
         for group, found in run_jobs(work, left, workers.processes, workers.scheduler, say):
-            if isinstance(found, Failure):  # of the process, not of a task
+            if isinstance(found, Failure):  # an error of the process, not of a task
                 found = [found] * len(group)
             for task, result in zip(group, found, strict=True):
                 if not isinstance(result, Failure):
@@ -301,7 +301,7 @@ class Experiment:
 
 
 CNN_SETTINGS = ("image", "cnn.architecture", "cnn.epochs", "cnn.batch_size", "cnn.learning_rate")
-"""Settings on which networks depend that are trained as the CNN is."""
+"""Settings that affect every network with the CNN's recipe of training."""
 
 
 def on_split(settings: Settings, seed: int) -> Settings:
@@ -340,7 +340,7 @@ def measure_splits(
     """
     experiment.refuse(settings)
     recordings = recordings_of(settings, workers.processes)
-    recordings_fit(recordings, settings)
+    require_recordings_fit(recordings, settings)
     folder.save_settings(settings)
     sha256, groups = recordings.source.sha256, []
     for seed in range(settings.seed, settings.seed + splits):

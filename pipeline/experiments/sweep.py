@@ -24,7 +24,7 @@ from deploy.targets.registry import answer
 from pipeline.artifacts import Library, Origin
 from pipeline.experiments.study import Findings, Task, Workers, concluded, silent, study
 from pipeline.experiments.sweep_text import sweep_csv
-from pipeline.inputs.dataset import Dataset, dataset_origin, recordings_fit
+from pipeline.inputs.dataset import Dataset, dataset_origin, require_recordings_fit
 from pipeline.jobs import Failure
 from pipeline.paper import CNN_MACS
 from pipeline.progress import hidden
@@ -128,7 +128,7 @@ def points_of(folder: Path, base: Settings, grid, recordings: Recordings) -> lis
         for name, value in combination:
             put(values, name, value, "--grid")
         settings = base.with_values(values, "--grid")
-        recordings_fit(recordings, settings)
+        require_recordings_fit(recordings, settings)
         points.append(_point(folder, settings, combination, recordings.source.sha256))
     return points
 
@@ -283,7 +283,7 @@ def summarise(points, results) -> dict:
     both = list(zip(points, results, strict=True))
     done = [
         {
-            # One that was read again has its entries in another order than one of this session.
+            # Results that were read from a file have their entries in another order.
             **{key: result[key] for key in sorted(result) if key != "made_from"},
             "changes": dict(point.changes),
         }

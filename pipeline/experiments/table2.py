@@ -17,7 +17,7 @@ from pipeline.experiments.table2_splits import (
     measure,
     settings_of,
 )
-from pipeline.inputs.dataset import KINDS, recordings_fit, split_of
+from pipeline.inputs.dataset import KINDS, require_recordings_fit, split_of
 from pipeline.inputs.library import recordings_of
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.jobs import Failure
@@ -86,13 +86,12 @@ def measure_table(
         ) from error
     for model in models:
         if model not in WITH_SLAYER:
-            recordings_fit(recordings, settings_of(settings, model))
+            require_recordings_fit(recordings, settings_of(settings, model))
     if {*models} & {*WITH_SLAYER}:
         given, settings = settings, with_slayer(settings, recordings)
         if settings is not given:
-            say(
-                f"{settings.slayer.architecture}: chosen for SLAYER (--set slayer.architecture=...)"
-            )
+            chosen = settings.slayer.architecture
+            say(f"{chosen}: chosen for SLAYER (another: --set slayer.architecture=...)")
     folder.save_settings(settings)
     benchmark = Benchmark(
         *(settings, recordings.source.sha256, folder.path.absolute(), kinds, splits, models)
@@ -273,7 +272,7 @@ def _cells(row):
     paper = "" if row["paper_mean"] is None else f"{row['paper_mean']:.2f} ({row['paper_sd']:.2f})"
     if row["accuracy_mean"] is None:
         return [row["title"], "not run", "", "0", paper]
-    # An SD that is not there leaves its place free, so that means stand below each other.
+    # A missing SD is replaced by blanks, so that the means are aligned.
     sd = " " * 8 if row["accuracy_sd"] is None else f" ({row['accuracy_sd']:.3f})"
     interval = row["accuracy_ci95"]
     interval = "" if interval is None else f"{interval[0]:.3f} to {interval[1]:.3f}"

@@ -207,7 +207,7 @@ def _what_is_shown(settings):
     return settings.image.aggregation, settings.image.normalisation
 
 
-def images_fit(images: np.ndarray, settings: Settings):
+def require_images_fit(images: np.ndarray, settings: Settings):
     """Refuse images that cannot be presented to the chip.
 
     Parameters
@@ -228,7 +228,7 @@ def images_fit(images: np.ndarray, settings: Settings):
         )
 
 
-def recordings_fit(recordings: Recordings, settings: Settings):
+def require_recordings_fit(recordings: Recordings, settings: Settings):
     """Make sure that the architecture fits the recordings' sensor and classes.
 
     Raises
@@ -298,7 +298,7 @@ def classes_of(spec: NetworkSpec) -> tuple:
     return tuple(map(str, spec.provenance.get("classes") or range(spec.layers[-1].size)))
 
 
-def sensor_fits(spec: NetworkSpec, recordings: Recordings):
+def require_sensor_fits(spec: NetworkSpec, recordings: Recordings):
     """Refuse recordings of another sensor than that of a deployed network.
 
     Raises

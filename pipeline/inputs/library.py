@@ -124,9 +124,9 @@ def simulated(seed: int, counts, jobs: int, **how) -> Recordings:
 
 
 def _imported(path, skip_bad, jobs, warn, reading):
-    archive.list_source(path)  # a wrong path or a damaged zip is said before anything is hashed
+    archive.list_source(path)  # reports a wrong path or damaged zip before the hash
     sha256 = _hash_of(path)
-    # What was imported with bad files left out must not pass for a clean import later.
+    # An import without the bad files must not be used as a complete import later.
     key = cache.key_of("imported", path.name, sha256, skip_bad, *astuple(reading))
     recordings = cache.load(key)
     if recordings is None:

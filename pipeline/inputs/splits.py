@@ -127,7 +127,7 @@ def hold_out(train: np.ndarray, seed: int):
 
     Returns
     -------
-    learn, held : ndarray of int
+    train, held_out : ndarray of int
         In increasing order.
     """
     order = np.random.default_rng([seed, 0x4E1D]).permutation(train)
@@ -137,6 +137,12 @@ def hold_out(train: np.ndarray, seed: int):
 
 def draw_check_samples(test: np.ndarray, n_samples: int, seed: int) -> np.ndarray:
     """Draw the samples of the check from the test split (paper, Section 3.2.2: 200 at random).
+
+    Parameters
+    ----------
+    test : ndarray of int
+        Indices of the test samples.
+    n_samples, seed : int
 
     Returns
     -------
@@ -149,5 +155,5 @@ def draw_check_samples(test: np.ndarray, n_samples: int, seed: int) -> np.ndarra
         There are fewer test samples than requested.
     """
     if n_samples > len(test):
-        raise ValueError(f"{n_samples} samples asked for, the test split has {len(test)}")
+        raise ValueError(f"{n_samples} samples requested, the test split has {len(test)}")
     return np.random.default_rng([seed, 0xC4EC]).choice(np.sort(test), n_samples, replace=False)

@@ -14,28 +14,29 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from deploy.terminal import remark
 
-STRANGERS = 32
-"""Maximum number of simultaneous connections without the token: many times the
-number that a browser opens for a page, and a small part of the files that a process may have
-open."""
+MOST_UNAUTHENTICATED = 32
+"""Maximum number of simultaneous connections without the token: many times the number that a
+browser opens for a page, and a small part of the files that a process may have open."""
 
-STRANGER_S = 5.0
+UNAUTHENTICATED_S = 5.0
 """Seconds until a connection must have sent the token; a page sends it in milliseconds."""
 
 QUIET_S = 60.0
 """Seconds between two messages that no file descriptor is left."""
 
 
-class Strangers:
+class Unauthenticated:
     """The connections that have not sent the token yet, the oldest first.
 
     Parameters
     ----------
     most : int
+        Maximum number; a further connection closes the oldest one.
     seconds : float
+        Time limit for sending the token.
     """
 
-    def __init__(self, most: int = STRANGERS, seconds: float = STRANGER_S):
+    def __init__(self, most: int = MOST_UNAUTHENTICATED, seconds: float = UNAUTHENTICATED_S):
         self._most, self._seconds = most, seconds
         self._there = {}  # transport and timer of each address
 
@@ -67,17 +68,17 @@ def _address(pair):
     return tuple(pair)[:2] if pair else None
 
 
-def protocol_of(strangers: Strangers):
+def protocol_of(unauthenticated: Unauthenticated):
     """Uvicorn's protocol, which reports each connection that is made or lost."""
 
     class Protocol(H11Protocol):
         def connection_made(self, transport):
             super().connection_made(transport)
-            strangers.arrived(transport)
+            unauthenticated.arrived(transport)
 
         def connection_lost(self, exc):
             super().connection_lost(exc)
-            strangers.left(self.client)
+            unauthenticated.left(self.client)
 
     return Protocol
 
@@ -110,10 +111,10 @@ def say_when_files_run_out(loop, say=None):
 
 
 def is_own_error(record) -> bool:
-    """A filter of the log, which leaves out what is not an error of the server.
+    """A log filter that suppresses messages which do not report an error of the server.
 
-    This is text that is not UTF-8, and that a page was cut off because it did not end in time when
-    the server ended.
+    These are messages about text that is not UTF-8, and about pages that did not close in time
+    when the server ended.
     """
     if record.exc_info and isinstance(record.exc_info[1], UnicodeDecodeError):
         return False

@@ -93,7 +93,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class DrawnLayer:
-    """A layer for the page's drawing."""
+    """Name and number of neurons of a layer whose spikes the page draws."""
 
     name: str
     neurons: int
@@ -148,7 +148,7 @@ class _Fast:
         self._emulation = Emulation(compile_spec(spec, seed))
         self.steps, self.first_step = spec.presentation.period, -spec.presentation.gap
         limit = spec.presentation.confidence
-        self.threshold = None if limit is None or limit >= 1 else limit  # 1: never reached
+        self.threshold = None if limit is None or limit >= 1 else limit  # confidences stay below 1
         sizes = {layer.name: layer.size for layer in spec.layers}
         sizes["input"] = int(np.prod(spec.input_shape))
         layers = (DrawnLayer(name, sizes[name]) for name in spec.spiking_layers)
@@ -225,8 +225,8 @@ class ImageDecider(_Fast):
         image = tactile_images(recording, self._image.aggregation, self._image.normalisation)
         scores, spikes, sums = self._show(image, self._spec.presentation.steps)
         shares, unit = softmax(scores), score_unit(self._spec)
-        # Without a threshold, sums of many steps would always be certain: nothing chose their
-        # scale.  The scores are what the network's softmax was trained on.
+        # The softmax was trained on the scores, which are means.  Sums of many steps would always
+        # give a confidence of nearly 1 unless a threshold was chosen for them.
         sure = shares.max() if self.threshold is None else self._confidence(sums)[-1]
         now = float(events.time_ns[-1] * 1e-9) if np.isinf(time_s) else time_s
         point = now, sure, int(np.argmax(settled(scores, unit)))

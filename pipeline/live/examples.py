@@ -81,7 +81,7 @@ class Examples:
         there = self._tests if origin == TEST else self._keeper.kept
         fitting = {e.name: e for e in there if label is None or e.label == label}
         if not fitting:
-            raise UserError("there is no example of that; choose another class")
+            raise UserError("there is no example of this class; choose another class")
         deck = [name for name in self._decks.get((origin, label), ()) if name in fitting]
         if not deck:
             deck = self._rng.permutation(sorted(fitting)).tolist()

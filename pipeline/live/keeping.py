@@ -136,7 +136,7 @@ class Keeper:
             with open_regular(table) as file:
                 found = read_lookup_table(read_limited(file))
         except (OSError, BadRecording):
-            return  # of no recordings, or of ones that nobody can read
+            return  # no recordings, or unreadable ones
         mine = self._taxels
         if not np.array_equal((found.row, found.column), (mine.row, mine.column)):
             raise UserError(
@@ -158,7 +158,7 @@ class Keeper:
         """Hold the folder's lock, which may have been deleted together with the folder."""
         if self._closed:
             raise UserError(
-                f"{self.folder}: nothing is saved any more, because 'stmnist live' ends"
+                f"{self.folder}: nothing is saved any more, because 'stmnist live' is ending"
             )
         if self._lock is not None and is_at(self._lock, self.folder / ".lock"):
             return
@@ -196,7 +196,7 @@ class Keeper:
         self._kept = sorted(found, key=lambda kept: (kept.writer, kept.number))
 
     def close(self):
-        """Release the folder for other processes, when what is being saved is saved."""
+        """Wait until nothing is being saved, then release the folder for other processes."""
         with self._guard:
             self._closed, self._lock = True, None
             self._held.close()
@@ -345,7 +345,7 @@ def _create(path, content):
     try:
         folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
         try:
-            os.fsync(folder)  # the new name too
+            os.fsync(folder)  # syncs the new name too
         finally:
             os.close(folder)
     except OSError as error:

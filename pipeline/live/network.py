@@ -56,7 +56,7 @@ def _with_images(bundle, otherwise):
         return bundle, otherwise if said is None else Image(**said)
     except TypeError as error:
         raise UserError(
-            f"{bundle.path}: its images are made in an unknown way ({error})"
+            f"{bundle.path}: the conversion of events to its images is unknown ({error})"
         ) from error
 
 

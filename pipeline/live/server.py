@@ -33,7 +33,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from deploy.errors import UserError
 from pipeline.live.connections import (
-    Strangers,
+    Unauthenticated,
     is_own_error,
     protocol_of,
     say_when_files_run_out,
@@ -201,18 +201,18 @@ class Live:
     ):  # fmt: skip
         self._make_learner = make_learner or (lambda: None)
         self._make_tests = make_tests or list
-        # Of its own: a decision does not wait until a digit has been learned.
+        # A separate thread, so that decisions do not wait until a digit has been learned.
         self._study_thread = concurrent.futures.ThreadPoolExecutor(1, "learning")
         self._make_decider = make_decider
         self._keeper, self._p, self._about, self._seed = keeper, p, about, seed
         self._numbers = itertools.count(1)
-        self._free = collections.deque(Limits() for _ in range(PAGES))  # of pages not open
+        self._free = collections.deque(Limits() for _ in range(PAGES))  # of closed pages
         self._hands = concurrent.futures.ThreadPoolExecutor(PAGES, "page")
         self._thread = concurrent.futures.ThreadPoolExecutor(1, "network")
         self._decider = self._tests = None
-        self.picture = None  # of the address, for other devices
+        self.picture = None  # QR code of the address, for other devices
         self._files = {file.name: file for file in PAGE.iterdir() if file.suffix in _KINDS}
-        self.strangers = Strangers()
+        self.unauthenticated = Unauthenticated()
         self.token = secrets.token_urlsafe(18)
 
     @contextlib.asynccontextmanager
@@ -237,7 +237,7 @@ class Live:
             await asyncio.shield(self._decider)
             loop = asyncio.get_running_loop()
             return await loop.run_in_executor(self._study_thread, self._make_tests), ""
-        except Exception as error:  # the page says so; everything else works without them
+        except Exception as error:  # reported on the page, which works without examples
             return [], str(error)
 
     def app(self, host: str, port: int):
@@ -256,7 +256,7 @@ class Live:
         token = connection.path_params["token"]
         if not secrets.compare_digest(token.encode(), self.token.encode()):
             return False
-        self.strangers.left(connection.client)
+        self.unauthenticated.left(connection.client)
         return True
 
     async def _page(self, request: Request):
@@ -280,12 +280,12 @@ class Live:
             await _say(socket, [problem(text)])
             await socket.close(1013, "too many pages")
             return
-        limits = self._free.popleft()  # the place that has been free for longest
+        limits = self._free.popleft()  # of the page that was closed first
         try:
             await self._talk(socket, limits)
-        except (WebSocketDisconnect, RuntimeError):  # Starlette's word for a socket that is closed
+        except (WebSocketDisconnect, RuntimeError):  # from Starlette if the socket is closed
             pass
-        except asyncio.CancelledError:  # by the server, which has ended
+        except asyncio.CancelledError:  # the server has ended
             pass
         finally:
             self._free.append(limits)
@@ -329,7 +329,7 @@ class Live:
             await _say(page.socket, [{**examples, "reason": reason}])
 
     async def _study(self, page):
-        """One lesson at a time, in order."""
+        """Run lessons one at a time, in order, and report what was learned."""
         loop = asyncio.get_running_loop()
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             while True:
@@ -340,16 +340,16 @@ class Live:
                 for lesson in lessons:
                     try:
                         learned = await loop.run_in_executor(self._study_thread, lesson)
-                    except Exception as error:  # said; what was recorded is safe
+                    except Exception as error:  # reported; the recording is saved
                         learned = problem(f"this recording could not be learned: {error}")
                     await _say(page.socket, [learned])
 
     async def _answer(self, page):
-        """One answer at a time, always to the latest events."""
+        """Send answers one at a time, each to the latest events."""
         loop, socket = asyncio.get_running_loop(), page.socket
         try:
             decider, learner = await asyncio.shield(self._decider)
-        except Exception as error:  # said on the page, whatever it was
+        except Exception as error:  # any error is reported on the page
             await _say(socket, [problem(f"the network cannot be made ready: {error}")])
             return
         async with page.turn:
@@ -375,7 +375,7 @@ class Live:
                 if ask is not None:
                     try:
                         answer = await loop.run_in_executor(self._thread, ask)
-                    except Exception as error:  # said, and the next one may do
+                    except Exception as error:  # reported; the next answer may succeed
                         answer = problem(f"the network could not answer: {error}")
                     await _say(socket, [answer] if answer is not None else [])
                     await asyncio.sleep(APART_S)
@@ -454,7 +454,7 @@ class Server(uvicorn.Server):
 
     def __init__(self, live: Live, listening, when_listening=None, host: str = HOST):
         self._listening, self._when_listening = listening, when_listening
-        self.strangers = live.strangers
+        self.unauthenticated = live.unauthenticated
         port = listening.getsockname()[1]
         host = f"[{host}]" if ":" in host else host
         self.url = f"http://{host}:{port}/{live.token}/"
@@ -466,15 +466,15 @@ class Server(uvicorn.Server):
                 live.app(host, port),
                 log_level="error",
                 access_log=False,
-                http=protocol_of(live.strangers),
+                http=protocol_of(live.unauthenticated),
                 ws="websockets-sansio",
                 ws_max_size=LARGEST,
-                ws_ping_interval=None,  # a page that sleeps is no page that has gone
-                ws_per_message_deflate=False,  # to oneself, and every millisecond counts
+                ws_ping_interval=None,  # a page in a sleeping tab does not answer
+                ws_per_message_deflate=False,  # local traffic; saves milliseconds
                 server_header=False,
                 timeout_graceful_shutdown=1,
-                # asyncio accepts as many at once before it looks at any: the strangers' limit would
-                # come too late, and where no file is left asyncio tries, and complains, as often.
+                # asyncio accepts up to this many connections at once.  With more, their limit
+                # would act too late, and errors without a free file would be repeated.
                 backlog=1,
             )
         )

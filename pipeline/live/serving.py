@@ -93,7 +93,7 @@ def serve(
         ) from error
     host = host or HOST
     with contextlib.ExitStack() as opened:
-        # Said now, not when the network is trained: a port that is in use.
+        # A port that is in use is reported now, not after the network has been trained.
         listening = opened.enter_context(closing(listen(port, host)))
         bundle, image = network()
         folder = RunFolder(bundle.path.parent)
@@ -105,7 +105,7 @@ def serve(
             say(note)
 
         def make_decider():
-            from pipeline.live.deciding import decider_of  # Nengo: a second that the page can spare
+            from pipeline.live.deciding import decider_of  # Nengo takes a second to import
 
             return decider_of(bundle, image, sensor)
 

@@ -5,9 +5,9 @@ sends:
 
 ``pen``      ``now`` and ``points`` [[t, right, down, pressure, touches], ...], times in
              milliseconds of the page's clock, positions in taxels
-``clear``    discard the present recording ``label``    ``label``: the class of the recording, from
-0; saves the recording ``example``  ``now``, ``origin`` (``"test"`` or ``"kept"``) and ``label`` (or
-null for any): plays an
+``clear``    discard the present recording
+``label``    ``label``: save the recording under this class, counted from 0
+``example``  ``now``, ``origin`` (``"test"`` or ``"kept"``) and ``label`` (or null for any): play an
              existing recording, which is not saved again
 ``undo``     remove the writer's last recording
 ``learning`` ``on``: whether the network learns this writer's handwriting
@@ -41,7 +41,7 @@ from pipeline.recordings.matfile import MatRecording, Written
 from pipeline.skin.writing import MARGIN, START_S, PenPoint, Writing
 
 if TYPE_CHECKING:
-    from pipeline.live.learning import Learner  # Nengo: a second that the page can spare
+    from pipeline.live.learning import Learner  # Nengo takes a second to import
 
 LONGEST_S = 10.0
 """Maximum duration of a recording.  The published ones last 2 s; some people write
@@ -152,7 +152,7 @@ class OpenRecording:
         self.writing, self.example = writing, example
         self.pen = []
         self.down = False
-        self.spoiled = False  # points of it were lost
+        self.spoiled = False  # some of its points were lost
         self.saved = False
         self.decision, self.since_s = None, None
         self._longest_s = LONGEST_S if example is None else writing.settled_s
@@ -327,7 +327,7 @@ class Session:
         handler = _HANDLERS.get(kind) if isinstance(kind, str) else None
         if handler is None:
             raise BadMessage("of no known type")
-        # What reads or writes the folder is pressed by a hand, and takes longer than a point.
+        # The other messages read or write the folder, and a person sends few of them.
         if kind not in ("pen", "clear") and not self._limits.requests.take(1, now_s):
             return [problem("too many requests at a time; wait a moment and try again")]
         try:
@@ -336,7 +336,7 @@ class Session:
             raise BadMessage("a number is out of range") from error
         except UserError as error:
             return [problem(str(error))]
-        except OSError as error:  # of a disk, in whatever way it fails
+        except OSError as error:  # any error of the disk
             return [problem(line_of(error))]
 
     def ask(self):
@@ -348,7 +348,7 @@ class Session:
         if self._decider is None or recording is None:
             return None
         events, time_s = recording.writing.events, recording.writing.time_s
-        known_s = math.inf if recording.settled else time_s  # silence from here on is certain
+        known_s = math.inf if recording.settled else time_s  # no further event is possible
 
         def answer():
             said = recording.deciding.answer(events, known_s)
@@ -457,7 +457,7 @@ class Session:
         if recording is not None and recording.example is not None:
             return [problem("this example is saved already; only your own recordings can be saved")]
         if recording is None or recording.kept:
-            return [problem("nothing is written; write first, then press its class")]
+            return [problem("nothing has been written; write first, then press the class")]
         recording.lift()
         replies = [self._passed(recording.finish)]
         events = recording.writing.events
@@ -526,8 +526,8 @@ class Session:
         free = next((n for n in numbers if n < WRITERS and n not in known), None)
         if free is None:
             raise UserError(
-                f"{self._keeper.folder}: has recordings of {len(known)} writers, which is as many "
-                "as it can tell apart; choose another folder with --record"
+                f"{self._keeper.folder}: has recordings of {len(known)} writers, the maximum; "
+                "choose another folder with --record"
             )
         return free
 

@@ -156,7 +156,7 @@ def _refuse_too_large(path, recordings):
     if path.is_dir():
         files = {path / name for name, _ in recordings}
         sizes = [file.stat().st_size for file in files if file.is_file()]
-        size = sum(size for size in sizes if size <= LARGEST)  # others are refused and not read
+        size = sum(size for size in sizes if size <= LARGEST)  # others are refused unread
     else:
         size = path.stat().st_size
     if size > MOST_BYTES:
@@ -187,7 +187,7 @@ def _of_classes(recordings):
         if of_user := labelled.class_of_user_file(file):
             kept.append((file, of_user))
             continue
-        # One file in a folder of its own beside the ten digits makes no eleventh class.
+        # A single file in a folder beside those of the ten digits is not an eleventh class.
         if of_digits and name not in DIGITS and (names[name] < 2 or not name):
             strays.append((file, "is not in a folder named for a digit, 0 to 9, as the others are"))
         elif not name or PurePosixPath(file).parent in above:
@@ -244,7 +244,7 @@ def read_source(
     listing = list_source(path)
     refused, read = list(listing.refused), []
     parts = listing.parts
-    # The parts of a file one after the other, so that it is read once.
+    # The parts of a file are adjacent, so that it is read once.
     entries = sorted(listing.recordings, key=lambda e: parts[e[0]].file if e[0] in parts else "")
     chunks = [entries[start : start + CHUNK] for start in range(0, len(entries), CHUNK)]
     names = [[parts.get(name, name) for name, _ in chunk] for chunk in chunks]
@@ -468,7 +468,7 @@ def _everything(path: Path):
             elif entry.is_dir():
                 folders.append(name)
             elif not entry.name.startswith("."):
-                problem = "is a link to nothing" if entry.is_symlink() else "is no file"
+                problem = "is a broken link" if entry.is_symlink() else "is not a regular file"
                 files.append((name, problem))
         return files, folders
     if not path.exists():
@@ -502,13 +502,13 @@ class _Reader:
                     return read_limited(file)
             member = self.archive.getinfo(name)
             if member.file_size > LARGEST:
-                raise BadRecording(f"says that it has {member.file_size} bytes, too many")
+                raise BadRecording(f"declares {member.file_size} bytes, more than {LARGEST}")
             with self.archive.open(member) as file:
                 return read_limited(file)
         except BadRecording:
             raise
         except NotImplementedError as error:
-            raise BadRecording(f"is compressed in a way not supported ({error})") from error
+            raise BadRecording(f"has an unsupported compression ({error})") from error
         except READ_ERRORS as error:
             raise BadRecording(f"cannot be read from the source ({error})") from error
 
@@ -533,12 +533,12 @@ def _read_chunks(path, chunks, jobs):
             yield results
             done += 1
     except TerminatedWorkerError:
-        # Nothing tells whose file it was: those that are left are read with more care.
+        # It is unknown which file was the cause: the remaining ones are read in separate processes.
         for names in chunks[done:]:
             yield _read_carefully(path, names)
     finally:
         with warnings.catch_warnings():
-            # Where the caller gives up, so are the tasks that are left.
+            # The remaining tasks are cancelled if the caller stops.
             warnings.filterwarnings("ignore", message=r"\d+ tasks (which were|have been)")
             work.close()
 
@@ -549,7 +549,7 @@ def _read_carefully(path, names):
         return next(results_of([delayed(_read_members)(path, names)], 2))
     except TerminatedWorkerError:
         if len(names) == 1:
-            return [("ends the process that reads it; damaged, or the memory is too small", 0)]
+            return [("crashes the process that reads it; damaged, or too little memory", 0)]
         half = len(names) // 2
         return _read_carefully(path, names[:half]) + _read_carefully(path, names[half:])
 
@@ -597,7 +597,7 @@ def _read_members(path, names):
         except BadRecording as error:
             result = str(error)
         except MemoryError:
-            result = "takes more memory than there is"
+            result = "needs more memory than there is"
         results.append((result, len(content)))
         spent.add(*results[-1])
         _refuse_too_much(path, spent)

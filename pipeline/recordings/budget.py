@@ -15,14 +15,14 @@ MOST_EVENTS = 22_000_000
 events; a million events take up to 75 MB and a tenth of a second."""
 
 MOST_BYTES = 24_000_000_000
-"""Bytes of a source's recordings as they are unpacked, a thousand million of which take a second.
-The published ones have 16 thousand million."""
+"""Bytes of a source's recordings when unpacked; reading 1 GB takes a second.  The published ones
+have 16 GB."""
 
 MOST_FILES = 100_000
 """Recordings of a source."""
 
 UNPACKED = 1032
-"""A file that zlib packed is at most so many times as large when it is unpacked."""
+"""Maximum compression ratio of zlib."""
 
 
 @dataclass

@@ -33,7 +33,7 @@ LARGEST = 1 << 34
 
 def folder() -> Path:
     """The folder of the cache: ``$STMNIST_CACHE``, or ``stmnist`` in the user's cache folder."""
-    if os.environ.get("STMNIST_CACHE"):  # empty is not the current folder
+    if os.environ.get("STMNIST_CACHE"):  # if empty, it is not set
         return Path(os.environ["STMNIST_CACHE"])
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stmnist"
 
@@ -48,7 +48,7 @@ def store(key: str, recordings: Recordings):
     source, sensor = recordings.source, recordings.sensor
     write_arrays(
         _path(key),
-        compress=False,  # loads at the disk's speed
+        compress=False,  # loads faster than compressed arrays
         **{name: getattr(recordings.events, name) for name in EVENT_DTYPES},
         offsets=recordings.offsets,
         labels=recordings.labels,
@@ -77,7 +77,7 @@ def load(key: str) -> Recordings | None:
     path = _path(key)
     if not path.exists():
         return None
-    remedy = "delete it and run the command again to make it anew"
+    remedy = "delete it and run the command again to make it again"
     arrays = read_arrays(path, remedy, LARGEST)
     try:
         if problem := problem_with(arrays):

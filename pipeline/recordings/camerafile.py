@@ -56,7 +56,7 @@ def read_camera(content: bytes, suffix: str) -> EventRecording:
         except BadRecording:
             raise
         except BaseException as error:
-            # A damaged file may end in a panic of faery's Rust, which is no Exception of Python's.
+            # A damaged file may end in a panic of faery's Rust, which is no Exception.
             if isinstance(error, (KeyboardInterrupt, SystemExit, MemoryError)):
                 raise
             raise BadRecording(f"is damaged, or not a {suffix} file") from error

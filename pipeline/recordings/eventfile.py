@@ -31,7 +31,7 @@ from pipeline.recordings.eventarrays import (
 from pipeline.recordings.matfile import BadRecording
 
 SUFFIXES = (".npz", ".npy", ".csv", ".bin", ".aedat", *CAMERA_SUFFIXES)
-"""Ends of the names of files of events."""
+"""File name endings of files of events."""
 
 MOST_ARRAYS = 16
 """Largest number of arrays in a .npz file."""
@@ -73,7 +73,7 @@ def read_events(
 
 
 NMNIST_OVERFLOW, NMNIST_LAP = 240, 2**13
-"""The y of an entry that is no event, and by how many microseconds it puts later events off."""
+"""The y of an entry that marks an overflow of the clock, and the microseconds to add after it."""
 
 
 def _nmnist(content):
@@ -189,7 +189,7 @@ def _members(content):
             names = [name for name in archive.namelist() if name.endswith(".npy")]
     except zipfile.BadZipFile as error:
         raise BadRecording("is not a .npz file, or damaged") from error
-    except Exception as error:  # a damaged list of members fails in its own ways
+    except Exception as error:  # damaged lists of members fail in many ways
         raise BadRecording(f"is a damaged .npz file ({type(error).__name__})") from error
     if not 1 <= len(names) <= MOST_ARRAYS:
         raise BadRecording(f"has {len(names)} arrays, not x, y, t and p")
@@ -211,7 +211,7 @@ def _member(content, name):
         raise
     except zipfile.BadZipFile as error:
         raise BadRecording("is not a .npz file, or damaged") from error
-    except Exception as error:  # other packings fail in their own ways
+    except Exception as error:  # unsupported compressions fail in many ways
         raise BadRecording(f"is a damaged .npz file ({type(error).__name__})") from error
 
 
@@ -236,5 +236,5 @@ def _array(content, name):
         raise
     except (ValueError, TypeError, KeyError, OSError, EOFError, zlib.error) as error:
         raise BadRecording(f"{name!r} is damaged") from error
-    except Exception as error:  # a crafted header fails in its own ways
+    except Exception as error:  # crafted headers fail in many ways
         raise BadRecording(f"{name!r} is damaged ({type(error).__name__})") from error

@@ -57,7 +57,7 @@ class Part:
             There are no events or too many, or the file's times are not in microseconds.
         """
         if whole.unit != "us":
-            raise BadRecording("has no times in microseconds, in which its labels are")
+            raise BadRecording("has times that are not in microseconds, the unit of its labels")
         first, last = np.searchsorted(whole.time, (self.start_us, self.end_us))
         if first == last:
             raise BadRecording(f"is empty: no events from {self.start_us} to {self.end_us} us")

@@ -40,7 +40,7 @@ _TEXT_CLASS = 4
 _LONGEST_TEXT = 200
 _COMPLEX = 0x800
 _HEAD = 4096
-"""Bytes unpacked to see a variable's name and size: far more than those take."""
+"""Bytes that are unpacked to read a variable's name and size, which take far fewer."""
 
 
 class Damaged(ValueError):
@@ -81,7 +81,7 @@ def read(content: bytes, names=None) -> dict:
             return found
         kind, size, start = _tag(content, place, order)
         if start + size > len(content) or kind not in (_MATRIX, _COMPRESSED):
-            raise Damaged("an element that is no variable, or cut short")
+            raise Damaged("an element that is not a variable, or is cut short")
         name, array = _variable(content[place : start + size], kind, order, names)
         asked = names is not None or isinstance(array, np.ndarray)
         if name is not None and name not in found and asked:
@@ -98,7 +98,7 @@ def _variable(element, kind, order, names):
         element = unpacker.decompress(element[8:], _HEAD)
     kind, size, start = _tag(element, 0, order)
     if kind != _MATRIX:
-        raise Damaged("a variable that is none")
+        raise Damaged("a compressed element that is not a variable")
     whole = start + size
     head = _head(element, start, order)
     if head is None:
@@ -109,7 +109,7 @@ def _variable(element, kind, order, names):
     if shape is None:
         return name, None
     if whole > LARGEST:
-        raise TooLarge(f"says that {name!r} has {_times(shape)} values")
+        raise TooLarge(f"declares {_times(shape)} values of {name!r}")
     if unpacker is not None:
         element = _unpacked(unpacker, element, whole)
     if is_text:
@@ -121,7 +121,7 @@ def _unpacked(unpacker, begun, whole):
     """The unpacked content of a compressed variable, after checking its checksum."""
     rest = unpacker.decompress(unpacker.unconsumed_tail, max(1, whole - len(begun) + 1))
     if len(begun) + len(rest) != whole or not unpacker.eof:
-        raise Damaged("a compressed variable of another size than it says")
+        raise Damaged("a compressed variable of another size than it declares")
     return begun + rest if rest else begun
 
 
@@ -153,7 +153,7 @@ def _head(element, place, order):
 def _values(element, place, order, shape):
     values, _ = _data(element, place, order, _VALUES)
     if len(values) != math.prod(shape):
-        raise Damaged("another number of values than its dimensions say")
+        raise Damaged("a number of values that does not fit its dimensions")
     return values.reshape(shape, order="F")
 
 
@@ -185,7 +185,7 @@ def _tag(content, place, order):
     if words[0] >> 16:  # a small element: type and size in one word, at most four bytes of data
         kind, size = words[0] & 0xFFFF, words[0] >> 16
         if size > 4:
-            raise Damaged("a small element that is not small")
+            raise Damaged("a small element of more than four bytes")
         return kind, size, place + 4
     return (*words, place + 8)
 

@@ -120,9 +120,9 @@ def read_recording(content: bytes, n_taxels: int | None = N_TAXELS) -> MatRecord
         events = events_of(spiketrain, n_taxels)
     except BadRecording as error:
         rows = spiketrain.shape[0] if spiketrain.ndim == 2 else N_TAXELS + 1
-        if n_taxels is None and rows != N_TAXELS + 1:  # which may be all that is wrong with it
+        if n_taxels is None and rows != N_TAXELS + 1:  # which may be the only problem
             raise BadRecording(
-                f"{VARIABLE!r} has {rows} rows; as of {rows - 1} taxels it {error}"
+                f"{VARIABLE!r} has {rows} rows; read as {rows - 1} taxels it {error}"
             ) from error
         raise
     return MatRecording(
@@ -195,7 +195,7 @@ def events_of(spiketrain, n_taxels: int | None = N_TAXELS) -> Events:
     if times.min() < 0:
         raise BadRecording("has a negative time")
     if times.max() > LATEST_S:
-        raise BadRecording(f"times go up to {times.max():g}, not seconds; in milliseconds?")
+        raise BadRecording(f"has times up to {times.max():g}, not seconds (milliseconds?)")
     time_ns = np.rint(times * 1e9).astype(np.int64)
     if (np.diff(time_ns) <= 0).any():
         column = int(np.argmax(np.diff(time_ns) <= 0)) + 1
@@ -247,7 +247,7 @@ def read_variables(content: bytes, names=None) -> dict:
         raise
     except (ValueError, TypeError, KeyError, OSError, EOFError, IndexError, zlib.error) as error:
         raise BadRecording("is a damaged MAT file") from error
-    except Exception as error:  # h5py's fails in many ways on damaged files
+    except Exception as error:  # h5py fails in many ways on damaged files
         raise BadRecording(f"is a damaged MAT file ({type(error).__name__})") from error
 
 
@@ -264,13 +264,13 @@ def _datasets(file, names):
         if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiub":
             continue
         if dataset.external or dataset.is_virtual or dataset.shape is None:
-            raise BadRecording(f"keeps {name!r} in another file")
+            raise BadRecording(f"has {name!r} in another file")
         if unusual_filters(dataset):
             raise BadRecording(f"has {name!r} in a form that MATLAB does not write")
         held = max(math.prod(map(int, shape)) for shape in (dataset.shape, dataset.chunks or ()))
         if held * dataset.dtype.itemsize > mat5.LARGEST:
             raise mat5.TooLarge(
-                f"says that {name!r} has {' x '.join(map(str, dataset.shape))} values"
+                f"declares {' x '.join(map(str, dataset.shape))} values of {name!r}"
             )
         # MATLAB stores columns first, so that HDF5 sees each matrix transposed.
         found[name] = dataset[()].T
@@ -296,7 +296,7 @@ def spiketrain_of(events: Events, n_taxels: int = N_TAXELS) -> np.ndarray:
 
 def recording_bytes(recording: MatRecording) -> bytes:
     """A recording as a compressed MATLAB 5 file; inverse of :func:`read_recording`."""
-    variables = {}  # the events last: without them a file that was cut short is no recording
+    variables = {}  # the events last: a truncated file then has no events
     if recording.simulated:
         variables["simulated"] = 1.0
     if recording.writer >= 0:
@@ -329,7 +329,7 @@ def read_lookup_table(content: bytes) -> TaxelMap:
         ):
             break
     else:
-        raise BadRecording("has no table of rows with X and Y, or address, X and Y, one a taxel")
+        raise BadRecording("has no table of rows with X and Y, or address, X and Y, one per taxel")
     n = len(table)
     if n > MAX_TAXELS:
         raise BadRecording(f"has {n} rows, more than the {MAX_TAXELS} taxels of any array")

@@ -106,10 +106,10 @@ def _class_of(label, names, fixed):
         )
     parts = PurePosixPath(name).parts
     if len(parts) != 1 or parts[0] in ("..", "/") or name.startswith(".") or not name.isprintable():
-        raise BadRecording(f"has the class {name!r}, which is no name of a folder")
+        raise BadRecording(f"has the class {name!r}, which is not a valid name of a folder")
     if name not in names:
         if fixed:
-            raise BadRecording(f"has the class {name!r}, which is none of those given")
+            raise BadRecording(f"has the class {name!r}, which is not one of those given")
         names.append(name)
     return names.index(name)
 

@@ -22,9 +22,9 @@ from pipeline.recordings.timeunits import (
     MIXED,
     UNIT_NAMES,
     UNITS,
+    of_other_units,
     recognised,
     span_of,
-    strangers,
     to_ns,
 )
 
@@ -116,7 +116,7 @@ def settle(path, read, lookup: TaxelMap | None = None, reading: Reading = AS_FOU
         for what, given, found in (("rows", rows, lookup.row), ("columns", columns, lookup.column)):
             if given and given <= found.max():
                 raise UserError(
-                    f"{path}: LUT.mat has coordinates outside the {given} {what} asked for; "
+                    f"{path}: LUT.mat has coordinates outside the {given} {what} requested; "
                     f"give at least {found.max() + 1}, or 0 for as many as there are"
                 )
         rows, columns = rows or int(lookup.row.max()) + 1, columns or int(lookup.column.max()) + 1
@@ -166,11 +166,11 @@ def _of_camera(path, read, reading):
         unit = recognised([r.time for _, _, r in read])
     if not unit:
         problems.append(
-            f"{len(read)} of {len(read)}: their times are in no unit that fits recordings of up to "
-            f"{LATEST_S:g} s; say which it is ({GIVE_UNIT})"
+            f"{len(read)} of {len(read)} files: no unit of time fits recordings of up to "
+            f"{LATEST_S:g} s; give the unit ({GIVE_UNIT})"
         )
         unit = "s"
-    reasons = {read[i][0]: MIXED_UNITS for i in strangers([r.time for _, _, r in read])}
+    reasons = {read[i][0]: MIXED_UNITS for i in of_other_units([r.time for _, _, r in read])}
     reasons |= _elsewhere(read, reading)
     for file, _, recording in read:
         if span_of(recording.time) * UNITS[unit] > LATEST_S and not problems:
@@ -178,14 +178,14 @@ def _of_camera(path, read, reading):
             reasons.setdefault(
                 file,
                 f"lasts {longest:.4g} s with its times as {UNIT_NAMES[unit]}, more than "
-                f"{LATEST_S:g} s; is it another unit ({GIVE_UNIT})?",
+                f"{LATEST_S:g} s; if they are in another unit, give it ({GIVE_UNIT})",
             )
     refused = list(reasons.items())
     kept = [entry for entry in read if entry[0] not in reasons]
     if _counts_from_1(kept) and not (reading.rows and reading.columns):
         problems.append(
-            f"{len(kept)} of {len(kept)}: no event has x = 0 or y = 0; are they counted from 1? "
-            "Subtract 1, or say that this is the sensor's size: --set skin.rows=... "
+            f"{len(kept)} of {len(kept)} files: no event has x = 0 or y = 0; if they are counted "
+            "from 1, subtract 1, otherwise give the sensor's size: --set skin.rows=... "
             "--set skin.columns=..."
         )
     sizes = [r.size for _, _, r in kept if r.size]
@@ -197,9 +197,9 @@ def _of_camera(path, read, reading):
     if max(rows, columns) > MAX_SIDE:
         needed = -(-max(rows, columns) // MAX_SIDE) * side
         problems.append(
-            f"{len(kept)} of {len(kept)}: the sensor has {rows} rows and {columns} columns, more "
-            f"than {MAX_SIDE}; put squares of pixels together: --set data.downsample={needed}, of "
-            f"'stmnist data' --downsample {needed}"
+            f"{len(kept)} of {len(kept)} files: the sensor has {rows} rows and {columns} columns, "
+            f"more than {MAX_SIDE}; combine squares of pixels: --downsample {needed} of 'stmnist "
+            f"data', else --set data.downsample={needed}"
         )
         rows, columns = min(rows, MAX_SIDE), min(columns, MAX_SIDE)
     events = [(f, n, r.events(rows, to_ns(r.time, unit))) for f, n, r in kept]
@@ -210,8 +210,8 @@ def _of_camera(path, read, reading):
 GIVE_UNIT = "--time-unit of 'stmnist data', else --set data.time_unit=..."
 
 MIXED_UNITS = (
-    f"has times more than {MIXED} times as long or as short as most have; are they in another "
-    "unit? Write all of them in one"
+    f"has times more than {MIXED} times as long or as short as most have; if they are in another "
+    "unit, convert them to that of the others"
 )
 
 
@@ -233,13 +233,13 @@ def _elsewhere(read, reading):
         for file, _, recording in read:
             if recording.size and recording.size != most:
                 found, usual = ("x".join(map(str, size)) for size in (recording.size, most))
-                reasons.setdefault(file, f"is of a sensor of {found}, not {usual} as most are")
+                reasons.setdefault(file, f"is of a sensor of {found}, most others are of {usual}")
     elif not (reading.rows and reading.columns):
         for index in _larger([(int(r.y.max()) + 1, int(r.x.max()) + 1) for _, _, r in read]):
             reasons.setdefault(
                 read[index][0],
-                "has events far outside the rows and columns of the others: of another sensor? "
-                "Take it away, or say how large the sensor is (--rows, --columns of 'stmnist "
+                "has events far outside the rows and columns of the others; remove it if it is of "
+                "another sensor, or give the sensor's size (--rows, --columns of 'stmnist "
                 "data', else --set skin.rows=... --set skin.columns=...)",
             )
     return reasons
@@ -313,7 +313,7 @@ def _from_addresses(path, read, lookup, rows, columns):
     if rows * columns != n:
         raise UserError(
             f"{path}: its {n} taxels are not {rows} rows of {columns}, and there is no LUT.mat; "
-            "add it, or say how many rows and columns there are: --rows and --columns of "
+            "add it, or give the numbers of rows and columns: --rows and --columns of "
             "'stmnist data', else --set skin.rows=... --set skin.columns=..."
         )
     return TaxelMap.grid(rows, columns), kept, refused

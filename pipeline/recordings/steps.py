@@ -38,7 +38,7 @@ class EventTable:
     def of(cls, recordings: Recordings) -> EventTable:
         """The physical events of recordings, independently of their numbers of columns."""
         events, offsets = recordings.events, recordings.offsets
-        # A recording without events has no first one, and nothing to subtract it from either.
+        # A recording without events may use any first event: it has no times to subtract it from.
         nearest = np.minimum(offsets[:-1], max(len(events.time_ns) - 1, 0))
         first = events.time_ns[nearest] if len(events.time_ns) else np.zeros(len(recordings))
         return cls(
@@ -96,7 +96,7 @@ class EventTable:
         sample = np.repeat(np.arange(len(self)), np.diff(self.offsets))
         place = (sample * self.size[0] + self.row) * self.size[1] + self.column
         step = (self.time_ms / step_ms).astype(np.int64)
-        # One long time: all of a taxel and polarity after all of another, more than a rest later.
+        # One time axis for all: each taxel and polarity follows the previous one after a gap.
         time = np.sort((2 * place + self.polarity) * (step.max() + rest + 1) + step)
         following = np.searchsorted(time, time + rest + 1).tolist()
         spikes = event = 0

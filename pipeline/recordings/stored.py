@@ -33,14 +33,14 @@ def problem_with(arrays: dict) -> str | None:
         return "a duration out of range"
     for name, texts in (("classes", classes), ("ids", ids), ("source", arrays["source"])):
         if texts.dtype.kind != "U" or texts.ndim != 1:
-            return f"{name} that are no texts"
+            return f"{name} that are not texts"
     if len(classes) == 0 or len(set(classes.tolist())) != len(classes):
-        return "classes that are not told apart"
+        return "classes of the same name"
     rows, columns, _ = size.tolist()
     n = len(ids)
     places = arrays["row"].shape
     if len(places) != 1 or places != arrays["column"].shape or not 1 <= places[0] <= MAX_TAXELS:
-        return "taxels without places"
+        return "taxels without positions"
     for name, least, most, shape in (
         ("labels", 0, len(classes) - 1, (n,)),
         ("writers", -1, None, (n,)),
@@ -53,7 +53,7 @@ def problem_with(arrays: dict) -> str | None:
         ("time_ns", 0, LATEST_S * 1e9, arrays["time_ns"].shape),
     ):
         if arrays[name].shape != shape or len(shape) != 1:
-            return f"{name} of another number"
+            return f"{name} of a wrong length"
         if not _are_whole(arrays[name], least, most):
             return f"{name} out of range"
     if not arrays["polarity"].all():

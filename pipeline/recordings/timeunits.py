@@ -7,7 +7,7 @@ import numpy as np
 from pipeline.recordings.matfile import LATEST_S
 
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-"""Seconds of each."""
+"""Duration of each unit in seconds."""
 
 UNIT_NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 
@@ -48,13 +48,13 @@ def recognised(times) -> str:
     whole = all(time.dtype.kind == "i" for time in times)
     for unit, seconds in UNITS.items():
         if unit == "s" and whole:
-            continue  # nobody counts events by the second
+            continue  # no sensor has times in whole seconds
         if SHORTEST_S <= typical * seconds <= LATEST_S:
             return unit
     return "s" if not whole and typical <= LATEST_S else ""
 
 
-def strangers(times) -> list:
+def of_other_units(times) -> list:
     """Indices of recordings whose times cannot be in the unit of the others.
 
     Recordings with a single event have no duration, and fit any unit.

@@ -177,12 +177,12 @@ def _results(folder, bundle, kind):
         whole = whole and result["spikes"].keys() <= set(bundle.spec.spiking_layers)
         if not whole or result["target"] != stage:
             raise UserError(
-                f"{folder.check(stage)}: not of this stage, the bundle's samples and its layers; "
+                f"{folder.check(stage)}: does not fit its name or the bundle's samples and layers; "
                 f"delete it and run 'stmnist ladder {folder.path}' again"
             )
     if not results:
         raise UserError(
-            f"{folder.path / 'checks'}: no check result of the bundle that is there; "
+            f"{folder.path / 'checks'}: no check result of the present bundle; "
             f"run 'stmnist ladder {folder.path}' first"
         )
     return list(results.values())
@@ -200,7 +200,7 @@ def _read_benchmark(folder, recordings, say):
     try:
         answers, curves = _of_rows(folder, table["rows"])
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        raise UserError(f"{path}: not a whole table ({error!r}); {REMEDY}") from error
+        raise UserError(f"{path}: not a complete table ({error!r}); {REMEDY}") from error
     experiment = folder / "experiment.toml"
     return table, read_settings(experiment) if experiment.exists() else None, answers, curves
 

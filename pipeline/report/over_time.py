@@ -26,7 +26,7 @@ def final_probabilities(spec, scores) -> np.ndarray:
     scores : array_like, shape (..., classes)
         Scores of a check's result: means over the steps.  Training on events uses their sum.
     """
-    steps = 1 if spec.stimulus.held else spec.presentation.steps - spec.presentation.readout_start
+    steps = 1 if spec.stimulus.static else spec.presentation.steps - spec.presentation.readout_start
     return softmax(steps * np.asarray(scores, float))
 
 
@@ -52,11 +52,11 @@ def probabilities(bundle: Bundle, indices, seed: int = 0) -> dict:
         mine = sorted(wanted & set(range(part.start, part.stop)))
         if not mine:
             continue
-        # What is left in the neurons of the sample before counts: the stream from its start.
+        # The state that previous samples leave matters, so the stream is run from its start.
         samples = spec.stimulus.flat(bundle.checks.inputs[part.start : mine[-1] + 1])
         output = emulation.run(np.asarray(samples)[None], shown.steps, shown.gap).output[0]
         sums = running_sums(spec, output[:, shown.gap :])
-        if spec.stimulus.held:
+        if spec.stimulus.static:
             sums = sums / np.arange(1, sums.shape[1] + 1)[:, None]
         chances = softmax(sums)
         found |= {index: chances[index - part.start] for index in mine}

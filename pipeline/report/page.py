@@ -569,7 +569,7 @@ def confusion_cells(matrix, classes) -> dict:
         for label, name in enumerate(classes):
             cells = []
             for answer, count in enumerate(matrix[label].tolist()):
-                # Errors are few: a root makes one in a hundred visible.
+                # Errors are few: the square root makes one in a hundred visible.
                 share = shares[label, answer]
                 shade = 55 * share if label == answer else 75 * share**0.5
                 kind = "on" if label == answer else "off"

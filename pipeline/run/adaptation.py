@@ -15,7 +15,7 @@ from deploy.network.responses import running_sums
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, last_steps
 from deploy.targets.fast.emulation import Emulation, compile_spec
-from pipeline.inputs.dataset import classes_of, inputs_for, sensor_fits
+from pipeline.inputs.dataset import classes_of, inputs_for, require_sensor_fits
 from pipeline.recordings.altering import Alteration, altered_recordings
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.words import listed
@@ -69,7 +69,7 @@ class Responder:
 
     @property
     def scale(self) -> float:
-        """Factor from scores to the logits with which the network was trained."""
+        """Factor that converts scores to the logits of the training."""
         presentation = self.spec.presentation
         on_events = isinstance(self.spec.stimulus, EventFrames)
         return float(presentation.steps - presentation.readout_start) if on_events else 1.0
@@ -178,7 +178,7 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
         bundle cannot be fitted.
     """
     spec = bundle.spec
-    fits(spec, recordings)
+    require_fit(spec, recordings)
     if spec.rehearsal is None:
         raise UserError(
             f"{bundle.path}: has no responses to training samples (made by an earlier version); "
@@ -217,14 +217,14 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
     )
 
 
-def fits(spec: NetworkSpec, recordings: Recordings):
+def require_fit(spec: NetworkSpec, recordings: Recordings):
     """Refuse recordings to which a network's readout cannot be fitted.
 
     Raises
     ------
     UserError
     """
-    sensor_fits(spec, recordings)
+    require_sensor_fits(spec, recordings)
     source, sensor, known = recordings.source.name, recordings.sensor, classes_of(spec)
     if sensor.classes != known:
         raise UserError(

@@ -80,7 +80,7 @@ def responses_of(logits: np.ndarray, presentation) -> Responses:
     ----------
     logits : ndarray, shape (n_samples, steps, classes)
         Logits at each step; one step for a network without time.
-    presentation : pipeline.settings.Showing
+    presentation : pipeline.settings.PresentationSettings
         In networks with time, the score at a step is the mean from ``readout_start`` to it.
     """
     start = presentation.readout_start if logits.shape[1] > 1 else 0

@@ -8,7 +8,7 @@ from deploy.network.spec import Layer, NetworkSpec, Neurons
 from models.architecture import parse
 from models.lif import gain_for
 from models.quantised import eight_bits, twelve_bits
-from pipeline.inputs.dataset import images_fit
+from pipeline.inputs.dataset import require_images_fit
 from pipeline.run.layers import host_readout
 from pipeline.settings import Settings
 from pipeline.training.networks import TrainedRates
@@ -31,7 +31,7 @@ def deployed(settings: Settings, weights: dict, provenance: dict, data) -> Netwo
     """
     on_chip = settings.deployment.readout == "chip"
     images, labels = data
-    images_fit(images, settings)
+    require_images_fit(images, settings)
     range_of = (TrainedRates(settings, weights).logits(images), labels) if on_chip else None
     return to_spec(settings, weights, provenance, range_of)
 

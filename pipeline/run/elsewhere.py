@@ -11,7 +11,7 @@ from deploy.check.bundle import Bundle, CheckSet
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.terminal import WARNING
-from pipeline.inputs.dataset import classes_of, inputs_for, sensor_fits
+from pipeline.inputs.dataset import classes_of, inputs_for, require_sensor_fits
 from pipeline.inputs.library import load_recordings
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.paper import CHECK_SAMPLES
@@ -53,7 +53,7 @@ def recordings_for(
     recordings = load_recordings(
         source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading
     )
-    sensor_fits(bundle.spec, recordings)
+    require_sensor_fits(bundle.spec, recordings)
     sensor, known = recordings.sensor, classes_of(bundle.spec)
     present = [sensor.classes[label] for label in np.unique(recordings.labels)]
     unknown = [name for name in present if name not in known]
@@ -100,7 +100,7 @@ def with_recordings(
         chosen = draw_check_samples(np.arange(n), count, seed)
     except ValueError as error:
         raise UserError(
-            f"{recordings.source.name}: {count} samples asked for, there are {n}"
+            f"{recordings.source.name}: {count} samples requested, only {n} exist"
         ) from error
     spec, drawn = bundle.spec, recordings.part(chosen)
     inputs = inputs_for(spec, drawn, image)

@@ -1,4 +1,4 @@
-"""Samples for training on events, and the confidence for early decisions chosen on the others."""
+"""Training samples on events, and held-out samples that determine the confidence threshold."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from pipeline.recordings.steps import EventTable
 from pipeline.settings import Settings
 
 FEWEST = 100
-"""Minimum number of samples for choosing a confidence; with fewer, half a percentage point is less
-than one sample."""
+"""Minimum number of samples for choosing a confidence; with fewer, the allowed loss, half a
+percentage point, is less than half a sample."""
 
 
-class Apart(NamedTuple):
+class EventSamples(NamedTuple):
     """Training samples, and held-out samples for choosing the confidence.
 
     Attributes
@@ -34,7 +34,7 @@ class Apart(NamedTuple):
     held_out: np.ndarray
 
 
-def set_apart(dataset: Dataset, seed: int) -> Apart:
+def event_samples(dataset: Dataset, seed: int) -> EventSamples:
     """Hold out the validation samples or, if there are none, some of the training samples.
 
     Parameters
@@ -44,10 +44,10 @@ def set_apart(dataset: Dataset, seed: int) -> Apart:
         Seed of :meth:`pipeline.inputs.splits.Split.held_out`.
     """
     table = EventTable.of(dataset.recordings)
-    return Apart(table, dataset.labels, *dataset.split.held_out(seed))
+    return EventSamples(table, dataset.labels, *dataset.split.held_out(seed))
 
 
-def choose(settings: Settings, samples: Apart, trained, seed: int) -> Threshold:
+def choose(settings: Settings, samples: EventSamples, trained, seed: int) -> Threshold:
     """Choose the confidence for early decisions on the held-out samples.
 
     With fewer than :data:`FEWEST` samples none is chosen, and the network decides at the end

@@ -25,7 +25,7 @@ from pipeline.recordings.facts import reading_text, size_text
 from pipeline.recordings.sensors import too_small
 from pipeline.recordings.steps import EventTable
 from pipeline.run.chip_fit import chip_problems
-from pipeline.run.nir_conversion import fits
+from pipeline.run.nir_conversion import require_fit
 from pipeline.settings import SIMULATED, Settings, Slayer, check_fits
 
 LARGEST_MAP = 14
@@ -96,7 +96,7 @@ def fitted(
             changes["check"] = {"samples": n_test}
         else:
             problems.append(
-                f"{settings.check.samples} samples asked for, the test split has {n_test}; "
+                f"{settings.check.samples} samples requested, the test split has {n_test}; "
                 f"{TOO_SMALL}"
             )
     if problem := too_small(recordings):
@@ -232,7 +232,7 @@ def _presentation(settings, recordings, changes):
     """Present events for as long as the recordings last, with a suitable length of steps."""
     default = Settings()
     if settings.presentation.steps or recordings.sensor.duration_s == Sensor().duration_s:
-        return  # as long as the published recordings, which the default is for
+        return  # as long as the published recordings: the default fits
     longest = float(EventTable.of(recordings).duration_ms.max(initial=0))
     step = settings.input.step
     if replace(settings.input, kind=default.input.kind) == default.input:
@@ -265,7 +265,7 @@ def _unfit(settings, recordings):
         check_fits(settings, sensor.rows, sensor.columns, len(sensor.classes), source)
         if settings.nir.file and Path(settings.nir.file).exists():
             shape = sensor.rows, sensor.columns, 2 if settings.on_events else 1
-            fits(read_nir(settings.nir.file), shape, len(sensor.classes), settings.nir.file)
+            require_fit(read_nir(settings.nir.file), shape, len(sensor.classes), settings.nir.file)
     except (UserError, NotationError) as error:
         return [str(error)]
     return chip_problems(settings)

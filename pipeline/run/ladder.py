@@ -9,7 +9,7 @@ import numpy as np
 from deploy.check.bundle import Bundle
 from deploy.check.rates import firing_rates
 from deploy.check.results import compare_results, loss_text, read_result
-from deploy.files import understood
+from deploy.files import reporting_damage
 from deploy.tables import SIGNIFICANCE, aligned, p_text, star
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
@@ -95,7 +95,7 @@ def measure_ladder(
         artifact = ladder_artifact(run, results, whole)
         state = artifact.state()
         if state.is_current:
-            with understood(artifact.record, DELETE_IT):
+            with reporting_damage(artifact.record, DELETE_IT):
                 ladder_text(state.record, limit=-100.0, by_chance=True)  # an error if damaged
             return state.record
         layers, points = _layers(run, settings, bundle)

@@ -46,8 +46,8 @@ RESETTING = ("IF", "LIF", "CubaLIF")
 FROM_REST = {"gap": 0, "stream_length": 1}
 """Default presentation of samples to an imported network: each from rest.  Trainings in PyTorch
 start every sample with the neurons' state at rest (``reset_hidden`` of snnTorch, a state of None in
-Norse), so that this is what the network was trained for.  A board begins each stream by loading the
-network, so there it means one loading a sample."""
+Norse), so that this is what the network was trained for.  A board loads the network at the start of
+each stream, so that it is then loaded for each sample."""
 
 RESET_ON = 200
 """Maximum number of training samples on which the two resets are compared."""
@@ -169,8 +169,8 @@ def _kind_of(path, shape):
             if shape[0] == channels * side * side:
                 return kind
         raise UserError(
-            f"{path}: {shape[0]} inputs are neither a square array of taxels nor two of them; say "
-            "what the graph is fed with --input events or --input image"
+            f"{path}: {shape[0]} inputs are neither a square array of taxels nor two of them; "
+            "give its input with --input events or --input image"
         )
     raise UserError(
         f"{path}: an input of {' x '.join(map(str, shape))}; the skin has two channels of events "
@@ -211,7 +211,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     network = read_nir(source)
     if sha256_of(source) != settings.nir.sha256:
         raise UserError(f"{source}: has changed; {AGAIN}")
-    fits(network, _fed_shape(dataset), len(dataset.recordings.sensor.classes), source)
+    require_fit(network, _fed_shape(dataset), len(dataset.recordings.sensor.classes), source)
     stepped = Stepped.of(settings, network)
     exported, cost = exported_here(network, source), None
     if exported is None:
@@ -243,7 +243,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
         "versions": NUMPY,
     }
     if source != folder / GRAPH:
-        for record in ("metrics.json", "training.json"):  # of what was there before
+        for record in ("metrics.json", "training.json"):  # of the previous network
             (folder / record).unlink(missing_ok=True)
         with replacing(folder / GRAPH) as file, open(source, "rb") as graph:
             shutil.copyfileobj(graph, file)
@@ -255,9 +255,9 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     likeliest = float(np.bincount(dataset.labels[index]).max() / len(index))
     if interval[0] <= likeliest:
         say(
-            "nir: hardly better than chance; was it trained, on such inputs (channels ON and OFF, "
-            "then rows from the top, then columns), in such steps (--step), and with the classes "
-            "in this order?"
+            "nir: hardly better than chance; was the graph trained on inputs in this order (ON and "
+            "OFF, rows from the top, columns), in steps of this duration (--step) and with the "
+            "classes in this order?"
         )
     return metrics
 
@@ -281,7 +281,7 @@ def refuse_early(settings: Settings):
         return
     if settings.data.source == SIMULATED:
         skin = settings.skin.rows or paper.ROWS, settings.skin.columns or paper.COLUMNS
-        fits(network, (*skin, 2 if settings.on_events else 1), paper.CLASSES, source)
+        require_fit(network, (*skin, 2 if settings.on_events else 1), paper.CLASSES, source)
     stepped, area = Stepped.of(settings, network), settings.stimulus.area
     try:
         first, *others = layers_of(network, stepped.seconds, stepped.method)
@@ -293,7 +293,7 @@ def refuse_early(settings: Settings):
         raise UserError(f"{source}: {error}") from error
 
 
-def fits(network: NirNetwork, fed_shape, classes: int, source):
+def require_fit(network: NirNetwork, fed_shape, classes: int, source):
     """Refuse a graph for another sensor or other classes.
 
     Parameters
@@ -350,7 +350,7 @@ def notes(network: NirNetwork, layers: tuple, stepped: Stepped):
             )
     for node in network.nodes:
         if node.kind == "IF":
-            yield f"{node}: the chip's neurons leak, at least 1/4096 of the voltage a step"
+            yield f"{node}: the chip's neurons leak at least 1/4096 of the voltage per step"
             if stepped.seconds < 1 and (node["r"] == 1).all():
                 yield (
                     f"{node}: its input is multiplied by the step, as NIR says; Norse and others "
@@ -405,7 +405,7 @@ def _reset_text(cost):
     )
     if there <= here:
         return text
-    return text + "; if it was trained so, train it with a reset to zero"
+    return text + "; if it was trained with that reset, train it with a reset to zero"
 
 
 def _threshold(network, stepped, layers, settings, dataset):
@@ -491,7 +491,7 @@ def graph_responses(graph: Path, settings: Settings, bundle: Bundle, advance=Non
     readout = spec.layers[-1]
     if readout.neurons is None:
         outputs = outputs - readout.bias  # which read_output adds
-    if spec.stimulus.held:  # a graph takes the image itself, not spikes
+    if spec.stimulus.static:  # a graph takes the image itself, not spikes
         sizes = {"input": int(np.prod(spec.input_shape))}
         sizes |= {layer.name: layer.size for layer in spec.layers if layer.neurons}
         silent = {name: np.zeros((len(inputs), size)) for name, size in sizes.items()}

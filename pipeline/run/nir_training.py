@@ -148,7 +148,7 @@ def architecture_of(network: NirNetwork, input_shape) -> str:
     """
     times = [node[name].min() for node in network.nodes for name in ("tau", "tau_syn", "tau_mem")
              if name in node.parameters]  # fmt: skip
-    step = float(min(times, default=1.0))  # any that is not too long: shapes do not depend on it
+    step = float(min(times, default=1.0))  # any valid one: shapes do not depend on it
     return notation(input_shape, trainable(network, step, "exact", input_shape))
 
 
@@ -160,7 +160,7 @@ def start(folder: Path, settings: Settings, samples) -> tuple:
     folder : Path
         Folder of the graph.
     settings : Settings
-    samples : pipeline.run.event_training.Apart
+    samples : pipeline.run.event_training.EventSamples
 
     Returns
     -------

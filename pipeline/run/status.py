@@ -9,7 +9,7 @@ from pathlib import Path
 
 from deploy.check.results import read_result
 from deploy.errors import UserError
-from deploy.files import read_json, sha256_of, understood
+from deploy.files import read_json, reporting_damage, sha256_of
 from deploy.tables import aligned
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
@@ -175,7 +175,7 @@ def _networks(run, settings, dataset):
     for name in ARTIFACTS[settings.network]:
         artifact = network_artifact(name, run, settings, dataset)
         state = artifact.state()
-        with understood(artifact.record, DELETE_IT):
+        with reporting_damage(artifact.record, DELETE_IT):
             accuracy = _number(state.record.get("accuracy", {}).get("test"))
             seconds = _number(state.record.get("seconds"))
         if name == "threshold":  # its record has the duration of the training
@@ -217,7 +217,7 @@ def _ladder(run, results, checks, whole):
     if not file.exists():
         return [] if whole else [Status(State("ladder", MISSING))]
     record = read_json(file, DELETE_IT)
-    with understood(file, DELETE_IT):
+    with reporting_damage(file, DELETE_IT):
         stages = [str(row["stage"]) for row in record["rows"]]
     compared = [results[stage] for stage in stages if stage in results]
     state = ladder_artifact(run, compared, whole).state()

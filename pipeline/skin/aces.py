@@ -171,7 +171,7 @@ def encode(time_ns, taxel, polarity, p, start_ns, n_ticks) -> np.ndarray:
     wire = np.zeros(n_ticks, np.float32)
     for first, columns, delay in zip(*_ticks(time_ns, polarity, p), delays, strict=True):
         ticks = (first + delay - start_ns // TICK_NS)[:, None] + np.arange(columns)
-        wire[ticks[(ticks >= 0) & (ticks < n_ticks)]] += 1  # a signature meets itself nowhere
+        wire[ticks[(ticks >= 0) & (ticks < n_ticks)]] += 1  # its pulses do not overlap
     return wire
 
 
@@ -302,8 +302,8 @@ def wire_losses(trials: int, seed: int, p, advance=None) -> list:
 
 
 def wire_losses_text(rows: list) -> str:
-    """The conditions as a table."""
-    table = [["noise", "at once", "found", "polarity", "false/event", "timing (ns)", "sent"]]
+    """The conditions as a table, with an explanation of its columns."""
+    table = [["noise", "taxels", "found", "polarity", "false/event", "timing (ns)", "sent"]]
     table += [
         [
             f"{row['noise']:.2f}",
@@ -314,4 +314,8 @@ def wire_losses_text(rows: list) -> str:
         ]
         for row in rows
     ]
-    return "\n".join(aligned(table, left=0))
+    notes = (
+        "noise: SD, in heights of a pulse; taxels: number that fire within one signature",
+        "found, polarity: shares of correct events; false/event: false events for each one sent",
+    )
+    return "\n".join([*aligned(table, left=0), *notes])

@@ -72,7 +72,7 @@ class Shaking:
 
     def __init__(self, gain, step_s, p):
         self._gain, self._step_s, self._p = gain.astype(np.float32), step_s, p
-        self._jolts = []  # (rows since the landing, what each taxel feels of it)
+        self._jolts = []  # (rows since the landing, signal of each taxel)
 
     def advance(self, pressure, jolts):
         """Convert the pressure of some steps to the signal of the taxels, in place.
@@ -88,12 +88,12 @@ class Shaking:
         shaking = [(0, age, felt) for age, felt in self._jolts]
         shaking += [(row, 0, felt) for row, felt in jolts]
         for row, age, felt in shaking:
-            # What is below half of float32's smallest number changes no sum.
+            # Values below half of float32's smallest number do not change a sum.
             lasts = p.jolt_s / self._step_s * np.log(max(felt.max(), NOTHING) / NOTHING)
             rows = slice(row, row + max(int(lasts) + 1 - age, 0))
             decay = np.exp(-np.arange(age, age + len(pressure[rows])) * self._step_s / p.jolt_s)
             pressure[rows] += np.outer(decay, felt)
-        # After some twenty times its time a jolt is below the last bit of what it shook.
+        # After 20 time constants a jolt is too small to change a float32 pressure.
         ages = [(age + len(pressure) - row, felt) for row, age, felt in shaking]
         self._jolts = [jolt for jolt in ages if jolt[0] * self._step_s < 20 * p.jolt_s]
         pressure *= self._gain

@@ -47,7 +47,7 @@ def estimate(traces, seed: int = 0, about: dict | None = None) -> ShapeModel:
     writers = np.array([trace.writer for trace in traces], int)
     missing = sorted(set(range(DIGITS)) - set(digits.tolist()))
     if missing:
-        raise ValueError(f"nobody who is known wrote a {missing[0]}")
+        raise ValueError(f"no known writer wrote a {missing[0]}")
     slants, widths = _traits(traces, digits, writers)
     upright = [
         Trace(t.digit, t.writer, tuple(_without(s, slants[t.writer], widths[t.writer])

@@ -207,7 +207,7 @@ def _unpacked(arrays) -> tuple:
             raise ValueError("an allograph has other shapes, or values that are no numbers")
         ways.append(Allograph(float(share), points, *(part.astype(float) for part in parts)))
     if not ways or not min(way.share for way in ways) > 0:
-        raise ValueError("a digit that nobody writes")
+        raise ValueError("a digit without an allograph")
     return tuple(ways)
 
 

@@ -40,7 +40,7 @@ Fixed, so that the bytes do not depend on the processes.
 
 @dataclass(frozen=True)
 class Sample:
-    """A sample to be recorded: a digit by a writer, or a given trace."""
+    """A sample to be recorded: number ``index`` of a digit, by a writer or from a given trace."""
 
     digit: int
     index: int
@@ -181,7 +181,7 @@ def _samples(seed, counts, n_writers, traces):
         pool = [trace for trace in traces if trace.digit == digit]
         if count and not pool:
             raise UserError(f"the recorded handwriting has no {digit}; ask for none of it")
-        # All of the pool once, in random order, before any comes twice.
+        # Each trace is used once, in random order, before any is used again.
         deal = np.random.default_rng([seed, 3, digit])
         rounds = [deal.permutation(len(pool)) for _ in range(-(-count // max(len(pool), 1)))]
         chosen = np.concatenate([np.empty(0, int), *rounds])[:count]
@@ -206,7 +206,7 @@ def _batch(seed, samples, p, size):
 def array_gain(rng, p, size=SIZE):
     """Gain of each taxel of an array, shape (n_taxels,): random for each taxel, and a gradient."""
     taxels = TaxelMap.grid(*size)
-    # As much from edge to edge as on the paper's array.
+    # The gradient from edge to edge is that of the paper's array.
     down, right = (
         GRID / n * (at - (n - 1) / 2)
         for at, n in zip((taxels.row, taxels.column), size, strict=True)
@@ -246,7 +246,7 @@ def motion(sample, who, rng, p):
     """
     form, kinematics = p.forms[sample.digit], p.kinematics
     start = rng.uniform(*kinematics.onset_s)
-    # Nobody is ever out of all proportion.
+    # Limits the deviations to plausible ones.
     faster, harder = np.clip(rng.standard_normal(2), -2.5, 2.5)
     tempo = np.exp(form.spread * (who.tempo + p.shapes.trial_tempo * faster))
     force = form.force + form.spread * (who.force + p.trials.force * harder)
@@ -257,7 +257,7 @@ def motion(sample, who, rng, p):
     place = handwriting.placing(who, rng, p.trials, form, width)
     strokes = [place(stroke) for stroke in strokes]
     length = handwriting.length_s(strokes, kinematics)
-    # Nobody takes longer than the recording lasts.
+    # The writing must end within the recording.
     tempo = max(tempo, length / (kinematics.end_s - start - kinematics.settle_s))
     moved = handwriting.move(strokes, tempo, STEP_S, start, kinematics)
     return replace(moved, force=np.exp(force) * moved.force * _waver(moved, rng, kinematics))
@@ -290,7 +290,7 @@ def _receive(touches, p):
     touches = [touches[index] for index in order]
     first = np.cumsum([0] + [len(touch.taxels) for touch in touches])
     widths, columns = np.diff(first), list(itertools.starmap(slice, itertools.pairwise(first)))
-    # One row before the pen comes, when nobody touches the skin.
+    # One row before the pen touches the skin.
     ends = [1 + len(touch.felt) for touch in touches]
     signal = np.empty((ends[0], first[-1]), np.float32)
     signal[0] = 0

@@ -95,7 +95,7 @@ class Writing:
             poll_s=p.receptor.poll_s * clock,
         )
         self._decoder = aces.Decoder(p.aces)
-        self._row = 0  # rows that the receptors have seen, the untouched one at the start left out
+        self._row = 0  # rows processed by the receptors, without the first, untouched one
         self._points = []
         self._contacts = []  # [landed, lifted or infinity]
         self._last = None  # (down, right, force) of the last row
@@ -144,7 +144,7 @@ class Writing:
         )
         touched = before is not None and before.touches
         if point.touches and not touched:
-            if before is not None:  # the pen was carried here through the air
+            if before is not None:  # the pen moved here through the air
                 self._points.append(point._replace(touches=False))
             self._contacts.append([point.time_s, np.inf])
         elif touched and not point.touches:
@@ -166,7 +166,7 @@ class Writing:
         down, right, force = self._tip(time)
         if self._last is None:
             self._last = down[0], right[0], 0.0
-        # Each row's speed is that since the row before; the next one has not come yet.
+        # A row's speed is computed from the previous row; the next one is not known yet.
         speed = np.hypot(
             np.diff(down, prepend=self._last[0]), np.diff(right, prepend=self._last[1])
         )

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deploy.files import read_arrays, understood, write_arrays
+from deploy.files import read_arrays, reporting_damage, write_arrays
 
 REMEDY = "delete it to train from the start"
 
@@ -89,7 +89,7 @@ def _resumed(checkpoint, state, epochs):
     if not path.exists():
         return []
     kept = read_arrays(path, REMEDY)
-    with understood(path, REMEDY):
+    with reporting_damage(path, REMEDY):
         if "key" not in kept or str(kept["key"]) != checkpoint.key:
             return []
         history = json.loads(str(kept["history"]))

@@ -449,7 +449,7 @@ class _Trainer:
         gradients = tape.gradient(total, self.variables)
         self.optimizer.apply_gradients(zip(gradients, self.variables, strict=True))
         done = tf.cast(number, tf.float32)
-        share = tf.minimum(recipe.average, (1 + done) / (10 + done))  # short while there is little
+        share = tf.minimum(recipe.average, (1 + done) / (10 + done))  # shorter at first
         for mean, variable in zip(self.mean, self.variables, strict=True):
             mean.assign(share * mean + (1 - share) * variable)
         right = tf.argmax(outputs[-1], -1, labels.dtype) == labels
@@ -482,9 +482,7 @@ class _Trainer:
         """Training samples in random order, in batches of samples of similar length."""
         recipe = self.recipe
         order = rng.permutation(self.train)
-        short = (
-            -len(order) % recipe.batch_size
-        )  # every batch is full, so that it fits what is compiled
+        short = -len(order) % recipe.batch_size  # only full batches fit the compiled function
         order = np.concatenate([order, np.resize(order, short)])
         batches = []
         for start in range(0, len(order), 16 * recipe.batch_size):

@@ -105,7 +105,7 @@ class Refit:
         return bool(self.after.sum() > self.before.sum() and lost <= MOST_LOST)
 
 
-# Products of a few hundred rows: several threads wait for each other 12 times as long as they take.
+# In one thread: matrix products of a few hundred rows take 12 times as long in several threads.
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: float = 1.0):
     """Refit a readout, with ``pull`` and ``rehearsal`` chosen by cross-validation.
@@ -120,7 +120,7 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
     seed : int
         Seed of the folds.
     scale : float
-        Factor from scores to the logits that the network was trained with.
+        Factor that converts scores to the logits of the training.
 
     Returns
     -------
@@ -143,7 +143,7 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
             log_p[folds == fold] = problem.log_odds(refitted, person.responses[folds == fold])
             log_kept = problem.log_odds(refitted, kept.responses[out])
             kept_after[out] = _right(log_kept, kept.labels[out])
-        # More right answers first; of as many the surer ones.
+        # The best fit keeps the accuracy for others, if possible, and then is the most likely one.
         after = _right(log_p, person.labels)
         sure = log_p[np.arange(len(person)), person.labels].mean()
         within = kept_before.mean() - kept_after.mean() <= MOST_LOST

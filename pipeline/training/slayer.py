@@ -16,8 +16,8 @@ from pipeline.paper import DURATION_S
 from pipeline.settings import Slayer
 from pipeline.training.checkpoint import Checkpoint, train_epochs
 
-# Products of a few steps: several threads wait for each other ten times as long as they take on a
-# busy machine.
+# In one thread: matrix products of a few steps take ten times as long in several threads on a busy
+# machine.
 _one_thread = threadpool_limits.wrap(limits=1, user_api="blas")
 
 STATE = 2

@@ -300,7 +300,7 @@ def test_what_cannot_be_on_the_chip_is_named():
 @pytest.mark.parametrize(
     ("weight", "threshold", "bias", "told"),
     [
-        (1.0, 1e-310, 0.0, "no numbers"),
+        (1.0, 1e-310, 0.0, "infinite"),
         (1e9, 1e-3, 0.0, "too large"),
         (5e-324, 1.0, 0.0, "too small"),
         (1.0, 1.0, 1e9, "biases too large"),

@@ -87,7 +87,7 @@ BAD = [
     ({"deployment": {"input_phase": 1}}, 0),
     ({"deployment": {"synapse": -1}}, 1000),
     ({"deployment": {"pop_type": 8}}, 16, 32),
-    ({"deployment": {"pop_type": 16}}, "multiples of 4"),
+    ({"deployment": {"pop_type": 16}}, "multiple of 4"),
     ({"presentation": {"steps": -1}}, 10000),
     ({"presentation": {"gap": -1}}, 10000),
     ({"presentation": {"gap": 10**22}},),

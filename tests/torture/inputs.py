@@ -296,7 +296,7 @@ def network(rng, folder, base):
     spec = replace(spec, layers=tuple(layers), stimulus=stimulus)
     shape = spec.stimulus.sample_shape(spec.input_shape, spec.presentation.steps)
     inputs = rng.random((3, *shape)) * (rng.random((3, *shape)) < 0.7)
-    if not spec.stimulus.held:
+    if not spec.stimulus.static:
         inputs = (inputs > 0.6).astype(np.uint8)
     checks = CheckSet(inputs, rng.integers(0, spec.layers[-1].size, 3), ("a", "b", "c"), 0)
     path = folder / "bundle"

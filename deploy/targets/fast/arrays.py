@@ -31,7 +31,7 @@ from ...network.chip import LOIHI
 
 Q_BITS = LOIHI.input_bits  # synaptic accumulator, without sign
 U_BITS = LOIHI.current_bits  # current and compartment input, without sign
-OVERFLOWS = ("q0", "current", "u2")  # places where one can occur; the emulator's names
+OVERFLOWS = ("q0", "current", "u2")  # sums that can overflow, by the emulator's names
 
 
 class Segments(NamedTuple):

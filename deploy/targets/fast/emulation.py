@@ -24,8 +24,8 @@ MEMORY = 32 << 20
 """Maximum memory in bytes for the spikes of one call of a kernel, about a tenth of a thread's."""
 
 
-class Recording(NamedTuple):
-    """Results of a batch of streams.
+class StreamOutputs(NamedTuple):
+    """Output, spike counts and overflows of a batch of streams.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Emulation:
         self.program = program
         self.kernel = _kernel(kernel)(program.network, program.output.decoders)
 
-    def run(self, samples, steps, gap, watch=None, memory=MEMORY) -> Recording:
+    def run(self, samples, steps, gap, watch=None, memory=MEMORY) -> StreamOutputs:
         """Present streams of samples, each to a fresh network.
 
         Parameters
@@ -79,7 +79,7 @@ class Emulation:
 
         Returns
         -------
-        Recording
+        StreamOutputs
         """
         program, network = self.program, self.program.network
         samples = np.asarray(samples)
@@ -106,7 +106,7 @@ class Emulation:
             shown.append((np.concatenate(outputs, axis=1), counts))
             if watch is not None:
                 watch({label: np.concatenate(parts, axis=1) for label, parts in packed.items()})
-        return Recording(
+        return StreamOutputs(
             output=np.stack([output for output, _ in shown], axis=1),
             counts={k: np.stack([c[k] for _, c in shown], axis=1) for k in shown[0][1]},
             overflows=overflows,

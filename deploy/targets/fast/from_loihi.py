@@ -19,7 +19,7 @@ _SCALARS = ("keep_u", "keep_v", "v_min", "v_max", "refractory")
 def cannot(what, where=None):
     """The error for an unsupported feature."""
     place = "" if where is None else f" ({where})"
-    return UserError(f"the target 'fast' cannot do {what}{place}; use the target 'emulator'")
+    return UserError(f"the target 'fast' does not support {what}{place}; use the target 'emulator'")
 
 
 def chip_arrays(network, model, inputs):

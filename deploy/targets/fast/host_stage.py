@@ -179,9 +179,9 @@ class HostSide:
 
     def take(self, samples):
         """Set the current sample of each stream: (n_streams, size) or (..., steps, size)."""
-        held = samples.ndim == 2
-        self._frames = None if held else samples
-        self._drive = self._program.drive(samples) if held else None
+        static = samples.ndim == 2
+        self._frames = None if static else samples
+        self._drive = self._program.drive(samples) if static else None
 
     def spikes(self, first, last):
         """Spikes of several steps of the sample.

@@ -107,7 +107,7 @@ def _jit(**options):
     def decorate(function):
         try:
             return numba.njit(cache=True, nogil=True, **options)(function)
-        except RuntimeError:  # inside a zipapp Numba finds no place for its cache
+        except RuntimeError:  # in a zip archive there is no place for Numba's cache
             return numba.njit(nogil=True, **options)(function)
 
     return decorate

@@ -135,11 +135,11 @@ class _LayerSteps:
                 np.putmask(v, fires, 0)
                 np.greater(v, threshold, out=fires)
             else:
-                held = waiting > 0
-                np.putmask(v, held, 0)
+                resting = waiting > 0
+                np.putmask(v, resting, 0)
                 np.greater(v, threshold, out=fires)
                 np.putmask(v, fires, 0)
-                waiting -= held
+                waiting -= resting
                 np.putmask(waiting, fires, self.refractory)
             spike[:] = fires
         if self.waits_once:

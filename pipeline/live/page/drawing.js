@@ -1,4 +1,4 @@
-// What is drawn on canvases. Colours come from the style sheet, so that dark is dark here too.
+// Drawings on canvases. Colours come from the style sheet, also in dark mode.
 
 export const still = matchMedia("(prefers-reduced-motion: reduce)");
 const dark = matchMedia("(prefers-color-scheme: dark)");
@@ -39,16 +39,16 @@ export function setSensor(sensor) {
 }
 const row = (taxel) => taxel % rows;
 const column = (taxel) => Math.floor(taxel / rows);
-const DOTS = 4096; // taxels that are drawn while nothing happens: of more one sees none
+const DOTS = 4096; // maximum number of taxels that are drawn at rest; more would not be visible
 
-// Returns whether something on it still moves.
+// Returns whether the drawing still changes.
 export function drawSkin(canvas, strokes, counts, flashes, now) {
   const { context, width, height } = fitted(canvas);
   const [wide, high] = [width / columns, height / rows];
   const cell = Math.min(wide, high);
   const place = (taxel) => [(column(taxel) + 0.5) * wide, (row(taxel) + 0.5) * high];
   let moves = false;
-  if (!strokes.length) fillTaxels(context, counts, wide, high, 0.3); // of an example the pen is unknown
+  if (!strokes.length) fillTaxels(context, counts, wide, high, 0.3); // an example has no strokes
   context.fillStyle = colour("--rest");
   if (flashes.length <= DOTS)
     for (let taxel = 0; taxel < flashes.length; taxel++) {
@@ -71,7 +71,7 @@ export function drawSkin(canvas, strokes, counts, flashes, now) {
     for (const [since, name] of [[on, "--on"], [off, "--off"]]) {
       let left = 1 - (now - since) / FLASH_MS;
       if (since === -Infinity) continue;
-      if (still.matches) left = name === (on > off ? "--on" : "--off") ? 1 : 0; // the last one stays
+      if (still.matches) left = name === (on > off ? "--on" : "--off") ? 1 : 0; // the last colour remains
       else if (left > 0) moves = true;
       if (left <= 0) continue;
       context.globalAlpha = Math.min(1, 1.4 * left);
@@ -92,13 +92,13 @@ export function drawSkin(canvas, strokes, counts, flashes, now) {
   return moves;
 }
 
-const SPANS = [2, 4, 10, 20, 60]; // seconds that a time axis may have
+const SPANS = [2, 4, 10, 20, 60]; // lengths of a time axis in seconds
 const span = (time) => SPANS.find((seconds) => time <= seconds) ?? time;
 const [LEFT, BELOW] = [4, 20];
 const across = (canvas, last, left = LEFT) => (seconds) =>
   left + (seconds / last) * (canvas.clientWidth - left - LEFT);
 
-// Only what is new, as long as everything else stands where it stood.
+// Draws only new events, as long as the others do not move.
 const raster = { key: null, drawn: 0 };
 export function drawRaster(canvas, events, time, afresh) {
   const last = span(time);
@@ -114,7 +114,7 @@ export function drawRaster(canvas, events, time, afresh) {
     context.fillStyle = colour(name);
     for (let i = raster.drawn; i < events.taxel.length; i++) {
       if (events.polarity[i] !== polarity) continue;
-      // ON stands, OFF lies: told apart without colour.
+      // ON is upright, OFF horizontal: distinguishable without colour.
       const [wide, high] = polarity > 0 ? [2, Math.max(1.4 * tall, 4)] : [4, Math.max(0.7 * tall, 2)];
       context.fillRect(x(events.s[i]), (events.taxel[i] + 0.5) * tall - high / 2, wide, high);
     }
@@ -138,7 +138,7 @@ function drawAxes(canvas, last, left = LEFT) {
   return { context, x, width, height };
 }
 
-// answer: of the network, or null; threshold: null where it decides at the end.
+// answer: of the network, or null; threshold: null if it decides at the end.
 export function drawCurve(canvas, answer, threshold, time) {
   const left = 44;
   const { context, x, width, height } = drawAxes(canvas, span(time), left);
@@ -201,7 +201,7 @@ function fillTaxels(context, counts, wide, high, opacity) {
   context.globalAlpha = 1;
 }
 
-// packed: for each step the spikes of eight neurons a byte; returns how many there are.
+// packed: spikes of each step, eight neurons per byte; returns the number of spikes.
 export function drawLayer(canvas, packed, neurons, steps, firstStep) {
   const { context, width, height } = fitted(canvas);
   const wide = width / steps;

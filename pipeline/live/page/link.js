@@ -1,4 +1,4 @@
-// The wire to the server: messages as JSON, and a word when it breaks.
+// The connection to the server: messages as JSON, and the event "gone" when it is lost.
 
 export class Link extends EventTarget {
   constructor() {

@@ -1,4 +1,4 @@
-// The page: what comes from the server and from the person, and what is shown of it.
+// The page: messages of the server, input of the user, and what is displayed.
 
 import { drawCurve, drawImage, drawLayer, drawRaster, drawSkin, onColours, setSensor } from "./drawing.js";
 import { Link } from "./link.js";
@@ -8,23 +8,23 @@ const $ = (id) => document.getElementById(id);
 const BY_ITSELF_MS = 1000;
 const LAYERS_MS = 60;
 const REMEMBERED = "stmnist-writer";
-const SCORES = 5; // classes with the highest scores that are shown where all have no room
-const BUTTONS = 12; // classes from which on their buttons are a list to search
+const SCORES = 5; // number of displayed classes, with the highest scores, if there is no room for all
+const BUTTONS = 12; // with more classes, their buttons can be searched
 const SHORT = 3; // characters of a name that is shown large
 
-history.scrollRestoration = "manual"; // a page that begins anew begins at the skin
+history.scrollRestoration = "manual"; // after reloading, start at the skin
 
 const link = new Link();
 let about = null; // the data set: rows, columns, classes and the like
-let ready = null; // what the network is like, once it is ready
-let writer = null; // who writes, and what is asked for
+let ready = null; // description of the network, once it is ready
+let writer = null; // the writer, and the requested class
 let tests = null; // test samples of each class, once they are known
-let recording = null; // the number of what is being written or played
+let recording = null; // number of the recording that is written or played
 let kept = false;
 let strokes = [], flashes = [], counts = [];
 let events = { s: [], taxel: [], polarity: [] };
 let time = 0;
-let answer = null; // the latest, until it is shown
+let answer = null; // the latest answer, until it is displayed
 let byItself = null;
 const latencies = [];
 let lastCounted = -Infinity;
@@ -47,7 +47,7 @@ function forget() {
   draw();
 }
 
-// ---- the data set's own words
+// ---- texts that depend on the data set
 
 function describe() {
   const { rows, columns, classes, digits } = about;
@@ -128,7 +128,7 @@ $("search").addEventListener("keydown", (event) => {
   [...$("labels").children].find((button) => !button.hidden)?.click();
 });
 
-// ---- from the person
+// ---- input of the user
 
 const pen = new Pen($("skin"), (points, now) => {
   if (!ready) return;
@@ -138,7 +138,7 @@ const pen = new Pen($("skin"), (points, now) => {
       pen.lifted = true;
       continue;
     }
-    if (pen.lifted !== false || !strokes.length) strokes.push([]); // or cleared in the middle
+    if (pen.lifted !== false || !strokes.length) strokes.push([]); // or the skin was cleared during a stroke
     pen.lifted = false;
     strokes.at(-1).push([right, down]);
   }
@@ -255,7 +255,7 @@ link.on("ready", (network) => {
 });
 
 link.on("cleared", (message) => {
-  const started = strokes.slice(-1); // the stroke that began it is here already
+  const started = strokes.slice(-1); // the first stroke has been received already
   forget();
   if (message.recording !== null && !message.example) strokes = started;
   recording = message.recording;
@@ -278,7 +278,7 @@ link.on("events", (message) => {
   });
   pen.settled = message.settled;
   if (message.over && pen.writes) {
-    complain("The time for one recording is over: say what it was, or lift the pen and write again.");
+    complain("This recording has reached its maximum duration: press its class, or lift the pen and write again.");
     pen.settled = true;
   }
   stale.skin = stale.rest = true;
@@ -295,7 +295,7 @@ link.on("answer", (message) => {
 
 link.on("saved", (message) => {
   kept = true;
-  clearTimeout(byItself); // the last events of what is kept now came just before
+  clearTimeout(byItself); // the saved recording is complete
   $("told").textContent = `Saved as ${named(message.label)}: ${message.name}, ${message.events} events.`;
   complain(null);
 });
@@ -304,12 +304,12 @@ link.on("learned", (message) => {
   if (message.writer !== writer?.number) return;
   $("learned").dataset.digits = message.digits;
   $("learned").textContent = message.digits
-    ? `Learning ${hand("your")}: ${message.digits} ${about.digits ? "digit" : "recording"}${message.digits === 1 ? "" : "s"}, ${message.right} of the last ${message.of} right before learning them${message.own_readout ? "" : "; your own readout is not better yet"}.`
+    ? `Learning ${hand("your")}: ${message.digits} ${about.digits ? "digit" : "recording"}${message.digits === 1 ? "" : "s"}, ${message.right} of the last ${message.of} recognised before they were learned${message.own_readout ? "" : "; your own readout is not better yet"}.`
     : `Nothing learned of ${hand("your")} yet: ${about.digits ? "write, and press the digit" : "draw, and press the class"}.`;
 });
 
 link.on("undone", (message) => {
-  $("told").textContent = `Removed the last, ${named(message.label)}: ${message.name}.`;
+  $("told").textContent = `Removed ${named(message.label)}: ${message.name}.`;
 });
 
 link.on("writer", (state) => {
@@ -321,7 +321,7 @@ link.on("writer", (state) => {
   const known = [...new Set([...state.known, state.number])].sort((a, b) => a - b);
   $("writer").replaceChildren(
     ...known.map((number) => new Option(`Writer ${number}`, number, false, number === state.number)),
-    new Option("somebody new", "new"),
+    new Option("new writer", "new"),
   );
   $("handedness").value = state.handedness;
   showSession();
@@ -338,11 +338,11 @@ link.on("gone", (reason) => {
   $("status").classList.remove("ready");
   $("status").textContent = "Not connected.";
   if ($("problem").hidden)
-    complain(`The server has gone${reason ? ` (${reason})` : ""}. Saved recordings are safe; start it again and open the address that it prints.`);
+    complain(`The server has ended or cannot be reached${reason ? ` (${reason})` : ""}. Saved recordings are safe; start 'stmnist live' again and open the address that it prints.`);
   if (!reason) setTimeout(comeBack, 2000);
 });
 
-// Back again, such as after the machine has slept: the page begins anew, with the same writer.
+// The server can be reached again, for example after the machine has slept: reload, same writer.
 async function comeBack() {
   try {
     if ((await fetch(location.href)).ok) location.reload();
@@ -351,13 +351,13 @@ async function comeBack() {
   }
 }
 
-// The writer is remembered by this browser, so that a session goes on where it was left.
+// The browser stores the writer, so that a session continues where it was left.
 function recall() {
   try {
     const { number, handedness, each } = JSON.parse(localStorage.getItem(REMEMBERED)) ?? {};
     if (Number.isInteger(number)) link.send({ type: "writer", number, handedness, each });
   } catch {
-    // nothing is remembered here
+    // this browser has no storage
   }
 }
 
@@ -366,7 +366,7 @@ function remember() {
     const { number, handedness, each } = writer;
     localStorage.setItem(REMEMBERED, JSON.stringify({ number, handedness, each }));
   } catch {
-    // this browser keeps nothing
+    // this browser has no storage
   }
 }
 
@@ -384,7 +384,7 @@ function settle() {
     byItself = setTimeout(() => keep(writer.asked), BY_ITSELF_MS);
 }
 
-// For who does not see the page: one sentence when the pen is lifted, not one an event.
+// For screen readers: one sentence when the pen is lifted, not one per event.
 function announce() {
   if (pen.settled && !pen.writes && $("decision").textContent !== "")
     $("announce").textContent = `Decision: ${$("decision").textContent}, ${$("confidence").textContent}`;
@@ -415,7 +415,7 @@ function named(label) {
   return about.digits ? `${name === "8" ? "an" : "a"} ${name}` : name;
 }
 
-// Which examples there are: test samples, recordings of the folder, or neither.
+// Available examples: test samples, recordings of the folder, or neither.
 function showExamples() {
   if (tests === null || writer === null) return;
   const of = { test: tests, kept: writer.kept };
@@ -441,7 +441,7 @@ function showExample(example) {
   pen.watch();
 }
 
-// The confidence is always below 1, and is not rounded to it.
+// A confidence is below 1 and must not be displayed as 100 %.
 function percent(share) {
   return `${Math.min(Math.round(100 * share), 99)} %`;
 }
@@ -452,9 +452,9 @@ function showDecision(message) {
   if (about === null) return;
   const { classes } = about;
   $("decision").textContent = message === null ? "" : classes[message.decision];
-  $("decision").dataset.events = message === null ? 0 : message.events; // that it is the answer to
+  $("decision").dataset.events = message === null ? 0 : message.events; // to which it is the answer
   $("confidence").textContent = message === null ? "" : `${percent(message.confidence)} sure`;
-  $("since").textContent = message === null ? "" : `since ${message.since_s.toFixed(2)} s`;
+  $("since").textContent = message === null ? "" : `unchanged since ${message.since_s.toFixed(2)} s`;
   showDecided(message);
   const items = [...$("scores").children];
   let best = classes.map((_, label) => label);
@@ -490,7 +490,7 @@ function showLayers(message) {
   });
 }
 
-// The picture of the spikes is the dearest, and nobody sees more of them a second.
+// Drawing the spikes takes the longest; a higher frame rate would not be visible.
 let soon = null;
 function showLayersSoon() {
   soon ??= setTimeout(() => {
@@ -526,7 +526,7 @@ function draw() {
   });
 }
 
-// A message to oneself is delivered after the frame has been painted.
+// A message that the page sends to itself arrives after the frame has been painted.
 const painted = new MessageChannel();
 painted.port1.onmessage = ({ data: last }) => {
   if (last === null || last <= lastCounted) return; // no new event since the answer before
@@ -536,7 +536,7 @@ painted.port1.onmessage = ({ data: last }) => {
   const sorted = latencies.toSorted((a, b) => a - b);
   const median = sorted[Math.floor(sorted.length / 2)];
   $("latency").textContent =
-    `From the last event to the decision on this screen: ${median.toFixed(0)} ms at the median of ${sorted.length}.`;
+    `From the last event to the decision on this screen: ${median.toFixed(0)} ms (median of ${sorted.length}).`;
   $("latency").dataset.median = median.toFixed(2);
   $("latency").dataset.ninetieth = sorted[Math.floor(0.9 * sorted.length)].toFixed(2);
   $("latency").dataset.count = sorted.length;

@@ -1,26 +1,26 @@
-// From pointers to points on the skin, in taxels: 0 is the centre of the first row or column.
+// Converts pointers to points on the skin, in taxels: 0 is the centre of the first row or column.
 
-const BEYOND = 1.5; // taxels beyond the outer sensors at which a pen that slips off is held
+const BEYOND = 1.5; // taxels beyond the outer sensors to which a pen's position is limited
 const BEAT_MS = 12;
-const APART_MS = 8; // of two messages while the pen moves
+const APART_MS = 8; // interval of messages while the pen moves
 
 export class Pen {
   // tell(points, now): [[ms, right, down, pressure, touches], ...]
   constructor(canvas, tell) {
     this.canvas = canvas;
     this.tell = tell;
-    this.sensor = null; // rows and columns, while one can write
+    this.sensor = null; // rows and columns, while writing is possible
     this.pointer = null;
     this.settled = true;
     this.told = -Infinity;
     this.waiting = [];
     canvas.addEventListener("pointerdown", (event) => this.down(event));
-    // Moves as they come, where the browser has them, and once more with its next frame.
+    // Movements without delay if the browser reports them, and again with its next frame.
     for (const move of ["pointerrawupdate", "pointermove"])
       canvas.addEventListener(move, (event) => this.move(event));
     for (const end of ["pointerup", "pointercancel", "lostpointercapture"])
       canvas.addEventListener(end, (event) => this.up(event));
-    // A finger that writes neither scrolls nor selects.
+    // A writing finger must not scroll or select text.
     canvas.addEventListener("touchstart", (event) => event.preventDefault(), { passive: false });
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
   }
@@ -31,13 +31,13 @@ export class Pen {
 
   down(event) {
     if (this.sensor === null) return;
-    if (event.pointerId === this.pointer) this.up(event); // its end was never told
+    if (event.pointerId === this.pointer) this.up(event); // its end was not reported
     if (this.pointer !== null || (event.pointerType === "mouse" && event.button !== 0)) return;
     this.pointer = event.pointerId;
     try {
       this.canvas.setPointerCapture(event.pointerId);
     } catch {
-      // the pointer has gone already
+      // the pointer no longer exists
     }
     this.last = this.point(event, 1);
     this.send([this.last]);
@@ -49,7 +49,7 @@ export class Pen {
     const every = event.getCoalescedEvents?.() ?? [];
     for (const one of every.length ? every : [event]) {
       const point = this.point(one, 1);
-      if (point[0] <= this.last[0]) continue; // known already
+      if (point[0] <= this.last[0]) continue; // processed already
       this.waiting.push(point);
       this.last = point;
     }
@@ -73,7 +73,7 @@ export class Pen {
     const box = this.canvas.getBoundingClientRect();
     const place = (share, side) =>
       Math.min(Math.max(side * share - 0.5, -BEYOND), side - 1 + BEYOND);
-    // A finger's pressure is rarely measured: 0 or 1 says nothing.
+    // A finger's pressure is rarely measured: 0 and 1 are ignored.
     const told = event.pressure > 0 && (event.pointerType === "pen" || event.pressure < 1);
     return [
       this.time(event),
@@ -91,13 +91,13 @@ export class Pen {
     this.tell(points, this.told);
   }
 
-  // An example passes too, though nobody writes.
+  // An example also takes time, although nobody writes.
   watch() {
     this.settled = false;
     this.beat();
   }
 
-  // Time passes on the skin too while the pen rests, and for a moment after it is lifted.
+  // The skin's time also advances while the pen rests, and shortly after it is lifted.
   beat() {
     if (this.beating) return;
     const next = () => {

@@ -91,10 +91,10 @@ def animate(path, bundle: Bundle, recordings: Recordings, index: int, advance=No
     seconds = 1e-9 * (events.time_ns - first)
     lasts = max(float(seconds.max(initial=0)), 0.1)
     step, start = spec.stimulus.step_seconds, spec.presentation.readout_start
-    on_events = not spec.stimulus.held
+    on_events = not spec.stimulus.static
     answers = chances.argmax(axis=1)
     changed = np.flatnonzero(answers != answers[-1])
-    decided_at = start + 1 + (int(changed[-1]) + 1 if len(changed) else 0)  # for good
+    decided_at = start + 1 + (int(changed[-1]) + 1 if len(changed) else 0)  # finally
     label = int(bundle.checks.labels[index])
     top = np.argsort(-chances[-1], kind="stable")[:SHOWN_CLASSES].tolist()
     if label not in top:
@@ -140,7 +140,7 @@ def animate(path, bundle: Bundle, recordings: Recordings, index: int, advance=No
     whole = max(float(normalise(grown_to[-1:], "none").max()), 1.0)
     on = events.polarity > 0
     times = step * (start + 1 + np.arange(len(chances)))
-    # The writers choose the format by the file's name, and write where they are told to.
+    # The writers derive the format from the name, and do not write atomically.
     with tempfile.TemporaryDirectory() as folder:
         written = Path(folder) / f"animation{path.suffix.lower()}"
         with writer.saving(figure, written, dpi=90):

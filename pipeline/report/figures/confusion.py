@@ -40,7 +40,7 @@ def confusion_figure(ladder: dict) -> Figure:
 
 def _matrix(axes, counts, names=None):
     shares = confusion_shares(counts)
-    # The square root lets the few errors be seen beside the many right answers.
+    # The square root makes the few errors visible beside the many right answers.
     axes.imshow(np.sqrt(shares), cmap="Blues", vmin=0, vmax=1)
     for (label, prediction), count in np.ndenumerate(counts):
         if count:

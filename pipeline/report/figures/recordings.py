@@ -69,7 +69,7 @@ def events_by_taxel(recordings: Recordings, index: int) -> Figure:
     events, taxels = recordings[index], recordings.taxels
     figure = Figure(figsize=(11, 9), layout="constrained")
     axes = figure.subplots()
-    # One cell a taxel: time runs from its left to its right, zero is its middle.
+    # One cell per taxel: time runs to the right, zero is in the middle.
     x = taxels.column[events.taxel] - 0.5 + events.time_ns * 1e-9 / recordings.sensor.duration_s
     zero = taxels.row[events.taxel]
     for polarity, colour, label in ((1, ON, "ON, up"), (-1, OFF, "OFF, down")):

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 
 from deploy import __version__
 from deploy.check.bundle import Bundle, CheckSet, read_bundle, write_bundle
-from deploy.files import understood
+from deploy.files import reporting_damage
 from deploy.network.spec import NetworkSpec
 from pipeline.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.inputs.dataset import Dataset
@@ -29,9 +29,16 @@ from pipeline.settings import Settings
 def make_bundle(
     run: RunFolder, settings: Settings, jobs: int = 1, say=print, dataset: Dataset | None = None
 ) -> tuple:
-    """Make the missing artifacts of a run up to its bundle; return the dataset and the bundle.
+    """Make the missing artifacts of a run up to its bundle.
 
-    ``dataset`` is as in :func:`open_dataset`.
+    Parameters
+    ----------
+    run, settings, jobs, say, dataset
+        As in :func:`open_dataset`, whose ``warn`` is ``say``; it also gets a line for each stage.
+
+    Returns
+    -------
+    Dataset, Bundle
     """
     dataset = open_dataset(run, settings, jobs, say, dataset=dataset)
     train_all(run, settings, dataset, say)
@@ -110,7 +117,7 @@ def spec_of(place: Place, settings: Settings, dataset: Dataset, provenance: dict
 
 def _confidence(artifact):
     """The confidence for early decisions in a network's record, or None."""
-    with understood(artifact.record, DELETE_IT):
+    with reporting_damage(artifact.record, DELETE_IT):
         chosen = artifact.state().record["decides_by_itself"]
         if chosen is not None and not 0 <= chosen["confidence"] <= 1:
             raise ValueError("a confidence that is not from 0 to 1")

@@ -9,8 +9,8 @@ from pipeline.inputs.dataset import (
     TOO_SMALL,
     Dataset,
     event_warnings,
-    images_fit,
-    recordings_fit,
+    require_images_fit,
+    require_recordings_fit,
 )
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.recordings.facts import facts_of
@@ -56,7 +56,7 @@ def open_dataset(
             f"{settings.data.source}: differs from the settings of the arrays; use "
             f"'data.source' {dataset.recordings.source.name!r}"
         )
-    recordings_fit(dataset.recordings, settings)
+    require_recordings_fit(dataset.recordings, settings)
     recordings, split = dataset.recordings, dataset.split
     if check:
         try:
@@ -67,7 +67,7 @@ def open_dataset(
                 remedy += "; no settings were saved: repeat --data in the next command"
             raise UserError(f"{settings.data.source}: {error}; {remedy}") from error
         if not settings.on_events:
-            images_fit(dataset.inputs, settings)
+            require_images_fit(dataset.inputs, settings)
     if warn is not None:
         for line in _notes(run, settings, recordings):
             warn(line)

@@ -102,9 +102,9 @@ def take_over(settings: Settings, dataset: Dataset) -> tuple:
     if wilson_interval(right, len(labels))[0] <= likeliest + LEAST_KNOWN * (1 - likeliest):
         raise UserError(
             f"{path}: hardly better than chance on this run's training samples (accuracy "
-            f"{right / len(labels):.3f}, {likeliest:.3f} by always answering the same): never "
-            "trained, trained on other inputs than tactile images as [image] in the settings makes "
-            "them, or with the classes in another order"
+            f"{right / len(labels):.3f}, {likeliest:.3f} by always answering the same); "
+            "train it on tactile images as [image] in the settings makes them, with the classes in "
+            "the same order"
         )
     return (taken, model.notes) if scale == 1 else (taken, (*model.notes, _scale_note(scale)))
 
@@ -127,6 +127,6 @@ def _usual_scale(settings, weights, images) -> tuple:
 
 def _scale_note(scale):
     return (
-        f"its output layer is multiplied by {scale:.3g}: its logits are of a size that no softmax "
-        "was trained with; the largest stays the largest"
+        f"its output layer is multiplied by {scale:.3g}: its logits are far from the "
+        "usual size of a softmax's inputs; the predictions do not change"
     )

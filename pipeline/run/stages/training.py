@@ -9,7 +9,7 @@ import numpy as np
 
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
-from deploy.files import read_arrays, understood, write_arrays
+from deploy.files import read_arrays, reporting_damage, write_arrays
 from deploy.network.decision import Estimator
 from models.architecture import parse
 from pipeline.artifacts import Artifact, Library, Origin
@@ -18,7 +18,7 @@ from pipeline.progress import progress
 from pipeline.run import nir_conversion, nir_training
 from pipeline.run.answers import training_versions
 from pipeline.run.diagnosis import activity, fastest_rate, training_lines
-from pipeline.run.event_training import FEWEST, choose, set_apart
+from pipeline.run.event_training import FEWEST, choose, event_samples
 from pipeline.run.folder import DELETE_ITS_FOLDER, RunFolder
 from pipeline.run.history import write_history
 from pipeline.run.origins import (
@@ -118,7 +118,7 @@ def train(name: str, place: Place, settings: Settings, dataset: Dataset, say=pri
     view = artifact.origin.view(settings)
     record = artifact.write(make(artifact, place, view, dataset.seen_by(view), say))
     if name == "events":
-        (artifact.folder / CHECKPOINT).unlink(missing_ok=True)  # its training is complete
+        (artifact.folder / CHECKPOINT).unlink(missing_ok=True)  # the training is complete
     return record
 
 
@@ -166,7 +166,7 @@ def _train_on_events(artifact, place, settings, dataset, say):
     """Train the network on events; an interrupted training continues after its last epoch."""
     from pipeline.training import events  # TensorFlow takes seconds to import
 
-    samples = set_apart(dataset, settings.seed)
+    samples = event_samples(dataset, settings.seed)
     checkpoint = Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
     start = None
     if settings.network == "retrained":
@@ -199,10 +199,10 @@ def _choose_threshold(artifact, place, settings, dataset, say):
     from pipeline.training.events import TrainedOnEvents
 
     trained = TrainedOnEvents.of(settings, weights_of("events", place, settings, dataset.origin))
-    samples = set_apart(dataset, settings.seed)
+    samples = event_samples(dataset, settings.seed)
     chosen = choose(settings, samples, trained, settings.seed)
     training = network_artifact("events", place, settings, dataset.origin)
-    with understood(training.record, DELETE_ITS_FOLDER):
+    with reporting_damage(training.record, DELETE_ITS_FOLDER):
         record = training.state().record
         seconds, epochs = float(record["seconds"]), int(record["epochs"])
     metrics = _metrics(trained, dataset, seconds)

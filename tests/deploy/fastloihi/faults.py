@@ -222,7 +222,7 @@ LAYOUT = [
     ("learning as NumPy 1 rounds it is foreseen", "elif int(np.__version__.split(\".\")[0]) < 2:", "elif False:"),
     ("runs of a probe miss compartment 0", "prepend=-2", "prepend=-1"),
     ("blocks of a probe share columns", "parts.append(slice(widths[key], widths[key] + len(where)))", "parts.append(slice(0, len(where)))"),
-    ("any probe is foreseen", "if probe.key not in KEYS:\n            raise Unforeseen(f\"a probe of {probe.key!r}\")\n        key = KEYS.index(probe.key)", "key = KEYS.index(probe.key) if probe.key in KEYS else 1"),
+    ("any probe is foreseen", "if probe.key not in KEYS:\n            raise Unsupported(f\"a probe of {probe.key!r}\")\n        key = KEYS.index(probe.key)", "key = KEYS.index(probe.key) if probe.key in KEYS else 1"),
     ("a probe of one number is foreseen", "[chosen]\n            if where.ndim != 1:", "[chosen].reshape(-1)\n            if False:"),
     ("any input is foreseen", "if type(item) is not SpikeInput:", "if False:"),
 ]  # fmt: skip

@@ -140,8 +140,8 @@ def test_wrong_samples_are_refused(tmp_path):
     for change, message in (
         (lambda a: a.update(inputs=a["inputs"] * 2), "0 and 1"),
         (lambda a: a.update(inputs=a["inputs"][:, :-1]), "shape .* not"),
-        (lambda a: a.update(ids=a["ids"][:1]), "differ in number"),
-        (lambda a: a.pop("inputs"), "not the samples of a check"),
+        (lambda a: a.update(ids=a["ids"][:1]), "inputs, labels and ids"),
+        (lambda a: a.pop("inputs"), "its arrays are ids, labels, seed"),
     ):
         broken = tmp_path / "broken"
         arrays = read_arrays(bundle.path / "checks.npz", "")

@@ -57,7 +57,7 @@ def same_answers(a, b):
     ids=["small", "output-on-chip", "first-layer-on-host", "stride-padding-pool-dense", "events"],
 )
 def test_every_spike_is_the_emulators(nxsdk, spec):
-    if spec.stimulus.held:
+    if spec.stimulus.static:
         images = random_checks(spec, 7).inputs.reshape(7, -1)
     else:
         images = spec.stimulus.flat(random_frames(spec, 7, share=0.3))

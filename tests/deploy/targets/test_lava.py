@@ -81,7 +81,7 @@ def advanced(arrays):
 
 def samples_for(spec, count):
     """Random images, or frames of events, as the network is shown them."""
-    if spec.stimulus.held:
+    if spec.stimulus.static:
         return random_checks(spec, count).inputs
     return random_frames(spec, count)
 

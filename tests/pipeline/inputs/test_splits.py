@@ -77,7 +77,7 @@ def test_check_samples_are_different_ones_of_the_test_part(seed, wanted):
 
 
 def test_too_few_samples():
-    with pytest.raises(ValueError, match="41 samples asked for, the test split has 40"):
+    with pytest.raises(ValueError, match=r"41 samples .* 40"):
         draw_check_samples(random_split(200, 3).test, 41, 0)
     with pytest.raises(ValueError, match="too few"):
         random_split(2, 0)

@@ -249,7 +249,7 @@ def test_the_page_says_how_far_learning_has_come(browser, tmp_path):
             settled(page)
             label(page, count)
             digits(count)
-        assert "1 of the last 2 right" in page.inner_text("#learned")
+        assert "1 of the last 2 recognised" in page.inner_text("#learned")
         page.click("#undo")
         digits(1)
         page.click("#forget")
@@ -336,7 +336,7 @@ def test_clear_empties_the_decision(page):
     assert page.inner_text("#confidence") == ""
     page.click("#label-3")
     page.wait_for_selector("#problem:not([hidden])")
-    assert "nothing is written" in page.inner_text("#problem")
+    assert "nothing has been written" in page.inner_text("#problem")
     assert page.inner_text("#saved") == "0"
 
 

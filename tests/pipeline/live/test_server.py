@@ -23,7 +23,7 @@ sync_client = pytest.importorskip("websockets.sync.client", reason="websockets i
 from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 
 from pipeline.live import keeping  # noqa: E402
-from pipeline.live.connections import STRANGERS  # noqa: E402
+from pipeline.live.connections import MOST_UNAUTHENTICATED  # noqa: E402
 from pipeline.live.qr import qr_code  # noqa: E402
 from pipeline.live.server import LARGEST, PAGES, listen  # noqa: E402
 
@@ -359,18 +359,18 @@ def idle(server, n):
 
 
 def test_silent_connections_leave_the_page_its_place(server):
-    there, closed = idle(server, 3 * STRANGERS)
+    there, closed = idle(server, 3 * MOST_UNAUTHENTICATED)
     try:
         assert get(server)[0] == 200
         assert is_well(server)
-        assert sum(map(closed, there)) >= 2 * STRANGERS
+        assert sum(map(closed, there)) >= 2 * MOST_UNAUTHENTICATED
     finally:
         for connection in there:
             connection.close()
 
 
 def test_a_connection_that_shows_no_token_is_closed_in_time(server):
-    server.strangers._seconds = 0.01
+    server.unauthenticated._seconds = 0.01
     port, _ = parts(server)
     with socket.create_connection(("127.0.0.1", port), timeout=120) as silent:
         assert silent.recv(1) == b""
@@ -382,8 +382,8 @@ def test_a_connection_that_shows_no_token_is_closed_in_time(server):
 def test_a_page_stays_connected_though_it_says_nothing(server):
     with connect(server) as page:
         read_until(page, "ready")
-        assert len(server.strangers) == 0
-        there, _ = idle(server, 2 * STRANGERS)
+        assert len(server.unauthenticated) == 0
+        there, _ = idle(server, 2 * MOST_UNAUTHENTICATED)
         assert get(server)[0] == 200
         write(page)
         assert read_until(page, "answer")
@@ -464,7 +464,7 @@ def test_a_recording_that_is_being_saved_when_the_server_ends_is_saved(tmp_path,
     assert not (tmp_path / "kept" / ".lock").exists()
     errors = [record for record in logged.buffer if record.levelno >= logging.ERROR]
     assert [record.getMessage() for record in errors] == []
-    with pytest.raises(UserError, match="ends"):
+    with pytest.raises(UserError, match="nothing is saved"):
         server.keeper.save(1, None)
 
 

@@ -115,7 +115,7 @@ def test_a_kept_recording_is_not_written_on(session, keeper):
     written(session)
     say(session, {"type": "label", "label": 1})
     again = say(session, {"type": "label", "label": 1})
-    assert "nothing is written" in of(again, "problem")[0]["text"]
+    assert "nothing has been written" in of(again, "problem")[0]["text"]
     assert len(keeper) == 1
     assert of(written(session, start_ms=1400.0), "cleared")
 

@@ -243,7 +243,7 @@ def test_a_member_that_says_it_is_huge_is_not_read(tmp_path, monkeypatch):
     monkeypatch.setattr("pipeline.recordings.archive.LARGEST", 10_000)
     path = tmp_path / "st.zip"
     archive(path, {**good_members(), "3/bomb.mat": bytes(10_001)})
-    with pytest.raises(UserError, match=r"3/bomb.mat says that it has 10001 bytes, too many"):
+    with pytest.raises(UserError, match=r"3/bomb.mat .*10001 bytes, more than"):
         read_source(path, jobs=1)
 
 
@@ -299,7 +299,7 @@ def test_a_file_that_ends_its_worker_is_named(tmp_path, monkeypatch):
     archive(path, {**good_members(), "5/deadly.mat": deadly.CONTENT})
     monkeypatch.setattr("pipeline.recordings.archive.CHUNK", 4)
     monkeypatch.setattr("pipeline.recordings.archive._read_members", deadly.read_members)
-    with pytest.raises(UserError, match=r"1 of 11 files refused: 5/deadly.mat ends the process"):
+    with pytest.raises(UserError, match=r"1 of 11 files refused: 5/deadly.mat crashes the process"):
         read_source(path, jobs=2)
 
 
@@ -361,8 +361,8 @@ def test_classes_are_in_the_order_of_their_numbers():
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda path: path.symlink_to("nowhere"), "is a link to nothing"),
-        (os.mkfifo, "is no file"),
+        (lambda path: path.symlink_to("nowhere"), "broken link"),
+        (os.mkfifo, "not a regular file"),
     ],
 )
 @pytest.mark.parametrize("name", ["3/x.mat", "11", "3/x"])
@@ -374,7 +374,7 @@ def test_what_is_in_a_folder_and_is_no_file_is_said(tmp_path, make, said, name):
     (tmp_path / "data" / ".#lock").symlink_to("nowhere")  # as editors make them
     assert len(read_source(tmp_path / "data", jobs=1)) == 20
     make(tmp_path / "data" / name)
-    with pytest.raises(UserError, match=f"1 of 21 files refused: .*{name} {said}"):
+    with pytest.raises(UserError, match=f"1 of 21 files refused: .*{name} is .*{said}"):
         read_source(tmp_path / "data", jobs=1)
 
 

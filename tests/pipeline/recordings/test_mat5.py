@@ -130,9 +130,7 @@ def test_a_bomb_is_not_unpacked(monkeypatch):
     data = packer.compress(whole)
     data += b"".join(packer.compress(bytes(1 << 20)) for _ in range(20)) + packer.flush()
     monkeypatch.setattr(mat5, "_unpacked", None)
-    with pytest.raises(
-        BadRecording, match=r"says that 'spiketrain' has 101 x 1000000 values, more"
-    ):
+    with pytest.raises(BadRecording, match=r"101 x 1000000 values of 'spiketrain', more"):
         read_recording(HEADER + struct.pack("<II", 15, len(data)) + data)
 
 

@@ -53,8 +53,8 @@ def test_names_writers_and_the_unit(tmp_path):
 @pytest.mark.parametrize(("items", "reason"), [
     ([((0, 1), 0)] * 2, "2 of 2: recording 0"),
     ([(events, 9) for events, _ in gestures(1)], "label 9"),
-    ([(events, "../up") for events, _ in gestures(1)], "no name of a folder"),
-    ([(events, "unknown") for events, _ in gestures(1)], "none of those given"),
+    ([(events, "../up") for events, _ in gestures(1)], "'../up'"),
+    ([(events, "unknown") for events, _ in gestures(1)], "'unknown'"),
     ([(label, events) for events, label in gestures(1)], "label of the type tuple"),
     (gestures(1), "only one recording"),
     ([], "no recordings"),

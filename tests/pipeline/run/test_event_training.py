@@ -28,7 +28,7 @@ def choice(monkeypatch):
 def chosen_on(changes):
     settings = Settings().with_values({**EVENTS, **changes}, "here")
     dataset = Dataset.of(settings)
-    samples = event_training.set_apart(dataset, 3)
+    samples = event_training.event_samples(dataset, 3)
     network = TrainedOnEvents.of(settings, {})
     return dataset.split, samples, event_training.choose(settings, samples, network, 3)
 

@@ -155,8 +155,8 @@ def test_round_trip_through_nir(make, tmp_path):
     for one, other in zip(back.layers, spec.layers, strict=True):
         np.testing.assert_allclose(one.weights, other.weights, rtol=1e-15)
         np.testing.assert_array_equal(one.bias, other.bias)
-    held = spec.stimulus.held
-    inputs = random_checks(spec, 3).inputs if held else random_frames(spec, 3, share=0.2)
+    static = spec.stimulus.static
+    inputs = random_checks(spec, 3).inputs if static else random_frames(spec, 3, share=0.2)
     if make is not paper_spec:
         for target in SIMULATORS:
             hashes = (answer(s, inputs, target).spike_hashes for s in (spec, back))
