@@ -61,7 +61,8 @@ def _parser():
     check.add_argument("bundle", type=Path, help="the bundle's folder")
     check.add_argument("--target", required=True, metavar="T", help=", ".join(TARGETS))
     check.add_argument("--out", type=Path, help="the result (default: BUNDLE/checks/TARGET.json)")
-    check.add_argument("--seed", type=int, default=0, help="seed of the simulator (default: 0)")
+    seed = "seed of the simulator (default: that of the bundle's run)"
+    check.add_argument("--seed", type=int, metavar="N", help=seed)
     board = check.add_argument_group("target loihi")
     defaults = BoardOptions()
     board.add_argument("--board", help="name of a board (default: the cluster's choice)")

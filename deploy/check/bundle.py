@@ -95,6 +95,11 @@ class Bundle:
     spec: NetworkSpec
     checks: CheckSet
 
+    @property
+    def seed(self):
+        """Seed of the run that made the bundle, not validated; its targets run with it."""
+        return self.spec.provenance.get("seed", 0)
+
 
 def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
     """Write a bundle, replacing an existing one, and read it back.

@@ -29,7 +29,7 @@ def run_check(
     bundle: Bundle,
     target: str,
     out,
-    seed: int = 0,
+    seed: Optional[int] = None,
     advance=None,
     options: Optional[object] = None,
 ) -> dict:
@@ -45,7 +45,8 @@ def run_check(
     target : str
     out : path-like
         File of the result, JSON.
-    seed : int
+    seed : int, optional
+        Seed of the simulator; default: that of the bundle's run.
     advance : callable, optional
         Called with the number of samples done since the last call, including resumed ones.
     options : object, optional
@@ -191,7 +192,7 @@ def open_check(
     bundle: Bundle,
     target: str,
     out,
-    seed: int = 0,
+    seed: Optional[int] = None,
     advance=None,
     options: Optional[object] = None,
 ) -> Iterator[OpenCheck]:
@@ -212,6 +213,7 @@ def open_check(
         As :func:`run_check`.
     """
     target_named(target)
+    seed = bundle.seed if seed is None else seed
     if type(seed) is not int or not 0 <= seed < 2**31:  # a bundle's seed is not validated
         raise UserError(f"seed {seed}: must be from 0 to {2**31 - 1}")
     refuse_unfit(bundle.spec, target, seed)

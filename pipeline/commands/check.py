@@ -117,7 +117,7 @@ def run(
     opened = read_bundle(bundle)
     options.warn_if_outdated(bundle)
     if seed is None:
-        seed = opened.spec.provenance.get("seed", 0)
+        seed = opened.seed
     check = partial(_checked, target=target, seed=seed, chosen=chosen)
     if others.data is not None:
         result, path = _on_others(opened, target, others, seed, out, check)

@@ -1,15 +1,17 @@
 """The command of a copied bundle ends in one line, whatever happens to its files and its output."""
 
+import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 
 from deploy import cli
 from deploy.errors import CheckFailed, UserError
 from tests.command import environment
-from tests.deploy.networks import bundle_at
+from tests.deploy.networks import bundle_at, small_spec
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +40,15 @@ def test_every_error_is_one_line_and_a_status(monkeypatch, capsys, error, status
     monkeypatch.setattr(cli, "read_bundle", fail)
     assert cli.main(["plan", "b"]) == status
     assert capsys.readouterr().err == f"deploy: {line}\n"
+
+
+def test_a_check_runs_with_the_seed_of_the_bundle_s_run(tmp_path):
+    spec = small_spec()
+    spec = replace(spec, provenance={**spec.provenance, "seed": 3})
+    bundle = bundle_at(tmp_path / "bundle", spec)
+    for options, seed in (([], 3), (["--seed", "5"], 5)):
+        assert cli.main(["check", str(bundle.path), "--target", "fast", *options]) == 0
+        assert json.loads((bundle.path / "checks" / "fast.json").read_text())["seed"] == seed
 
 
 def plan(bundle, out, **more):
