@@ -35,13 +35,14 @@ COLUMNS = ("compartments", "axons in", "axons out", "AxonCfg", "synapse words")
 
 REMEDIES = {
     "compartments": "give the layer a block_shape of at most {limit} neurons",
-    "input axons": "give a convolution a smaller block_shape, so that a core sees fewer pixels, or "
-    "a dense layer fewer inputs, by a stride or an averaging before it",
-    "output axons": "use pop_type 16, or a smaller block_shape",
-    "AxonCfg registers": "use pop_type 16, a smaller block_shape, or larger blocks in the layer "
-    "after it, so that a neuron has fewer cores to reach",
-    "synapse words": "give the layer a smaller block_shape or fewer filters",
+    "input axons": "give the layer fewer inputs, by a larger stride or an averaging before it",
+    "output axons": "use --set deployment.pop_type=16, or fewer filters or units in the next layer",
+    "AxonCfg registers": "use --set deployment.pop_type=16, or fewer filters or units in this or the "
+    "next layer",
+    "synapse words": "give the layer fewer filters or units, or a larger stride",
 }
+"""What to change, for a user of the command line: layers are divided into blocks automatically, so
+that only a network from Python with a ``block_shape`` of its own can have too many compartments."""
 
 
 @dataclass(frozen=True)
@@ -300,7 +301,7 @@ def _pop16_problems(placed):
                 yield (
                     f"layer {layer}, part {part}: pop_type 16 with {axons} input axons, "
                     f"{axons - most} more than the {most} that it can address; "
-                    "use pop_type 32, or a smaller block_shape"
+                    "use --set deployment.pop_type=32, or give the layer fewer inputs"
                 )
             bases = synapse.axon_compartment_bases
             if bases is not None and any(base % 4 for base in bases if base > 0):

@@ -203,8 +203,9 @@ def _board_errors():
         text = " ".join(str(error).split()) or type(error).__name__
         if "AxonCfg" in text:
             raise UserError(
-                f"the board refuses the network: {text}; give the layer a smaller block_shape "
-                "(see 'stmnist deploy plan')"
+                f"the board refuses the network: {text}; convert it with "
+                "--set deployment.pop_type=16, or train one with fewer filters (see 'stmnist "
+                "deploy plan')"
             ) from error
         raise BoardLost(text) from error
 

@@ -262,7 +262,7 @@ def test_without_nxsdk(bundle, tmp_path):
 
 def test_axon_cfgs_refused_by_the_board(nxsdk, bundle, tmp_path, monkeypatch):
     monkeypatch.setattr("nxsdk.core.AXON_CFGS", 10)
-    with pytest.raises(UserError, match=r"the board refuses the network: .*AxonCfg.*block_shape"):
+    with pytest.raises(UserError, match=r"the board refuses the network: .*AxonCfg.*pop_type"):
         run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
 
 
