@@ -37,8 +37,8 @@ REMEDIES = {
     "compartments": "give the layer a block_shape of at most {limit} neurons",
     "input axons": "give the layer fewer inputs, by a larger stride or an averaging before it",
     "output axons": "use --set deployment.pop_type=16, or fewer filters or units in the next layer",
-    "AxonCfg registers": "use --set deployment.pop_type=16, or fewer filters or units in this or the "
-    "next layer",
+    "AxonCfg registers": "use --set deployment.pop_type=16, or fewer filters or units in this "
+    "layer or the next",
     "synapse words": "give the layer fewer filters or units, or a larger stride",
 }
 """What to change, for a user of the command line: layers are divided into blocks automatically, so
