@@ -13,7 +13,7 @@ from deploy.check.bundle import Bundle
 from deploy.check.results import result_of
 from deploy.check.run import records_of
 from deploy.network.responses import Responses, read_output
-from pipeline.run.nir_conversion import NUMPY, graph_responses
+from pipeline.run.nir_answers import NUMPY, graph_responses
 from pipeline.settings import Settings
 
 NETWORKS = {

@@ -28,7 +28,8 @@ from deploy.errors import UserError
 from models.integers import DECAY_UNIT
 from models.nir_graph import SPIKING, NirNetwork, read_nir
 from models.nir_layers import NirLayer, layers_of
-from pipeline.run.nir_conversion import GRAPH, Stepped, notation, settings_of_nir
+from pipeline.run.nir_conversion import notation
+from pipeline.run.nir_settings import GRAPH, Stepped, settings_of_nir
 from pipeline.settings import Settings
 
 TRAINABLE = ("LIF", "CubaLIF")
@@ -52,7 +53,7 @@ def settings_of_retrained(path, step: float | None = None, kind: str | None = No
     Parameters
     ----------
     path, step, kind
-        As in :func:`pipeline.run.nir_conversion.settings_of_nir`.
+        As in :func:`pipeline.run.nir_settings.settings_of_nir`.
 
     Raises
     ------

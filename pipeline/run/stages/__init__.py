@@ -1,6 +1,7 @@
 """The stages of a run: each reads the artifacts of the previous one and runs only if outdated."""
 
-from pipeline.run.nir_conversion import refuse_early, settings_of_nir
+from pipeline.run.nir_import import refuse_early
+from pipeline.run.nir_settings import settings_of_nir
 from pipeline.run.nir_training import settings_of_retrained
 from pipeline.run.stages.answering import answer, answer_all
 from pipeline.run.stages.bars import bars

@@ -15,7 +15,7 @@ from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import hidden, progress
 from pipeline.run.answers import REFERENCES, reference_result
 from pipeline.run.folder import RunFolder
-from pipeline.run.nir_conversion import GRAPH
+from pipeline.run.nir_settings import GRAPH
 from pipeline.run.origins import check_origin, recorded_in_check
 from pipeline.run.stages.training import read_weights
 from pipeline.settings import Settings

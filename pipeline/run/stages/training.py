@@ -15,12 +15,13 @@ from models.architecture import parse
 from pipeline.artifacts import Artifact, Library, Origin
 from pipeline.inputs.dataset import Dataset
 from pipeline.progress import progress
-from pipeline.run import nir_conversion, nir_training
+from pipeline.run import nir_import, nir_training
 from pipeline.run.answers import training_versions
 from pipeline.run.diagnosis import activity, fastest_rate, training_lines
 from pipeline.run.event_training import FEWEST, choose, event_samples
 from pipeline.run.folder import DELETE_ITS_FOLDER, RunFolder
 from pipeline.run.history import write_history
+from pipeline.run.nir_settings import GRAPH
 from pipeline.run.origins import (
     cnn_origin,
     events_origin,
@@ -68,7 +69,7 @@ def network_artifact(name: str, place: Place, settings: Settings, dataset: Origi
             nir_origin,
             "snn" if settings.network == "nir" else "nir",
             "metrics.json",
-            nir_conversion.GRAPH,
+            GRAPH,
         ),
     }[name]
     origin = make_origin(settings, dataset)
@@ -124,7 +125,7 @@ def train(name: str, place: Place, settings: Settings, dataset: Dataset, say=pri
 
 def _read_graph(artifact, place, settings, dataset, say):
     """Make the user's NIR graph the run's network."""
-    return nir_conversion.take_over(artifact.folder, settings, dataset, say)
+    return nir_import.take_over(artifact.folder, settings, dataset, say)
 
 
 def _train_cnn(artifact, place, settings, dataset, say):

@@ -20,7 +20,9 @@ from models.nir_simulator import simulate
 from pipeline.live.deciding import decider_of
 from pipeline.recordings.events import Sensor
 from pipeline.recordings.steps import EventTable
-from pipeline.run.nir_conversion import Stepped, notes, settings_of_nir, spec_of_nir
+from pipeline.run.nir_conversion import spec_of_nir
+from pipeline.run.nir_import import notes
+from pipeline.run.nir_settings import Stepped, settings_of_nir
 from pipeline.settings import Image
 from pipeline.skin.simulate import simulate as simulated_skin
 from tests.command import call as stmnist

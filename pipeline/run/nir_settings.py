@@ -1,0 +1,147 @@
+"""Settings for a NIR graph that is the network of a run: kind of input, steps, presentation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from deploy.errors import UserError
+from deploy.files import sha256_of
+from deploy.network.chip import LOIHI
+from deploy.network.nir import DEPLOYED, deployed_network
+from deploy.network.spec import NetworkSpec
+from deploy.network.stimulus import EventFrames, ImageSpikes
+from models.nir_graph import SNNTORCH_STEP, NirNetwork, read_nir
+from pipeline.settings import Settings
+
+GRAPH = "network.nir"
+"""The run's copy of the graph, in the folder of its network."""
+
+AGAIN = "give it again with 'stmnist convert RUN --nir FILE'"
+
+FROM_REST = {"gap": 0, "stream_length": 1}
+"""Default presentation of samples to an imported network: each from rest.  Trainings in PyTorch
+start every sample with the neurons' state at rest (``reset_hidden`` of snnTorch, a state of None in
+Norse), so that this is what the network was trained for.  A board loads the network at the start of
+each stream, so that it is then loaded for each sample."""
+
+
+@dataclass(frozen=True)
+class Stepped:
+    """Division of a graph's time into the chip's steps.
+
+    Attributes
+    ----------
+    seconds : float
+        Seconds of the graph's time per step.
+    method : str
+        One of :data:`models.nir_simulator.METHODS`.
+    """
+
+    seconds: float
+    method: str
+
+    @classmethod
+    def of(cls, settings: Settings, network: NirNetwork) -> Stepped:
+        """The values of the settings, or those of the graph where the settings have none."""
+        nir, by_snntorch = settings.nir, network.written_by_snntorch
+        seconds = settings.input.step / 1000 if settings.on_events else LOIHI.dt
+        if nir.step:
+            seconds = nir.step / 1000
+        elif by_snntorch:
+            seconds = SNNTORCH_STEP
+        elif DEPLOYED in network.metadata:
+            seconds = LOIHI.dt
+        method = nir.method
+        if method == "auto":
+            method = "euler" if by_snntorch else "exact"
+        return cls(seconds, method)
+
+    def __str__(self):
+        how = "Euler steps" if self.method == "euler" else "exact steps"
+        return f"{how} of {1000 * self.seconds:g} ms of the graph's time"
+
+
+def settings_of_nir(path, step: float | None = None, kind: str | None = None) -> dict:
+    """Changes of the settings with which a NIR graph replaces the trained network.
+
+    Parameters
+    ----------
+    path : path-like
+    step : float, optional
+        Milliseconds that a step of the chip represents.
+    kind : str, optional
+        ``"image"`` or ``"events"``; default: from the number of channels of the graph's input, two
+        for events and one for images.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, is not a NIR graph, or cannot be used.
+    """
+    path = Path(path)
+    network = read_nir(path)
+    nir = {"file": str(path.absolute()), "sha256": sha256_of(path), "step": 0.0, "retrain": False}
+    if (exported := exported_here(network, path)) is not None:
+        return {**_settings_of_export(exported), "nir": nir}
+    kind = kind or _kind_of(path, network.input_shape)
+    fed = {"kind": kind, "refractory": 0.0}
+    if step is not None:
+        if kind == "events":
+            fed["step"] = step
+        else:
+            nir["step"] = step
+    return {"input": fed, "nir": nir, "presentation": FROM_REST}
+
+
+def exported_here(network: NirNetwork, source="") -> NetworkSpec | None:
+    """The deployed network from which a graph was exported, or None for other graphs.
+
+    Raises
+    ------
+    UserError
+        The graph was exported by this project, but its parts do not fit each other.
+    """
+    try:
+        nodes = {node.name: node.parameters for node in network.nodes}
+        return deployed_network(nodes, network.metadata)
+    except UserError as error:
+        raise UserError(f"{source}: {error}") from error
+
+
+def _settings_of_export(spec):
+    """Settings with which an exported network gets the same input as before the export."""
+    stimulus, presentation = spec.stimulus, spec.presentation
+    names = ("steps", "gap", "stream_length")
+    changes = {"presentation": {name: getattr(presentation, name) for name in names}}
+    if isinstance(stimulus, EventFrames):
+        step = round(1000 * stimulus.seconds, 9)
+        changes["input"] = {"kind": "events", "step": step, "refractory": stimulus.rest * step}
+        return changes
+    changes["input"] = {"kind": "image"}
+    changes["presentation"]["readout_start"] = presentation.readout_start
+    changes["deployment"] = {"first_layer": "host" if stimulus.area is None else "chip"}
+    if isinstance(stimulus, ImageSpikes):
+        changes["deployment"]["input_rate"] = stimulus.max_rate
+        changes["deployment"]["input_phase"] = stimulus.initial_phase
+    return changes
+
+
+def _kind_of(path, shape):
+    """The kind of input for this shape."""
+    if len(shape) == 3 and shape[0] in (1, 2):
+        return "image" if shape[0] == 1 else "events"
+    if len(shape) == 1:
+        for channels, kind in ((2, "events"), (1, "image")):
+            side = math.isqrt(shape[0] // channels)
+            if shape[0] == channels * side * side:
+                return kind
+        raise UserError(
+            f"{path}: {shape[0]} inputs are neither a square array of taxels nor two of them; "
+            "give its input with --input events or --input image"
+        )
+    raise UserError(
+        f"{path}: an input of {' x '.join(map(str, shape))}; the skin has two channels of events "
+        "(ON, OFF) or one of an image, (channels, rows, columns): train the network for those"
+    )
