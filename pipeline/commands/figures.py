@@ -249,7 +249,14 @@ def _note(content):
 
 TABLES = {
     "table 2": table2_markdown,
-    "output of table2": lambda: _table2_output("table2-images", "stmnist benchmark table2"),
+    "output of table2": lambda: _table2_output(
+        "table2-images",
+        "stmnist benchmark table2 --models cnn,ann-snn,loihi,own-ann-snn,own-loihi",
+    ),
+    "output of table2 with SLAYER": lambda: _table2_output(
+        "table2-slayer-random",
+        "stmnist benchmark table2 --models slayer,slayer-small --kind random",
+    ),
     "output of table2 on events": lambda: _table2_output(
         "table2-events", "stmnist benchmark table2 --models events,events-loihi"
     ),
