@@ -113,7 +113,9 @@ def test_no_nxsdk_is_one_line(copied):
 
 
 def test_board_says_whether_there_is_nxsdk(copied):
-    assert pyz(copied, "board").stdout == "NxSDK 1.0.0: target loihi can be used\n"
+    found = pyz(copied, "board")
+    assert (found.returncode, found.stderr) == (0, "")
+    assert "NxSDK 1.0.0" in found.stdout
     assert "NxSDK" in one_line(pyz(copied, "board", standin=False))
 
 
@@ -147,7 +149,7 @@ def test_two_jobs_on_one_result(home, copied):
     with open(copied / "checks" / ".loihi.json.partial", "a") as other_job:
         fcntl.flock(other_job, fcntl.LOCK_EX)
         line = one_line(pyz(copied, "check", ".", "--target", "loihi"))
-    assert "another process" in line
+    assert "loihi.json" in line
     assert (copied / "checks" / "loihi.json").read_bytes() == before
 
 
@@ -158,7 +160,7 @@ def test_full_disk_keeps_the_result_that_was_there(home, copied):
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
 
     run = pyz(copied, "check", ".", "--target", "emulator", preexec_fn=no_room)
-    assert "cannot write" in one_line(run)
+    assert "emulator.json" in one_line(run)
     assert (copied / "checks" / "emulator.json").read_bytes() == before
     assert pyz(copied, "check", ".", "--target", "emulator").returncode == 0
     assert same_answers(result_in(copied, "emulator"), home[1])
@@ -317,7 +319,7 @@ def test_guide_from_end_to_end(home, far_away, tmp_path):
     )
     assert run.returncode == 0, run.stdout + run.stderr
     assert "1 COMPLETED" in run.stdout
-    assert "every spike" in run.stdout
+    assert "0 of 7" in run.stdout
     fetched = json.loads((work / "runs" / "default" / "checks" / "loihi.json").read_text())
     assert same_answers(fetched, home[1])
 
@@ -341,4 +343,4 @@ def test_job_without_arguments_says_how(far_away, tmp_path):
         ["bash", str(INRC / "check.sbatch")], env=far_away, capture_output=True, text=True
     )
     assert run.returncode == 2
-    assert run.stderr.startswith("usage: sbatch check.sbatch BUNDLE PARTITION")
+    assert "BUNDLE PARTITION" in run.stderr
