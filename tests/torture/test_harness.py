@@ -36,7 +36,7 @@ def contents(folder):
 @pytest.mark.parametrize("kind", sorted(set(inputs.KINDS) - {"run", "cache", "mat73", "source"}))
 def test_a_case_is_the_same_again(kind, base, tmp_path):
     """HDF5 writes the time of day into its files; what is in them is the same."""
-    for case in range(4):
+    for case in (0, 1, 2, 4):  # to write 8,000 nodes, as case 3 of graphs does, takes seconds
         made = []
         for name in ("a", "b"):
             folder = tmp_path / f"{name}{case}"
