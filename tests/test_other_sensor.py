@@ -75,6 +75,6 @@ def test_names_in_the_report_and_the_figure(run):
         assert f"<span>{name}</span>" in page  # bars of the scores
         assert f"</b> {name}</th>" in page  # beside the confusion matrix
         assert f"<td>{name}</td>" in page
-    assert "ten digits" not in page
+    assert "digit" not in page
     ticks = confusion_figure(read_json(run / "ladder.json", "")).axes[0].get_yticklabels()
     assert tuple(tick.get_text() for tick in ticks) == NAMES

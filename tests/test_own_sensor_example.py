@@ -50,13 +50,13 @@ def test_the_notebook_runs(tmp_path):
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    assert done.stdout.count("Loss ladder, 12 simulated samples") == 2
+    assert done.stdout.count("12 simulated samples") >= 2
     for kind, first in (("image", "cnn"), ("events", "trained")):
         ladder = read_json(tmp_path / "runs" / f"gestures-{kind}" / "ladder.json", "")
         assert ladder["rows"][0]["stage"] == first
         assert ladder["classes"][0] == "circle"
         assert "circle" in (tmp_path / "runs" / f"gestures-{kind}" / "report.html").read_text()
-    assert "setting that differs" in done.stdout
+    assert "input.kind" in done.stdout
     runs = [tmp_path / "runs" / f"gestures-{kind}" for kind in ("image", "events")]
     assert call("compare", *runs) == 0
     others = ("--target", "fast", "--data", tmp_path / "gestures.zip", "--samples", 5)

@@ -3,6 +3,7 @@
 import fcntl
 import json
 import os
+import platform
 import re
 import resource
 import shutil
@@ -197,14 +198,12 @@ def test_host_with_other_versions_is_one_line(copied, tmp_path, package, version
 
 def test_host_without_a_package(monkeypatch):
     monkeypatch.setattr(host, "PACKAGES", {"no-such-package": ((1,), (2,), "")})
-    assert (
-        host.complaint() == "no-such-package is not installed; pip install 'no-such-package>=1,<2'"
-    )
+    assert "'no-such-package>=1,<2'" in host.complaint()
 
 
 def test_host_with_an_old_python(monkeypatch):
     monkeypatch.setattr(host, "OLDEST_PYTHON", (3, 99))
-    assert "is too old; use Python" in host.complaint()
+    assert f"Python {platform.python_version()} " in host.complaint()
 
 
 old_python = pytest.mark.skipif(

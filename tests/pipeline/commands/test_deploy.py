@@ -51,7 +51,7 @@ def test_plan_draws_the_placement(bundle, capsys, tmp_path, kind):
 def test_plan_draws_no_other_kind(bundle, capsys, tmp_path):
     status, _, err = run(capsys, "deploy", "plan", bundle.path, "--figure", tmp_path / "x.bmp")
     assert status == 2
-    assert "use .png, .svg or .pdf" in err
+    assert missing(err, "x.bmp", ".png", ".svg", ".pdf") == []
 
 
 def test_plan_refuses_what_will_not_fit(capsys, tmp_path):
@@ -100,7 +100,7 @@ def test_energy_of_another_bundle(bundle, capsys, tmp_path):
     run_check(other, "emulator", result)
     status, _, err = run(capsys, "deploy", "energy", bundle.path, result)
     assert status == 2
-    assert "another bundle" in err
+    assert missing(err, result, bundle.path) == []
 
 
 def test_check_run_takes_board_options_for_a_board_only(bundle, capsys):
@@ -114,7 +114,7 @@ def test_check_run_takes_board_options_for_a_board_only(bundle, capsys):
 def test_check_run_without_nxsdk(bundle, capsys):
     status, _, err = run(capsys, "check", "run", bundle.path, "--target", "loihi")
     assert status == 2
-    assert "needs Intel's NxSDK" in err
+    assert "NxSDK" in err
 
 
 def test_export_to_lava(bundle, capsys, tmp_path):
