@@ -102,3 +102,27 @@ def tiny_run(tmp_path_factory, own_cache):
             begun.rename(made)
     shutil.copytree(made / "cache", own_cache, dirs_exist_ok=True)
     return shutil.copytree(made / "run", tmp_path_factory.mktemp("runs") / "tiny")
+
+
+@pytest.fixture
+def run(tiny_run, tmp_path):
+    """A copy of the small run, to be changed or broken."""
+    return shutil.copytree(tiny_run, tmp_path / "run")
+
+
+@pytest.fixture
+def refused(capsys):
+    """Call a command that must be refused; its one line is returned."""
+
+    def refuse(*arguments):
+        capsys.readouterr()
+        assert call(*arguments) == 2
+        out, err = capsys.readouterr()
+        lines = [line for line in err.splitlines() if "up to date" not in line]
+        assert len(lines) == 1, err
+        assert lines[0].startswith("stmnist: ")
+        assert len(lines[0]) < 3000
+        assert "Traceback" not in out + err
+        return lines[0]
+
+    return refuse

@@ -22,29 +22,6 @@ from tests.pipeline.handmade import archive, good_members
 TINY = ["--set", "data.samples_per_digit=20", "--set", "check.samples=20"]
 
 
-@pytest.fixture
-def run(tiny_run, tmp_path):
-    """A copy of the small run, to be broken."""
-    return shutil.copytree(tiny_run, tmp_path / "run")
-
-
-@pytest.fixture
-def refused(capsys):
-    """Call a command that must be refused; its one line is returned."""
-
-    def refuse(*arguments, status=2):
-        capsys.readouterr()
-        assert call(*arguments) == status
-        out, err = capsys.readouterr()
-        lines = [line for line in err.splitlines() if "up to date" not in line]
-        assert len(lines) == 1, err
-        assert lines[0].startswith("stmnist: ")
-        assert "Traceback" not in out + err
-        return lines[0]
-
-    return refuse
-
-
 def content(folder):
     return {p: p.read_bytes() for p in folder.rglob("*") if p.is_file() and p.name != ".lock"}
 

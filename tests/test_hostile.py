@@ -23,28 +23,6 @@ from .command import call, environment
 from .pipeline.handmade import archive, good_members, mat5, spiketrain
 
 
-@pytest.fixture
-def run(tiny_run, tmp_path):
-    """A copy of the small run, to be broken."""
-    return shutil.copytree(tiny_run, tmp_path / "run")
-
-
-@pytest.fixture
-def refused(capsys):
-    """Call a command that must be refused; its one line is returned."""
-
-    def refuse(*arguments):
-        capsys.readouterr()
-        assert call(*arguments) == 2
-        err = capsys.readouterr().err
-        assert len(err.splitlines()) == 1, err
-        assert err.startswith("stmnist: ")
-        assert len(err) < 3000
-        return err
-
-    return refuse
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from deploy.check.run import run_check
-from pipeline.commands.main import main
-from tests.command import missing
+from tests.command import call, missing
 from tests.deploy.networks import bundle_at, small_spec
 from tests.deploy.preflight.test_plan import spec_of
 
@@ -18,10 +17,7 @@ def bundle(tmp_path_factory):
 
 
 def run(capsys, *arguments):
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    out, err = capsys.readouterr()
-    return end.value.code or 0, out, err
+    return call(*arguments), *capsys.readouterr()
 
 
 def test_plan(bundle, capsys):

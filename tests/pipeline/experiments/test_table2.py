@@ -6,7 +6,6 @@ import pytest
 
 from deploy.errors import UserError
 from deploy.files import write_json
-from pipeline.commands import main as cli
 from pipeline.commands.benchmark import BY_DEFAULT
 from pipeline.experiments import table2 as table2_command
 from pipeline.experiments import table2_splits as table2
@@ -15,6 +14,7 @@ from pipeline.experiments.table2 import summarise, table_text
 from pipeline.experiments.table2_splits import MODELS
 from pipeline.jobs import Failure
 from pipeline.settings import Settings
+from tests.command import call
 from tests.untraced import untraced
 
 
@@ -202,9 +202,7 @@ SMALL = (
 
 
 def run(capsys, *arguments):
-    with pytest.raises(SystemExit) as stop:
-        cli.main(["benchmark", "table2", *arguments])
-    return stop.value.code, capsys.readouterr()
+    return call("benchmark", "table2", *arguments), capsys.readouterr()
 
 
 @pytest.mark.slow

@@ -4,8 +4,6 @@ import json
 import re
 import shutil
 
-import pytest
-
 from deploy.files import read_json
 from pipeline.run.folder import RunFolder
 from pipeline.run.status import outdated_note
@@ -17,11 +15,6 @@ ON_IMAGES = [
     "ladder",
 ]
 CHANGED = r"cnn\.epochs\b.* 3 .* 1\b"
-
-
-@pytest.fixture
-def run(tiny_run, tmp_path):
-    return shutil.copytree(tiny_run, tmp_path / "run")
 
 
 def states(run, capsys):
