@@ -111,13 +111,10 @@ def test_a_run_stands_for_its_bundle(folder, tmp_path):
     assert call("deploy", "export", folder / "image", *out) == 0
 
 
-@pytest.mark.parametrize("words", [
-    "settings", "settings image", "data stats --data own", "deploy plan image",
-    "deploy energy image", "compare image events",
-])  # fmt: skip
-def test_lines_fit_80_columns(folder, monkeypatch, words, capsys):
+@pytest.mark.parametrize("words", [("settings",), ("settings", "image")])
+def test_settings_fit_80_columns(folder, monkeypatch, words, capsys):
     monkeypatch.chdir(folder)
-    assert call(*words.split()) == 0
+    assert call(*words) == 0
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
 
 
@@ -247,7 +244,9 @@ def test_tables_fit_80_columns_and_speak_of_the_user_s_data(folder, words, monke
     assert call(*words.split()) == 0
     out = capsys.readouterr().out
     rows = [line for line in out.splitlines() if len(re.findall(r"\S {2,}\S", line)) > 1]
-    assert all(len(row) <= 80 for row in rows), max(rows, key=len)
+    prose = ("ladder", "data import", "check run")  # with names, which may be as long as they like
+    lines = rows if words.startswith(prose) else out.splitlines()
+    assert all(len(line) <= 80 for line in lines), max(lines, key=len)
     if words != "data import own":
         assert rows or words.startswith("check compare")
     for word in ("digit", "ST-MNIST", "the paper", "of the writing"):

@@ -76,7 +76,10 @@ def test_each_trajectory_is_pressed_once(pen):
 @pytest.mark.slow
 def test_the_command(pen, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(adaptation, "COPIES", 1)
-    settings = ("--set", "data.samples_per_digit=20", "--set", "events.epochs=1")
+    settings = (
+        *("--set", "data.samples_per_digit=20", "--set", "events.epochs=1"),
+        *("--set", "input.step=500"),  # two steps of a recording to train, not a hundred
+    )
     arguments = ("--handwriting", pen, "--folds", 2, "--each", "1,2", "--draws", 1, "--jobs", 1)
     methods = ("--methods", "readout,wrong-labels,pes", "--input", "events", "--json")
     out = tmp_path / "out"
