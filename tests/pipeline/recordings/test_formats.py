@@ -17,7 +17,7 @@ from pipeline.recordings.matfile import BadRecording
 from pipeline.recordings.sensors import Reading
 from tests.command import call, missing
 from tests.own_sensor import CLASSES, COLUMNS, ROWS, gestures, write_folder
-from tests.pipeline.handmade import archive, assert_same
+from tests.pipeline.handmade import archive, assert_same, npz
 
 X, Y, T, P = (np.array(a) for a in ([3, 0, 11, 5], [0, 8, 2, 2], [50, 300, 300, 838], [1, 0, 1, 0]))
 """Four events in order of time, in milliseconds; 12 columns, 9 rows."""
@@ -26,12 +26,6 @@ X, Y, T, P = (np.array(a) for a in ([3, 0, 11, 5], [0, 8, 2, 2], [50, 300, 300, 
 def npy(array) -> bytes:
     buffer = io.BytesIO()
     np.save(buffer, array)
-    return buffer.getvalue()
-
-
-def npz(*arrays, **named) -> bytes:
-    buffer = io.BytesIO()
-    np.savez(buffer, *arrays, **named)
     return buffer.getvalue()
 
 

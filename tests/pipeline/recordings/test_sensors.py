@@ -20,23 +20,17 @@ from pipeline.recordings.sensors import Reading, class_order
 from pipeline.recordings.timeunits import to_ns
 from pipeline.settings import Settings
 from tests.command import call, missing
-from tests.pipeline.handmade import archive, assert_same, good_members, mat5, spiketrain
+from tests.pipeline.handmade import archive, assert_same, good_members, mat5, npz, spiketrain
 
 NAMES = ("circle", "line 2", "line 10", "wave", "zig-zag")
 
 
-def npz(x, y, t, p, **options) -> bytes:
-    buffer = io.BytesIO()
-    np.savez(buffer, x=x, y=y, t=t, p=p, **options)
-    return buffer.getvalue()
-
-
 def gesture(rng, rows=16, columns=12, n=30) -> bytes:
     return npz(
-        rng.integers(0, columns, n),
-        rng.integers(0, rows, n),
-        np.sort(rng.uniform(0.1, 1.34, n)),
-        rng.choice([-1, 1], n),
+        x=rng.integers(0, columns, n),
+        y=rng.integers(0, rows, n),
+        t=np.sort(rng.uniform(0.1, 1.34, n)),
+        p=rng.choice([-1, 1], n),
     )
 
 
@@ -66,7 +60,7 @@ def test_event_files_in_folders_of_any_names(tmp_path):
 
 
 def test_coordinates_come_out_where_they_went_in(tmp_path):
-    content = npz([1, 4, 1], [3, 0, 3], [0.5, 0.1, 0.2], [1, -1, 1])
+    content = npz(x=[1, 4, 1], y=[3, 0, 3], t=[0.5, 0.1, 0.2], p=[1, -1, 1])
     archive(tmp_path / "g.zip", {"a/0.npz": content, "b/0.npz": content})
     read = read_source(tmp_path / "g.zip", jobs=1)
     np.testing.assert_array_equal(read[0].time_ns, [100_000_000, 200_000_000, 500_000_000])
@@ -85,7 +79,7 @@ def test_an_event_file_is_read_as_it_was_written(rows, columns, seed):
     n = int(rng.integers(1, 50))
     x, y = rng.integers(0, columns, n), rng.integers(0, rows, n)
     t, p = rng.permutation(n) * 1e-6, rng.choice([-1, 1], n)
-    read = read_events(npz(x.astype(np.uint8), y.astype(float), t, p.astype(np.int8)))
+    read = read_events(npz(x=x.astype(np.uint8), y=y.astype(float), t=t, p=p.astype(np.int8)))
     order = np.argsort(t)
     np.testing.assert_array_equal(read.x, x[order])
     np.testing.assert_array_equal(read.y, y[order])
@@ -124,10 +118,8 @@ def test_a_bad_event_file(change, fact):
 
 
 def test_other_contents():
-    buffer = io.BytesIO()
-    np.savez(buffer, x=[1], y=[1], t=[1])
     with pytest.raises(BadRecording, match=r"'p'.* x, y, t and p"):
-        read_events(buffer.getvalue())
+        read_events(npz(x=[1], y=[1], t=[1]))
     for content in (b"", b"no zip", npz(**GOOD)[:100]):
         with pytest.raises(BadRecording, match=r"\.npz"):
             read_events(content)
@@ -217,7 +209,7 @@ def test_coordinates_outside_are_refused_by_name(tmp_path):
 
 
 def test_only_on_events(tmp_path):
-    content = npz([0, 1], [0, 1], [0.1, 0.2], [1, 1])
+    content = npz(x=[0, 1], y=[0, 1], t=[0.1, 0.2], p=[1, 1])
     archive(tmp_path / "g.zip", {"a/0.npz": content, "b/0.npz": content})
     assert read_source(tmp_path / "g.zip", jobs=1).sensor.polarities == 1
 
