@@ -223,8 +223,10 @@ def test_broken_metrics(refused, run, network):
     assert call("train", run) == 0
 
 
-@pytest.mark.parametrize("network", ["cnn", "snn"])
-@pytest.mark.parametrize("how", ["half", "other arrays", "other shape", "pickle"])
+@pytest.mark.parametrize(
+    ("network", "how"),
+    [("cnn", "half"), *(("snn", how) for how in ("half", "other arrays", "other shape", "pickle"))],
+)
 def test_broken_weights(refused, run, network, how):
     path = run / network / "weights.npz"
     with np.load(path) as file:

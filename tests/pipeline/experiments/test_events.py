@@ -78,7 +78,7 @@ def test_the_text():
 
 TINY = (
     *("--jobs", "1", "--set", "data.samples_per_digit=6", "--set", "events.epochs=1"),
-    *("--set", "input.step=500", "--json"),
+    *("--set", "input.step=500", "--set", "events.architecture=10x10x2-4c4s3-10o", "--json"),
 )
 
 

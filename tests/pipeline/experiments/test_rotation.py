@@ -78,6 +78,7 @@ def test_the_command(pen, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(adaptation, "COPIES", 1)
     settings = (
         *("--set", "data.samples_per_digit=20", "--set", "events.epochs=1"),
+        *("--set", "events.architecture=10x10x2-4c4s3-10o"),
         *("--set", "input.step=500"),  # two steps of a recording to train, not a hundred
     )
     arguments = ("--handwriting", pen, "--folds", 2, "--each", "1,2", "--draws", 1, "--jobs", 1)
