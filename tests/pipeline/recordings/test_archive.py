@@ -156,7 +156,7 @@ def test_a_truncated_zip(tmp_path, kept):
     path = tmp_path / "st.zip"
     archive(path, good_members())
     path.write_bytes(path.read_bytes()[: int(kept * path.stat().st_size)])
-    with pytest.raises(UserError, match=r"st\.zip: .*not a zip file"):
+    with pytest.raises(UserError, match=r"st\.zip: .*\bzip\b"):
         read_source(path, jobs=1)
 
 
