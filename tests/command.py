@@ -43,6 +43,16 @@ def users_environment() -> dict:
     return {k: v for k, v in environment().items() if not any(part in k for part in chosen)}
 
 
+def printed_by(code, *arguments, env=None, cwd=ROOT) -> str:
+    """What a script prints, in a Python of its own that must end well."""
+    done = subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        cwd=cwd, env=env or environment(), capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 @contextlib.contextmanager
 def started(*arguments):
     """Start it as a process of its own, in a group of its own that ends with the block.

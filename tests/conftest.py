@@ -28,6 +28,9 @@ TINY = (
 )
 """Options of the small run: trained badly, but through every stage."""
 
+NOTHING_TO_DO = ("cnn", "rate-lif", "events", "bundle")
+"""What a command says that it need not do, before it is refused for something else."""
+
 # TensorFlow's graphs are a million objects: looking through them for garbage every few hundred new
 # ones takes an eighth of the time of the tests that make them.
 gc.set_threshold(50_000, 20, 50)
@@ -102,3 +105,27 @@ def tiny_run(tmp_path_factory, own_cache):
             begun.rename(made)
     shutil.copytree(made / "cache", own_cache, dirs_exist_ok=True)
     return shutil.copytree(made / "run", tmp_path_factory.mktemp("runs") / "tiny")
+
+
+@pytest.fixture
+def run(tiny_run, tmp_path):
+    """A copy of the small run, to be changed or broken."""
+    return shutil.copytree(tiny_run, tmp_path / "run")
+
+
+@pytest.fixture
+def refused(capsys):
+    """Call a command that must be refused; its one line is returned."""
+
+    def refuse(*arguments):
+        capsys.readouterr()
+        assert call(*arguments) == 2
+        out, err = capsys.readouterr()
+        *states, line = err.splitlines()
+        assert all(state.partition(": ")[0] in NOTHING_TO_DO for state in states), err
+        assert line.startswith("stmnist: ")
+        assert len(line) < 3000
+        assert "Traceback" not in out + err
+        return line
+
+    return refuse

@@ -1,8 +1,8 @@
 """A user's own data set: four gestures on 9 rows of 12 taxels, as an event camera writes them."""
 
-import io
-
 import numpy as np
+
+from tests.pipeline.handmade import npz
 
 ROWS, COLUMNS = 9, 12
 CLASSES = (
@@ -53,9 +53,7 @@ def owners_image(events):
 
 def npz_bytes(events) -> bytes:
     """A recording as a ``.npz`` of x, y, t, p."""
-    buffer = io.BytesIO()
-    np.savez(buffer, **dict(zip("xytp", events, strict=True)))
-    return buffer.getvalue()
+    return npz(**dict(zip("xytp", events, strict=True)))
 
 
 def write_folder(folder, per_class, seed=0):

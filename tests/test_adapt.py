@@ -192,7 +192,7 @@ def test_a_readout_on_the_chip_and_other_classes(tmp_path, run, person, capsys):
     on_chip = replace(bundle.spec, layers=(*bundle.spec.layers[:-1], readout), estimator=None)
     write_bundle(tmp_path / "chip", on_chip, bundle.checks)
     assert call("adapt", tmp_path / "chip", "--data", person) == 2
-    assert "on the chip" in capsys.readouterr().err
+    assert "deployment.readout" in capsys.readouterr().err
     letters = {**bundle.spec.provenance, "classes": list("abcdefghij")}
     write_bundle(tmp_path / "letters", replace(bundle.spec, provenance=letters), bundle.checks)
     assert call("adapt", tmp_path / "letters", "--data", person) == 2

@@ -12,7 +12,7 @@ import stmnist
 from pipeline.commands.documentation import FILES, with_parts
 from pipeline.commands.main import with_every_verb
 from pipeline.settings import Settings
-from tests.command import ROOT
+from tests.command import ROOT, missing
 
 README = ROOT / "README.md"
 DOCS = sorted((ROOT / "docs").glob("*.md"))
@@ -108,7 +108,7 @@ def test_every_setting_is_in_the_docs():
 
 
 def test_a_part_without_an_end_is_refused():
-    with pytest.raises(ValueError, match="end of settings"):
+    with pytest.raises(ValueError, match="settings"):
         with_parts("<!-- settings: written by python -m pipeline.commands.documentation -->\n")
 
 
@@ -294,7 +294,7 @@ def test_a_wrong_python_is_one_clear_line(tmp_path):
         ["make", "setup", "PYTHON=no-such-python"], cwd=tmp_path, capture_output=True, text=True
     )
     assert done.returncode == 2
-    assert "Python 3.11, 3.12 or 3.13 is needed" in done.stderr.splitlines()[0]
+    assert missing(done.stderr.splitlines()[0], "3.11", "3.12", "3.13") == []
 
 
 def test_an_audit_leaves_out_what_security_explains():

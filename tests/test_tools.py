@@ -109,7 +109,7 @@ def test_a_command_that_fails_leaves_no_result(two, tmp_path):
         work.run("benchmark", "nothing")
 
     _, other = two
-    with pytest.raises(UserError, match="exit status"):
+    with pytest.raises(UserError, match="nothing"):
         results.measure(replace(other, measure=fail), results.Work(tmp_path, 1), "a" * 64)
     assert of(results.states("a" * 64, two)) == [CURRENT, MISSING]
 

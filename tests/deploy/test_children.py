@@ -42,11 +42,14 @@ def ended(processes, seconds=300):
     return True
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-@pytest.mark.parametrize("before", ["", "import stmnist"])
+@pytest.mark.parametrize(
+    ("how", "before"),
+    [
+        *((how, "") for how in (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)),
+        (signal.SIGKILL, "import stmnist"),
+    ],
+)
 def test_workers_end_with_who_started_them(how, before):
-    if before and how != signal.SIGKILL:
-        pytest.skip("the same as without, and the import takes a second")
     code = textwrap.dedent(WORKERS).format(before=before)
     if before:
         code = before + code

@@ -1,8 +1,8 @@
 """A copied bundle runs by itself: on this Python, on a real Python 3.8, with a board, at INRC."""
 
-import fcntl
 import json
 import os
+import platform
 import re
 import resource
 import shutil
@@ -21,6 +21,7 @@ from deploy.check.run import run_check
 from deploy.files import write_json
 from deploy.network.decision import Estimator
 from deploy.network.stimulus import EventFrames, rested
+from tests.command import missing
 from tests.deploy.networks import events_spec, random_checks, random_frames, small_spec
 from tests.deploy.standin import STANDIN
 
@@ -84,22 +85,6 @@ def result_in(bundle, target):
     return json.loads((bundle / "checks" / f"{target}.json").read_text())
 
 
-def result_from_home(home, bundle, target):
-    """Put a result into the bundle that nothing in it has made; return its bytes."""
-    path = bundle / "checks" / f"{target}.json"
-    path.parent.mkdir()
-    write_json(path, {**home[1], "target": target})
-    return path.read_bytes()
-
-
-def test_board_is_found_at_import_and_equals_the_emulator(home, copied):
-    run = pyz(copied, "check", ".", "--target", "loihi", "--partition", "nahuku32")
-    assert run.returncode == 0, run.stderr
-    result = result_in(copied, "loihi")
-    assert same_answers(result, home[1])
-    assert result["hardware"]["partition"] == "nahuku32"
-
-
 def test_board_target_is_never_guessed(home, copied):
     """With NxSDK importable, target emulator is still the emulator."""
     faults = {"refuse": 1000}
@@ -107,61 +92,25 @@ def test_board_target_is_never_guessed(home, copied):
     assert same_answers(result_in(copied, "emulator"), home[1])
 
 
-def test_no_nxsdk_is_one_line(copied):
-    line = one_line(pyz(copied, "check", ".", "--target", "loihi", standin=False))
-    assert "NxSDK" in line
-
-
 def test_board_says_whether_there_is_nxsdk(copied):
-    assert pyz(copied, "board").stdout == "NxSDK 1.0.0: target loihi can be used\n"
+    found = pyz(copied, "board")
+    assert (found.returncode, found.stderr) == (0, "")
+    assert "NxSDK 1.0.0" in found.stdout
     assert "NxSDK" in one_line(pyz(copied, "board", standin=False))
 
 
-def test_board_option_for_another_target_is_one_line(copied):
-    line = one_line(pyz(copied, "check", ".", "--target", "emulator", "--board", "b"))
-    assert "--board" in line
-    assert "loihi" in line
-
-
-def test_too_new_nxsdk_is_one_line(copied):
-    line = one_line(pyz(copied, "check", ".", "--target", "loihi", faults={"version": "2.0"}))
-    assert "NxSDK 2.0" in line
-
-
-def test_killed_job_goes_on_where_it_was(home, copied):
-    killed = pyz(copied, "check", ".", "--target", "loihi", faults={"kill_at_step": 100})
-    assert killed.returncode == 137
-    partial = copied / "checks" / ".loihi.json.partial"
-    assert len(partial.read_text().splitlines()) == 2  # a header and the first stream
-    assert not (copied / "checks" / "loihi.json").exists()
-    again = pyz(copied, "check", ".", "--target", "loihi")
-    assert again.returncode == 0, again.stderr
-    result = result_in(copied, "loihi")
-    assert same_answers(result, home[1])
-    assert result["hardware"]["connections"] == 3
-    assert not partial.exists()
-
-
-def test_two_jobs_on_one_result(home, copied):
-    before = result_from_home(home, copied, "loihi")
-    with open(copied / "checks" / ".loihi.json.partial", "a") as other_job:
-        fcntl.flock(other_job, fcntl.LOCK_EX)
-        line = one_line(pyz(copied, "check", ".", "--target", "loihi"))
-    assert "another process" in line
-    assert (copied / "checks" / "loihi.json").read_bytes() == before
-
-
 def test_full_disk_keeps_the_result_that_was_there(home, copied):
-    before = result_from_home(home, copied, "emulator")
+    path = copied / "checks" / "emulator.json"
+    path.parent.mkdir()
+    write_json(path, home[1])
+    before = path.read_bytes()
 
     def no_room():  # every file ends at 1000 bytes, as on a disk that is full then
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
 
     run = pyz(copied, "check", ".", "--target", "emulator", preexec_fn=no_room)
-    assert "cannot write" in one_line(run)
-    assert (copied / "checks" / "emulator.json").read_bytes() == before
-    assert pyz(copied, "check", ".", "--target", "emulator").returncode == 0
-    assert same_answers(result_in(copied, "emulator"), home[1])
+    assert "emulator.json" in one_line(run)
+    assert path.read_bytes() == before
 
 
 def test_plan_runs_from_the_bundle(copied):
@@ -170,39 +119,43 @@ def test_plan_runs_from_the_bundle(copied):
 
 
 @pytest.mark.parametrize(
-    ("package", "version", "message"),
+    ("package", "version", "fact"),
     [
-        ("numpy", "3.0.0", "numpy 3.0.0 is too new; pip install 'numpy>=1.17,<3'"),
-        ("numpy", "1.16.6", "numpy 1.16.6 is too old"),
-        ("nengo", "2.8.0", "nengo 2.8.0 is too old; pip install 'nengo>=3.1,<5'"),
-        ("nengo", "5.0.0", "nengo 5.0.0 is too new"),
-        ("nengo", "3.2.0", "Nengo 3 fails with NumPy 2"),
-        ("nengo-loihi", "0.10.0", "nengo-loihi 0.10.0 is too old"),
+        ("numpy", "3.0.0", "'numpy>=1.17,<3'"),
+        ("numpy", "1.16.6", "'numpy>=1.17,<3'"),
+        ("nengo", "2.8.0", "'nengo>=3.1,<5'"),
+        ("nengo", "5.0.0", "'nengo>=3.1,<5'"),
+        ("nengo", "3.2.0", "'numpy<2'"),
+        ("nengo-loihi", "0.10.0", "nengo-loihi 0.10.0"),
     ],
 )
-def test_host_with_other_versions_is_one_line(copied, tmp_path, package, version, message):
+def test_host_with_other_versions(monkeypatch, package, version, fact):
+    real = host.version
+    monkeypatch.setattr(host, "version", lambda name: version if name == package else real(name))
+    assert missing(host.complaint(), fact, *([version] if version != "3.2.0" else [])) == []
+
+
+def test_host_with_another_version_is_one_line(copied, tmp_path):
     """What a package says of its version is found first on the path, before the real one."""
-    info = tmp_path / "other" / f"{package.replace('-', '_')}-{version}.dist-info"
+    info = tmp_path / "other" / "numpy-3.0.0.dist-info"
     info.mkdir(parents=True)
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: {version}\n")
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: numpy\nVersion: 3.0.0\n")
     environment = {"PATH": os.environ["PATH"], "PYTHONPATH": str(info.parent)}
     run = subprocess.run(
         [sys.executable, "deploy.pyz", "check", ".", "--target", "emulator"],
         cwd=copied, env=environment, capture_output=True, text=True,
     )  # fmt: skip
-    assert message in one_line(run)
+    assert "numpy 3.0.0" in one_line(run)
 
 
 def test_host_without_a_package(monkeypatch):
     monkeypatch.setattr(host, "PACKAGES", {"no-such-package": ((1,), (2,), "")})
-    assert (
-        host.complaint() == "no-such-package is not installed; pip install 'no-such-package>=1,<2'"
-    )
+    assert "'no-such-package>=1,<2'" in host.complaint()
 
 
 def test_host_with_an_old_python(monkeypatch):
     monkeypatch.setattr(host, "OLDEST_PYTHON", (3, 99))
-    assert "is too old; use Python" in host.complaint()
+    assert f"Python {platform.python_version()} " in host.complaint()
 
 
 old_python = pytest.mark.skipif(
@@ -317,15 +270,20 @@ def test_guide_from_end_to_end(home, far_away, tmp_path):
     )
     assert run.returncode == 0, run.stdout + run.stderr
     assert "1 COMPLETED" in run.stdout
-    assert "every spike" in run.stdout
+    assert "0 of 7" in run.stdout
     fetched = json.loads((work / "runs" / "default" / "checks" / "loihi.json").read_text())
     assert same_answers(fetched, home[1])
+    assert fetched["hardware"]["partition"] == "nahuku32"
 
 
 def test_job_submitted_again_goes_on(home, far_away, tmp_path):
-    shutil.copytree(home[0].path, tmp_path / "bundle")
+    checks = shutil.copytree(home[0].path, tmp_path / "bundle") / "checks"
+    partial = checks / ".loihi.json.partial"
     shutil.copy(INRC / "check.sbatch", tmp_path)
     for faults, state in (({"kill_at_step": 100}, "FAILED 137"), ({}, "COMPLETED")):
+        if not faults:
+            assert len(partial.read_text().splitlines()) == 2  # a header and the first stream
+            assert not (checks / "loihi.json").exists()
         far_away["NXSDK_STANDIN"] = json.dumps(faults)
         subprocess.run(
             ["sbatch", "check.sbatch", "bundle", "nahuku32"],
@@ -333,7 +291,10 @@ def test_job_submitted_again_goes_on(home, far_away, tmp_path):
         )  # fmt: skip
         states = sorted((tmp_path / "jobs").iterdir())
         assert states[-1].read_text() == state
-    assert same_answers(result_in(tmp_path / "bundle", "loihi"), home[1])
+    result = result_in(tmp_path / "bundle", "loihi")
+    assert same_answers(result, home[1])
+    assert result["hardware"]["connections"] == 3
+    assert not partial.exists()
 
 
 def test_job_without_arguments_says_how(far_away, tmp_path):
@@ -341,4 +302,4 @@ def test_job_without_arguments_says_how(far_away, tmp_path):
         ["bash", str(INRC / "check.sbatch")], env=far_away, capture_output=True, text=True
     )
     assert run.returncode == 2
-    assert run.stderr.startswith("usage: sbatch check.sbatch BUNDLE PARTITION")
+    assert "BUNDLE PARTITION" in run.stderr

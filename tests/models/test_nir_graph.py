@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from models import apart
 from models.nir_file import read_nir_file
 from models.nir_graph import NirError, read_nir
+from tests.command import missing
 from tests.models.nir_graphs import (
     Graph,
     affine,
@@ -122,40 +123,40 @@ def without(node, name):
 
 
 BAD = {
-    "recurrence": (recurrent, "'n1' (LIF) is connected to itself"),
-    "itself": (lambda n, e, t: e.append(("n1", "n1")), "'n1' (LIF) is connected to itself"),
-    "two inputs": (second_input, "2 nodes of kind Input"),
-    "no output": (put("output", type="Scale"), "0 nodes of kind Output"),
-    "branch": (branch, "'n3' leads to 'output' and 'side'"),
-    "no edges": (no_edges, "'input' leads to nothing"),
-    "an edge to nowhere": (lambda n, e, t: e.append(("n1", "x")), "an edge to 'x'"),
-    "unknown node": (put("n1", type="Delay"), "node 'n1': 'Delay' cannot be used"),
-    "unheard-of node": (put("n1", type="Sigma"), "node 'n1': 'Sigma' cannot be used"),
-    "no neurons": (no_neurons, "no neurons that spike"),
-    "NaN": (put("n3", weight=np.full((4, 27), np.nan)), "node 'n3' (Affine): its weight has NaN"),
-    "infinite": (put("n1", tau=np.inf), "node 'n1' (LIF): its tau has NaN or infinite"),
-    "negative time": (put("n1", tau=-0.1), "node 'n1' (LIF): its tau is not above 0"),
-    "shapes": (put("n3", weight=np.ones((4, 9))), "node 'n3' (Affine): for 9 values"),
-    "channels": (put("n0", weight=np.ones((3, 1, 3, 3))), "node 'n0' (Conv2d): for 1 channels"),
-    "parameters": (put("n1", v_threshold=np.ones(7)), "node 'n1' (LIF): its v_threshold has"),
-    "threshold": (put("n1", v_threshold=0.0), "its v_threshold must be above"),
-    "kernel": (put("n0", weight=np.ones((3, 2, 7, 7))), "its kernel is larger"),
-    "stride": (put("n0", stride=0), "its stride must be"),
-    "text": (put("n0", weight="a lot"), "its weight is not"),
-    "missing": (without("n1", "tau"), "node 'n1' (LIF): has no tau"),
-    "input's shape": (put("input", shape=np.array([0, 5, 5])), "node 'input' (Input): a shape"),
-    "no nodes": (lambda n, e, t: t.update(nodes={"a": 1}), "it has no nodes"),
-    "wild edges": (lambda n, e, t: t.update(edges=["ab", 3]), "its edges are not pairs"),
+    "recurrence": (recurrent, "'n1' (LIF)", "'back'"),
+    "itself": (lambda n, e, t: e.append(("n1", "n1")), "'n1' (LIF)", "itself"),
+    "two inputs": (second_input, "2 nodes", "Input"),
+    "no output": (put("output", type="Scale"), "0 nodes", "Output"),
+    "branch": (branch, "'n3'", "'output'", "'side'"),
+    "no edges": (no_edges, "'input'"),
+    "an edge to nowhere": (lambda n, e, t: e.append(("n1", "x")), "'x'"),
+    "unknown node": (put("n1", type="Delay"), "node 'n1': ", "'Delay'"),
+    "unheard-of node": (put("n1", type="Sigma"), "node 'n1': ", "'Sigma'"),
+    "no neurons": (no_neurons, "neurons", "LIF, CubaLIF or IF"),
+    "NaN": (put("n3", weight=np.full((4, 27), np.nan)), "node 'n3' (Affine): ", "weight", "NaN"),
+    "infinite": (put("n1", tau=np.inf), "node 'n1' (LIF): ", "tau", "infinite"),
+    "negative time": (put("n1", tau=-0.1), "node 'n1' (LIF): ", "tau", " 0"),
+    "shapes": (put("n3", weight=np.ones((4, 9))), "node 'n3' (Affine): ", " 9 ", " 27"),
+    "channels": (put("n0", weight=np.ones((3, 1, 3, 3))), "node 'n0' (Conv2d): ", " 1 ", " 2"),
+    "parameters": (put("n1", v_threshold=np.ones(7)), "node 'n1' (LIF): ", "v_threshold", "(7,)"),
+    "threshold": (put("n1", v_threshold=0.0), "node 'n1' (LIF): ", "v_threshold", "v_reset"),
+    "kernel": (put("n0", weight=np.ones((3, 2, 7, 7))), "node 'n0' (Conv2d): ", "kernel"),
+    "stride": (put("n0", stride=0), "node 'n0' (Conv2d): ", "stride", " 1"),
+    "text": (put("n0", weight="a lot"), "node 'n0' (Conv2d): ", "weight", "array"),
+    "missing": (without("n1", "tau"), "node 'n1' (LIF): ", "tau"),
+    "input's shape": (put("input", shape=np.array([0, 5, 5])), "node 'input' (Input): ", "shape"),
+    "no nodes": (lambda n, e, t: t.update(nodes={"a": 1}), "nir.NIRGraph", "nodes"),
+    "wild edges": (lambda n, e, t: t.update(edges=["ab", 3]), "nir.NIRGraph", "edges"),
 }
 
 
 @pytest.mark.parametrize("what", BAD)
 def test_what_cannot_be_used_is_named(what):
-    change, message = BAD[what]
+    change, *facts = BAD[what]
     graph = edited(change)
     with pytest.raises(NirError) as caught:
         read_nir(graph)
-    assert message in str(caught.value)
+    assert missing(str(caught.value), *facts) == []
 
 
 def test_files_that_are_no_nir(tmp_path, path):
@@ -200,7 +201,7 @@ def test_links_out_of_the_file_and_plugins_are_refused(tmp_path, path):
         "filter": lambda g: g.create_dataset("weight", data=np.ones((5, 48)), compression="lzf"),
     }
     for name, add in ways.items():
-        with pytest.raises(NirError, match=r"node 'affine': its 'weight' is .*; write it"):
+        with pytest.raises(NirError, match=r"node 'affine': .*'weight'"):
             read_nir(with_weight(name, add))
 
 
@@ -208,21 +209,21 @@ def test_a_node_that_is_a_link_is_named(path):
     with h5py.File(path, "r+") as file:
         del file["node/nodes/lif"]
         file["node/nodes/lif"] = h5py.SoftLink("/node/nodes/affine")
-    with pytest.raises(NirError, match="node 'lif' is a link to another place"):
+    with pytest.raises(NirError, match="node 'lif'"):
         read_nir(path)
 
 
 def test_a_group_within_itself_ends(tmp_path, path):
     with h5py.File(path, "r+") as file:
         file["node/nodes/again"] = file["node"]
-    with pytest.raises(NirError, match="deep"):
+    with pytest.raises(NirError, match=" 12 "):
         read_nir(path)
 
 
 def test_huge_arrays_are_not_made(tmp_path, path):
     with h5py.File(path, "r+") as file:
         file.create_dataset("node/nodes/huge", (10**6, 10**6), float, chunks=(10, 10))
-    with pytest.raises(NirError, match="numbers"):
+    with pytest.raises(NirError, match=r"node 'huge' .* 30000000 "):
         read_nir(path)
 
 
@@ -231,7 +232,7 @@ def test_texts_without_end_are_not_read(tmp_path, path, count, kind):
     """A few bytes that say so are a million texts, or 500 MB."""
     with h5py.File(path, "r+") as file:
         file.create_dataset("node/nodes/texts", (count,), kind, chunks=(1,))
-    with pytest.raises(NirError, match="too long"):
+    with pytest.raises(NirError, match="node 'texts'"):
         read_nir(path)
 
 
@@ -248,10 +249,10 @@ LONG = tree_of((4,), *[("Scale", {"scale": 1.0})] * 300)
 @pytest.mark.parametrize(
     ("tree", "told"),
     [
-        (passing_graphs(20), "connected to itself"),
+        (passing_graphs(20), "'n0'.* itself"),
         (tree_of((4,), ("NIRGraph", LONG), ("NIRGraph", LONG)), "500 nodes"),
-        ({**tree_of((4,), lif()), "edges": 5.0}, "pairs"),
-        ({**tree_of((4,), lif()), "edges": np.zeros((2, 2, 2))}, "pairs"),
+        ({**tree_of((4,), lif()), "edges": 5.0}, "edges"),
+        ({**tree_of((4,), lif()), "edges": np.zeros((2, 2, 2))}, "edges"),
         ({**tree_of((4,), lif()), "edges": np.zeros((20_000, 2))}, "10000 edges"),
         (tree_of((np.inf,), lif()), "Input"),
         (tree_of((4,), ("Flatten", {"start_dim": [0, 0]}), lif()), "start_dim"),
@@ -269,7 +270,7 @@ def test_nodes_of_nodes_that_all_lead_to_each_other_do_not_multiply():
     tree = tree_of((4,), *[lif()] * 60, ("NIRGraph", tree_of((4,))), *[lif()] * 60)
     names = list(tree["nodes"])
     tree["edges"] = [(a, "n60") for a in names[1:61]] + [("n60", b) for b in names[62:-1]]
-    with pytest.raises(NirError, match="60 nodes before and 60 after"):
+    with pytest.raises(NirError, match=r"60 .* 60 "):
         read_nir(Graph(tree))
 
 
@@ -279,13 +280,21 @@ def test_a_crash_of_the_reading_process_is_a_line(path, monkeypatch, tmp_path):
     (package / "__init__.py").touch()
     (package / "nir_file.py").write_text("import os\nos.abort()\n")
     monkeypatch.setattr(apart, "__file__", str(package / "apart.py"))
-    with pytest.raises(NirError, match="damaged"):
+    with pytest.raises(NirError, match=f"^{path}: "):
         read_nir(path)
+
+
+@pytest.fixture(scope="module")
+def impatient():
+    """A file on which HDF5 would never end is given up soon."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(apart, "MAX_SECONDS", 5)
+        yield
 
 
 @given(st.data())
 @settings(max_examples=15, deadline=None)
-def test_damaged_files_are_read_or_refused(tmp_path_factory, data):
+def test_damaged_files_are_read_or_refused(impatient, tmp_path_factory, data):
     buffer = io.BytesIO()
     nir.write(buffer, small_graph())
     content = bytearray(buffer.getvalue())

@@ -282,34 +282,34 @@ def test_compensated_weights_add_up_better_and_keep_the_largest(seed):
 def test_what_cannot_be_on_the_chip_is_named():
     rng = np.random.default_rng(0)
     two = lif(np.array([0.01, 0.02]), 1.0)
-    with pytest.raises(NirError, match=r"'n1' \(LIF\).*one time constant"):
+    with pytest.raises(NirError, match=r"'n1' \(LIF\).* membrane .* 3706 to 3896 "):
         layers_of(network_of((3,), affine(rng, 2, 3), two), 0.001)
     li = ("LI", {"tau": 0.01, "r": 1.0, "v_leak": 0.0})
-    with pytest.raises(NirError, match=r"'n0'.*second filter"):
+    with pytest.raises(NirError, match=r"'n0' \(LI\).*filter"):
         layers_of(network_of((3,), li, affine(rng, 2, 3), cuba_lif()), 0.001)
-    with pytest.raises(NirError, match="shorter than the step"):
+    with pytest.raises(NirError, match=r"'n1' \(LIF\).* 0.0005 s .* 0.001 s"):
         layers_of(network_of((3,), affine(rng, 2, 3), lif(0.0005)), 0.001)
     nothing = ("Linear", {"weight": np.zeros((2, 3))})
-    with pytest.raises(NirError, match="all its weights are 0"):
+    with pytest.raises(NirError, match=r"n0, n1.* 0[;,.]"):
         rounded(layers_of(network_of((3,), nothing, lif()), 0.001)[0])
     huge = ("Linear", {"weight": np.full((2, 3), 1e6)})
-    with pytest.raises(NirError, match="too large"):
+    with pytest.raises(NirError, match=r"n0, n1.* 4\.88e\+04 "):
         rounded(layers_of(network_of((3,), huge, lif()), 0.001)[0])
 
 
 @pytest.mark.parametrize(
     ("weight", "threshold", "bias", "told"),
     [
-        (1.0, 1e-310, 0.0, "infinite"),
-        (1e9, 1e-3, 0.0, "too large"),
-        (5e-324, 1.0, 0.0, "too small"),
-        (1.0, 1.0, 1e9, "biases too large"),
-        (127.0, 1.0, 1e5, "biases too large"),
+        (1.0, 1e-310, 0.0, "threshold"),
+        (1e9, 1e-3, 0.0, r"threshold.* 1e\+12 "),
+        (5e-324, 1.0, 0.0, "threshold.* integers"),
+        (1.0, 1.0, 1e9, "biases"),
+        (127.0, 1.0, 1e5, "biases"),
     ],
 )
 def test_numbers_past_all_integers_are_refused(weight, threshold, bias, told):
     """Divided by a threshold of nearly 0, or beside a threshold that would round to 0."""
     dense = ("Affine", {"weight": np.full((2, 3), weight), "bias": np.full(2, bias)})
     network = network_of((3,), dense, ("Threshold", {"threshold": threshold}))
-    with np.errstate(all="ignore"), pytest.raises(NirError, match=told):
+    with np.errstate(all="ignore"), pytest.raises(NirError, match=f"n0, n1.*{told}"):
         rounded(layers_of(network, 0.001)[0])

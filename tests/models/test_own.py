@@ -18,7 +18,7 @@ from models import apart, keras_file
 from models.architecture import parse
 from models.keras_file import SavedLayer, SavedModel
 from models.own import ModelFileError, as_architecture, read_own_model
-from tests.command import ROOT
+from tests.command import ROOT, missing
 from tests.models import keras_models
 
 KERAS = ("keras2", "keras3")
@@ -33,44 +33,44 @@ GOOD = {
     "trained": "10x10-3c5s3p-10o",
 }
 BAD = {
-    "max_pooling": ("'pool' (MaxPooling2D)", "use AveragePooling2D, or a stride"),
-    "global_pooling": ("'pool' (GlobalAveragePooling2D)", "use AveragePooling2D"),
+    "max_pooling": ("'pool' (MaxPooling2D)", " AveragePooling2D", "stride"),
+    "global_pooling": ("'pool' (GlobalAveragePooling2D)", " AveragePooling2D"),
     "overlapping": ("'pool'", "AveragePooling2D(2)"),
     "padded_pooling": ("'pool'", "AveragePooling2D(2)"),
-    "sigmoid": ("'c' (Conv2D): activation 'sigmoid'", "activation='relu'"),
+    "sigmoid": ("'c' (Conv2D)", "'sigmoid'", "activation='relu'"),
     "leaky": ("'leak' (LeakyReLU)", "activation='relu'"),
-    "relu6": ("'six' (ReLU): has a max_value", "use a plain ReLU"),
+    "relu6": ("'six' (ReLU)", "max_value"),
     "function": ("'c' (Conv2D)", "activation='relu'"),
-    "lambda": ("'double' (Lambda)", "nothing in a model file is executed"),
+    "lambda": ("'double' (Lambda)", "executed"),
     "dilated": ("'c'", "dilation_rate=1"),
     "groups": ("'c'", "groups=1"),
     "not_square": ("'c'", "3x2"),
     "uneven_strides": ("'c'", "strides"),
     "channels_first": ("'flat'", "data_format='channels_last'"),
     "no_relu": ("'c'", "activation='relu'"),
-    "relu_after_pooling": ("'c'", "put the ReLU before it"),
-    "relu_first": ("'early'", "first Conv2D or Dense"),
+    "relu_after_pooling": ("'c'", "ReLU"),
+    "relu_first": ("'early'", "Conv2D", "Dense"),
     "relu_at_the_end": ("'out'", "'softmax'"),
     "one_output": ("'out'", "2"),
     "sigmoid_output": ("'out'", "'softmax'"),
     "softmax_within": ("'early'", "softmax"),
     "no_dense_output": ("4c3", "Dense"),
-    "dense_on_images": ("'each'", "put a Flatten before it"),
-    "offset_and_padding": ("'c'", "use padding='valid'"),
+    "dense_on_images": ("'each'", "Flatten"),
+    "offset_and_padding": ("'c'", "padding='valid'"),
     "normalised_rows": ("'rows'", "axis=-1"),
-    "normalised_flat": ("'flat'", "put it before the Flatten"),
+    "normalised_flat": ("'flat'", "Flatten"),
     "one_dimension": ("100 values", "keras.Input((rows, columns, channels))"),
     "any_size": ("[None, None, 1]", "keras.Input((10, 10, 1))"),
-    "recurrent": ("'loop' (SimpleRNN)", "use Conv2D"),
+    "recurrent": ("'loop' (SimpleRNN)", "Conv2D"),
     "within": ("layer '", "model"),
-    "own_layer": ("'mine' (Mine)", "use "),
+    "own_layer": ("'mine' (Mine)", "Dense"),
     "own_model": ("'Net'", "keras.Sequential"),
     "branches": ("'sum'", "2 inputs"),
-    "two_outputs": ("2 outputs", "one output"),
+    "two_outputs": ("2 outputs",),
     "shared": ("'twice'", "2 times"),
     "dropout_always": ("'always'", "'training'"),
-    "never_trained": ("never trained", "zero"),
-    "not_a_number": ("'c' (Conv2D): its kernel has NaN", "lower learning rate"),
+    "never_trained": ("biases", "zero"),
+    "not_a_number": ("'c' (Conv2D)", "kernel", "NaN"),
     "infinite_variance": ("'norm'", "moving_variance"),
 }
 
@@ -162,8 +162,7 @@ def test_what_cannot_be_used_is_refused_by_name(files, name):
                 read_here(files[which] / f"{name}.{suffix}")
             line = str(refusal.value)
             assert "\n" not in line
-            for words in BAD[name]:
-                assert words in line
+            assert missing(line, *BAD[name]) == []
 
 
 def test_the_line_begins_with_the_file(files):
@@ -188,31 +187,26 @@ def test_nothing_of_keras_or_tensorflow_is_imported(files):
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (b"", "not a Keras model file"),
-        (b"GIF89a", "not a Keras model file"),
-        (b"PK\x03\x04 and no more", "not a Keras model file"),
-        (b"\x89HDF\r\n\x1a\n and no more", "damaged"),
-    ],
+    "content",
+    [b"", b"GIF89a", b"PK\x03\x04 and no more", b"\x89HDF\r\n\x1a\n and no more"],
 )
-def test_other_files(tmp_path, content, words):
+def test_other_files(tmp_path, content):
     path = tmp_path / "model.keras"
     path.write_bytes(content)
-    with pytest.raises(ModelFileError, match=words):
+    with pytest.raises(ModelFileError, match=f"^{path}: .*Keras|OSError"):
         read_own_model(path)
 
 
 def test_no_file_and_a_folder(tmp_path):
-    with pytest.raises(ModelFileError, match="No such file"):
+    with pytest.raises(ModelFileError, match=r"model\.keras: .*No such file"):
         read_own_model(tmp_path / "model.keras")
-    with pytest.raises(ModelFileError, match="a folder"):
+    with pytest.raises(ModelFileError, match=f"^{tmp_path}: "):
         read_own_model(tmp_path)
 
 
 def test_weights_alone(files):
     for which in KERAS:
-        with pytest.raises(ModelFileError, match="weights"):
+        with pytest.raises(ModelFileError, match=r"only\.weights\.h5: .*weights"):
             read_own_model(files[which] / "only.weights.h5")
 
 
@@ -312,7 +306,7 @@ def other_shape(file):
     file[KERNEL] = np.ones((4, 4, 2, 6), np.float32)
 
 
-def missing(file):
+def without_a_layer(file):
     del file["layers/dense"]
 
 
@@ -321,25 +315,25 @@ def other_name(file):
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "fact"),
     [
         (external_link, "link"),
         (soft_link, "link"),
-        (external_storage, "not stored"),
-        (virtual, "not stored"),
-        (compressed, "not stored"),
-        (never_written, "not stored"),
-        (huge, "more than 30000000 weights"),
-        (of_objects, "not of floating-point numbers"),
+        (external_storage, "Keras"),
+        (virtual, "Keras"),
+        (compressed, "Keras"),
+        (never_written, "Keras"),
+        (huge, "30000000 weights"),
+        (of_objects, "object"),
         (quantised, "int8"),
-        (other_shape, r"arrays have shapes \(4, 4, 2, 6\), \(6,\), not \(4, 4, 1, 6\), \(6,\)"),
-        (missing, "arrays of layer 'dense"),
+        (other_shape, r"'conv2d'.*\(4, 4, 2, 6\), \(6,\).*\(4, 4, 1, 6\), \(6,\)"),
+        (without_a_layer, "'dense'"),
         (other_name, "'another'"),
     ],
 )
-def test_arrays_that_are_not_plain(files, tmp_path, change, words):
+def test_arrays_that_are_not_plain(files, tmp_path, change, fact):
     path = changed_archive(files, tmp_path / "model.keras", change)
-    with pytest.raises(ModelFileError, match=words):
+    with pytest.raises(ModelFileError, match=fact):
         read_own_model(path)
 
 
@@ -350,7 +344,7 @@ def test_an_archive_that_unpacks_to_more_than_it_should(tmp_path, monkeypatch):
     with pytest.raises(ModelFileError, match=r"config\.json.* 8 MiB"):
         read_own_model(path)
     monkeypatch.setattr(keras_file, "MAX_FILE", 1000)
-    with pytest.raises(ModelFileError, match="larger than"):
+    with pytest.raises(ModelFileError, match="MiB"):
         read_own_model(path)
 
 
@@ -370,9 +364,9 @@ def description(*layers, shape=(4, 4, 1)):
 def test_too_many_layers_nesting_and_sizes():
     with pytest.raises(ModelFileError, match=r"502 layers.* 500"):
         keras_file._chain(description(*[("Flatten", {})] * 501))
-    with pytest.raises(ModelFileError, match="damaged"):
+    with pytest.raises(ModelFileError):
         keras_file._json("[" * 100_000)
-    with pytest.raises(ModelFileError, match="not an image"):
+    with pytest.raises(ModelFileError, match=r"\b1000000000x1000000000x1000000000\b"):
         as_architecture(SavedModel((10**9, 10**9, 10**9), ()))
     wide = SavedLayer("Dense", "wide", {"units": 10**15, "activation": "relu"})
     with pytest.raises(ModelFileError, match=r"'wide'.*units.* 1 to 1000000"):
@@ -388,7 +382,7 @@ def test_a_layer_that_calls_itself():
     }
     first = {"class_name": "InputLayer", "name": "in", "config": {"name": "in"}}
     config = {"layers": [first, entry], "input_layers": ["in", 0, 0], "output_layers": ["d", 0, 0]}
-    with pytest.raises(ModelFileError, match="order of its layers"):
+    with pytest.raises(ModelFileError, match="order"):
         keras_file._chain({"class_name": "Functional", "config": config})
 
 
@@ -505,8 +499,9 @@ def test_a_crash_of_the_reading_process_is_a_line(files, monkeypatch, tmp_path):
     (package / "__init__.py").touch()
     (package / "keras_file.py").write_text("import os\nos.abort()\n")
     monkeypatch.setattr(apart, "__file__", str(package / "apart.py"))
-    with pytest.raises(ModelFileError, match="damaged"):
-        read_own_model(files["keras3"] / "paper.keras")
+    path = files["keras3"] / "paper.keras"
+    with pytest.raises(ModelFileError, match=f"^{path}: "):
+        read_own_model(path)
 
 
 def test_layers_without_biases_say_nothing_of_training():
@@ -516,7 +511,7 @@ def test_layers_without_biases_say_nothing_of_training():
         SavedLayer(layer.kind, layer.name, layer.config, (layer.arrays[0], 0 * layer.arrays[1]))
         for layer in (conv, end)
     ]
-    with pytest.raises(ModelFileError, match="never trained"):
+    with pytest.raises(ModelFileError, match="zero"):
         as_architecture(SavedModel((4, 4), (zero[0], flat, zero[1])))
     as_architecture(SavedModel((4, 4), (zero[0], flat, end)))
     bare = [

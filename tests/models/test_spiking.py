@@ -241,14 +241,14 @@ def test_weights_there_and_back():
 
 
 @pytest.mark.parametrize(
-    ("text", "problem"), [("10x10x2-8c4-2a-10o", "stride"), ("10x10x2-10o", "no layer of neurons")]
+    ("text", "fact"), [("10x10x2-8c4-2a-10o", "stride"), ("10x10x2-10o", "neurons")]
 )
-def test_a_network_that_cannot_be_is_refused(text, problem):
-    with pytest.raises(ValueError, match=problem):
+def test_a_network_that_cannot_be_is_refused(text, fact):
+    with pytest.raises(ValueError, match=f"^{text}: .*{fact}"):
         SpikingNetwork(parse(text))
 
 
 @pytest.mark.parametrize("values", [{"tau_u": (0.0,)}, {"tau_v": (1.0, -1.0)}, {"floor": 0.5}])
 def test_an_impossible_neuron_is_refused(values):
-    with pytest.raises(ValueError, match="above 0"):
+    with pytest.raises(ValueError, match="Neuron"):
         Neuron(**values)

@@ -51,6 +51,12 @@ def mat73(**variables) -> bytes:
     return bytes(content)
 
 
+def npz(*arrays, **named) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, *arrays, **named)
+    return buffer.getvalue()
+
+
 def archive(path, members) -> None:
     with zipfile.ZipFile(path, "w") as file:
         for name, content in members.items():

@@ -149,7 +149,8 @@ def test_jobs_wait_for_a_worker(cluster):
         cluster.scale(1)
 
     assert list(run_jobs(reciprocal, [2], 1, cluster.scheduler_address, say)) == [(2, 0.5)]
-    assert said == [f"{cluster.scheduler_address} has no workers yet; the jobs wait for one"]
+    assert len(said) == 1
+    assert cluster.scheduler_address in said[0]
 
 
 def die(job):
@@ -172,4 +173,4 @@ def test_a_scheduler_that_goes_away_is_a_failure(cluster):
     ((job, failure),) = run_jobs(reciprocal, [2], 1, address, lambda line: gone.start())
     gone.join()
     assert job == 2
-    assert failure.error == f"lost the scheduler {address}"
+    assert address in failure.error

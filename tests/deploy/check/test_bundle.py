@@ -46,20 +46,19 @@ def test_the_same_inputs_make_the_same_id_and_others_another(bundle, tmp_path):
 
 
 @pytest.mark.parametrize("name", FILES)
-@pytest.mark.parametrize("where", [0.0, 0.5, 1.0])
-def test_a_changed_byte_is_refused_by_name(bundle, name, where):
+def test_a_changed_byte_or_a_missing_file_is_refused_by_name(bundle, name):
     path = bundle.path / name
-    content = bytearray(path.read_bytes())
-    content[int(where * (len(content) - 1))] ^= 1
+    content = path.read_bytes()
+    for where in (0, len(content) // 2, len(content) - 1):
+        changed = bytearray(content)
+        changed[where] ^= 1
+        path.write_bytes(changed)
+        with pytest.raises(UserError, match=name):
+            read_bundle(bundle.path)
     path.write_bytes(content)
-    with pytest.raises(UserError, match=f"{name}: changed"):
-        read_bundle(bundle.path)
-
-
-@pytest.mark.parametrize("name", FILES)
-def test_a_missing_file_is_refused_by_name(bundle, name):
-    (bundle.path / name).unlink()
-    with pytest.raises(UserError, match=f"{name}: missing"):
+    read_bundle(bundle.path)
+    path.unlink()
+    with pytest.raises(UserError, match=name):
         read_bundle(bundle.path)
 
 
@@ -67,38 +66,53 @@ def test_an_extra_file_is_refused_by_name(bundle):
     (bundle.path / "checks").mkdir()
     read_bundle(bundle.path)  # where deploy.pyz leaves results
     (bundle.path / "extra.py").write_text("")
-    with pytest.raises(UserError, match=r"extra\.py: "):
+    with pytest.raises(UserError, match=r"extra\.py"):
         read_bundle(bundle.path)
+
+
+def with_its_hash(bundle, file):
+    """Give a file that was changed a hash that fits, as another version might."""
+    manifest = read_json(bundle.path / "MANIFEST.json", "")
+    manifest["files"][file] = sha256_of(bundle.path / file)
+    write_json(bundle.path / "MANIFEST.json", manifest)
+    return bundle.path
 
 
 def rewrite(bundle, change):
-    """Change the description and give it a hash that fits, as another version might."""
     description = read_json(bundle.path / "network.json", "")
     change(description)
-    write_json(bundle.path / "network.json", description)
-    manifest = read_json(bundle.path / "MANIFEST.json", "")
-    manifest["files"]["network.json"] = sha256_of(bundle.path / "network.json")
-    write_json(bundle.path / "MANIFEST.json", manifest)
+    (bundle.path / "network.json").write_text(json.dumps(description))
+    return with_its_hash(bundle, "network.json")
+
+
+def test_a_bundle_of_another_version_without_a_number_of_steps_has_the_default(bundle):
+    path = rewrite(bundle, lambda d: d["presentation"].pop("steps"))
+    assert read_bundle(path).spec.presentation.steps == 100
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "fact"),
     [
-        (lambda d: d.update(schema="stmnist-bundle/9"), "schema 'stmnist-bundle/9'.*reads"),
-        (lambda d: d.update(dt=0.002), "time step is 0.002 s"),
-        (lambda d: d["layers"][0].update(pop_type=64), "pop_type is neither"),
-        (lambda d: d["layers"][0].update(shape="abc"), "wrong value"),
-        (lambda d: d["presentation"].pop("steps"), "."),
-        (lambda d: d.pop("layers"), "'layers' is missing"),
+        (lambda d: d.update(schema="stmnist-bundle/9"), "'stmnist-bundle/9'"),
+        (lambda d: d.update(dt=0.002), "0.002 s"),
+        (lambda d: d["layers"][0].update(pop_type=64), "pop_type"),
+        (lambda d: d["layers"][0].update(shape="abc"), "'a'"),
+        (lambda d: d.pop("layers"), "'layers'"),
+        (lambda d: d["presentation"].update(steps=10**5), r"presentation\.steps.* 1 to 10000\b"),
+        (lambda d: d["presentation"].update(gap=10**22), r"presentation\.gap.* 0 to 10000\b"),
+        (lambda d: d["layers"][0].update(block_shape=[0, 0, 0]), r"block_shape \(0, 0, 0\)"),
+        (lambda d: d["layers"][0].update(block_shape=[1, 2]), r"block_shape \(1, 2\)"),
+        (lambda d: d["layers"][0]["neurons"].update(tau_rc=float("nan")), "network.json"),
+        (lambda d: d["layers"][0]["neurons"].update(tau_ref=2**70), "tau_ref"),
+        (lambda d: d["layers"][0]["neurons"].update(amplitude=float("inf")), "network.json"),
+        (lambda d: d["layers"][0].update(name="x" * 200), "x{100}|name"),
+        (lambda d: d.update(note="mine"), "note"),
+        (lambda d: d.update(input_shape=[10**6, 10**6, 1]), "input_shape"),
     ],
 )
-def test_a_bundle_of_another_version(bundle, change, message):
-    rewrite(bundle, change)
-    if message == ".":  # the default number of steps takes its place
-        assert read_bundle(bundle.path).spec.presentation.steps == 100
-        return
-    with pytest.raises(UserError, match=message) as caught:
-        read_bundle(bundle.path)
+def test_a_description_of_another_version_or_without_a_meaning(bundle, change, fact):
+    with pytest.raises(UserError, match=fact) as caught:
+        read_bundle(rewrite(bundle, change))
     assert str(bundle.path) in str(caught.value)
 
 
@@ -114,10 +128,9 @@ def test_a_broken_manifest(bundle, manifest):
 
 
 def test_what_is_no_bundle(tmp_path):
-    with pytest.raises(UserError, match="no such"):
-        read_bundle(tmp_path / "nowhere")
-    with pytest.raises(UserError, match="MANIFEST"):
-        read_bundle(tmp_path)
+    for path, named in ((tmp_path / "nowhere", "nowhere"), (tmp_path, r"MANIFEST\.json")):
+        with pytest.raises(UserError, match=named):
+            read_bundle(path)
 
 
 def test_an_interruption_leaves_the_earlier_bundle(bundle, tmp_path, monkeypatch):
@@ -176,10 +189,9 @@ def test_an_interruption_right_after_a_rename_leaves_a_whole_bundle(
 
 def test_a_place_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match="file/bundle: cannot write"):
-        bundle_at(tmp_path / "file" / "bundle")
-    with pytest.raises(UserError, match="file: "):
-        bundle_at(tmp_path / "file")
+    for path in (tmp_path / "file" / "bundle", tmp_path / "file"):
+        with pytest.raises(UserError, match=f"^{path}: "):
+            bundle_at(path)
     assert (tmp_path / "file").is_file()
 
 
@@ -208,86 +220,54 @@ def with_arrays(bundle, file, **changes):
         for name, array in arrays.items():
             with archive.open(name + ".npy", "w") as stream:
                 np.lib.format.write_array(stream, np.asarray(array), allow_pickle=True)
-    manifest = read_json(bundle.path / "MANIFEST.json", "")
-    manifest["files"][file] = sha256_of(path)
-    write_json(bundle.path / "MANIFEST.json", manifest)
-    return bundle.path
+    return with_its_hash(bundle, file)
 
 
 NAN = np.full((7, 6, 6, 1), np.nan, np.float32)
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("changes", "fact"),
     [
-        ({"labels": [0, 1, 2, 3, 4, 5, 99]}, "labels are not from 0 to 9"),
-        ({"labels": [0, 1, 2, 3, 4, 5, -1]}, "labels are not from 0 to 9"),
-        ({"labels": [0, 1, 2, 3, 4, 5, 6.5]}, "labels and seed are not whole numbers"),
-        ({"labels": np.full(7, np.nan)}, "labels and seed are not whole numbers"),
-        ({"labels": ["1"] * 7}, "labels and seed are not whole numbers"),
-        ({"labels": np.zeros((7, 1), int)}, "dimensions"),
-        ({"labels": np.zeros(6, int)}, "differ in length"),
-        ({"ids": ["a"] * 7}, "the same id"),
-        ({"ids": [*"abcdef", "\ud800"]}, "an id is not text in UTF-8"),
-        ({"ids": np.arange(7)}, "ids not text"),
-        ({"ids": np.array([["a"]] * 7)}, "dimensions"),
-        ({"inputs": NAN}, "NaN or too large"),
-        ({"inputs": np.full((7, 6, 6, 1), 1e30, np.float32)}, "NaN or too large"),
-        ({"inputs": np.zeros((7, 6, 6, 1), complex)}, "not real numbers"),
-        ({"inputs": np.zeros((7, 6, 6, 2))}, "samples have shape"),
-        ({"seed": [0, 1]}, "dimensions"),
-        ({"more": [0]}, "its arrays are ids, inputs, labels, more, seed"),
+        ({"labels": [0, 1, 2, 3, 4, 5, 99]}, "labels.* 0 to 9"),
+        ({"labels": [0, 1, 2, 3, 4, 5, -1]}, "labels.* 0 to 9"),
+        ({"labels": [0, 1, 2, 3, 4, 5, 6.5]}, "labels"),
+        ({"labels": np.full(7, np.nan)}, "labels"),
+        ({"labels": ["1"] * 7}, "labels"),
+        ({"labels": np.zeros((7, 1), int)}, "labels"),
+        ({"labels": np.zeros(6, int)}, "labels"),
+        ({"ids": ["a"] * 7}, r"\bid\b"),
+        ({"ids": [*"abcdef", "\ud800"]}, r"\bid\b.*UTF-8"),
+        ({"ids": np.arange(7)}, r"\bids\b"),
+        ({"ids": np.array([["a"]] * 7)}, r"\bids\b"),
+        ({"inputs": NAN}, "NaN"),
+        ({"inputs": np.full((7, 6, 6, 1), 1e30, np.float32)}, ""),
+        ({"inputs": np.zeros((7, 6, 6, 1), complex)}, ""),
+        ({"inputs": np.zeros((7, 6, 6, 2))}, r"\(6, 6, 2\)"),
+        ({"seed": [0, 1]}, ""),
+        ({"more": [0]}, "more"),
     ],
 )
-def test_checks_that_are_none(bundle, changes, message):
-    with pytest.raises(UserError, match=message) as error:
+def test_checks_that_are_none(bundle, changes, fact):
+    with pytest.raises(UserError, match=rf"checks\.npz.*{fact}"):
         read_bundle(with_arrays(bundle, "checks.npz", **changes))
-    assert "checks.npz" in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("changes", "fact"),
     [
-        ({"conv1.weights": np.zeros((3, 3, 1, 4), complex)}, "weights are not real numbers"),
-        ({"conv1.weights": np.full((3, 3, 1, 4), "x")}, "weights are not real numbers"),
-        ({"conv1.weights": np.full((3, 3, 1, 4), 1e300)}, "conv1.*weights.* 1e"),
-        ({"conv9.weights": np.zeros(3)}, "unknown entries conv9.weights"),
+        ({"conv1.weights": np.zeros((3, 3, 1, 4), complex)}, "'conv1'.*weights"),
+        ({"conv1.weights": np.full((3, 3, 1, 4), "x")}, "'conv1'.*weights"),
+        ({"conv1.weights": np.full((3, 3, 1, 4), 1e300)}, r"'conv1'.*weights.* 1e\+"),
+        ({"conv9.weights": np.zeros(3)}, r"conv9\.weights"),
     ],
 )
-def test_weights_that_are_none(bundle, changes, message):
-    with pytest.raises(UserError, match=message):
+def test_weights_that_are_none(bundle, changes, fact):
+    with pytest.raises(UserError, match=fact):
         read_bundle(with_arrays(bundle, "weights.npz", **changes))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda d: d["presentation"].update(steps=10**5), "must be from 1 to 10000"),
-        (lambda d: d["presentation"].update(gap=10**22), "must be from 0 to 10000"),
-        (lambda d: d["layers"][0].update(block_shape=[0, 0, 0]), "a side below 1"),
-        (lambda d: d["layers"][0].update(block_shape=[1, 2]), "block_shape .1, 2."),
-        (lambda d: d["layers"][0]["neurons"].update(tau_rc=float("nan")), "network.json"),
-        (lambda d: d["layers"][0]["neurons"].update(tau_ref=2**70), "tau_ref must be"),
-        (lambda d: d["layers"][0]["neurons"].update(amplitude=float("inf")), "network.json"),
-        (lambda d: d["layers"][0].update(synapse=float("nan")), "network.json"),
-        (lambda d: d["layers"][0].update(name="x" * 200), "wrong value|missing|short text"),
-        (lambda d: d["stimulus"].update(max_rate=float("nan")), "network.json"),
-        (lambda d: d.update(note="mine"), "unknown entries note"),
-        (lambda d: d.update(input_shape=[10**6, 10**6, 1]), "too many values|input_shape"),
-    ],
-)
-def test_descriptions_that_would_take_for_ever_or_mean_nothing(bundle, change, message):
-    description = read_json(bundle.path / "network.json", "")
-    change(description)
-    (bundle.path / "network.json").write_text(json.dumps(description))
-    manifest = read_json(bundle.path / "MANIFEST.json", "")
-    manifest["files"]["network.json"] = sha256_of(bundle.path / "network.json")
-    write_json(bundle.path / "MANIFEST.json", manifest)
-    with pytest.raises(UserError, match=message):
-        read_bundle(bundle.path)
 
 
 def test_arrays_that_would_fill_the_memory(bundle, monkeypatch):
     monkeypatch.setattr("deploy.files.read_arrays.__defaults__", (10_000,))
-    with pytest.raises(UserError, match="more than"):
+    with pytest.raises(UserError, match=r"checks\.npz.* MB"):
         read_bundle(with_arrays(bundle, "checks.npz", more=np.zeros(10_000)))

@@ -59,7 +59,7 @@ def test_first_layer_on_the_host_takes_no_part(tmp_path):
 
 
 def test_result_without_counts_is_refused():
-    with pytest.raises(UserError, match="no synaptic operations of this network"):
+    with pytest.raises(UserError, match="synaptic operations"):
         estimate_energy(small_spec(), {"n_samples": 1})
 
 
@@ -67,7 +67,7 @@ def test_result_without_the_time_of_its_decisions_is_refused():
     spec = small_spec()
     incomplete = counted(spec)
     del incomplete["decided_at_median"]
-    with pytest.raises(UserError, match="run the check again"):
+    with pytest.raises(UserError, match="decision"):
         estimate_energy(spec, incomplete)
 
 

@@ -56,15 +56,15 @@ def test_two_wrong_answers_disagree_without_a_drop():
 
 
 @pytest.mark.parametrize(
-    ("other", "message"),
+    ("other", "fact"),
     [
-        (result(bundle="c" * 64), "different bundles .bbbbbbbbbbbb and cccccccccccc"),
-        (result((0, 1, 2), (0, 1, 2)), "different samples"),
-        (result(labels=(0, 1, 2, 4)), "different samples"),
+        (result(bundle="c" * 64), "b{12}.*c{12}"),
+        (result((0, 1, 2), (0, 1, 2)), "samples"),
+        (result(labels=(0, 1, 2, 4)), "samples"),
     ],
 )
-def test_what_cannot_be_compared(other, message):
-    with pytest.raises(UserError, match=message):
+def test_what_cannot_be_compared(other, fact):
+    with pytest.raises(UserError, match=fact):
         compare_results(result(), other)
 
 
@@ -87,7 +87,7 @@ def test_what_cannot_be_compared(other, message):
 )
 def test_a_file_that_is_no_whole_result_is_named_with_the_remedy(tmp_path, change):
     write_json(tmp_path / "a.json", {**result(), **change})
-    with pytest.raises(UserError, match=r"a\.json: .*; run 'stmnist check run' again"):
+    with pytest.raises(UserError, match=r"a\.json: .*'stmnist check run'"):
         read_result(tmp_path / "a.json")
 
 
@@ -120,38 +120,37 @@ def run(request):
 
 
 @pytest.mark.parametrize(
-    ("options", "status", "message"),
+    ("options", "status", "facts"),
     [
-        ([], 0, ""),
-        (["--max-disagreements", 2], 0, ""),
-        (["--max-disagreements", 1], 1, "2 disagreements, more than the 1 allowed"),
-        (["--max-accuracy-drop", 0.25], 0, ""),
-        (["--max-accuracy-drop", 0.2], 1, "accuracy drops by 0.2500, more than the 0.2 allowed"),
-        (["--max-disagreements", "few"], 2, "--max-disagreements"),
-        (["--max-disagreements", -1], 2, "must be at least 0"),
+        ([], 0, []),
+        (["--max-disagreements", 2], 0, []),
+        (["--max-disagreements", 1], 1, [2, 1]),
+        (["--max-accuracy-drop", 0.25], 0, []),
+        (["--max-accuracy-drop", 0.2], 1, ["0.2500", " 0.2 "]),
+        (["--max-disagreements", "few"], 2, ["--max-disagreements"]),
+        (["--max-disagreements", -1], 2, ["--max-disagreements", -1, 0]),
         *(
-            ([f"--max-accuracy-drop={limit}"], 2, "must be from 0 to 1")
+            ([f"--max-accuracy-drop={limit}"], 2, ["--max-accuracy-drop", limit, 0, 1])
             for limit in ("nan", "inf", "-inf", "1.5", "-0.1")
         ),
     ],
 )
-def test_limits_and_exit_status(run, pair, capsys, options, status, message):
+def test_limits_and_exit_status(run, pair, capsys, options, status, facts):
     try:
         found = run(*pair, *options)
     except SystemExit as end:  # argparse leaves by itself
         found = end.code
     out, err = capsys.readouterr()
     assert found == status
-    assert message in err
+    assert missing(err, *facts) == []
     if status < 2:
-        assert "2 of 4 predictions" in out
-        assert "x/1" in out
+        assert missing(out, "2 of 4", "x/1") == []
 
 
 def test_other_bundles_are_refused_with_status_2(run, pair, tmp_path, capsys):
     write_json(tmp_path / "c.json", result(bundle="c" * 64))
     assert run(pair[0], tmp_path / "c.json") == 2
-    assert "different bundles" in capsys.readouterr().err
+    assert missing(capsys.readouterr().err, "b" * 12, "c" * 12) == []
 
 
 def test_the_comparison_for_a_program(pair, capsys):
@@ -165,4 +164,4 @@ def test_a_loss_that_is_no_chance_is_said():
     assert loss_text(trained, result(many, many, target="fast")) is None
     assert loss_text(trained, result((1, *many[1:]), many, target="fast")) is None
     line = loss_text(trained, result((0,) * 40, many, target="fast"))
-    assert missing(line, "fast", "cnn", "significant", "0.100", "1.000") == []
+    assert missing(line, "fast", "cnn", "0.100", "1.000", "McNemar") == []

@@ -91,7 +91,7 @@ def test_a_network_that_no_integers_hold_is_refused_and_nothing_is_left(tmp_path
     unfit = bundle_at(
         tmp_path / "bundle", replace(small_spec(), stimulus=ImageSpikes(max_rate=1e-3))
     )
-    with pytest.raises(UserError, match="cannot build this network: layer conv1: no scale"):
+    with pytest.raises(UserError, match="layer conv1: "):
         run_check(unfit, target, tmp_path / "result.json")
     assert [path.name for path in tmp_path.iterdir()] == ["bundle"]
 
@@ -167,7 +167,7 @@ def test_a_second_writer_is_refused_and_loses_nothing(bundle, tmp_path):
     before = saved.read_bytes()
     with saved.open("a") as other:
         fcntl.flock(other, fcntl.LOCK_EX)
-        with pytest.raises(UserError, match="another process is writing this result"):
+        with pytest.raises(UserError, match=rf"{out}\b"):
             run_check(bundle, "nengo", out)
     assert saved.read_bytes() == before
 
@@ -187,12 +187,12 @@ def _raise(n):
 
 def test_a_place_that_cannot_be_written(bundle, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match=r"file/nengo\.json: cannot write"):
+    with pytest.raises(UserError, match=r"file/nengo\.json: .*--out"):
         run_check(bundle, "nengo", tmp_path / "file" / "nengo.json")
-    with pytest.raises(UserError, match="cannot write"):
+    with pytest.raises(UserError, match=f"{tmp_path}: .*--out"):
         run_check(bundle, "nengo", tmp_path)
-    with pytest.raises(UserError, match="no target"):
+    with pytest.raises(UserError, match="'gpu'"):
         run_check(bundle, "gpu", tmp_path / "gpu.json")
-    with pytest.raises(UserError, match="seed -1: must be from 0"):
+    with pytest.raises(UserError, match=r"seed -1: .* 0 to 2147483647\b"):
         run_check(bundle, "nengo", tmp_path / "nengo.json", seed=-1)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import warnings
 
 import nengo
@@ -18,7 +16,7 @@ from deploy.fastloihi import FastEmulator
 from deploy.fastloihi.link import LOG
 from nengo_loihi.emulator.interface import EmulatorInterface
 
-from tests.command import ROOT, environment
+from tests.command import environment, printed_by
 from tests.deploy.fastloihi.block_models import feed, random_calls, random_model
 from tests.deploy.fastloihi.comparison import Outcome, assert_same, state_of
 
@@ -210,8 +208,4 @@ np.seterr(all="ignore")  # Python tells of integers that wrap
 for seed in (3, 5, 19, 27, 48, 55):
     run_both(*two_emulators(seed), seed, each_step=False, n_calls=1)
 """
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=ROOT, env=environment(NUMBA_DISABLE_JIT="1"), capture_output=True, text=True,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    printed_by(code, env=environment(NUMBA_DISABLE_JIT="1"))

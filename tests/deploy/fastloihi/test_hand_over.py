@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
 
 import numpy as np
@@ -420,8 +421,13 @@ def made(kind, change):
     return made, sum(issubclass(w.category, NotAccelerated) for w in said)
 
 
-@pytest.mark.parametrize("change", AT_ONCE + IN_A_STEP)
-@pytest.mark.parametrize("calls", [[1] * 10, [10], [4, 6]])
+CALLS = [[1] * 10, [10], [4, 6]]
+
+
+@pytest.mark.parametrize(
+    ("change", "calls"),
+    [*((change, [4, 6]) for change in AT_ONCE), *itertools.product(IN_A_STEP, CALLS)],
+)
 def test_the_answer_is_nengo_loihis(change, calls, monkeypatch):
     monkeypatch.setattr(EmulatorInterface, "strict", False)
     monkeypatch.setattr(emulator, "_said", set())

@@ -91,7 +91,7 @@ def test_any_value_in_any_place_is_taken_or_refused_in_one_line(place, junk, pic
     try:
         NetworkSpec.from_json(value, spec.arrays())
     except UserError as error:
-        assert "network description" in str(error)  # noqa: PT017 - anything else is a crash
+        assert "\n" not in str(error)  # noqa: PT017 - anything else is a crash
 
 
 def changed(path, value):
@@ -104,41 +104,41 @@ def changed(path, value):
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "message"),
+    ("path", "value", "fact"),
     [
-        (("dt",), 0.002, "time step is 0.002 s, this version runs 0.001 s"),
-        (("layers",), [], "has no layers"),
-        (("layers", 0, "kind"), "pool", "layer 'conv1': kind is neither"),
-        (("layers", 0, "placement"), "gpu", "layer 'conv1': placement"),
-        (("layers", 0, "neurons"), None, "layer 'conv1': a layer on the chip needs neurons"),
-        (("layers", 0, "neurons", "kind"), "izhikevich", "kind is neither 'lif' nor 'relu'"),
-        (("layers", 0, "neurons", "amplitude"), 0, "amplitude must be positive"),
-        (("layers", 0, "neurons", "tau_rc"), 0, "tau_rc must be from"),
+        (("dt",), 0.002, "0.002 s.* 0.001 s"),
+        (("layers",), [], "layers"),
+        (("layers", 0, "kind"), "pool", "layer 'conv1': kind.*'conv'.*'dense'"),
+        (("layers", 0, "placement"), "gpu", "layer 'conv1': placement.*'chip'.*'host'"),
+        (("layers", 0, "neurons"), None, "layer 'conv1': .*neurons"),
+        (("layers", 0, "neurons", "kind"), "izhikevich", "kind.*'lif'.*'relu'"),
+        (("layers", 0, "neurons", "amplitude"), 0, "amplitude"),
+        (("layers", 0, "neurons", "tau_rc"), 0, "tau_rc.* 1e-6"),
         (("layers", 0, "neurons", "min_voltage"), 1, "min_voltage"),
-        (("layers", 0, "neurons", "extra"), 1, "unknown entries extra"),
-        (("layers", 0, "pop_type"), 8, "pop_type is neither 16 nor 32"),
-        (("layers", 0, "synapse"), 0, "synapse must be from"),
-        (("layers", 0, "shape"), [7, 7, 5], "weights have shape"),
-        (("layers", 0, "shape"), [8, 7, 6], "shape should be"),
-        (("layers", 0, "shape"), "abc", "wrong"),
-        (("layers", 0, "input_shape"), [10, 10], "wrong"),
+        (("layers", 0, "neurons", "extra"), 1, "extra"),
+        (("layers", 0, "pop_type"), 8, "pop_type.* 16.* 32"),
+        (("layers", 0, "synapse"), 0, "synapse.* 1e-6"),
+        (("layers", 0, "shape"), [7, 7, 5], r"weights.*\(4, 4, 1, 6\).*\(4, 4, 1, 5\)"),
+        (("layers", 0, "shape"), [8, 7, 6], r"shape.*\(7, 7, 6\)"),
+        (("layers", 0, "shape"), "abc", "'a'"),
+        (("layers", 0, "input_shape"), [10, 10], r"input_shape \(10, 10\)"),
         (("layers", 1, "input_shape"), [7, 7, 5], "layer 'conv2'"),
-        (("layers", 1, "name"), "conv1", "weights have shape|two layers of one name"),
-        (("layers", 2, "shape"), [9], "weights have shape"),
-        (("input_shape",), [10, 10, 2], "layer 'conv1': input_shape should be"),
-        (("stimulus", "max_rate"), 2000, "max_rate must be above 0, at most 1000"),
+        (("layers", 1, "name"), "conv1", "weights|name"),
+        (("layers", 2, "shape"), [9], r"weights.*\(10, 600\).*\(9, 600\)"),
+        (("input_shape",), [10, 10, 2], r"layer 'conv1': input_shape.*\(10, 10, 2\)"),
+        (("stimulus", "max_rate"), 2000, "max_rate.* 1000"),
         (("stimulus", "initial_phase"), 1, "initial_phase"),
-        (("stimulus", "kind"), "film", "kind 'film' is not one of image-spikes"),
-        (("presentation", "steps"), 0, "'presentation.steps' must be from 1 to 10000"),
-        (("presentation", "steps"), 40.5, "a whole number"),
-        (("presentation", "gap"), -1, "'presentation.gap' must be from 0 to 10000"),
-        (("presentation", "readout_start"), 100, r"from 0 to below presentation.steps \(100\)"),
-        (("presentation", "stream_length"), 0, "'presentation.stream_length' must be from 1 to"),
-        (("presentation", "stream_length"), True, "a whole number"),
+        (("stimulus", "kind"), "film", "'film'.*image-spikes"),
+        (("presentation", "steps"), 0, "'presentation.steps'.* 1 to 10000"),
+        (("presentation", "steps"), 40.5, "'presentation.steps'"),
+        (("presentation", "gap"), -1, "'presentation.gap'.* 0 to 10000"),
+        (("presentation", "readout_start"), 100, r"'presentation.readout_start'.*\(100\)"),
+        (("presentation", "stream_length"), 0, "'presentation.stream_length'.* 1 to"),
+        (("presentation", "stream_length"), True, "'presentation.stream_length'"),
     ],
 )
-def test_what_does_not_fit_is_named(path, value, message):
-    with pytest.raises(UserError, match=message):
+def test_what_does_not_fit_is_named(path, value, fact):
+    with pytest.raises(UserError, match=fact):
         NetworkSpec.from_json(changed(path, value), paper_spec().arrays())
 
 
@@ -146,32 +146,32 @@ def test_what_is_missing_is_named():
     spec = paper_spec()
     plain = spec.to_json()
     del plain["presentation"]
-    with pytest.raises(UserError, match="'presentation' is missing"):
+    with pytest.raises(UserError, match="'presentation'"):
         NetworkSpec.from_json(plain, spec.arrays())
     arrays = spec.arrays()
     del arrays["conv2.bias"]
-    with pytest.raises(UserError, match=r"'conv2\.bias' is missing"):
+    with pytest.raises(UserError, match=r"'conv2\.bias'"):
         NetworkSpec.from_json(spec.to_json(), arrays)
 
 
 def test_weights_must_be_finite_and_fit():
     spec = paper_spec()
     broken = {**spec.arrays(), "conv2.weights": spec.layers[1].weights * np.nan}
-    with pytest.raises(UserError, match="'conv2': weights has NaN"):
+    with pytest.raises(UserError, match=r"'conv2': weights.*NaN"):
         NetworkSpec.from_json(spec.to_json(), broken)
     broken["conv2.weights"] = np.array([["a"]])
-    with pytest.raises(UserError, match="not real numbers"):
+    with pytest.raises(UserError, match="'conv2': weights"):
         NetworkSpec.from_json(spec.to_json(), broken)
 
 
 def test_the_order_of_the_layers():
     conv1, conv2, output = small_spec().layers
     common = dict(architecture="", input_shape=(6, 6, 1), presentation=Presentation())
-    with pytest.raises(UserError, match="last layer is dense"):
+    with pytest.raises(UserError, match="dense"):
         NetworkSpec(stimulus=ImageSpikes(), layers=(conv1, conv2), **common)
-    with pytest.raises(UserError, match="input_shape should be"):
+    with pytest.raises(UserError, match=r"'conv2': input_shape.*\(6, 6, 1\)"):
         NetworkSpec(stimulus=ImageSpikes(), layers=(conv2, output), **common)
-    with pytest.raises(UserError, match="'input' is the input neurons' name"):
+    with pytest.raises(UserError, match="'input'"):
         NetworkSpec(
             stimulus=ImageSpikes(), layers=(replace(conv1, name="input"), conv2, output), **common
         )

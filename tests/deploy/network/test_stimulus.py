@@ -8,7 +8,6 @@ import pytest
 from deploy.check.bundle import CheckSet, read_bundle, write_bundle
 from deploy.check.run import run_check
 from deploy.errors import UserError
-from deploy.files import read_arrays, write_arrays
 from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.operations import synaptic_operations
@@ -16,6 +15,7 @@ from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, Feed, ImageCurrent, ImageSpikes, last_steps
 from deploy.network.stream import show
 from deploy.preflight.plan import make_plan
+from tests.deploy.check.test_bundle import with_arrays
 from tests.deploy.networks import events_spec, random_frames, small_spec
 
 
@@ -129,7 +129,7 @@ def test_a_pixel_spikes_at_most_once_a_step():
 def test_no_value_is_too_large_or_nan(value):
     images = np.zeros((2, 6, 6, 1))
     images[1, 2, 3] = value
-    assert "NaN or too large" in ImageCurrent().complaint(images, (6, 6, 1), 30)
+    assert ImageCurrent().complaint(images, (6, 6, 1), 30) is not None
 
 
 def test_wrong_samples_are_refused(tmp_path):
@@ -137,32 +137,9 @@ def test_wrong_samples_are_refused(tmp_path):
     frames = random_frames(spec, 2)
     checks = CheckSet(frames, np.zeros(2, int), ("a", "b"), 0)
     bundle = write_bundle(tmp_path / "bundle", spec, checks)
-    for change, message in (
-        (lambda a: a.update(inputs=a["inputs"] * 2), "0 and 1"),
-        (lambda a: a.update(inputs=a["inputs"][:, :-1]), "shape .* not"),
-        (lambda a: a.update(ids=a["ids"][:1]), "inputs, labels and ids"),
-        (lambda a: a.pop("inputs"), "its arrays are ids, labels, seed"),
-    ):
-        broken = tmp_path / "broken"
-        arrays = read_arrays(bundle.path / "checks.npz", "")
-        change(arrays)
-        copy(bundle.path, broken, arrays)
-        with pytest.raises(UserError, match=message):
-            read_bundle(broken)
-
-
-def copy(bundle, path, arrays):
-    """A bundle with other checks, its manifest mended."""
-    import shutil
-
-    from deploy.files import read_json, sha256_of, write_json
-
-    shutil.rmtree(path, ignore_errors=True)
-    shutil.copytree(bundle, path)
-    write_arrays(path / "checks.npz", **arrays)
-    manifest = read_json(path / "MANIFEST.json", "")
-    manifest["files"]["checks.npz"] = sha256_of(path / "checks.npz")
-    write_json(path / "MANIFEST.json", manifest)
+    for inputs, fact in ((2 * frames, "0 and 1"), (frames[:, :-1], r"\(19, 6, 6, 2\)")):
+        with pytest.raises(UserError, match=fact):
+            read_bundle(with_arrays(bundle, "checks.npz", inputs=inputs))
 
 
 def test_a_taxel_that_spikes_while_it_rests_is_refused():
@@ -179,10 +156,9 @@ def test_a_taxel_that_spikes_while_it_rests_is_refused():
     assert resting.stimulus.complaint(frames, spec.input_shape, steps) is None
     frames[0, 5, 2, 2, 0] = 1
     assert spec.stimulus.complaint(frames, spec.input_shape, steps) is None
-    said = resting.stimulus.complaint(frames, spec.input_shape, steps)
-    assert said == "a taxel spikes again within 2 steps"
-    assert "have shape" in resting.stimulus.complaint(frames.ravel(), spec.input_shape, steps)
-    with pytest.raises(UserError, match="rest must be a whole number from 0"):
+    assert "2 steps" in resting.stimulus.complaint(frames, spec.input_shape, steps)
+    assert "shape" in resting.stimulus.complaint(frames.ravel(), spec.input_shape, steps)
+    with pytest.raises(UserError, match=r"rest.* 0 to 10000"):
         EventFrames(0.01, rest=-1)
 
 
@@ -199,5 +175,5 @@ def test_what_each_kind_shows():
     assert ImageCurrent().area is None
     assert small_spec().stimulus.step_seconds == 0.001
     assert EventFrames(0.01).step_seconds == 0.01
-    with pytest.raises(UserError, match="seconds must be above 0"):
+    with pytest.raises(UserError, match=r"seconds.* 0"):
         EventFrames(0.0)

@@ -17,6 +17,7 @@ from deploy.errors import UserError
 from deploy.targets import board as hardware
 from deploy.targets import registry as targets
 from deploy.targets.board import BoardOptions
+from tests.command import missing
 from tests.deploy.networks import (
     bundle_at,
     events_spec,
@@ -122,7 +123,7 @@ def test_refused_connection_is_tried_again(nxsdk, bundle, emulated, tmp_path):
 
 def test_board_that_stays_away_is_one_line(nxsdk, bundle, tmp_path):
     nxsdk.faults.FAULTS.refuse = 100
-    with pytest.raises(UserError, match=r"board lost in stream 1 .*3 attempts.*connection refused"):
+    with pytest.raises(UserError, match=r"stream 1 .*3 attempts.*connection refused"):
         run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
     assert not (tmp_path / "r.json").exists()
 
@@ -139,7 +140,7 @@ def test_connection_lost_in_mid_run_begins_the_stream_again(nxsdk, bundle, emula
 def test_run_goes_on_where_the_board_was_lost(nxsdk, bundle, emulated, tmp_path):
     once = BoardOptions(attempts=1, wait=0)
     nxsdk.faults.FAULTS.lose_at_step = 150
-    with pytest.raises(UserError, match=r"lost in stream 2 .*connection to the board lost"):
+    with pytest.raises(UserError, match=r"stream 2 .*connection to the board lost"):
         run_check(bundle, "loihi", tmp_path / "r.json", options=once)
     before = nxsdk.faults.FAULTS.steps
     result = run_check(bundle, "loihi", tmp_path / "r.json", options=once)
@@ -151,7 +152,7 @@ def test_run_goes_on_where_the_board_was_lost(nxsdk, bundle, emulated, tmp_path)
 
 def test_missing_steps_are_noticed(nxsdk, bundle, tmp_path):
     nxsdk.faults.FAULTS.short_probes = 1
-    with pytest.raises(UserError, match="34 of 35 steps of layer conv1"):
+    with pytest.raises(UserError, match=r"34 of 35 .*conv1"):
         run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
 
 
@@ -217,7 +218,7 @@ def test_a_fault_at_any_stream(
     options = BoardOptions(attempts=2, wait=0, timeout=1.0)
     out = tmp_path / "r.json"
     if not survived:
-        with pytest.raises(UserError, match=f"board lost in stream {stream + 1} ") as error:
+        with pytest.raises(UserError, match=f"stream {stream + 1} ") as error:
             run_check(shortest, "loihi", out, options=options)
         assert "\n" not in str(error.value)
         assert not out.exists()
@@ -245,24 +246,24 @@ def test_lost_input_spikes_show_in_the_comparison(nxsdk, bundle, emulated, tmp_p
     result = run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
     differ = compare_results(result, emulated).other_spikes
     assert result["samples_unlike_fast"] == differ >= 1
-    assert f"spikes of {differ} samples differ" in summary(result)
+    assert f" {differ} samples" in summary(result)
 
 
-@pytest.mark.parametrize(("version", "wrong"), [("0.8.7", "old"), ("1.1.0", "new")])
-def test_wrong_version_of_nxsdk(nxsdk, bundle, tmp_path, monkeypatch, version, wrong):
+@pytest.mark.parametrize("version", ["0.8.7", "1.1.0"])
+def test_wrong_version_of_nxsdk(nxsdk, bundle, tmp_path, monkeypatch, version):
     monkeypatch.setattr(nxsdk, "__version__", version)
-    with pytest.raises(UserError, match=f"NxSDK {version} is too {wrong}.* 0.9.0 to 1.0.0"):
+    with pytest.raises(UserError, match=f"NxSDK {version} .* 0.9.0 to 1.0.0"):
         run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
 
 
 def test_without_nxsdk(bundle, tmp_path):
-    with pytest.raises(UserError, match="needs Intel's NxSDK, which is not installed here"):
+    with pytest.raises(UserError, match=r"target loihi .*NxSDK.*--target emulator"):
         run_check(bundle, "loihi", tmp_path / "r.json")
 
 
 def test_axon_cfgs_refused_by_the_board(nxsdk, bundle, tmp_path, monkeypatch):
     monkeypatch.setattr("nxsdk.core.AXON_CFGS", 10)
-    with pytest.raises(UserError, match=r"the board refuses the network: .*AxonCfg.*pop_type"):
+    with pytest.raises(UserError, match=r"AxonCfg.*pop_type"):
         run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
 
 
@@ -278,12 +279,11 @@ def test_power_is_taken_down_apart_from_idle(nxsdk, bundle, tmp_path):
         "step_microseconds": 10.0,
     }
     text = summary(result)
-    assert "board of the cluster, partition none, NxSDK 1.0.0, 3 connections" in text
-    assert "measured power: 5 mW beside 25 mW when idle" in text
+    assert missing(text, "NxSDK 1.0.0", "3 connections", "5 mW", "25 mW") == []
 
 
 def test_board_without_energy_probe(nxsdk, bundle, tmp_path):
-    with pytest.raises(UserError, match=r"no energy probe.*leave --energy out"):
+    with pytest.raises(UserError, match="--energy"):
         run_check(bundle, "loihi", tmp_path / "r.json", options=BoardOptions(energy=True, wait=0))
 
 
@@ -306,7 +306,7 @@ def test_mean_power_is_weighted_by_steps():
 
 @pytest.mark.parametrize("wrong", [{"chips": 0}, {"attempts": 0}, {"wait": -1}])
 def test_senseless_settings(wrong):
-    with pytest.raises(UserError, match="must be at least"):
+    with pytest.raises(UserError, match="--" + next(iter(wrong))):
         BoardOptions(**wrong)
 
 

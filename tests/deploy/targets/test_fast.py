@@ -50,7 +50,7 @@ def test_identical_to_the_emulator_in_every_compartment_at_every_step(seed):
     try:
         expected = reference(spec, images)
     except (nengo.exceptions.BuildError, AssertionError):  # NengoLoihi cannot build it
-        with pytest.raises(UserError, match="NengoLoihi cannot build this network"):
+        with pytest.raises(UserError, match="NengoLoihi"):
             quietly(compile_spec, spec)
         reject()
     program = quietly(compile_spec, spec)
@@ -215,7 +215,7 @@ def test_overflows_are_identical_counted_and_warned_of_by_layer(filters, kinds, 
     program = quietly(compile_spec, spec)
     for kernel in ("numba", "numpy"):
         assert_identical(spec, program, images, expected, kernel)
-        with pytest.warns(RuntimeWarning, match=f"layer 'output': overflows .*: {told}"):
+        with pytest.warns(RuntimeWarning, match=f"layer 'output': .*: {told}"):
             list(run_fast(spec, [images], kernel=kernel))
 
 
@@ -308,7 +308,7 @@ def test_wrap_by_hand():
 
 
 def test_unknown_kernel():
-    with pytest.raises(UserError, match="no kernel 'cuda'; the kernels are numba, numpy"):
+    with pytest.raises(UserError, match=r"'cuda'.* numba, numpy"):
         next(run_fast(paper_spec(), [np.zeros((1, 100))], kernel="cuda"))
 
 
@@ -339,7 +339,7 @@ def small_network(**changes):
 
 
 def refusal(parts):
-    with pytest.raises(UserError, match="the target 'fast' does not support") as raised:
+    with pytest.raises(UserError, match=r"'fast'.*'emulator'") as raised:
         compile_network(parts[0], parts[1], parts[-1])
     return str(raised.value)
 
@@ -391,8 +391,8 @@ def test_refuses_noise():
     [
         ({"encoder": nengo.PoissonSpiking(nengo.LIFRate())}, "PoissonSpiking"),
         ({"synapse": nengo.Alpha(0.005)}, "Alpha"),
-        ({"sink": lambda t, x: x**2}, "a function on the output node"),
-        ({"probe": 0.01}, "a filter"),
+        ({"sink": lambda t, x: x**2}, "function"),
+        ({"probe": 0.01}, "filter"),
     ],
 )
 def test_refuses_by_name(changes, named):
@@ -404,13 +404,13 @@ def test_refuses_connections_back_on_the_chip():
     network, source, _, chip, _, output = small_network()
     with network:
         nengo.Connection(chip.neurons, chip.neurons, transform=0.1 * np.eye(4), synapse=0.005)
-    assert "back to a layer" in refusal((network, source, output))
+    assert "connections" in refusal((network, source, output))
 
 
 def test_refuses_voltages_that_the_emulator_would_wrap():
     network, source, _, chip, _, output = small_network()
     chip.neuron_type = nengo.LIF(tau_rc=3.0, min_voltage=-1e9)
-    assert "minimum voltage" in refusal((network, source, output))
+    assert "32 bits" in refusal((network, source, output))
 
 
 def test_refuses_input_neurons_that_feed_each_other():
@@ -424,7 +424,7 @@ def test_refuses_an_output_decoded_on_the_chip():
     network, source, _, chip, *_ = small_network()
     with network:
         output = nengo.Probe(chip)
-    assert "neither a node nor neurons" in refusal((network, source, output))
+    assert "output" in refusal((network, source, output))
 
 
 def test_says_what_nengo_loihi_cannot_build():
@@ -434,7 +434,7 @@ def test_says_what_nengo_loihi_cannot_build():
         sink = nengo.Node(size_in=2)
         nengo.Connection(source, sink)
         output = nengo.Probe(sink)
-    with pytest.raises(UserError, match="NengoLoihi cannot build this network: No neurons"):
+    with pytest.raises(UserError, match=r"NengoLoihi.*No neurons"):
         compile_network(network, source, output)
 
 

@@ -153,7 +153,7 @@ def test_one_bit_is_found(tmp_path, capsys):
     spikes = spikes_of(program, opened.spec, opened.checks.inputs)
     spikes["conv2"][1, 2, 0] ^= 1 << 7
     np.savez(tmp_path / "out.npz", seconds=1.0, **{f"spikes.{k}": v for k, v in spikes.items()})
-    with pytest.raises(Exception, match="1 spikes of Lava's are not those of fast"):
+    with pytest.raises(Exception, match=r"^1 spikes"):
         main(tmp_path / "bundle", tmp_path / "out.npz", tmp_path / "lava.json")
     assert "conv2" in capsys.readouterr().out
 
@@ -179,7 +179,7 @@ def test_weights_that_do_not_fit_are_refused(monkeypatch):
     )
     network = export._replaced(program.network, weights=odd, segments=segments)
     monkeypatch.setattr(export, "compile_spec", lambda spec: program._replace(network=network))
-    with pytest.raises(UserError, match="a weight does not fit"):
+    with pytest.raises(UserError, match=r"layer conv1.* weight"):
         lava_arrays(small_spec(), random_checks(small_spec(), 1).inputs)
 
 

@@ -97,7 +97,7 @@ def test_more_than_a_spike_a_step_is_refused_and_no_less(target):
     image[0, 0, 0, 0] = 2
     assert answer(spec, image, target).spikes["input"][0] == 30
     image[0, 0, 0, 0] = 63  # a count of events
-    with pytest.raises(UserError, match="a pixel is 63"):
+    with pytest.raises(UserError, match=r"pixel.* 63\b.* 500 "):
         answer(spec, image, target)
 
 
@@ -150,7 +150,7 @@ def test_what_nengo_loihi_cannot_build_is_one_error():
     wider = conv("conv2", wide.shape, 256, 2, rng, block_shape=(3, 3, 256))
     layers = (wide, wider, readout(wider.shape, rng))
     spec = NetworkSpec("6x6-64c3-256c2-10o", (6, 6, 1), ImageSpikes(), layers, Presentation())
-    with pytest.raises(UserError, match=r"NengoLoihi cannot build this network: .* exceeded max"):
+    with pytest.raises(UserError, match=r"NengoLoihi.* exceeded max"):
         answer(spec, np.zeros((1, 6, 6, 1)), "emulator")
 
 
@@ -180,8 +180,7 @@ def test_what_no_integers_can_hold_is_refused_alike(spec):
         lines.add(str(refused.value))
     assert len(lines) == 1
     line = lines.pop()
-    assert re.search(r"layer (conv|dense|output)\d?: no scale", line)
-    assert "a threshold of 17 bits" in line
+    assert re.search(r"layer (conv|dense|output)\d?: .*\b17 bits", line)
 
 
 def test_weights_that_the_integers_cannot_hold_are_said():
@@ -189,8 +188,8 @@ def test_weights_that_the_integers_cannot_hold_are_said():
     spec = small_spec()
     first = replace(spec.layers[0], weights=spec.layers[0].weights * 1e-15)
     tiny = replace(spec, layers=(first, *spec.layers[1:]))
-    assert not any("become 0" in line for line in make_plan(spec).warnings)
-    assert any("conv1" in line and "become 0" in line for line in make_plan(tiny).warnings)
+    assert make_plan(spec).warnings == []
+    assert [line.split(":")[0] for line in make_plan(tiny).warnings] == ["layer conv1"]
 
 
 def test_population_axons_of_16_bits_and_filters_not_in_fours():
@@ -198,12 +197,12 @@ def test_population_axons_of_16_bits_and_filters_not_in_fours():
     first = replace(spec.layers[0], pop_type=16)
     spec = replace(spec, layers=(first, *spec.layers[1:]))
     for target in ANYWHERE:
-        with pytest.raises(UserError, match="NengoLoihi cannot build this network"):
+        with pytest.raises(UserError, match="NengoLoihi"):
             answer(spec, np.zeros((1, 10, 10, 1)), target)
 
 
 def test_an_unknown_target_is_named_with_the_known_ones():
-    with pytest.raises(UserError, match=r"no target 'gpu'; the targets are nengo, simreal, emu"):
+    with pytest.raises(UserError, match="'gpu'.* " + ", ".join(TARGETS)):
         target_named("gpu")
 
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from deploy.check.run import run_check
-from pipeline.commands.main import main
-from tests.command import missing
+from tests.command import call, missing
 from tests.deploy.networks import bundle_at, small_spec
 from tests.deploy.preflight.test_plan import spec_of
 
@@ -18,10 +17,7 @@ def bundle(tmp_path_factory):
 
 
 def run(capsys, *arguments):
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    out, err = capsys.readouterr()
-    return end.value.code or 0, out, err
+    return call(*arguments), *capsys.readouterr()
 
 
 def test_plan(bundle, capsys):
@@ -51,7 +47,7 @@ def test_plan_draws_the_placement(bundle, capsys, tmp_path, kind):
 def test_plan_draws_no_other_kind(bundle, capsys, tmp_path):
     status, _, err = run(capsys, "deploy", "plan", bundle.path, "--figure", tmp_path / "x.bmp")
     assert status == 2
-    assert "use .png, .svg or .pdf" in err
+    assert missing(err, "x.bmp", ".png", ".svg", ".pdf") == []
 
 
 def test_plan_refuses_what_will_not_fit(capsys, tmp_path):
@@ -100,7 +96,7 @@ def test_energy_of_another_bundle(bundle, capsys, tmp_path):
     run_check(other, "emulator", result)
     status, _, err = run(capsys, "deploy", "energy", bundle.path, result)
     assert status == 2
-    assert "another bundle" in err
+    assert missing(err, result, bundle.path) == []
 
 
 def test_check_run_takes_board_options_for_a_board_only(bundle, capsys):
@@ -114,7 +110,7 @@ def test_check_run_takes_board_options_for_a_board_only(bundle, capsys):
 def test_check_run_without_nxsdk(bundle, capsys):
     status, _, err = run(capsys, "check", "run", bundle.path, "--target", "loihi")
     assert status == 2
-    assert "needs Intel's NxSDK" in err
+    assert "NxSDK" in err
 
 
 def test_export_to_lava(bundle, capsys, tmp_path):

@@ -32,13 +32,13 @@ def test_options_go_before_what_is_set(tmp_path):
 def test_a_section_given_a_value_beside_an_option_is_refused(tmp_path, option, given, section):
     given = options.Given(assignments=[f"{section}=100"], **given)
     opened = options.opened(tmp_path / "run", given)
-    with pytest.raises(UserError, match=f"^{option}: '{section}' has a value of its own"), opened:
+    with pytest.raises(UserError, match=f"^{option}: '{section}'"), opened:
         pass
 
 
 def test_a_mistyped_setting_is_answered_with_the_one_that_was_meant(tmp_path, capsys):
     assert call("ladder", tmp_path / "run", "--set", "cnn.epoch=5") == 2
-    assert "did you mean 'cnn.epochs'?" in capsys.readouterr().err
+    assert "'cnn.epochs'" in capsys.readouterr().err
 
 
 def test_an_option_that_is_a_setting_s_name(tmp_path, capsys):
@@ -47,13 +47,13 @@ def test_an_option_that_is_a_setting_s_name(tmp_path, capsys):
     assert call("ladder", tmp_path / "run", "--input", "events", "--epochs", 5) == 2
     assert "--set events.epochs=5" in capsys.readouterr().err
     assert call("ladder", tmp_path / "run", "--nonsense") == 2
-    assert "settings are given" not in capsys.readouterr().err
+    assert "--set " not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("words", "told"), [
     ("ladder runs/x --input frames", ["--input", "frames", "image, events"]),
-    ("ladder runs/x --samples many", ["--samples", "whole number"]),
-    ("ladder runs/x --jobs many", ["--jobs", "'many' is not a whole number"]),
+    ("ladder runs/x --samples many", ["--samples", "number"]),
+    ("ladder runs/x --jobs many", ["--jobs", "'many'"]),
     ("ladder runs/x --limit much", ["--limit", "number"]),
     ("ladder runs/x --set epochs=5", ["cnn.epochs"]),
     ("ladder runs/x --set cnn.epoch=5", ["cnn.epochs"]),

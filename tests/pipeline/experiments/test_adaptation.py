@@ -43,10 +43,10 @@ def test_over_people(recordings, tmp_path, capsys):
 
 
 def test_too_few(recordings):
-    with pytest.raises(UserError, match="fewer than two known writers"):
+    with pytest.raises(UserError, match="--each"):
         measure_adaptation(BUNDLE, recordings, Plan(each=(3,)))
     nobody = replace(recordings, writers=np.full(len(recordings), -1))
-    with pytest.raises(UserError, match="fewer than two known writers"):
+    with pytest.raises(UserError, match="--each"):
         measure_adaptation(BUNDLE, nobody, Plan(each=(1,)))
 
 

@@ -4,6 +4,7 @@ import pytest
 from scipy import stats
 
 from pipeline.experiments import losses
+from tests.command import missing
 
 STAGES = ("cnn", "cnn-annealed", "rate-lif", "spiking-lif", "chip-100", "chip-50")
 
@@ -53,14 +54,13 @@ def test_of_events_the_trained_network_takes_the_place_of_conversion():
     assert summary["stronger_cnn"] == "cnn"
     assert summary["loss"]["chip"]["mean"] == pytest.approx(-0.04)
     text = losses.losses_text(summary)
-    assert "points lost from the stronger CNN (cnn)\n" in text
-    assert "differ from the trained network's" in text
+    assert missing(text, "(cnn)", "2.0") == []
 
 
 def test_text_says_what_is_simulated_and_leaves_out_an_interval_of_one_seed():
     one = losses.losses_text(
         losses.summarise([result(0, 0.8, 0.9, 0.9, 0.85, 0.8, 0.7)], simulated=True)
     )
-    assert "20 simulated samples" in one
+    assert missing(one, "20", "simulated") == []
     assert "nan" not in one
     assert "  cnn           80.00\n" in one

@@ -1,6 +1,7 @@
 """The benchmarks over splits: measured once, kept, gone on with; a failure is said."""
 
 import json
+import re
 from dataclasses import replace
 
 import pytest
@@ -56,7 +57,7 @@ def test_a_study_keeps_its_results_and_continues(tmp_path):
     outdated = [half(4, tmp_path, "1")]
     study("halves", truncate, [outdated], Workers(1), said.append)
     assert asked == outdated
-    assert "version changed from 0 to 1" in said[0]
+    assert re.search("version .*0 .*1", said[0])
 
 
 def test_a_mistake_of_the_users_is_said_as_it_is(tmp_path):
@@ -193,7 +194,7 @@ def test_splits_are_measured_once_and_failed_ones_tried_again(
     capsys.readouterr()
     assert call(*command, "--set", "cnn.epochs=2") == 1
     assert asked == [7, 8, 8, 8, 7, 8]
-    assert "cnn.epochs changed from 1 to 2" in capsys.readouterr().err
+    assert re.search("cnn.epochs .*1 .*2", capsys.readouterr().err)
 
 
 def test_an_output_read_too_late_is_said_before_anything_is_trained(tmp_path, capsys):

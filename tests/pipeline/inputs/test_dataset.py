@@ -81,7 +81,7 @@ def test_inputs_are_made_with_the_settings_of_a_view_and_no_others(dataset):
 
 
 def test_writers_that_are_not_known_are_refused():
-    with pytest.raises(ValueError, match="not known"):
+    with pytest.raises(ValueError, match="writers"):
         split_of(recordings([], []), 0, 0.2, kind="writers")
 
 
@@ -90,7 +90,7 @@ def test_too_few_samples_are_one_line_with_the_source(tmp_path):
     archive(path, good_members())
     values = {"data": {"source": str(path)}, "split": {"test_fraction": 0.01}}
     settings = Settings().with_values(values, "test")
-    with pytest.raises(UserError, match=r"st\.zip: 10 samples are too few .*; ask for fewer"):
+    with pytest.raises(UserError, match=r"st\.zip: 10 .* 0.01 .*check\.samples"):
         Dataset.of(settings)
 
 
@@ -123,35 +123,35 @@ def test_arrays_in_the_place_of_recordings():
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "fact"),
     [
-        (lambda x, y: (x[0], y), "mine: images of shape"),
-        (lambda x, y: (np.stack([x, x], -1), y), "mine: images of shape"),
-        (lambda x, y: (x.astype(str), y), "mine: images of shape"),
-        (lambda x, y: (255 * x, y), "not from -1 to 1; scale them"),
+        (lambda x, y: (x[0], y), r"images.*\(4, 6\)"),
+        (lambda x, y: (np.stack([x, x], -1), y), r"images.*\(10, 4, 6, 2\)"),
+        (lambda x, y: (x.astype(str), y), "images"),
+        (lambda x, y: (255 * x, y), "-1 to 1"),
         (lambda x, y: (np.where(x > 0.5, np.nan, x), y), "NaN"),
-        (lambda x, y: (x, y[:-1]), "labels of shape"),
-        (lambda x, y: (x, y.astype(float)), "not a whole number"),
-        (lambda x, y: (x, y + 1), "labels from 1 to 2, not from 0 to 1"),
-        (lambda x, y: (x, y - 1), "labels from -1 to 0"),
-        (lambda x, y: (x[:0], y[:0]), "no images"),
-        (lambda x, y: (x, 0 * y), "recordings of one class only"),
-        (lambda x, y: (x, (np.arange(10) > 8).astype(int)), "only one recording of 'hard'"),
-        (lambda x, y: (x[:2], y[:2]), "too few"),
+        (lambda x, y: (x, y[:-1]), r"labels.*\(9,\).* 10 "),
+        (lambda x, y: (x, y.astype(float)), "labels"),
+        (lambda x, y: (x, y + 1), "labels from 1 to 2.* 0 to 1"),
+        (lambda x, y: (x, y - 1), "labels from -1 to 0.* 0 to 1"),
+        (lambda x, y: (x[:0], y[:0]), "images"),
+        (lambda x, y: (x, 0 * y), "one class"),
+        (lambda x, y: (x, (np.arange(10) > 8).astype(int)), "'hard'"),
+        (lambda x, y: (x[:2], y[:2]), "2 samples"),
     ],
 )
-def test_arrays_that_are_no_samples_are_refused(change, message):
-    with pytest.raises(UserError, match=message):
+def test_arrays_that_are_no_samples_are_refused(change, fact):
+    with pytest.raises(UserError, match=f"^mine: .*{fact}"):
         Dataset.of_arrays(*change(*arrays()), OWN, ("soft", "hard"))
 
 
 def test_settings_that_are_not_for_arrays_are_refused():
-    with pytest.raises(UserError, match=r"'data\.source' must say"):
+    with pytest.raises(UserError, match=r"'data\.source'"):
         Dataset.of_arrays(*arrays(), SMALL)
     on_events = OWN.with_values({"input": {"kind": "events"}})
-    with pytest.raises(UserError, match="taken as images"):
+    with pytest.raises(UserError, match=r"input\.kind"):
         Dataset.of_arrays(*arrays(), on_events)
-    with pytest.raises(UserError, match="two classes of the same name"):
+    with pytest.raises(UserError, match="classes"):
         Dataset.of_arrays(*arrays(), OWN, ("soft", "soft"))
 
 
@@ -159,7 +159,7 @@ def test_a_run_refuses_arrays_of_other_settings(tmp_path):
     dataset = Dataset.of_arrays(*arrays(40), OWN)
     run = RunFolder(tmp_path)
     few = OWN.with_values({"check": {"samples": 4}})
-    with pytest.raises(UserError, match=r"mine: 'cnn\.architecture' must be .* 4x6-6c4-.*-2o"):
+    with pytest.raises(UserError, match=r"mine: 'cnn\.architecture' .* 4x6-6c4-.*-2o"):
         open_dataset(run, few, dataset=dataset)
     small = few.with_values({"cnn": {"architecture": "4x6-3c2-2o"}, "snn": {"max_rates": [150.0]}})
     with pytest.raises(UserError, match=r"data\.source"):

@@ -77,9 +77,9 @@ def test_check_samples_are_different_ones_of_the_test_part(seed, wanted):
 
 
 def test_too_few_samples():
-    with pytest.raises(ValueError, match=r"41 samples .* 40"):
+    with pytest.raises(ValueError, match=r"\b41\b.* 40\b"):
         draw_check_samples(random_split(200, 3).test, 41, 0)
-    with pytest.raises(ValueError, match="too few"):
+    with pytest.raises(ValueError, match=r"^2 .* 0.2 "):
         random_split(2, 0)
-    with pytest.raises(ValueError, match="too few"):
+    with pytest.raises(ValueError, match=r"^4 .* 0.99 "):
         random_split(4, 0, test_fraction=0.99)

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import re
 import resource
 import shutil
 import signal
@@ -17,7 +18,7 @@ from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
 from pipeline.live.network import SHIPPED
 from pipeline.recordings.archive import read_source
-from tests.command import call, environment
+from tests.command import call, environment, missing
 from tests.pipeline.live.conftest import stroke
 
 pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
@@ -82,7 +83,7 @@ def test_ctrl_c_ends_it_cleanly_and_what_was_kept_works_as_data(live, tmp_path, 
         _, error = process.communicate(timeout=300)
     assert process.returncode == 130
     assert "Traceback" not in error
-    assert "1 recordings are saved" in error
+    assert re.search(rf"\b1 recording.* {kept}", error)
     assert call("data", "export", kept, tmp_path / "out.zip") == 0
     for source in (kept, tmp_path / "out.zip"):
         recordings = read_source(source, jobs=1)
@@ -143,7 +144,7 @@ def test_a_full_disk_is_said_and_nothing_half_is_kept(live):
         resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (300, room[1]))
         said = write_and_label(page, 4)
         assert said["type"] == "problem"
-        assert "cannot write" in said["text"]
+        assert missing(said["text"], kept, ".mat") == []
         assert not list(kept.rglob("*.mat"))
         assert len(list(kept.rglob("*"))) <= 2  # the lock, and a folder at most
         resource.prlimit(process.pid, resource.RLIMIT_FSIZE, room)
@@ -223,5 +224,5 @@ def test_from_python(tiny_run, tmp_path):
 def test_from_python_a_folder_without_a_network_is_an_error(tmp_path):
     from pipeline.live.serving import live
 
-    with pytest.raises(UserError, match="has no bundle"):
+    with pytest.raises(UserError, match=r"nothing: .*stmnist ladder"):
         live(tmp_path / "nothing", port=0, open_browser=False)

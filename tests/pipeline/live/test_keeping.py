@@ -82,7 +82,7 @@ def test_undo_takes_the_writers_own_last_one(keeper):
 
 
 def test_two_at_a_time_are_refused(keeper):
-    with pytest.raises(UserError, match="another 'stmnist live'"):
+    with pytest.raises(UserError, match="'stmnist live'"):
         Keeper(keeper.folder)
 
 
@@ -173,7 +173,7 @@ def test_a_lock_on_a_deleted_folder_is_no_lock(keeper):
     other = Keeper(keeper.folder)
     other.save(1, recording())
     for change in (lambda: keeper.save(1, recording()), lambda: keeper.undo(1)):
-        with pytest.raises(UserError, match="another 'stmnist live'"):
+        with pytest.raises(UserError, match="'stmnist live'"):
             change()
     other.close()
     assert keeper.save(1, recording()).number == 2
@@ -240,8 +240,8 @@ def test_recordings_of_another_sensor_are_not_mixed_with_these(keeper):
 def test_a_recording_that_is_gone_or_damaged_is_said(keeper):
     kept = keeper.save(3, recording())
     (keeper.folder / kept.name).write_bytes(b"no recording")
-    with pytest.raises(UserError, match="not a MAT file"):
+    with pytest.raises(UserError, match="MAT"):
         keeper.read(kept)
     (keeper.folder / kept.name).unlink()
-    with pytest.raises(UserError, match="cannot be read"):
+    with pytest.raises(UserError, match=kept.name + ".*No such file"):
         keeper.read(kept)

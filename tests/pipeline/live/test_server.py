@@ -26,6 +26,7 @@ from pipeline.live import keeping  # noqa: E402
 from pipeline.live.connections import MOST_UNAUTHENTICATED  # noqa: E402
 from pipeline.live.qr import qr_code  # noqa: E402
 from pipeline.live.server import LARGEST, PAGES, listen  # noqa: E402
+from tests.command import missing  # noqa: E402
 
 
 def parts(server):
@@ -206,7 +207,7 @@ def test_a_stroke_outside_the_skin_is_refused(server):
         read_until(page, "ready")
         page.send(json.dumps({"type": "pen", "now": 0, "points": [[0, 40.0, 1.0, 0.5, 1]]}))
         text, _ = refused(page)
-    assert "outside the skin" in text[0]
+    assert missing(text[0], "points", "skin") == []
     assert is_well(server)
 
 
@@ -219,7 +220,7 @@ def test_a_thousand_strokes_a_second_are_left_out_and_others_go_on(server):
             flood.send(json.dumps({"type": "pen", "now": n + 0.5, "points": points}))
         write(other)
         assert read_until(other, "answer")
-        assert "faster than a person" in read_until(flood, "problem")[-1]["text"]
+        assert "strokes" in read_until(flood, "problem")[-1]["text"]
         flood.send(json.dumps({"type": "clear"}))
     assert len(server.keeper) == 0
 
@@ -295,7 +296,7 @@ def test_too_many_pages_are_told_so(server):
         for _ in range(PAGES):
             read_until(pages.enter_context(connect(server)), "hello")
         text, closed = refused(pages.enter_context(connect(server)))
-    assert "open already" in text[0]
+    assert str(PAGES) in text[0]
     assert closed.rcvd.code == 1013
     assert is_well(server)
 

@@ -25,6 +25,7 @@ from pipeline.recordings.matfile import read_recording
 from pipeline.skin import parameters
 from pipeline.skin.simulate import STEP_S
 from pipeline.skin.writing import Writing
+from tests.command import missing
 from tests.pipeline.live.conftest import Parrot, stroke
 
 P = parameters.load()
@@ -115,7 +116,7 @@ def test_a_kept_recording_is_not_written_on(session, keeper):
     written(session)
     say(session, {"type": "label", "label": 1})
     again = say(session, {"type": "label", "label": 1})
-    assert "nothing has been written" in of(again, "problem")[0]["text"]
+    assert len(of(again, "problem")) == 1
     assert len(keeper) == 1
     assert of(written(session, start_ms=1400.0), "cleared")
 
@@ -174,7 +175,9 @@ def test_somebody_new_is_the_next_number(session):
 
 
 def test_undo_without_anything_says_so(session):
-    assert "no recording" in say(session, {"type": "undo"})[0]["text"]
+    (said,) = say(session, {"type": "undo"})
+    assert said["type"] == "problem"
+    assert "writer 1" in said["text"]
 
 
 def test_strokes_before_the_network_is_ready_are_left_out(keeper):
@@ -229,9 +232,9 @@ def test_a_thousand_strokes_a_second_are_not_kept(session, keeper):
         message = json.dumps({"type": "pen", "now": t + 0.5, "points": points})
         replies += session.handle(message, n * 1e-3)
     assert 1 <= len(of(replies, "problem")) <= 2
-    assert "faster than a person" in of(replies, "problem")[0]["text"]
+    assert "strokes" in of(replies, "problem")[0]["text"]
     refused = session.handle(json.dumps({"type": "label", "label": 1}), 5.0)
-    assert "not saved" in of(refused, "problem")[0]["text"]
+    assert "strokes" in of(refused, "problem")[0]["text"]
     assert len(keeper) == 0
     later = Clock()
     later.now_s = 6.0
@@ -285,7 +288,7 @@ def test_a_new_writer_has_a_number_of_their_own(session, keeper):
     for writer in range(1, 1000):
         (keeper.folder / "3" / f"w{writer:03d}-0001.mat").write_text("")
     refused = say(session, {"type": "writer", "number": None, "each": 0})
-    assert "another folder with --record" in of(refused, "problem")[0]["text"]
+    assert missing(of(refused, "problem")[0]["text"], "999", "--record") == []
 
 
 def test_a_disk_that_fails_is_said_and_the_digit_can_be_kept_again(session, keeper, monkeypatch):
@@ -358,7 +361,7 @@ def test_a_hand_that_writes_all_the_time_is_never_too_fast(session):
 
 def test_requests_that_come_faster_than_a_hand_are_refused(session):
     asks = [session.handle('{"type": "undo"}', 1.0)[0]["text"] for _ in range(30)]
-    assert sum("too many requests" in text for text in asks) == 20
+    assert sum("requests" in text for text in asks) == 20
 
 
 LINE = Events(205_000_000 + 20_000_000 * np.arange(40), np.arange(40), [1, -1] * 20, [1] * 40)

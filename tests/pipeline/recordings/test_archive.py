@@ -23,6 +23,7 @@ from pipeline.recordings.events import TaxelMap
 from pipeline.recordings.matfile import lookup_table_bytes
 from pipeline.recordings.sensors import class_order
 from pipeline.skin.simulate import simulate
+from tests.command import missing
 from tests.pipeline import deadly
 from tests.pipeline.handmade import (
     archive,
@@ -35,18 +36,18 @@ from tests.pipeline.handmade import (
 )
 
 BAD_MEMBERS = {
-    "data_submission/3/text.mat": (b"not a mat file", "is not a MAT file"),
-    "data_submission/3/nothing.mat": (b"", "is an empty file"),
-    "data_submission/4/other.mat": (mat5(x=1.0), "has no variable 'spiketrain'"),
-    "data_submission/5/short.mat": (mat5(spiketrain=spiketrain()[:50]), "has 50 rows"),
+    "data_submission/3/text.mat": (b"not a mat file", "MAT"),
+    "data_submission/3/nothing.mat": (b"", "empty"),
+    "data_submission/4/other.mat": (mat5(x=1.0), "'spiketrain'"),
+    "data_submission/5/short.mat": (mat5(spiketrain=spiketrain()[:50]), " 50 "),
     "data_submission/6/ms.mat": (
         mat73(spiketrain=np.vstack([spiketrain()[:-1], 1000 * spiketrain()[-1:]])),
         "milliseconds",
     ),
-    "data_submission/somewhere.mat": (mat5(x=1.0), "not in a folder named for a digit"),
-    "data_submission/12/two_digits.mat": (mat5(x=1.0), "not in a folder named for a digit"),
-    "data_submission/../../8/leaves.mat": (mat5(x=1.0), "its path leaves the archive"),
-    "/8/absolute.mat": (mat5(x=1.0), "its path leaves the archive"),
+    "data_submission/somewhere.mat": (mat5(x=1.0), "0 to 9"),
+    "data_submission/12/two_digits.mat": (mat5(x=1.0), "0 to 9"),
+    "data_submission/../../8/leaves.mat": (mat5(x=1.0), "path"),
+    "/8/absolute.mat": (mat5(x=1.0), "path"),
 }
 
 
@@ -96,8 +97,7 @@ def test_all_bad_files_are_listed_with_their_reasons(tmp_path):
     message = str(caught.value)
     for name, (_, reason) in BAD_MEMBERS.items():
         assert any(name in line and reason in line for line in caught.value.lines)
-    assert f"{len(BAD_MEMBERS)} of {len(members)} files refused" in message
-    assert "--skip-bad" in message
+    assert missing(message, f"{len(BAD_MEMBERS)} of {len(members)} ", "--skip-bad") == []
 
 
 def test_the_others_are_read_when_told_to(tmp_path):
@@ -114,7 +114,7 @@ def test_the_others_are_read_when_told_to(tmp_path):
 
 def test_a_bad_lookup_table_is_named(tmp_path):
     archive(tmp_path / "st.zip", {**good_members(), "LUT.mat": mat5(LUT=np.ones((100, 2)))})
-    with pytest.raises(UserError, match=r"LUT\.mat X and Y are not 100 different positions"):
+    with pytest.raises(UserError, match=r"LUT\.mat X and Y .* 100 "):
         read_source(tmp_path / "st.zip", jobs=1)
     read = read_source(tmp_path / "st.zip", 1, skip_bad=True)
     assert len(read) == 10
@@ -125,7 +125,7 @@ def test_an_encrypted_member(tmp_path):
     path = tmp_path / "st.zip"
     archive(path, good_members())
     encrypt(path, "data_submission/4/000.mat")
-    with pytest.raises(UserError, match=r"4/000\.mat is encrypted"):
+    with pytest.raises(UserError, match=r"1 of 10 .*4/000\.mat .*encrypted"):
         read_source(path, jobs=1)
     assert len(read_source(path, jobs=1, skip_bad=True)) == 9
 
@@ -135,7 +135,7 @@ def test_a_member_twice(tmp_path):
     archive(path, good_members())
     with zipfile.ZipFile(path, "a") as file, pytest.warns(UserWarning, match="Duplicate"):
         file.writestr("data_submission/4/000.mat", mat5(spiketrain=spiketrain()))
-    with pytest.raises(UserError, match=r"4/000\.mat is in the archive twice"):
+    with pytest.raises(UserError, match=r"1 of 11 .*4/000\.mat .*twice"):
         read_source(path, jobs=1)
 
 
@@ -147,7 +147,7 @@ def test_a_damaged_member_is_named(tmp_path):
         start = file.getinfo("data_submission/7/000.mat").header_offset
     content[start + 400] ^= 0xFF
     path.write_bytes(content)
-    with pytest.raises(UserError, match=r"7/000\.mat cannot be read.*CRC"):
+    with pytest.raises(UserError, match=r"1 of 10 .*7/000\.mat .*CRC"):
         read_source(path, jobs=1)
 
 
@@ -156,7 +156,7 @@ def test_a_truncated_zip(tmp_path, kept):
     path = tmp_path / "st.zip"
     archive(path, good_members())
     path.write_bytes(path.read_bytes()[: int(kept * path.stat().st_size)])
-    with pytest.raises(UserError, match=r"st\.zip: not a zip archive, or cut short"):
+    with pytest.raises(UserError, match=r"st\.zip: .*\bzip\b"):
         read_source(path, jobs=1)
 
 
@@ -176,16 +176,12 @@ def test_a_zip_with_a_damaged_directory_is_a_reason_not_a_crash(tmp_path):
 
 
 def test_nothing_there_and_nothing_in_it(tmp_path):
-    with pytest.raises(UserError, match=r"nowhere\.zip: no such file or folder"):
-        list_source(tmp_path / "nowhere.zip")
-    with pytest.raises(UserError, match="holds no recordings"):
-        list_source(tmp_path)
+    (tmp_path / "folder").mkdir()
     archive(tmp_path / "empty.zip", {})
-    with pytest.raises(UserError, match="holds no recordings"):
-        list_source(tmp_path / "empty.zip")
     archive(tmp_path / "bad.zip", {"3/a.mat": b"x"})
-    with pytest.raises(UserError, match="no recording in it can be read"):
-        read_source(tmp_path / "bad.zip", jobs=1, skip_bad=True)
+    for name in ("nowhere.zip", "folder", "empty.zip", "bad.zip"):
+        with pytest.raises(UserError, match=f"^{tmp_path / name}: "):
+            read_source(tmp_path / name, jobs=1, skip_bad=True)
 
 
 def test_the_number_of_processes_changes_nothing(tmp_path):
@@ -235,7 +231,7 @@ def test_other_compressions_are_read_and_their_damage_is_a_reason(tmp_path, kind
     content = bytearray(path.read_bytes())
     content[90] ^= 0xFF  # in the first member
     path.write_bytes(content)
-    with pytest.raises(UserError, match=r"1 of 10 files refused: .*0/000.mat cannot be read"):
+    with pytest.raises(UserError, match=r"1 of 10 .*0/000\.mat "):
         read_source(path, jobs=1)
 
 
@@ -243,7 +239,7 @@ def test_a_member_that_says_it_is_huge_is_not_read(tmp_path, monkeypatch):
     monkeypatch.setattr("pipeline.recordings.archive.LARGEST", 10_000)
     path = tmp_path / "st.zip"
     archive(path, {**good_members(), "3/bomb.mat": bytes(10_001)})
-    with pytest.raises(UserError, match=r"3/bomb.mat .*10001 bytes, more than"):
+    with pytest.raises(UserError, match=r"3/bomb\.mat .* 10001 "):
         read_source(path, jobs=1)
 
 
@@ -251,16 +247,14 @@ def test_files_refused_for_one_reason_are_one_line(tmp_path):
     path = tmp_path / "st.zip"
     bad = {f"3/{'n' * 500}{i:03d}.mat": b"x" for i in range(300)}
     archive(path, {**good_members(), **bad})
-    with pytest.raises(
-        UserError, match=r"300 of 310 files refused: .*, 297 more\).*; correct"
-    ) as error:
+    with pytest.raises(UserError, match=r"300 of 310 .*, 297 more\)") as error:
         read_source(path, jobs=1)
     assert len(error.value.lines[0]) < 1000
     read = read_source(path, jobs=1, skip_bad=True)
     assert (len(read), len(read.source.left_out)) == (10, 300)
     warned = left_out_lines(path, read)
     assert len(warned) == 11
-    assert warned[-1].endswith("left out 290 more")
+    assert "290 more" in warned[-1]
 
 
 def test_a_zip_is_opened_once_not_for_every_chunk(tmp_path, monkeypatch):
@@ -299,20 +293,20 @@ def test_a_file_that_ends_its_worker_is_named(tmp_path, monkeypatch):
     archive(path, {**good_members(), "5/deadly.mat": deadly.CONTENT})
     monkeypatch.setattr("pipeline.recordings.archive.CHUNK", 4)
     monkeypatch.setattr("pipeline.recordings.archive._read_members", deadly.read_members)
-    with pytest.raises(UserError, match=r"1 of 11 files refused: 5/deadly.mat crashes the process"):
+    with pytest.raises(UserError, match=r"1 of 11 .*5/deadly\.mat .*process"):
         read_source(path, jobs=2)
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
 @pytest.mark.parametrize(
     ("limit", "value", "said"),
-    [("MOST_EVENTS", 30, "more than 30 events"), ("MOST_BYTES", 20_000, "more than 20,000 bytes")],
+    [("MOST_EVENTS", 30, "30 events"), ("MOST_BYTES", 20_000, "20,000 bytes")],
 )
 def test_a_source_that_holds_too_much_is_refused(tmp_path, monkeypatch, limit, value, said, jobs):
     """20 recordings of a few events each: each is within all limits."""
     monkeypatch.setattr(f"pipeline.recordings.budget.{limit}", value)
     archive(tmp_path / "st.zip", good_members(2))
-    with pytest.raises(UserError, match=rf"st\.zip: holds {said} .*give a part of it"):
+    with pytest.raises(UserError, match=rf"st\.zip: .* {said}"):
         read_source(tmp_path / "st.zip", jobs=jobs)
 
 
@@ -325,7 +319,7 @@ def test_nothing_more_is_read_of_a_source_that_holds_too_much(tmp_path, monkeypa
         "pipeline.recordings.archive.read_file",
         lambda name, content: read.append(name) or read_file(name, content),
     )
-    with pytest.raises(UserError, match="more than 5 events"):
+    with pytest.raises(UserError, match=" 5 events"):
         _read_members(tmp_path / "st.zip", names)
     assert len(read) < 5
 
@@ -341,13 +335,13 @@ def test_refused_files_count_as_what_they_may_have_been():
 def test_more_files_than_any_source_has(tmp_path, monkeypatch):
     monkeypatch.setattr("pipeline.recordings.archive.MOST_FILES", 19)
     archive(tmp_path / "st.zip", good_members(2))
-    with pytest.raises(UserError, match="holds 20 recordings, more than 19"):
+    with pytest.raises(UserError, match=r"st\.zip: .* 20 .* 19\b"):
         list_source(tmp_path / "st.zip")
 
 
 def test_a_class_of_thousands_of_digits_is_one_line(tmp_path):
     archive(tmp_path / "st.zip", {**good_members(2), f"{'7' * 5000}/a.mat": mat5(x=1.0)})
-    with pytest.raises(UserError, match="has a name in its path longer than the 255"):
+    with pytest.raises(UserError, match=r"7/a.mat .* 255 "):
         read_source(tmp_path / "st.zip", jobs=1)
 
 
@@ -359,11 +353,7 @@ def test_classes_are_in_the_order_of_their_numbers():
 
 
 @pytest.mark.parametrize(
-    ("make", "said"),
-    [
-        (lambda path: path.symlink_to("nowhere"), "broken link"),
-        (os.mkfifo, "not a regular file"),
-    ],
+    ("make", "said"), [(lambda path: path.symlink_to("nowhere"), "link"), (os.mkfifo, "file")]
 )
 @pytest.mark.parametrize("name", ["3/x.mat", "11", "3/x"])
 def test_what_is_in_a_folder_and_is_no_file_is_said(tmp_path, make, said, name):
@@ -374,12 +364,12 @@ def test_what_is_in_a_folder_and_is_no_file_is_said(tmp_path, make, said, name):
     (tmp_path / "data" / ".#lock").symlink_to("nowhere")  # as editors make them
     assert len(read_source(tmp_path / "data", jobs=1)) == 20
     make(tmp_path / "data" / name)
-    with pytest.raises(UserError, match=f"1 of 21 files refused: .*{name} is .*{said}"):
+    with pytest.raises(UserError, match=f"1 of 21 .*{name} .*{said}"):
         read_source(tmp_path / "data", jobs=1)
 
 
 @pytest.mark.parametrize("read", [read_source, list_source])
 def test_a_pipe_is_not_waited_for(tmp_path, read):
     os.mkfifo(tmp_path / "st.zip")
-    with pytest.raises(UserError, match=r"st\.zip: not a zip archive.*a pipe"):
+    with pytest.raises(UserError, match=r"st\.zip: .*a pipe"):
         read(tmp_path / "st.zip")

@@ -49,5 +49,5 @@ def test_events_of_each_recording():
 
 
 def test_columns_of_events_must_be_equally_long():
-    with pytest.raises(ValueError, match="equally long"):
+    with pytest.raises(ValueError, match="Events"):
         Events([1, 2], [3], [1], [1])

@@ -15,9 +15,9 @@ from pipeline.recordings.eventfile import read_events
 from pipeline.recordings.facts import reading_text
 from pipeline.recordings.matfile import BadRecording
 from pipeline.recordings.sensors import Reading
-from tests.command import call
+from tests.command import call, missing
 from tests.own_sensor import CLASSES, COLUMNS, ROWS, gestures, write_folder
-from tests.pipeline.handmade import archive, assert_same
+from tests.pipeline.handmade import archive, assert_same, npz
 
 X, Y, T, P = (np.array(a) for a in ([3, 0, 11, 5], [0, 8, 2, 2], [50, 300, 300, 838], [1, 0, 1, 0]))
 """Four events in order of time, in milliseconds; 12 columns, 9 rows."""
@@ -26,12 +26,6 @@ X, Y, T, P = (np.array(a) for a in ([3, 0, 11, 5], [0, 8, 2, 2], [50, 300, 300, 
 def npy(array) -> bytes:
     buffer = io.BytesIO()
     np.save(buffer, array)
-    return buffer.getvalue()
-
-
-def npz(*arrays, **named) -> bytes:
-    buffer = io.BytesIO()
-    np.savez(buffer, *arrays, **named)
     return buffer.getvalue()
 
 
@@ -109,22 +103,22 @@ def test_a_camera_s_file_is_read(tmp_path, suffix, version):
             read_events(damaged, path.name)
 
 
-@pytest.mark.parametrize(("name", "content", "reason"), [
-    ("a.bin", nmnist()[:-1], "not a whole number of events"),
-    ("a.aedat", b"x", "not an AEDAT"),
-    ("a.aedat", aedat3()[:-1], "cut short"),
-    ("a.aedat", aedat3()[:60], "cut short"),
-    ("a.aedat", b"#!AER-DAT3.1\r\n#!END-HEADER\r\n", "no events"),
-    ("a.csv", b"1,2,3,4\n1,2,3", "line that is not numbers"),
+@pytest.mark.parametrize(("name", "content", "fact"), [
+    ("a.bin", nmnist()[:-1], "N-MNIST"),
+    ("a.aedat", b"x", "AEDAT"),
+    ("a.aedat", aedat3()[:-1], ""),
+    ("a.aedat", aedat3()[:60], ""),
+    ("a.aedat", b"#!AER-DAT3.1\r\n#!END-HEADER\r\n", "empty"),
+    ("a.csv", b"1,2,3,4\n1,2,3", "line"),
     ("a.csv", b"\xff", "UTF-8"),
-    ("a.csv", b"x,y,t\n1,2,3", "no array 'p'"),
-    ("a.npy", npy(np.zeros((2, 5))), "shape"),
-    ("a.npy", npy(X)[:-1], "damaged"),
-    ("a.npz", npz(x=X, y=Y, t=T), "no array 'p'"),
-    ("a.npz", npz(x=X, y=Y, t=T, p=[-1, 0, 1, 0]), "-1, 0 and 1 together"),
+    ("a.csv", b"x,y,t\n1,2,3", "'p'"),
+    ("a.npy", npy(np.zeros((2, 5))), r"\(2, 5\)"),
+    ("a.npy", npy(X)[:-1], ""),
+    ("a.npz", npz(x=X, y=Y, t=T), "'p'"),
+    ("a.npz", npz(x=X, y=Y, t=T, p=[-1, 0, 1, 0]), "p has -1, 0 and 1"),
 ])  # fmt: skip
-def test_a_damaged_file_is_refused(name, content, reason):
-    with pytest.raises(BadRecording, match=reason):
+def test_a_damaged_file_is_refused(name, content, fact):
+    with pytest.raises(BadRecording, match=fact or None):
         read_events(content, name)
 
 
@@ -153,15 +147,15 @@ def test_the_unit_of_time_is_recognised_and_said(tmp_path, scale, kind, unit):
     expected = np.concatenate([t for (_, _, t, _), _ in gestures(4)])
     np.testing.assert_allclose(read.events.time_ns * 1e-9, expected, atol=6e-4)
     text = reading_text(read)
-    assert f"16 recordings, {ROWS} rows x {COLUMNS} columns, 4 classes, 0." in text
-    assert f"times read as {unit}" in text
+    facts = ("16 recordings", f"{ROWS} rows", f"{COLUMNS} columns", "4 classes", f" {unit}")
+    assert missing(text, *facts) == []
 
 
 def test_the_unit_that_is_given_counts(tmp_path):
     archive(tmp_path / "own.zip", own(scale=1e6))
     read = read_source(tmp_path / "own.zip", jobs=1, reading=Reading(time_unit="ns"))
     assert read.events.time_ns.max() < 2_100_000
-    with pytest.raises(UserError, match=r"16 of 16 files refused.*milliseconds.*another unit"):
+    with pytest.raises(UserError, match=r"16 of 16 .*milliseconds.*time"):
         read_source(tmp_path / "own.zip", jobs=1, reading=Reading(time_unit="ms"))
 
 
@@ -186,14 +180,12 @@ def test_mixed_units(tmp_path):
     name = min(members)
     x, y, t, p = gestures(1)[0][0]
     (line,) = refused(tmp_path, {**members, name: npz(x=x, y=y, t=t, p=p)})
-    assert "1 of 16 files refused" in line
-    assert "another unit" in line
+    assert missing(line, "1 of 16 ", name, "time") == []
 
 
 def test_coordinates_from_1(tmp_path):
     (line,) = refused(tmp_path, own(x=lambda x: x + 1, y=lambda y: y + 1))
-    assert "16 of 16" in line
-    assert "counted from 1" in line
+    assert missing(line, "16 of 16", "x = 0", "y = 0", "skin.rows") == []
     taken = read_source(tmp_path / "own.zip", jobs=1, reading=Reading(ROWS + 1, COLUMNS + 1))
     assert aggregate(taken)[:, 0].sum() == 0
 
@@ -202,8 +194,7 @@ def test_sensors_of_different_sizes(tmp_path):
     members, (x, y, t, p) = own(), gestures(1)[0][0]
     other = {f"{CLASSES[0]}/other{i}.npz": npz(x=3 * x, y=3 * y, t=t * 1e6, p=p) for i in (0, 1)}
     (line,) = refused(tmp_path, {**members, **other})
-    assert "2 of 18 files refused" in line
-    assert "another sensor" in line
+    assert missing(line, "2 of 18 ", "other0.npz", "--rows") == []
     assert len(read_source(tmp_path / "own.zip", jobs=1, reading=Reading(27, 36))) == 18
 
 
@@ -213,8 +204,7 @@ def test_as_many_recordings_of_a_larger_sensor(tmp_path):
     large = npz(x=[0, 23, 0, 23], y=[0, 17, 17, 0], **filled)
     members = {f"{name}/{i}.npz": c for name in "ab" for i, c in enumerate([small, large] * 4)}
     (line,) = refused(tmp_path, members)
-    assert "8 of 16 files refused" in line
-    assert "another sensor" in line
+    assert missing(line, "8 of 16 ", "--rows") == []
     partly = npz(x=[0, 4, 0, 4], y=[0, 8, 8, 0], **filled)  # a short touch on the large sensor
     archive(tmp_path / "one.zip", {**members, "a/0.npz": partly})
     assert len(read_source(tmp_path / "one.zip", jobs=1)) == 16
@@ -227,9 +217,8 @@ def test_everything_that_is_wrong_is_said_at_once(tmp_path):
     nothing = npz(x=[], y=[], t=[], p=[])
     members |= dict.fromkeys(some[:3], nothing) | {"lone/0.npz": members[some[3]]}
     lines = refused(tmp_path, members)
-    assert sum("counted from 1" in line for line in lines) == 1
-    assert sum("3 of 17 files refused" in line and "no events" in line for line in lines) == 1
-    assert sum("only one recording of 'lone'" in line for line in lines) == 1
+    for facts in (["x = 0", "y = 0"], ["3 of 17 ", "empty"], ["'lone'"]):
+        assert sum(not missing(line, *facts) for line in lines) == 1
     assert len(lines) == 3
 
 

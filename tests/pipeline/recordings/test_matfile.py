@@ -33,22 +33,22 @@ def times(*values):
 
 
 BAD = {
-    "not 101 rows": (spiketrain()[:-1], "has 100 rows, not 101"),
-    "transposed": (spiketrain().T, "has 6 rows, not 101"),
-    "a vector in three dimensions": (np.zeros((101, 2, 2)), "not a matrix of numbers"),
-    "text": (np.array(["a", "b"]), "not a matrix of numbers"),
-    "complex": (spiketrain() + 0j, "not a matrix of numbers"),
-    "empty": (np.zeros((101, 0)), "is empty"),
-    "value 2": (changed(0, 0, 2), "other than -1, 0 and 1"),
-    "value one half": (changed(0, 0, 0.5), "other than -1, 0 and 1"),
-    "value NaN": (changed(0, 0, np.nan), "other than -1, 0 and 1"),
-    "two events": (changed(50, 2, 1), "column 3 has 2 events"),
-    "no event": (changed(3, 3, 0), "column 4 has 0 events"),
-    "time NaN": (changed(100, 1, np.nan), "NaN or infinite"),
-    "time infinite": (changed(100, 5, np.inf), "NaN or infinite"),
-    "time negative": (times(-0.1, 0.2), "negative time"),
-    "times equal": (times(0.1, 0.2, 0.2), "do not increase at column 3"),
-    "times fall": (times(0.1, 0.3, 0.2), "do not increase at column 3"),
+    "not 101 rows": (spiketrain()[:-1], "'spiketrain'.* 100 .* 101"),
+    "transposed": (spiketrain().T, "'spiketrain'.* 6 .* 101"),
+    "a vector in three dimensions": (np.zeros((101, 2, 2)), "'spiketrain'"),
+    "text": (np.array(["a", "b"]), "'spiketrain'"),
+    "complex": (spiketrain() + 0j, "'spiketrain'"),
+    "empty": (np.zeros((101, 0)), "empty"),
+    "value 2": (changed(0, 0, 2), "-1, 0 and 1"),
+    "value one half": (changed(0, 0, 0.5), "-1, 0 and 1"),
+    "value NaN": (changed(0, 0, np.nan), "-1, 0 and 1"),
+    "two events": (changed(50, 2, 1), "column 3 has 2 "),
+    "no event": (changed(3, 3, 0), "column 4 has 0 "),
+    "time NaN": (changed(100, 1, np.nan), "NaN"),
+    "time infinite": (changed(100, 5, np.inf), "infinite"),
+    "time negative": (times(-0.1, 0.2), "negative"),
+    "times equal": (times(0.1, 0.2, 0.2), "column 3"),
+    "times fall": (times(0.1, 0.3, 0.2), "column 3"),
     "milliseconds": (times(196.6, 500.0, 895.7), "milliseconds"),
 }
 
@@ -63,35 +63,34 @@ def test_a_good_file(write):
     assert recording.writer == -1
 
 
-@pytest.mark.parametrize(("array", "reason"), BAD.values(), ids=BAD)
-def test_a_bad_spiketrain_is_refused_with_its_reason(array, reason):
-    with pytest.raises(BadRecording, match=reason):
+@pytest.mark.parametrize(("array", "fact"), BAD.values(), ids=BAD)
+def test_a_bad_spiketrain_is_refused_with_its_reason(array, fact):
+    with pytest.raises(BadRecording, match=fact):
         read_recording(mat5(spiketrain=array))
 
 
-@pytest.mark.parametrize("name", ["value 2", "two events", "times fall", "milliseconds"])
-def test_and_in_a_matlab_73_file(name):
-    array, reason = BAD[name]
-    with pytest.raises(BadRecording, match=reason):
+def test_and_in_a_matlab_73_file():
+    array, fact = BAD["two events"]
+    with pytest.raises(BadRecording, match=fact):
         read_recording(mat73(spiketrain=array))
 
 
 @pytest.mark.parametrize(
-    ("content", "reason"),
+    ("content", "fact"),
     [
-        (b"", "empty file"),
-        (b"hello", "not a MAT file"),
-        (b"\x89PNG" * 300, "not a MAT file"),
-        (mat5(other=spiketrain()), "no variable 'spiketrain'"),
-        (mat73(other=spiketrain()), "no variable 'spiketrain'"),
-        (mat5(spiketrain=spiketrain())[:300], "damaged"),
-        (mat5(spiketrain=spiketrain())[:128], "no variable|damaged"),
-        (mat73(spiketrain=spiketrain())[:1500], "damaged"),
-        (mat5(spiketrain={"a": 1.0}), "not a matrix of numbers"),
+        (b"", "empty"),
+        (b"hello", "MAT"),
+        (b"\x89PNG" * 300, "MAT"),
+        (mat5(other=spiketrain()), "'spiketrain'"),
+        (mat73(other=spiketrain()), "'spiketrain'"),
+        (mat5(spiketrain=spiketrain())[:300], "MAT"),
+        (mat5(spiketrain=spiketrain())[:128], "'spiketrain'|MAT"),
+        (mat73(spiketrain=spiketrain())[:1500], "MAT"),
+        (mat5(spiketrain={"a": 1.0}), "'spiketrain'"),
     ],
 )
-def test_a_file_that_is_no_recording(content, reason):
-    with pytest.raises(BadRecording, match=reason):
+def test_a_file_that_is_no_recording(content, fact):
+    with pytest.raises(BadRecording, match=fact):
         read_recording(content)
 
 
@@ -148,41 +147,39 @@ def test_another_use_of_the_name_writer_in_a_matlab_73_file(put):
 
 
 @pytest.mark.parametrize(
-    ("build", "reason"),
+    ("build", "fact"),
     [
         (
             lambda file: file.create_dataset("spiketrain", (10**6, 101), "f8", chunks=(100, 101)),
-            "1000000 x 101 values of 'spiketrain', more than",
+            " 1000000 x 101 ",
         ),
         (
             lambda file: file.create_dataset("spiketrain", (4, 101), "f8", chunks=(10**6, 101),
                                              maxshape=(None, 101)),
-            "4 x 101 values of 'spiketrain', more than",
+            " 4 x 101 ",
         ),
-        (lambda file: file.create_group("spiketrain"), "not a matrix of numbers"),
-        (
-            lambda file: file.__setitem__("spiketrain", h5py.ExternalLink("other.h5", "/x")),
-            "has no variable",
-        ),
+        (lambda file: file.create_group("spiketrain"), ""),
+        (lambda file: file.__setitem__("spiketrain", h5py.ExternalLink("other.h5", "/x")), ""),
         (
             lambda file: file.create_dataset("spiketrain", (4, 101), "f8",
                                              external=[("/etc/hostname", 0, 4 * 101 * 8)]),
-            "'spiketrain' in another file",
+            " file",
         ),
         (
             lambda file: file.create_dataset("spiketrain", (4, 101), "i4", chunks=(4, 101),
                                              scaleoffset=0),
-            "'spiketrain' in a form that MATLAB does not write",
+            "MATLAB",
         ),
         (
             lambda file: file.create_dataset("spiketrain", (4, 101), "f8", compression="lzf"),
-            "'spiketrain' in a form that MATLAB does not write",
+            "MATLAB",
         ),
     ],
 )  # fmt: skip
-def test_a_matlab_73_file_that_declares_too_much_or_points_elsewhere(build, reason):
-    with pytest.raises(BadRecording, match=reason):
+def test_a_matlab_73_file_that_declares_too_much_or_points_elsewhere(build, fact):
+    with pytest.raises(BadRecording, match="'spiketrain'") as error:
         read_recording(hdf5(build))
+    assert fact in str(error.value)
 
 
 def test_a_matlab_73_file_compressed_as_matlab_does():
@@ -196,12 +193,12 @@ def test_a_matlab_73_file_compressed_as_matlab_does():
 
 def test_a_file_that_is_too_large(monkeypatch):
     monkeypatch.setattr("pipeline.recordings.mat5.LARGEST", 1000)
-    with pytest.raises(BadRecording, match="larger than a recording of 2 s can be"):
+    with pytest.raises(BadRecording, match=" 2 s "):
         read_recording(mat5(spiketrain=spiketrain()))
 
 
 def test_times_that_no_integer_holds():
-    with pytest.raises(BadRecording, match="times up to 1e"):
+    with pytest.raises(BadRecording, match=r" 1e\+300\b"):
         read_recording(mat5(spiketrain=times(0.1, 1e300)))
 
 
@@ -209,7 +206,7 @@ def test_an_event_in_more_columns_than_are_counted():
     n = 65_536
     array = np.zeros((101, n), np.float32)
     array[3] = 1
-    with pytest.raises(BadRecording, match="more than 65,535 columns"):
+    with pytest.raises(BadRecording, match="65,535 "):
         events_of(np.vstack([array[:-1], np.arange(n)[None] * 16e-9]))
 
 
@@ -260,18 +257,18 @@ def test_the_transposed_table_gives_the_transposed_positions():
 
 
 @pytest.mark.parametrize(
-    ("table", "reason"),
+    ("table", "fact"),
     [
-        (np.ones((100, 2)), "different positions"),
-        (np.stack([X, Y], 1) - 1, "different positions from 1 to"),
-        (np.stack([X + 0.5, Y], 1), "different positions"),
-        (np.stack([ADDRESS - 1, X, Y], 1), "addresses 1 to 100"),
-        (np.stack([np.ones(100), X, Y], 1), "addresses 1 to 100"),
-        (np.ones((50, 4)), "no table of rows with X and Y"),
+        (np.ones((100, 2)), "X and Y .* 100 "),
+        (np.stack([X, Y], 1) - 1, "X and Y .* 1 to 256"),
+        (np.stack([X + 0.5, Y], 1), "X and Y .* 100 "),
+        (np.stack([ADDRESS - 1, X, Y], 1), "address.* 1 to 100"),
+        (np.stack([np.ones(100), X, Y], 1), "address.* 1 to 100"),
+        (np.ones((50, 4)), "X and Y"),
     ],
 )
-def test_a_bad_lookup_table(table, reason):
-    with pytest.raises(BadRecording, match=reason):
+def test_a_bad_lookup_table(table, fact):
+    with pytest.raises(BadRecording, match=fact):
         read_lookup_table(mat5(LUT=table))
 
 

@@ -19,24 +19,18 @@ from pipeline.recordings.matfile import BadRecording, lookup_table_bytes, read_l
 from pipeline.recordings.sensors import Reading, class_order
 from pipeline.recordings.timeunits import to_ns
 from pipeline.settings import Settings
-from tests.command import call
-from tests.pipeline.handmade import archive, assert_same, good_members, mat5, spiketrain
+from tests.command import call, missing
+from tests.pipeline.handmade import archive, assert_same, good_members, mat5, npz, spiketrain
 
 NAMES = ("circle", "line 2", "line 10", "wave", "zig-zag")
 
 
-def npz(x, y, t, p, **options) -> bytes:
-    buffer = io.BytesIO()
-    np.savez(buffer, x=x, y=y, t=t, p=p, **options)
-    return buffer.getvalue()
-
-
 def gesture(rng, rows=16, columns=12, n=30) -> bytes:
     return npz(
-        rng.integers(0, columns, n),
-        rng.integers(0, rows, n),
-        np.sort(rng.uniform(0.1, 1.34, n)),
-        rng.choice([-1, 1], n),
+        x=rng.integers(0, columns, n),
+        y=rng.integers(0, rows, n),
+        t=np.sort(rng.uniform(0.1, 1.34, n)),
+        p=rng.choice([-1, 1], n),
     )
 
 
@@ -66,7 +60,7 @@ def test_event_files_in_folders_of_any_names(tmp_path):
 
 
 def test_coordinates_come_out_where_they_went_in(tmp_path):
-    content = npz([1, 4, 1], [3, 0, 3], [0.5, 0.1, 0.2], [1, -1, 1])
+    content = npz(x=[1, 4, 1], y=[3, 0, 3], t=[0.5, 0.1, 0.2], p=[1, -1, 1])
     archive(tmp_path / "g.zip", {"a/0.npz": content, "b/0.npz": content})
     read = read_source(tmp_path / "g.zip", jobs=1)
     np.testing.assert_array_equal(read[0].time_ns, [100_000_000, 200_000_000, 500_000_000])
@@ -85,7 +79,7 @@ def test_an_event_file_is_read_as_it_was_written(rows, columns, seed):
     n = int(rng.integers(1, 50))
     x, y = rng.integers(0, columns, n), rng.integers(0, rows, n)
     t, p = rng.permutation(n) * 1e-6, rng.choice([-1, 1], n)
-    read = read_events(npz(x.astype(np.uint8), y.astype(float), t, p.astype(np.int8)))
+    read = read_events(npz(x=x.astype(np.uint8), y=y.astype(float), t=t, p=p.astype(np.int8)))
     order = np.argsort(t)
     np.testing.assert_array_equal(read.x, x[order])
     np.testing.assert_array_equal(read.y, y[order])
@@ -101,35 +95,33 @@ GOOD = {"x": [0, 1], "y": [0, 2], "t": [0.1, 0.2], "p": [1, -1]}
 
 
 @pytest.mark.parametrize(
-    ("change", "reason"),
+    ("change", "fact"),
     [
-        ({"x": [0, -1]}, "x has -1, not whole numbers from 0"),
-        ({"y": [0.5, 1]}, "y has 0.5, not whole numbers"),
-        ({"y": [np.nan, 1]}, "y has nan, not whole numbers"),
-        ({"x": [0, 16384]}, "x has 16384, not whole numbers from 0 to 16383"),
+        ({"x": [0, -1]}, "x has -1, .* 0 to 16383"),
+        ({"y": [0.5, 1]}, "y has 0.5"),
+        ({"y": [np.nan, 1]}, "y has nan"),
+        ({"x": [0, 16384]}, "x has 16384, .* 0 to 16383"),
         ({"t": [0.1, np.nan]}, "NaN"),
-        ({"t": [-0.1, 0.2]}, "negative time"),
-        ({"p": [1, 2]}, r"p has 2, not 1 \(ON\) and -1 \(OFF\), 1 and 0, or true and false"),
-        ({"p": [1]}, "different lengths: x 2, y 2, t 2, p 1"),
-        ({"x": [], "y": [], "t": [], "p": []}, "no events"),
-        ({"x": ["a", "b"]}, "'x' is not a row of numbers"),
-        ({"x": [[0, 1]]}, "'x' is not a row of numbers"),
-        ({"x": np.array([0, None])}, "'x' is not a row of numbers"),
-        ({"t": np.array([0.1, 0.2], np.complex128)}, "'t' is not a row of numbers"),
+        ({"t": [-0.1, 0.2]}, "negative"),
+        ({"p": [1, 2]}, r"p has 2, .* 1 \(ON\) and -1 \(OFF\)"),
+        ({"p": [1]}, "x 2, y 2, t 2, p 1"),
+        ({"x": [], "y": [], "t": [], "p": []}, "empty"),
+        ({"x": ["a", "b"]}, "'x'"),
+        ({"x": [[0, 1]]}, "'x'"),
+        ({"x": np.array([0, None])}, "'x'"),
+        ({"t": np.array([0.1, 0.2], np.complex128)}, "'t'"),
     ],
 )
-def test_a_bad_event_file(change, reason):
-    with pytest.raises(BadRecording, match=reason):
+def test_a_bad_event_file(change, fact):
+    with pytest.raises(BadRecording, match=fact):
         read_events(npz(**{**GOOD, **change}))
 
 
 def test_other_contents():
-    buffer = io.BytesIO()
-    np.savez(buffer, x=[1], y=[1], t=[1])
-    with pytest.raises(BadRecording, match="has no array 'p'; expected x, y, t and p"):
-        read_events(buffer.getvalue())
+    with pytest.raises(BadRecording, match=r"'p'.* x, y, t and p"):
+        read_events(npz(x=[1], y=[1], t=[1]))
     for content in (b"", b"no zip", npz(**GOOD)[:100]):
-        with pytest.raises(BadRecording, match=r"not a \.npz file"):
+        with pytest.raises(BadRecording, match=r"\.npz"):
             read_events(content)
 
 
@@ -143,7 +135,7 @@ def test_an_event_file_that_says_it_is_larger_than_it_is():
     with zipfile.ZipFile(out, "w") as file:
         for name in "xytp":
             file.writestr(f"{name}.npy", buffer.getvalue())
-    with pytest.raises(BadRecording, match="'x' is damaged"):
+    with pytest.raises(BadRecording, match="'x'"):
         read_events(out.getvalue())
 
 
@@ -184,27 +176,27 @@ def test_a_lookup_table_with_gaps(tmp_path):
     np.testing.assert_array_equal(image, [[2, 0, 1], [0, 1, 0], [1, 0, 1]])
     wider = read_source(tmp_path / "s.zip", jobs=1, reading=Reading(5, 5))
     assert aggregate(wider).shape == (4, 5, 5)
-    with pytest.raises(UserError, match=r"LUT.mat .* 2 rows .* at least 3"):
+    with pytest.raises(UserError, match=r"LUT\.mat.* 2 rows .* 3\b"):
         read_source(tmp_path / "s.zip", jobs=1, reading=Reading(2))
 
 
 def test_two_taxels_at_one_place():
     table = np.array([[1, 1], [1, 2], [1, 1]], float)
-    with pytest.raises(BadRecording, match="X and Y are not 3 different positions"):
+    with pytest.raises(BadRecording, match=r"X and Y .* 3 "):
         read_lookup_table(mat5(LUT=table))
 
 
 def test_taxels_in_no_square_need_a_table_or_numbers(tmp_path):
     members = {f"{name}/{i}.mat": mat5(spiketrain=array_of(39)) for name in "ab" for i in (0, 1)}
     archive(tmp_path / "s.zip", members)
-    with pytest.raises(UserError, match=r"39 taxels are not 6 rows of 6.*LUT\.mat.*skin\.rows"):
+    with pytest.raises(UserError, match=r" 39 .* 6 .* 6.*LUT\.mat.*skin\.rows"):
         read_source(tmp_path / "s.zip", jobs=1)
 
 
 def test_another_number_of_taxels_than_the_others(tmp_path):
     members = {f"{name}/{i}.mat": mat5(spiketrain=array_of(16)) for name in "ab" for i in range(3)}
     archive(tmp_path / "s.zip", {**members, "a/odd.mat": mat5(spiketrain=array_of(25))})
-    with pytest.raises(UserError, match=r"1 of 7 files.*a/odd\.mat has 26 rows, not 17 as most"):
+    with pytest.raises(UserError, match=r"1 of 7 .*a/odd\.mat .* 26 .* 17 "):
         read_source(tmp_path / "s.zip", jobs=1)
     read = read_source(tmp_path / "s.zip", jobs=1, skip_bad=True)
     assert (len(read), len(read.source.left_out)) == (6, 1)
@@ -212,22 +204,19 @@ def test_another_number_of_taxels_than_the_others(tmp_path):
 
 def test_coordinates_outside_are_refused_by_name(tmp_path):
     archive(tmp_path / "g.zip", gestures())
-    with pytest.raises(
-        UserError,
-        match=r"20 of 20 files refused: circle/0\.npz \(also .*\) has y = 1\d, outside 8 rows",
-    ):
+    with pytest.raises(UserError, match=r"20 of 20 .* circle/0\.npz .* y = 1\d, .* 8 rows"):
         read_source(tmp_path / "g.zip", jobs=1, reading=Reading(8))
 
 
 def test_only_on_events(tmp_path):
-    content = npz([0, 1], [0, 1], [0.1, 0.2], [1, 1])
+    content = npz(x=[0, 1], y=[0, 1], t=[0.1, 0.2], p=[1, 1])
     archive(tmp_path / "g.zip", {"a/0.npz": content, "b/0.npz": content})
     assert read_source(tmp_path / "g.zip", jobs=1).sensor.polarities == 1
 
 
 def test_both_kinds_of_files(tmp_path):
     archive(tmp_path / "g.zip", {**gestures(), "wave/x.mat": mat5(spiketrain=spiketrain())})
-    with pytest.raises(UserError, match=r"holds both \.mat and \.npz recordings; keep one kind"):
+    with pytest.raises(UserError, match=r"g\.zip: .*\.mat and \.npz"):
         read_source(tmp_path / "g.zip", jobs=1)
 
 
@@ -237,13 +226,13 @@ def test_an_empty_class(tmp_path):
         (tmp_path / "g" / name).write_bytes(content)
     (tmp_path / "g" / "spiral").mkdir()
     (tmp_path / "g" / ".git").mkdir()
-    with pytest.raises(UserError, match=r"1 of 21 files refused: spiral is a class without a rec"):
+    with pytest.raises(UserError, match=r"1 of 21 .*spiral"):
         read_source(tmp_path / "g", jobs=1)
     with zipfile.ZipFile(tmp_path / "g.zip", "w") as file:
         for name, content in gestures().items():
             file.writestr(name, content)
         file.writestr("spiral/", b"")
-    with pytest.raises(UserError, match="spiral is a class without a recording"):
+    with pytest.raises(UserError, match=r"1 of 21 .*spiral"):
         read_source(tmp_path / "g.zip", jobs=1)
     assert read_source(tmp_path / "g", jobs=1, skip_bad=True).sensor.classes == NAMES
 
@@ -251,7 +240,7 @@ def test_an_empty_class(tmp_path):
 def test_files_beside_the_folders_of_classes(tmp_path):
     extra = gestures(names=("x",), per_class=1)["x/0.npz"]
     archive(tmp_path / "g.zip", {**gestures(), "loose.npz": extra})
-    with pytest.raises(UserError, match=r"loose\.npz is not in a folder of a class"):
+    with pytest.raises(UserError, match=r"1 of 21 .*loose\.npz"):
         read_source(tmp_path / "g.zip", jobs=1)
 
 
@@ -300,9 +289,8 @@ def test_a_data_set_of_another_sensor(tmp_path):
 
 def test_an_architecture_for_another_sensor(tmp_path):
     archive(tmp_path / "g.zip", gestures(per_class=10))
-    expected = r"tactile image of 16x12 and 5 classes, such as 16x12-6c4-5o, not 10x10-6c4-10o"
     settings = settings_for(tmp_path / "g.zip", "10x10-6c4-10o")
-    with pytest.raises(UserError, match=expected):
+    with pytest.raises(UserError, match=r"'cnn\.architecture' .* 16x12-6c4-5o.* 10x10-6c4-10o"):
         require_recordings_fit(recordings_of(settings), settings)
 
 
@@ -310,13 +298,13 @@ def test_a_class_with_one_recording(tmp_path):
     members = gestures(per_class=10)
     lone = {name: c for name, c in members.items() if "wave" not in name or name == "wave/0.npz"}
     archive(tmp_path / "g.zip", lone)
-    with pytest.raises(UserError, match="only one recording of 'wave'; record more"):
+    with pytest.raises(UserError, match=r"g\.zip: .*'wave'"):
         Dataset.of(settings_for(tmp_path / "g.zip"))
 
 
 def test_one_class(tmp_path):
     archive(tmp_path / "g.zip", gestures(per_class=10, names=("wave",)))
-    with pytest.raises(UserError, match="recordings of one class only"):
+    with pytest.raises(UserError, match=r"g\.zip: .*one class"):
         Dataset.of(settings_for(tmp_path / "g.zip"))
 
 
@@ -356,15 +344,12 @@ def test_import_says_what_it_found(tmp_path, capsys):
     archive(tmp_path / "g.zip", gestures())
     assert call("data", "import", tmp_path / "g.zip", "--jobs", 1) == 0
     said = capsys.readouterr().out
-    assert "of each class: circle 4, line 2 4, line 10 4" in said
-    assert (
-        "20 recordings, 16 rows x 12 columns, 5 classes, 1.1 to 1.2 s, times read as seconds"
-        in said
-    )
+    facts = ("20 recordings", "16 rows x 12 columns", "5 classes", "1.1 to 1.2 s", " seconds")
+    assert missing(said, "circle 4, line 2 4, line 10 4", *facts) == []
     assert call("data", "stats", "--data", tmp_path / "g.zip", "--json") == 0
     assert '"zig-zag"' in capsys.readouterr().out
     assert call("data", "stats", "--data", tmp_path / "g.zip", "--against-paper") == 2
-    assert "the paper's figures are of the digits" in capsys.readouterr().err
+    assert "--against-paper" in capsys.readouterr().err
     for what in ("recording", "events", "layout", "sheet"):
         out = tmp_path / f"{what}.png"
         assert call("data", "plot", what, "--data", tmp_path / "g.zip", "--out", out,
@@ -381,18 +366,15 @@ def test_the_remedy_that_is_said_is_there(tmp_path, capsys):
     verbs += [("plot", "layout", *here, "--out", tmp_path / "layout.png")]
     for verb in verbs:
         assert call("data", *verb) == 2
-        assert "--rows and --columns of 'stmnist data'" in capsys.readouterr().err
+        assert missing(capsys.readouterr().err, "--rows", "--columns", "'stmnist data'") == []
         assert call("data", *verb, "--rows", 3, "--columns", 13) == 0
     assert call("data", "import", tmp_path / "s.zip", "--columns", 13) == 0
-    assert "3 rows x 13 columns" in capsys.readouterr().out
+    assert missing(capsys.readouterr().out, "3 rows", "13 columns") == []
 
 
 def test_inspect_an_event_file(tmp_path, capsys):
     path = tmp_path / "wave.npz"
     path.write_bytes(npz(**GOOD))
     assert call("data", "inspect", path) == 0
-    said = capsys.readouterr().out
-    assert (
-        "2 events (1 ON, 1 OFF), 3 rows x 2 columns, 0.1000 s to 0.2000 s, times read as seconds"
-        in said
-    )
+    facts = ("2 events", "1 ON", "1 OFF", "3 rows", "2 columns", "0.1000 s", "0.2000 s", " seconds")
+    assert missing(capsys.readouterr().out, *facts) == []

@@ -160,7 +160,7 @@ def test_damaged_rates_are_refused(tiny_run, tmp_path, capsys, damaged):
 
 def test_it_says_what_was_measured(html, tiny_run):
     text = " ".join(Outline(html.read_text()).text.split())
-    assert "Simulated recordings." in text
+    assert "Simulated" in text
     bundle = read_bundle(tiny_run / "bundle")
     assert bundle.id in text
     for stage in ("cnn", "emulator"):
@@ -170,13 +170,13 @@ def test_it_says_what_was_measured(html, tiny_run):
     assert "0.654" in text  # new writers
     assert "1738 (1366)" not in text  # the paper's ON events of 0; these are simulated
     assert "stmnist data stats --against-paper" in text
-    assert "ANN-SNN on Loihi not run not run 0.86 (0.02)" in text
+    assert re.search(r"ANN-SNN on Loihi \D+ 0\.86 \(0\.02\)", text)
     assert "seed = 4 (run: 0)" in text
-    assert "snn.batch_size 0: the recipe's own" in text
+    assert "snn.batch_size 0" in text
     used = make_plan(bundle.spec).cores[0].used
     assert f"core 0 {used['compartments']} {used['input axons']}" in text
-    assert "Failed: random split 7, loihi: <oops> & co" in text  # escaped on the way
-    assert "estimate, not a measurement" in text
+    assert re.search("random split 7.*loihi.*<oops> & co", text)  # escaped on the way
+    assert "estimate" in text
     assert "data.samples_per_digit 60" in text
     metrics = json.loads((tiny_run / "cnn/metrics.json").read_text())
     assert f"{100 * metrics['accuracy']['test']:.1f} %" in text
@@ -185,15 +185,15 @@ def test_it_says_what_was_measured(html, tiny_run):
 def test_without_a_benchmark_it_says_how_to_get_one(tiny_run, tmp_path, capsys):
     out = tmp_path / "report.html"
     assert call("report", tiny_run, "--benchmark", tmp_path, "--out", out) == 0
-    assert "Not measured yet" in out.read_text()
+    assert "make benchmark" in out.read_text()
 
 
 def test_a_benchmark_of_other_recordings_is_left_out(tiny_run, tmp_path, capsys):
     (tmp_path / "table2.json").write_text(json.dumps({"source_sha256": "0" * 64}))
     out = tmp_path / "report.html"
     assert call("report", tiny_run, "--benchmark", tmp_path, "--out", out) == 0
-    assert "left out" in capsys.readouterr().err
-    assert "Not measured yet" in out.read_text()
+    assert str(tmp_path / "table2.json") in capsys.readouterr().err
+    assert "make benchmark" in out.read_text()
 
 
 def test_a_run_that_is_not_there(tmp_path, capsys):

@@ -10,7 +10,7 @@ from deploy.check.intervals import fisher, wilson_interval
 from deploy.errors import UserError
 from pipeline.run.comparison import Run, compare_runs, difference, read_runs, runs_text
 from pipeline.settings import Settings
-from tests.command import call
+from tests.command import call, missing
 from tests.deploy.networks import events_spec, paper_spec, small_spec
 
 LABELS = (0, 1, 2, 3, 4, 5, 6, 7)
@@ -98,7 +98,8 @@ def test_settings_that_differ_and_no_others():
         {"name": "seed", "values": [3, 0]},
         {"name": "snn.max_rates", "values": [(150.0,), (100.0,)]},
     ]
-    assert "no setting differs" in runs_text(compare_runs([a, a]))
+    assert compare_runs([a, a])["settings"] == []
+    assert "seed" not in runs_text(compare_runs([a, a]))
 
 
 def test_the_default_number_of_steps_is_that_number():
@@ -149,45 +150,30 @@ def test_time_to_decide_of_events():
     assert compared["runs"][1]["writing"]["share"] == 0.82
     assert compared["runs"][1]["decided_after_ms"] == pytest.approx(120)  # steps of 10 ms
     text = runs_text(compared)
-    assert "82% of recording" in text
-    assert text.endswith("from the end of the recording for an image, from its start for events")
-    assert "image" in text
-    assert "events" in text
+    assert missing(text, "82%", "image", "events") == []
 
 
 def test_the_table():
     a = run("runs/a", [result("cnn", FIVE_RIGHT)])
     b = run("runs/b", [result("cnn", LAST_FOUR)], changes={"seed": 1}, cores=3, stale=("fast",))
-    assert runs_text(compare_runs([a, b])).splitlines() == [
-        "A  runs/a",
-        "B  runs/b",
-        "",
-        "setting that differs  A  B",
-        "seed                  0  1",
-        "",
-        "accuracy on 8 simulated samples",
-        "stage     accuracy   95 % interval    vs A  won  lost      p",
-        "cnn    A     0.625  0.306 to 0.863",
-        "       B     0.500  0.215 to 0.785  -0.125    3     4  1.000",
-        "won, lost: samples that only this run, or only A, got right; p: McNemar's test",
-        "",
-        "an inference                         A                B",
-        "input                            image            image",
-        "architecture           6x6-4c3-8c2-10o  6x6-4c3-8c2-10o",
-        "neurons                            136              136",
-        "cores                                2                3",
-        "chips                                1                1",
-        "steps of presentation               30               30",
-        "",
-        "B: left out, of an earlier bundle: fast",
-    ]
+    text = runs_text(compare_runs([a, b]))
+    rows = [" ".join(line.split()) for line in text.splitlines()]
+    for row in (
+        *("A runs/a", "B runs/b", "seed 0 1"),
+        *("cnn A 0.625 0.306 to 0.863", "B 0.500 0.215 to 0.785 -0.125 3 4 1.000"),
+        *("input image image", "architecture 6x6-4c3-8c2-10o 6x6-4c3-8c2-10o"),
+        *("neurons 136 136", "cores 2 3", "chips 1 1"),
+    ):
+        assert row in rows
+    assert missing(text, "8 simulated samples", "McNemar") == []
+    assert re.fullmatch("B: .*: fast", rows[-1])
 
 
 def test_the_papers_cnn_is_a_measure_only_for_digits_on_its_sensor():
     counts = {"operations": {"conv1": 8}}
     for spec, applies in ((paper_spec(), True), (small_spec(), False)):
         text = runs_text(compare_runs([run("a", [result("nengo", ALL, **counts)], spec=spec)] * 2))
-        assert ("times the CNN's" in text) is applies
+        assert ("CNN" in text) is applies
 
 
 def test_simulated_and_other_samples_are_told_apart():
@@ -215,7 +201,7 @@ def test_the_text_fits_80_columns(n):
     source = text.split("data.source")[1].split("\nan inference")[0]
     assert "x" * 8 in source
     assert text.count("spiking-lif") == 1
-    assert "times the CNN's: the 43,104 multiply-accumulates of the paper's" in text
+    assert "43,104" in text
     assert json.loads(json.dumps(compared))["runs"] == compared["runs"]
 
 
@@ -266,23 +252,23 @@ def test_bad_input_is_one_clear_line_and_status_2(pair, tmp_path, capsys):
         )
         return tmp_path / name
 
-    for arguments, message in (
+    for arguments, fact in (
         ([run], "two"),
-        ([], "Missing argument"),
-        ([run, run / ".." / run.name], "are the same run"),
-        ([run, other, run], "are the same run"),
+        ([], "(?i)runs"),
+        ([run, run / ".." / run.name], f"{run}.*{run.name}"),
+        ([run, other, run], f"{run} and {run}"),
         ([run, tmp_path], "experiment.toml"),
         ([run, tmp_path / "none"], "experiment.toml"),
         ([run, run / "ladder.json"], "experiment.toml"),
         ([run, copy("a", "bundle")], "bundle.*stmnist convert"),
-        ([run, copy("b", "checks")], "no check results; make them with 'stmnist ladder"),
+        ([run, copy("b", "checks")], "'stmnist ladder"),
         ([run, other, "--whole"], "stmnist ladder .* --whole'"),
     ):
         assert call("compare", *arguments) == 2
         out, err = capsys.readouterr()
         assert out == ""
         assert len(err.splitlines()) == 1
-        assert re.search(message, err), err
+        assert re.search(fact, err), err
 
 
 def test_a_damaged_result_is_named(pair, tmp_path):

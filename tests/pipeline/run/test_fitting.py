@@ -15,6 +15,7 @@ from pipeline.recordings.own import write_recordings
 from pipeline.run.chip_fit import chip_problems, untrained
 from pipeline.run.fitting import architecture_for, fitted, with_slayer
 from pipeline.settings import Settings
+from tests.command import missing
 from tests.deploy.networks import paper_spec
 from tests.own_sensor import CLASSES, gestures, write_folder
 
@@ -96,7 +97,7 @@ def test_what_was_chosen_stays_and_is_held_against_the_recordings(own):
         fitted(wrong)
     lines = caught.value.lines
     assert len(lines) == 2
-    assert any("50 samples" in line and "12" in line for line in lines)
+    assert any(not missing(line, 50, 12) for line in lines)
     assert any("9x12-8c3-4o" in line for line in lines)
     right = settings_of(own, cnn={"architecture": "9x12-8c3-4o"}, check={"samples": 5})
     assert fitted(right) == right
@@ -118,8 +119,9 @@ def test_what_no_core_can_hold_is_told_before_training(kind, architecture, resou
     section = "cnn" if kind == "image" else "events"
     changes = {"input": {"kind": kind}, section: {"architecture": architecture}}
     problems = chip_problems(settings_of("own", **changes))
-    assert all(line.startswith(f"{architecture}: layer dense1") for line in problems)
-    assert any(resource in line and "4096" in line for line in problems)
+    assert all(line.startswith(f"{architecture}: ") for line in problems)
+    assert all("layer dense1" in line for line in problems)
+    assert any(not missing(line, resource, 4096) for line in problems)
 
 
 @pytest.mark.parametrize("kind", ["image", "events"])
@@ -146,11 +148,11 @@ def test_the_sensor_s_and_the_chip_s_problems_come_together(own):
         fitted(wrong)
     lines = caught.value.lines
     assert any("50 samples" in line for line in lines)
-    assert any("layer dense1" in line and "5400 input axons" in line for line in lines)
+    assert any(not missing(line, "layer dense1", "5400 input axons") for line in lines)
 
 
 def test_the_network_on_simulated_recordings_must_fit_the_chip_too():
-    with pytest.raises(SeveralErrors, match="input axons"):
+    with pytest.raises(SeveralErrors, match=r"layer dense1 .* 4900 input axons"):
         fitted(Settings().with_values({"cnn": {"architecture": "10x10-100c4-40-10o"}}))
 
 
@@ -159,5 +161,5 @@ def test_one_class_is_told_as_such(tmp_path):
     for name in CLASSES[1:]:
         shutil.rmtree(folder / name)
     for kind in ("image", "events"):
-        with pytest.raises(SeveralErrors, match="one class only"):
+        with pytest.raises(SeveralErrors, match="one class"):
             fitted(settings_of(folder, input={"kind": kind}))

@@ -4,6 +4,7 @@ import pytest
 
 from deploy.errors import UserError
 from pipeline.run.ladder import ladder_json, ladder_rows, ladder_text, losing_stages, points_text
+from tests.command import missing
 
 LABELS = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]
 
@@ -46,19 +47,19 @@ def test_the_ladder_by_hand():
 
 def test_the_table():
     text = ladder_text(ladder_json([CNN, RATE, EMULATOR]))
-    assert text.splitlines() == [
-        "Loss ladder, 10 simulated samples, the same for each stage",
-        "stage     accuracy   95 % interval  change  disagree  McNemar p",
-        "cnn          0.900  0.100 to 0.900",
-        "rate-lif     0.600  0.100 to 0.900  -0.300         4      0.250",
-        "emulator     0.700  0.100 to 0.900  +0.100         1      1.000",
-        "from cnn to emulator: 20.0 points lost",
+    title, _, *rows, last = [" ".join(line.split()) for line in text.splitlines()]
+    assert missing(title, "10 simulated samples") == []
+    assert rows == [
+        "cnn 0.900 0.100 to 0.900",
+        "rate-lif 0.600 0.100 to 0.900 -0.300 4 0.250",
+        "emulator 0.700 0.100 to 0.900 +0.100 1 1.000",
     ]
+    assert missing(last, "cnn", "emulator", "20.0 points lost") == []
 
 
 def test_points_won_are_called_gained():
     text = ladder_text(ladder_json([RATE, EMULATOR]))
-    assert text.endswith("from rate-lif to emulator: 10.0 points gained")
+    assert missing(text.splitlines()[-1], "rate-lif", "emulator", "10.0 points gained") == []
     assert points_text(-0.04) == "0.0 points lost"
     assert points_text(0.5) == "0.5 points lost"
 
@@ -69,7 +70,7 @@ def test_only_simulated_samples_are_called_so():
 
 
 def test_results_of_different_bundles_make_no_ladder():
-    with pytest.raises(UserError, match="different bundles"):
+    with pytest.raises(UserError, match=r"b{12}.*c{12}"):
         ladder_rows([CNN, result("nengo", LABELS, bundle="c" * 64)])
 
 
@@ -104,8 +105,7 @@ def test_a_stage_that_loses_too_much_brings_the_layers():
     assert losing_stages(ladder, 1) == [("rate-lif", "emulator", pytest.approx(30))]
     text = ladder_text(ladder, 1)
     assert re.search(r"emulator .*\b30\.0 points .*rate-lif", text)
-    assert "lowest correlation: conv2" in text
-    assert "conv2       0.8700        0.500      0.0100" in text
+    assert re.search(r"conv2 +0\.8700 +0\.500 +0\.0100", text)
     assert "conv2" not in ladder_text(ladder, 30)  # at the limit is not above it
 
 

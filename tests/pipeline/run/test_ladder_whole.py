@@ -13,7 +13,7 @@ from deploy.files import read_json
 from pipeline.inputs.dataset import Dataset
 from pipeline.run.answers import responses_of
 from pipeline.settings import Presentation, read_settings
-from tests.command import call
+from tests.command import call, missing
 
 STAGES = ["cnn", "rate-lif", "spiking-lif", "fast"]
 
@@ -66,11 +66,9 @@ def test_its_ladder(whole_run, capsys):
     before = {p: p.stat().st_mtime_ns for p in (whole_run / "checks" / "whole").iterdir()}
     assert call("ladder", whole_run, "--whole", "--limit", -100) == 0
     out, err = capsys.readouterr()
-    assert err.count("up to date") == 3 + len(STAGES)
+    assert missing(err, *(f"{name}: " for name in ("cnn", "rate-lif", "bundle", *STAGES))) == []
     assert {p: p.stat().st_mtime_ns for p in (whole_run / "checks" / "whole").iterdir()} == before
-    assert "120 simulated samples" in out
-    assert "left out: nengo, simreal" in out
-    assert "lowest correlation: conv" in out
+    assert missing(out, "120 simulated samples", "nengo, simreal", "--slow", "conv") == []
     assert call("ladder", whole_run, "--whole", "--json") == 0
     assert json.loads(capsys.readouterr().out) == ladder
 
@@ -100,11 +98,12 @@ def test_its_figure(whole_run):
     assert picture[..., :3].std() > 0.05
 
 
-def test_another_bundle_makes_the_answers_out_of_date(whole_run, tmp_path, capsys):
+def test_another_bundle_makes_the_answers_out_of_date(whole_run, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(whole_run, run)
+    weights = (run / "cnn" / "weights.npz").stat().st_mtime_ns
     assert call("ladder", run, "--whole", "--steps", 30) == 0
-    assert "cnn: up to date" in capsys.readouterr().err
+    assert (run / "cnn" / "weights.npz").stat().st_mtime_ns == weights
     before = read_result(whole_run / "checks" / "whole" / "fast.json")
     after = read_result(run / "checks" / "whole" / "fast.json")
     assert (before["steps_per_sample"], after["steps_per_sample"]) == (40, 30)

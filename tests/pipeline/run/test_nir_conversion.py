@@ -26,6 +26,7 @@ from pipeline.run.nir_settings import Stepped, settings_of_nir
 from pipeline.settings import Image
 from pipeline.skin.simulate import simulate as simulated_skin
 from tests.command import call as stmnist
+from tests.command import missing
 from tests.deploy.networks import (
     events_spec,
     host_first_spec,
@@ -209,8 +210,7 @@ def test_a_run_of_a_graph(tmp_path, capsys):
     nir.write(file, graph)
     few = ["--set", "data.samples_per_digit=8", "--samples", "6", "--step", "20", "--jobs", "1"]
     assert stmnist("convert", run, "--nir", file, *few) == 0
-    said = capsys.readouterr().err
-    assert "hardly better than chance" in said
+    assert missing(capsys.readouterr().err, "nir: ", "--step") == []
     cost = read_json(run / "snn" / "metrics.json", "")["reset_by_subtraction"]
     assert cost["samples"] == 64
     assert cost["spikes"] > 1
@@ -220,7 +220,7 @@ def test_a_run_of_a_graph(tmp_path, capsys):
     answered = capsys.readouterr()
     rows = json.loads(answered.out)["rows"]
     assert [row["stage"] for row in rows] == ["nir", "nengo", "simreal", "emulator"]
-    assert "nir: up to date" in answered.err
+    assert "nir: " in answered.err
     assert stmnist("deploy", "plan", run / "bundle") == 0
     assert stmnist("train", run) == 2
     assert stmnist("status", run) == 0
@@ -247,22 +247,22 @@ def decides_as_its_check(bundle):
 
 
 BAD = [
-    (["--nir", "missing.nir"], "cannot read"),
-    (["--nir", "text.nir"], "not a NIR file"),
-    (["--nir", "small.nir", "--model", "x.keras"], "--model and --nir"),
-    (["--step", "20"], "--nir FILE"),
-    (["--retrain"], "--nir FILE"),
-    (["--nir", "small.nir", "--step", "5000"], "'input.step' must be"),
-    (["--nir", "small.nir", "--step", "200"], "shorter than the step"),
-    (["--nir", "small.nir", "--input", "image"], "2 x 10 x 10"),
-    (["--nir", "small.nir", "--set", "skin.rows=12", "--set", "skin.columns=12"], "2 x 12 x 12"),
-    (["--nir", "nine.nir"], "puts out 9 values"),
-    (["--nir", "large.nir"], "large.nir: layer output (nodes"),
+    (["--nir", "missing.nir"], ["missing.nir: ", "No such file"]),
+    (["--nir", "text.nir"], ["text.nir: ", "NIR"]),
+    (["--nir", "small.nir", "--model", "x.keras"], ["--model", "--nir"]),
+    (["--step", "20"], ["--step", "--nir"]),
+    (["--retrain"], ["--retrain", "--nir"]),
+    (["--nir", "small.nir", "--step", "5000"], ["'input.step'"]),
+    (["--nir", "small.nir", "--step", "200"], ["tau", " 0.1 s", " 0.2 s", "--step"]),
+    (["--nir", "small.nir", "--input", "image"], ["2 x 10 x 10"]),
+    (["--nir", "small.nir", "--set", "skin.rows=12", "--set", "skin.columns=12"], ["2 x 12 x 12"]),
+    (["--nir", "nine.nir"], ["nine.nir: ", " 9 values", " 10 "]),
+    (["--nir", "large.nir"], ["large.nir: ", "layer output"]),
 ]
 
 
-@pytest.mark.parametrize(("options", "message"), BAD)
-def test_mistakes_are_one_line(options, message, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(("options", "facts"), BAD)
+def test_mistakes_are_one_line(options, facts, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "text.nir").write_text("hello")
     for name, outputs, weight in (
@@ -283,7 +283,7 @@ def test_mistakes_are_one_line(options, message, tmp_path, monkeypatch, capsys):
     few = ["--set", "data.samples_per_digit=5", "--samples", "2", "--jobs", "1"]
     assert stmnist("convert", tmp_path / "run", *options, *few) == 2
     last = capsys.readouterr().err.strip().splitlines()[-1]
-    assert message in last
+    assert missing(last, *facts) == []
     assert not (tmp_path / "run").exists()
 
 
@@ -305,5 +305,5 @@ def test_a_graph_for_another_sensor_leaves_nothing(tmp_path, capsys):
 
 
 def test_a_graph_that_was_changed_is_refused(tmp_path):
-    with pytest.raises(UserError, match="cannot read"):
+    with pytest.raises(UserError, match=r"gone\.nir: .*No such file"):
         settings_of_nir(tmp_path / "gone.nir")

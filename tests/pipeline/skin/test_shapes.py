@@ -78,7 +78,7 @@ def test_what_hardly_anybody_does_is_left_out():
 
 
 def test_too_few_people():
-    with pytest.raises(ValueError, match="wrote a 4"):
+    with pytest.raises(ValueError, match="4"):
         shape_fit.estimate(people(digits=[d for d in range(10) if d != 4]))
 
 
@@ -123,7 +123,7 @@ def test_a_damaged_model_is_one_line(tmp_path, name):
     for damaged in ({}, {name: np.zeros((2, 2)) * np.nan}):
         path = tmp_path / "model.npz"
         write_arrays(path, **{n: a for n, a in arrays.items() if n != name}, **damaged)
-        with pytest.raises(UserError, match="not a model of handwriting"):
+        with pytest.raises(UserError, match=path.name):
             shape_model.read(path)
 
 

@@ -126,9 +126,9 @@ def test_a_recording_does_not_depend_on_those_beside_it():
 
 
 def test_counts_must_be_ten():
-    with pytest.raises(ValueError, match="ten numbers"):
+    with pytest.raises(ValueError, match=r"^samples_per_digit"):
         simulate(0, [1, 2, 3])
-    with pytest.raises(ValueError, match="ten numbers"):
+    with pytest.raises(ValueError, match=r"^samples_per_digit"):
         simulate(0, [-1] * 10)
 
 
@@ -155,7 +155,7 @@ def test_recorded_handwriting_is_pressed_on_the_skin():
     assert rows[0] + 1 < min(rows[1:])  # written downwards; lifting the pen shakes all taxels
     assert recordings.source.simulated
     assert recordings.source.sha256 != simulate(2, [1, 4] + [0] * 8, jobs=1).source.sha256
-    with pytest.raises(UserError, match="has no 3"):
+    with pytest.raises(UserError, match=r"\b3\b"):
         simulate(2, [0, 0, 0, 1] + [0] * 6, traces=traces)
 
 

@@ -63,14 +63,14 @@ def test_written_on_the_skin(tmp_path):
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ('.SEGMENT DIGIT 0 ? "3"\n.PEN_DOWN\n 1 2\n 1 two\n.PEN_UP\n', "line 4 is not a point"),
-        ('.SEGMENT DIGIT 0 ? "3"\n.PEN_DOWN\n 1\n.PEN_UP\n', "line 3 is not a point"),
+        ('.SEGMENT DIGIT 0 ? "3"\n.PEN_DOWN\n 1 2\n 1 two\n.PEN_UP\n', "line 4 "),
+        ('.SEGMENT DIGIT 0 ? "3"\n.PEN_DOWN\n 1\n.PEN_UP\n', "line 3 "),
         *(
-            (f'.SEGMENT DIGIT 0 ? "3"\n.PEN_DOWN\n 1 2\n {point}\n.PEN_UP\n', "line 4 is not")
+            (f'.SEGMENT DIGIT 0 ? "3"\n.PEN_DOWN\n 1 2\n {point}\n.PEN_UP\n', "line 4 ")
             for point in ("nan 1", "1 -inf", "1e400 1", "1 -1e308")
         ),
-        ("hello\n", "no segment labelled with a digit"),
-        ("", "no segment labelled with a digit"),
+        ("hello\n", "segment"),
+        ("", "segment"),
     ],
 )
 def test_bad_files(tmp_path, text, problem):
@@ -82,7 +82,7 @@ def test_bad_files(tmp_path, text, problem):
 
 
 def test_missing_file(tmp_path):
-    with pytest.raises(UserError, match="cannot read"):
+    with pytest.raises(UserError, match=r"none: .*No such file"):
         unipen.read(tmp_path / "none")
 
 

@@ -118,14 +118,6 @@ def test_on_the_emulator_it_is_near_too(images, weights):
     assert np.corrcoef(scores.ravel(), rates[:4].ravel())[0, 1] > 0.95
 
 
-def test_scaling_the_activations_leaves_the_cnn_as_it_is(images, weights):
-    settings = settings_of("loihi")
-    scaled = training.scale_to_unit(settings, weights, images)
-    before, after = (training.TrainedCNN(settings, w).logits(images) for w in (weights, scaled))
-    np.testing.assert_allclose(after, before, rtol=1e-3, atol=1e-3)
-    assert not np.allclose(scaled["conv1.kernel"], weights["conv1.kernel"])
-
-
 def test_where_the_layers_are_is_a_setting(weights):
     settings = settings_of("loihi")
     spec = to_spec(settings, weights, {})

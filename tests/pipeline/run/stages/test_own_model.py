@@ -10,7 +10,7 @@ from pipeline.inputs.dataset import Dataset
 from pipeline.run import stages
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings, read_settings
-from tests.command import call
+from tests.command import call, missing
 
 DATA = ("--set", "data.samples_per_digit=60")
 SMALL = (*DATA, "--samples", "20", "--steps", "40")
@@ -123,12 +123,13 @@ def test_the_report_says_that_nothing_was_trained(run, files, tmp_path):
     out = tmp_path / "report.html"
     assert call("report", run, "--out", out) == 0
     training = out.read_text().partition('<section id="training">')[2].partition("</section>")[0]
-    assert f"its weights are those of <code>{files / 'good.keras'}</code>" in training
-    assert "the CNN's weights" in training
+    assert f"<code>{files / 'good.keras'}</code>" in training
     assert "<figure>" not in training
 
 
-def test_again_is_up_to_date_even_without_the_file(run, files, tmp_path, capsys):
+def test_again_is_up_to_date_even_without_the_file(run, files, tmp_path):
+    made = [file for name in ("cnn", "snn", "bundle") for file in (run / name).iterdir()]
+    before = [file.stat().st_mtime_ns for file in made]
     away = tmp_path / "away.keras"
     path = files / "good.keras"
     content = path.read_bytes()
@@ -137,8 +138,7 @@ def test_again_is_up_to_date_even_without_the_file(run, files, tmp_path, capsys)
         assert call("convert", run) == 0
     finally:
         path.write_bytes(content)
-    said = capsys.readouterr().err
-    assert said.count("up to date") == 6
+    assert [file.stat().st_mtime_ns for file in made] == before
 
 
 def test_retraining_starts_from_the_model(files, tmp_path):
@@ -152,22 +152,18 @@ def test_retraining_starts_from_the_model(files, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
+    ("name", "facts"),
     [
-        (
-            "small",
-            "an input of 8x8x1 and 4 classes; the tactile images have 10x10x1 and 10 classes",
-        ),
-        ("new", "never trained"),
-        ("other", "hardly better than chance on this run's training samples"),
+        ("small", ["8x8x1", "4 classes", "10x10x1", "10 classes"]),
+        ("new", ["biases", "zero"]),
+        ("other", ["accuracy 0."]),
     ],
 )
-def test_what_cannot_stand_in_is_one_line(files, tmp_path, capsys, name, words):
+def test_what_cannot_stand_in_is_one_line(files, tmp_path, capsys, name, facts):
     folder = tmp_path / "run"
     assert call("convert", folder, "--model", files / f"{name}.keras", *SMALL) == 2
     *_, said = capsys.readouterr().err.splitlines()
-    assert words in said
-    assert str(files / f"{name}.keras") in said
+    assert missing(said, files / f"{name}.keras", *facts) == []
     assert not (folder / "cnn").exists()
     assert not (folder / "bundle").exists()
 
@@ -175,12 +171,13 @@ def test_what_cannot_stand_in_is_one_line(files, tmp_path, capsys, name, words):
 def test_a_file_that_is_no_model(tmp_path, capsys):
     folder, path = tmp_path / "run", tmp_path / "model.keras"
     path.write_bytes(b"no model")
-    assert call("convert", folder, "--model", path, *SMALL) == 2
-    assert "not a Keras model file" in capsys.readouterr().err
-    assert call("convert", folder, "--model", tmp_path / "none.keras", *SMALL) == 2
-    assert "No such file" in capsys.readouterr().err
-    assert call("convert", folder, "--retrain") == 2
-    assert "--model FILE" in capsys.readouterr().err
+    for arguments, fact in (
+        (("--model", path, *SMALL), f"{path}: "),
+        (("--model", tmp_path / "none.keras", *SMALL), "none.keras: "),
+        (("--retrain",), "--model"),
+    ):
+        assert call("convert", folder, *arguments) == 2
+        assert fact in capsys.readouterr().err
     assert not folder.exists()
 
 
@@ -203,7 +200,7 @@ def test_a_file_that_has_changed_since(files, tmp_path, capsys):
     path.write_bytes((files / "other.keras").read_bytes())
     from deploy.errors import UserError
 
-    with pytest.raises(UserError, match=r"model\.keras: has changed; give it again"):
+    with pytest.raises(UserError, match=r"model\.keras: .*--model"):
         stages.train("cnn", RunFolder(folder), settings, Dataset.of(settings), lambda line: None)
 
 
