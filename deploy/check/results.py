@@ -371,8 +371,9 @@ def compare_results(a: dict, b: dict) -> Comparison:
     )
 
 
-SIGNIFICANT = 0.01
-"""McNemar's p below which a lower accuracy is significant."""
+ALARMING = 0.01
+"""McNemar's p below which a lower accuracy causes a warning.  It is lower than the 0.05 of tables,
+because every check of every target is compared."""
 
 
 def loss_text(reference: dict, result: dict) -> Optional[str]:
@@ -387,7 +388,7 @@ def loss_text(reference: dict, result: dict) -> Optional[str]:
     Returns
     -------
     str or None
-        None if the difference is not significant.
+        None if the difference is not significant (p of :data:`ALARMING` or more).
 
     Raises
     ------
@@ -395,12 +396,13 @@ def loss_text(reference: dict, result: dict) -> Optional[str]:
         The results are of different bundles or of different samples.
     """
     compared = compare_results(reference, result)
-    if compared.accuracy_drop <= 0 or compared.p_value >= SIGNIFICANT:
+    if compared.accuracy_drop <= 0 or compared.p_value >= ALARMING:
         return None
     own, found = compared.accuracies
     return WARNING + (
         f"{result['target']} is significantly less accurate than {reference['target']} on the same "
-        f"samples: {found:.3f} instead of {own:.3f} (McNemar p = {compared.p_value:.2g})"
+        f"samples: {found:.3f} instead of {own:.3f} (McNemar p = {compared.p_value:.2g}, "
+        f"below {ALARMING:g})"
     )
 
 
