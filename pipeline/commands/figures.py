@@ -27,11 +27,8 @@ from pipeline.experiments.table2_splits import MODELS
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 FOLDER = ROOT / "results"
-TABLE2 = (
-    *("table2-images", "table2-slayer-random", "table2-slayer-writers", "table2-events"),
-    "table2-slayer",
-)
-"""Files with rows of Table 2; of a row in several of them the first is used."""
+TABLE2 = ("table2-images", "table2-slayer-random", "table2-slayer-writers", "table2-events")
+"""Files with rows of Table 2."""
 
 EARLIER = "earlier recordings"
 

@@ -119,11 +119,12 @@ def _time_of_slayer(benchmark, n_recordings, workers):
     samples = n_recordings * (1 - benchmark.settings.split.test_fraction)
     seconds = SECONDS_PER_SAMPLE * samples * slayer.epochs * slayer.bins / 200
     each, number = seconds / 60, len(missing)
-    line = f"table 2: {number} trainings with SLAYER, about {each:.0f} minutes each"
+    line = f"table 2: trainings with SLAYER: {number}, last, about {each:.0f} minutes each"
     if workers.scheduler is not None:
         return line
-    hours = each * -(-number // workers.processes) / 60
-    return f"{line}, {hours:.1f} hours in all; all other rows come first"
+    minutes = each * -(-number // workers.processes)
+    total = f"{minutes:.0f} minutes" if minutes < 60 else f"{minutes / 60:.1f} hours"
+    return f"{line}, {total} in all"
 
 
 def _kinds(kind, recordings):
