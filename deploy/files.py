@@ -426,10 +426,10 @@ def refuse_linked_folders(root):
             refuse_linked_folder(os.path.join(above, name))
 
 
-def write_json(path, value):
-    """Write ``value`` as JSON in UTF-8, indented, completely or not at all."""
+def write_json(path, value, indent=2):
+    """Write JSON in UTF-8, completely or not at all; on one line if ``indent`` is None."""
     with replacing(path, "w") as file:
-        json.dump(value, file, indent=2, ensure_ascii=False, allow_nan=False)
+        json.dump(value, file, indent=indent, ensure_ascii=False, allow_nan=False)
         file.write("\n")
 
 

@@ -44,7 +44,7 @@ def users_environment() -> dict:
 
 
 def printed_by(code, *arguments, env=None, cwd=ROOT) -> str:
-    """What a script prints, in a Python of its own that must end well."""
+    """Run a script in a separate Python process, which must succeed; return its standard output."""
     done = subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)],
         cwd=cwd, env=env or environment(), capture_output=True, text=True,

@@ -29,7 +29,7 @@ TINY = (
 """Options of the small run: trained badly, but through every stage."""
 
 NOTHING_TO_DO = ("cnn", "rate-lif", "events", "bundle")
-"""What a command says that it need not do, before it is refused for something else."""
+"""Artifacts that a command may report as current before it refuses something else."""
 
 # TensorFlow's graphs are a million objects: looking through them for garbage every few hundred new
 # ones takes an eighth of the time of the tests that make them.

@@ -221,7 +221,8 @@ def _of_slayer(folder):
 
 def _copy(path, source, target):
     (target / path).parent.mkdir(parents=True, exist_ok=True)
-    write_json(target / path, read_json(source / path, "delete it and run the command again"))
+    content = read_json(source / path, "delete it and run the command again")
+    write_json(target / path, content, indent=None)  # thousands of numbers, a line each otherwise
 
 
 def _benchmark(verb):

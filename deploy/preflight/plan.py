@@ -41,8 +41,11 @@ REMEDIES = {
     "layer or the next",
     "synapse words": "give the layer fewer filters or units, or a larger stride",
 }
-"""What to change, for a user of the command line: layers are divided into blocks automatically, so
-that only a network from Python with a ``block_shape`` of its own can have too many compartments."""
+"""The remedy for each exceeded limit.
+
+Layers are divided into blocks automatically.  Therefore only a layer whose ``block_shape`` was set
+from Python can have too many compartments.
+"""
 
 
 @dataclass(frozen=True)

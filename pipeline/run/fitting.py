@@ -173,9 +173,7 @@ def _architecture(settings, recordings, changes):
     if not is_default or (section == "cnn" and before.model):
         return
     sensor = recordings.sensor
-    shape = (sensor.rows, sensor.columns, 2 if settings.on_events else 1)
-    default = parse(before.architecture)
-    if default.input_shape == shape and default.outputs == len(sensor.classes):
+    if _is_for(before.architecture, sensor, 2 if settings.on_events else 1):
         return
     chosen = architecture_for(sensor, settings.on_events)
     changes[section] = {"architecture": chosen}
@@ -206,10 +204,9 @@ def with_slayer(settings: Settings, recordings: Recordings) -> Settings:
         The architecture is the user's and does not fit.
     """
     sensor, default = recordings.sensor, Slayer().architecture
-    size, classes = f"{sensor.rows}x{sensor.columns}x2", len(sensor.classes)
-    given = parse(settings.slayer.architecture)
-    if "x".join(map(str, given.input_shape)) == size and given.outputs == classes:
+    if _is_for(settings.slayer.architecture, sensor, 2):
         return settings
+    size, classes = f"{sensor.rows}x{sensor.columns}x2", len(sensor.classes)
     if settings.slayer.architecture != default:
         raise UserError(
             f"{recordings.source.name}: 'slayer.architecture' must be for {size}, a channel for "
@@ -219,6 +216,12 @@ def with_slayer(settings: Settings, recordings: Recordings) -> Settings:
     layers = alike.split("-")[1:-1]
     chosen = "-".join([size, *layers, f"{classes}o"])
     return settings.with_values({"slayer": {"architecture": chosen}}, recordings.source.name)
+
+
+def _is_for(architecture, sensor, channels) -> bool:
+    """True if an architecture has the sensor's input size and as many outputs as classes."""
+    parsed, shape = parse(architecture), (sensor.rows, sensor.columns, channels)
+    return parsed.input_shape == shape and parsed.outputs == len(sensor.classes)
 
 
 def _operations_of_input(architecture, recordings):
