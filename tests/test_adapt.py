@@ -12,11 +12,12 @@ from deploy.files import read_json
 from pipeline.live.network import SHIPPED
 from pipeline.recordings.archive import write_zip
 from pipeline.recordings.events import Recordings
+from pipeline.settings import Settings, write_settings
 from pipeline.skin import handwriting, parameters
 from pipeline.skin.handwriting import Trace
 from pipeline.skin.shape_model import boxed
 from pipeline.skin.simulate import simulate
-from tests.command import call
+from tests.command import call, missing
 
 LEANING = np.array([[1.0, 0.7], [0.0, 1.0]])
 """From (down, right) to that of a digit that leans to the left."""
@@ -203,10 +204,44 @@ def test_one_of_several_writers(run, tmp_path, capsys, monkeypatch):
     recordings = strange_hand(2)
     several = replace(recordings, writers=np.arange(20) % 2 + 3)
     from pipeline.commands import adapt
+    from pipeline.run import elsewhere
 
-    monkeypatch.setattr(adapt, "load_recordings", lambda *a, **k: several)
+    monkeypatch.setattr(elsewhere, "load_recordings", lambda *a, **k: several)
     assert call("adapt", run, "--data", "any", "--out", tmp_path / "new") == 2
     assert "3, 4" in capsys.readouterr().err
     chosen, name = adapt._of_one(several, 4)
     assert (len(chosen), name, set(chosen.writers)) == (10, "4", {4})
     assert not (tmp_path / "new").exists()
+
+
+def test_somebody_else_of_the_same_name_is_not_replaced(tmp_path, person, capsys):
+    shutil.copytree(SHIPPED, tmp_path / "bundle")
+    place = tmp_path / "adapted" / "7"
+    for _ in range(2):  # the second time the result of the same recordings is replaced
+        assert call("adapt", tmp_path, "--data", person) == 0
+    before = contents(place)
+    write_zip(tmp_path / "other.zip", strange_hand(5, seed=8))
+    assert call("adapt", tmp_path, "--data", tmp_path / "other.zip") == 2
+    printed = capsys.readouterr().err
+    assert missing(printed, place, "mine.zip", "--out") == []
+    assert contents(place) == before
+    assert call("adapt", tmp_path, "--data", tmp_path / "other.zip", "--out", place) == 0
+    assert contents(place) != before
+
+
+def test_recordings_are_read_with_the_settings_of_the_run(tmp_path, capsys):
+    """Of a camera with twice as many rows and columns as the network."""
+    shutil.copytree(SHIPPED, tmp_path / "run" / "bundle")
+    own = Settings().with_values({"data": {"source": "own", "downsample": 2}})
+    write_settings(tmp_path / "run" / "experiment.toml", own)
+    small = strange_hand(4)
+    for index, label in enumerate(small.labels):
+        events, who = small[index], index % 2
+        folder = tmp_path / "data" / str(label)
+        folder.mkdir(parents=True, exist_ok=True)
+        y, x = np.divmod(2 * np.array(events.taxel, int), 20)
+        t, p = events.time_ns // 1000, events.polarity
+        np.savez(folder / f"{who}-{index}.npz", x=x, y=2 * y, t=t, p=p)
+    arguments = (tmp_path / "run", "--data", tmp_path / "data", "--json")
+    assert call("adapt", *arguments) == 0
+    assert told(capsys)["samples"] == 40

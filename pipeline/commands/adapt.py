@@ -13,7 +13,6 @@ from deploy.errors import UserError
 from deploy.files import refuse_linked_folder
 from pipeline.commands import options
 from pipeline.commands.completion import data_sets
-from pipeline.inputs.library import load_recordings
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.words import listed
 from pipeline.run.folder import RunFolder
@@ -47,13 +46,18 @@ def adapt(
     Nothing is written if the accuracy in cross-validation on the person's recordings does not
     improve.  The original bundle is not changed.
     """
-    from pipeline.run import adaptation  # Nengo takes a second to import
+    from pipeline.run import adaptation, elsewhere  # Nengo takes a second to import
 
     bundle, beside = _bundle_of(run)
-    recordings, who = _of_one(load_recordings(data, jobs=jobs, warn=options.say), writer)
+    options.warn_if_outdated(bundle.path)
+    settings = elsewhere.settings_around(bundle)
+    everyone = elsewhere.recordings_for(bundle, data, settings, jobs, options.say)
+    recordings, who = _of_one(everyone, writer)
+    adaptation.require_fit(bundle.spec, recordings)
     place = out or beside / who
     if out is None:
         refuse_linked_folder(beside)
+        _refuse_other_person(place, recordings.source)
     if place.resolve() == bundle.path.resolve():
         raise UserError(
             f"{place}: is the bundle to adapt, which is not changed; choose another --out"
@@ -80,6 +84,19 @@ def _bundle_of(path):
     if folder.bundle.exists():
         return read_bundle(folder.bundle), folder.path / "adapted"
     return read_bundle(path), path.absolute().parent / f"{path.absolute().name}-adapted"
+
+
+def _refuse_other_person(place, source):
+    """Make sure that a bundle is not replaced by another person's of the same name."""
+    if not place.exists():
+        return
+    before = read_bundle(place).spec.provenance.get("adapted")
+    before = before if isinstance(before, dict) else {}
+    if before.get("source_sha256") != source.sha256:
+        raise UserError(
+            f"{place}: is fitted to other recordings ({before.get('source')}); choose another "
+            f"folder (--out), or replace it with --out {place}"
+        )
 
 
 def _of_one(recordings: Recordings, writer) -> tuple:

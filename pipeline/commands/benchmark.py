@@ -19,7 +19,6 @@ from pipeline.experiments import losses as losses_
 from pipeline.experiments.study import measure_splits
 from pipeline.experiments.table2 import measure_table, table_text
 from pipeline.experiments.table2_splits import MODELS, ON_REQUEST
-from pipeline.inputs.library import load_recordings
 from pipeline.progress import progress
 from pipeline.run.folder import RunFolder
 
@@ -234,6 +233,7 @@ def adapt(
     With --handwriting PEN, an interrupted command continues if it is repeated.
     """
     from pipeline.experiments import adaptation, rotation  # Nengo
+    from pipeline.run import elsewhere
 
     counts = _counts(each)
     names = tuple(dict.fromkeys(name.strip() for name in methods.split(",")))
@@ -255,7 +255,8 @@ def adapt(
         raise UserError("give RUN and --data, or --handwriting")
     folder = RunFolder(run)
     bundle = read_bundle(folder.bundle if folder.bundle.exists() else run)
-    recordings = load_recordings(data, jobs=workers.processes, warn=options.say)
+    settings = elsewhere.settings_around(bundle)
+    recordings = elsewhere.recordings_for(bundle, data, settings, workers.processes, options.say)
     with progress("people", len(np.unique(recordings.writers))) as advance:
         measured = adaptation.measure_adaptation(bundle, recordings, plan, names, advance)
     write_json(out or Path("runs/adapt.json"), measured)

@@ -23,7 +23,6 @@ from pipeline.commands import options, signatures
 from pipeline.commands.completion import data_sets
 from pipeline.progress import progress
 from pipeline.run.answers import REFERENCES
-from pipeline.settings import Settings, read_settings
 
 
 def _board_option(kind, text):
@@ -149,8 +148,7 @@ def _on_others(bundle, target, others, seed, out, check):
     """Run the check on other recordings; return the result and its file."""
     from pipeline.run import elsewhere  # imports the code that reads recordings
 
-    experiment = bundle.path.absolute().parent / "experiment.toml"
-    settings = read_settings(experiment) if experiment.exists() else Settings()
+    settings = elsewhere.settings_around(bundle)
     recordings = elsewhere.recordings_for(bundle, others.data, settings, others.jobs, options.say)
     presented, indices = elsewhere.with_recordings(
         bundle, recordings, others.samples, seed, settings.image

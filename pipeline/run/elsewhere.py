@@ -19,10 +19,23 @@ from pipeline.recordings.events import Recordings
 from pipeline.recordings.sensors import Reading
 from pipeline.recordings.words import listed
 from pipeline.run.ladder import confusion_matrix
-from pipeline.settings import Image, Settings
+from pipeline.run.places import run_around
+from pipeline.settings import Image, Settings, read_settings
 
 FOLDER = "other"
 """Name of the folder in a run's results."""
+
+
+def settings_around(bundle: Bundle) -> Settings:
+    """The settings of the run that a bundle is in, or the defaults if it is in none.
+
+    Raises
+    ------
+    UserError
+        The run's settings cannot be read.
+    """
+    run = run_around(bundle.path)
+    return Settings() if run is None else read_settings(run / "experiment.toml")
 
 
 def recordings_for(
@@ -36,7 +49,7 @@ def recordings_for(
     source : str
         Path of a zip or folder.
     settings : Settings
-        Settings of the bundle's run for reading files; the defaults if there is no run.
+        From :func:`settings_around`, for reading files.
     jobs : int
         Processes.
     warn : callable, optional
@@ -53,8 +66,14 @@ def recordings_for(
     recordings = load_recordings(
         source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading
     )
-    require_sensor_fits(bundle.spec, recordings)
-    sensor, known = recordings.sensor, classes_of(bundle.spec)
+    sensor, known, taxels = recordings.sensor, classes_of(bundle.spec), recordings.taxels
+    # The size that was requested may be larger than a look-up table's, of a smaller sensor.
+    found = replace(
+        sensor,
+        rows=settings.skin.rows or int(taxels.row.max()) + 1,
+        columns=settings.skin.columns or int(taxels.column.max()) + 1,
+    )
+    require_sensor_fits(bundle.spec, replace(recordings, sensor=found))
     present = [sensor.classes[label] for label in np.unique(recordings.labels)]
     unknown = [name for name in present if name not in known]
     if unknown:

@@ -10,6 +10,14 @@ from deploy.errors import UserError
 from deploy.interrupts import at_the_end
 
 LOCK = ".lock"
+DEEPEST = 3
+"""Most folders from a file or bundle of a run up to the run: ``checks/whole/emulator.json``."""
+
+
+def run_around(path) -> Path | None:
+    """The folder of the run that a file or bundle is in, or None."""
+    above = list(Path(path).absolute().parents)[:DEEPEST]
+    return next((folder for folder in above if (folder / "experiment.toml").is_file()), None)
 
 
 def refuse_other_folders(path: Path, of_results: bool = False):
