@@ -753,7 +753,12 @@ def _validate(s: Settings, origin):
                  f"for {rows}x{columns}x2, a channel for each polarity")  # fmt: skip
     n_spiking = len(architecture.spiking)
     need(n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output")
-    on_chip = architecture.convs[1:] if s.deployment.first_layer == "host" else architecture.convs
+    if s.nir.file:  # the graph's filters are not known here; the plan reports them
+        on_chip = ()
+    elif s.on_events:
+        on_chip = on_events.convs
+    else:
+        on_chip = architecture.convs[s.deployment.first_layer == "host" :]
     need(s.deployment.pop_type == 32 or not any(conv.filters % 4 for conv in on_chip),
          "deployment.pop_type", "32, or 16 if layers have a multiple of 4 filters")  # fmt: skip
     need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3, "snn.max_rates",

@@ -119,6 +119,19 @@ def test_a_wrong_setting_is_named(case):
     assert missing(line, dotted(changes), *facts) == []
 
 
+def test_filters_for_axons_of_type_16_are_those_of_the_network_on_the_chip():
+    on_events = Settings().with_values({"input": {"kind": "events"}})
+    short = {"deployment": {"pop_type": 16}}
+    assert on_events.with_values(short).deployment.pop_type == 16
+    six = {"events": {"architecture": "10x10x2-6c4-64-10o"}, **short}
+    with pytest.raises(UserError, match="pop_type"):
+        on_events.with_values({"cnn": {"architecture": "10x10-8c4-10o"}, **six})
+    # The first layer on the host has no axons of its own; a NIR graph is in no setting.
+    host = {"architecture": "10x10-6c4-24c3-10o"}
+    Settings().with_values({"cnn": host, "deployment": {"pop_type": 16, "first_layer": "host"}})
+    on_events.with_values({"nir": {"file": "graph.nir"}, **six})
+
+
 def test_a_whole_number_will_do_for_a_fraction():
     assert Settings().with_values({"snn": {"max_rates": [100]}}, "").snn.max_rates == (100.0,)
 
