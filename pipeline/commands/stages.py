@@ -27,12 +27,12 @@ def train(
         options.opened(run, given, fit=fit) as (folder, resolved),
         numbered(stages.bars(resolved, "train")),
     ):
-        dataset = stages.open_dataset(folder, resolved, jobs, options.say, check=False)
-        if resolved.nir.file:
+        if resolved.nir.file:  # refused before the settings are saved
             raise UserError(
                 f"{run}: its network is the NIR graph {resolved.nir.file}, already trained; "
-                "use 'stmnist convert', or return to the built-in network with --set nir.file=''"
+                "use 'stmnist convert', or train a network in a new folder"
             )
+        dataset = stages.open_dataset(folder, resolved, jobs, options.say, check=False)
         for name in ("events", "threshold") if resolved.on_events else ("cnn",):
             stages.train(name, folder, resolved, dataset, options.say)
     options.suggest("ladder", run)

@@ -15,6 +15,8 @@ from pipeline.inputs.dataset import (
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.recordings.facts import facts_of
 from pipeline.run.folder import RunFolder
+from pipeline.run.stages.own_model import take_over
+from pipeline.run.stages.training import network_artifact
 from pipeline.settings import SIMULATED, Settings
 
 
@@ -28,8 +30,8 @@ def open_dataset(
 ) -> Dataset:
     """Load and split the recordings of a run, save its settings, and write ``dataset.json``.
 
-    The settings are only saved after the recordings have been found sufficient, so that a mistaken
-    path or number of samples is not stored in the run.
+    The settings are only saved after the recordings and a user's Keras model have been found
+    sufficient, so that a mistaken path, number of samples or model is not stored in the run.
 
     Parameters
     ----------
@@ -47,7 +49,8 @@ def open_dataset(
     Raises
     ------
     UserError
-        The source cannot be read, is too small for the split or the check, or cannot be presented.
+        The source cannot be read, is too small for the split or the check, or cannot be presented;
+        or the user's model cannot be used.
     """
     if dataset is None:
         dataset = Dataset.of(settings, jobs, warn)
@@ -68,6 +71,7 @@ def open_dataset(
             raise UserError(f"{settings.data.source}: {error}; {remedy}") from error
         if not settings.on_events:
             require_images_fit(dataset.inputs, settings)
+    _refuse_useless_model(run, settings, dataset)
     if warn is not None:
         for line in _notes(run, settings, recordings):
             warn(line)
@@ -77,6 +81,14 @@ def open_dataset(
         sizes = {part: len(getattr(split, part)) for part in ("train", "validation", "test")}
         artifact.write({**facts_of(recordings), **sizes})
     return dataset
+
+
+def _refuse_useless_model(run, settings, dataset):
+    """Judge a user's Keras model now, unless the run has taken it over already."""
+    if settings.network != "image" or not settings.cnn.model:
+        return
+    if not network_artifact("cnn", run, settings, dataset.origin).state().is_current:
+        take_over(settings, dataset)
 
 
 def dataset_artifact(run: RunFolder, origin: Origin) -> Artifact:

@@ -9,6 +9,7 @@ import pytest
 from deploy.errors import UserError
 from pipeline.commands import options
 from pipeline.commands.completion import data_sets
+from pipeline.settings import Settings, read_settings, write_settings
 from tests.command import call
 
 
@@ -107,3 +108,11 @@ def test_the_next_command_is_suggested_at_a_terminal_only(monkeypatch, capsys):
     monkeypatch.setattr(sys, "stdout", Terminal())
     options.suggest("ladder", Path("runs/my own"), "--data", "a b.zip")
     assert error.getvalue() == "next: stmnist ladder 'runs/my own' --data 'a b.zip'\n"
+
+
+def test_a_training_that_is_refused_saves_no_settings(tmp_path, capsys):
+    imported = Settings().with_values({"nir": {"file": "graph.nir"}})
+    write_settings(tmp_path / "experiment.toml", imported)
+    assert call("train", tmp_path, "--set", "seed=7") == 2
+    assert "graph.nir" in capsys.readouterr().err
+    assert read_settings(tmp_path / "experiment.toml") == imported

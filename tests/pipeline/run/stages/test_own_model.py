@@ -164,8 +164,15 @@ def test_what_cannot_stand_in_is_one_line(files, tmp_path, capsys, name, facts):
     assert call("convert", folder, "--model", files / f"{name}.keras", *SMALL) == 2
     *_, said = capsys.readouterr().err.splitlines()
     assert missing(said, files / f"{name}.keras", *facts) == []
-    assert not (folder / "cnn").exists()
-    assert not (folder / "bundle").exists()
+    assert not folder.exists()
+
+
+def test_a_refused_model_leaves_the_run_as_it_was(run, files):
+    """Its settings were saved, so that every later command of the run was refused too."""
+    before = (run / "experiment.toml").read_bytes()
+    assert call("convert", run, "--model", files / "other.keras") == 2
+    assert (run / "experiment.toml").read_bytes() == before
+    assert call("convert", run) == 0
 
 
 def test_a_file_that_is_no_model(tmp_path, capsys):
