@@ -20,6 +20,7 @@ from hashlib import sha256
 
 import numpy as np
 
+from deploy.errors import UserError
 from deploy.network.chip import LOIHI
 from deploy.tables import aligned
 from deploy.targets.registry import answer
@@ -106,6 +107,20 @@ CHOICES = (
 """``unfiltered``: no synapses between the layers, and the smoothed output decides; the others are
 read in the last four fifths of the steps.  ``host layer``: the first convolution is off the chip.
 """
+
+
+def refuse(settings: Settings):
+    """Refuse settings of a network on events, for which the paper has none of these choices.
+
+    Raises
+    ------
+    UserError
+    """
+    if settings.on_events:
+        raise UserError(
+            "benchmark conversion: trains the paper's networks on images; leave out input.kind = "
+            "'events', or use 'stmnist benchmark losses --input events'"
+        )
 
 
 def result_origin(settings: Settings, dataset: Origin, subject: str = "") -> Origin:
@@ -248,4 +263,6 @@ def choices_text(summary: dict) -> str:
     return "\n".join(lines)
 
 
-EXPERIMENT = Experiment("conversion", measure, summarise, result_origin, choices_text)
+EXPERIMENT = Experiment(
+    "conversion", measure, summarise, result_origin, choices_text, refuse=refuse
+)

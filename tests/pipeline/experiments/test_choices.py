@@ -4,6 +4,7 @@ import pytest
 
 from pipeline.experiments import choices
 from pipeline.settings import Settings
+from tests.command import call
 
 
 def test_every_choice_is_a_valid_setting_and_has_a_title_of_its_own():
@@ -40,3 +41,11 @@ def test_losses_are_paired_with_the_networks_of_the_same_rate():
     text = choices.choices_text(summary)
     assert "100 Hz 0.700, 150 Hz 0.900" in text
     assert text.count("25.00") + text.count(" 5.00") == n
+
+
+def test_networks_on_events_are_refused(tmp_path, capsys):
+    out = tmp_path / "out"
+    arguments = ("--splits", 1, "--jobs", 1, "--set", "input.kind=events")
+    assert call("benchmark", "conversion", "--out", out, *arguments) == 2
+    assert "input.kind" in capsys.readouterr().err
+    assert not out.exists()
