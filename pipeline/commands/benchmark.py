@@ -133,7 +133,12 @@ def events(
 
 
 def emulator(
-    bundle: options.Bundle = Path("runs/default/bundle"),
+    bundle: Annotated[
+        Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
+        typer.Argument(
+            help="Folder of the bundle or of its run.", show_default="runs/default/bundle"
+        ),
+    ] = None,
     samples: Annotated[
         Optional[int],  # noqa: UP045 - Typer reads the annotation at run time
         typer.Option(help="Use only the first samples of the bundle's check.", min=1),
@@ -149,6 +154,8 @@ def emulator(
     Checks that both give the same spikes; exit status 1 if not.
     """
     if networks:
+        if bundle is not None or samples is not None:
+            raise UserError("--networks measures networks of its own: leave out BUNDLE, --samples")
         from pipeline.experiments import network_speed  # imports Nengo
 
         result = network_speed.measure_networks()
@@ -158,7 +165,9 @@ def emulator(
         return
     from pipeline.experiments import emulator_speed  # imports Nengo
 
-    result = emulator_speed.measure(read_bundle(options.bundle_in(bundle)), samples)
+    bundle = options.bundle_in(bundle or Path("runs/default/bundle"))
+    options.warn_if_outdated(bundle)
+    result = emulator_speed.measure(read_bundle(bundle), samples)
     options.tell(result, emulator_speed.speed_text, as_json)
     if not result["identical"]:
         raise CheckFailed("the target fast and NengoLoihi's emulator do not give the same spikes")
@@ -193,15 +202,19 @@ def adapt(
             metavar="PEN",
         ),
     ] = None,
-    folds: Annotated[int, typer.Option(help="With PEN: number of folds.", min=2)] = 3,
+    folds: Annotated[
+        Optional[int],  # noqa: UP045
+        typer.Option(help="With PEN: number of folds.", min=2, show_default="3"),
+    ] = None,
     fitted: Annotated[
-        int,
+        Optional[int],  # noqa: UP045
         typer.Option(
             help="With PEN: number of writers from whom the model of handwriting is estimated; 0: "
             "all writers of the other folds.",
             min=0,
+            show_default="0",
         ),
-    ] = 0,
+    ] = None,
     methods: Annotated[
         str,
         typer.Option(
@@ -245,16 +258,28 @@ def adapt(
     if handwriting is not None:
         if run is not None or data is not None:
             raise UserError("--handwriting trains networks of its own: leave out RUN and --data")
-        what = rotation.Rotation(handwriting.absolute(), plan, folds, fitted, names)
-        place = out or Path("runs/adapt")
-        with options.opened(place, given) as opened:
-            found = rotation.measure_rotation(what, *opened, workers, options.say)
+        with options.opened(out or Path("runs/adapt"), given) as (folder, resolved):
+            plan = replace(plan, seed=resolved.seed)
+            pen = handwriting.absolute()
+            what = rotation.Rotation(pen, plan, folds or 3, fitted or 0, names)
+            found = rotation.measure_rotation(what, folder, resolved, workers, options.say)
         options.conclude(found, rotation.rotation_text, as_json)
         return
     if run is None or data is None:
         raise UserError("give RUN and --data, or --handwriting")
+    only_with_pen = {
+        "--set": given.assignments or None,
+        "--settings": given.settings,
+        "--input": given.input,
+        "--folds": folds,
+        "--fitted": fitted,
+        "--scheduler": workers.scheduler,
+    }
+    if unused := [name for name, value in only_with_pen.items() if value is not None]:
+        raise UserError(f"{', '.join(unused)}: only with --handwriting, not with RUN and --data")
     folder = RunFolder(run)
     bundle = read_bundle(folder.bundle if folder.bundle.exists() else run)
+    options.warn_if_outdated(bundle.path)
     settings = elsewhere.settings_around(bundle)
     recordings = elsewhere.recordings_for(bundle, data, settings, workers.processes, options.say)
     with progress("people", len(np.unique(recordings.writers))) as advance:

@@ -120,6 +120,8 @@ def ladder(
     """Run the missing stages up to the emulator, and print the loss of each stage."""
     if limit is not None and not -100 <= limit <= 100:  # no loss exceeds NaN
         raise UserError(f"--limit {limit:g}: must be from -100 to 100 points")
+    if slow and not whole:
+        raise UserError("--slow: is for the complete test split; add --whole")
     fit = options.fit_recordings(jobs, until="ladder")
     with options.opened(run, given, fit=fit) as (folder, resolved):
         table = measure_ladder(folder, resolved, jobs, whole, slow, options.say)

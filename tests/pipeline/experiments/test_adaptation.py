@@ -12,7 +12,7 @@ from pipeline.experiments.adaptation import Plan, _mistaken, measure_adaptation,
 from pipeline.live.network import SHIPPED
 from pipeline.recordings.archive import write_zip
 from pipeline.skin.simulate import simulate
-from tests.command import call
+from tests.command import call, missing
 
 BUNDLE = read_bundle(SHIPPED)
 
@@ -54,6 +54,32 @@ def test_too_few(recordings):
 def test_bad_numbers(each, capsys):
     assert call("benchmark", "adapt", SHIPPED, "--data", "none.zip", "--each", each) == 2
     assert "--each" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", [
+    ("--set", "seed=3"), ("--settings", "my.toml"), ("--input", "events"), ("--folds", 3),
+    ("--fitted", 0), ("--scheduler", "tcp://host:1"),
+])  # fmt: skip
+def test_options_for_networks_that_are_trained_are_refused_with_a_run(option, capsys):
+    assert call("benchmark", "adapt", SHIPPED, "--data", "none.zip", *option) == 2
+    assert missing(capsys.readouterr().err, option[0], "--handwriting") == []
+
+
+def test_the_draws_have_the_seed_of_the_settings(tmp_path, monkeypatch):
+    """Not only that of --seed: it may be in a file of settings, or in --set."""
+    from pipeline.experiments import rotation
+
+    seeds = []
+
+    def measure(what, folder, settings, *_):
+        seeds.append((what.plan.seed, settings.seed))
+        raise UserError("enough")
+
+    monkeypatch.setattr(rotation, "measure_rotation", measure)
+    for chosen in ((), ("--seed", 2), ("--set", "seed=3")):
+        arguments = ("--handwriting", "pen", "--out", tmp_path / "out", *chosen)
+        assert call("benchmark", "adapt", *arguments) == 2
+    assert seeds == [(0, 0), (2, 2), (3, 3)]
 
 
 def test_a_summary_by_hand():
