@@ -6,8 +6,10 @@ import itertools
 import re
 import string
 import textwrap
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from deploy.check.bundle import read_bundle
 from deploy.check.intervals import fisher, mcnemar, wilson_interval
@@ -107,27 +109,25 @@ def read_runs(paths, whole: bool = False) -> list:
     for a, b in itertools.combinations(paths, 2):
         if a.resolve() == b.resolve():
             raise UserError(f"{a} and {b} are the same run; name two different ones")
-    return [_read_run(path, whole) for path in paths]
+    others = [{} if whole else _on_other_recordings(RunFolder(path)) for path in paths]
+    names = _stage_names(set().union(*others))
+    return [
+        _read_run(path, whole, {names[stage]: result for stage, result in found.items()})
+        for path, found in zip(paths, others, strict=True)
+    ]
 
 
-def _read_run(path, whole):
+def _read_run(path, whole, others):
     folder = RunFolder(path)
     if not folder.experiment.is_file():
         raise UserError(f"{path}: not a run (it has no {folder.experiment.name}); check the path")
     if not folder.bundle.is_dir():
         raise UserError(f"{path}: has no bundle; make it with 'stmnist convert {path}'")
     bundle = read_bundle(folder.bundle)
-    results, stale = {}, []
-    for stage in ORDER:
-        file = folder.check(stage, whole)
-        if file.exists():
-            result = read_result(file, DELETE_IT)
-            if result["bundle"] == bundle.id:
-                results[stage] = result
-            else:
-                stale.append(stage)
-    if not whole:
-        results |= _on_other_recordings(folder, bundle.id)
+    files = {stage: folder.check(stage, whole) for stage in ORDER}
+    found = {stage: read_result(f, DELETE_IT) for stage, f in files.items() if f.exists()} | others
+    results = {stage: result for stage, result in found.items() if result["bundle"] == bundle.id}
+    stale = [stage for stage in found if stage not in results]
     if not results:
         option = " --whole" if whole else ""
         old = " of its bundle, only of an earlier one" if stale else ""
@@ -147,15 +147,36 @@ def _read_run(path, whole):
     )
 
 
-def _on_other_recordings(folder, bundle_id):
+class _OtherStage(NamedTuple):
+    """A target on other recordings, which are the same if their content is."""
+
+    target: str
+    source: str
+    sha256: str
+    n_samples: int
+
+
+def _on_other_recordings(folder):
     """Results on other recordings, see :mod:`pipeline.run.elsewhere`: each a stage of its own."""
     found = {}
     for file in sorted((folder.path / "checks" / OTHERS).glob("*.json")):
         result = read_result(file, DELETE_IT)
-        if result["bundle"] == bundle_id and "data" in result:
-            name = shortened(Path(result["data"]["source"]).name, LONGEST_SOURCE)
-            found[f"{result['target']} on {name}, {result['n_samples']}"] = result
+        if (data := result.get("data")) is not None:
+            name = shortened(Path(data["source"]).name, LONGEST_SOURCE)
+            stage = _OtherStage(result["target"], name, data["sha256"], result["n_samples"])
+            found[stage] = result
     return found
+
+
+def _stage_names(stages):
+    """The names of such stages, with a part of the hash where they would be equal otherwise."""
+    count = Counter(stage._replace(sha256="") for stage in stages)
+    return {
+        stage: f"{stage.target} on {stage.source}"
+        + (f" {stage.sha256[:6]}" if count[stage._replace(sha256="")] > 1 else "")
+        + f", {stage.n_samples}"
+        for stage in stages
+    }
 
 
 def compare_runs(runs) -> dict:

@@ -8,8 +8,10 @@ import pytest
 
 from deploy.check.intervals import fisher, wilson_interval
 from deploy.errors import UserError
-from pipeline.run.comparison import Run, compare_runs, difference, read_runs, runs_text
+from pipeline.recordings.archive import write_zip
+from pipeline.run.comparison import ORDER, Run, compare_runs, difference, read_runs, runs_text
 from pipeline.settings import Settings
+from pipeline.skin.simulate import simulate
 from tests.command import call, missing
 from tests.deploy.networks import events_spec, paper_spec, small_spec
 
@@ -240,6 +242,29 @@ def test_results_of_an_earlier_bundle_are_left_out(pair, tmp_path):
     assert "nengo" in found.stale
     assert "fast" not in found.stale
     assert "nengo" not in found.results
+
+
+def test_results_on_other_recordings_with_similar_names_and_of_an_earlier_bundle(pair, tmp_path):
+    runs = [shutil.copytree(run, tmp_path / run.name) for run in pair]
+    sources = [tmp_path / f"recordings-{who}.zip" for who in ("anna", "otto")]
+    for seed, source in enumerate(sources):
+        write_zip(source, simulate(seed, [2] * 10, 1))
+        check = ("--target", "fast", "--data", source)
+        assert call("check", "run", runs[0], *check) == 0
+        assert call("check", "run", runs[1], *check) == 0
+    first, second = (set(run.results) - set(ORDER) for run in read_runs(runs))
+    assert len(first) == 2
+    assert first == second  # which are compared
+    shutil.rmtree(runs[1] / "bundle")
+    shutil.copytree(pair[0] / "bundle", runs[1] / "bundle")
+    _, found = read_runs(runs)
+    assert first <= set(found.stale)
+    # The name is short if there are no others with it.
+    for run in runs:
+        for file in (run / "checks" / "other").glob("*otto*"):
+            file.unlink()
+    (name,) = set(read_runs(runs)[0].results) - set(ORDER)
+    assert name == "fast on recordi….zip, 20"
 
 
 def test_bad_input_is_one_clear_line_and_status_2(pair, tmp_path, capsys):
