@@ -87,7 +87,7 @@ def fitted(
     problems, changes = [], {}
     if len(recordings.sensor.classes) < 2:  # there is no network to choose
         raise SeveralErrors([f"{settings.data.source}: {too_small(recordings)}"])
-    _architecture(settings, recordings, changes)
+    _architecture(settings, recordings, changes, problems)
     if settings.on_events:
         _presentation(settings, recordings, changes)
     n_test = _test_samples(settings, recordings, problems)
@@ -165,7 +165,7 @@ def architecture_for(sensor: Sensor, on_events: bool) -> str:
     return "-".join([size, *middle, end])
 
 
-def _architecture(settings, recordings, changes):
+def _architecture(settings, recordings, changes, problems):
     """Choose an architecture if the setting has its default and this does not fit."""
     section = "events" if settings.on_events else "cnn"
     before = getattr(settings, section)
@@ -181,8 +181,14 @@ def _architecture(settings, recordings, changes):
         budget = OPERATIONS_AN_EVENT * _operations_of_input(chosen, recordings) / CNN_MACS
         if budget > before.budget:
             changes[section]["budget"] = float(min(round(budget, 1), 1000.0))
-    if section == "cnn" and len(settings.snn.max_rates) > len(parse(chosen).spiking):
-        changes["snn"] = {"max_rates": settings.snn.max_rates[:1]}
+    rates, layers = settings.snn.max_rates, len(parse(chosen).spiking)
+    if section == "cnn" and len(rates) > layers:  # the user's, since the default is one rate
+        problems.append(
+            f"'snn.max_rates' has {len(rates)} rates, and {chosen}, chosen for the recordings, has "
+            f"{layers} layer{'' if layers == 1 else 's'} of neurons; give as many rates or one, or "
+            "choose cnn.architecture"
+        )
+        changes["snn"] = {"max_rates": rates[:layers]}  # other problems can still be found
 
 
 def with_slayer(settings: Settings, recordings: Recordings) -> Settings:

@@ -73,6 +73,21 @@ def test_images_of_a_sensor_of_one_s_own(own):
     assert any("9x12-6c4-24c3-4o" in line for line in said)
 
 
+def test_more_rates_than_the_chosen_network_has_layers_are_a_problem(tmp_path):
+    """The rates were cut to one, and saved so, without a word."""
+    small = write_recordings(tmp_path / "small.zip", _in_rows_and_columns(4), CLASSES)
+    rates = {"snn": {"max_rates": [100, 200]}, "check": {"samples": 500}}
+    with pytest.raises(SeveralErrors) as caught:
+        fitted(settings_of(small, **rates))
+    of_rates, asked = caught.value.lines
+    assert missing(of_rates, "snn.max_rates", "4x4-64-4o") == []
+    assert "500" in asked
+
+
+def _in_rows_and_columns(n, each=10):
+    return [((x % n, y % n, t, p), label) for (x, y, t, p), label in gestures(each)]
+
+
 def test_events_of_a_sensor_of_one_s_own(own):
     chosen = fitted(settings_of(own, input={"kind": "events"}))
     assert chosen.events.architecture.startswith("9x12x2-")
