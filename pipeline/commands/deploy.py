@@ -39,7 +39,7 @@ def plan(
     as_json: options.Json = False,
 ):
     """Print the resources that the network needs on each core; exit status 2 if it does not fit."""
-    opened = read_bundle(options.bundle_in(bundle))
+    opened = _opened(bundle)
     made = make_plan(opened.spec, chips)
     images = opened.checks.inputs[: opened.spec.presentation.stream_length]
     rates = chip_rates(opened.spec, images) if not made.problems else {}
@@ -77,7 +77,7 @@ def export(
     ] = None,
 ):
     """Export the network for other neuromorphic platforms."""
-    opened = read_bundle(options.bundle_in(bundle))
+    opened = _opened(bundle)
     if format is Format.lava:
         if inputs is not None:
             raise UserError("--inputs is for NIR: a file for Lava holds the input spikes itself")
@@ -101,10 +101,17 @@ def energy(
     as_json: options.Json = False,
 ):
     """Estimate the energy of an inference from the spikes that a check counted."""
-    opened = read_bundle(options.bundle_in(bundle))
+    opened = _opened(bundle)
     path = result or opened.path.absolute().parent / "checks" / "emulator.json"
     counted = read_result(path)
     if counted["bundle"] != opened.id:
         raise UserError(f"{path}: belongs to another bundle than {bundle}; run the check again")
     value = estimate_energy(opened.spec, counted)
     options.tell(value.to_json(), lambda _: estimate_text(value), as_json)
+
+
+def _opened(path):
+    """The bundle of a command, with a warning if it is outdated."""
+    bundle = read_bundle(options.bundle_in(path))
+    options.warn_if_outdated(bundle.path)
+    return bundle

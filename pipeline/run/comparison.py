@@ -27,7 +27,7 @@ from pipeline.recordings.words import is_written, shortened
 from pipeline.run.answers import REFERENCES
 from pipeline.run.elsewhere import FOLDER as OTHERS
 from pipeline.run.folder import RunFolder
-from pipeline.run.status import outdated, status_of
+from pipeline.run.status import outdated, remedy_text, status_of
 from pipeline.settings import Settings, read_settings
 
 SCHEMA = "stmnist-runs/1"
@@ -351,7 +351,7 @@ def runs_text(compared: dict, width: int = WIDTH) -> str:
             reasons = "; ".join(dict.fromkeys(run["outdated"].values()))
             notes.append(
                 f"OUTDATED, these results were made with other settings: {reasons}; "
-                f"'stmnist ladder {run['name']}' makes them again"
+                f"{remedy_text(run['name'], run['outdated'])} makes them again"
             )
         for note in notes:
             note = printable(f"{letter}: {note}")

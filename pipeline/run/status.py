@@ -7,6 +7,7 @@ import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
+from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import read_json, reporting_damage, sha256_of
@@ -17,9 +18,9 @@ from pipeline.artifacts import DELETE_IT, MISSING, OUTDATED, Change, Origin, Sta
 from pipeline.inputs.dataset import ARRAYS, SPLIT_READS, dataset_origin
 from pipeline.inputs.library import content_of
 from pipeline.run.folder import RunFolder
-from pipeline.run.ladder import BOARDS, ladder_artifact, ladder_stages
+from pipeline.run.ladder import BOARDS, SLOW, ladder_artifact, ladder_stages
 from pipeline.run.origins import check_origin
-from pipeline.run.places import refuse_other_folders
+from pipeline.run.places import refuse_other_folders, run_around
 from pipeline.run.stages.answering import check_artifact
 from pipeline.run.stages.bundling import bundle_artifact
 from pipeline.run.stages.opening import dataset_artifact
@@ -28,6 +29,9 @@ from pipeline.settings import Settings, read_settings
 
 WIDTH = 80
 """Width of the text in columns."""
+
+CHECKED_ALONE = ("fast", *BOARDS)
+"""Targets of the check that the ladder does not run."""
 
 
 @dataclass(frozen=True)
@@ -104,8 +108,38 @@ def outdated(found) -> dict:
     return {s.state.name: s.state.reasons() for s in found if s.state.state == OUTDATED}
 
 
+def remedies(run, names) -> list:
+    """Commands that make outdated artifacts again, in the order of their dependencies.
+
+    Parameters
+    ----------
+    run : path-like
+        The run's folder.
+    names : iterable of str
+        The artifacts' names, as in :func:`status_of`.
+    """
+    names = set(names)
+    targets = [target for target in CHECKED_ALONE if f"checks/{target}" in names]
+    whole = {name for name in names if name.startswith("checks/whole/") or name == "ladder-whole"}
+    commands = [f"stmnist check run {run} --target {target}" for target in targets]
+    if names - whole - {f"checks/{target}" for target in targets}:
+        commands.insert(0, f"stmnist ladder {run}")
+    if whole:
+        slow = whole & {f"checks/whole/{stage}" for stage in SLOW}
+        commands.append(f"stmnist ladder {run} --whole{' --slow' if slow else ''}")
+    return commands
+
+
+def remedy_text(run, names) -> str:
+    """The commands of :func:`remedies` in a sentence's form."""
+    return ", then ".join(f"'{command}'" for command in remedies(run, names))
+
+
 def outdated_note(path) -> str | None:
     """A line for the user if a bundle or check result belongs to a run and is outdated.
+
+    A bundle that was fitted to a person is outdated if it was made from another bundle than the
+    run's present one.
 
     Parameters
     ----------
@@ -118,19 +152,33 @@ def outdated_note(path) -> str | None:
         None also if the path is not in a run, or its run cannot be read.
     """
     path = Path(path).absolute()
-    runs = [RunFolder(folder) for folder in list(path.parents)[:3]]
-    run = next((run for run in runs if run.experiment.is_file()), None)
-    if run is None:
+    around = run_around(path)
+    if around is None:
         return None
+    run = RunFolder(around)
     try:
+        if path.parent == around / "adapted":
+            return _note_on_adapted(run, path)
         reasons = outdated(status_of(run))
     except UserError:
         return None
-    name = path.relative_to(run.path).with_suffix("").as_posix()
+    name = path.relative_to(around).with_suffix("").as_posix()
     if name not in reasons:
         return None
-    remedy = f"'stmnist ladder {run.path}' makes it again"
-    return f"{WARNING}{path}: outdated, {reasons[name]}; {remedy}"
+    remedy = remedy_text(around, reasons.keys() & {"bundle", name})
+    return f"{WARNING}{path}: outdated, {reasons[name]}; {remedy} makes it again"
+
+
+def _note_on_adapted(run, path):
+    """The line on a bundle that was made from another one than the run's."""
+    adapted = read_bundle(path).spec.provenance.get("adapted")
+    source = adapted.get("from") if isinstance(adapted, dict) else None
+    if source in (None, read_bundle(run.bundle).id):
+        return None
+    return (
+        f"{WARNING}{path}: outdated, made from an earlier bundle of {run.path}; "
+        f"'stmnist adapt {run.path} --data ...' makes it again"
+    )
 
 
 def status_text(run: RunFolder, found) -> str:
@@ -149,7 +197,8 @@ def status_text(run: RunFolder, found) -> str:
             lines += textwrap.wrap(f"outdated, because {reason}:", WIDTH, break_on_hyphens=False)
             indent = {"initial_indent": "  ", "subsequent_indent": "  "}
             lines += textwrap.wrap(", ".join(names), WIDTH, break_on_hyphens=False, **indent)
-        lines.append(f"'stmnist ladder {run.path}' makes again what is outdated")
+        remedy = f"{remedy_text(run.path, reasons)} makes again what is outdated"
+        lines += textwrap.wrap(remedy, WIDTH, break_on_hyphens=False, break_long_words=False)
     return "\n".join(lines)
 
 

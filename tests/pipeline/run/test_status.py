@@ -3,11 +3,15 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 
+import pytest
+
+from deploy.check.bundle import read_bundle, write_bundle
 from deploy.files import read_json
 from pipeline.run.folder import RunFolder
-from pipeline.run.status import outdated_note
-from tests.command import call
+from pipeline.run.status import outdated_note, remedies
+from tests.command import call, missing
 
 ON_IMAGES = [
     *("dataset", "cnn", "rate-lif", "bundle"),
@@ -54,6 +58,13 @@ def test_a_trained_cnn_makes_what_was_made_from_another_outdated(run, capsys):
     assert set(first["outdated"]) == set(ON_IMAGES[2:])
     assert call("check", "run", run / "bundle", "--target", "fast") == 0
     assert re.search(CHANGED, capsys.readouterr().err)
+    for deploy in (
+        ("plan", run),
+        ("energy", run),
+        ("export", run, "--format", "nir", "--out", run.parent / "network.nir"),
+    ):
+        assert call("deploy", *deploy) == 0
+        assert re.search(CHANGED, capsys.readouterr().err), deploy
     assert "outdated" in outdated_note(run / "checks" / "emulator.json")
     assert call("report", run) == 0
     assert re.search(CHANGED, (run / "report.html").read_text())
@@ -68,13 +79,47 @@ def test_an_answer_to_an_earlier_bundle_is_outdated(run, capsys):
     assert found["checks/emulator"]["state"] == "current"
 
 
+def test_the_remedy_makes_what_is_outdated(run, capsys):
+    """The ladder runs neither the target fast nor the whole test split."""
+    earlier = {**read_json(run / "checks" / "emulator.json", ""), "bundle": "0" * 64}
+    (run / "checks" / "whole").mkdir()
+    for file in ("fast.json", "whole/cnn.json"):
+        (run / "checks" / file).write_text(json.dumps(earlier))
+    check, whole = f"check run {run} --target fast", f"ladder {run} --whole"
+    assert call("status", run) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert missing(said, check, whole) == []
+    assert f"'stmnist ladder {run}'" not in said
+    assert check in outdated_note(run / "checks" / "fast.json")
+
+
+@pytest.mark.parametrize(("names", "commands"), [
+    (["bundle", "checks/nengo"], ["ladder R"]),
+    (["cnn", "checks/loihi"], ["ladder R", "check run R --target loihi"]),
+    (["checks/whole/fast", "ladder-whole"], ["ladder R --whole"]),
+    (["ladder", "checks/whole/nengo"], ["ladder R", "ladder R --whole --slow"]),
+    ([], []),
+])  # fmt: skip
+def test_the_command_for_each_artifact(names, commands):
+    assert remedies("R", names) == [f"stmnist {command}" for command in commands]
+
+
+def test_a_bundle_adapted_from_an_earlier_one_is_outdated(run):
+    bundle = read_bundle(run / "bundle")
+    for source, is_old in ((bundle.id, False), ("0" * 64, True)):
+        provenance = {**bundle.spec.provenance, "adapted": {"from": source}}
+        place = run / "adapted" / "7"
+        write_bundle(place, replace(bundle.spec, provenance=provenance), bundle.checks)
+        assert (outdated_note(place) is not None) == is_old
+
+
 def test_missing_artifacts_are_missing(run, capsys):
     (run / "snn" / "weights.npz").unlink()
     (run / "checks" / "nengo.json").unlink()
     (run / "ladder.json").unlink()
     found = states(run, capsys)
-    missing = {name for name, artifact in found.items() if artifact["state"] == "missing"}
-    assert missing == {"rate-lif", "checks/nengo", "ladder"}
+    absent = {name for name, artifact in found.items() if artifact["state"] == "missing"}
+    assert absent == {"rate-lif", "checks/nengo", "ladder"}
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path, capsys):
