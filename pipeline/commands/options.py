@@ -141,9 +141,22 @@ class Given:
             ("--samples", "check.samples", self.samples),
             ("--steps", "presentation.steps", self.steps),
         ):
-            if value is not None:
-                put(changes, name, value, option)
+            if value is None:
+                continue
+            assigned = _value_in(changes, name)
+            if assigned not in (None, value):
+                raise UserError(
+                    f"{option}: contradicts --set {name}={assigned}; give only one of them"
+                )
+            put(changes, name, value, option)
         return changes
+
+
+def _value_in(changes, name):
+    """A value of nested ones by its dotted name, or None."""
+    for part in name.split("."):
+        changes = changes.get(part) if isinstance(changes, dict) else None
+    return changes
 
 
 _CHANGES = {"settings": SettingsFile, "assignments": Assignments}

@@ -36,6 +36,7 @@ ARRAYS = "arrays"
 """File of the images with which :meth:`Dataset.of_arrays` replaces recordings."""
 
 TOO_SMALL = "ask for fewer (SAMPLES, or check.samples) or give more data"
+NO_SPLIT = "give more data, or another split.test_fraction"
 """Remedy for too few samples."""
 
 
@@ -249,7 +250,7 @@ def _checked_split(recordings, settings, kind="random"):
             recordings, settings.seed, parts.test_fraction, parts.validation_fraction, kind
         )
     except ValueError as error:
-        raise UserError(f"{source}: {error}; {TOO_SMALL}") from error
+        raise UserError(f"{source}: {error}; {NO_SPLIT}") from error
     if problem := too_small(recordings):
         raise UserError(f"{source}: {problem}")
     return split

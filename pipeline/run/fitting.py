@@ -17,7 +17,7 @@ import numpy as np
 from deploy.errors import SeveralErrors, UserError
 from models.architecture import NotationError, parse
 from models.nir_graph import read_nir
-from pipeline.inputs.dataset import TOO_SMALL, split_of
+from pipeline.inputs.dataset import NO_SPLIT, TOO_SMALL, split_of
 from pipeline.inputs.library import recordings_of
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.events import Recordings, Sensor
@@ -262,7 +262,7 @@ def _test_samples(settings, recordings, problems):
             recordings, settings.seed, shares.test_fraction, shares.validation_fraction
         )
     except ValueError as error:
-        problems.append(f"{error}; {TOO_SMALL}")
+        problems.append(f"{error}; {NO_SPLIT}")
         return 0
     return len(split.test)
 

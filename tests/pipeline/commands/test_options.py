@@ -13,12 +13,25 @@ from pipeline.settings import Settings, read_settings, write_settings
 from tests.command import call
 
 
-def test_options_go_before_what_is_set(tmp_path):
-    assignments = ["check.samples=100", "cnn.epochs=7"]
+def test_options_and_what_is_set_besides(tmp_path):
+    assignments = ["check.samples=50", "cnn.epochs=7"]
     given = options.Given(seed=3, samples=50, assignments=assignments)
     with options.opened(tmp_path / "run", given) as (folder, resolved):
         assert folder.path == tmp_path / "run"
         assert (resolved.seed, resolved.check.samples, resolved.cnn.epochs) == (3, 50, 7)
+
+
+@pytest.mark.parametrize(
+    ("option", "given", "assignment"),
+    [
+        ("--seed", {"seed": 1}, "seed=2"),
+        ("--samples", {"samples": 50}, "check.samples=100"),
+        ("--data", {"data": "simulated"}, "data.source=own.zip"),
+    ],
+)
+def test_an_option_and_another_value_of_its_setting_are_refused(option, given, assignment):
+    with pytest.raises(UserError, match=f"^{option}: .*{assignment}"):
+        options.Given(assignments=[assignment], **given).changes()
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,7 @@ def test_too_few_samples_are_one_line_with_the_source(tmp_path):
     archive(path, good_members())
     values = {"data": {"source": str(path)}, "split": {"test_fraction": 0.01}}
     settings = Settings().with_values(values, "test")
-    with pytest.raises(UserError, match=r"st\.zip: 10 .* 0.01 .*check\.samples"):
+    with pytest.raises(UserError, match=r"st\.zip: 10 .* 0.01 .*split\.test_fraction"):
         Dataset.of(settings)
 
 
