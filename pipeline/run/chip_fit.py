@@ -11,14 +11,34 @@ from deploy.network.stimulus import EventFrames, ImageCurrent, ImageSpikes
 from models.architecture import parse
 from pipeline.settings import Deployment, Settings
 
-REMEDIES = {
-    "compartments": "choose fewer neurons",
-    "input axons": "let the layer have fewer inputs: a convolution with a stride, or an averaging "
-    "such as 4a, before it",
-    "output axons": "choose fewer filters, or fewer neurons in the layer after it",
-    "AxonCfg registers": "choose fewer filters, or fewer neurons in the layer after it",
-    "synapse words": "choose fewer filters, or a smaller kernel",
-}
+
+def remedy(resource: str, is_conv: bool, on_events: bool) -> str:
+    """How a layer can need less of a resource.
+
+    Parameters
+    ----------
+    resource : str
+        One of :data:`deploy.preflight.resources.LIMITS`.
+    is_conv : bool
+        Whether the layer is a convolution, not dense.
+    on_events : bool
+        Whether the network's input is events, which no averaging may pass.
+    """
+    averaging = "" if on_events else ", or an averaging such as 4a,"
+    fewer_inputs = (
+        f"let the layer have fewer inputs: a convolution with a stride{averaging} before it"
+    )
+    size = "filters" if is_conv else "neurons"
+    outgoing = f"choose fewer {size}, or fewer neurons in the layer after it"
+    return {
+        "compartments": f"choose fewer {size}",
+        "input axons": fewer_inputs,
+        "output axons": outgoing,
+        "AxonCfg registers": outgoing,
+        "synapse words": "choose fewer filters, or a smaller kernel"
+        if is_conv
+        else f"choose fewer neurons, or {fewer_inputs}",
+    }[resource]
 
 
 def chip_problems(settings: Settings) -> list:
@@ -49,10 +69,11 @@ def chip_problems(settings: Settings) -> list:
 def _problems(text, on_events, deployment):
     from deploy.preflight.plan import excesses  # imports NengoLoihi, which takes seconds
 
+    convolutions = {n for n, layer in parse(text).spiking.items() if layer.kind == "conv"}
     return tuple(
         f"{text}: layer {excess.layer} needs {excess.used} {excess.resource} on {excess.cores} of "
         f"its {excess.of_cores} core{'' if excess.of_cores == 1 else 's'}, a core has "
-        f"{excess.limit}; {REMEDIES[excess.resource]}"
+        f"{excess.limit}; {remedy(excess.resource, excess.layer in convolutions, on_events)}"
         for excess in excesses(untrained(text, on_events, deployment))
     )
 

@@ -125,9 +125,14 @@ def chosen_text(before: Settings, after: Settings, recordings: Recordings) -> li
             f"{len(sensor.classes)} classes (another: --set {name}=...)"
         )
     if after.presentation != before.presentation:
-        lines.append(
-            f"{after.steps} steps of {after.input.step:g} ms: as long as the recordings last"
-        )
+        shown, longest = after.steps * after.input.step, _longest_ms(recordings)
+        part = "as long as the recordings last"
+        if longest >= shown:
+            part = (
+                f"the first {shown / 1000:g} s of recordings of up to {longest / 1000:.4g} s "
+                "(more: a longer --set input.step=..., or --steps)"
+            )
+        lines.append(f"{after.steps} steps of {after.input.step:g} ms: {part}")
     return lines
 
 
@@ -242,8 +247,7 @@ def _presentation(settings, recordings, changes):
     default = Settings()
     if settings.presentation.steps or recordings.sensor.duration_s == Sensor().duration_s:
         return  # as long as the published recordings: the default fits
-    longest = float(EventTable.of(recordings).duration_ms.max(initial=0))
-    step = settings.input.step
+    longest, step = _longest_ms(recordings), settings.input.step
     if replace(settings.input, kind=default.input.kind) == default.input:
         # The user has not chosen the length of a step.
         while longest >= step * MOST_STEPS:
@@ -251,7 +255,12 @@ def _presentation(settings, recordings, changes):
     steps = min(max(math.floor(longest / step) + 1, FEWEST_STEPS), MOST_STEPS)
     changes["presentation"] = {"steps": steps}
     if step != settings.input.step:
-        changes["input"] = {"step": min(step, 1000.0), "refractory": min(step, 1000.0)}
+        changes["input"] = {"step": step, "refractory": step}
+
+
+def _longest_ms(recordings):
+    """Time of the last event of all recordings in milliseconds."""
+    return float(EventTable.of(recordings).duration_ms.max(initial=0))
 
 
 def _test_samples(settings, recordings, problems):

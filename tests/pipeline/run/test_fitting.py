@@ -106,6 +106,17 @@ def test_long_recordings_get_long_steps(tmp_path):
     assert fitted(given).steps == 30
 
 
+def test_a_presentation_that_is_too_short_is_called_so(tmp_path):
+    """The user has chosen the step, of which there may be 400."""
+    slow = [((x, y, 2 * t, p), label) for (x, y, t, p), label in gestures(4)]
+    source = write_recordings(tmp_path / "slow.zip", slow, CLASSES)
+    said = []
+    chosen = fitted(settings_of(source, input={"kind": "events", "step": 1.0}), say=said.append)
+    assert chosen.steps == 400
+    (line,) = [line for line in said if "400 steps of 1 ms" in line]
+    assert "first 0.4 s" in line
+
+
 def test_what_was_chosen_stays_and_is_held_against_the_recordings(own):
     wrong = settings_of(own, cnn={"architecture": "10x10-8c3-4o"}, check={"samples": 50})
     with pytest.raises(SeveralErrors) as caught:
@@ -137,6 +148,9 @@ def test_what_no_core_can_hold_is_told_before_training(kind, architecture, resou
     assert all(line.startswith(f"{architecture}: ") for line in problems)
     assert all("layer dense1" in line for line in problems)
     assert any(not missing(line, resource, 4096) for line in problems)
+    # The remedies are possible: a dense layer has no kernel, and no averaging may pass events.
+    assert not any("kernel" in line for line in problems)
+    assert any("averaging" in line for line in problems) == (kind == "image")
 
 
 @pytest.mark.parametrize("kind", ["image", "events"])
