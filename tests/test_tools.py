@@ -85,6 +85,33 @@ def test_another_version_of_a_package_makes_a_result_out_of_date(two, monkeypatc
     assert of(results.states("a" * 64, two)) == [OUTDATED, MISSING]
 
 
+def test_recordings_of_another_pen_file_are_made_again(tmp_path, monkeypatch):
+    made = []
+
+    def simulated(work, *words):
+        made.append(words[-1])
+        words[-1].write_bytes(b"zip")
+
+    monkeypatch.setattr(results.Work, "run", simulated)
+    for name, content in (("a", b"1"), ("b", b"2"), ("copy of a", b"1")):
+        (tmp_path / name).write_bytes(content)
+    a, b, again = (
+        results.Work(tmp_path / "work", 1, str(tmp_path / name)).pen_recordings()
+        for name in ("a", "b", "copy of a")
+    )
+    assert a == again != b
+    assert made == [a, b]
+
+
+@pytest.mark.parametrize(
+    "given", [Given(data="own.zip"), Given(assignments=["data.samples_per_digit=6"])]
+)
+def test_only_the_difficulty_of_the_built_in_recordings_is_stored(given, tmp_path, monkeypatch):
+    monkeypatch.setattr(difficulty, "measure_splits", lambda *_: pytest.fail("measured"))
+    with pytest.raises(UserError, match="--store"):
+        difficulty.main(tmp_path, 1, given=given, store=True, workers=Workers(1))
+
+
 def test_rows_of_table_2_are_kept_apart(tmp_path, monkeypatch):
     rows = [{"model": name} for name in ("cnn", "loihi", "slayer")]
     pairs = [

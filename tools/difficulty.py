@@ -14,6 +14,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from deploy.errors import UserError
 from deploy.files import write_json
 from pipeline.artifacts import Origin
 from pipeline.commands import options
@@ -100,6 +101,11 @@ def main(
     An interrupted measurement continues with the remaining splits.
     """
     with options.opened(out, given) as (folder, resolved):
+        if store and resolved != Settings():
+            raise UserError(
+                f"--store: keeps the accuracy on the built-in recordings, and {out} is of other "
+                "settings; leave out --data and --set, or name another folder with --out"
+            )
         found = measure_splits(EXPERIMENT, folder, resolved, splits, workers, options.say)
     if store and not found.failed:
         write_json(RECORD, found.summary)

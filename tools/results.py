@@ -27,7 +27,7 @@ import typer
 
 from deploy.check.intervals import mcnemar
 from deploy.errors import UserError
-from deploy.files import read_json, write_json
+from deploy.files import read_json, sha256_of, write_json
 from deploy.tables import aligned
 from pipeline.artifacts import CURRENT, Artifact, Origin
 from pipeline.commands.figures import FOLDER
@@ -99,8 +99,8 @@ class Work:
         return read_json(path, "delete it and run the command again")
 
     def pen_recordings(self) -> Path:
-        """The pen trajectories as recordings, which are simulated if they do not exist."""
-        path = self.folder / "pen.zip"
+        """The pen trajectories as recordings, simulated unless those of the same file exist."""
+        path = self.folder / f"pen-{sha256_of(self.pen_file())[:8]}.zip"
         if path.exists():
             return path
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -113,10 +113,12 @@ class Work:
         Raises
         ------
         UserError
-            No file was given.
+            No file was given, or there is none.
         """
         if not self.pen:
             raise UserError("pen trajectories are needed: --pen pendigits-train.unipen")
+        if not Path(self.pen).is_file():
+            raise UserError(f"{self.pen}: no such file; check --pen")
         return self.pen
 
 
