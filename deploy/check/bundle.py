@@ -117,12 +117,12 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
     Raises
     ------
     UserError
-        The path is a file's, or the folder cannot be written.
+        The path is a file's, or a folder's with other files than a bundle's, which would be lost;
+        or the folder cannot be written.
     """
     path = Path(path)
-    if path.exists() and not path.is_dir():
-        raise UserError(f"{path}: is a file, not a bundle's folder; move it away")
     try:
+        _require_replaceable(path)
         make_folder(path.parent)
         handle, temporary = temporary_folder(path.parent, ".bundle.")
         temporary = Path(temporary)
@@ -156,6 +156,25 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
         os.close(handle)
         shutil.rmtree(str(temporary), ignore_errors=True)
     return read_bundle(path)
+
+
+def _require_replaceable(path):
+    """Refuse to replace a file, or a folder with other files than a bundle's, such as results."""
+    if not path.exists():
+        return
+    if not path.is_dir():
+        raise UserError(f"{path}: is a file, not a bundle's folder; move it away")
+    others = _others_in(path)
+    if others:
+        raise UserError(
+            f"{path}: not replaced by a bundle, because it also has {min(others)}; choose another "
+            "folder, or move that away"
+        )
+
+
+def _others_in(folder):
+    """The names in a folder that are not those of a bundle's files."""
+    return {each.name for each in folder.iterdir()} - {*FILES, "MANIFEST.json"}
 
 
 def result_beside(folder, target: str) -> Path:
@@ -226,7 +245,7 @@ def read_bundle(path) -> Bundle:
             raise UserError(f"{path / name}: missing from the bundle; {_REMEDY}")
         if sha256_of(path / name) != hashes[name]:
             raise UserError(f"{path / name}: changed since the bundle was made; {_REMEDY}")
-    extra = {p.name for p in path.iterdir()} - {*FILES, "MANIFEST.json", RESULTS}
+    extra = _others_in(path) - {RESULTS}
     if extra:
         raise UserError(
             f"{path / min(extra)}: not part of the bundle (MANIFEST.json does not list it); "

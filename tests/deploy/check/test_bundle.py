@@ -133,6 +133,21 @@ def test_what_is_no_bundle(tmp_path):
             read_bundle(path)
 
 
+@pytest.mark.parametrize("other", ["thesis.txt", "checks/loihi.json"])
+def test_a_folder_with_other_files_is_not_replaced(bundle, other):
+    file = bundle.path / other
+    file.parent.mkdir(exist_ok=True)
+    file.write_text("years of work")
+    with pytest.raises(UserError, match=other.partition("/")[0]):
+        bundle_at(bundle.path, small_spec(seed=1))
+    assert file.read_text() == "years of work"
+
+
+def test_an_empty_folder_becomes_a_bundle(tmp_path):
+    (tmp_path / "new").mkdir()
+    assert bundle_at(tmp_path / "new", small_spec()).path == tmp_path / "new"
+
+
 def test_an_interruption_leaves_the_earlier_bundle(bundle, tmp_path, monkeypatch):
     def interrupt():
         raise KeyboardInterrupt
