@@ -14,7 +14,9 @@ Nothing in a bundle is executed on reading, and a file that does not match its h
 
 from __future__ import annotations
 
+import hashlib
 import io
+import json
 import os
 import shutil
 import zipfile
@@ -71,6 +73,15 @@ class CheckSet:
 
     def __len__(self):
         return len(self.labels)
+
+    @property
+    def sha256(self):
+        """SHA-256 of inputs, labels and ids."""
+        inputs, labels = np.ascontiguousarray(self.inputs), np.asarray(self.labels, np.int64)
+        described = json.dumps([str(inputs.dtype), inputs.shape, labels.tolist(), self.ids])
+        digest = hashlib.sha256(described.encode())
+        digest.update(inputs)
+        return digest.hexdigest()
 
     def __getitem__(self, part: slice) -> CheckSet:
         """A subset of the samples."""

@@ -5,6 +5,7 @@ import json
 import shutil
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from deploy.check.results import read_result
@@ -159,6 +160,13 @@ def test_nor_those_of_another_target(bundle, whole, tmp_path):
     out = tmp_path / "emulator.json"
     shutil.move(interrupted(bundle, tmp_path / "nengo.json", 1, "nengo"), partial(out))
     same_answers(run_check(bundle, "emulator", out), whole)
+
+
+def test_nor_those_to_other_recordings_with_the_same_names(bundle, tmp_path):
+    out, blank = tmp_path / "nengo.json", np.zeros_like(bundle.checks.inputs)
+    interrupted(bundle, out, 1, "nengo")
+    other = replace(bundle, checks=replace(bundle.checks, inputs=blank))
+    assert run_check(other, "nengo", out)["spikes"]["input"] == 0
 
 
 def test_a_second_writer_is_refused_and_loses_nothing(bundle, tmp_path):
