@@ -231,6 +231,17 @@ def _table2_output(name, command):
     return _output(command, rows, content)
 
 
+def _speed_output(part, options):
+    from pipeline.experiments import emulator_speed, network_speed  # both import Nengo
+
+    content = result("speed")
+    text_of = network_speed.networks_text if part == "networks" else emulator_speed.speed_text
+    built_in = part != "networks"
+    return _output(
+        f"stmnist benchmark emulator {options}", text_of(content[part]), content, built_in
+    )
+
+
 def _output(command, text, content, built_in=True):
     """The output of a command in a block, with a note if the recordings are earlier ones."""
     block = f"```\n$ {command}\n{text.rstrip()}\n```"
@@ -267,6 +278,9 @@ TABLES = {
         "events-pen", " --data pen.zip --out runs/time-pen", False
     ),
     "events over seeds": events_markdown,
+    "output of emulator": lambda: _speed_output("image", "runs/default/bundle"),
+    "output of emulator on events": lambda: _speed_output("events", "runs/events/bundle"),
+    "output of emulator on networks": lambda: _speed_output("networks", "--networks"),
     "output of sweep": lambda: _sweep_output("sweep", "stmnist sweep runs/sweep"),
     "output of sweep of architectures": lambda: _sweep_output(
         "architectures",
