@@ -148,6 +148,7 @@ def make_plan(spec: NetworkSpec, chips: int = 1) -> Plan:
     ]
     problems = [problem for core in cores for problem in _problems(spec, core)]
     problems += _pop16_problems(placed)
+    problems += _refractory_problems(blocks)
     if needed > chips:
         problems.append(
             f"the network: {len(cores)} cores need {needed} chips, {needed - chips} more than the "
@@ -346,6 +347,18 @@ def _pop16_problems(placed):
                     f"layer {layer}, part {part}: pop_type 16 needs a number of filters that is a "
                     "multiple of 4; use pop_type 32, or other filters"
                 )
+
+
+def _refractory_problems(blocks):
+    """Layers with a longer refractory period than the chip can count."""
+    most = LOIHI.refractory_steps
+    for layer, parts in blocks.items():
+        steps = max(int(block.compartment.refract_delay.max()) for block in parts) - 1
+        if steps > most:
+            yield (
+                f"layer {layer}: a refractory period of {steps} steps, {steps - most} more than "
+                f"the {most} that the chip can count; choose a shorter one (snn.tau_ref)"
+            )
 
 
 def _lost_weights(spec, cores):

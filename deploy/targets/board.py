@@ -15,12 +15,12 @@ import time
 from dataclasses import dataclass, replace
 from typing import Iterator, Optional
 
-import nengo
 import numpy as np
 
-from ..errors import UserError
+from ..errors import UserError, one_line
 from ..interrupts import orderly
 from ..network.build import build
+from ..network.discretisation import BUILD_ERRORS
 from ..network.loihi_import import nengo_loihi
 from ..network.responses import Responses, respond
 from ..network.spec import NetworkSpec
@@ -187,8 +187,9 @@ def _simulator(network, options):
             precompute=True,
             hardware_options={"n_chips": options.chips},
         )
-    except (nengo.exceptions.NengoException, ImportError, NotImplementedError) as error:
-        raise UserError(f"NengoLoihi cannot build this network for a board: {error}") from error
+    except (*BUILD_ERRORS, ImportError, NotImplementedError, ValueError) as error:
+        problem = one_line(str(error)) or "one of its limits, which has no message, is not met"
+        raise UserError(f"NengoLoihi cannot build this network for a board: {problem}") from error
 
 
 @contextlib.contextmanager

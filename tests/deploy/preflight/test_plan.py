@@ -1,5 +1,6 @@
 """Pre-flight: counts against hand-worked ones and the stand-in's, limits, remedies."""
 
+import contextlib
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from deploy.errors import UserError
 from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
-from deploy.network.spec import NetworkSpec, Presentation
+from deploy.network.spec import NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import fewer_axons, make_plan, plan_text, require_fit
 from deploy.preflight.resources import LIMITS, synapse_words
@@ -196,6 +197,19 @@ def test_a_layer_that_many_parts_of_a_dense_layer_receive():
     (problem,) = (p for p in make_plan(dense_receiver()).problems if "output axons" in p)
     assert missing(problem, "layer conv1", 5 * 1024, 1024) == []
     assert "pop_type" not in problem
+
+
+@pytest.mark.parametrize(("steps", "fits"), [(62, True), (63, False)])
+def test_the_longest_refractory_period_is_that_of_a_board(nxsdk, steps, fits):
+    spec = small_spec()
+    slow = replace(spec.layers[1], neurons=Neurons("lif", amplitude=0.01, tau_ref=steps / 1000))
+    spec = replace(spec, layers=(spec.layers[0], slow, spec.layers[2]))
+    built = build(spec).network
+    with contextlib.nullcontext() if fits else pytest.raises(AssertionError):
+        nengo_loihi.Simulator(built, target="loihi", precompute=True).close()
+    problems = make_plan(spec).problems
+    assert len(problems) == (not fits)
+    assert all(not missing(line, "layer conv2", f"{steps} steps", 62) for line in problems)
 
 
 def test_weights_that_can_overflow_are_a_warning():

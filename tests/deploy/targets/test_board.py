@@ -267,6 +267,19 @@ def test_axon_cfgs_refused_by_the_board(nxsdk, bundle, tmp_path, monkeypatch):
         run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
 
 
+@pytest.mark.parametrize("error", [AssertionError(), ValueError("a core\nis missing")])
+def test_a_network_that_only_the_board_refuses_is_one_line(
+    nxsdk, bundle, tmp_path, monkeypatch, error
+):
+    def refuse(board):
+        raise error
+
+    monkeypatch.setattr("nengo_loihi.hardware.interface.validate_board", refuse)
+    with pytest.raises(UserError, match=f"for a board: .*{str(error)[-7:]}") as raised:
+        run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
+    assert "\n" not in str(raised.value)
+
+
 def test_power_is_taken_down_apart_from_idle(nxsdk, bundle, tmp_path):
     nxsdk.faults.FAULTS.power = {"total": 30.0, "static": 25.0, "dynamic": 5.0, "core": {}}
     settings = BoardOptions(energy=True, wait=0)
