@@ -9,6 +9,7 @@ from typing import List, Optional
 import nengo
 import numpy as np
 
+from .. import __version__
 from ..errors import CheckFailed, UserError
 from ..files import read_json
 from ..network.decision import share_of_time
@@ -31,6 +32,7 @@ SHARES = tuple(tenths / 10 for tenths in range(1, 11))
 def versions() -> dict:
     """Versions of the software that computed a result."""
     return {
+        "stmnist": __version__,
         "python": platform.python_version(),
         "numpy": np.__version__,
         "nengo": nengo.__version__,

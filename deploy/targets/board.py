@@ -293,15 +293,21 @@ def describe(notes: list) -> dict:
     dict
         ``hardware`` (board, partition, chips, number of connections), ``timing`` in seconds per
         sample, ``versions``, and ``power`` if it was measured: the mean over streams weighted by
-        their steps; ``static_mw`` is the idle power, ``dynamic_mw`` the additional power.
+        their steps; ``static_mw`` is the idle power, ``dynamic_mw`` the additional power.  If a
+        check was resumed elsewhere, board, partition or chips are the list of all, in order.
     """
-    last = notes[-1]
+
+    def all_of(name):
+        return list(dict.fromkeys(note[name] for note in notes))
+
+    def one_or_all(name):
+        found = all_of(name)
+        return found[0] if len(found) == 1 else found
+
     samples = sum(note["samples"] for note in notes)
     result = {
         "hardware": {
-            "board": last["board"],
-            "partition": last["partition"],
-            "chips": last["chips"],
+            **{name: one_or_all(name) for name in ("board", "partition", "chips")},
             "connections": len(notes),
             "attempts": sum(note["attempts"] for note in notes),
         },
@@ -309,7 +315,7 @@ def describe(notes: list) -> dict:
             f"{phase}_seconds_per_sample": sum(n[f"{phase}_seconds"] for n in notes) / samples
             for phase in ("build", "connect", "run")
         },
-        "versions": {"nxsdk": last["nxsdk"]},
+        "versions": {"nxsdk": ", ".join(all_of("nxsdk"))},
     }
     measured = [note for note in notes if "power" in note]
     if measured:

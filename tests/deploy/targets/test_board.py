@@ -150,6 +150,23 @@ def test_run_goes_on_where_the_board_was_lost(nxsdk, bundle, emulated, tmp_path)
     assert result["hardware"]["connections"] == 3
 
 
+def test_a_result_names_every_board_of_a_resumed_check(nxsdk, bundle, tmp_path, monkeypatch):
+    nxsdk.faults.FAULTS.lose_at_step = 150  # in the second of three streams
+    monkeypatch.setattr(nxsdk, "__version__", "0.9.0")
+    first = BoardOptions(board="one", attempts=1)
+    with pytest.raises(UserError, match="stream 2"):
+        run_check(bundle, "loihi", tmp_path / "r.json", options=first)
+    monkeypatch.setattr(nxsdk, "__version__", "1.0.0")
+    other = BoardOptions(board="other", chips=2, attempts=1)
+    result = run_check(bundle, "loihi", tmp_path / "r.json", options=other)
+    assert result["hardware"]["board"] == ["one", "other"]
+    assert result["hardware"]["chips"] == [1, 2]
+    assert result["hardware"]["partition"] is None
+    assert result["versions"]["nxsdk"] == "0.9.0, 1.0.0"
+    read_result(tmp_path / "r.json")
+    assert missing(summary(result), "one and other", "0.9.0", "1.0.0") == []
+
+
 def test_missing_steps_are_noticed(nxsdk, bundle, tmp_path):
     nxsdk.faults.FAULTS.short_probes = 1
     with pytest.raises(UserError, match=r"34 of 35 .*conv1"):
