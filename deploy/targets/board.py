@@ -29,6 +29,9 @@ from ..preflight.plan import fewer_axons, require_fit
 POWER_BINS = 1024
 """Number of bins of the board's energy probe, spread over the steps of a stream."""
 
+LONGEST_WAIT = 600.0
+"""Seconds of the longest wait between two attempts."""
+
 
 @dataclass(frozen=True)
 class BoardOptions:
@@ -45,7 +48,7 @@ class BoardOptions:
     attempts : int
         Maximum number of attempts per stream.  NengoLoihi tries to connect three times in each.
     wait : float
-        Seconds before the second attempt, doubled for each further one.
+        Seconds before the second attempt, doubled for each further one up to `LONGEST_WAIT`.
     energy : bool
         Measure power.
     timeout : float
@@ -64,7 +67,7 @@ class BoardOptions:
         for name, least, most in (
             ("chips", 1, 10_000),
             ("attempts", 1, 1000),
-            ("wait", 0, 86_400),
+            ("wait", 0, LONGEST_WAIT),
             ("timeout", 1e-3, 864_000),
         ):
             value = getattr(self, name)
@@ -140,7 +143,7 @@ def run_loihi(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[Resp
                         f"board lost in stream {index + 1} of this run, {attempt} attempts: "
                         f"{error}; the previous streams are saved: repeat the command to resume"
                     ) from error
-                time.sleep(options.wait * 2 ** (attempt - 1))
+                time.sleep(min(options.wait * 2 ** (attempt - 1), LONGEST_WAIT))
         responses.notes.update(nxsdk=version, attempts=attempt)
         yield responses
 

@@ -128,6 +128,17 @@ def test_board_that_stays_away_is_one_line(nxsdk, bundle, tmp_path):
     assert not (tmp_path / "r.json").exists()
 
 
+def test_waits_are_doubled_up_to_ten_minutes(nxsdk, bundle, tmp_path, monkeypatch):
+    waits = []
+    monkeypatch.setattr("time.sleep", waits.append)
+    nxsdk.faults.FAULTS.refuse = 1000
+    with pytest.raises(UserError, match="6 attempts"):
+        run_check(
+            bundle, "loihi", tmp_path / "r.json", options=BoardOptions(attempts=6, wait=100.0)
+        )
+    assert [wait for wait in waits if wait >= 100] == [100, 200, 400, 600, 600]
+
+
 def test_connection_lost_in_mid_run_begins_the_stream_again(nxsdk, bundle, emulated, tmp_path):
     nxsdk.faults.FAULTS.lose_at_step = 150  # in the second stream
     result = run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
@@ -334,7 +345,7 @@ def test_mean_power_is_weighted_by_steps():
     assert result["timing"]["run_seconds_per_sample"] == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize("wrong", [{"chips": 0}, {"attempts": 0}, {"wait": -1}])
+@pytest.mark.parametrize("wrong", [{"chips": 0}, {"attempts": 0}, {"wait": -1}, {"wait": 601}])
 def test_senseless_settings(wrong):
     with pytest.raises(UserError, match="--" + next(iter(wrong))):
         BoardOptions(**wrong)
