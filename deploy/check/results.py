@@ -355,7 +355,10 @@ def compare_results(a: dict, b: dict) -> Comparison:
         )
     of_a, of_b = ([(s["id"], s["label"]) for s in result["samples"]] for result in (a, b))
     if of_a != of_b:
-        raise UserError("the results are of different samples; run both checks on the same bundle")
+        remedy = "on the same bundle"
+        if "data" in a or "data" in b:
+            remedy = "with the same --data, --samples and --seed"
+        raise UserError(f"the results are of different samples; run both checks {remedy}")
     pairs = list(zip(a["samples"], b["samples"]))
     told = all("spike_hash" in sample for pair in pairs for sample in pair)
     right = [[s["prediction"] == s["label"] for s in result["samples"]] for result in (a, b)]
