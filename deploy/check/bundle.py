@@ -17,6 +17,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import math
 import os
 import shutil
 import zipfile
@@ -40,6 +41,7 @@ from ..files import (
 )
 from ..interrupts import at_the_end
 from ..network.spec import NetworkSpec
+from ..network.stimulus import Stimulus
 
 NETWORK_SCHEMA = "stmnist-bundle/2"
 """Schema of the ``network.json`` that is written."""
@@ -49,6 +51,8 @@ READ_SCHEMAS = (NETWORK_SCHEMA, "stmnist-bundle/1")
 MANIFEST_SCHEMA = "stmnist-manifest/1"
 FILES = ("network.json", "weights.npz", "checks.npz", "deploy.pyz")
 RESULTS = "checks"
+HEADERS = 1 << 12
+"""More bytes than the headers of the arrays of ``checks.npz``."""
 _REMEDY = "delete the folder and make it again with 'stmnist convert', or copy it again"
 
 
@@ -129,9 +133,16 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
     ------
     UserError
         The path is a file's, or a folder's with other files than a bundle's, which would be lost;
-        or the folder cannot be written.
+        the samples are too large for a bundle; or the folder cannot be written.
     """
     path = Path(path)
+    samples = {
+        "inputs": np.asarray(checks.inputs, _stored_as(spec.stimulus)),
+        "labels": np.asarray(checks.labels, np.int64),
+        "ids": np.array(checks.ids, dtype=str),
+        "seed": np.int64(checks.seed),
+    }
+    _require_room(sum(array.nbytes for array in samples.values()), len(checks), spec.stimulus)
     try:
         _require_replaceable(path)
         make_folder(path.parent)
@@ -146,13 +157,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
             temporary.chmod(0o755)
             write_json(temporary / "network.json", {"schema": NETWORK_SCHEMA, **spec.to_json()})
             write_arrays(temporary / "weights.npz", **spec.arrays())
-            write_arrays(
-                temporary / "checks.npz",
-                inputs=np.asarray(checks.inputs, np.float32 if spec.stimulus.static else np.uint8),
-                labels=np.asarray(checks.labels, np.int64),
-                ids=np.array(checks.ids, dtype=str),
-                seed=np.int64(checks.seed),
-            )
+            write_arrays(temporary / "checks.npz", **samples)
             with replacing(temporary / "deploy.pyz") as file:
                 file.write(zipapp_bytes())
             hashes = {name: sha256_of(temporary / name) for name in FILES}
@@ -186,6 +191,39 @@ def _require_replaceable(path):
 def _others_in(folder):
     """The names in a folder that are not those of a bundle's files."""
     return {each.name for each in folder.iterdir()} - {*FILES, "MANIFEST.json"}
+
+
+def require_room(samples: int, shape: tuple, stimulus: Stimulus):
+    """Refuse a check whose inputs are too large for a bundle, before the inputs exist.
+
+    Parameters
+    ----------
+    samples : int
+        Number of samples.
+    shape : tuple of int
+        Shape of one sample.
+    stimulus : Stimulus
+
+    Raises
+    ------
+    UserError
+    """
+    _require_room(math.prod((samples, *shape, _stored_as(stimulus).itemsize)), samples, stimulus)
+
+
+def _require_room(n_bytes, samples, stimulus):
+    if n_bytes > limits.ARRAY_BYTES - HEADERS:
+        remedy = "fewer check.samples"
+        if not stimulus.static:
+            remedy += " or presentation.steps, or a larger data.downsample"
+        raise UserError(
+            f"the check's {samples} samples take {n_bytes / 2**20:.0f} MB, more than the "
+            f"{limits.ARRAY_BYTES >> 20} MB of a bundle; choose {remedy}"
+        )
+
+
+def _stored_as(stimulus):
+    return np.dtype(np.float32 if stimulus.static else np.uint8)
 
 
 def result_beside(folder, target: str) -> Path:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deploy import __version__
 from deploy.check.results import read_result
 from deploy.check.run import answered, open_check, run_check
 from deploy.errors import UserError
@@ -55,6 +56,7 @@ def test_the_result_has_the_contracts_entries(bundle, whole):
     assert list(whole["spikes"]) == ["input", "conv1", "conv2"]
     assert min(whole["spikes"].values()) > 0
     assert {"python", "numpy", "nengo", "nengo_loihi"} <= whole["versions"].keys()
+    assert whole["versions"]["stmnist"] == __version__
     assert whole["simulated"] is True
     assert whole["wall_seconds"] > 0
 
