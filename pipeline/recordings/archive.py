@@ -129,17 +129,22 @@ def list_source(path) -> Listing:
     )
     whole = [entry for entry in recordings if entry[0] not in used]
     recordings, strays = _of_classes(_of_main_kinds(whole))
+    known = {*(name for name, _ in recordings + strays + refused), *tables, *used}
+    refused += strays + unread + _empty_classes(path, recordings, known, files, folders)
     recordings += [(name, of_class) for name, (of_class, _) in parts.items()]
-    refused += strays + unread + _empty_classes(recordings, files, folders)
     if not recordings and not refused:
         raise UserError(
             f"{path}: holds no recordings; expected a folder for each class with .mat, .npz or "
             "other files of events, <digit>/*.mat in the ST-MNIST archive"
         )
     places = {name: part for name, (_, part) in parts.items()}
-    kinds = sorted({_suffix(places[n].file if n in places else n) for n, _ in recordings})
+    read = sorted({places[name].file if name in places else name for name, _ in recordings})
+    kinds = {_suffix(name): name for name in reversed(read)}
     if len(kinds) > 1:
-        raise UserError(f"{path}: holds both {' and '.join(kinds)} recordings; keep one kind")
+        raise UserError(
+            f"{path}: holds both {' and '.join(sorted(kinds))} recordings, such as "
+            f"{' and '.join(_short(kinds[kind]) for kind in sorted(kinds))}; keep one kind"
+        )
     if len(recordings) > MOST_FILES:
         raise UserError(
             f"{path}: holds {len(recordings):,} recordings, more than {MOST_FILES:,}; give a part "
@@ -171,9 +176,28 @@ def _suffix(name):
 
 
 def _of_main_kinds(recordings):
-    """Leave out files of other formats, such as a table, if there are .mat or .npz files."""
-    main = [entry for entry in recordings if _suffix(entry[0]) in (".mat", ".npz")]
-    return main or [e for e in recordings if _suffix(e[0]) != ".csv"] or recordings
+    """Leave out files of other formats, such as a table, that are beside .mat or .npz files.
+
+    Only files in the folder of a class that has the main kind, or above the classes, are left out:
+    in a folder of their own they are recordings of another kind.
+    """
+    ranks = [_rank(name) for name, _ in recordings]
+    best = min(ranks, default=0)
+    of_best = [n for (n, _), rank in zip(recordings, ranks, strict=True) if rank == best]
+    main = {PurePosixPath(name).parent for name in of_best}
+    above = {folder for leaf in main for folder in leaf.parents}
+    kept = []
+    for entry, rank in zip(recordings, ranks, strict=True):
+        around = PurePosixPath(entry[0]).parents
+        beside = around[0] in main | above or not (main - above).isdisjoint(around)
+        if rank == best or not beside:
+            kept.append(entry)
+    return kept
+
+
+def _rank(name):
+    """0 for the formats of recordings, 2 for the one that any table has, 1 for all others."""
+    return {".mat": 0, ".npz": 0, ".csv": 2}.get(_suffix(name), 1)
 
 
 def _of_classes(recordings):
@@ -197,17 +221,28 @@ def _of_classes(recordings):
     return kept, strays
 
 
-def _empty_classes(recordings, files, folders):
-    """Empty folders next to those of the classes."""
+def _empty_classes(path, recordings, known, files, folders):
+    """Folders next to those of the classes that have no recording, each with the reason.
+
+    Beside the ten digits, a folder of another name may have files of any kind.
+    """
+    names = {name for _, name in recordings}
     around = {PurePosixPath(name).parent.parent for name, _ in recordings}
-    filled = {parent for name, _ in files for parent in PurePosixPath(name).parents}
-    return [
-        (str(folder), "is a class without a recording")
-        for folder in map(PurePosixPath, folders)
-        if folder.parent in around
-        and folder not in filled
-        and not folder.name.startswith((".", "__MACOSX"))
-    ]
+    with_recordings, with_files = (
+        {parent for name in some for parent in PurePosixPath(name).parents}
+        for some in (known, [name for name, _ in files])
+    )
+    empty = []
+    for folder in sorted({*map(PurePosixPath, folders), *with_files} - with_recordings):
+        if folder.parent not in around or folder.name.startswith((".", "__MACOSX")):
+            continue
+        if (path / folder).is_symlink():
+            empty.append((str(folder), "is a link to a folder, which is not followed"))
+        elif folder not in with_files:
+            empty.append((str(folder), "is a class without a recording"))
+        elif not (set(DIGITS) <= names and folder.name not in DIGITS):
+            empty.append((str(folder), "is beside the classes and has files, but no recording"))
+    return empty
 
 
 def read_source(

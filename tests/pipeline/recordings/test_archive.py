@@ -74,6 +74,14 @@ def test_digit_folders_at_any_depth_in_zip_and_folder(tmp_path, root):
     assert_same(from_zip, from_folder, source=False)
 
 
+def test_a_folder_of_other_files_beside_the_digits(tmp_path):
+    archive(tmp_path / "st.zip", {**good_members(), "data_submission/code/plot.m": "x"})
+    assert len(read_source(tmp_path / "st.zip", jobs=1)) == 10
+    archive(tmp_path / "st.zip", {**good_members(), "data_submission/code/": ""})
+    with pytest.raises(UserError, match=r"1 of 11 .*code"):
+        read_source(tmp_path / "st.zip", jobs=1)
+
+
 @pytest.mark.parametrize("where", ["LUT.mat", "data_submission/LUT.mat", "x/y/lut.MAT"])
 def test_the_lookup_table_is_taken_from_wherever_it_is(tmp_path, where):
     table = TaxelMap(row=np.arange(100) // 10, column=np.arange(100) % 10)

@@ -268,6 +268,36 @@ def test_a_table_beside_the_classes_is_no_recording(tmp_path):
     assert len(read_source(tmp_path / "own.zip", jobs=1)) == 16
 
 
+def test_a_class_of_another_format_is_not_taken_for_tables(tmp_path):
+    """Two classes of .npz files, and a third one of .csv files."""
+    lines = {f"swipe/{i}.csv": CSV.encode() for i in range(4)}
+    (line,) = refused(tmp_path, {**own(), **lines})
+    assert missing(line, ".csv", ".npz", "swipe/0.csv") == []
+
+
+@pytest.mark.parametrize("place", ["about.csv", f"{CLASSES[0]}/about.csv", f"{CLASSES[0]}/x/a.npy"])
+def test_a_table_beside_recordings_is_left_out(tmp_path, place):
+    root = {f"own/{name}": content for name, content in own().items()}
+    archive(tmp_path / "own.zip", {**root, f"own/{place}": b"a,b"})
+    assert len(read_source(tmp_path / "own.zip", jobs=1)) == 16
+
+
+@pytest.mark.parametrize("name", ["swipe/0.txt", "swipe/.DS_Store"])
+def test_a_folder_beside_the_classes_without_recordings(tmp_path, name):
+    (line,) = refused(tmp_path, {**own(), name: b"x"})
+    assert missing(line, "1 of 17 ", "swipe ") == []
+    read = read_source(tmp_path / "own.zip", jobs=1, skip_bad=True)
+    assert (len(read), len(read.source.left_out)) == (16, 1)
+
+
+def test_a_class_that_is_a_link_to_a_folder(tmp_path):
+    folder = write_folder(tmp_path / "own", per_class=2)
+    (tmp_path / "elsewhere").mkdir()
+    (folder / "swipe").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UserError, match=r"swipe .*link"):
+        read_source(folder, jobs=1)
+
+
 def test_arrays_of_many_forms():
     for events in (
         (X, Y, T, P),
