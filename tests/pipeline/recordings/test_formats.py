@@ -151,6 +151,18 @@ def test_the_unit_of_time_is_recognised_and_said(tmp_path, scale, kind, unit):
     assert missing(text, *facts) == []
 
 
+@pytest.mark.parametrize(("named", "unit", "time"), [
+    ({"t": T, "start_us": np.array([7])}, "", T),
+    ({"t_ms": T, "event_us": T}, "ms", T),
+    ({"t": T, "t_us": 1000 * T}, "us", 1000 * T),
+    ({"T_US": 1000 * T}, "us", 1000 * T),
+])  # fmt: skip
+def test_the_unit_is_that_of_the_name_of_the_times(named, unit, time):
+    read = recording_of({"x": X, "y": Y, "p": P, **named})
+    assert read.unit == unit
+    np.testing.assert_array_equal(read.time, time)
+
+
 def test_the_unit_that_is_given_counts(tmp_path):
     archive(tmp_path / "own.zip", own(scale=1e6))
     read = read_source(tmp_path / "own.zip", jobs=1, reading=Reading(time_unit="ns"))
