@@ -23,7 +23,9 @@ import numpy as np
 
 from pipeline.recordings.camerafile import CAMERA_SUFFIXES, read_camera
 from pipeline.recordings.eventarrays import (
+    ARRAYS,
     MAX_EVENTS,
+    MAX_PLACE,
     NAMES,
     EventRecording,
     recording_of,
@@ -150,10 +152,24 @@ def _csv(content):
     if not len(table):
         raise BadRecording("is empty: no events")
     if not has_names:
-        return table
+        return dict(zip(ARRAYS, table.T, strict=True)) if _in_order(table) else table
     if len(words) != table.shape[1]:
         raise BadRecording(f"has {table.shape[1]} columns below {len(words)} names")
     return dict(zip(words, table.T, strict=True))
+
+
+def _in_order(table):
+    """True if four columns without names can be x, y, t and p, the documented order.
+
+    Another order is not inferred from times that are out of order, because x may increase in a
+    recording and the times in another one.
+    """
+    if table.shape[1] != len(ARRAYS):
+        return False
+    x, y, _, p = table.T
+    places = np.stack([x, y])
+    whole = (places >= 0) & (places <= MAX_PLACE) & (places == np.floor(places))
+    return bool(whole.all() and np.isin(p, (-1, 0, 1)).all())
 
 
 def _npz(content):
