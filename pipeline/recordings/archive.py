@@ -12,6 +12,7 @@ import functools
 import hashlib
 import json
 import lzma
+import os
 import re
 import warnings
 import zipfile
@@ -47,6 +48,9 @@ LOOKUP_TABLE = "lut.mat"
 SUFFIXES = (".mat", *EVENT_SUFFIXES)
 CHUNK = 32
 """Number of files that a worker reads at a time: a compromise of overhead and progress bar."""
+
+NO_TIME = (1980, 1, 1, 0, 0, 0)
+"""Time of the members of a zip that this program writes, so that equal files give equal bytes."""
 
 LISTED = 10
 """Number of reasons, and of files that were left out, that are listed individually."""
@@ -355,6 +359,45 @@ def left_out_lines(path, recordings: Recordings) -> list:
     return lines
 
 
+def refuse_to_replace(path, simulated: bool = False):
+    """Refuse an existing file, unless it is a zip that this program has written.
+
+    Parameters
+    ----------
+    path : path-like
+        The file to be written.
+    simulated : bool
+        True to refuse also a zip whose recordings are not simulated.
+
+    Raises
+    ------
+    UserError
+    """
+    path = Path(path)
+    if os.path.lexists(path) and not _is_written_here(path, simulated):
+        kind = "a zip of simulated recordings" if simulated else "a zip"
+        raise UserError(
+            f"{path}: exists and is not {kind} that stmnist has written; choose another name, or "
+            "move it away"
+        )
+
+
+def _is_written_here(path, simulated):
+    """True for a zip of recordings whose members all have the time that :func:`_add` writes."""
+    try:
+        recordings = list_source(path).recordings
+        with open_regular(path) as file, zipfile.ZipFile(file) as archive:
+            if not recordings or any(info.date_time != NO_TIME for info in archive.infolist()):
+                return False
+        if not simulated:
+            return True
+        name = recordings[0][0]
+        recording = read_file(name, _Reader(path).read(name))
+    except (UserError, BadRecording, OSError):
+        return False
+    return recording.simulated and getattr(recording, "written", None) is None
+
+
 def write_zip(path, recordings: Recordings, progress=None):
     """Write recordings as a zip in the published layout; equal recordings give equal bytes.
 
@@ -475,7 +518,7 @@ def _is_recording(name):
 
 def _add(archive, name, content):
     # Stored: the MAT file is compressed already.
-    archive.writestr(zipfile.ZipInfo(str(name), date_time=(1980, 1, 1, 0, 0, 0)), content)
+    archive.writestr(zipfile.ZipInfo(str(name), date_time=NO_TIME), content)
 
 
 def _shown(progress, label, total):
