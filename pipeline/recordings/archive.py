@@ -32,7 +32,7 @@ from pipeline.recordings import labelled, sensors
 from pipeline.recordings.budget import MOST_BYTES, MOST_FILES, Spent
 from pipeline.recordings.eventfile import SUFFIXES as EVENT_SUFFIXES
 from pipeline.recordings.eventfile import read_events
-from pipeline.recordings.events import DIGITS, Recordings, Source, TaxelMap, collect
+from pipeline.recordings.events import DIGITS, Recordings, Source, collect
 from pipeline.recordings.mat5 import LARGEST
 from pipeline.recordings.matfile import (
     BadRecording,
@@ -464,11 +464,11 @@ def export_zip(path, folder, progress=None) -> int:
         zipfile.ZipFile(file, "w") as archive,
         _shown(progress, "export", len(names)) as advance,
     ):
-        name, table = listing.lookup_table, TaxelMap()
+        name = listing.lookup_table
         try:
+            # Without a table the taxels of any array are a grid, whose size the reader chooses.
             if name is not None:
                 table = read_lookup_table(reader.read(name))
-            if names[0].lower().endswith(".mat"):
                 _add(archive, root / "LUT.mat", lookup_table_bytes(table))
             for name, short in zip(names, _ids(names), strict=True):
                 content, suffix = reader.read(name), PurePosixPath(name).suffix
