@@ -21,6 +21,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
+import numpy as np
 from joblib import delayed
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
@@ -156,8 +157,25 @@ def list_source(path) -> Listing:
         )
     _refuse_too_large(path, recordings)
     recordings.sort(key=lambda entry: (sensors.class_order(entry[1]), entry[0]))
+    refused += _other_tables(path, sorted(tables))
     table = min(tables, default=None)
     return Listing(path, tuple(recordings), table, tuple(refused), places)
+
+
+def _other_tables(path, names):
+    """The look-up tables that differ from the first one, each with the reason to refuse it."""
+    first, others = None, []
+    for name in names if len(names) > 1 else ():
+        try:
+            table = read_lookup_table(_reader(path).read(name))
+        except BadRecording as error:
+            if name != names[0]:  # which is read again, and refused, with the recordings
+                others.append((name, str(error)))
+            continue
+        first = first or table
+        if not np.array_equal((table.row, table.column), (first.row, first.column)):
+            others.append((name, f"is another table than {_short(names[0])}; keep one of them"))
+    return others
 
 
 def _refuse_too_large(path, recordings):

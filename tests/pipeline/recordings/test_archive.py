@@ -91,6 +91,17 @@ def test_the_lookup_table_is_taken_from_wherever_it_is(tmp_path, where):
     assert len(read) == 10
 
 
+def test_lookup_tables_that_differ_are_refused(tmp_path):
+    tables = {name: lookup_table_bytes(TaxelMap.grid(10, 10)) for name in ("LUT.mat", "a/LUT.mat")}
+    archive(tmp_path / "st.zip", {**good_members(), **tables})
+    assert len(read_source(tmp_path / "st.zip", jobs=1)) == 10
+    other = TaxelMap(row=np.arange(100) // 10, column=np.arange(100) % 10)
+    tables["a/LUT.mat"] = lookup_table_bytes(other)
+    archive(tmp_path / "st.zip", {**good_members(), **tables})
+    with pytest.raises(UserError, match=r"1 of 11 .* a/LUT\.mat .* LUT\.mat"):
+        read_source(tmp_path / "st.zip", jobs=1)
+
+
 def test_without_a_lookup_table_the_documented_reading_holds(tmp_path):
     archive(tmp_path / "st.zip", good_members())
     taxels = read_source(tmp_path / "st.zip", jobs=1).taxels
