@@ -192,6 +192,18 @@ def test_a_clock_that_runs_since_1970(tmp_path):
     assert read.sensor.duration_s < 2
 
 
+def test_a_clock_that_began_with_the_first_recording(tmp_path):
+    """Recordings of up to 1.9 s, one every 10 s; those of the first minute are no exception."""
+    members = {}
+    for index, ((x, y, t, p), label) in enumerate(gestures(4)):
+        members[f"{CLASSES[label]}/{index:03d}.npz"] = npz(x=x, y=y, t_s=t + 10 * index, p=p)
+    for number in (16, 5):  # until 150 s, and until 40 s
+        archive(tmp_path / "own.zip", dict(list(members.items())[:number]))
+        read = read_source(tmp_path / "own.zip", jobs=1)
+        assert (read.events.time_ns[read.offsets[:-1]] == 0).all()
+        assert read.sensor.duration_s < 2
+
+
 def refused(tmp_path, members, reading=None) -> list:
     """The lines of the error that reading an archive ends with."""
     archive(tmp_path / "own.zip", members)
