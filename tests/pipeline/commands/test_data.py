@@ -92,7 +92,7 @@ def test_recorded_handwriting(tmp_path, capsys):
     arguments = ["--out", out, "--handwriting", unipen, "--samples-per-digit", 1, "--jobs", 1]
     assert call("data", "simulate", *arguments) == 2
     assert re.search(r"\b0\b", capsys.readouterr().err)
-    text = "".join(SEVENS.replace('"7"', f'"{digit}"') for digit in range(10))
+    text = "".join(SEVENS.replace('0 ? "7"', f'{n} ? "{n}"') for n in range(10))
     unipen.write_text(text)
     assert call("data", "simulate", *arguments, "--json") == 0
     facts = json.loads(capsys.readouterr().out)
