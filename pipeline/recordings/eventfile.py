@@ -30,7 +30,7 @@ from pipeline.recordings.eventarrays import (
     EventRecording,
     recording_of,
 )
-from pipeline.recordings.matfile import BadRecording
+from pipeline.recordings.matfile import BadRecording, writer_of
 
 SUFFIXES = (".npz", ".npy", ".csv", ".bin", ".aedat", *CAMERA_SUFFIXES)
 """File name endings of files of events."""
@@ -191,8 +191,7 @@ def _npz(content):
 def _writer(said):
     """A number from 0, or -1 for anything else."""
     whole = said is not None and said.size == 1 and said.dtype.kind in "iu"
-    number = int(said.ravel()[0]) if whole else -1
-    return number if 0 <= number < 2**31 else -1
+    return writer_of(said.ravel()[0] if whole else None)
 
 
 def _npy(content):

@@ -128,7 +128,7 @@ def read_recording(content: bytes, n_taxels: int | None = N_TAXELS) -> MatRecord
     return MatRecording(
         events=events,
         simulated=bool(simulated),
-        writer=-1 if writer is None else int(writer),
+        writer=writer_of(writer),
         written=_written(variables),
         n_taxels=len(spiketrain) - 1,
     )
@@ -156,6 +156,12 @@ def _number(variable):
     values = np.ravel([] if variable is None else variable)
     is_number = values.size == 1 and values.dtype.kind in "fiub" and np.isfinite(values[0])
     return values[0] if is_number else None
+
+
+def writer_of(number) -> int:
+    """The number of a writer, or -1 for None and for anything but a whole number from 0."""
+    is_one = number is not None and 0 <= number < 2**31 and number == int(number)
+    return int(number) if is_one else -1
 
 
 def events_of(spiketrain, n_taxels: int | None = N_TAXELS) -> Events:

@@ -78,7 +78,10 @@ def read(path) -> tuple:
             elif keyword == ".COORD":
                 names = line.split()[1:]
                 if not {"X", "Y"} <= set(names):
-                    raise UserError(f"{path}: line {number}: no X and Y in {line.strip()[:40]!r}")
+                    raise UserError(
+                        f"{path}: line {number}: no X and Y in {line.strip()[:40]!r}; give a "
+                        "UNIPEN file whose points have both"
+                    )
                 x_y = names.index("X"), names.index("Y")
             elif keyword == ".PEN_DOWN":
                 strokes.append([])

@@ -114,7 +114,7 @@ def test_flipped_bytes_give_a_reason_or_a_recording():
     assert refused > len(content) / 3 / 2  # most of the file is compressed and has a checksum
 
 
-@pytest.mark.parametrize("writer", ["Anna", np.nan, [1.0, 2.0], []])
+@pytest.mark.parametrize("writer", ["Anna", np.nan, [1.0, 2.0], [], -2.0, 1e20, 2.0**31, 0.5])
 def test_another_use_of_the_name_writer_is_no_writer(writer):
     assert read_recording(mat5(spiketrain=spiketrain(), writer=writer)).writer == -1
 
