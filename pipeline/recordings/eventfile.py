@@ -13,6 +13,7 @@ only plain arrays of numbers are read, and no more than a recording can have.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import zipfile
 import zlib
@@ -28,6 +29,7 @@ from pipeline.recordings.eventarrays import (
     MAX_PLACE,
     NAMES,
     EventRecording,
+    by_name,
     recording_of,
 )
 from pipeline.recordings.matfile import BadRecording, writer_of
@@ -174,11 +176,14 @@ def _in_order(table):
 
 def _npz(content):
     """The four arrays by name, or the single array; and further entries of the file."""
-    arrays = {
-        name.removesuffix(".npy"): _array(_member(content, name), name.removesuffix(".npy"))
-        for name in _members(content)
-    }
-    about = {name: arrays.pop(name) for name in ("simulated", "writer") if name in arrays}
+    sizes = _sizes(content)
+    about = [name for name in ("simulated", "writer") if name in sizes]
+    events = [name for name in sizes if name not in about]
+    wanted = about + (events if len(events) == 1 else list(by_name(events).values()))
+    if sum(sizes[name] for name in wanted) > LARGEST_EVENT * MAX_EVENTS + 4096:
+        raise BadRecording(f"has arrays of more than {MAX_EVENTS} events")
+    arrays = {name: _array(_member(content, name + ".npy"), name) for name in wanted}
+    about = {name: arrays.pop(name) for name in about}
     (only,) = arrays.values() if len(arrays) == 1 else (arrays,)
     read = recording_of(only)
     return replace(
@@ -198,35 +203,35 @@ def _npy(content):
     return _array(content, "the array")
 
 
-def _members(content):
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            names = [name for name in archive.namelist() if name.endswith(".npy")]
-    except zipfile.BadZipFile as error:
-        raise BadRecording("is not a .npz file, or damaged") from error
-    except Exception as error:  # damaged lists of members fail in many ways
-        raise BadRecording(f"is a damaged .npz file ({type(error).__name__})") from error
-    if not 1 <= len(names) <= MOST_ARRAYS:
-        raise BadRecording(f"has {len(names)} arrays, not x, y, t and p")
-    return names
+def _sizes(content):
+    """The declared sizes of the arrays, in bytes, by name."""
+    with _reading_zip(content) as archive:
+        sizes = {
+            info.filename.removesuffix(".npy"): info.file_size
+            for info in archive.infolist()
+            if info.filename.endswith(".npy")
+        }
+    if not 1 <= len(sizes) <= MOST_ARRAYS:
+        raise BadRecording(f"has {len(sizes)} arrays, not x, y, t and p")
+    return sizes
 
 
 def _member(content, name):
-    """A member's bytes, unless its declared size is more than a recording can have."""
+    with _reading_zip(content) as archive:
+        member = archive.getinfo(name)
+        with archive.open(member) as file:
+            return file.read(member.file_size)
+
+
+@contextlib.contextmanager
+def _reading_zip(content):
+    """The archive; anything that fails is damage of the file."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            member = archive.getinfo(name)
-            if member.file_size > LARGEST_EVENT * MAX_EVENTS + 4096:
-                raise BadRecording(
-                    f"{name.removesuffix('.npy')!r} has more than {MAX_EVENTS} entries"
-                )
-            with archive.open(member) as file:
-                return file.read(member.file_size)
-    except BadRecording:
-        raise
+            yield archive
     except zipfile.BadZipFile as error:
         raise BadRecording("is not a .npz file, or damaged") from error
-    except Exception as error:  # unsupported compressions fail in many ways
+    except Exception as error:  # damaged lists and unsupported compressions fail in many ways
         raise BadRecording(f"is a damaged .npz file ({type(error).__name__})") from error
 
 

@@ -1,6 +1,7 @@
 """Recordings of other sensors: any classes, any number of taxels, .mat or .npz."""
 
 import io
+import tracemalloc
 import zipfile
 
 import numpy as np
@@ -137,6 +138,23 @@ def test_an_event_file_that_says_it_is_larger_than_it_is():
             file.writestr(f"{name}.npy", buffer.getvalue())
     with pytest.raises(BadRecording, match="'x'"):
         read_events(out.getvalue())
+
+
+def test_what_an_event_file_has_besides_its_events_is_not_unpacked():
+    """Nor are arrays that have together more than any recording can have."""
+    large = np.zeros(12_000_000)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **GOOD, image=large)
+    tracemalloc.start()
+    try:
+        assert read_events(buffer.getvalue()).x.tolist() == [0, 1]
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, x=large, y=large, t=large, p=large)
+        with pytest.raises(BadRecording, match="more than 5000000"):
+            read_events(buffer.getvalue())
+        assert tracemalloc.get_traced_memory()[1] < 20_000_000
+    finally:
+        tracemalloc.stop()
 
 
 @settings(max_examples=200)
