@@ -300,7 +300,7 @@ def read_source(
     """
     listing = list_source(path)
     refused, read = list(listing.refused), []
-    parts = listing.parts
+    parts = {n: replace(part, unit=reading.time_unit) for n, part in listing.parts.items()}
     # The parts of a file are adjacent, so that it is read once.
     entries = sorted(listing.recordings, key=lambda e: parts[e[0]].file if e[0] in parts else "")
     chunks = [entries[start : start + CHUNK] for start in range(0, len(entries), CHUNK)]

@@ -12,7 +12,7 @@ from pipeline.inputs.images import aggregate
 from pipeline.recordings.archive import export_zip, read_source
 from pipeline.recordings.eventarrays import recording_of
 from pipeline.recordings.eventfile import read_events
-from pipeline.recordings.facts import reading_text
+from pipeline.recordings.facts import facts_of_file, reading_text
 from pipeline.recordings.matfile import BadRecording
 from pipeline.recordings.sensors import Reading
 from tests.command import call, missing
@@ -360,6 +360,13 @@ def test_inspect_says_the_unit(tmp_path, capsys):
     assert facts["time_unit"] == "us"
     assert facts["sensor"] == {"rows": 9, "columns": 12}
     assert facts["t_last_s"] == pytest.approx(0.838)
+
+
+def test_taxels_of_a_large_sensor_are_counted(tmp_path):
+    """The numbers of its pixels are larger than 16 bits hold."""
+    path = tmp_path / "a.npz"
+    path.write_bytes(npz(x=[0, 512], y=[127, 127], t_us=[0, 900], p=[0, 1]))  # 512 * 128 = 2**16
+    assert facts_of_file(path)["taxels"] == 2
 
 
 def test_lines_of_several_errors():
