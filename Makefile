@@ -108,9 +108,9 @@ test-nir: setup setup-nir  ## Test exports in Norse, and imports of networks tra
 
 check-nir: convert setup-nir  ## Run the check's samples in Norse, and compare with checks/emulator.json
 	@$(STMNIST) check run "$(RUN)/bundle" --target emulator
-	@$(STMNIST) deploy export "$(RUN)/bundle" --format nir --out "$(RUN)/nir/network.nir" --inputs "$(RUN)/nir/input.npz"
-	@.venv-nir/bin/python tests/nir_reader/run_norse.py "$(RUN)/nir/network.nir" "$(RUN)/nir/input.npz" "$(RUN)/nir/output.npz"
-	@$(BIN)/python -m tests.nir_reader.result "$(RUN)/bundle" "$(RUN)/nir/input.npz" "$(RUN)/nir/output.npz" "$(RUN)/checks/norse.json"
+	@$(STMNIST) deploy export "$(RUN)/bundle" --format nir --out "$(RUN)/norse/network.nir" --inputs "$(RUN)/norse/input.npz"
+	@.venv-nir/bin/python tests/nir_reader/run_norse.py "$(RUN)/norse/network.nir" "$(RUN)/norse/input.npz" "$(RUN)/norse/output.npz"
+	@$(BIN)/python -m tests.nir_reader.result "$(RUN)/bundle" "$(RUN)/norse/input.npz" "$(RUN)/norse/output.npz" "$(RUN)/checks/norse.json"
 	@$(STMNIST) check compare "$(RUN)/checks/emulator.json" "$(RUN)/checks/norse.json"
 
 setup-lava: .venv-lava/installed  ## Make .venv-lava with Lava's integer models of Loihi on Python 3.10

@@ -75,7 +75,7 @@ def _parser():
     )  # fmt: skip
     board.add_argument(
         "--wait", type=float, default=defaults.wait, metavar="S",
-        help="seconds before the second attempt, doubled for each further one "
+        help="seconds before the second attempt, doubled for each further one up to ten minutes "
         "(default: %(default)s)",
     )  # fmt: skip
     board.add_argument(

@@ -181,7 +181,15 @@ def _locked_from_the_start(make, folder, prefix):
 
 
 def _take(handle):
-    """Lock an open file until it is closed; OSError if another process has locked it."""
+    """Lock an open file until it is closed.
+
+    Raises
+    ------
+    BlockingIOError
+        Another process has locked it.
+    OSError
+        Its file system has no locks.
+    """
     fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
@@ -278,6 +286,8 @@ def open_own(path):
 def locked(path, taken: str):
     """Lock a file of this program against other processes while the block runs.
 
+    A file system without locks does not stop the program: there, it cannot notice another process.
+
     Parameters
     ----------
     path : path-like
@@ -300,8 +310,10 @@ def locked(path, taken: str):
         with open_own(path) as file:
             try:
                 _take(file)
-            except OSError:
+            except BlockingIOError:
                 raise UserError(taken) from None
+            except OSError:  # a file system without locks, where nothing can hold one
+                pass
             # Its last owner may have removed the file between the two calls above.
             if is_at(file, path):
                 yield file

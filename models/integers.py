@@ -89,7 +89,9 @@ def on_loihi(layer: Integers, dt: float) -> OnLoihi:
     Parameters
     ----------
     layer : Integers
-        Its largest weight is 127 or -127, unless all are 0.
+        Its largest weight is 127 or -127, unless all are 0.  The same must hold in each block of a
+        layer that is divided by its outputs; otherwise NengoLoihi rounds this block's weights and
+        threshold again (:func:`deploy.network.blocks.scaled_by_block`).
     dt : float
         Time step in seconds of the Nengo model.
     """

@@ -319,7 +319,7 @@ def _matrix(nodes, before, offset):
     n = math.prod(before)
     rows = []
     for start in range(0, n, 512):
-        part = np.eye(n)[start : start + 512].reshape(-1, *before)
+        part = np.eye(min(512, n - start), n, start).reshape(-1, *before)
         rows.append((_through(nodes, part) - offset).reshape(len(part), -1))
     return np.concatenate(rows)
 

@@ -27,7 +27,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from deploy import __version__
@@ -90,6 +90,11 @@ class Origin:
         """SHA-256 of settings and contents."""
         text = json.dumps(self.to_json(), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
+
+    def without(self, *names: str) -> Origin:
+        """The origin without some settings, for work that can be continued if these change."""
+        kept = {name: value for name, value in self.settings.items() if name not in names}
+        return replace(self, settings=kept)
 
     def view(self, settings: Settings) -> Settings:
         """The settings restricted to those that may be read to make the artifact."""

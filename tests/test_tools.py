@@ -141,6 +141,17 @@ def test_a_command_that_fails_leaves_no_result(two, tmp_path):
     assert of(results.states("a" * 64, two)) == [CURRENT, MISSING]
 
 
+def test_what_a_command_prints_is_read(tmp_path):
+    printed = results.Work(tmp_path, 1).printed("data", "inspect", handmade_csv(tmp_path))
+    assert printed["events"] == 2
+
+
+def handmade_csv(folder):
+    path = folder / "one.csv"
+    path.write_text("t,x,y,p\n0.0,0,0,1\n0.5,1,1,0\n")
+    return path
+
+
 def test_splits_with_slayer_are_kept_also_if_the_others_are_interrupted(tmp_path, monkeypatch):
     def interrupted(work, file, *words):
         folder = work.folder / "table2" / "splits" / "random-01"

@@ -10,6 +10,7 @@ continues where it was interrupted, in a folder below ``--work``.  Afterwards
 from __future__ import annotations
 
 import datetime
+import json
 import os
 import platform
 import subprocess
@@ -87,10 +88,18 @@ class Work:
         UserError
             The command failed and has printed the reason.
         """
+        self._run(words)
+
+    def printed(self, *words) -> dict:
+        """Run a command with the option ``--json``; return what it prints."""
+        return json.loads(self._run([*words, "--json"], stdout=subprocess.PIPE).stdout)
+
+    def _run(self, words, **options):
         words = [str(word) for word in words]
-        status = subprocess.run([sys.executable, "-m", "pipeline", *words]).returncode
-        if status:
-            raise UserError(f"stmnist {' '.join(words)}: exit status {status}")
+        done = subprocess.run([sys.executable, "-m", "pipeline", *words], **options)
+        if done.returncode:
+            raise UserError(f"stmnist {' '.join(words)}: exit status {done.returncode}")
+        return done
 
     def summary(self, file: str, *words) -> dict:
         """Run a command with the option ``--out``; return the content of a file that it writes."""
@@ -309,11 +318,28 @@ def _effect_of_state(runs):
     }
 
 
+def _speed(work):
+    """Speed of ``fast`` on bundles of both kinds of input, and on networks of NengoLoihi's users.
+
+    The ratios are of processor time, of two emulators in turns, because other work on the machine
+    slows down both.
+    """
+    found = {}
+    for kind in ("image", "events"):
+        run = work.folder / f"speed-{kind}"
+        work.run("convert", run, "--input", kind, "--jobs", work.jobs)
+        found[kind] = work.printed("benchmark", "emulator", run / "bundle")
+    networks = work.printed("benchmark", "emulator", "--networks")
+    ratios = [row["ratio_emulator"] for row in networks["rows"]]
+    return {**found, "networks": {**networks, "lowest": min(ratios), "highest": max(ratios)}}
+
+
 RESULTS = (
     Result("losses-simulated", 10, _benchmark("losses"), CHIP),
     Result("conversion-simulated", 10, _benchmark("conversion"), CHIP),
     Result("architectures", 10, _sweep("--grid", f"cnn.architecture={ARCHITECTURES}"), CHIP),
     Result("table2-images", 12, _table2(IMAGES), CHIP),
+    Result("speed", 15, _speed, (*CHIP, "numba")),
     Result("events-pen", 20, _events_with_pen, CHIP, pen=True),
     Result("adapt-images", 10, _adapt("image", "readout,wrong-labels"), CHIP, pen=True),
     Result("adapt-events", 30, _adapt("events", ADAPTED, *SMALLER), CHIP, pen=True),

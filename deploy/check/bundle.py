@@ -14,7 +14,10 @@ Nothing in a bundle is executed on reading, and a file that does not match its h
 
 from __future__ import annotations
 
+import hashlib
 import io
+import json
+import math
 import os
 import shutil
 import zipfile
@@ -38,6 +41,7 @@ from ..files import (
 )
 from ..interrupts import at_the_end
 from ..network.spec import NetworkSpec
+from ..network.stimulus import Stimulus
 
 NETWORK_SCHEMA = "stmnist-bundle/2"
 """Schema of the ``network.json`` that is written."""
@@ -47,6 +51,8 @@ READ_SCHEMAS = (NETWORK_SCHEMA, "stmnist-bundle/1")
 MANIFEST_SCHEMA = "stmnist-manifest/1"
 FILES = ("network.json", "weights.npz", "checks.npz", "deploy.pyz")
 RESULTS = "checks"
+HEADERS = 1 << 12
+"""More bytes than the headers of the arrays of ``checks.npz``."""
 _REMEDY = "delete the folder and make it again with 'stmnist convert', or copy it again"
 
 
@@ -71,6 +77,15 @@ class CheckSet:
 
     def __len__(self):
         return len(self.labels)
+
+    @property
+    def sha256(self):
+        """SHA-256 of inputs, labels and ids."""
+        inputs, labels = np.ascontiguousarray(self.inputs), np.asarray(self.labels, np.int64)
+        described = json.dumps([str(inputs.dtype), inputs.shape, labels.tolist(), self.ids])
+        digest = hashlib.sha256(described.encode())
+        digest.update(inputs)
+        return digest.hexdigest()
 
     def __getitem__(self, part: slice) -> CheckSet:
         """A subset of the samples."""
@@ -117,12 +132,19 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
     Raises
     ------
     UserError
-        The path is a file's, or the folder cannot be written.
+        The path is a file's, or a folder's with other files than a bundle's, which would be lost;
+        the samples are too large for a bundle; or the folder cannot be written.
     """
     path = Path(path)
-    if path.exists() and not path.is_dir():
-        raise UserError(f"{path}: is a file, not a bundle's folder; move it away")
+    samples = {
+        "inputs": np.asarray(checks.inputs, _stored_as(spec.stimulus)),
+        "labels": np.asarray(checks.labels, np.int64),
+        "ids": np.array(checks.ids, dtype=str),
+        "seed": np.int64(checks.seed),
+    }
+    _require_room(sum(array.nbytes for array in samples.values()), len(checks), spec.stimulus)
     try:
+        _require_replaceable(path)
         make_folder(path.parent)
         handle, temporary = temporary_folder(path.parent, ".bundle.")
         temporary = Path(temporary)
@@ -135,13 +157,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
             temporary.chmod(0o755)
             write_json(temporary / "network.json", {"schema": NETWORK_SCHEMA, **spec.to_json()})
             write_arrays(temporary / "weights.npz", **spec.arrays())
-            write_arrays(
-                temporary / "checks.npz",
-                inputs=np.asarray(checks.inputs, np.float32 if spec.stimulus.static else np.uint8),
-                labels=np.asarray(checks.labels, np.int64),
-                ids=np.array(checks.ids, dtype=str),
-                seed=np.int64(checks.seed),
-            )
+            write_arrays(temporary / "checks.npz", **samples)
             with replacing(temporary / "deploy.pyz") as file:
                 file.write(zipapp_bytes())
             hashes = {name: sha256_of(temporary / name) for name in FILES}
@@ -156,6 +172,58 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
         os.close(handle)
         shutil.rmtree(str(temporary), ignore_errors=True)
     return read_bundle(path)
+
+
+def _require_replaceable(path):
+    """Refuse to replace a file, or a folder with other files than a bundle's, such as results."""
+    if not path.exists():
+        return
+    if not path.is_dir():
+        raise UserError(f"{path}: is a file, not a bundle's folder; move it away")
+    others = _others_in(path)
+    if others:
+        raise UserError(
+            f"{path}: not replaced by a bundle, because it also has {min(others)}; choose another "
+            "folder, or move that away"
+        )
+
+
+def _others_in(folder):
+    """The names in a folder that are not those of a bundle's files."""
+    return {each.name for each in folder.iterdir()} - {*FILES, "MANIFEST.json"}
+
+
+def require_room(samples: int, shape: tuple, stimulus: Stimulus):
+    """Refuse a check whose inputs are too large for a bundle, before the inputs exist.
+
+    Parameters
+    ----------
+    samples : int
+        Number of samples.
+    shape : tuple of int
+        Shape of one sample.
+    stimulus : Stimulus
+
+    Raises
+    ------
+    UserError
+    """
+    _require_room(math.prod((samples, *shape, _stored_as(stimulus).itemsize)), samples, stimulus)
+
+
+def _require_room(n_bytes, samples, stimulus):
+    if n_bytes > limits.ARRAY_BYTES - HEADERS:
+        remedy = "fewer check.samples"
+        if not stimulus.static:
+            remedy += " or presentation.steps, or a larger data.downsample"
+        raise UserError(
+            f"the check's {samples} samples take {n_bytes / 2**20:.0f} MB, more than the "
+            f"{limits.ARRAY_BYTES >> 20} MB of a bundle; choose {remedy}"
+        )
+
+
+def _stored_as(stimulus):
+    return np.dtype(np.float32 if stimulus.static else np.uint8)
 
 
 def result_beside(folder, target: str) -> Path:
@@ -226,7 +294,7 @@ def read_bundle(path) -> Bundle:
             raise UserError(f"{path / name}: missing from the bundle; {_REMEDY}")
         if sha256_of(path / name) != hashes[name]:
             raise UserError(f"{path / name}: changed since the bundle was made; {_REMEDY}")
-    extra = {p.name for p in path.iterdir()} - {*FILES, "MANIFEST.json", RESULTS}
+    extra = _others_in(path) - {RESULTS}
     if extra:
         raise UserError(
             f"{path / min(extra)}: not part of the bundle (MANIFEST.json does not list it); "

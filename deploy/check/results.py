@@ -9,6 +9,7 @@ from typing import List, Optional
 import nengo
 import numpy as np
 
+from .. import __version__
 from ..errors import CheckFailed, UserError
 from ..files import read_json
 from ..network.decision import share_of_time
@@ -31,6 +32,7 @@ SHARES = tuple(tenths / 10 for tenths in range(1, 11))
 def versions() -> dict:
     """Versions of the software that computed a result."""
     return {
+        "stmnist": __version__,
         "python": platform.python_version(),
         "numpy": np.__version__,
         "nengo": nengo.__version__,
@@ -353,7 +355,10 @@ def compare_results(a: dict, b: dict) -> Comparison:
         )
     of_a, of_b = ([(s["id"], s["label"]) for s in result["samples"]] for result in (a, b))
     if of_a != of_b:
-        raise UserError("the results are of different samples; run both checks on the same bundle")
+        remedy = "on the same bundle"
+        if "data" in a or "data" in b:
+            remedy = "with the same --data, --samples and --seed"
+        raise UserError(f"the results are of different samples; run both checks {remedy}")
     pairs = list(zip(a["samples"], b["samples"]))
     told = all("spike_hash" in sample for pair in pairs for sample in pair)
     right = [[s["prediction"] == s["label"] for s in result["samples"]] for result in (a, b)]

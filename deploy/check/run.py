@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
 import time
@@ -221,9 +220,9 @@ def open_check(
     if out.exists() and not out.is_file():  # before the samples are run
         raise UserError(f"{out}: cannot write (not a file); choose another --out")
     saved = out.with_name("." + out.name + ".partial")
-    shown = hashlib.sha256("\n".join(bundle.checks.ids).encode()).hexdigest()
     check = {"bundle": bundle.id, "target": target, "seed": seed, "versions": versions()}
-    check["samples"] = shown  # other recordings may have been put in the place of the bundle's
+    # Other recordings may have been put in the place of the bundle's, also with the same ids.
+    check["samples"] = bundle.checks.sha256
     taken = f"{out}: another process is writing this result; wait for it or use another --out"
     with contextlib.ExitStack() as stack:
         try:

@@ -78,7 +78,8 @@ def _hardware(result):
         for phase in ("build", "connect", "run")
     )
     text = (
-        f"\nboard {board['board'] or 'of the cluster'}, partition {board['partition'] or 'none'}, "
+        f"\nboard {_each(board['board'], 'of the cluster')}, "
+        f"partition {_each(board['partition'], 'none')}, "
         f"NxSDK {result['versions']['nxsdk']}, {board['connections']} connections; "
         f"per sample: {phases}"
     )
@@ -95,6 +96,12 @@ def _hardware(result):
             f"when idle, {power['step_microseconds']:.3g} us a step"
         )
     return text
+
+
+def _each(named, without_name):
+    """A name, or all of a list of names."""
+    names = named if isinstance(named, list) else [named]
+    return " and ".join(name or without_name for name in names)
 
 
 def _kind(result):

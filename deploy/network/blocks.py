@@ -48,6 +48,31 @@ def block_shapes(layers) -> Dict[str, Tuple[int, ...]]:
     return shapes
 
 
+def scaled_by_block(layers) -> List[str]:
+    """Names of the layers whose blocks have other integers than the layer as a whole.
+
+    NengoLoihi scales the weights of each block so that the largest fills 8 bits
+    (``discretize_weights``).  A layer that is divided by filters or units therefore has weights and
+    thresholds that are rounded separately in each block.
+
+    Parameters
+    ----------
+    layers : sequence of deploy.network.spec.Layer
+        Layers of a network, in order.
+    """
+    shapes, found = block_shapes(layers), []
+    for layer in layers:
+        if layer.name not in shapes or layer.neurons is None:
+            continue
+        sizes = np.abs(layer.weights)
+        outputs = -1 if layer.kind == "conv" else 0
+        largest = np.moveaxis(sizes, outputs, 0).reshape(layer.shape[-1], -1).max(1)
+        parts = parts_of(layer.shape[-1], shapes[layer.name][-1])
+        if any(largest[first:last].max() < largest.max() for first, last in parts):
+            found.append(layer.name)
+    return found
+
+
 @functools.lru_cache(maxsize=256)
 def default_block(layer, after=None, after_block=None) -> Tuple[int, ...]:
     """Choose the block of a layer; see the module's docstring.

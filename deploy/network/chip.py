@@ -24,6 +24,8 @@ class Chip:
     bias_bits : int
         Bits of the mantissa of a bias current, without its sign.
     decay_bits : int
+    refractory_bits : int
+        Bits of the steps from a spike to the first one that can spike again.
     input_bits, current_bits, voltage_bits : int
         Bits of one step's synaptic input, of the current and of the voltage, without signs; the
         first two wrap around, the voltage is clipped.
@@ -42,6 +44,7 @@ class Chip:
     weight_bits: int
     bias_bits: int
     decay_bits: int
+    refractory_bits: int
     input_bits: int
     current_bits: int
     voltage_bits: int
@@ -67,6 +70,11 @@ class Chip:
         """Largest decay."""
         return self.decay_unit - 1
 
+    @property
+    def refractory_steps(self) -> int:
+        """Longest refractory period in steps: the chip counts one more, that of the spike."""
+        return 2**self.refractory_bits - 2
+
 
 LOIHI = Chip(
     name="Loihi 1",
@@ -82,6 +90,7 @@ LOIHI = Chip(
     weight_bits=8,
     bias_bits=12,
     decay_bits=12,
+    refractory_bits=6,
     input_bits=21,
     current_bits=23,
     voltage_bits=23,

@@ -79,8 +79,9 @@ class ImageSpikes(Stimulus):
     """A tactile image as evenly spaced spikes of host neurons without leak, one per pixel.
 
     A pixel of value v causes ``max_rate * v`` spikes per second, evenly spaced, each of area
-    1 / ``max_rate``, so that the mean of the spike train is v.  A blank pixel is reset, so that a
-    sample's spikes do not depend on the previous sample.
+    1 / ``max_rate``, so that the mean of the spike train is v.  A blank pixel is reset.  With a gap
+    of at least one step, a sample's spikes therefore do not depend on the previous sample; without
+    a gap, a pixel keeps its phase from one sample to the next.
 
     Attributes
     ----------

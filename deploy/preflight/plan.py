@@ -9,7 +9,7 @@ much a layer exceeds a limit and what to change.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Dict, List, Tuple
+from typing import Dict, List, Optional, Tuple
 
 from ..errors import UserError
 from ..network.build import build
@@ -36,9 +36,8 @@ COLUMNS = ("compartments", "axons in", "axons out", "AxonCfg", "synapse words")
 REMEDIES = {
     "compartments": "give the layer a block_shape of at most {limit} neurons",
     "input axons": "give the layer fewer inputs, by a larger stride or an averaging before it",
-    "output axons": "use --set deployment.pop_type=16, or fewer filters or units in the next layer",
-    "AxonCfg registers": "use --set deployment.pop_type=16, or fewer filters or units in this "
-    "layer or the next",
+    "output axons": "use {fewer} in this layer or the next",
+    "AxonCfg registers": "use {fewer} in this layer or the next",
     "synapse words": "give the layer fewer filters or units, or a larger stride",
 }
 """The remedy for each exceeded limit.
@@ -147,14 +146,18 @@ def make_plan(spec: NetworkSpec, chips: int = 1) -> Plan:
     cores = [
         _core_plan(layer, part, *places[block], block, intervals) for layer, part, block in placed
     ]
-    problems = [problem for core in cores for problem in _problems(core)]
+    problems = [problem for core in cores for problem in _problems(spec, core)]
     problems += _pop16_problems(placed)
+    problems += _refractory_problems(blocks)
     if needed > chips:
         problems.append(
             f"the network: {len(cores)} cores need {needed} chips, {needed - chips} more than the "
             f"{chips} allowed; allow more with --chips, or use larger blocks"
         )
-    warnings = [*_lost_weights(spec, cores), *(line for core in cores for line in _warnings(core))]
+    warnings = [
+        *_lost_weights(spec, cores),
+        *(line for core in cores for line in _warnings(spec, core)),
+    ]
     return Plan(cores, needed, problems, warnings)
 
 
@@ -274,14 +277,46 @@ def _shortest_intervals(spec, model):
     return intervals
 
 
-def _problems(core):
+def fewer_axons(spec: NetworkSpec, layer: Optional[str] = None) -> str:
+    """What can reduce the axons from a layer: a noun phrase for an error's remedy.
+
+    Population spikes of 16 bits are named only if the network can use them and does not yet.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    layer : str, optional
+        Name of the layer; None if it is not known which one has too many.
+    """
+    pairs = [
+        (before, after)
+        for before, after in zip(spec.layers, spec.layers[1:])
+        if before.placement == after.placement == "chip" and layer in (None, before.name)
+    ]
+    long = any(after.kind == "conv" and after.pop_type == 32 for _, after in pairs)
+    if long and all(map(_can_use_pop16, spec.layers)):
+        return "--set deployment.pop_type=16, or fewer filters or units"
+    return "fewer filters or units"
+
+
+def _can_use_pop16(layer):
+    if layer.kind != "conv" or layer.placement != "chip":
+        return True
+    return layer.shape[-1] % 4 == 0 and layer.input_shape[-1] <= LOIHI.population_channels
+
+
+def _problems(spec, core):
     for resource, limit in LIMITS.items():
         used = core.used[resource]
         if used > limit:
             yield (
                 f"layer {core.layer}, part {core.part}: {used} {resource}, {used - limit} more "
-                f"than the {limit} of a core; {REMEDIES[resource].format(limit=limit)}"
+                f"than the {limit} of a core; {_remedy(spec, core, resource)}"
             )
+
+
+def _remedy(spec, core, resource):
+    return REMEDIES[resource].format(limit=LIMITS[resource], fewer=fewer_axons(spec, core.layer))
 
 
 def _pop16_problems(placed):
@@ -314,6 +349,18 @@ def _pop16_problems(placed):
                 )
 
 
+def _refractory_problems(blocks):
+    """Layers with a longer refractory period than the chip can count."""
+    most = LOIHI.refractory_steps
+    for layer, parts in blocks.items():
+        steps = max(int(block.compartment.refract_delay.max()) for block in parts) - 1
+        if steps > most:
+            yield (
+                f"layer {layer}: a refractory period of {steps} steps, {steps - most} more than "
+                f"the {most} that the chip can count; choose a shorter one (snn.tau_ref)"
+            )
+
+
 def _lost_weights(spec, cores):
     """Layers whose weights all become 0 in the chip's integers."""
     for layer in spec.layers:
@@ -326,14 +373,14 @@ def _lost_weights(spec, cores):
             )
 
 
-def _warnings(core):
+def _warnings(spec, core):
     where = f"layer {core.layer}, part {core.part}"
     limit = LIMITS["AxonCfg registers"]
     if core.used["AxonCfg registers"] <= limit < core.unshared_axon_cfgs:
         yield (
             f"{where}: {core.unshared_axon_cfgs} AxonCfg registers if populations cannot share "
             f"them, {core.unshared_axon_cfgs - limit} more than the {limit} of a core: a board may "
-            f"refuse it (NengoLoihi issue 326); {REMEDIES['AxonCfg registers']}"
+            f"refuse it (NengoLoihi issue 326); {_remedy(spec, core, 'AxonCfg registers')}"
         )
     if core.worst_input >= INPUT_LIMIT:
         yield f"{where}: one step's input can wrap around ({core.worst_input / INPUT_LIMIT:.1f} x)"

@@ -15,19 +15,22 @@ import time
 from dataclasses import dataclass, replace
 from typing import Iterator, Optional
 
-import nengo
 import numpy as np
 
-from ..errors import UserError
+from ..errors import UserError, one_line
 from ..interrupts import orderly
 from ..network.build import build
+from ..network.discretisation import BUILD_ERRORS
 from ..network.loihi_import import nengo_loihi
 from ..network.responses import Responses, respond
 from ..network.spec import NetworkSpec
-from ..preflight.plan import require_fit
+from ..preflight.plan import fewer_axons, require_fit
 
 POWER_BINS = 1024
 """Number of bins of the board's energy probe, spread over the steps of a stream."""
+
+LONGEST_WAIT = 600.0
+"""Seconds of the longest wait between two attempts."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,7 @@ class BoardOptions:
     attempts : int
         Maximum number of attempts per stream.  NengoLoihi tries to connect three times in each.
     wait : float
-        Seconds before the second attempt, doubled for each further one.
+        Seconds before the second attempt, doubled for each further one up to `LONGEST_WAIT`.
     energy : bool
         Measure power.
     timeout : float
@@ -64,7 +67,7 @@ class BoardOptions:
         for name, least, most in (
             ("chips", 1, 10_000),
             ("attempts", 1, 1000),
-            ("wait", 0, 86_400),
+            ("wait", 0, LONGEST_WAIT),
             ("timeout", 1e-3, 864_000),
         ):
             value = getattr(self, name)
@@ -140,7 +143,7 @@ def run_loihi(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[Resp
                         f"board lost in stream {index + 1} of this run, {attempt} attempts: "
                         f"{error}; the previous streams are saved: repeat the command to resume"
                     ) from error
-                time.sleep(options.wait * 2 ** (attempt - 1))
+                time.sleep(min(options.wait * 2 ** (attempt - 1), LONGEST_WAIT))
         responses.notes.update(nxsdk=version, attempts=attempt)
         yield responses
 
@@ -156,10 +159,10 @@ def _run_stream(spec, samples, seed, options):
             board = sim.sims["loihi"].nxsdk_board
             if options.energy:
                 _probe_energy(board, steps)
-            with _board_errors(), _time_limit(options.timeout):
+            with _board_errors(spec), _time_limit(options.timeout):
                 sim.__enter__()
             connected_at = time.perf_counter()
-            with _board_errors(), _time_limit(options.timeout):
+            with _board_errors(spec), _time_limit(options.timeout):
                 responses = respond(spec, built, sim, samples)
             ended_at = time.perf_counter()
         finally:
@@ -187,12 +190,13 @@ def _simulator(network, options):
             precompute=True,
             hardware_options={"n_chips": options.chips},
         )
-    except (nengo.exceptions.NengoException, ImportError, NotImplementedError) as error:
-        raise UserError(f"NengoLoihi cannot build this network for a board: {error}") from error
+    except (*BUILD_ERRORS, ImportError, NotImplementedError, ValueError) as error:
+        problem = one_line(str(error)) or "one of its limits, which has no message, is not met"
+        raise UserError(f"NengoLoihi cannot build this network for a board: {problem}") from error
 
 
 @contextlib.contextmanager
-def _board_errors():
+def _board_errors(spec):
     """Convert all errors of the board, its driver and its connection to `BoardLost`.
 
     NxSDK has no error class of its own, and NengoLoihi raises AssertionError for missing data.
@@ -203,9 +207,8 @@ def _board_errors():
         text = " ".join(str(error).split()) or type(error).__name__
         if "AxonCfg" in text:
             raise UserError(
-                f"the board refuses the network: {text}; convert it with "
-                "--set deployment.pop_type=16, or train one with fewer filters (see 'stmnist "
-                "deploy plan')"
+                f"the board refuses the network: {text}; convert or train it again with "
+                f"{fewer_axons(spec)} (see 'stmnist deploy plan')"
             ) from error
         raise BoardLost(text) from error
 
@@ -293,15 +296,21 @@ def describe(notes: list) -> dict:
     dict
         ``hardware`` (board, partition, chips, number of connections), ``timing`` in seconds per
         sample, ``versions``, and ``power`` if it was measured: the mean over streams weighted by
-        their steps; ``static_mw`` is the idle power, ``dynamic_mw`` the additional power.
+        their steps; ``static_mw`` is the idle power, ``dynamic_mw`` the additional power.  If a
+        check was resumed elsewhere, board, partition or chips are the list of all, in order.
     """
-    last = notes[-1]
+
+    def all_of(name):
+        return list(dict.fromkeys(note[name] for note in notes))
+
+    def one_or_all(name):
+        found = all_of(name)
+        return found[0] if len(found) == 1 else found
+
     samples = sum(note["samples"] for note in notes)
     result = {
         "hardware": {
-            "board": last["board"],
-            "partition": last["partition"],
-            "chips": last["chips"],
+            **{name: one_or_all(name) for name in ("board", "partition", "chips")},
             "connections": len(notes),
             "attempts": sum(note["attempts"] for note in notes),
         },
@@ -309,7 +318,7 @@ def describe(notes: list) -> dict:
             f"{phase}_seconds_per_sample": sum(n[f"{phase}_seconds"] for n in notes) / samples
             for phase in ("build", "connect", "run")
         },
-        "versions": {"nxsdk": last["nxsdk"]},
+        "versions": {"nxsdk": ", ".join(all_of("nxsdk"))},
     }
     measured = [note for note in notes if "power" in note]
     if measured:

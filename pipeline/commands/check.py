@@ -38,7 +38,9 @@ Board = signatures.group(
     ),
     chips=_board_option(int, "Largest number of chips to use."),
     attempts=_board_option(int, "Largest number of attempts for each stream of samples."),
-    wait=_board_option(float, "Seconds before the second attempt, doubled for each further one."),
+    wait=_board_option(
+        float, "Seconds before the second attempt, doubled for each further one up to ten minutes."
+    ),
     timeout=_board_option(float, "Seconds after which a stream that hangs is abandoned."),
     energy=Annotated[
         bool,

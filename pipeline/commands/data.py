@@ -15,7 +15,7 @@ from pipeline.commands import options, signatures
 from pipeline.commands.completion import data_sets
 from pipeline.inputs.library import load_recordings
 from pipeline.progress import progress
-from pipeline.recordings.archive import export_zip, write_zip
+from pipeline.recordings.archive import export_zip, refuse_to_replace, write_zip
 from pipeline.recordings.events import GRID
 from pipeline.recordings.facts import facts_of_file, facts_with_events, file_text, recordings_text
 from pipeline.recordings.sensors import Reading
@@ -126,9 +126,13 @@ def export(
     ],
     out: Annotated[Path, typer.Argument(help="The zip to write, in the published layout.")],
 ):
-    """Pack a folder of recordings into a zip for --data; the files are not changed."""
+    """Pack a folder of recordings into a zip for --data; the files are not changed.
+
+    An existing file is replaced only if it is a zip of recordings that stmnist has written.
+    """
     if out.suffix != ".zip":
         raise UserError(f"{out}: the name must end in .zip")
+    refuse_to_replace(out)
     n = export_zip(out, folder, progress)
     show(f"{n} recordings written to {out}")
 
@@ -161,9 +165,13 @@ def simulate_(
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
-    """Write simulated recordings as a zip in the layout of ST-MNIST."""
+    """Write simulated recordings as a zip in the layout of ST-MNIST.
+
+    An existing file is replaced only if this command has written it.
+    """
     if out.suffix != ".zip":
         raise UserError(f"{out}: the name must end in .zip")
+    refuse_to_replace(out, simulated=True)
     traces = None if handwriting is None else unipen.read(handwriting)
     recordings = load_recordings(
         *(SIMULATED, seed, samples_per_digit),

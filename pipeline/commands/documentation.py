@@ -21,7 +21,8 @@ from pipeline.settings import Settings, describe
 ROOT = Path(__file__).resolve().parent.parent.parent
 FILES = (
     *("README.md", "docs/commands.md", "docs/settings.md"),
-    *("docs/adapt.md", "docs/benchmarks.md", "docs/events.md", "docs/live.md", "docs/training.md"),
+    *("docs/adapt.md", "docs/benchmarks.md", "docs/bundle.md", "docs/events.md", "docs/live.md"),
+    *("docs/nengo-loihi.md", "docs/training.md"),
 )
 """Files with generated parts, relative to the root of the repository."""
 

@@ -44,13 +44,12 @@ def result(name: str) -> dict:
 
 
 def recordings_of(content: dict):
-    """SHA-256 of the recordings of a result; None if the result does not have it."""
+    """SHA-256 of the built-in recordings for which a result was measured; None if unknown.
+
+    Results on pen trajectories have it as well, because both are made with the same skin.
+    """
     made_from = (content.get("made_from") or {}).get("contents", {})
-    return (
-        content.get("source_sha256")
-        or content.get("recordings_sha256")
-        or made_from.get("recordings")
-    )
+    return made_from.get("recordings") or content.get("source_sha256")
 
 
 def is_present(content: dict) -> bool:
@@ -144,9 +143,8 @@ def losses_markdown() -> str:
 
 def events_markdown() -> str:
     """The network on events over seeds, for simulated writers and for real pen trajectories."""
-    content, now = result("events-seeds"), recordings_now()
-    of_hands = content["sha256"]["simulated hands"]
-    hands = "simulated writers" if of_hands == now else "earlier simulated writers"
+    content = result("events-seeds")
+    earlier = "" if is_present(content) else f", {EARLIER}"
     groups = {"simulated hands": [], "real pen trajectories": []}
     for name, run in content["runs"].items():
         groups[name.partition(",")[0]].append(run)
@@ -163,10 +161,10 @@ def events_markdown() -> str:
 
     mean, low, high = cells(lambda v: sum(v) / len(v)), cells(min), cells(max)
     rows = [
-        [f"{hands}, mean of {len(simulated)} seeds", *mean],
+        [f"simulated writers, mean of {len(simulated)} seeds{earlier}", *mean],
         ["lowest and highest of them", *(f"{a}, {b}" for a, b in zip(low, high, strict=True))],
         *(
-            [f"**real pen trajectories**, seed {seed}", *_of_events(run)]
+            [f"**real pen trajectories**, seed {seed}{earlier}", *_of_events(run)]
             for seed, run in enumerate(real)
         ),
     ]
@@ -231,10 +229,18 @@ def _table2_output(name, command):
     return _output(command, rows, content)
 
 
-def _output(command, text, content, built_in=True):
+def _speed_output(part, options):
+    from pipeline.experiments import emulator_speed, network_speed  # both import Nengo
+
+    content = result("speed")
+    text_of = network_speed.networks_text if part == "networks" else emulator_speed.speed_text
+    return _output(f"stmnist benchmark emulator {options}", text_of(content[part]), content)
+
+
+def _output(command, text, content):
     """The output of a command in a block, with a note if the recordings are earlier ones."""
     block = f"```\n$ {command}\n{text.rstrip()}\n```"
-    return "\n".join([block, *(_note(content) if built_in else [])])
+    return "\n".join([block, *_note(content)])
 
 
 def _note(content):
@@ -264,9 +270,12 @@ TABLES = {
     ),
     "output of events": lambda: _events_output("events-simulated", ""),
     "output of events with pen trajectories": lambda: _events_output(
-        "events-pen", " --data pen.zip --out runs/time-pen", False
+        "events-pen", " --data pen.zip --out runs/time-pen"
     ),
     "events over seeds": events_markdown,
+    "output of emulator": lambda: _speed_output("image", "runs/default/bundle"),
+    "output of emulator on events": lambda: _speed_output("events", "runs/events/bundle"),
+    "output of emulator on networks": lambda: _speed_output("networks", "--networks"),
     "output of sweep": lambda: _sweep_output("sweep", "stmnist sweep runs/sweep"),
     "output of sweep of architectures": lambda: _sweep_output(
         "architectures",
@@ -283,13 +292,13 @@ def _text(name, command, text_of):
     return _output(command, text_of(content), content)
 
 
-def _events_output(name, options, built_in=True):
+def _events_output(name, options):
     """The output of ``benchmark events`` without the explanation of its columns."""
     content = result(name)
     seeds = len(content["variants"]["as-is"]["seeds"])
     command = f"stmnist benchmark events{f' --seeds {seeds}' if seeds > 1 else ''}{options}"
     rows = events_text(content).partition("\n\nas-is:")[0]
-    return _output(command, rows, content, built_in)
+    return _output(command, rows, content)
 
 
 def _read(path):

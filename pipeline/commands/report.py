@@ -30,6 +30,7 @@ def animate(
 
     animation.writer_for(out)  # reports a wrong ending of the name before anything is computed
     bundle = read_bundle(options.bundle_in(run))
+    options.warn_if_outdated(options.bundle_in(run))
     experiment = RunFolder(run).experiment
     if not experiment.exists():
         raise UserError(f"{run}: not a run's folder (it has no experiment.toml)")

@@ -6,6 +6,7 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.tables import aligned, p_text
+from deploy.terminal import WARNING
 from pipeline.experiments.resampling import estimate
 from pipeline.experiments.study import Findings, Workers, concluded, study
 from pipeline.experiments.table2_splits import (
@@ -18,6 +19,7 @@ from pipeline.experiments.table2_splits import (
     settings_of,
 )
 from pipeline.inputs.dataset import KINDS, require_recordings_fit, split_of
+from pipeline.inputs.frames import after_the_bins
 from pipeline.inputs.library import recordings_of
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.jobs import Failure
@@ -92,6 +94,11 @@ def measure_table(
         if settings is not given:
             chosen = settings.slayer.architecture
             say(f"{chosen}: chosen for SLAYER (another: --set slayer.architecture=...)")
+        if late := after_the_bins(recordings):
+            say(
+                f"{WARNING}{late} of {len(recordings.events)} events are after "
+                f"{recordings.sensor.duration_s:g} s and left out by SLAYER"
+            )
     folder.save_settings(settings)
     benchmark = Benchmark(
         *(settings, recordings.source.sha256, folder.path.absolute(), kinds, splits, models)

@@ -23,6 +23,7 @@ from pipeline.run import stages
 from pipeline.run.history import read_history, write_history
 from pipeline.run.origins import bundle_origin, cnn_origin, rates_origin, threshold_origin
 from pipeline.settings import Settings
+from pipeline.training.checkpoint import Checkpoint
 
 SCHEMA = "stmnist-table2-split/1"
 LOIHI_TARGET = "fast"
@@ -256,6 +257,12 @@ def _on_chip_or_before(task, dataset):
     return test, nengodl.predict(settings, weights, images, settings.steps), history
 
 
+def checkpoint_of(task: Task) -> Checkpoint:
+    """The state of a training with SLAYER, which more epochs continue."""
+    file = task.artifact.record.with_suffix(".npz")
+    return Checkpoint(file, task.origin.without("slayer.epochs").key)
+
+
 def _slayer(task, dataset):
     from pipeline.inputs.frames import bin_events
 
@@ -267,7 +274,7 @@ def _slayer(task, dataset):
         ) from error
 
     slayer, recordings = task.settings.slayer, dataset.recordings
-    checkpoint = task.artifact.record.with_suffix(".npz")
+    checkpoint = checkpoint_of(task)
     trained = train_slayer(
         slayer,
         bin_events(recordings, slayer.bins),
@@ -278,5 +285,5 @@ def _slayer(task, dataset):
         checkpoint,
         duration_s=recordings.sensor.duration_s,
     )
-    write_history(checkpoint.with_suffix(".csv"), trained.history)
+    write_history(checkpoint.path.with_suffix(".csv"), trained.history)
     return dataset.split.test, trained.counts.argmax(1), trained.history

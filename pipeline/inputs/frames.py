@@ -29,7 +29,7 @@ def bin_events(recordings: Recordings, bins: int = 200) -> np.ndarray:
     events, taxels, sensor = recordings.events, recordings.taxels, recordings.sensor
     shape = (len(recordings), bins, sensor.rows, sensor.columns, sensor.polarities)
     frames = np.zeros(shape, np.uint8)
-    time = (events.time_ns * bins / (sensor.duration_s * 1e9)).astype(np.int64)
+    time = _bin_of_event(recordings, bins)
     inside = (time >= 0) & (time < bins)
     taxel = events.taxel[inside]
     frames[
@@ -40,3 +40,16 @@ def bin_events(recordings: Recordings, bins: int = 200) -> np.ndarray:
         (events.polarity[inside] < 0).astype(np.int64),
     ] = 1
     return frames
+
+
+def after_the_bins(recordings: Recordings) -> int:
+    """Number of events after the duration, which :func:`bin_events` leaves out.
+
+    The duration of recordings in the published layout is 2 s, whatever their events are.
+    """
+    return int(np.sum(_bin_of_event(recordings, 1) > 0))
+
+
+def _bin_of_event(recordings, bins):
+    duration_ns = recordings.sensor.duration_s * 1e9
+    return (recordings.events.time_ns * bins / duration_ns).astype(np.int64)

@@ -196,7 +196,8 @@ class Learner:
         )
 
     def _path(self, writer):
-        return self._folder / f".readout-w{writer:03d}.npz"
+        """A file of its own for each network, so that none replaces what another has learned."""
+        return self._folder / f".readout-w{writer:03d}-{self._bundle.id[:12]}.npz"
 
     def _known(self, writer):
         if writer not in self._writers:
@@ -204,12 +205,20 @@ class Learner:
         return self._writers[writer]
 
     def _read(self, writer):
-        """The stored digits; none if they belong to another network or are damaged."""
-        if not self._path(writer).exists():
+        """The stored digits, also those in a file of an earlier version, which had no network."""
+        earlier = self._folder / f".readout-w{writer:03d}.npz"
+        if not self._path(writer).exists() and len(known := self._digits_in(earlier)):
+            earlier.replace(self._path(writer))
+            return known
+        return self._digits_in(self._path(writer))
+
+    def _digits_in(self, path):
+        """The digits in a file; none if they belong to another network or are damaged."""
+        if not path.exists():
             return Learnt()
         readout = self._bundle.spec.layers[-1]
         try:
-            arrays = read_arrays(self._path(writer), "", LARGEST)
+            arrays = read_arrays(path, "", LARGEST)
             names, labels, right = arrays["names"], arrays["labels"], arrays["right"]
             responses, weights = arrays["responses"], arrays.get("weights")
             fits = (

@@ -67,6 +67,11 @@ PAGES = 8
 WAITING = 128
 """Connections that wait to be accepted."""
 
+SILENT_S, PROBE_S, PROBES = 60, 10, 3
+"""Seconds after which the system of a silent page is asked whether it is there, seconds between
+such questions, and how many it may leave unanswered.  A tab that sleeps does not answer, but its
+system does."""
+
 PICTURE = "qr.svg"
 """Name of the QR code of the page's address."""
 
@@ -424,6 +429,7 @@ def listen(port: int, host: str = HOST) -> socket.socket:
         raise UserError(f"--host {host!r}: stands for all addresses; {where}")
     listening = socket.socket(family, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    _notice_absence(listening)
     try:
         listening.bind(place)
         listening.listen(WAITING)
@@ -436,6 +442,23 @@ def listen(port: int, host: str = HOST) -> socket.socket:
             "choose another port with --port, or --port 0 for any that is free"
         ) from error
     return listening
+
+
+def _notice_absence(listening):
+    """End connections of machines that are gone, which would keep the places of pages for ever.
+
+    The connections that are accepted have the options of the socket that listens.
+    """
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    gone_ms = 1000 * (SILENT_S + PROBES * PROBE_S)  # for one that is sent something meanwhile
+    for name, value in (
+        ("TCP_KEEPIDLE", SILENT_S),
+        ("TCP_KEEPINTVL", PROBE_S),
+        ("TCP_KEEPCNT", PROBES),
+        ("TCP_USER_TIMEOUT", gone_ms),
+    ):
+        if hasattr(socket, name):  # of Linux
+            listening.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
 class Server(uvicorn.Server):

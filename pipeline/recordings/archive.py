@@ -12,6 +12,7 @@ import functools
 import hashlib
 import json
 import lzma
+import os
 import re
 import warnings
 import zipfile
@@ -20,6 +21,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
+import numpy as np
 from joblib import delayed
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
@@ -31,7 +33,7 @@ from pipeline.recordings import labelled, sensors
 from pipeline.recordings.budget import MOST_BYTES, MOST_FILES, Spent
 from pipeline.recordings.eventfile import SUFFIXES as EVENT_SUFFIXES
 from pipeline.recordings.eventfile import read_events
-from pipeline.recordings.events import DIGITS, Recordings, Source, TaxelMap, collect
+from pipeline.recordings.events import DIGITS, Recordings, Source, collect
 from pipeline.recordings.mat5 import LARGEST
 from pipeline.recordings.matfile import (
     BadRecording,
@@ -47,6 +49,9 @@ LOOKUP_TABLE = "lut.mat"
 SUFFIXES = (".mat", *EVENT_SUFFIXES)
 CHUNK = 32
 """Number of files that a worker reads at a time: a compromise of overhead and progress bar."""
+
+NO_TIME = (1980, 1, 1, 0, 0, 0)
+"""Time of the members of a zip that this program writes, so that equal files give equal bytes."""
 
 LISTED = 10
 """Number of reasons, and of files that were left out, that are listed individually."""
@@ -129,17 +134,22 @@ def list_source(path) -> Listing:
     )
     whole = [entry for entry in recordings if entry[0] not in used]
     recordings, strays = _of_classes(_of_main_kinds(whole))
+    known = {*(name for name, _ in recordings + strays + refused), *tables, *used}
+    refused += strays + unread + _empty_classes(path, recordings, known, files, folders)
     recordings += [(name, of_class) for name, (of_class, _) in parts.items()]
-    refused += strays + unread + _empty_classes(recordings, files, folders)
     if not recordings and not refused:
         raise UserError(
             f"{path}: holds no recordings; expected a folder for each class with .mat, .npz or "
             "other files of events, <digit>/*.mat in the ST-MNIST archive"
         )
     places = {name: part for name, (_, part) in parts.items()}
-    kinds = sorted({_suffix(places[n].file if n in places else n) for n, _ in recordings})
+    read = sorted({places[name].file if name in places else name for name, _ in recordings})
+    kinds = {_suffix(name): name for name in reversed(read)}
     if len(kinds) > 1:
-        raise UserError(f"{path}: holds both {' and '.join(kinds)} recordings; keep one kind")
+        raise UserError(
+            f"{path}: holds both {' and '.join(sorted(kinds))} recordings, such as "
+            f"{' and '.join(_short(kinds[kind]) for kind in sorted(kinds))}; keep one kind"
+        )
     if len(recordings) > MOST_FILES:
         raise UserError(
             f"{path}: holds {len(recordings):,} recordings, more than {MOST_FILES:,}; give a part "
@@ -147,8 +157,25 @@ def list_source(path) -> Listing:
         )
     _refuse_too_large(path, recordings)
     recordings.sort(key=lambda entry: (sensors.class_order(entry[1]), entry[0]))
+    refused += _other_tables(path, sorted(tables))
     table = min(tables, default=None)
     return Listing(path, tuple(recordings), table, tuple(refused), places)
+
+
+def _other_tables(path, names):
+    """The look-up tables that differ from the first one, each with the reason to refuse it."""
+    first, others = None, []
+    for name in names if len(names) > 1 else ():
+        try:
+            table = read_lookup_table(_reader(path).read(name))
+        except BadRecording as error:
+            if name != names[0]:  # which is read again, and refused, with the recordings
+                others.append((name, str(error)))
+            continue
+        first = first or table
+        if not np.array_equal((table.row, table.column), (first.row, first.column)):
+            others.append((name, f"is another table than {_short(names[0])}; keep one of them"))
+    return others
 
 
 def _refuse_too_large(path, recordings):
@@ -171,9 +198,28 @@ def _suffix(name):
 
 
 def _of_main_kinds(recordings):
-    """Leave out files of other formats, such as a table, if there are .mat or .npz files."""
-    main = [entry for entry in recordings if _suffix(entry[0]) in (".mat", ".npz")]
-    return main or [e for e in recordings if _suffix(e[0]) != ".csv"] or recordings
+    """Leave out files of other formats, such as a table, that are beside .mat or .npz files.
+
+    Only files in the folder of a class that has the main kind, or above the classes, are left out:
+    in a folder of their own they are recordings of another kind.
+    """
+    ranks = [_rank(name) for name, _ in recordings]
+    best = min(ranks, default=0)
+    of_best = [n for (n, _), rank in zip(recordings, ranks, strict=True) if rank == best]
+    main = {PurePosixPath(name).parent for name in of_best}
+    above = {folder for leaf in main for folder in leaf.parents}
+    kept = []
+    for entry, rank in zip(recordings, ranks, strict=True):
+        around = PurePosixPath(entry[0]).parents
+        beside = around[0] in main | above or not (main - above).isdisjoint(around)
+        if rank == best or not beside:
+            kept.append(entry)
+    return kept
+
+
+def _rank(name):
+    """0 for the formats of recordings, 2 for the one that any table has, 1 for all others."""
+    return {".mat": 0, ".npz": 0, ".csv": 2}.get(_suffix(name), 1)
 
 
 def _of_classes(recordings):
@@ -197,17 +243,28 @@ def _of_classes(recordings):
     return kept, strays
 
 
-def _empty_classes(recordings, files, folders):
-    """Empty folders next to those of the classes."""
+def _empty_classes(path, recordings, known, files, folders):
+    """Folders next to those of the classes that have no recording, each with the reason.
+
+    Beside the ten digits, a folder of another name may have files of any kind.
+    """
+    names = {name for _, name in recordings}
     around = {PurePosixPath(name).parent.parent for name, _ in recordings}
-    filled = {parent for name, _ in files for parent in PurePosixPath(name).parents}
-    return [
-        (str(folder), "is a class without a recording")
-        for folder in map(PurePosixPath, folders)
-        if folder.parent in around
-        and folder not in filled
-        and not folder.name.startswith((".", "__MACOSX"))
-    ]
+    with_recordings, with_files = (
+        {parent for name in some for parent in PurePosixPath(name).parents}
+        for some in (known, [name for name, _ in files])
+    )
+    empty = []
+    for folder in sorted({*map(PurePosixPath, folders), *with_files} - with_recordings):
+        if folder.parent not in around or folder.name.startswith((".", "__MACOSX")):
+            continue
+        if (path / folder).is_symlink():
+            empty.append((str(folder), "is a link to a folder, which is not followed"))
+        elif folder not in with_files:
+            empty.append((str(folder), "is a class without a recording"))
+        elif not (set(DIGITS) <= names and folder.name not in DIGITS):
+            empty.append((str(folder), "is beside the classes and has files, but no recording"))
+    return empty
 
 
 def read_source(
@@ -243,7 +300,7 @@ def read_source(
     """
     listing = list_source(path)
     refused, read = list(listing.refused), []
-    parts = listing.parts
+    parts = {n: replace(part, unit=reading.time_unit) for n, part in listing.parts.items()}
     # The parts of a file are adjacent, so that it is read once.
     entries = sorted(listing.recordings, key=lambda e: parts[e[0]].file if e[0] in parts else "")
     chunks = [entries[start : start + CHUNK] for start in range(0, len(entries), CHUNK)]
@@ -320,6 +377,45 @@ def left_out_lines(path, recordings: Recordings) -> list:
     return lines
 
 
+def refuse_to_replace(path, simulated: bool = False):
+    """Refuse an existing file, unless it is a zip that this program has written.
+
+    Parameters
+    ----------
+    path : path-like
+        The file to be written.
+    simulated : bool
+        True to refuse also a zip whose recordings are not simulated.
+
+    Raises
+    ------
+    UserError
+    """
+    path = Path(path)
+    if os.path.lexists(path) and not _is_written_here(path, simulated):
+        kind = "a zip of simulated recordings" if simulated else "a zip"
+        raise UserError(
+            f"{path}: exists and is not {kind} that stmnist has written; choose another name, or "
+            "move it away"
+        )
+
+
+def _is_written_here(path, simulated):
+    """True for a zip of recordings whose members all have the time that :func:`_add` writes."""
+    try:
+        recordings = list_source(path).recordings
+        with open_regular(path) as file, zipfile.ZipFile(file) as archive:
+            if not recordings or any(info.date_time != NO_TIME for info in archive.infolist()):
+                return False
+        if not simulated:
+            return True
+        name = recordings[0][0]
+        recording = read_file(name, _Reader(path).read(name))
+    except (UserError, BadRecording, OSError):
+        return False
+    return recording.simulated and getattr(recording, "written", None) is None
+
+
 def write_zip(path, recordings: Recordings, progress=None):
     """Write recordings as a zip in the published layout; equal recordings give equal bytes.
 
@@ -386,11 +482,11 @@ def export_zip(path, folder, progress=None) -> int:
         zipfile.ZipFile(file, "w") as archive,
         _shown(progress, "export", len(names)) as advance,
     ):
-        name, table = listing.lookup_table, TaxelMap()
+        name = listing.lookup_table
         try:
+            # Without a table the taxels of any array are a grid, whose size the reader chooses.
             if name is not None:
                 table = read_lookup_table(reader.read(name))
-            if names[0].lower().endswith(".mat"):
                 _add(archive, root / "LUT.mat", lookup_table_bytes(table))
             for name, short in zip(names, _ids(names), strict=True):
                 content, suffix = reader.read(name), PurePosixPath(name).suffix
@@ -440,7 +536,7 @@ def _is_recording(name):
 
 def _add(archive, name, content):
     # Stored: the MAT file is compressed already.
-    archive.writestr(zipfile.ZipInfo(str(name), date_time=(1980, 1, 1, 0, 0, 0)), content)
+    archive.writestr(zipfile.ZipInfo(str(name), date_time=NO_TIME), content)
 
 
 def _shown(progress, label, total):

@@ -24,7 +24,7 @@ from pipeline.recordings.stored import problem_with
 
 _SHA256 = re.compile("[0-9a-f]{64}")
 
-FORMAT = 4
+FORMAT = 5
 """Version of the format; increase it with any change of the stored data or of the reading."""
 
 LARGEST = 1 << 34

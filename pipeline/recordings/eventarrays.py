@@ -22,10 +22,11 @@ ARRAYS = ("x", "y", "t", "p")
 NAMES = {
     "x": ("x", "column", "col"),
     "y": ("y", "row"),
-    "t": ("t", "time", "timestamp", "ts", "t_s", "t_ms", "t_us", "t_ns"),
+    "t": (*(f"t_{unit}" for unit in UNITS), "t", "time", "timestamp", "ts"),
     "p": ("p", "polarity", "pol", "on"),
 }
-"""Alternative names of fields and columns, in upper or lower case; some include the unit."""
+"""Names of fields and columns, in upper or lower case, the preferred one first; some include the
+unit."""
 
 MAX_EVENTS = 5_000_000
 """Events of one recording."""
@@ -168,8 +169,9 @@ def _named(events):
             raise BadRecording(f"is a structured array of {events.ndim} dimensions, not one")
         events = {name: events[name] for name in events.dtype.names}
     if isinstance(events, dict):
-        said = {str(name).lower().partition("t_")[2] for name in events} & set(UNITS)
-        return by_name(events), said.pop() if len(said) == 1 else ""
+        chosen = by_name(events)
+        unit = str(chosen["t"]).strip().lower().partition("t_")[2]
+        return {name: events[key] for name, key in chosen.items()}, unit
     is_four = isinstance(events, (tuple, list)) and len(events) == 4
     if is_four and all(np.ndim(part) == 1 for part in events):
         return dict(zip(ARRAYS, events, strict=True)), ""
@@ -182,22 +184,22 @@ def _named(events):
     )
 
 
-def by_name(columns: dict) -> dict:
-    """The columns x, y, t and p by these names; :data:`NAMES` has the alternatives.
+def by_name(names) -> dict:
+    """The names of the columns x, y, t and p among others; :data:`NAMES` has the alternatives.
 
     Raises
     ------
     BadRecording
         One is missing.
     """
-    lower = {str(name).strip().lower(): column for name, column in columns.items()}
-    found = {}
+    lower = {str(name).strip().lower(): name for name in names}
+    chosen = {}
     for name, others in NAMES.items():
         key = next((other for other in others if other in lower), None)
         if key is None:
             raise BadRecording(f"has no array {name!r}; expected x, y, t and p")
-        found[name] = lower[key]
-    return found
+        chosen[name] = lower[key]
+    return chosen
 
 
 def _order_of(rows):

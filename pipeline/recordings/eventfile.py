@@ -13,6 +13,7 @@ only plain arrays of numbers are read, and no more than a recording can have.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import zipfile
 import zlib
@@ -23,12 +24,15 @@ import numpy as np
 
 from pipeline.recordings.camerafile import CAMERA_SUFFIXES, read_camera
 from pipeline.recordings.eventarrays import (
+    ARRAYS,
     MAX_EVENTS,
+    MAX_PLACE,
     NAMES,
     EventRecording,
+    by_name,
     recording_of,
 )
-from pipeline.recordings.matfile import BadRecording
+from pipeline.recordings.matfile import BadRecording, writer_of
 
 SUFFIXES = (".npz", ".npy", ".csv", ".bin", ".aedat", *CAMERA_SUFFIXES)
 """File name endings of files of events."""
@@ -150,19 +154,36 @@ def _csv(content):
     if not len(table):
         raise BadRecording("is empty: no events")
     if not has_names:
-        return table
+        return dict(zip(ARRAYS, table.T, strict=True)) if _in_order(table) else table
     if len(words) != table.shape[1]:
         raise BadRecording(f"has {table.shape[1]} columns below {len(words)} names")
     return dict(zip(words, table.T, strict=True))
 
 
+def _in_order(table):
+    """True if four columns without names can be x, y, t and p, the documented order.
+
+    Another order is not inferred from times that are out of order, because x may increase in a
+    recording and the times in another one.
+    """
+    if table.shape[1] != len(ARRAYS):
+        return False
+    x, y, _, p = table.T
+    places = np.stack([x, y])
+    whole = (places >= 0) & (places <= MAX_PLACE) & (places == np.floor(places))
+    return bool(whole.all() and np.isin(p, (-1, 0, 1)).all())
+
+
 def _npz(content):
     """The four arrays by name, or the single array; and further entries of the file."""
-    arrays = {
-        name.removesuffix(".npy"): _array(_member(content, name), name.removesuffix(".npy"))
-        for name in _members(content)
-    }
-    about = {name: arrays.pop(name) for name in ("simulated", "writer") if name in arrays}
+    sizes = _sizes(content)
+    about = [name for name in ("simulated", "writer") if name in sizes]
+    events = [name for name in sizes if name not in about]
+    wanted = about + (events if len(events) == 1 else list(by_name(events).values()))
+    if sum(sizes[name] for name in wanted) > LARGEST_EVENT * MAX_EVENTS + 4096:
+        raise BadRecording(f"has arrays of more than {MAX_EVENTS} events")
+    arrays = {name: _array(_member(content, name + ".npy"), name) for name in wanted}
+    about = {name: arrays.pop(name) for name in about}
     (only,) = arrays.values() if len(arrays) == 1 else (arrays,)
     read = recording_of(only)
     return replace(
@@ -175,43 +196,42 @@ def _npz(content):
 def _writer(said):
     """A number from 0, or -1 for anything else."""
     whole = said is not None and said.size == 1 and said.dtype.kind in "iu"
-    number = int(said.ravel()[0]) if whole else -1
-    return number if 0 <= number < 2**31 else -1
+    return writer_of(said.ravel()[0] if whole else None)
 
 
 def _npy(content):
     return _array(content, "the array")
 
 
-def _members(content):
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            names = [name for name in archive.namelist() if name.endswith(".npy")]
-    except zipfile.BadZipFile as error:
-        raise BadRecording("is not a .npz file, or damaged") from error
-    except Exception as error:  # damaged lists of members fail in many ways
-        raise BadRecording(f"is a damaged .npz file ({type(error).__name__})") from error
-    if not 1 <= len(names) <= MOST_ARRAYS:
-        raise BadRecording(f"has {len(names)} arrays, not x, y, t and p")
-    return names
+def _sizes(content):
+    """The declared sizes of the arrays, in bytes, by name."""
+    with _reading_zip(content) as archive:
+        sizes = {
+            info.filename.removesuffix(".npy"): info.file_size
+            for info in archive.infolist()
+            if info.filename.endswith(".npy")
+        }
+    if not 1 <= len(sizes) <= MOST_ARRAYS:
+        raise BadRecording(f"has {len(sizes)} arrays, not x, y, t and p")
+    return sizes
 
 
 def _member(content, name):
-    """A member's bytes, unless its declared size is more than a recording can have."""
+    with _reading_zip(content) as archive:
+        member = archive.getinfo(name)
+        with archive.open(member) as file:
+            return file.read(member.file_size)
+
+
+@contextlib.contextmanager
+def _reading_zip(content):
+    """The archive; anything that fails is damage of the file."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            member = archive.getinfo(name)
-            if member.file_size > LARGEST_EVENT * MAX_EVENTS + 4096:
-                raise BadRecording(
-                    f"{name.removesuffix('.npy')!r} has more than {MAX_EVENTS} entries"
-                )
-            with archive.open(member) as file:
-                return file.read(member.file_size)
-    except BadRecording:
-        raise
+            yield archive
     except zipfile.BadZipFile as error:
         raise BadRecording("is not a .npz file, or damaged") from error
-    except Exception as error:  # unsupported compressions fail in many ways
+    except Exception as error:  # damaged lists and unsupported compressions fail in many ways
         raise BadRecording(f"is a damaged .npz file ({type(error).__name__})") from error
 
 

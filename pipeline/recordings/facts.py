@@ -13,7 +13,7 @@ from pipeline.recordings.archive import read_file
 from pipeline.recordings.eventarrays import EventRecording
 from pipeline.recordings.events import DIGITS, Recordings, Sensor, expand_bursts
 from pipeline.recordings.matfile import BadRecording, read_limited
-from pipeline.recordings.timeunits import UNIT_NAMES, recognised, to_ns
+from pipeline.recordings.timeunits import UNIT_NAMES, of_a_clock, recognised, to_ns
 
 
 def facts_of(recordings: Recordings) -> dict:
@@ -136,9 +136,14 @@ def facts_of_file(path: Path, time_unit: str = "") -> dict:
         unit = time_unit or recording.unit or recognised([recording.time])
         if not unit:
             raise UserError(f"{path}: no unit fits its times; give --time-unit")
-        events = events(int(recording.y.max()) + 1, to_ns(recording.time, unit))
+        time_ns = to_ns(recording.time, unit, of_a_clock([recording.time], unit))
+        events = events(int(recording.y.max()) + 1, time_ns)
+        # Not those of the events, whose numbers end at the taxels of the largest input.
+        taxels = len(np.unique(recording.x << 16 | recording.y))
         rows, columns = recording.size or (recording.y.max() + 1, recording.x.max() + 1)
         found = {"sensor": {"rows": int(rows), "columns": int(columns)}, "time_unit": unit}
+    else:
+        taxels = len(np.unique(events.taxel))
     times, _, _ = expand_bursts(events)
     facts = {
         "simulated": recording.simulated,
@@ -148,7 +153,7 @@ def facts_of_file(path: Path, time_unit: str = "") -> dict:
         "off": int((events.polarity == -1).sum()),
         "t_first_s": float(times[0] * 1e-9),
         "t_last_s": float(times[-1] * 1e-9),
-        "taxels": len(np.unique(events.taxel)),
+        "taxels": taxels,
         **found,
     }
     if getattr(recording, "written", None) is None:

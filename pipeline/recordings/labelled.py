@@ -42,11 +42,14 @@ class Part:
         Path of the file in its source.
     start_us, end_us : int
         Start (included) and end (excluded) in microseconds of the file's clock.
+    unit : str
+        Unit of the file's times as the user has given it, for a file that does not have it.
     """
 
     file: str
     start_us: int
     end_us: int
+    unit: str = ""
 
     def of(self, whole: EventRecording) -> EventRecording:
         """The events of this part; times are relative to its start.
@@ -56,8 +59,11 @@ class Part:
         BadRecording
             There are no events or too many, or the file's times are not in microseconds.
         """
-        if whole.unit != "us":
-            raise BadRecording("has times that are not in microseconds, the unit of its labels")
+        if (whole.unit or self.unit) != "us":
+            raise BadRecording(
+                "has times that are not known to be in microseconds, the unit of its labels; if "
+                "they are, give it (--time-unit of 'stmnist data', else --set data.time_unit=us)"
+            )
         first, last = np.searchsorted(whole.time, (self.start_us, self.end_us))
         if first == last:
             raise BadRecording(f"is empty: no events from {self.start_us} to {self.end_us} us")

@@ -51,7 +51,7 @@ class TooLarge(ValueError):
     """A variable is larger than `LARGEST`; the message has its declared size."""
 
 
-def read(content: bytes, names=None) -> dict:
+def read(content: bytes, names=None, fits=None) -> dict:
     """Read variables.
 
     Parameters
@@ -59,6 +59,8 @@ def read(content: bytes, names=None) -> dict:
     content : bytes
     names : collection of str, optional
         Default: all variables of numbers.
+    fits : callable, optional
+        ``fits(shape)``: only the first variable whose declared shape fits is read.
 
     Returns
     -------
@@ -76,13 +78,14 @@ def read(content: bytes, names=None) -> dict:
     if order is None:
         raise Damaged("no byte order")
     found, place, content = {}, 128, memoryview(content)
+    most = 1 if fits is not None else None if names is None else len(names)
     for _ in range(MOST_VARIABLES):
-        if place == len(content) or (names is not None and len(found) == len(names)):
+        if place == len(content) or len(found) == most:
             return found
         kind, size, start = _tag(content, place, order)
         if start + size > len(content) or kind not in (_MATRIX, _COMPRESSED):
             raise Damaged("an element that is not a variable, or is cut short")
-        name, array = _variable(content[place : start + size], kind, order, names)
+        name, array = _variable(content[place : start + size], kind, order, names, fits)
         asked = names is not None or isinstance(array, np.ndarray)
         if name is not None and name not in found and asked:
             found[name] = array
@@ -90,7 +93,7 @@ def read(content: bytes, names=None) -> dict:
     raise Damaged(f"more than {MOST_VARIABLES} variables")
 
 
-def _variable(element, kind, order, names):
+def _variable(element, kind, order, names, fits):
     """(name, array, str or None) of a variable; (None, None) if it was not requested."""
     unpacker = None
     if kind == _COMPRESSED:
@@ -105,6 +108,8 @@ def _variable(element, kind, order, names):
         return None, None
     name, shape, place, is_text = head
     if not name or (names is not None and name not in names):
+        return None, None
+    if fits is not None and (shape is None or is_text or not fits(shape)):
         return None, None
     if shape is None:
         return name, None

@@ -128,7 +128,7 @@ def read_recording(content: bytes, n_taxels: int | None = N_TAXELS) -> MatRecord
     return MatRecording(
         events=events,
         simulated=bool(simulated),
-        writer=-1 if writer is None else int(writer),
+        writer=writer_of(writer),
         written=_written(variables),
         n_taxels=len(spiketrain) - 1,
     )
@@ -156,6 +156,12 @@ def _number(variable):
     values = np.ravel([] if variable is None else variable)
     is_number = values.size == 1 and values.dtype.kind in "fiub" and np.isfinite(values[0])
     return values[0] if is_number else None
+
+
+def writer_of(number) -> int:
+    """The number of a writer, or -1 for None and for anything but a whole number from 0."""
+    is_one = number is not None and 0 <= number < 2**31 and number == int(number)
+    return int(number) if is_one else -1
 
 
 def events_of(spiketrain, n_taxels: int | None = N_TAXELS) -> Events:
@@ -207,7 +213,7 @@ def events_of(spiketrain, n_taxels: int | None = N_TAXELS) -> Events:
     return events
 
 
-def read_variables(content: bytes, names=None) -> dict:
+def read_variables(content: bytes, names=None, fits=None) -> dict:
     """Read those of the named variables that a MATLAB 5 or 7.3 file has.
 
     Parameters
@@ -215,6 +221,8 @@ def read_variables(content: bytes, names=None) -> dict:
     content : bytes
     names : sequence of str, optional
         Default: all variables of numbers.
+    fits : callable, optional
+        ``fits(shape)``: only the first variable whose declared shape fits is read.
 
     Returns
     -------
@@ -233,10 +241,10 @@ def read_variables(content: bytes, names=None) -> dict:
     try:
         if content[512:520] == b"\x89HDF\r\n\x1a\n":
             with h5py.File(io.BytesIO(content), "r") as file:
-                return _datasets(file, list(file) if names is None else names)
+                return _datasets(file, list(file) if names is None else names, fits)
         if not content.startswith(mat5.HEADER):
             raise BadRecording("is not a MAT file")
-        return mat5.read(content, names)
+        return mat5.read(content, names, fits)
     except mat5.TooLarge as error:
         raise BadRecording(
             f"{error}, more than a recording of {DURATION_S:g} s can have"
@@ -251,7 +259,7 @@ def read_variables(content: bytes, names=None) -> dict:
         raise BadRecording(f"is a damaged MAT file ({type(error).__name__})") from error
 
 
-def _datasets(file, names):
+def _datasets(file, names, fits):
     """The arrays of numbers of an HDF5 file; nothing outside it is opened."""
     found = {}
     if len(names) > mat5.MOST_VARIABLES:
@@ -260,8 +268,11 @@ def _datasets(file, names):
         if not isinstance(file.get(name, getlink=True), h5py.HardLink):
             continue
         dataset = file[name]
+        numbers = isinstance(dataset, h5py.Dataset) and dataset.dtype.kind in "fiub"
+        if fits is not None and not (numbers and dataset.shape and fits(dataset.shape[::-1])):
+            continue
         found[name] = None
-        if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiub":
+        if not numbers:
             continue
         if dataset.external or dataset.is_virtual or dataset.shape is None:
             raise BadRecording(f"has {name!r} in another file")
@@ -274,6 +285,8 @@ def _datasets(file, names):
             )
         # MATLAB stores columns first, so that HDF5 sees each matrix transposed.
         found[name] = dataset[()].T
+        if fits is not None:
+            break
     return found
 
 
@@ -319,20 +332,10 @@ def read_lookup_table(content: bytes) -> TaxelMap:
     BadRecording
         No variable has that form, or its entries are not positions of different taxels.
     """
-    for table in read_variables(content).values():
-        table = np.asarray(table)
-        if (
-            table.dtype.kind in "fiu"
-            and table.ndim == 2
-            and table.shape[1] in (2, 3)
-            and len(table)
-        ):
-            break
-    else:
+    table = next(iter(read_variables(content, fits=_is_table).values()), None)
+    if not isinstance(table, np.ndarray):
         raise BadRecording("has no table of rows with X and Y, or address, X and Y, one per taxel")
     n = len(table)
-    if n > MAX_TAXELS:
-        raise BadRecording(f"has {n} rows, more than the {MAX_TAXELS} taxels of any array")
     if table.shape[1] == 3:
         if sorted(table[:, 0]) != list(range(1, n + 1)):
             raise BadRecording(f"its first column is not the addresses 1 to {n}")
@@ -343,6 +346,15 @@ def read_lookup_table(content: bytes) -> TaxelMap:
         raise BadRecording(f"X and Y are not {n} different positions from 1 to {MAX_SIDE}")
     x, y = (table[:, i].astype(int) - 1 for i in (0, 1))
     return TaxelMap(x, y)
+
+
+def _is_table(shape):
+    """True for a shape that a look-up table may have, of which nothing is read yet."""
+    if len(shape) != 2 or shape[1] not in (2, 3) or not shape[0]:
+        return False
+    if shape[0] > MAX_TAXELS:
+        raise BadRecording(f"has {shape[0]} rows, more than the {MAX_TAXELS} taxels of any array")
+    return True
 
 
 def lookup_table_bytes(taxels: TaxelMap) -> bytes:

@@ -35,7 +35,7 @@ def write_recordings(
     Parameters
     ----------
     path : path-like
-        The zip; its name must end in ``.zip``.
+        The zip; its name must end in ``.zip``.  An existing file is replaced.
     recordings : iterable of (events, label)
         For example a data set of Tonic, or ``zip(events, labels)``.  Events have any of the forms
         of :func:`pipeline.recordings.eventarrays.recording_of`: x is the column from the left, y

@@ -22,6 +22,7 @@ from pipeline.recordings.timeunits import (
     MIXED,
     UNIT_NAMES,
     UNITS,
+    of_a_clock,
     of_other_units,
     recognised,
     span_of,
@@ -202,7 +203,8 @@ def _of_camera(path, read, reading):
             f"data', else --set data.downsample={needed}"
         )
         rows, columns = min(rows, MAX_SIDE), min(columns, MAX_SIDE)
-    events = [(f, n, r.events(rows, to_ns(r.time, unit))) for f, n, r in kept]
+    clock = of_a_clock([r.time for _, _, r in kept], unit)
+    events = [(f, n, r.events(rows, to_ns(r.time, unit, clock))) for f, n, r in kept]
     taxels, sensor = TaxelMap.grid(rows, columns), _sensor_of(events, rows, columns)
     return _settled(events, refused, taxels, sensor, problems, unit)
 

@@ -68,15 +68,37 @@ def of_other_units(times) -> list:
     return some[(ratio > MIXED) | (ratio < 1 / MIXED)].tolist()
 
 
-def to_ns(time: np.ndarray, unit: str) -> np.ndarray:
-    """Times in nanoseconds, relative to the first event if they are not relative to the start.
+def of_a_clock(times, unit: str) -> bool:
+    """True if the times of recordings are a running clock's, not relative to their start.
 
-    A camera's clock starts when it is switched on, or in 1970.  Times that are larger than the
-    longest duration of a recording are therefore counted from the first event.
+    A camera's clock starts when it is switched on, or in 1970.  One recording that starts later
+    than the longest one lasts, or that ends later than any can last, shows that the recordings
+    were cut from a longer one, also those from its first minute.
+
+    Parameters
+    ----------
+    times : sequence of ndarray
+        Times of each recording, in order.
+    unit : str
     """
-    seconds = UNITS[unit]
-    if time[-1] * seconds > LATEST_S:
+    first, last = (max((float(time[i]) for time in times), default=0) for i in (0, -1))
+    longest = max(map(span_of, times), default=0)
+    return last * UNITS[unit] > LATEST_S or first > longest > 0
+
+
+def to_ns(time: np.ndarray, unit: str, from_first: bool = False) -> np.ndarray:
+    """Times in nanoseconds.
+
+    Parameters
+    ----------
+    time : ndarray
+        In order.
+    unit : str
+    from_first : bool
+        True for times relative to the first event; see :func:`of_a_clock`.
+    """
+    if from_first:
         time = time - time[0]
     if time.dtype.kind == "i":
-        return time * round(seconds * 1e9)
-    return np.rint(time * seconds * 1e9).astype(np.int64)
+        return time * round(UNITS[unit] * 1e9)
+    return np.rint(time * UNITS[unit] * 1e9).astype(np.int64)

@@ -103,8 +103,17 @@ def gather(
         others=_others(folder, bundle),
         rates=_rates(folder, bundle),
         beside=beside and _beside(beside, bundle, settings),
-        outdated=outdated(status_of(folder, settings)),
+        outdated=_outdated(folder, beside),
     )
+
+
+def _outdated(folder, beside):
+    """Reasons why results are outdated, by their names; those of the run beside with its path."""
+    reasons = outdated(status_of(folder))
+    if beside is not None:
+        others = outdated(status_of(beside))
+        reasons |= {f"{beside.path}/{name}": why for name, why in others.items()}
+    return reasons
 
 
 def _rates(folder, bundle):

@@ -145,6 +145,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         n_taxels=len(inputs.recordings.taxels),
         trained_title=trained_title(inputs.settings),
         bundle=inputs.bundle,
+        steps=inputs.bundle.spec.presentation.steps,
         metrics=inputs.metrics,
         plan=inputs.plan,
         table2=inputs.table2,
@@ -251,7 +252,7 @@ def _browser(inputs):
     for index, chances in inputs.over_time.items():
         sample = result["samples"][index]
         recording = position[sample["id"]]
-        decided = sample.get("stopped_at", sample["decided_at"])
+        decided = sample["decided_at"]  # the step of an early decision may be of another class
         top = list(np.argsort(-chances[-1], kind="stable")[:SHOWN_CLASSES])
         if sample["label"] not in top:
             top[-1] = sample["label"]
@@ -271,7 +272,6 @@ def _browser(inputs):
                 "answered": classes[sample["prediction"]],
                 "probability": float(chances[-1, sample["prediction"]]),
                 "decided_ms": decided * step_ms,
-                "undecided": sample.get("stopped_at") == spec.presentation.steps,
                 "image": _frames(inputs, recording, 1)[0]["chart"],
                 "events": _events_chart(recordings, recording),
                 "chances": charts.line_chart(

@@ -103,17 +103,26 @@ class Responder:
         inputs = self.spec.layers[-1].weights.shape[1]
         return np.concatenate(parts) if parts else np.empty((0, inputs))
 
+    def responses_to(self, recordings: Recordings) -> np.ndarray:
+        """:meth:`responses` to recordings, whose inputs are made for some at a time.
+
+        The inputs on events of 500 recordings of a large sensor need gigabytes.
+        """
+        parts = np.split(np.arange(len(recordings)), np.arange(AT_ONCE, len(recordings), AT_ONCE))
+        found = [self.responses(self.inputs(recordings.part(part))) for part in parts]
+        return np.concatenate(found)
+
     def copies(self, recordings: Recordings, seed) -> np.ndarray:
         """Responses to augmented copies of recordings, shape (n_samples, COPIES, inputs)."""
         n = len(recordings)
         step_ms = 1e3 * self.spec.stimulus.step_seconds
         often = np.repeat(np.arange(n), COPIES)
         altered = altered_recordings(recordings, often, Alteration(), step_ms, seed)
-        return self.responses(self.inputs(altered)).reshape(n, COPIES, -1)
+        return self.responses_to(altered).reshape(n, COPIES, -1)
 
     def person(self, recordings: Recordings, seed) -> Person:
         """The responses to a person's recordings that a refit needs."""
-        own = self.responses(self.inputs(recordings))
+        own = self.responses_to(recordings)
         return Person(own, recordings.labels, self.copies(recordings, seed))
 
 

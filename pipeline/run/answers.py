@@ -49,7 +49,7 @@ def reference_result(
     settings : Settings
     network : dict or Path
         Weights: the CNN's for ``"cnn"``, otherwise those from which the bundle was made; for
-        ``"nir"`` the file of the graph.
+        ``"nir"`` the folder of the graph.
     bundle : Bundle
     advance : callable, optional
         Called with the number of samples done since the last call.

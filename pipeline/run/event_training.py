@@ -48,13 +48,15 @@ def event_samples(dataset: Dataset, seed: int) -> EventSamples:
 
 
 def choose(settings: Settings, samples: EventSamples, trained, seed: int) -> Threshold:
-    """Choose the confidence for early decisions on the held-out samples.
-
-    With fewer than :data:`FEWEST` samples none is chosen, and the network decides at the end
-    of each recording (a confidence of 1).
-    """
+    """Choose the confidence for early decisions on the held-out samples; see :func:`trusted`."""
     table, labels, _, held_out = samples
     chosen = trained.threshold(table, labels, held_out, settings.steps, seed)
-    if len(held_out) < FEWEST:
-        return chosen._replace(confidence=1.0, share=1.0)
-    return chosen
+    return trusted(chosen, len(held_out))
+
+
+def trusted(chosen: Threshold, samples: int) -> Threshold:
+    """A confidence for early decisions, or 1 if it was chosen on fewer samples than `FEWEST`.
+
+    With a confidence of 1 the network decides at the end of each recording.
+    """
+    return chosen if samples >= FEWEST else chosen._replace(confidence=1.0, share=1.0)

@@ -12,9 +12,9 @@ from deploy.network.chip import LOIHI
 from deploy.network.nir import DEPLOYED
 from deploy.network.responses import Responses, read_output
 from deploy.network.stimulus import EventFrames, ImageSpikes
-from models.nir_graph import NirNetwork, read_nir
+from models.nir_graph import NirNetwork
 from models.nir_simulator import AT_ONCE, simulate
-from pipeline.run.nir_settings import Stepped
+from pipeline.run.nir_settings import Stepped, graph_in
 from pipeline.settings import Settings
 
 NUMPY = {"numpy": np.__version__}
@@ -108,18 +108,19 @@ def _in_places(values):
     return moved.reshape(len(values), -1)
 
 
-def graph_responses(graph: Path, settings: Settings, bundle: Bundle, advance=None) -> Responses:
+def graph_responses(folder: Path, settings: Settings, bundle: Bundle, advance=None) -> Responses:
     """Responses of the original graph to a bundle's samples, in floating point, each from rest.
 
     Parameters
     ----------
-    graph : Path
+    folder : Path
+        Folder of the graph.
     settings : Settings
     bundle : Bundle
     advance : callable, optional
         Called with the number of samples done since the last call.
     """
-    network, inputs, spec = read_nir(graph), bundle.checks.inputs, bundle.spec
+    network, inputs, spec = graph_in(folder, settings), bundle.checks.inputs, bundle.spec
     outputs, counts = outputs_of(network, Stepped.of(settings, network), inputs, settings, advance)
     if settings.network == "retrained":  # its estimator was trained with it, not with the graph
         spec = replace(

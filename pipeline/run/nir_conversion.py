@@ -13,12 +13,12 @@ from deploy.network.spec import Layer, NetworkSpec, Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes, Stimulus
 from models.architecture import Convolution
 from models.integers import on_loihi
-from models.nir_graph import NirNetwork, read_nir
+from models.nir_graph import NirNetwork
 from models.nir_layers import NirLayer, chosen, fired, layers_of
 from pipeline.inputs.dataset import Dataset
 from pipeline.run.layers import chip_layer, host_readout
 from pipeline.run.nir_answers import input_spikes
-from pipeline.run.nir_settings import AGAIN, GRAPH, Stepped, exported_here
+from pipeline.run.nir_settings import AGAIN, GRAPH, Stepped, exported_here, graph_in
 from pipeline.settings import Settings
 
 CALIBRATED_ON = 48
@@ -42,7 +42,7 @@ def deployed_nir(
         Confidence for early decisions; None without early decisions.
     settings, dataset, provenance
     """
-    network = read_nir(folder / GRAPH)
+    network = graph_in(folder, settings)
     presentation = settings.presented(confidence)
     if (exported := exported_here(network, folder / GRAPH)) is not None:
         fed = (settings.stimulus, dataset.inputs.shape[-3:])

@@ -22,7 +22,9 @@ from models.nir_graph import NirError, NirNetwork, read_nir
 from models.nir_layers import layers_of, rounded
 from pipeline import paper
 from pipeline.inputs.dataset import Dataset
+from pipeline.inputs.splits import Split
 from pipeline.progress import progress
+from pipeline.run.event_training import trusted
 from pipeline.run.nir_answers import NUMPY, outputs_of, predictions_of
 from pipeline.run.nir_settings import AGAIN, GRAPH, Stepped, exported_here
 from pipeline.settings import SIMULATED, Settings
@@ -258,9 +260,19 @@ def _threshold(network, stepped, layers, settings, dataset):
     """The confidence for early decisions of networks on events."""
     if not settings.on_events or network.outputs < 2:
         return None
-    held_out = dataset.split.held_out(settings.seed)[1][:DECIDED_ON]
+    held_out = decided_on(dataset.split, settings.seed)
     inputs = dataset.inputs[held_out]
     outputs = outputs_of(network, stepped, inputs, settings)[0]
     sums = delayed(np.cumsum(outputs, 1), len(layers))
     found = choose_threshold(sums, dataset.labels[held_out], last_steps(inputs))
-    return {**found._asdict(), "samples": len(held_out)}
+    return {**trusted(found, len(held_out))._asdict(), "samples": len(held_out)}
+
+
+def decided_on(split: Split, seed: int) -> np.ndarray:
+    """Indices of the held-out samples on which the confidence is chosen, of every class.
+
+    Held-out samples are in the order of the recordings, which is usually that of the classes, so
+    they are drawn at random.
+    """
+    held_out = split.held_out(seed)[1]
+    return np.random.default_rng([seed, 0xDEC]).permutation(held_out)[:DECIDED_ON]

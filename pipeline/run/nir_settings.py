@@ -13,6 +13,7 @@ from deploy.network.nir import DEPLOYED, deployed_network
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, ImageSpikes
 from models.nir_graph import SNNTORCH_STEP, NirNetwork, read_nir
+from pipeline.run.folder import DELETE_ITS_FOLDER
 from pipeline.settings import Settings
 
 GRAPH = "network.nir"
@@ -93,6 +94,21 @@ def settings_of_nir(path, step: float | None = None, kind: str | None = None) ->
         else:
             nir["step"] = step
     return {"input": fed, "nir": nir, "presentation": FROM_REST}
+
+
+def graph_in(folder: Path, settings: Settings) -> NirNetwork:
+    """The run's copy of the graph, in the folder of its network.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, or is not the graph that was imported.
+    """
+    path = folder / GRAPH
+    network = read_nir(path)
+    if sha256_of(path) != settings.nir.sha256:
+        raise UserError(f"{path}: has changed since it was imported; {DELETE_ITS_FOLDER}")
+    return network
 
 
 def exported_here(network: NirNetwork, source="") -> NetworkSpec | None:

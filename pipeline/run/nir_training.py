@@ -29,7 +29,7 @@ from models.integers import DECAY_UNIT
 from models.nir_graph import SPIKING, NirNetwork, read_nir
 from models.nir_layers import NirLayer, layers_of
 from pipeline.run.nir_conversion import notation
-from pipeline.run.nir_settings import GRAPH, Stepped, settings_of_nir
+from pipeline.run.nir_settings import Stepped, graph_in, settings_of_nir
 from pipeline.settings import Settings
 
 TRAINABLE = ("LIF", "CubaLIF")
@@ -173,7 +173,7 @@ def start(folder: Path, settings: Settings, samples) -> tuple:
     from models.spiking import BIAS_CAP  # imports TensorFlow
     from pipeline.training.events import EventRecipe, answer_frames
 
-    network = read_nir(folder / GRAPH)
+    network = graph_in(folder, settings)
     stepped, recipe = Stepped.of(settings, network), EventRecipe.of(settings)
     shape = (*samples.table.size, 2)
     layers = trainable(network, stepped.seconds, stepped.method, shape)

@@ -1,8 +1,9 @@
 """Recorded handwriting: pen trajectories in UNIPEN text.
 
-Only the parts for isolated, labelled symbols are read: ``.SEGMENT`` (its components and its
-label), ``.PEN_DOWN``, ``.PEN_UP`` and the points under them (I. Guyon et al., "UNIPEN
-project of on-line data exchange and recognizer benchmarks", ICPR 1994).
+Only the parts for isolated, labelled symbols are read: ``.COORD`` (the order of a point's values),
+``.SEGMENT`` (its components and its label), ``.PEN_DOWN``, ``.PEN_UP`` and the points under them
+(I. Guyon et al., "UNIPEN project of on-line data exchange and recognizer benchmarks", ICPR 1994).
+Each digit's strokes must follow its ``.SEGMENT``, with the numbers that it names.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from pipeline.skin.shape_model import boxed
 MOST_TEXT = 1 << 26
 """Characters that are read of a file; a thousand writers take a tenth of it."""
 
+_COMPONENTS = re.compile(r"(\d+)(?:-(\d+))?")
 _SEGMENT = re.compile(r'\.SEGMENT\s+\S+\s+(\S+)\s+\S+\s+"(.*)"')
 
 
@@ -37,7 +39,8 @@ def read(path) -> tuple:
     Raises
     ------
     UserError
-        The file cannot be read, a line is not a point, or there is no digit.
+        The file cannot be read, a line is not a point, a digit's strokes are not those that
+        follow its ``.SEGMENT``, or there is no digit.
     """
     path = Path(path)
     try:
@@ -48,9 +51,18 @@ def read(path) -> tuple:
             f"{path}: cannot read ({error.strerror or error}); give a UNIPEN file"
         ) from error
     traces, segment, strokes, pen_down = [], None, [], False
+    begin, before, x_y = 1, 0, (0, 1)  # line of the segment, strokes before it, places of x and y
 
     def finish():
-        if segment is not None and (trace := _trace(*segment, strokes)) is not None:
+        if segment is None:
+            return
+        label, writer, components = segment
+        if re.fullmatch("[0-9]", label) and components != (before, before + len(strokes) - 1):
+            raise UserError(
+                f"{path}: line {begin}: the strokes below it are not those that the segment names; "
+                "give a UNIPEN file in which each digit's strokes follow its .SEGMENT"
+            )
+        if (trace := _trace(label, writer, strokes)) is not None:
             traces.append(trace)
 
     for number, line in enumerate(lines, 1):
@@ -59,18 +71,28 @@ def read(path) -> tuple:
             if keyword == ".SEGMENT":
                 finish()
                 match = _SEGMENT.match(line)
-                segment, strokes = ((match[2], -1) if match else None), []
+                segment = (match[2], -1, _components(match[1])) if match else None
+                begin, before, strokes = number, before + len(strokes), []
             elif keyword == ".COMMENT" and segment is not None and not strokes:
-                segment = segment[0], _writer(line, segment[0])
+                segment = segment[0], _writer(line, segment[0]), segment[2]
+            elif keyword == ".COORD":
+                names = line.split()[1:]
+                if not {"X", "Y"} <= set(names):
+                    raise UserError(
+                        f"{path}: line {number}: no X and Y in {line.strip()[:40]!r}; give a "
+                        "UNIPEN file whose points have both"
+                    )
+                x_y = names.index("X"), names.index("Y")
             elif keyword == ".PEN_DOWN":
                 strokes.append([])
             pen_down = keyword == ".PEN_DOWN"
         elif pen_down and line.strip():
             try:
-                right, up = (float(value) for value in line.split()[:2])
+                values = line.split(maxsplit=max(x_y) + 1)
+                right, up = (float(values[place]) for place in x_y)
                 if not (abs(right) <= LARGEST and abs(up) <= LARGEST):  # NaN is not
                     raise ValueError
-            except ValueError:
+            except (ValueError, IndexError):
                 raise UserError(
                     f"{path}: line {number} is not a point (x y): {line.strip()[:40]!r}; "
                     "give a UNIPEN file with points in plain numbers"
@@ -80,6 +102,12 @@ def read(path) -> tuple:
     if not traces:
         raise UserError(f"{path}: no segment labelled with a digit; give a UNIPEN file of digits")
     return tuple(traces)
+
+
+def _components(text):
+    """First and last number of the components in ``3`` or ``3-5``; None for another form."""
+    match = _COMPONENTS.fullmatch(text)
+    return (int(match[1]), int(match[2] or match[1])) if match else None
 
 
 def _writer(comment, label):

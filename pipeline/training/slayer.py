@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg.cython_blas  # noqa: F401  (Numba's products call it; its threads are limited)
@@ -19,9 +17,6 @@ from pipeline.training.checkpoint import Checkpoint, train_epochs
 # In one thread: matrix products of a few steps take ten times as long in several threads on a busy
 # machine.
 _one_thread = threadpool_limits.wrap(limits=1, user_api="blas")
-
-STATE = 2
-"""Version of the arrays in a checkpoint; a checkpoint of another version is overwritten."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +46,7 @@ def train_slayer(
     train,
     test,
     seed: int,
-    checkpoint=None,
+    checkpoint: Checkpoint | None = None,
     advance=None,
     duration_s: float = DURATION_S,
 ) -> TrainedSlayer:
@@ -67,9 +62,10 @@ def train_slayer(
         Indices of samples.
     seed : int
         Seed of the initial weights and of the order of the samples.
-    checkpoint : path-like, optional
+    checkpoint : Checkpoint, optional
         File for the state after each epoch; an interrupted training resumes from it, with the same
-        result as without the interruption.
+        result as without the interruption.  Its key must identify all arguments but the number of
+        epochs, which may differ.
     advance : callable, optional
         ``advance(1, note)`` after each epoch, including those of an earlier session.
     duration_s : float
@@ -85,10 +81,6 @@ def train_slayer(
         The checkpoint is damaged.
     """
     trainer = Trainer(settings, frames, labels, seed, duration_s)
-    kept = None
-    if checkpoint is not None:
-        key = _identity(settings, labels, train, test, seed, duration_s)
-        kept = Checkpoint(Path(checkpoint), key)
 
     def watch():
         right = trainer.count(test).argmax(1) == labels[test]
@@ -98,7 +90,7 @@ def train_slayer(
         lambda epoch: trainer.epoch(train, epoch),
         settings.epochs,
         trainer.state,
-        kept,
+        checkpoint,
         watch,
         advance,
     )
@@ -185,11 +177,3 @@ class Adam:
             square += (gradient**2 - square) * np.float32(1 - self.BETA_2)
             np.maximum(largest, square, out=largest)
             array -= np.float32(rate) * mean / (np.sqrt(largest) + np.float32(self.EPSILON))
-
-
-def _identity(settings, labels, train, test, seed, duration_s):
-    """Values that must match for a checkpoint to be resumed; the number of epochs may differ."""
-    plain = {**asdict(settings), "epochs": None, "seed": seed}
-    parts = [np.asarray(part).astype(int) for part in (labels, train, test)]
-    sums = [int(np.dot(part, np.arange(1, len(part) + 1)) % (1 << 61)) for part in parts]
-    return json.dumps([STATE, plain, asdict(spike_response(settings, duration_s)), sums])

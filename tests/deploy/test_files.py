@@ -14,6 +14,7 @@ from deploy.check.bundle import write_bundle
 from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.files import (
+    locked,
     locked_folder,
     read_arrays,
     read_json,
@@ -209,16 +210,29 @@ def test_a_folder_where_nothing_can_be_created(make):
         make("/proc", ".a.")
 
 
-@pytest.mark.parametrize("make", [temporary_file, temporary_folder])
-def test_a_file_system_without_locks(make, tmp_path, monkeypatch):
+@pytest.fixture
+def no_locks(monkeypatch):
     def refused(handle, how):
         raise OSError(errno.ENOLCK, "No locks available")
 
     monkeypatch.setattr(fcntl, "flock", refused)
+
+
+@pytest.mark.parametrize("make", [temporary_file, temporary_folder])
+def test_temporary_files_where_there_are_no_locks(make, tmp_path, no_locks):
     handles, paths = zip(*[make(tmp_path, ".a.") for _ in range(2)], strict=True)
     assert all(map(os.path.exists, paths))
     for handle in handles:
         os.close(handle)
+
+
+def test_files_and_folders_are_used_without_a_lock_where_there_are_none(tmp_path, no_locks):
+    with locked(tmp_path / "a.partial", "taken") as file:
+        file.write(b"1")
+    assert (tmp_path / "a.partial").read_bytes() == b"1"
+    with locked_folder(tmp_path / "run", "taken"):
+        write_json(tmp_path / "run" / "a.json", {})
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["a.json"]
 
 
 def test_what_is_being_written_is_nobody_elses(tmp_path):

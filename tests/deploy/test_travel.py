@@ -19,6 +19,7 @@ from deploy import requirements as host
 from deploy.check.bundle import CheckSet, write_bundle
 from deploy.check.run import run_check
 from deploy.files import write_json
+from deploy.network.chip import LOIHI
 from deploy.network.decision import Estimator
 from deploy.network.stimulus import EventFrames, rested
 from tests.command import missing
@@ -295,6 +296,22 @@ def test_job_submitted_again_goes_on(home, far_away, tmp_path):
     assert same_answers(result, home[1])
     assert result["hardware"]["connections"] == 3
     assert not partial.exists()
+
+
+def test_job_of_a_network_for_several_chips(far_away, tmp_path):
+    spec = small_spec(steps=3, gap=1, readout_start=0)
+    layers = [replace(layer, block_shape=(1, 1, 1)) for layer in spec.layers[:2]]
+    assert sum(layer.size for layer in layers) > LOIHI.cores
+    spec = replace(spec, layers=(*layers, spec.layers[2]))
+    write_bundle(tmp_path / "bundle", spec, random_checks(spec, 1))
+    shutil.copy(INRC / "check.sbatch", tmp_path)
+    for chips, state in (("1", "FAILED 2"), ("2", "COMPLETED")):
+        subprocess.run(
+            ["sbatch", "check.sbatch", "bundle", "nahuku32", "--chips", chips],
+            cwd=tmp_path, env=far_away, check=True, capture_output=True,
+        )  # fmt: skip
+        assert max((tmp_path / "jobs").iterdir()).read_text() == state
+    assert result_in(tmp_path / "bundle", "loihi")["hardware"]["chips"] == 2
 
 
 def test_job_without_arguments_says_how(far_away, tmp_path):

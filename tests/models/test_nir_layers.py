@@ -1,5 +1,7 @@
 """Graphs become layers of the chip: real numbers against the reference, integers against both."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -159,6 +161,20 @@ def test_a_row_of_channels():
                          affine(rng, 4, 30))  # fmt: skip
     assert network.nodes[0].shape == (3, 10)
     compare(network, spikes(rng, 2, 60, (2, 20), 0.2))
+
+
+def test_many_inputs_take_no_memory_for_their_number_squared():
+    rng, n = np.random.default_rng(0), 4000
+    before, after = affine(rng, 3, n), affine(rng, 2, 3)
+    network = network_of((n,), before, lif(0.01, 8.0), after)
+    tracemalloc.start()
+    try:
+        first = layers_of(network, 0.001)[0]
+        assert tracemalloc.get_traced_memory()[1] < 8 * n**2 / 2
+    finally:
+        tracemalloc.stop()
+    gain = 8.0 * -np.expm1(-0.1)
+    np.testing.assert_allclose(first.weights, gain * before[1]["weight"].T, rtol=0, atol=1e-12)
 
 
 @st.composite

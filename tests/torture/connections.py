@@ -93,7 +93,8 @@ def attacked(rng, folder, base):
 
 def _keep_damaged(rng, folder, base):
     """What is kept of a writer's handwriting, damaged, or a pipe or link in its place."""
-    bundle, path = read_bundle(base / "run" / "bundle"), folder / f".readout-w{WRITER:03d}.npz"
+    bundle = read_bundle(base / "run" / "bundle")
+    path = folder / f".readout-w{WRITER:03d}-{bundle.id[:12]}.npz"
     weights, n = bundle.spec.layers[-1].weights, 5
     given = {
         "bundle": np.array(bundle.id),

@@ -34,10 +34,11 @@ def recording(recordings: Recordings, index: int) -> Figure:
         Index of the recording.
     """
     events, sensor = recordings[index], recordings.sensor
+    duration_s = _duration_s(recordings, events)
     figure = Figure(figsize=(10, 7), layout="constrained")
     figure.suptitle(_title(recordings, index))
     frames, raster = figure.subfigures(2, 1, height_ratios=[1, 3])
-    ends = np.arange(1, FRAMES + 1) * sensor.duration_s / FRAMES
+    ends = np.arange(1, FRAMES + 1) * duration_s / FRAMES
     grown = growing(events, recordings.taxels, ends * 1e9, sensor=sensor)
     grown = grown / max(grown[-1].max(), 1)
     for axes, end, image in zip(frames.subplots(1, FRAMES), ends, grown, strict=True):
@@ -50,7 +51,7 @@ def recording(recordings: Recordings, index: int) -> Figure:
         axes.scatter(
             seconds[mine], events.taxel[mine] + 1, 4, colour, marker="|", linewidths=1, label=label
         )
-    axes.set(xlim=(0, sensor.duration_s), ylim=(0.5, len(recordings.taxels) + 0.5))
+    axes.set(xlim=(0, duration_s), ylim=(0.5, len(recordings.taxels) + 0.5))
     axes.set_xlabel("time (s)")
     axes.set_ylabel("taxel address")
     axes.legend(loc="upper right", markerscale=3, frameon=True)
@@ -69,8 +70,9 @@ def events_by_taxel(recordings: Recordings, index: int) -> Figure:
     events, taxels = recordings[index], recordings.taxels
     figure = Figure(figsize=(11, 9), layout="constrained")
     axes = figure.subplots()
+    duration_s = _duration_s(recordings, events)
     # One cell per taxel: time runs to the right, zero is in the middle.
-    x = taxels.column[events.taxel] - 0.5 + events.time_ns * 1e-9 / recordings.sensor.duration_s
+    x = taxels.column[events.taxel] - 0.5 + events.time_ns * 1e-9 / duration_s
     zero = taxels.row[events.taxel]
     for polarity, colour, label in ((1, ON, "ON, up"), (-1, OFF, "OFF, down")):
         mine = events.polarity == polarity
@@ -79,8 +81,8 @@ def events_by_taxel(recordings: Recordings, index: int) -> Figure:
     for taxel, (row, column) in enumerate(zip(taxels.row, taxels.column, strict=True)):
         axes.text(column - 0.47, row - 0.3, taxel + 1, fontsize=7, color="0.5")
     _cells(axes, recordings.sensor.rows, recordings.sensor.columns, is_as_in_paper(recordings))
-    until = f"{recordings.sensor.duration_s:g} s"
-    axes.set(title=f"{_title(recordings, index)}: each taxel's events, 0 to {until}")
+    until = f"{_title(recordings, index)}: each taxel's events, 0 to {duration_s:.4g} s"
+    axes.set(title=until)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.03), ncols=2, frameon=False)
     return figure
 
@@ -140,6 +142,11 @@ def is_as_in_paper(recordings):
     """True for the paper's sensor and digits, whose figures have the paper's names."""
     sensor = recordings.sensor
     return is_written(sensor.rows, sensor.columns, sensor.classes)
+
+
+def _duration_s(recordings, events):
+    """Seconds to draw: a recording in the published layout may be longer than its sensor's 2 s."""
+    return max(recordings.sensor.duration_s, (int(events.time_ns.max(initial=0)) + 1) * 1e-9)
 
 
 def _names(as_in_paper):

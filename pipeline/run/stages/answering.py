@@ -15,7 +15,6 @@ from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import hidden, progress
 from pipeline.run.answers import REFERENCES, reference_result
 from pipeline.run.folder import RunFolder
-from pipeline.run.nir_settings import GRAPH
 from pipeline.run.origins import check_origin, recorded_in_check
 from pipeline.run.stages.training import read_weights
 from pipeline.settings import Settings
@@ -50,7 +49,7 @@ def answer(
         # A result may depend on the settings that the bundle was made from.
         view = settings.only(bundle.spec.provenance["made_from"]["settings"])
         if stage == "nir":
-            network = (run.snn if view.network == "nir" else run.nir) / GRAPH
+            network = run.snn if view.network == "nir" else run.nir
         else:
             network = read_weights(run.cnn if stage == "cnn" else run.snn, view)
         result = reference_result(stage, view, network, bundle, advance)

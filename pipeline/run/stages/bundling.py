@@ -7,7 +7,9 @@ from dataclasses import asdict, replace
 from deploy import __version__
 from deploy.check.bundle import Bundle, CheckSet, read_bundle, write_bundle
 from deploy.files import reporting_damage
+from deploy.network.blocks import scaled_by_block
 from deploy.network.spec import NetworkSpec
+from deploy.terminal import WARNING
 from pipeline.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.inputs.dataset import Dataset
 from pipeline.inputs.splits import draw_check_samples
@@ -81,6 +83,13 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
     spec = with_rehearsal(spec, seen.inputs, seen.labels, seen.split.train, view.seed)
     bundle = write_bundle(run.bundle, spec, _check_set(view, seen, chosen))
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
+    trained_as_reals = provenance["recipe"] in ("paper", "as-is")
+    for name in () if trained_as_reals else scaled_by_block(spec.layers):
+        say(
+            f"{WARNING}{name}: is divided among cores by its outputs, and NengoLoihi scales the "
+            "weights of each core separately, so that its integers differ slightly from those of "
+            "training; compare the predictions of 'stmnist ladder', or use fewer neurons"
+        )
     return bundle
 
 

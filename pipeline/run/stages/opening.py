@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from deploy.check.bundle import require_room
 from deploy.errors import UserError
 from deploy.terminal import WARNING
 from pipeline.artifacts import Artifact, Origin
@@ -50,7 +51,7 @@ def open_dataset(
     ------
     UserError
         The source cannot be read, is too small for the split or the check, or cannot be presented;
-        or the user's model cannot be used.
+        the check's samples are too large for a bundle; or the user's model cannot be used.
     """
     if dataset is None:
         dataset = Dataset.of(settings, jobs, warn)
@@ -69,6 +70,10 @@ def open_dataset(
             if settings.data != run.resolve_settings(None, {}).data:
                 remedy += "; no settings were saved: repeat --data in the next command"
             raise UserError(f"{settings.data.source}: {error}; {remedy}") from error
+        rows, columns = recordings.sensor.rows, recordings.sensor.columns
+        stimulus, channels = settings.stimulus, 2 if settings.on_events else 1
+        shape = stimulus.sample_shape((rows, columns, channels), settings.steps)
+        require_room(settings.check.samples, shape, stimulus)
         if not settings.on_events:
             require_images_fit(dataset.inputs, settings)
     _refuse_useless_model(run, settings, dataset)

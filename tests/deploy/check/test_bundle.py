@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from deploy.check import bundle as bundles
-from deploy.check.bundle import FILES, read_bundle, write_bundle
+from deploy.check.bundle import FILES, CheckSet, read_bundle, write_bundle
 from deploy.errors import UserError
 from deploy.files import read_arrays, read_json, sha256_of, write_json
-from tests.deploy.networks import bundle_at, random_checks, small_spec
+from deploy.network.spec import NetworkSpec, Presentation
+from deploy.network.stimulus import EventFrames
+from tests.deploy.networks import bundle_at, conv, random_checks, readout, small_spec
 
 
 @pytest.fixture
@@ -43,6 +45,19 @@ def test_the_same_inputs_make_the_same_id_and_others_another(bundle, tmp_path):
     assert bundle_at(tmp_path / "other", small_spec(seed=1)).id != bundle.id
     assert bundle_at(tmp_path / "gap", small_spec(gap=6)).id != bundle.id
     assert bundle_at(tmp_path / "more", count=8).id != bundle.id
+
+
+def test_samples_that_are_too_large_to_read_back_are_not_written(tmp_path):
+    rng = np.random.default_rng(0)
+    first = conv("conv1", (128, 128, 2), 1, 8, rng, stride=32)
+    layers = (first, readout(first.shape, rng))
+    shape = Presentation(steps=200, readout_start=0)
+    spec = NetworkSpec("128x128x2-1c8s32-10o", (128, 128, 2), EventFrames(), layers, shape)
+    inputs = np.broadcast_to(np.uint8(0), (200, 200, 128, 128, 2))  # 1250 MB, were they written
+    checks = CheckSet(inputs, np.zeros(200, int), tuple(map(str, range(200))), 0)
+    with pytest.raises(UserError, match=r" 200 .* 1250 MB.* 1024 MB.* check\.samples"):
+        write_bundle(tmp_path / "new" / "bundle", spec, checks)
+    assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -131,6 +146,21 @@ def test_what_is_no_bundle(tmp_path):
     for path, named in ((tmp_path / "nowhere", "nowhere"), (tmp_path, r"MANIFEST\.json")):
         with pytest.raises(UserError, match=named):
             read_bundle(path)
+
+
+@pytest.mark.parametrize("other", ["thesis.txt", "checks/loihi.json"])
+def test_a_folder_with_other_files_is_not_replaced(bundle, other):
+    file = bundle.path / other
+    file.parent.mkdir(exist_ok=True)
+    file.write_text("years of work")
+    with pytest.raises(UserError, match=other.partition("/")[0]):
+        bundle_at(bundle.path, small_spec(seed=1))
+    assert file.read_text() == "years of work"
+
+
+def test_an_empty_folder_becomes_a_bundle(tmp_path):
+    (tmp_path / "new").mkdir()
+    assert bundle_at(tmp_path / "new", small_spec()).path == tmp_path / "new"
 
 
 def test_an_interruption_leaves_the_earlier_bundle(bundle, tmp_path, monkeypatch):

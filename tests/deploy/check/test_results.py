@@ -68,6 +68,13 @@ def test_what_cannot_be_compared(other, fact):
         compare_results(result(), other)
 
 
+def test_other_samples_of_the_same_other_recordings_have_a_remedy_that_helps():
+    data = {"source": "mine", "sha256": "d" * 64, "recordings": 9}
+    drawn, otherwise = result(data=data), result(labels=(0, 1, 2, 4), data=data)
+    with pytest.raises(UserError, match=r"--data.*--samples.*--seed"):
+        compare_results(drawn, otherwise)
+
+
 @pytest.mark.parametrize(
     "change",
     [

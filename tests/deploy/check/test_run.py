@@ -5,8 +5,10 @@ import json
 import shutil
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from deploy import __version__
 from deploy.check.results import read_result
 from deploy.check.run import answered, open_check, run_check
 from deploy.errors import UserError
@@ -54,6 +56,7 @@ def test_the_result_has_the_contracts_entries(bundle, whole):
     assert list(whole["spikes"]) == ["input", "conv1", "conv2"]
     assert min(whole["spikes"].values()) > 0
     assert {"python", "numpy", "nengo", "nengo_loihi"} <= whole["versions"].keys()
+    assert whole["versions"]["stmnist"] == __version__
     assert whole["simulated"] is True
     assert whole["wall_seconds"] > 0
 
@@ -159,6 +162,13 @@ def test_nor_those_of_another_target(bundle, whole, tmp_path):
     out = tmp_path / "emulator.json"
     shutil.move(interrupted(bundle, tmp_path / "nengo.json", 1, "nengo"), partial(out))
     same_answers(run_check(bundle, "emulator", out), whole)
+
+
+def test_nor_those_to_other_recordings_with_the_same_names(bundle, tmp_path):
+    out, blank = tmp_path / "nengo.json", np.zeros_like(bundle.checks.inputs)
+    interrupted(bundle, out, 1, "nengo")
+    other = replace(bundle, checks=replace(bundle.checks, inputs=blank))
+    assert run_check(other, "nengo", out)["spikes"]["input"] == 0
 
 
 def test_a_second_writer_is_refused_and_loses_nothing(bundle, tmp_path):

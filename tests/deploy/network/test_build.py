@@ -8,15 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deploy.network.blocks import block_shapes, default_block, parts_of
-from deploy.network.build import _transform
+from deploy.network.blocks import block_shapes, default_block, parts_of, scaled_by_block
+from deploy.network.build import _transform, build
 from deploy.network.chip import LOIHI
 from deploy.network.geometry import windows
+from deploy.network.loihi_import import nengo_loihi
 from deploy.network.operations import fan_out, multiply_accumulates
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan
-from tests.deploy.networks import conv, dense, readout
+from tests.deploy.networks import conv, dense, readout, small_spec
 
 
 def matrix_of(layer):
@@ -200,3 +201,19 @@ def test_a_window_along_one_dimension_by_hand(padding):
     assert windows(10, 3, 2, "valid") == (4, 0, 0)
     assert windows(10, 3, 2, "same") == (5, 0, 1)
     assert windows(2, 3, 1, "valid")[0] < 1
+
+
+def test_layers_whose_blocks_are_scaled_separately():
+    """They are those in which NengoLoihi has several thresholds."""
+    rng = np.random.default_rng(0)
+    by_filters = conv("conv1", (6, 6, 1), 4, 3, rng, block_shape=(4, 4, 2))
+    by_rows = conv("conv2", by_filters.shape, 8, 2, rng, block_shape=(2, 3, 8))
+    by_units = dense("dense1", by_rows.shape, 6, rng, block_shape=(3,))
+    layers = (by_filters, by_rows, by_units, readout(by_units.shape, rng))
+    spec, thresholds = replace(small_spec(), layers=layers), {}
+    with nengo_loihi.Simulator(build(spec).network, target="sim", precompute=True) as sim:
+        for block in sim.model.blocks:
+            (name,) = [layer.name for layer in layers if f"'{layer.name}'" in block.label]
+            thresholds.setdefault(name, set()).update(block.compartment.vth.tolist())
+    assert scaled_by_block(layers) == ["conv1", "dense1"]
+    assert [name for name, found in thresholds.items() if len(found) > 1] == ["conv1", "dense1"]

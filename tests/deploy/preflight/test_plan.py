@@ -1,5 +1,6 @@
 """Pre-flight: counts against hand-worked ones and the stand-in's, limits, remedies."""
 
+import contextlib
 from dataclasses import replace
 
 import numpy as np
@@ -8,12 +9,12 @@ import pytest
 from deploy.errors import UserError
 from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
-from deploy.network.spec import NetworkSpec, Presentation
+from deploy.network.spec import NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import ImageSpikes
-from deploy.preflight.plan import make_plan, plan_text, require_fit
+from deploy.preflight.plan import fewer_axons, make_plan, plan_text, require_fit
 from deploy.preflight.resources import LIMITS, synapse_words
 from tests.command import missing
-from tests.deploy.networks import conv, paper_spec, readout, small_spec
+from tests.deploy.networks import conv, dense, paper_spec, readout, small_spec
 
 
 def spec_of(*filters_kernels, shape=(10, 10, 1), **options):
@@ -143,15 +144,72 @@ def test_pop16_can_address_fewer_axons():
     assert any(not missing(line, "1296 input axons", 1024) for line in plan.problems)
 
 
+def many_registers(first, second, pop_type=32):
+    """A network whose first layer needs too many AxonCfg registers if they cannot be shared."""
+    spec = spec_of((first, 3), (second, 3), shape=(10, 10, 1), pop_type=pop_type)
+    split = replace(spec.layers[1], block_shape=(2, 2, second))  # nine parts, up to four a pixel
+    return replace(spec, layers=(spec.layers[0], split, spec.layers[2]))
+
+
 def test_registers_that_may_not_be_shared_are_a_warning():
-    spec = spec_of((16, 3), (4, 3), shape=(10, 10, 1))  # 1024 neurons, 64 pixels
-    split = replace(spec.layers[1], block_shape=(2, 2, 4))  # nine parts, up to four a pixel
-    plan = make_plan(replace(spec, layers=(spec.layers[0], split, spec.layers[2])))
+    plan = make_plan(many_registers(16, 4))  # 1024 neurons, 64 pixels
     assert plan.problems == []
     (warning,) = plan.warnings
     assert missing(warning, "AxonCfg registers", 326) == []
     core = plan.cores[0]
     assert core.used["AxonCfg registers"] <= LIMITS["AxonCfg registers"] < core.unshared_axon_cfgs
+
+
+def test_short_population_spikes_are_a_remedy_where_they_are_one():
+    (warning,) = make_plan(many_registers(16, 4)).warnings
+    assert "deployment.pop_type=16" in warning
+    plan = make_plan(many_registers(16, 4, pop_type=16))
+    assert plan.problems == plan.warnings == []
+
+
+def dense_receiver():
+    rng = np.random.default_rng(0)
+    conv1 = conv("conv1", (10, 10, 1), 16, 3, rng, block_shape=(8, 8, 16))
+    dense1 = dense("dense1", conv1.shape, 20, rng, block_shape=(4,))
+    layers = (conv1, dense1, readout(dense1.shape, rng))
+    return NetworkSpec("10x10-16c3-20-10o", (10, 10, 1), ImageSpikes(), layers, Presentation())
+
+
+@pytest.mark.parametrize(
+    ("spec", "helps"),
+    [
+        (many_registers(16, 4), True),
+        (many_registers(16, 4, pop_type=16), False),
+        (many_registers(15, 4), False),  # no multiple of 4 filters
+        (many_registers(16, 6), False),
+        (many_registers(36, 4), False),  # more channels than 16 bits can address
+        (dense_receiver(), False),  # whose axons are of single neurons
+    ],
+    ids=["possible", "in-use", "filters", "filters-after-it", "channels", "dense"],
+)
+def test_short_population_spikes_are_named_only_where_they_save_axons(spec, helps):
+    assert ("pop_type=16" in fewer_axons(spec)) is helps
+    assert ("pop_type=16" in fewer_axons(spec, "conv1")) is helps
+    assert "pop_type" not in fewer_axons(spec, "conv2")  # only the host receives its spikes
+
+
+def test_a_layer_that_many_parts_of_a_dense_layer_receive():
+    (problem,) = (p for p in make_plan(dense_receiver()).problems if "output axons" in p)
+    assert missing(problem, "layer conv1", 5 * 1024, 1024) == []
+    assert "pop_type" not in problem
+
+
+@pytest.mark.parametrize(("steps", "fits"), [(62, True), (63, False)])
+def test_the_longest_refractory_period_is_that_of_a_board(nxsdk, steps, fits):
+    spec = small_spec()
+    slow = replace(spec.layers[1], neurons=Neurons("lif", amplitude=0.01, tau_ref=steps / 1000))
+    spec = replace(spec, layers=(spec.layers[0], slow, spec.layers[2]))
+    built = build(spec).network
+    with contextlib.nullcontext() if fits else pytest.raises(AssertionError):
+        nengo_loihi.Simulator(built, target="loihi", precompute=True).close()
+    problems = make_plan(spec).problems
+    assert len(problems) == (not fits)
+    assert all(not missing(line, "layer conv2", f"{steps} steps", 62) for line in problems)
 
 
 def test_weights_that_can_overflow_are_a_warning():

@@ -128,6 +128,17 @@ def test_board_that_stays_away_is_one_line(nxsdk, bundle, tmp_path):
     assert not (tmp_path / "r.json").exists()
 
 
+def test_waits_are_doubled_up_to_ten_minutes(nxsdk, bundle, tmp_path, monkeypatch):
+    waits = []
+    monkeypatch.setattr("time.sleep", waits.append)
+    nxsdk.faults.FAULTS.refuse = 1000
+    with pytest.raises(UserError, match="6 attempts"):
+        run_check(
+            bundle, "loihi", tmp_path / "r.json", options=BoardOptions(attempts=6, wait=100.0)
+        )
+    assert [wait for wait in waits if wait >= 100] == [100, 200, 400, 600, 600]
+
+
 def test_connection_lost_in_mid_run_begins_the_stream_again(nxsdk, bundle, emulated, tmp_path):
     nxsdk.faults.FAULTS.lose_at_step = 150  # in the second stream
     result = run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
@@ -148,6 +159,23 @@ def test_run_goes_on_where_the_board_was_lost(nxsdk, bundle, emulated, tmp_path)
     period = 35
     assert nxsdk.faults.FAULTS.steps - before == 4 * period  # streams 2 (3 samples) and 3 (1)
     assert result["hardware"]["connections"] == 3
+
+
+def test_a_result_names_every_board_of_a_resumed_check(nxsdk, bundle, tmp_path, monkeypatch):
+    nxsdk.faults.FAULTS.lose_at_step = 150  # in the second of three streams
+    monkeypatch.setattr(nxsdk, "__version__", "0.9.0")
+    first = BoardOptions(board="one", attempts=1)
+    with pytest.raises(UserError, match="stream 2"):
+        run_check(bundle, "loihi", tmp_path / "r.json", options=first)
+    monkeypatch.setattr(nxsdk, "__version__", "1.0.0")
+    other = BoardOptions(board="other", chips=2, attempts=1)
+    result = run_check(bundle, "loihi", tmp_path / "r.json", options=other)
+    assert result["hardware"]["board"] == ["one", "other"]
+    assert result["hardware"]["chips"] == [1, 2]
+    assert result["hardware"]["partition"] is None
+    assert result["versions"]["nxsdk"] == "0.9.0, 1.0.0"
+    read_result(tmp_path / "r.json")
+    assert missing(summary(result), "one and other", "0.9.0", "1.0.0") == []
 
 
 def test_missing_steps_are_noticed(nxsdk, bundle, tmp_path):
@@ -267,6 +295,19 @@ def test_axon_cfgs_refused_by_the_board(nxsdk, bundle, tmp_path, monkeypatch):
         run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
 
 
+@pytest.mark.parametrize("error", [AssertionError(), ValueError("a core\nis missing")])
+def test_a_network_that_only_the_board_refuses_is_one_line(
+    nxsdk, bundle, tmp_path, monkeypatch, error
+):
+    def refuse(board):
+        raise error
+
+    monkeypatch.setattr("nengo_loihi.hardware.interface.validate_board", refuse)
+    with pytest.raises(UserError, match=f"for a board: .*{str(error)[-7:]}") as raised:
+        run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
+    assert "\n" not in str(raised.value)
+
+
 def test_power_is_taken_down_apart_from_idle(nxsdk, bundle, tmp_path):
     nxsdk.faults.FAULTS.power = {"total": 30.0, "static": 25.0, "dynamic": 5.0, "core": {}}
     settings = BoardOptions(energy=True, wait=0)
@@ -304,7 +345,7 @@ def test_mean_power_is_weighted_by_steps():
     assert result["timing"]["run_seconds_per_sample"] == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize("wrong", [{"chips": 0}, {"attempts": 0}, {"wait": -1}])
+@pytest.mark.parametrize("wrong", [{"chips": 0}, {"attempts": 0}, {"wait": -1}, {"wait": 601}])
 def test_senseless_settings(wrong):
     with pytest.raises(UserError, match="--" + next(iter(wrong))):
         BoardOptions(**wrong)

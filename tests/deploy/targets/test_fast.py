@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+import tracemalloc
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -20,9 +21,11 @@ from hypothesis import strategies as st
 from deploy.check.results import read_result
 from deploy.check.run import run_check
 from deploy.errors import UserError
+from deploy.network.build import Relay
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.responses import join
-from deploy.network.stimulus import ImageCurrent
+from deploy.network.spec import NetworkSpec, Presentation
+from deploy.network.stimulus import EventFrames, ImageCurrent
 from deploy.targets import fast
 from deploy.targets.fast import kernel_numpy
 from deploy.targets.fast.arrays import OVERFLOWS, State
@@ -30,7 +33,7 @@ from deploy.targets.fast.emulation import Emulation, compile_spec, run_fast
 from deploy.targets.fast.from_nengo import compile_network
 from deploy.targets.registry import run_emulator
 from tests.deploy.fast_networks import Watching, images_for, loud_spec, random_spec, reference
-from tests.deploy.networks import bundle_at, paper_spec, small_spec
+from tests.deploy.networks import bundle_at, conv, paper_spec, readout, small_spec
 
 pytest.importorskip("numba")
 from deploy.targets.fast import kernel_numba
@@ -322,10 +325,10 @@ def small_network(**changes):
         source = nengo.Node(np.zeros(4), label="pixels")
         encoder = nengo.Ensemble(
             4, 1, neuron_type=changes.get("encoder", nengo.SpikingRectifiedLinear()),
-            gain=np.ones(4), bias=np.zeros(4), label="input",
+            gain=np.ones(4), bias=changes.get("bias", np.zeros(4)), label="input",
         )  # fmt: skip
         network.config[encoder].on_chip = False
-        nengo.Connection(source, encoder.neurons, synapse=None)
+        nengo.Connection(source, encoder.neurons, transform=changes.get("drive", 1), synapse=None)
         chip = nengo.Ensemble(
             4, 1, neuron_type=nengo.LIF(), gain=np.ones(4), bias=np.ones(4), label="chip"
         )
@@ -350,6 +353,40 @@ def test_compiles_a_network_of_ones_own():
     program = compile_network(network, source, output)
     assert program.network.n == 4
     assert np.array_equal(source.output, before)
+
+
+@pytest.mark.parametrize(
+    ("drive", "bias", "relays"),
+    [
+        (np.diag([0.1, 1.0, 2.0, 3e9]), 0, True),
+        (np.diag([1.0, 1.0, 1.0, 0.0]), 0, False),
+        (np.diag([1.0, 1.0, 1.0, -1.0]), 0, False),
+        (np.eye(4)[[1, 0, 2, 3]], 0, False),
+        (np.eye(4) + np.eye(4, k=3) * 1e-12, 0, False),
+        (np.eye(4) + [[0, 1, 0, -1], [0] * 4, [0] * 4, [0] * 4], 0, False),
+        (np.eye(4), 1e-12, False),
+        (np.eye(4), -0.5, False),
+    ],
+)
+def test_an_input_relays_only_what_its_own_pixel_alone_decides(drive, bias, relays):
+    network, source, *_, output = small_network(
+        encoder=Relay(), drive=drive, bias=np.array([0, 0, bias, 0])
+    )
+    assert compile_network(network, source, output).relays is relays
+
+
+def test_memory_grows_with_the_sensor_not_with_its_square():
+    rng = np.random.default_rng(0)
+    first = conv("conv1", (40, 40, 2), 1, 8, rng, stride=8)
+    layers = (first, readout(first.shape, rng))
+    shape = Presentation(steps=10, readout_start=0)
+    spec = NetworkSpec("40x40x2-1c8s8-10o", (40, 40, 2), EventFrames(), layers, shape)
+    tracemalloc.start()
+    try:
+        assert compile_spec(spec).relays
+        assert tracemalloc.get_traced_memory()[1] < 8 * (40 * 40 * 2) ** 2 / 2
+    finally:
+        tracemalloc.stop()
 
 
 def test_refuses_feedback_through_the_host():

@@ -2,6 +2,7 @@
 
 import json
 import re
+import zipfile
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from pipeline.recordings.archive import read_source
 from pipeline.skin import aces
 from tests.command import call, missing
+from tests.pipeline.handmade import good_members
 
 SEVENS = """\
 .SEGMENT DIGIT 0 ? "7"
@@ -90,7 +92,7 @@ def test_recorded_handwriting(tmp_path, capsys):
     arguments = ["--out", out, "--handwriting", unipen, "--samples-per-digit", 1, "--jobs", 1]
     assert call("data", "simulate", *arguments) == 2
     assert re.search(r"\b0\b", capsys.readouterr().err)
-    text = "".join(SEVENS.replace('"7"', f'"{digit}"') for digit in range(10))
+    text = "".join(SEVENS.replace('0 ? "7"', f'{n} ? "{n}"') for n in range(10))
     unipen.write_text(text)
     assert call("data", "simulate", *arguments, "--json") == 0
     facts = json.loads(capsys.readouterr().out)
@@ -106,6 +108,28 @@ def test_simulate_mistakes(tmp_path, capsys):
     missing = tmp_path / "none.unipen"
     assert call("data", "simulate", "--out", tmp_path / "x.zip", "--handwriting", missing) == 2
     assert "none.unipen" in capsys.readouterr().err
+
+
+def test_recordings_that_were_not_simulated_are_not_replaced(archive, tmp_path, capsys):
+    """Neither by simulated ones nor by an export, which replaces what stmnist has written."""
+    theirs, mine, other = (tmp_path / name for name in ("theirs.zip", "mine.zip", "other.zip"))
+    with zipfile.ZipFile(theirs, "w") as file:
+        for name, content in good_members().items():
+            info = zipfile.ZipInfo(name, (2020, 5, 4, 3, 2, 0))
+            file.writestr(info, content)
+    other.write_text("no zip")
+    assert call("data", "export", theirs, mine) == 0
+    few = ("--samples-per-digit", 1, "--jobs", 1)
+    for refused in (["simulate", "--out", theirs, *few], ["simulate", "--out", mine, *few],
+                    ["simulate", "--out", other, *few], ["export", mine, theirs],
+                    ["export", mine, other]):  # fmt: skip
+        before = {path: path.read_bytes() for path in (theirs, mine, other)}
+        assert call("data", *refused) == 2
+        assert missing(capsys.readouterr().err, ".zip: exists") == []
+        assert {path: path.read_bytes() for path in before} == before
+    assert call("data", "export", theirs, mine) == 0
+    assert call("data", "simulate", "--out", archive, *few) == 0
+    assert len(read_source(archive, jobs=1)) == 10
 
 
 def test_aces(capsys, monkeypatch):

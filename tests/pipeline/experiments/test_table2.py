@@ -12,7 +12,7 @@ from pipeline.experiments import table2 as table2_command
 from pipeline.experiments import table2_splits as table2
 from pipeline.experiments.study import Workers
 from pipeline.experiments.table2 import summarise, table_text
-from pipeline.experiments.table2_splits import MODELS
+from pipeline.experiments.table2_splits import MODELS, checkpoint_of
 from pipeline.jobs import Failure
 from pipeline.settings import Settings, read_settings
 from tests.command import call
@@ -99,6 +99,20 @@ def test_other_recordings_redo_everything(benchmark):
     store(benchmark, "cnn", 0, [1, 0])
     assert len(benchmark.results("random", "cnn")) == 1
     assert replace(benchmark, source_sha256="1" * 64).results("random", "cnn") == []
+
+
+def test_slayer_continues_only_its_own_training(benchmark):
+    def key(**changes):
+        task = replace(benchmark, **changes).task("random", 0, "slayer")
+        return checkpoint_of(task).key
+
+    def settings(**changes):
+        return Settings().with_values({"slayer": changes}, "test")
+
+    assert key(settings=settings(epochs=3)) == key()
+    assert key(settings=settings(tau_s=0.5)) != key()
+    assert key(settings=replace(Settings(), seed=1)) != key()
+    assert key(source_sha256="1" * 64) != key()
 
 
 def test_the_table_by_hand(benchmark):

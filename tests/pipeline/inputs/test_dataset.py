@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from deploy import limits
+from deploy.check.bundle import HEADERS
 from deploy.errors import UserError
 from pipeline.inputs.dataset import Dataset, dataset_origin, split_of
 from pipeline.inputs.images import tactile_images
@@ -167,3 +169,19 @@ def test_a_run_refuses_arrays_of_other_settings(tmp_path):
     assert not run.experiment.exists()
     assert open_dataset(run, small, dataset=dataset) is dataset
     assert run.experiment.exists()
+
+
+@pytest.mark.parametrize(("kind", "one"), [("image", 100 * 4), ("events", 50 * 200)])
+def test_a_check_that_is_too_large_for_a_bundle_is_refused_before_the_training(
+    tmp_path, monkeypatch, kind, one
+):
+    settings = SMALL.with_values(
+        {"input": {"kind": kind}, "presentation": {"steps": 50}, "check": {"samples": 5}}
+    )
+    run = RunFolder(tmp_path)
+    monkeypatch.setattr(limits, "ARRAY_BYTES", HEADERS + 5 * one - 1)
+    with pytest.raises(UserError, match=r"5 samples .* check\.samples"):
+        open_dataset(run, settings)
+    assert not run.experiment.exists()
+    monkeypatch.setattr(limits, "ARRAY_BYTES", HEADERS + 5 * one)
+    open_dataset(run, settings)

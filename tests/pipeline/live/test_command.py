@@ -109,7 +109,7 @@ def test_without_a_run_it_has_the_network_of_the_package_and_learns(live):
             "right": message.get("right"), "own_readout": False,
         }:  # fmt: skip
             pass
-    assert list(kept.glob(".readout-w001.npz"))
+    assert list(kept.glob(".readout-w001-*.npz"))
 
 
 def test_another_address_is_printed_with_its_qr_code(live, capsys):

@@ -3,6 +3,7 @@
 import json
 import os
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from pipeline.skin.simulate import simulate
 from tests.pipeline.live.conftest import Parrot, stroke
 
 BUNDLE = read_bundle(SHIPPED)
+KEPT = f".readout-w001-{BUNDLE.id[:12]}.npz"
 P = parameters.load()
 
 
@@ -59,7 +61,7 @@ def test_a_strange_hand_is_learned_and_scored_before_it_is(strange, tmp_path):
     assert learner.decider(1) is None
     state = taught(learner, strange)
     assert (state["digits"], state["of"], state["own_readout"]) == (20, 10, True)
-    assert list(tmp_path.iterdir()) == [tmp_path / ".readout-w001.npz"]
+    assert list(tmp_path.iterdir()) == [tmp_path / KEPT]
     # What it now says of a digit that it has learned is what was written.
     right = [
         learner.decider(1).begin().answer(strange[i], np.inf).decision == strange.labels[i]
@@ -85,7 +87,7 @@ def test_a_strange_hand_is_learned_and_scored_before_it_is(strange, tmp_path):
 
 
 def test_what_is_of_another_network_or_damaged_is_not_used(strange, tmp_path):
-    path = tmp_path / ".readout-w001.npz"
+    path = tmp_path / KEPT
     path.write_bytes(b"no arrays")
     assert learner_of(tmp_path).recall(1)["digits"] == 0
     learner = learner_of(tmp_path)
@@ -97,6 +99,27 @@ def test_what_is_of_another_network_or_damaged_is_not_used(strange, tmp_path):
     assert learner_of(tmp_path).recall(1)["digits"] == 0
 
 
+def test_another_network_keeps_its_own_readout(strange, tmp_path):
+    other = Learner(replace(BUNDLE, id="0" * 64), Image(), tmp_path, Sensor())
+    for learner in (learner_of(tmp_path), other):
+        learner.learn(1, "one", 3, strange[6])
+    assert [each.recall(1)["digits"] for each in (learner_of(tmp_path), other)] == [1, 1]
+    assert other.forget(1)["digits"] == 0
+    assert learner_of(tmp_path).recall(1)["digits"] == 1
+
+
+def test_what_an_earlier_version_kept_is_read(kept, tmp_path):
+    """Its file had no name of a network; that of another network is left to it."""
+    for bundle, digits in ((str(kept["bundle"]), 2), ("0" * 64, 0)):
+        folder = tmp_path / bundle
+        folder.mkdir()
+        np.savez(folder / ".readout-w001.npz", **{**kept, "bundle": np.array(bundle)})
+        learner = learner_of(folder)
+        assert learner.recall(1)["digits"] == digits
+        assert learner.forget(1)["digits"] == 0
+        assert len(list(folder.iterdir())) == (digits == 0)
+
+
 @pytest.fixture(scope="module")
 def kept(strange, tmp_path_factory):
     """The arrays that are kept of a writer of two digits."""
@@ -104,7 +127,7 @@ def kept(strange, tmp_path_factory):
     learner = learner_of(folder)
     for name, label in (("one", 3), ("two", 5)):
         learner.learn(1, name, label, strange[6])
-    with np.load(folder / ".readout-w001.npz") as arrays:
+    with np.load(folder / KEPT) as arrays:
         return dict(arrays)
 
 
@@ -132,14 +155,14 @@ READOUT = BUNDLE.spec.layers[-1]
 )
 def test_a_kept_readout_of_odd_values_is_not_used(kept, tmp_path, name, value):
     """Only what a person's digits can have given; the recordings themselves are safe elsewhere."""
-    np.savez(tmp_path / ".readout-w001.npz", **{**kept, name: value(kept.get(name))})
+    np.savez(tmp_path / KEPT, **{**kept, name: value(kept.get(name))})
     learner = learner_of(tmp_path)
     assert learner.recall(1)["digits"] == 0
     assert learner.decider(1) is None
 
 
 def test_a_kept_readout_past_all_use_is_not_read(kept, tmp_path, monkeypatch):
-    np.savez(tmp_path / ".readout-w001.npz", **kept)
+    np.savez(tmp_path / KEPT, **kept)
     assert learner_of(tmp_path).recall(1)["digits"] == 2
     monkeypatch.setattr("pipeline.live.learning.LARGEST", 1000)
     assert learner_of(tmp_path).recall(1)["digits"] == 0
@@ -147,7 +170,7 @@ def test_a_kept_readout_past_all_use_is_not_read(kept, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("make", ["link", "nowhere", "pipe", "folder"])
 def test_what_is_in_the_place_of_a_kept_readout_is_not_changed(strange, tmp_path, make):
-    precious, path = tmp_path / "precious", tmp_path / "written" / ".readout-w001.npz"
+    precious, path = tmp_path / "precious", tmp_path / "written" / KEPT
     precious.write_bytes(b"somebody else's")
     path.parent.mkdir()
     if make == "pipe":
@@ -169,8 +192,6 @@ def test_what_is_in_the_place_of_a_kept_readout_is_not_changed(strange, tmp_path
 
 
 def test_a_network_that_cannot_be_fitted_learns_nothing(tmp_path):
-    from dataclasses import replace
-
     forgetful = replace(BUNDLE, spec=replace(BUNDLE.spec, rehearsal=None))
     assert Learner.of(forgetful, Image(), tmp_path, Sensor()) is None
     assert Learner.of(BUNDLE, Image(), tmp_path, Sensor()) is not None
@@ -254,6 +275,6 @@ def test_a_session_says_whether_its_network_can_learn(session, tmp_path):
 
 
 def test_a_readout_that_cannot_be_written_is_said(strange, tmp_path):
-    (tmp_path / ".readout-w001.npz").mkdir()
+    (tmp_path / KEPT).mkdir()
     with pytest.raises((UserError, OSError)):
         learner_of(tmp_path).learn(1, "one", 3, strange[6])

@@ -311,6 +311,15 @@ def test_a_page_that_goes_in_the_middle_leaves_nothing_behind(server):
     assert not list(server.keeper.folder.glob("[0-9]"))
 
 
+def test_a_machine_that_is_gone_is_noticed():
+    """A connection that is accepted asks after a minute whether the other end is there."""
+    with listen(0) as listening, socket.create_connection(listening.getsockname()):
+        accepted, _ = listening.accept()
+        with accepted:
+            assert accepted.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
+            assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == 60
+
+
 def test_a_port_in_use_is_said(server):
     port, _ = parts(server)
     with pytest.raises(UserError, match=f"port {port}.*--port"):

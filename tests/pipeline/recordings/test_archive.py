@@ -74,6 +74,14 @@ def test_digit_folders_at_any_depth_in_zip_and_folder(tmp_path, root):
     assert_same(from_zip, from_folder, source=False)
 
 
+def test_a_folder_of_other_files_beside_the_digits(tmp_path):
+    archive(tmp_path / "st.zip", {**good_members(), "data_submission/code/plot.m": "x"})
+    assert len(read_source(tmp_path / "st.zip", jobs=1)) == 10
+    archive(tmp_path / "st.zip", {**good_members(), "data_submission/code/": ""})
+    with pytest.raises(UserError, match=r"1 of 11 .*code"):
+        read_source(tmp_path / "st.zip", jobs=1)
+
+
 @pytest.mark.parametrize("where", ["LUT.mat", "data_submission/LUT.mat", "x/y/lut.MAT"])
 def test_the_lookup_table_is_taken_from_wherever_it_is(tmp_path, where):
     table = TaxelMap(row=np.arange(100) // 10, column=np.arange(100) % 10)
@@ -81,6 +89,17 @@ def test_the_lookup_table_is_taken_from_wherever_it_is(tmp_path, where):
     read = read_source(tmp_path / "st.zip", jobs=1)
     np.testing.assert_array_equal(read.taxels.row, table.row)
     assert len(read) == 10
+
+
+def test_lookup_tables_that_differ_are_refused(tmp_path):
+    tables = {name: lookup_table_bytes(TaxelMap.grid(10, 10)) for name in ("LUT.mat", "a/LUT.mat")}
+    archive(tmp_path / "st.zip", {**good_members(), **tables})
+    assert len(read_source(tmp_path / "st.zip", jobs=1)) == 10
+    other = TaxelMap(row=np.arange(100) // 10, column=np.arange(100) % 10)
+    tables["a/LUT.mat"] = lookup_table_bytes(other)
+    archive(tmp_path / "st.zip", {**good_members(), **tables})
+    with pytest.raises(UserError, match=r"1 of 11 .* a/LUT\.mat .* LUT\.mat"):
+        read_source(tmp_path / "st.zip", jobs=1)
 
 
 def test_without_a_lookup_table_the_documented_reading_holds(tmp_path):

@@ -12,7 +12,7 @@ from pipeline.inputs.images import aggregate
 from pipeline.recordings.archive import export_zip, read_source
 from pipeline.recordings.eventarrays import recording_of
 from pipeline.recordings.eventfile import read_events
-from pipeline.recordings.facts import reading_text
+from pipeline.recordings.facts import facts_of_file, reading_text
 from pipeline.recordings.matfile import BadRecording
 from pipeline.recordings.sensors import Reading
 from tests.command import call, missing
@@ -83,6 +83,19 @@ def test_a_format_is_read(name):
     np.testing.assert_array_equal(read.time, 1000 * T if read.unit == "us" else T)
 
 
+@pytest.mark.parametrize(("order", "scale"), [("xytp", 1), ("txyp", 1000)])
+def test_the_order_of_columns_without_names(order, scale):
+    """x increases and the times do not: they are no x, unless they are larger than any x."""
+    columns = {"x": [1, 2, 3, 3], "y": [2, 2, 1, 2], "t": [10, 30, 20, 40], "p": [1, 0, 1, 0]}
+    if order == "txyp":
+        columns["t"] = [10, 20, 30, 40]
+    columns["t"] = scale * np.array(columns["t"])
+    rows = np.stack([columns[name] for name in order], 1)
+    read = read_events("\n".join(",".join(map(str, row)) for row in rows).encode(), "a.csv")
+    assert sorted(read.x) == columns["x"]
+    assert sorted(read.time) == sorted(columns["t"])
+
+
 @pytest.mark.parametrize(("suffix", "version"), [
     (".aedat4", None), (".raw", "evt2"), (".raw", "evt3"), (".dat", "dat2"),
 ])  # fmt: skip
@@ -151,6 +164,18 @@ def test_the_unit_of_time_is_recognised_and_said(tmp_path, scale, kind, unit):
     assert missing(text, *facts) == []
 
 
+@pytest.mark.parametrize(("named", "unit", "time"), [
+    ({"t": T, "start_us": np.array([7])}, "", T),
+    ({"t_ms": T, "event_us": T}, "ms", T),
+    ({"t": T, "t_us": 1000 * T}, "us", 1000 * T),
+    ({"T_US": 1000 * T}, "us", 1000 * T),
+])  # fmt: skip
+def test_the_unit_is_that_of_the_name_of_the_times(named, unit, time):
+    read = recording_of({"x": X, "y": Y, "p": P, **named})
+    assert read.unit == unit
+    np.testing.assert_array_equal(read.time, time)
+
+
 def test_the_unit_that_is_given_counts(tmp_path):
     archive(tmp_path / "own.zip", own(scale=1e6))
     read = read_source(tmp_path / "own.zip", jobs=1, reading=Reading(time_unit="ns"))
@@ -165,6 +190,18 @@ def test_a_clock_that_runs_since_1970(tmp_path):
     read = read_source(tmp_path / "own.zip", jobs=1)
     assert (read.events.time_ns[read.offsets[:-1]] == 0).all()
     assert read.sensor.duration_s < 2
+
+
+def test_a_clock_that_began_with_the_first_recording(tmp_path):
+    """Recordings of up to 1.9 s, one every 10 s; those of the first minute are no exception."""
+    members = {}
+    for index, ((x, y, t, p), label) in enumerate(gestures(4)):
+        members[f"{CLASSES[label]}/{index:03d}.npz"] = npz(x=x, y=y, t_s=t + 10 * index, p=p)
+    for number in (16, 5):  # until 150 s, and until 40 s
+        archive(tmp_path / "own.zip", dict(list(members.items())[:number]))
+        read = read_source(tmp_path / "own.zip", jobs=1)
+        assert (read.events.time_ns[read.offsets[:-1]] == 0).all()
+        assert read.sensor.duration_s < 2
 
 
 def refused(tmp_path, members, reading=None) -> list:
@@ -268,6 +305,36 @@ def test_a_table_beside_the_classes_is_no_recording(tmp_path):
     assert len(read_source(tmp_path / "own.zip", jobs=1)) == 16
 
 
+def test_a_class_of_another_format_is_not_taken_for_tables(tmp_path):
+    """Two classes of .npz files, and a third one of .csv files."""
+    lines = {f"swipe/{i}.csv": CSV.encode() for i in range(4)}
+    (line,) = refused(tmp_path, {**own(), **lines})
+    assert missing(line, ".csv", ".npz", "swipe/0.csv") == []
+
+
+@pytest.mark.parametrize("place", ["about.csv", f"{CLASSES[0]}/about.csv", f"{CLASSES[0]}/x/a.npy"])
+def test_a_table_beside_recordings_is_left_out(tmp_path, place):
+    root = {f"own/{name}": content for name, content in own().items()}
+    archive(tmp_path / "own.zip", {**root, f"own/{place}": b"a,b"})
+    assert len(read_source(tmp_path / "own.zip", jobs=1)) == 16
+
+
+@pytest.mark.parametrize("name", ["swipe/0.txt", "swipe/.DS_Store"])
+def test_a_folder_beside_the_classes_without_recordings(tmp_path, name):
+    (line,) = refused(tmp_path, {**own(), name: b"x"})
+    assert missing(line, "1 of 17 ", "swipe ") == []
+    read = read_source(tmp_path / "own.zip", jobs=1, skip_bad=True)
+    assert (len(read), len(read.source.left_out)) == (16, 1)
+
+
+def test_a_class_that_is_a_link_to_a_folder(tmp_path):
+    folder = write_folder(tmp_path / "own", per_class=2)
+    (tmp_path / "elsewhere").mkdir()
+    (folder / "swipe").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UserError, match=r"swipe .*link"):
+        read_source(folder, jobs=1)
+
+
 def test_arrays_of_many_forms():
     for events in (
         (X, Y, T, P),
@@ -293,6 +360,13 @@ def test_inspect_says_the_unit(tmp_path, capsys):
     assert facts["time_unit"] == "us"
     assert facts["sensor"] == {"rows": 9, "columns": 12}
     assert facts["t_last_s"] == pytest.approx(0.838)
+
+
+def test_taxels_of_a_large_sensor_are_counted(tmp_path):
+    """The numbers of its pixels are larger than 16 bits hold."""
+    path = tmp_path / "a.npz"
+    path.write_bytes(npz(x=[0, 512], y=[127, 127], t_us=[0, 900], p=[0, 1]))  # 512 * 128 = 2**16
+    assert facts_of_file(path)["taxels"] == 2
 
 
 def test_lines_of_several_errors():

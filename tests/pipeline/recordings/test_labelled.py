@@ -8,8 +8,9 @@ import pytest
 
 from deploy.errors import UserError
 from pipeline.recordings.archive import export_zip, read_source
+from pipeline.recordings.sensors import Reading
 from tests.command import call
-from tests.pipeline.handmade import archive
+from tests.pipeline.handmade import archive, npz
 
 MAPPING = b"action, label\nhand_clapping,1\narm_roll,8\n"
 HEAD = "class,startTime_usec,endTime_usec\n"
@@ -77,6 +78,18 @@ def test_damaged_labels_are_refused_with_their_file(tmp_path, labels, fact):
     with pytest.raises(UserError, match=rf"user02_led.*{fact}"):
         read_source(tmp_path / "dvs.zip", jobs=1)
     assert len(read_source(tmp_path / "dvs.zip", jobs=1, skip_bad=True)) == 4
+
+
+def test_labels_of_a_file_without_a_unit_need_it_from_the_user(tmp_path):
+    t = np.arange(0, 10_000_000, 10_000)
+    labels = "".join(f"{1 + i % 2},{i}000000,{i + 1}000000\n" for i in range(4))
+    members = {"a.npz": npz(x=t // 10**6, y=t % 3, t=t, p=t % 2), "a_labels.csv": HEAD + labels}
+    archive(tmp_path / "own.zip", members)
+    with pytest.raises(UserError, match=r"4 of 4 .*--time-unit"):
+        read_source(tmp_path / "own.zip", jobs=1)
+    read = read_source(tmp_path / "own.zip", jobs=1, reading=Reading(time_unit="us"))
+    assert np.diff(read.offsets).tolist() == [100] * 4
+    assert read.sensor.duration_s == 1.0
 
 
 def test_a_damaged_long_file_is_refused_and_import_works(tmp_path, capsys):

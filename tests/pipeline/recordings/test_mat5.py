@@ -9,7 +9,7 @@ import pytest
 import scipy.io
 
 from pipeline.recordings import mat5
-from pipeline.recordings.matfile import BadRecording, read_recording
+from pipeline.recordings.matfile import BadRecording, read_lookup_table, read_recording
 from tests.pipeline import handmade
 
 HEADER = b"MATLAB 5.0 MAT-file, by hand".ljust(124) + struct.pack("<HH", 0x0100, 0x4D49)
@@ -136,6 +136,13 @@ def test_a_bomb_that_nobody_asked_for_is_passed_over(monkeypatch):
     monkeypatch.setattr(mat5, "_unpacked", None)
     with pytest.raises(BadRecording, match="'spiketrain'"):
         read_recording(content)
+
+
+def test_of_a_lookup_table_s_file_only_the_table_is_unpacked(monkeypatch):
+    table = saved(unit="mm", LUT=np.stack(np.divmod(np.arange(9), 3), 1) + 1.0)[128:]
+    content = HEADER + packed(variable(bytes(8 * 10**6), 10**3, 10**3, name=b"other")) + table
+    monkeypatch.setattr(mat5, "_unpacked", None)
+    assert read_lookup_table(content).column.tolist() == [0, 1, 2] * 3
 
 
 def test_dimensions_whose_product_overflows():

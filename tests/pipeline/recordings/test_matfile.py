@@ -1,4 +1,5 @@
 import io
+import tracemalloc
 
 import h5py
 import numpy as np
@@ -114,7 +115,7 @@ def test_flipped_bytes_give_a_reason_or_a_recording():
     assert refused > len(content) / 3 / 2  # most of the file is compressed and has a checksum
 
 
-@pytest.mark.parametrize("writer", ["Anna", np.nan, [1.0, 2.0], []])
+@pytest.mark.parametrize("writer", ["Anna", np.nan, [1.0, 2.0], [], -2.0, 1e20, 2.0**31, 0.5])
 def test_another_use_of_the_name_writer_is_no_writer(writer):
     assert read_recording(mat5(spiketrain=spiketrain(), writer=writer)).writer == -1
 
@@ -249,6 +250,23 @@ def test_lookup_tables(write):
     three = read_lookup_table(write(any_name=np.stack([ADDRESS, X, Y], 1)[shuffled]))
     np.testing.assert_array_equal(three.row, two.row)
     np.testing.assert_array_equal(three.column, two.column)
+
+
+def test_a_lookup_table_among_large_variables_is_all_that_is_read():
+    """Each of the others declares 80 MB, of which a file of a few kilobytes has nothing."""
+
+    def build(file):
+        for name in "abcd":
+            file.create_dataset(name, (1, 10**7), "f8")
+        file["table"] = np.stack([X, Y])
+
+    content = hdf5(build)
+    tracemalloc.start()
+    try:
+        assert len(read_lookup_table(content)) == 100
+        assert tracemalloc.get_traced_memory()[1] < 8_000_000
+    finally:
+        tracemalloc.stop()
 
 
 def test_the_transposed_table_gives_the_transposed_positions():

@@ -1,6 +1,7 @@
 """Recordings of other sensors: any classes, any number of taxels, .mat or .npz."""
 
 import io
+import tracemalloc
 import zipfile
 
 import numpy as np
@@ -12,7 +13,7 @@ from deploy.errors import UserError
 from pipeline.inputs.dataset import Dataset, require_recordings_fit
 from pipeline.inputs.images import aggregate
 from pipeline.inputs.library import load_recordings, recordings_of
-from pipeline.recordings.archive import read_source
+from pipeline.recordings.archive import export_zip, read_source
 from pipeline.recordings.eventfile import read_events
 from pipeline.recordings.events import Sensor, TaxelMap
 from pipeline.recordings.matfile import BadRecording, lookup_table_bytes, read_lookup_table
@@ -139,6 +140,23 @@ def test_an_event_file_that_says_it_is_larger_than_it_is():
         read_events(out.getvalue())
 
 
+def test_what_an_event_file_has_besides_its_events_is_not_unpacked():
+    """Nor are arrays that have together more than any recording can have."""
+    large = np.zeros(12_000_000)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **GOOD, image=large)
+    tracemalloc.start()
+    try:
+        assert read_events(buffer.getvalue()).x.tolist() == [0, 1]
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, x=large, y=large, t=large, p=large)
+        with pytest.raises(BadRecording, match="more than 5000000"):
+            read_events(buffer.getvalue())
+        assert tracemalloc.get_traced_memory()[1] < 20_000_000
+    finally:
+        tracemalloc.stop()
+
+
 @settings(max_examples=200)
 @given(st.data())
 def test_damaged_event_files_are_refused_or_read(data):
@@ -163,6 +181,19 @@ def test_the_published_layout_with_another_number_of_taxels(tmp_path):
     assert (given.sensor.rows, given.sensor.columns) == (4, 9)
     assert (given.taxels.row[7], given.taxels.column[7]) == (3, 1)
     assert read_source(tmp_path / "s.zip", jobs=1, reading=Reading(columns=9)).sensor.rows == 4
+
+
+@pytest.mark.parametrize("table", [None, TaxelMap.grid(4, 16)])
+def test_an_export_of_another_number_of_taxels(tmp_path, table):
+    """It has a look-up table if the source has one."""
+    members = {f"{name}/{i}.mat": mat5(spiketrain=array_of(64)) for name in "ab" for i in (0, 1)}
+    if table is not None:
+        members["LUT.mat"] = lookup_table_bytes(table)
+    archive(tmp_path / "s.zip", members)
+    assert export_zip(tmp_path / "out.zip", tmp_path / "s.zip") == 4
+    read, again = (read_source(tmp_path / f"{name}.zip", jobs=1) for name in ("s", "out"))
+    assert again.sensor == read.sensor
+    assert_same(again, read, source=False)
 
 
 def test_a_lookup_table_with_gaps(tmp_path):

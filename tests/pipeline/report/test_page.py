@@ -16,7 +16,9 @@ from deploy.preflight.plan import make_plan
 from pipeline.experiments import table2_splits as table2
 from pipeline.inputs.library import recordings_of
 from pipeline.report import page as report
+from pipeline.report.gather import _outdated, gather
 from pipeline.report.replay import replay
+from pipeline.run.folder import RunFolder
 from pipeline.run.history import read_history
 from pipeline.settings import read_settings, write_settings
 from tests.command import call
@@ -263,6 +265,37 @@ def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
             assert times.max(initial=0) < 12
         # Nothing is shown in the gap, and the image is there from step 0.
         assert played.spikes["input"][0].min() >= 0
+
+
+def test_an_early_decision_is_told_from_the_final_one(tiny_run):
+    """The steps may be chosen by the program: the setting is then 0."""
+    inputs = gather(RunFolder(tiny_run), tiny_run / "table2", 1, print)
+    result, steps = inputs.results[-1], inputs.bundle.spec.presentation.steps
+    (early, *others), step = inputs.replays, inputs.bundle.spec.stimulus.step_seconds
+    for index, sample in enumerate(result["samples"]):
+        sample |= {"stopped_at": 9 if index == early else steps, "decided_at": 13}
+    inputs = replace(
+        inputs, settings=inputs.settings.with_values({"presentation": {"steps": 0}}, "")
+    )
+    page = report.render(inputs)
+    assert page.count("early decision in step 9") == 1
+    assert page.count("undecided until the end") == len(others)
+    assert page.count(f"decided after {13_000 * step:.0f} ms") == len(inputs.over_time)
+
+
+def test_outdated_results_are_marked(tiny_run, tmp_path, capsys):
+    """Also those of a run beside, and before an animation."""
+    old = tmp_path / "old"
+    shutil.copytree(tiny_run, old)
+    settings = read_settings(old / "experiment.toml")
+    write_settings(old / "experiment.toml", replace(settings, seed=settings.seed + 1))
+    runs = RunFolder(tiny_run), RunFolder(old)
+    assert _outdated(runs[0], None) == {}
+    assert f"{old}/bundle" in _outdated(*runs)
+    assert "bundle" in _outdated(runs[1], None)
+    for run, said in ((old, True), (tiny_run, False)):
+        assert call("animate", run, "--out", tmp_path / "a.gif", "--sample", "none") == 2
+        assert ("bundle: outdated" in capsys.readouterr().err) is said
 
 
 def test_digits_of_a_camera_are_not_st_mnist(tiny_run):

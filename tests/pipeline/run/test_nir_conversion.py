@@ -9,6 +9,7 @@ import pytest
 from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
 from deploy.files import read_json
+from deploy.network.decision import Threshold
 from deploy.network.nir import deployed_network, nir_graph, write_nir
 from deploy.network.spec import Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes
@@ -17,11 +18,13 @@ from deploy.targets.registry import TARGETS, answer
 from models.nir_graph import read_nir
 from models.nir_layers import chosen, fired, layers_of
 from models.nir_simulator import simulate
+from pipeline.inputs.splits import Split
 from pipeline.live.deciding import decider_of
 from pipeline.recordings.events import Sensor
 from pipeline.recordings.steps import EventTable
+from pipeline.run.event_training import FEWEST, trusted
 from pipeline.run.nir_conversion import spec_of_nir
-from pipeline.run.nir_import import notes
+from pipeline.run.nir_import import decided_on, notes
 from pipeline.run.nir_settings import Stepped, settings_of_nir
 from pipeline.settings import Image
 from pipeline.skin.simulate import simulate as simulated_skin
@@ -194,6 +197,18 @@ def test_an_imported_network_survives_the_round_trip(tmp_path):
     assert changes["presentation"]["stream_length"] == 1
 
 
+def test_early_decisions_are_chosen_on_every_class():
+    labels = np.repeat(np.arange(10), 500)
+    split = Split(np.arange(5000), np.arange(0), np.arange(0))
+    assert set(labels[decided_on(split, 0)]) == set(range(10))
+
+
+def test_a_confidence_chosen_on_few_samples_is_not_trusted():
+    chosen = Threshold(0.5, 0.9, 0.4)
+    assert trusted(chosen, FEWEST) == chosen
+    assert trusted(chosen, FEWEST - 1).confidence == 1
+
+
 @pytest.mark.slow
 def test_a_run_of_a_graph(tmp_path, capsys):
     """Convert, ladder, plan; then again, nothing is done anew."""
@@ -229,6 +244,18 @@ def test_a_run_of_a_graph(tmp_path, capsys):
     assert stmnist("deploy", "energy", run / "bundle") == 0
     assert "emulator" in (run / "report.html").read_text()
     decides_as_its_check(read_bundle(run / "bundle"))
+    nir.write(run / "snn" / "network.nir", graph_of_ones())
+    assert stmnist("convert", run, "--set", "presentation.gap=3", "--jobs", "1") == 2
+    assert missing(capsys.readouterr().err, "network.nir: ") == []
+
+
+def graph_of_ones():
+    return nir.NIRGraph.from_list(
+        nir.Input({"input": np.array([2, 10, 10])}),
+        nir.Flatten({"input": np.array([2, 10, 10])}, 0),
+        nir.Affine(np.ones((10, 200)), np.zeros(10)),
+        nir.Output({"output": np.array([10])}),
+    )
 
 
 def decides_as_its_check(bundle):

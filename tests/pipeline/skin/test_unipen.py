@@ -41,6 +41,20 @@ def test_strokes_box_and_writer(tmp_path):
     np.testing.assert_allclose(trace.strokes[1], [[0.0, -0.15], [0.0, 0.15]])
 
 
+def test_the_order_of_a_point_s_values(tmp_path):
+    """Time before x and y, and y before x."""
+    path = tmp_path / "seven.unipen"
+    path.write_text(SEVEN)
+    (expected,) = unipen.read(path)
+    for order, line in (("T X Y", "12 {} {} 5"), ("Y X", "{1} {0}")):
+        lines = [line.format(*each.split()) if each[0] == " " else each
+                 for each in SEVEN.splitlines()]  # fmt: skip
+        path.write_text("\n".join([f".COORD {order}", *lines]))
+        (trace,) = unipen.read(path)
+        for stroke, wanted in zip(trace.strokes, expected.strokes, strict=True):
+            np.testing.assert_array_equal(stroke, wanted)
+
+
 def test_written_on_the_skin(tmp_path):
     path = tmp_path / "seven.unipen"
     path.write_text(SEVEN)
@@ -69,6 +83,16 @@ def test_written_on_the_skin(tmp_path):
             (f'.SEGMENT DIGIT 0 ? "3"\n.PEN_DOWN\n 1 2\n {point}\n.PEN_UP\n', "line 4 ")
             for point in ("nan 1", "1 -inf", "1e400 1", "1 -1e308")
         ),
+        ('.SEGMENT DIGIT 0-1 ? "3"\n.PEN_DOWN\n 1 2\n 1 3\n.PEN_UP\n', "line 1:"),
+        ('.SEGMENT DIGIT 1 ? "3"\n.PEN_DOWN\n 1 2\n 1 3\n.PEN_UP\n', "line 1:"),
+        ('.SEGMENT DIGIT 0:0-0:5 ? "3"\n.PEN_DOWN\n 1 2\n 1 3\n.PEN_UP\n', "line 1:"),
+        (
+            '.SEGMENT DIGIT 0 ? "3"\n.SEGMENT DIGIT 1 ? "4"\n'
+            + 2 * ".PEN_DOWN\n 1 2\n 1 3\n.PEN_UP\n",
+            "line 1:",
+        ),
+        (".COORD T X\n" + SEVEN, "line 1:"),
+        (".COORD T X Y\n" + SEVEN, "line 7 "),
         ("hello\n", "segment"),
         ("", "segment"),
     ],

@@ -7,7 +7,7 @@ from models.architecture import parse
 from models.keras2 import tf
 from models.slayer import SlayerNetwork
 from pipeline.settings import Slayer
-from pipeline.training import slayer
+from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.slayer import Adam, spike_response, train_slayer
 from tests.untraced import untraced
 
@@ -96,35 +96,12 @@ def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):
         if len(seen) == 3:
             raise KeyboardInterrupt
 
-    seen = []
+    seen, checkpoint = [], Checkpoint(tmp_path / "state.npz", "key")
     with pytest.raises(KeyboardInterrupt):
-        train_slayer(SETTINGS, *data, 3, tmp_path / "state.npz", interrupt)
+        train_slayer(SETTINGS, *data, 3, checkpoint, interrupt)
     seen = [0, 0, 0]
-    resumed = train_slayer(SETTINGS, *data, 3, tmp_path / "state.npz", interrupt)
+    resumed = train_slayer(SETTINGS, *data, 3, checkpoint, interrupt)
     assert seen[3:] == [3, 1, 1, 1]
     for got, expected in zip(resumed.kernels, trained.kernels, strict=True):
         np.testing.assert_array_equal(got, expected)
     np.testing.assert_array_equal(resumed.counts, trained.counts)
-
-
-def test_a_checkpoint_is_of_this_run_alone_but_for_its_length(data, run_of):
-    def identity(settings=SETTINGS, labels=data[1], train=data[2], test=data[3], seed=3, long=2.0):
-        return run_of(
-            slayer,
-            lambda: train_slayer(
-                settings, data[0], labels, train, test, seed, "state.npz", duration_s=long
-            ),
-        )
-
-    _, labels, train, test = data
-    same = identity()
-    assert identity(dataclasses.replace(SETTINGS, epochs=9)) == same
-    others = (
-        {"settings": dataclasses.replace(SETTINGS, tau_s=0.4)},
-        {"labels": labels[::-1]},
-        {"train": train[:-1]},
-        {"test": test[:-1]},
-        {"seed": 4},
-        {"long": 2.5},
-    )
-    assert same not in [identity(**other) for other in others]

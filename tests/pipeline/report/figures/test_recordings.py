@@ -58,6 +58,18 @@ def test_events_by_taxel(recordings):
     assert axes.yaxis_inverted()
 
 
+def test_a_recording_longer_than_two_seconds(recordings):
+    """In the published layout, as written on the page: its last event is in its taxel's cell."""
+    late = Events([1e9, 4e9], [3, 3], [1, 1], [4, 4])
+    long = collect([late], [4], ["4/0000"], [0], Source("written", "", True))
+    (axes,) = data_figures.events_by_taxel(long, 0).get_axes()
+    on = {rounded(map(tuple, line)) for line in axes.collections[0].get_segments()}
+    assert on == {((-0.25, 3.0), (-0.25, 2.6)), ((0.5, 3.0), (0.5, 2.6))}
+    *frames, raster = data_figures.recording(long, 0).get_axes()
+    assert raster.get_xlim() == pytest.approx((0, 4))
+    assert np.asarray(frames[-1].images[0].get_array())[3, 0] == 1
+
+
 def rounded(line):
     return tuple((round(x, 6), round(y, 6)) for x, y in line)
 
