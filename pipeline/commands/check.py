@@ -11,7 +11,7 @@ from typing import Annotated, Optional
 import typer
 
 from deploy import limits
-from deploy.check.bundle import read_bundle, result_beside
+from deploy.check.bundle import read_bundle
 from deploy.check.results import compare_results, enforce, loss_text, read_result, require_limits
 from deploy.check.run import run_check
 from deploy.check.text import comparison_text, others_text, summary
@@ -23,6 +23,7 @@ from pipeline.commands import options, signatures
 from pipeline.commands.completion import data_sets
 from pipeline.progress import progress
 from pipeline.run.answers import REFERENCES
+from pipeline.run.folder import checks_beside
 
 
 def _board_option(kind, text):
@@ -124,7 +125,7 @@ def run(
         result, path = _on_others(opened, target, others, seed, out, check)
         options.tell(result, lambda value: f"{others_text(value)}\nwritten to {path}", as_json)
         return
-    path = out or result_beside(opened.path.absolute().parent, target)
+    path = out or checks_beside(opened.path) / f"{target}.json"
     result = check(opened, path)
     options.tell(result, lambda value: f"{summary(value)}\nwritten to {path}", as_json)
     if loss := _loss(opened, result):
@@ -140,7 +141,7 @@ def _loss(bundle, result):
     """The loss relative to the network that the bundle was made from, if its answers exist."""
     for first, *_ in REFERENCES.values():
         with contextlib.suppress(UserError):  # missing or damaged: no comparison
-            reference = read_result(bundle.path.absolute().parent / "checks" / f"{first}.json")
+            reference = read_result(checks_beside(bundle.path) / f"{first}.json")
             if reference["bundle"] == bundle.id:
                 return loss_text(reference, result)
     return None

@@ -20,6 +20,7 @@ from deploy.preflight.plan import make_plan, plan_text
 from deploy.targets.lava import write_lava
 from deploy.terminal import show
 from pipeline.commands import options
+from pipeline.run.folder import checks_beside
 
 
 class Format(StrEnum):
@@ -102,7 +103,7 @@ def energy(
 ):
     """Estimate the energy of an inference from the spikes that a check counted."""
     opened = _opened(bundle)
-    path = result or opened.path.absolute().parent / "checks" / "emulator.json"
+    path = result or checks_beside(opened.path) / "emulator.json"
     counted = read_result(path)
     if counted["bundle"] != opened.id:
         raise UserError(f"{path}: belongs to another bundle than {bundle}; run the check again")

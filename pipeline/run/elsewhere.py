@@ -18,6 +18,7 @@ from pipeline.paper import CHECK_SAMPLES
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.sensors import Reading
 from pipeline.recordings.words import listed
+from pipeline.run.folder import checks_beside
 from pipeline.run.ladder import confusion_matrix
 from pipeline.run.places import run_around
 from pipeline.settings import Image, Settings, read_settings
@@ -176,4 +177,4 @@ def result_path(bundle: Bundle, recordings: Recordings, samples: int, target: st
     """The file of such a result: beside the bundle, one for each set of recordings."""
     name = "".join(c if c.isalnum() or c in "-_." else "-" for c in recordings.source.name)[:60]
     file = f"{name}-{recordings.source.sha256[:8]}-{samples}-{target}.json"
-    return bundle.path.absolute().parent / "checks" / FOLDER / file
+    return checks_beside(bundle.path) / FOLDER / file

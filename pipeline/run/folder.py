@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deploy.errors import UserError
-from deploy.files import locked_folder, refuse_linked_folders
+from deploy.files import locked_folder, refuse_linked_folder, refuse_linked_folders
 from pipeline.artifacts import Origin
 from pipeline.settings import Settings, read_settings, write_settings
 
@@ -25,6 +25,27 @@ DELETE_ITS_FOLDER = "delete its folder and run the command again"
 def _inside(name, meaning):
     """A property of a folder: the path of a file or folder in it."""
     return property(lambda folder: folder.path / name, doc=meaning)
+
+
+def checks_beside(bundle: Path) -> Path:
+    """The folder for the check results of a bundle: ``checks`` beside it.
+
+    Bundles with other names than ``bundle`` can have others beside them, such as those fitted to
+    several people, so that each has a folder of its own: ``NAME-checks``.
+
+    Parameters
+    ----------
+    bundle : Path
+
+    Raises
+    ------
+    UserError
+        The folder is a symbolic link: results would be written elsewhere.
+    """
+    path = bundle.absolute()
+    folder = path.with_name("checks" if path.name == "bundle" else f"{path.name}-checks")
+    refuse_linked_folder(folder)
+    return folder
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 import pytest
 
+from pipeline.run.folder import checks_beside
 from pipeline.run.places import similar_run
 from tests.command import call
 
@@ -78,3 +79,10 @@ def test_a_similar_name(tmp_path):
     assert similar_run(tmp_path / "default") is None
     assert similar_run(tmp_path / "gestures") is None
     assert similar_run(tmp_path / "nowhere" / "default") is None
+
+
+def test_results_of_bundles_side_by_side_do_not_replace_each_other(tmp_path):
+    names = ("bundle", "adapted/7", "adapted/8")
+    folders = [checks_beside(tmp_path / name) for name in names]
+    assert folders[0] == tmp_path / "checks"
+    assert len(set(folders)) == 3
