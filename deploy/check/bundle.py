@@ -117,7 +117,7 @@ class Bundle:
 
 
 def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
-    """Write a bundle, replacing an existing one, and read it back.
+    """Write a bundle, replacing an existing one but for its results, and read it back.
 
     The folder is filled under a temporary name and then renamed, so that after an interruption the
     previous bundle or the complete new one exists.
@@ -144,7 +144,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
     }
     _require_room(sum(array.nbytes for array in samples.values()), len(checks), spec.stimulus)
     try:
-        _require_replaceable(path)
+        require_replaceable(path)
         make_folder(path.parent)
         handle, temporary = temporary_folder(path.parent, ".bundle.")
         temporary = Path(temporary)
@@ -174,8 +174,18 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
     return read_bundle(path)
 
 
-def _require_replaceable(path):
-    """Refuse to replace a file, or a folder with other files than a bundle's, such as results."""
+def require_replaceable(path):
+    """Refuse to replace a file by a bundle, or a folder with other files than a bundle's.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Raises
+    ------
+    UserError
+    """
+    path = Path(path)
     if not path.exists():
         return
     if not path.is_dir():
@@ -183,14 +193,13 @@ def _require_replaceable(path):
     others = _others_in(path)
     if others:
         raise UserError(
-            f"{path}: not replaced by a bundle, because it also has {min(others)}; choose another "
-            "folder, or move that away"
+            f"{path}: not replaced by a bundle, because it also has {min(others)}; move that away"
         )
 
 
 def _others_in(folder):
-    """The names in a folder that are not those of a bundle's files."""
-    return {each.name for each in folder.iterdir()} - {*FILES, "MANIFEST.json"}
+    """The names in a folder that are not those of a bundle and its results."""
+    return {each.name for each in folder.iterdir()} - {*FILES, "MANIFEST.json", RESULTS}
 
 
 def require_room(samples: int, shape: tuple, stimulus: Stimulus):
@@ -246,7 +255,7 @@ def result_beside(folder, target: str) -> Path:
 
 
 def _exchange(new, path):
-    """Replace a folder by another one, never leaving a partial folder.
+    """Replace a folder by another one, never leaving a partial folder, and keep the results in it.
 
     This takes two renames; if the second does not happen, the previous folder is restored.
     """
@@ -256,16 +265,19 @@ def _exchange(new, path):
     handle, aside = temporary_folder(path.parent, ".bundle.")
     earlier = Path(aside) / path.name
 
-    def restore():
+    def settle():
         if not path.exists():
             os.replace(str(earlier), str(path))
+        elif (earlier / RESULTS).exists():
+            os.replace(str(earlier / RESULTS), str(path / RESULTS))
 
     try:
-        with at_the_end(restore), at_the_end(shutil.rmtree, aside):
+        with at_the_end(settle), at_the_end(shutil.rmtree, aside):
             os.replace(str(path), str(earlier))
             os.replace(str(new), str(path))
+            settle()
     except BaseException:
-        restore()
+        settle()
         raise
     finally:
         os.close(handle)
@@ -294,7 +306,7 @@ def read_bundle(path) -> Bundle:
             raise UserError(f"{path / name}: missing from the bundle; {_REMEDY}")
         if sha256_of(path / name) != hashes[name]:
             raise UserError(f"{path / name}: changed since the bundle was made; {_REMEDY}")
-    extra = _others_in(path) - {RESULTS}
+    extra = _others_in(path)
     if extra:
         raise UserError(
             f"{path / min(extra)}: not part of the bundle (MANIFEST.json does not list it); "

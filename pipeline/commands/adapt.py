@@ -8,7 +8,7 @@ from typing import Annotated, Optional
 import numpy as np
 import typer
 
-from deploy.check.bundle import read_bundle, write_bundle
+from deploy.check.bundle import read_bundle, require_replaceable, write_bundle
 from deploy.errors import UserError
 from deploy.files import refuse_linked_folder
 from pipeline.commands import options
@@ -38,6 +38,9 @@ def adapt(
     seed: Annotated[
         int, typer.Option(help="Seed of the fit.", parser=options.between(0, 2**31 - 1))
     ] = 0,
+    skip_bad: Annotated[
+        bool, typer.Option("--skip-bad", help="Leave out files that cannot be read.")
+    ] = False,
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
@@ -50,18 +53,19 @@ def adapt(
 
     bundle, beside = _bundle_of(run)
     options.warn_if_outdated(bundle.path)
-    settings = elsewhere.settings_around(bundle)
+    settings = elsewhere.settings_around(bundle, skip_bad)
     everyone = elsewhere.recordings_for(bundle, data, settings, jobs, options.say)
     recordings, who = _of_one(everyone, writer)
     adaptation.require_fit(bundle.spec, recordings)
     place = out or beside / who
     if out is None:
         refuse_linked_folder(beside)
-        _refuse_other_person(place, recordings.source)
+        _refuse_other_person(place, recordings.source, options.say)
     if place.resolve() == bundle.path.resolve():
         raise UserError(
             f"{place}: is the bundle to adapt, which is not changed; choose another --out"
         )
+    require_replaceable(place)
     adapted = adaptation.adapt(bundle, recordings, who, seed)
     if adapted.spec is None:
         place = None
@@ -86,17 +90,23 @@ def _bundle_of(path):
     return read_bundle(path), path.absolute().parent / f"{path.absolute().name}-adapted"
 
 
-def _refuse_other_person(place, source):
-    """Make sure that a bundle is not replaced by another person's of the same name."""
+def _refuse_other_person(place, source, say):
+    """Make sure that a bundle is not replaced by another person's of the same name.
+
+    More recordings in the same folder or zip are taken for the same person's.
+    """
     if not place.exists():
         return
     before = read_bundle(place).spec.provenance.get("adapted")
     before = before if isinstance(before, dict) else {}
-    if before.get("source_sha256") != source.sha256:
+    if before.get("source_sha256") == source.sha256:
+        return
+    if before.get("source") != source.name:
         raise UserError(
             f"{place}: is fitted to other recordings ({before.get('source')}); choose another "
             f"folder (--out), or replace it with --out {place}"
         )
+    say(f"{place}: is fitted to earlier recordings of {source.name}; a better fit replaces it")
 
 
 def _of_one(recordings: Recordings, writer) -> tuple:

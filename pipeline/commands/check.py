@@ -62,12 +62,15 @@ class OtherRecordings:
         Zip or folder; None for the bundle's own samples.
     samples : int or None
         Number of recordings drawn at random; 0 for all, None for at most 200.
+    skip_bad : bool
+        True to leave out files that cannot be read.
     jobs : int
         Number of processes that read the recordings.
     """
 
     data: str | None = None
     samples: int | None = None
+    skip_bad: bool = False
     jobs: int = 2
 
 
@@ -87,6 +90,9 @@ Others = signatures.group(
             help="With --data: recordings drawn at random; 0 for all (default: 200 at most).",
             parser=options.between(0, limits.SAMPLES),
         ),
+    ],
+    skip_bad=Annotated[
+        bool, typer.Option("--skip-bad", help="With --data: leave out files that cannot be read.")
     ],
     jobs=options.Jobs,
 )
@@ -151,7 +157,7 @@ def _on_others(bundle, target, others, seed, out, check):
     """Run the check on other recordings; return the result and its file."""
     from pipeline.run import elsewhere  # imports the code that reads recordings
 
-    settings = elsewhere.settings_around(bundle)
+    settings = elsewhere.settings_around(bundle, others.skip_bad)
     recordings = elsewhere.recordings_for(bundle, others.data, settings, others.jobs, options.say)
     presented, indices = elsewhere.with_recordings(
         bundle, recordings, others.samples, seed, settings.image

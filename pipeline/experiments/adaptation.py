@@ -215,7 +215,7 @@ class Subjects:
         responder, people = Responder(spec, plan.seed), {}
         for who in known:
             mine = recordings.part(np.flatnonzero(recordings.writers == who))
-            own = responder.responses(responder.inputs(mine))
+            own = responder.responses_to(mine)
             # Only recordings that a draw learns from need altered copies.
             draws = [_drawn(mine.labels, plan, who, draw)[0] for draw in range(plan.draws)]
             some = np.unique(draws)

@@ -312,7 +312,7 @@ def _tuning(settings, dataset, people, weights, confidence):
         new = {**weights, **tune_events(recipe, weights, table, both, train, seed)}
         spec = deployed_on_events(settings, new, confidence, {})
         responder = Responder(spec)
-        rest = responder.responses(responder.inputs(people.part(test)))
+        rest = responder.responses_to(people.part(test))
         others = responder.responses(dataset.inputs[dataset.split.test])
         return rest, others, spec.layers[-1].weights
 

@@ -150,7 +150,7 @@ class Learner:
         source = Source("live", "", True)
         recording = collect([events], [label], [name], [writer], source, self._taxels, self._sensor)
         responder, spec = self._responder, self._bundle.spec
-        own = responder.responses(responder.inputs(recording))
+        own = responder.responses_to(recording)
         copies = responder.copies(recording, [writer, len(self._known(writer))])
         responses = np.concatenate([own, copies[0]])
         readout = spec.layers[-1]

@@ -88,6 +88,8 @@ class Listing:
     parts : dict of str to Part
         The part of the file, for recordings that are parts of a longer file; see
         :mod:`pipeline.recordings.labelled`.
+    noted : tuple of (str, str)
+        Folders that are left out with a message, and why.
     """
 
     path: Path
@@ -95,6 +97,7 @@ class Listing:
     lookup_table: str | None
     refused: tuple
     parts: dict = field(default_factory=dict)
+    noted: tuple = ()
 
 
 def list_source(path) -> Listing:
@@ -133,9 +136,12 @@ def list_source(path) -> Listing:
         [name for name, _ in recordings], lambda name: _reader(path).read(name)
     )
     whole = [entry for entry in recordings if entry[0] not in used]
-    recordings, strays = _of_classes(_of_main_kinds(whole))
+    main, others = _of_main_kinds(whole)
+    recordings, strays = _of_classes(main)
+    strays += _of_other_kinds(path, others)
     known = {*(name for name, _ in recordings + strays + refused), *tables, *used}
-    refused += strays + unread + _empty_classes(path, recordings, known, files, folders)
+    empty, noted = _empty_classes(path, recordings, known, files, folders)
+    refused += strays + unread + empty
     recordings += [(name, of_class) for name, (of_class, _) in parts.items()]
     if not recordings and not refused:
         raise UserError(
@@ -159,7 +165,7 @@ def list_source(path) -> Listing:
     recordings.sort(key=lambda entry: (sensors.class_order(entry[1]), entry[0]))
     refused += _other_tables(path, sorted(tables))
     table = min(tables, default=None)
-    return Listing(path, tuple(recordings), table, tuple(refused), places)
+    return Listing(path, tuple(recordings), table, tuple(refused), places, tuple(noted))
 
 
 def _other_tables(path, names):
@@ -198,23 +204,47 @@ def _suffix(name):
 
 
 def _of_main_kinds(recordings):
-    """Leave out files of other formats, such as a table, that are beside .mat or .npz files.
+    """The files of the main formats, and those of others that are in folders of their own.
 
-    Only files in the folder of a class that has the main kind, or above the classes, are left out:
-    in a folder of their own they are recordings of another kind.
+    Others in the folder of a class that has the main kind, or above the classes, are neither: they
+    are taken for tables.
     """
     ranks = [_rank(name) for name, _ in recordings]
     best = min(ranks, default=0)
     of_best = [n for (n, _), rank in zip(recordings, ranks, strict=True) if rank == best]
     main = {PurePosixPath(name).parent for name in of_best}
     above = {folder for leaf in main for folder in leaf.parents}
-    kept = []
+    kept, others = [], []
     for entry, rank in zip(recordings, ranks, strict=True):
         around = PurePosixPath(entry[0]).parents
-        beside = around[0] in main | above or not (main - above).isdisjoint(around)
-        if rank == best or not beside:
+        if rank == best:
             kept.append(entry)
-    return kept
+        elif around[0] not in main | above and (main - above).isdisjoint(around):
+            others.append(entry)
+    return kept, others
+
+
+def _of_other_kinds(path, others):
+    """Files of other formats in folders of recordings, each with the reason to refuse it.
+
+    The first file of a folder shows whether the folder has recordings or, say, tables.
+    """
+    refused, are_recordings = [], {}
+    for name, _ in others:
+        folder = PurePosixPath(name).parent
+        if folder not in are_recordings:
+            are_recordings[folder] = _is_readable(path, name)
+        if are_recordings[folder]:
+            refused.append((name, f"is a {_suffix(name)} file, unlike the other recordings"))
+    return refused
+
+
+def _is_readable(path, name):
+    try:
+        read_file(name, _reader(path).read(name))
+    except BadRecording:
+        return False
+    return True
 
 
 def _rank(name):
@@ -246,7 +276,12 @@ def _of_classes(recordings):
 def _empty_classes(path, recordings, known, files, folders):
     """Folders next to those of the classes that have no recording, each with the reason.
 
-    Beside the ten digits, a folder of another name may have files of any kind.
+    Returns
+    -------
+    empty : list of (str, str)
+        Folders without a file.
+    with_others : list of (str, str)
+        Folders of other files.  Beside the ten digits, a folder of another name is not mentioned.
     """
     names = {name for _, name in recordings}
     around = {PurePosixPath(name).parent.parent for name, _ in recordings}
@@ -254,7 +289,7 @@ def _empty_classes(path, recordings, known, files, folders):
         {parent for name in some for parent in PurePosixPath(name).parents}
         for some in (known, [name for name, _ in files])
     )
-    empty = []
+    empty, with_others = [], []
     for folder in sorted({*map(PurePosixPath, folders), *with_files} - with_recordings):
         if folder.parent not in around or folder.name.startswith((".", "__MACOSX")):
             continue
@@ -263,8 +298,8 @@ def _empty_classes(path, recordings, known, files, folders):
         elif folder not in with_files:
             empty.append((str(folder), "is a class without a recording"))
         elif not (set(DIGITS) <= names and folder.name not in DIGITS):
-            empty.append((str(folder), "is beside the classes and has files, but no recording"))
-    return empty
+            with_others.append((str(folder), "has files, but no recording"))
+    return empty, with_others
 
 
 def read_source(
@@ -352,7 +387,9 @@ def read_source(
             sha256=content_hash(listing.path),
             simulated=any(recording.simulated for recording in read),
             written=all(getattr(recording, "written", None) for recording in read),
-            left_out=tuple(f"{_short(name)}: {reason}" for name, reason in refused),
+            left_out=tuple(
+                f"{_short(name)}: {reason}" for name, reason in (*refused, *listing.noted)
+            ),
             time_unit=settled.time_unit,
         ),
         taxels=settled.taxels,
@@ -403,16 +440,18 @@ def refuse_to_replace(path, simulated: bool = False):
 def _is_written_here(path, simulated):
     """True for a zip of recordings whose members all have the time that :func:`_add` writes."""
     try:
-        recordings = list_source(path).recordings
+        names = [name for name, _ in list_source(path).recordings]
         with open_regular(path) as file, zipfile.ZipFile(file) as archive:
-            if not recordings or any(info.date_time != NO_TIME for info in archive.infolist()):
+            if not names or any(info.date_time != NO_TIME for info in archive.infolist()):
                 return False
-        if not simulated:
-            return True
-        name = recordings[0][0]
-        recording = read_file(name, _Reader(path).read(name))
+        return not simulated or all(_is_simulated(path, name) for name in names)
     except (UserError, BadRecording, OSError):
         return False
+
+
+def _is_simulated(path, name):
+    """True for a recording of this program's writers, whom no person's hand moves."""
+    recording = read_file(name, _reader(path).read(name))
     return recording.simulated and getattr(recording, "written", None) is None
 
 
@@ -726,8 +765,8 @@ def _refusals(path, refused, total):
     if len(kinds) > LISTED:
         lines.append(f"and files refused for {len(kinds) - LISTED} more reasons")
     remedy = (
-        "correct them, or leave them out: --skip-bad of 'stmnist data import', else --set "
-        "data.skip_bad=true"
+        "correct them, or leave them out: --skip-bad of 'stmnist data import', 'adapt' and "
+        "'check run', else --set data.skip_bad=true"
     )
     if len(lines) == 1:
         return [f"{path}: {lines[0]}; {remedy}"]

@@ -103,14 +103,17 @@ class Responder:
         inputs = self.spec.layers[-1].weights.shape[1]
         return np.concatenate(parts) if parts else np.empty((0, inputs))
 
-    def responses_to(self, recordings: Recordings) -> np.ndarray:
-        """:meth:`responses` to recordings, whose inputs are made for some at a time.
+    def inputs_in_parts(self, recordings: Recordings):
+        """:meth:`inputs` of some recordings at a time.
 
         The inputs on events of 500 recordings of a large sensor need gigabytes.
         """
-        parts = np.split(np.arange(len(recordings)), np.arange(AT_ONCE, len(recordings), AT_ONCE))
-        found = [self.responses(self.inputs(recordings.part(part))) for part in parts]
-        return np.concatenate(found)
+        for start in range(0, len(recordings), AT_ONCE):
+            yield self.inputs(recordings.part(np.arange(len(recordings))[start : start + AT_ONCE]))
+
+    def responses_to(self, recordings: Recordings) -> np.ndarray:
+        """:meth:`responses` to recordings."""
+        return np.concatenate([self.responses(some) for some in self.inputs_in_parts(recordings)])
 
     def copies(self, recordings: Recordings, seed) -> np.ndarray:
         """Responses to augmented copies of recordings, shape (n_samples, COPIES, inputs)."""
@@ -256,13 +259,14 @@ def _with_threshold(spec, responder, recordings):
     limit = spec.presentation.confidence
     if limit is None:
         return spec
-    samples = responder.inputs(recordings)
-    weights = spec.layers[-1].weights
-    outputs = np.concatenate([output @ weights.T for output in responder.outputs(samples)])
+    weights, outputs, last = spec.layers[-1].weights, [], []
+    for samples in responder.inputs_in_parts(recordings):
+        outputs += [output @ weights.T for output in responder.outputs(samples)]
+        last.append(last_steps(samples))
     chosen = choose_threshold(
-        running_sums(spec, outputs),
+        running_sums(spec, np.concatenate(outputs)),
         recordings.labels,
-        last_steps(samples),
+        np.concatenate(last),
         estimator=spec.estimator,
     )
     return spec.with_presentation(confidence=max(limit, chosen.confidence))

@@ -27,8 +27,14 @@ FOLDER = "other"
 """Name of the folder in a run's results."""
 
 
-def settings_around(bundle: Bundle) -> Settings:
+def settings_around(bundle: Bundle, skip_bad: bool = False) -> Settings:
     """The settings of the run that a bundle is in, or the defaults if it is in none.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    skip_bad : bool
+        True to leave out files that cannot be read, whatever the run's setting is.
 
     Raises
     ------
@@ -36,7 +42,9 @@ def settings_around(bundle: Bundle) -> Settings:
         The run's settings cannot be read.
     """
     run = run_around(bundle.path)
-    return Settings() if run is None else read_settings(run / "experiment.toml")
+    settings = Settings() if run is None else read_settings(run / "experiment.toml")
+    skipping = replace(settings.data, skip_bad=skip_bad or settings.data.skip_bad)
+    return replace(settings, data=skipping)
 
 
 def recordings_for(

@@ -177,7 +177,7 @@ def _note_on_adapted(run, path):
         return None
     return (
         f"{WARNING}{path}: outdated, made from an earlier bundle of {run.path}; "
-        f"'stmnist adapt {run.path} --data ...' makes it again"
+        f"'stmnist adapt {run.path} --data ... --out {path}' makes it again"
     )
 
 

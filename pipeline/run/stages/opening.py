@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from deploy.check.bundle import require_room
+from deploy.check.bundle import require_replaceable, require_room
 from deploy.errors import UserError
 from deploy.terminal import WARNING
 from pipeline.artifacts import Artifact, Origin
@@ -51,7 +51,8 @@ def open_dataset(
     ------
     UserError
         The source cannot be read, is too small for the split or the check, or cannot be presented;
-        the check's samples are too large for a bundle; or the user's model cannot be used.
+        the check's samples are too large for a bundle; the bundle's folder has other files; or the
+        user's model cannot be used.
     """
     if dataset is None:
         dataset = Dataset.of(settings, jobs, warn)
@@ -63,6 +64,7 @@ def open_dataset(
     require_recordings_fit(dataset.recordings, settings)
     recordings, split = dataset.recordings, dataset.split
     if check:
+        require_replaceable(run.bundle)
         try:
             draw_check_samples(split.test, settings.check.samples, settings.seed)
         except ValueError as error:
