@@ -758,7 +758,7 @@ def _validate(s: Settings, origin):
     elif s.on_events:
         on_chip = on_events.convs
     else:
-        on_chip = architecture.convs[s.deployment.first_layer == "host" :]
+        on_chip = architecture.convs[1 if s.deployment.first_layer == "host" else 0 :]
     need(s.deployment.pop_type == 32 or not any(conv.filters % 4 for conv in on_chip),
          "deployment.pop_type", "32, or 16 if layers have a multiple of 4 filters")  # fmt: skip
     need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3, "snn.max_rates",

@@ -30,7 +30,7 @@ POWER_BINS = 1024
 """Number of bins of the board's energy probe, spread over the steps of a stream."""
 
 LONGEST_WAIT = 600.0
-"""Seconds of the longest wait between two attempts."""
+"""Seconds up to which the wait between two attempts is doubled."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class BoardOptions:
         for name, least, most in (
             ("chips", 1, 10_000),
             ("attempts", 1, 1000),
-            ("wait", 0, LONGEST_WAIT),
+            ("wait", 0, 86_400),
             ("timeout", 1e-3, 864_000),
         ):
             value = getattr(self, name)
@@ -143,7 +143,8 @@ def run_loihi(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[Resp
                         f"board lost in stream {index + 1} of this run, {attempt} attempts: "
                         f"{error}; the previous streams are saved: repeat the command to resume"
                     ) from error
-                time.sleep(min(options.wait * 2 ** (attempt - 1), LONGEST_WAIT))
+                longest = max(options.wait, LONGEST_WAIT)
+                time.sleep(min(options.wait * 2 ** (attempt - 1), longest))
         responses.notes.update(nxsdk=version, attempts=attempt)
         yield responses
 

@@ -106,7 +106,10 @@ def run(
     ],
     out: Annotated[
         Optional[Path],  # noqa: UP045
-        typer.Option(help="The result (default: checks/TARGET.json beside the bundle)."),
+        typer.Option(
+            help="The result (default: TARGET.json in checks/ beside a folder named bundle, in "
+            "NAME-checks/ beside another)."
+        ),
     ] = None,
     seed: Annotated[
         Optional[int],  # noqa: UP045

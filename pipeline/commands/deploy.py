@@ -97,7 +97,7 @@ def energy(
     bundle: options.Bundle,
     result: Annotated[
         Optional[Path],  # noqa: UP045
-        typer.Argument(help="A check result (default: checks/emulator.json beside the bundle)."),
+        typer.Argument(help="A check result (default: where check run writes the emulator's)."),
     ] = None,
     as_json: options.Json = False,
 ):

@@ -131,11 +131,9 @@ class Given:
         UserError
             An assignment is malformed, or contradicts an option.
         """
-        changes, data = parse_assignments(self.assignments or []), self.data
-        if data is not None and data != SIMULATED:
-            data = str(Path(data).absolute())  # the run can be repeated from any folder
+        changes = parse_assignments(self.assignments or [])
         for option, name, value in (
-            ("--data", "data.source", data),
+            ("--data", "data.source", self.data),
             ("--input", "input.kind", self.input),
             ("--seed", "seed", self.seed),
             ("--samples", "check.samples", self.samples),
@@ -149,6 +147,8 @@ class Given:
                     f"{option}: contradicts --set {name}={assigned}; give only one of them"
                 )
             put(changes, name, value, option)
+        if self.data not in (None, SIMULATED):  # the run can be repeated from any folder
+            put(changes, "data.source", str(Path(self.data).absolute()), "--data")
         return changes
 
 

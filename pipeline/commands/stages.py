@@ -29,8 +29,8 @@ def train(
     ):
         if resolved.nir.file:  # refused before the settings are saved
             raise UserError(
-                f"{run}: its network is the NIR graph {resolved.nir.file}, already trained; "
-                "use 'stmnist convert', or train a network in a new folder"
+                f"{run}: its network is the NIR graph {resolved.nir.file}, which is already "
+                "trained; use 'stmnist convert', or train a network in a new folder"
             )
         dataset = stages.open_dataset(folder, resolved, jobs, options.say, check=False)
         for name in ("events", "threshold") if resolved.on_events else ("cnn",):

@@ -36,8 +36,14 @@ ARRAYS = "arrays"
 """File of the images with which :meth:`Dataset.of_arrays` replaces recordings."""
 
 TOO_SMALL = "ask for fewer (SAMPLES, or check.samples) or give more data"
+"""Remedy for too few samples for the check."""
+
 NO_SPLIT = "give more data, or another split.test_fraction"
-"""Remedy for too few samples."""
+"""Remedy for too few samples for the split."""
+
+READING = "2"
+"""Version of the rules by which files become recordings; to be raised if they change, because files
+that are read differently have the same hash."""
 
 
 @dataclass(frozen=True)
@@ -196,6 +202,8 @@ def dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "rand
     else:
         reads += ["data.time_unit", "data.downsample"]
     contents = {"recordings": recordings_sha256}
+    if settings.data.source != SIMULATED:
+        contents["rules of reading files"] = READING
     if kind != "random":
         contents["split"] = kind
     return Origin.of(settings, reads, contents=contents)

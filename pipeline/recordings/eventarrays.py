@@ -57,6 +57,8 @@ class EventRecording:
         True if the file states that it is simulated.
     writer : int
         Number of the person who made the recording, from 0; -1 if the file does not have it.
+    from_start : bool
+        True if times are known to be relative to the recording's start, as in a part of a file.
     """
 
     x: np.ndarray
@@ -67,6 +69,7 @@ class EventRecording:
     size: tuple | None = None
     simulated: bool = False
     writer: int = -1
+    from_start: bool = False
 
     def events(self, rows: int, time_ns: np.ndarray) -> Events:
         """The events with taxels numbered as by :meth:`pipeline.recordings.events.TaxelMap.grid`.

@@ -77,6 +77,7 @@ class Part:
             time=whole.time[kept] - self.start_us,
             polarity=whole.polarity[kept],
             writer=user_of(self.file),
+            from_start=True,
         )
 
 

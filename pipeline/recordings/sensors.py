@@ -203,8 +203,10 @@ def _of_camera(path, read, reading):
             f"data', else --set data.downsample={needed}"
         )
         rows, columns = min(rows, MAX_SIDE), min(columns, MAX_SIDE)
-    clock = of_a_clock([r.time for _, _, r in kept], unit)
-    events = [(f, n, r.events(rows, to_ns(r.time, unit, clock))) for f, n, r in kept]
+    clock = of_a_clock([r.time for _, _, r in kept if not r.from_start], unit)
+    events = [
+        (f, n, r.events(rows, to_ns(r.time, unit, clock and not r.from_start))) for f, n, r in kept
+    ]
     taxels, sensor = TaxelMap.grid(rows, columns), _sensor_of(events, rows, columns)
     return _settled(events, refused, taxels, sensor, problems, unit)
 

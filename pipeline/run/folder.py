@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,7 +43,7 @@ def checks_beside(bundle: Path) -> Path:
     UserError
         The folder is a symbolic link: results would be written elsewhere.
     """
-    path = bundle.absolute()
+    path = Path(os.path.abspath(bundle))  # which follows no link
     folder = path.with_name("checks" if path.name == "bundle" else f"{path.name}-checks")
     refuse_linked_folder(folder)
     return folder

@@ -81,8 +81,7 @@ def events_by_taxel(recordings: Recordings, index: int) -> Figure:
     for taxel, (row, column) in enumerate(zip(taxels.row, taxels.column, strict=True)):
         axes.text(column - 0.47, row - 0.3, taxel + 1, fontsize=7, color="0.5")
     _cells(axes, recordings.sensor.rows, recordings.sensor.columns, is_as_in_paper(recordings))
-    until = f"{_title(recordings, index)}: each taxel's events, 0 to {duration_s:.4g} s"
-    axes.set(title=until)
+    axes.set(title=f"{_title(recordings, index)}: each taxel's events, 0 to {duration_s:.4g} s")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.03), ncols=2, frameon=False)
     return figure
 

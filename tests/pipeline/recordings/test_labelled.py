@@ -58,6 +58,20 @@ def test_long_recordings_are_cut_by_their_labels(tmp_path, root):
     assert read.ids[4].startswith("hand_clapping/user01_led")
 
 
+def test_a_part_keeps_the_time_before_its_first_event(tmp_path):
+    """Touches of 0.3 s, a second after the start of their label."""
+    members, rows = gestures(), ["1,2000000,4000000", "8,6000000,8000000"]
+    touch = np.arange(0, 300_000, 10_000)
+    t = np.concatenate([touch + start for start in (3_000_000, 7_000_000)])
+    for number in (1, 2):
+        members[f"DvsGesture/user0{number}_led.aedat"] = aedat3(t % 7, t % 5, t, t % 2)
+        labels = (HEAD + "\n".join(rows) + "\n").encode()
+        members[f"DvsGesture/user0{number}_led_labels.csv"] = labels
+    archive(tmp_path / "dvs.zip", members)
+    read = read_source(tmp_path / "dvs.zip", jobs=1)
+    assert {read[index].time_ns[0] for index in range(4)} == {1_000_000_000}
+
+
 def test_without_names_classes_are_numbers(tmp_path):
     members = gestures()
     del members["DvsGesture/gesture_mapping.csv"]
