@@ -236,12 +236,12 @@ def _stored_as(stimulus):
 
 
 def result_beside(folder, target: str) -> Path:
-    """The default file of a check's result, in ``checks`` of a folder.
+    """The default file of a result of ``deploy.pyz``, in ``checks`` of the bundle's folder.
 
     Parameters
     ----------
     folder : Path
-        The run, or a bundle that was copied without its run.
+        The bundle's, which may have been copied without its run.
     target : str
 
     Raises
