@@ -118,6 +118,11 @@ def points_of(folder: Path, base: Settings, grid, recordings: Recordings) -> lis
         An entry cannot be read, names no setting or one that changes the samples, or a combination
         is out of range.
     """
+    if base.nir.file:
+        raise UserError(
+            f"{base.nir.file}: a NIR graph cannot be swept, because it is not trained; convert "
+            "it with each of the settings in a run of its own, and use 'stmnist compare'"
+        )
     axes = [_axis(entry, base) for entry in grid]
     names = [axis[0][0] for axis in axes]
     if len(set(names)) < len(names):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from deploy.errors import UserError
@@ -79,9 +81,10 @@ def measure_table(
     recordings = recordings_of(settings, workers.processes)
     kinds = _kinds(kind, recordings)
     try:
-        for each in kinds:
-            split = split_of(recordings, settings.seed, settings.split.test_fraction, kind=each)
-            draw_check_samples(split.test, settings.check.samples, settings.seed)
+        for each, index in itertools.product(kinds, range(splits)):
+            seed = settings.seed + index
+            split = split_of(recordings, seed, settings.split.test_fraction, kind=each)
+            draw_check_samples(split.test, settings.check.samples, seed)
     except ValueError as error:
         raise UserError(
             f"{settings.data.source}: {error}; change --kind, check.samples or the data"

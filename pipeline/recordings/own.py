@@ -67,7 +67,7 @@ def write_recordings(
         raise UserError(f"time_unit {time_unit!r}: choose one of {', '.join(UNITS)}")
     if classes is None:
         classes = getattr(recordings, "classes", None)
-    names, labels, problems = list(map(str, classes or ())), [], {}
+    names, labels, problems = list(map(str, () if classes is None else classes)), [], {}
     with replacing(path) as file, zipfile.ZipFile(file, "w") as archive:
         for index, (events, label) in enumerate(recordings):
             try:

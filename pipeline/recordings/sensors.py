@@ -83,12 +83,16 @@ class Reading:
         inferred.
     downsample : int
         Side of the square of pixels of a file of events that becomes one taxel.
+    usual_unit : str
+        Unit of similar recordings, for files of events that do not have theirs, if
+        :attr:`time_unit` is empty; empty: inferred.
     """
 
     rows: int = 0
     columns: int = 0
     time_unit: str = ""
     downsample: int = 1
+    usual_unit: str = ""
 
 
 AS_FOUND = Reading()
@@ -162,7 +166,7 @@ def _of_camera(path, read, reading):
     if side > 1:
         read = [(f, n, replace(r, x=r.x // side, y=r.y // side)) for f, n, r in read]
     refused, problems = [], []
-    unit = reading.time_unit or next((r.unit for _, _, r in read if r.unit), "")
+    unit = reading.time_unit or next((r.unit for _, _, r in read if r.unit), reading.usual_unit)
     if not unit:
         unit = recognised([r.time for _, _, r in read])
     if not unit:

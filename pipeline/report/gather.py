@@ -26,6 +26,9 @@ from pipeline.settings import read_settings
 
 REMEDY = "delete it and make it again"
 
+MANY_CHIPS = 10_000
+"""More chips than any system has: the report says how many a network needs."""
+
 FASTEST = 1e6
 """Spikes per second, an upper bound for all neurons."""
 
@@ -65,13 +68,15 @@ def gather(
             f"run 'stmnist ladder {folder.path}' again"
         )
     table, table_settings, answers, curves = _read_benchmark(benchmark, recordings, say)
+    # The run may have had another kind of network before, whose files are still there.
+    networks = {"snn": folder.snn}
+    if settings.network == "image":
+        networks = {"cnn": folder.cnn, **networks}
+    titles = {"cnn": "CNN", "snn": trained_title(settings)}
     histories = {
-        title: read_history(path)
-        for title, path in (
-            ("CNN", folder.cnn / "history.csv"),
-            (trained_title(settings), folder.snn / "history.csv"),
-        )
-        if path.exists()
+        titles[name]: read_history(path / "history.csv")
+        for name, path in networks.items()
+        if settings.network != "nir" and (path / "history.csv").exists()
     }
     chosen = []
     if results[-1]["spikes"]:
@@ -90,14 +95,14 @@ def gather(
         results=results,
         metrics={
             name: _metrics(path / "metrics.json")
-            for name, path in (("cnn", folder.cnn), ("snn", folder.snn))
+            for name, path in networks.items()
             if (path / "metrics.json").exists()
         },
         histories={**histories, **curves},
         table2=table,
         table2_settings=table_settings,
         answers=answers,
-        plan=make_plan(bundle.spec).to_json(),
+        plan=make_plan(bundle.spec, MANY_CHIPS).to_json(),
         replays=replays,
         over_time=probabilities(bundle, browsed, settings.seed) if browsed else {},
         others=_others(folder, bundle),

@@ -17,6 +17,7 @@ from pipeline.inputs.splits import draw_check_samples
 from pipeline.paper import CHECK_SAMPLES
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.sensors import Reading
+from pipeline.recordings.timeunits import UNITS
 from pipeline.recordings.words import listed
 from pipeline.run.folder import checks_beside
 from pipeline.run.ladder import confusion_matrix
@@ -70,8 +71,11 @@ def recordings_for(
         The recordings cannot be read, or are from another sensor or of other classes.
     """
     rows, columns = bundle.spec.input_shape[:2]
-    data = settings.data
-    reading = Reading(rows, columns, data.time_unit, data.downsample)
+    data, usual = settings.data, bundle.spec.provenance.get("time_unit")
+    # A person who writes faster than the others of the training has the same unit of time.
+    reading = Reading(
+        rows, columns, data.time_unit, data.downsample, usual if usual in UNITS else ""
+    )
     recordings = load_recordings(
         source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading
     )
@@ -92,7 +96,10 @@ def recordings_for(
         )
     number = {name: index for index, name in enumerate(known)}
     labels = np.array([number.get(name, -1) for name in sensor.classes])[recordings.labels]
-    if warn is not None and recordings.source.sha256 == bundle.spec.provenance.get("source_sha256"):
+    adapted = bundle.spec.provenance.get("adapted")
+    fitted_to = adapted.get("source_sha256") if isinstance(adapted, dict) else None
+    known_to_it = (bundle.spec.provenance.get("source_sha256"), fitted_to)
+    if warn is not None and recordings.source.sha256 in known_to_it:
         warn(
             f"{WARNING}{source}: the network was made from a part of these recordings; its "
             "accuracy on them says little about others"

@@ -97,7 +97,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
         "versions": NUMPY,
     }
     if source != folder / GRAPH:
-        for record in ("metrics.json", "training.json"):  # of the previous network
+        for record in ("metrics.json", "training.json", "history.csv"):  # of the previous network
             (folder / record).unlink(missing_ok=True)
         with replacing(folder / GRAPH) as file, open(source, "rb") as graph:
             shutil.copyfileobj(graph, file)

@@ -78,6 +78,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         "recipe": view.snn.recipe if view.network == "image" else view.network,
         "image": asdict(view.image),
         "package": __version__,
+        **({"time_unit": source.time_unit} if source.time_unit else {}),
     }
     spec = spec_of(run, view, seen, provenance)
     spec = with_rehearsal(spec, seen.inputs, seen.labels, seen.split.train, view.seed)

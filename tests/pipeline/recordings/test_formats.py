@@ -376,3 +376,22 @@ def test_lines_of_several_errors():
     error = SeveralErrors(["one", "two"])
     assert error.lines == ("one", "two")
     assert str(error) == "one; two"
+
+
+def test_the_unit_of_the_training_is_that_of_a_person_whose_files_have_none(tmp_path):
+    """Taps of 55 ms fit milliseconds as well, as recordings of 55 s."""
+    t = np.arange(0, 55_000, 5_000)
+    members = {
+        f"{name}/{i}.npz": npz(x=t % 3, y=t % 2, t=t, p=np.ones(len(t)))
+        for name in "ab"
+        for i in range(3)
+    }
+    archive(tmp_path / "fifth.zip", members)
+
+    def unit(**given):
+        read = read_source(tmp_path / "fifth.zip", jobs=1, reading=Reading(**given))
+        return read.source.time_unit
+
+    assert unit() == "ms"
+    assert unit(usual_unit="us") == "us"
+    assert unit(time_unit="ms", usual_unit="us") == "ms"
