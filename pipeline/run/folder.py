@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deploy.errors import UserError
@@ -90,6 +90,9 @@ class RunFolder:
     def resolve_settings(self, base: Path | None, changes: dict) -> Settings:
         """Settings of this run, from its folder or from a file, with changes.
 
+        If the input or the length of its steps changes, the run's own number of steps is not kept:
+        it was chosen for the other input.
+
         Parameters
         ----------
         base : Path, optional
@@ -108,7 +111,14 @@ class RunFolder:
             settings = read_settings(self.experiment)
         else:
             settings = Settings()
-        return settings.with_values(changes, "command line")
+        changed = settings.with_values(changes, "command line")
+        is_same = (settings.input.kind, settings.input.step) == (
+            changed.input.kind,
+            changed.input.step,
+        )
+        if is_same or base is not None or "steps" in changes.get("presentation", {}):
+            return changed
+        return replace(changed, presentation=replace(changed.presentation, steps=0))
 
     def save_settings(self, settings: Settings):
         """Save the settings for later commands, unless they are saved already.

@@ -2,8 +2,9 @@
 
 import pytest
 
-from pipeline.run.folder import checks_beside
+from pipeline.run.folder import RunFolder, checks_beside
 from pipeline.run.places import similar_run
+from pipeline.settings import Settings
 from tests.command import call
 
 
@@ -86,3 +87,16 @@ def test_results_of_bundles_side_by_side_do_not_replace_each_other(tmp_path):
     folders = [checks_beside(tmp_path / name) for name in names]
     assert folders[0] == tmp_path / "checks"
     assert len(set(folders)) == 3
+
+
+def test_steps_that_were_chosen_for_another_input_are_not_kept(tmp_path):
+    run = RunFolder(tmp_path)
+    events = {"input": {"kind": "events"}, "presentation": {"steps": 171}}
+    run.save_settings(Settings().with_values(events, "test"))
+
+    def steps(**changes):
+        return run.resolve_settings(None, changes).presentation.steps
+
+    assert steps() == steps(input={"kind": "events"}) == 171
+    assert steps(input={"kind": "image"}) == steps(input={"step": 20.0}) == 0
+    assert steps(input={"kind": "image"}, presentation={"steps": 60}) == 60
