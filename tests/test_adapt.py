@@ -230,7 +230,7 @@ def test_somebody_else_of_the_same_name_is_not_replaced(tmp_path, person, capsys
 
 
 def test_recordings_are_read_with_the_settings_of_the_run(tmp_path, capsys):
-    """Of a camera with twice as many rows and columns as the network."""
+    """The recordings are of a camera with twice as many rows and columns as the network."""
     shutil.copytree(SHIPPED, tmp_path / "run" / "bundle")
     own = Settings().with_values({"data": {"source": "own", "downsample": 2}})
     write_settings(tmp_path / "run" / "experiment.toml", own)

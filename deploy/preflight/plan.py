@@ -278,7 +278,7 @@ def _shortest_intervals(spec, model):
 
 
 def fewer_axons(spec: NetworkSpec, layer: Optional[str] = None) -> str:
-    """What can reduce the axons from a layer: a noun phrase for an error's remedy.
+    """Name the changes that reduce a layer's output axons, as words for an error message.
 
     Population spikes of 16 bits are named only if the network can use them and does not yet.
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from deploy.errors import SeveralErrors, UserError
 from deploy.files import replacing
+from pipeline.recordings.archive import NO_TIME
 from pipeline.recordings.eventarrays import recording_of
 from pipeline.recordings.matfile import BadRecording
 from pipeline.recordings.sensors import too_few
@@ -78,7 +79,7 @@ def write_recordings(
                 problems.setdefault(str(error), []).append(index)
                 continue
             member = PurePosixPath(names[labels[-1]]) / f"{index:06d}.npz"
-            archive.writestr(zipfile.ZipInfo(str(member), (1980, 1, 1, 0, 0, 0)), content)
+            archive.writestr(zipfile.ZipInfo(str(member), NO_TIME), content)
         lines = [
             f"{path}: {len(where)} of {index + 1}: recording {where[0]} {reason}"
             for reason, where in list(problems.items())[:LISTED]
