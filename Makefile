@@ -3,7 +3,7 @@
 # Variables: DATA (ST-MNIST zip or folder; default: simulated), INPUT (image, the default, or
 # events), RUN (default runs/default), SEED (default 0), SAMPLES (default 200), STEPS (default 100
 # of 1 ms, or with events 200 of 10 ms of skin time), JOBS (default 2),
-# TARGET (of make check; default emulator), BOARD and PARTITION (of make loihi-hardware),
+# TARGET (of make check; default emulator), BOARD, PARTITION and CHIPS (of make loihi-hardware),
 # PYTHON (of 3.11 to 3.13; default: the first on the path that fits).
 # Unset ones leave a run's own settings as they are.
 
@@ -17,7 +17,8 @@ BIN := .venv/bin
 STMNIST := $(BIN)/stmnist
 DATA_OPTIONS := $(if $(DATA),--data "$(DATA)") $(if $(SEED),--seed $(SEED)) --jobs $(JOBS)
 SOURCE_OPTIONS := $(DATA_OPTIONS) $(if $(INPUT),--input $(INPUT))
-BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $(PARTITION))
+CHIP_OPTIONS := $(if $(CHIPS),--chips $(CHIPS))
+BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $(PARTITION)) $(CHIP_OPTIONS)
 ON_ALL_CORES := --numprocesses logical --maxprocesses 4 --dist worksteal
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
 
@@ -39,10 +40,10 @@ convert: setup  ## Train with rate-based LIF neurons, convert to spiking ones, w
 loihi-emulate: setup  ## The main job: all stages, and the loss ladder up to the Loihi emulator
 	@$(STMNIST) ladder "$(RUN)" $(OPTIONS)
 
-loihi-hardware: setup  ## Run the check on a Loihi board (needs NxSDK; BOARD, PARTITION)
+loihi-hardware: setup  ## Run the check on a Loihi board (needs NxSDK; BOARD, PARTITION, CHIPS)
 	@$(BIN)/python -m deploy board
 	@$(MAKE) --no-print-directory convert
-	@$(STMNIST) deploy plan "$(RUN)/bundle"
+	@$(STMNIST) deploy plan "$(RUN)/bundle" $(CHIP_OPTIONS)
 	@$(STMNIST) check run "$(RUN)/bundle" --target loihi $(BOARD_OPTIONS)
 
 check: convert  ## Run the check on TARGET, and compare it with the reference simulator

@@ -115,7 +115,7 @@ def _check(options):
         if sys.stderr.isatty():
             print(f"\r{options.target}: {done} of {total} samples", end="", file=sys.stderr)
 
-    result = run_check(bundle, options.target, out, options.seed, advance, chosen)
+    result = run_check(bundle, options.target, out, options.seed, advance, chosen, remark)
     if sys.stderr.isatty():
         print(file=sys.stderr)
     show(summary(result))

@@ -31,6 +31,7 @@ def run_check(
     seed: Optional[int] = None,
     advance=None,
     options: Optional[object] = None,
+    say=None,
 ) -> dict:
     """Run a target on the bundle's samples and write the result.
 
@@ -50,6 +51,8 @@ def run_check(
         Called with the number of samples done since the last call, including resumed ones.
     options : object, optional
         Options of the target's own class, see :func:`deploy.targets.registry.options_for`.
+    say : callable, optional
+        Called with :attr:`OpenCheck.note`, if there is one.
 
     Returns
     -------
@@ -63,6 +66,8 @@ def run_check(
         The target is unknown, the result cannot be written, or another process is writing it.
     """
     with open_check(bundle, target, out, seed, advance, options) as check:
+        if check.note and say is not None:
+            say(check.note)
         for record in answered(check.work(check.left)):
             check.take(record)
         return check.finish()
@@ -133,12 +138,17 @@ class OpenCheck:
     Attributes
     ----------
     target : deploy.targets.registry.Target
+    note : str or None
+        A message for the user if the partial file has responses from another check of the bundle,
+        such as one with another version of Python.  They are not used, and remain in the file until
+        this check is complete, so that the other one can still be resumed.
     """
 
-    def __init__(self, bundle, check, out, saved, done, advance, options):
+    def __init__(self, bundle, check, out, saved, done, note, advance, options):
         self.target = target_named(check["target"])
         self._bundle, self._check, self._out = bundle, check, out
         self._saved, self._done, self._options = saved, done, options
+        self.note = note
         self._advance = advance or (lambda n: None)
         for record in done.values():
             self._advance(len(record["samples"]))
@@ -235,8 +245,9 @@ def open_check(
         stack.callback(_remove_empty, file, saved)
         stack.enter_context(at_the_end(_remove_empty, file, saved))
         with _disk_errors(saved):
-            done = _resume(file, check, _streams(bundle))
-        yield OpenCheck(bundle, check, out, saved, done, advance, options)
+            done, others = _resume(file, check, _streams(bundle))
+        note = _note_on_others(saved, others, check)
+        yield OpenCheck(bundle, check, out, saved, done, note, advance, options)
 
 
 def _remove_empty(file, path):
@@ -286,31 +297,66 @@ def _write_now(file, text):
 
 
 def _resume(file, check, streams):
-    """The records of a check in a partial file, by their first sample; if none, empty the file.
+    """The records of a check in a partial file, by their first sample, and others of its bundle.
 
-    Lines may belong to another check or be damaged: each is validated separately.  A line that is
-    not UTF-8 is damaged.
+    A damaged line is ignored; one that is not UTF-8 is damaged.  A file without any record of the
+    bundle is emptied.
     """
     lengths = {part.start: part.stop - part.start for part in streams}
     file.seek(0)
-    done = {}
+    done, others = {}, []
     for line in file.read().decode("utf-8", "replace").split("\n"):
         try:
             record = json.loads(line)
         except (ValueError, RecursionError):
             continue
-        if _is_record(record, check) and lengths.get(record["first"]) == len(record["samples"]):
+        if not _is_record(record):
+            continue
+        if record["of"] != check:
+            others.append(record)
+        elif lengths.get(record["first"]) == len(record["samples"]):
             done[record["first"]] = record
-    if not done:
+    same = ("bundle", "target")
+    others = [record for record in others if all(record["of"].get(k) == check[k] for k in same)]
+    if not done and not others:
         file.truncate(0)
-    return done
+    return done, others
 
 
-def _is_record(value, check):
-    """True for a valid record of :func:`answered` for a check."""
+def _note_on_others(saved, others, check):
+    """The text of :attr:`OpenCheck.note`."""
+    if not others:
+        return None
+    n = sum(len(record["samples"]) for record in others)
+    before = _parts(others[-1]["of"])
+    now = _parts(check)
+    changed = [
+        f"{name} ({before.get(name)}, now {now[name]})"
+        for name in now
+        if before.get(name) != now[name]
+    ]
+    return (
+        f"{saved}: has responses to {n} samples from a check with another {', '.join(changed)}, "
+        "which cannot be continued here; they are kept until this check is complete"
+    )
+
+
+def _parts(check):
+    """What identifies the check of a bundle, by a name for the user."""
+    versions = check.get("versions")
+    named = versions if isinstance(versions, dict) else {}
+    return {
+        "seed": check.get("seed"),
+        "set of samples": str(check.get("samples"))[:12],
+        **{f"version of {name}": version for name, version in named.items()},
+    }
+
+
+def _is_record(value):
+    """True for a valid record of :func:`answered`."""
     return (
         isinstance(value, dict)
-        and value.get("of") == check
+        and isinstance(value.get("of"), dict)
         and isinstance(value.get("first"), int)
         and isinstance(value.get("seconds"), float)
         and isinstance(value.get("samples"), list)

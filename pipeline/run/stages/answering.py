@@ -45,7 +45,7 @@ def answer(
         say(line)
     with progress(f"check {stage}", len(bundle.checks)) as advance:
         if stage not in REFERENCES[settings.network]:
-            return run_check(bundle, stage, path, settings.seed, advance)
+            return run_check(bundle, stage, path, settings.seed, advance, say=say)
         # A result may depend on the settings that the bundle was made from.
         view = settings.only(bundle.spec.provenance["made_from"]["settings"])
         if stage == "nir":
@@ -108,20 +108,22 @@ def answer_all(
                 if (line := states[name].announcement("answering")) is not None:
                     say(line)
             wanted = {name: artifacts[name].record for name in targets}
-            results |= _shared(bundle, wanted, settings.seed, jobs, advance, answer_here)
+            results |= _shared(bundle, wanted, settings.seed, jobs, advance, answer_here, say)
     for stage in asked:
         if stage not in results:
             results[stage] = answer(run, settings, bundle, stage, say, whole)
     return [results[stage] for stage in asked]
 
 
-def _shared(bundle, paths, seed, jobs, advance, meanwhile):
+def _shared(bundle, paths, seed, jobs, advance, meanwhile, say):
     """Results of targets by name; each remaining stream is a job if any of the targets is slow."""
     checks, failures = {}, {}
     with contextlib.ExitStack() as opened:
         for name, path in paths.items():
             report = partial(advance, note=name)
             checks[name] = opened.enter_context(open_check(bundle, name, path, seed, report))
+            if checks[name].note:
+                say(checks[name].note)
         work = [job for check in checks.values() for job in _work(check)]
         for job, records in run_jobs(_answered, work, jobs, meanwhile=meanwhile):
             if isinstance(records, Failure):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deploy import __version__
-from deploy.check.results import read_result
+from deploy.check.results import read_result, versions
 from deploy.check.run import answered, open_check, run_check
 from deploy.errors import UserError
 from deploy.network.spec import ImageSpikes
@@ -162,6 +162,33 @@ def test_nor_those_of_another_target(bundle, whole, tmp_path):
     out = tmp_path / "emulator.json"
     shutil.move(interrupted(bundle, tmp_path / "nengo.json", 1, "nengo"), partial(out))
     same_answers(run_check(bundle, "emulator", out), whole)
+
+
+def test_responses_from_a_host_with_another_python_are_kept(bundle, whole, tmp_path, monkeypatch):
+    """An hour on a board was lost when the job was submitted again where Python is another."""
+    out, said = tmp_path / "emulator.json", []
+    with monkeypatch.context() as other:
+        before = {**versions(), "python": "3.8.10"}
+        other.setattr("deploy.check.run.versions", lambda: before)
+        saved = interrupted(bundle, out, 1)
+    begun = saved.read_bytes()
+
+    def stop(n):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):  # at its first stream
+        run_check(bundle, "emulator", out, advance=stop, say=said.append)
+    assert saved.read_bytes().startswith(begun)
+    (line,) = said
+    assert "3.8.10" in line
+    assert "numpy" not in line
+    with monkeypatch.context() as other:  # the first host again
+        other.setattr("deploy.check.run.versions", lambda: before)
+        with open_check(bundle, "emulator", out) as check:
+            assert 0 not in [part.start for part in check.left]
+            assert check.note is not None  # of the stream that was added meanwhile
+    same_answers(run_check(bundle, "emulator", out), whole)
+    assert not saved.exists()
 
 
 def test_nor_those_to_other_recordings_with_the_same_names(bundle, tmp_path):
