@@ -356,7 +356,20 @@ class Check(Section):
     """The check that is run on every target."""
 
     samples: Annotated[int, SAMPLES] = paper.CHECK_SAMPLES
-    """Number of samples, drawn at random from the test split, as in the paper."""
+    """Number of samples, drawn at random from the test split, as in the paper; all test samples if
+    there are fewer and the number is the default."""
+
+    def drawn(self, available: int) -> int:
+        """Number of samples to draw.
+
+        Parameters
+        ----------
+        available : int
+            Size of the test split.
+        """
+        if self.samples == paper.CHECK_SAMPLES:
+            return min(self.samples, max(available, 1))
+        return self.samples
 
 
 @dataclass(frozen=True)

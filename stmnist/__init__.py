@@ -48,6 +48,7 @@ _PLACES = {
     "pipeline.run": ("stages",),
     "pipeline.run.comparison": ("compare_runs", "read_runs", "runs_text"),
     "pipeline.run.conversion": ("deployed",),
+    "pipeline.run.fitting": ("fitted",),
     "pipeline.run.folder": ("RunFolder",),
     "pipeline.run.ladder": ("ladder_text", "measure_ladder"),
     "pipeline.settings": ("Settings", "read_settings", "write_settings"),

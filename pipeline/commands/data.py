@@ -20,7 +20,7 @@ from pipeline.recordings.events import GRID
 from pipeline.recordings.facts import facts_of_file, facts_with_events, file_text, recordings_text
 from pipeline.recordings.sensors import Reading
 from pipeline.recordings.table1 import table1_json, table1_text
-from pipeline.settings import SIMULATED
+from pipeline.settings import SIMULATED, Settings
 from pipeline.skin import unipen
 
 Source = Annotated[
@@ -117,7 +117,23 @@ def import_(
     )
     facts = facts_with_events(recordings)
     options.tell(facts, lambda facts: recordings_text(facts, recordings), as_json)
-    options.suggest("ladder", Path("runs") / Path(source).stem, "--data", source)
+    run = Path("runs") / Path(source).stem
+    options.suggest("ladder", run, "--data", source, *_as_assignments(reading, skip_bad))
+
+
+def _as_assignments(reading, skip_bad):
+    """Options with which a run reads recordings in the same way."""
+    values = {
+        "data.skip_bad": skip_bad,
+        "data.time_unit": reading.time_unit,
+        "data.downsample": reading.downsample,
+        "skin.rows": reading.rows,
+        "skin.columns": reading.columns,
+    }
+    usual = Settings().flat()
+    for name, value in values.items():
+        if value != usual[name]:
+            yield from ("--set", f"{name}={str(value).lower()}")
 
 
 def export(

@@ -13,7 +13,9 @@ from pipeline.commands import options
 from pipeline.progress import stages as numbered
 from pipeline.run import stages
 from pipeline.run.answers import REFERENCES
+from pipeline.run.folder import RunFolder
 from pipeline.run.ladder import ladder_text, measure_ladder
+from pipeline.run.places import refuse_other_folders
 
 
 def train(
@@ -79,7 +81,8 @@ def convert(
     changes = stages.settings_of_model(model, retrain) if model else {}
     if nir is not None:
         take = stages.settings_of_retrained if retrain else stages.settings_of_nir
-        changes = take(nir, step, given.input)
+        refuse_other_folders(run)
+        changes = take(nir, step, given.input, RunFolder(run).resolve_settings(given.settings, {}))
     fit = options.fit_recordings(jobs, until="convert")
     with (
         options.opened(run, given, changes, fit) as (folder, resolved),

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pipeline.commands import options
 from pipeline.run.folder import RunFolder
+from pipeline.run.nir_settings import changed_note
 from pipeline.run.status import status_of, status_text
+from pipeline.settings import read_settings
 
 
 def status(run: options.Run, as_json: options.Json = False):
@@ -19,3 +21,5 @@ def status(run: options.Run, as_json: options.Json = False):
         lambda _: status_text(folder, found),
         as_json,
     )
+    if (note := changed_note(read_settings(folder.experiment))) is not None:
+        options.say(note)

@@ -238,7 +238,7 @@ def _on_chip_or_before(task, dataset):
     network = stages.network_artifact(name, task.networks, settings, dataset.origin)
     history = read_history(network.folder / "history.csv")
     if model.endswith("loihi"):
-        indices = draw_check_samples(test, settings.check.samples, settings.seed)
+        indices = draw_check_samples(test, settings.check.drawn(len(test)), settings.seed)
         spec = stages.spec_of(task.networks, settings, dataset, {})
         answers = answer(spec, dataset.inputs[indices], LOIHI_TARGET, settings.seed)
         return indices, answers.predictions, history

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from pipeline.recordings.sensors import too_small
 from pipeline.recordings.steps import EventTable
 from pipeline.run.chip_fit import chip_problems
 from pipeline.run.nir_import import require_fit
+from pipeline.run.nir_settings import is_unchanged
 from pipeline.settings import SIMULATED, Settings, Slayer, check_fits
 
 LARGEST_MAP = 14
@@ -53,8 +53,7 @@ def fitted(
     """Adapt settings to the recordings that they name.
 
     These settings are chosen if they have their defaults: an architecture for the sensor and the
-    classes, the number of check samples if the test split has fewer, and for events the number and
-    length of the steps and the budget of operations.
+    classes, and for events the number and length of the steps and the budget of operations.
 
     Parameters
     ----------
@@ -91,14 +90,10 @@ def fitted(
     if settings.on_events:
         _presentation(settings, recordings, changes)
     n_test = _test_samples(settings, recordings, problems)
-    if check and 0 < n_test < settings.check.samples:
-        if settings.check == Settings().check:
-            changes["check"] = {"samples": n_test}
-        else:
-            problems.append(
-                f"{settings.check.samples} samples requested, the test split has {n_test}; "
-                f"{TOO_SMALL}"
-            )
+    if check and 0 < n_test < settings.check.drawn(n_test):
+        problems.append(
+            f"{settings.check.samples} samples requested, the test split has {n_test}; {TOO_SMALL}"
+        )
     if problem := too_small(recordings):
         problems.append(problem)
     result = settings.with_values(changes, settings.data.source) if changes else settings
@@ -281,7 +276,9 @@ def _unfit(settings, recordings):
     sensor, source = recordings.sensor, settings.data.source
     try:
         check_fits(settings, sensor.rows, sensor.columns, len(sensor.classes), source)
-        if settings.nir.file and Path(settings.nir.file).exists():
+        # A file that has changed is not the run's network; the run's copy is compared when it is
+        # read again.
+        if settings.nir.file and is_unchanged(settings):
             shape = sensor.rows, sensor.columns, 2 if settings.on_events else 1
             require_fit(read_nir(settings.nir.file), shape, len(sensor.classes), settings.nir.file)
     except (UserError, NotationError) as error:

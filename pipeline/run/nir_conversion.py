@@ -18,7 +18,7 @@ from models.nir_layers import NirLayer, chosen, fired, layers_of
 from pipeline.inputs.dataset import Dataset
 from pipeline.run.layers import chip_layer, host_readout
 from pipeline.run.nir_answers import input_spikes
-from pipeline.run.nir_settings import AGAIN, GRAPH, Stepped, exported_here, graph_in
+from pipeline.run.nir_settings import GRAPH, Stepped, exported_here, give_again, graph_in
 from pipeline.settings import Settings
 
 CALIBRATED_ON = 48
@@ -49,7 +49,7 @@ def deployed_nir(
         if fed != (exported.stimulus, exported.input_shape):
             raise UserError(
                 f"{settings.nir.file}: exported from a bundle with another input than these "
-                f"settings say ({exported.stimulus}); {AGAIN}"
+                f"settings say ({exported.stimulus}); {give_again(settings)}"
             )
         return replace(exported, presentation=presentation, provenance=provenance)
     rng = np.random.default_rng([settings.seed, 0x41B])

@@ -26,7 +26,7 @@ from pipeline.inputs.splits import Split
 from pipeline.progress import progress
 from pipeline.run.event_training import trusted
 from pipeline.run.nir_answers import NUMPY, outputs_of, predictions_of
-from pipeline.run.nir_settings import AGAIN, GRAPH, Stepped, exported_here
+from pipeline.run.nir_settings import GRAPH, Stepped, exported_here, give_again, is_unchanged
 from pipeline.settings import SIMULATED, Settings
 
 DECIDED_ON = 300
@@ -57,14 +57,11 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     Raises
     ------
     UserError
-        The file has changed, or the graph is for another sensor or other classes.
+        The file has changed and the run has no copy, or the graph is for another sensor or other
+        classes.
     """
-    begun, source = time.perf_counter(), Path(settings.nir.file)
-    if not source.exists() and folder / GRAPH.exists():
-        source = folder / GRAPH
+    begun, source = time.perf_counter(), _source(folder, settings)
     network = read_nir(source)
-    if sha256_of(source) != settings.nir.sha256:
-        raise UserError(f"{source}: has changed; {AGAIN}")
     require_fit(network, _fed_shape(dataset), len(dataset.recordings.sensor.classes), source)
     stepped = Stepped.of(settings, network)
     exported, cost = exported_here(network, source), None
@@ -114,6 +111,17 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
             "classes in this order?"
         )
     return metrics
+
+
+def _source(folder, settings):
+    """The user's file, or the run's copy if the file has changed or cannot be read."""
+    original, copy = Path(settings.nir.file), folder / GRAPH
+    if is_unchanged(settings):
+        return original
+    if copy.exists() and sha256_of(copy) == settings.nir.sha256:
+        return copy
+    read_nir(original)  # whose error is clearer, if it cannot be read
+    raise UserError(f"{original}: has changed; {give_again(settings)}")
 
 
 def refuse_early(settings: Settings):

@@ -12,14 +12,13 @@ from deploy.network.chip import LOIHI
 from deploy.network.nir import DEPLOYED, deployed_network
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, ImageSpikes
+from deploy.terminal import WARNING
 from models.nir_graph import SNNTORCH_STEP, NirNetwork, read_nir
 from pipeline.run.folder import DELETE_ITS_FOLDER
 from pipeline.settings import Settings
 
 GRAPH = "network.nir"
 """The run's copy of the graph, in the folder of its network."""
-
-AGAIN = "give it again with 'stmnist convert RUN --nir FILE'"
 
 FROM_REST = {"gap": 0, "stream_length": 1}
 """Default presentation of samples to an imported network: each from rest.  Trainings in PyTorch
@@ -64,7 +63,13 @@ class Stepped:
         return f"{how} of {1000 * self.seconds:g} ms of the graph's time"
 
 
-def settings_of_nir(path, step: float | None = None, kind: str | None = None) -> dict:
+def settings_of_nir(
+    path,
+    step: float | None = None,
+    kind: str | None = None,
+    before: Settings | None = None,
+    retrain: bool = False,
+) -> dict:
     """Changes of the settings with which a NIR graph replaces the trained network.
 
     Parameters
@@ -75,25 +80,61 @@ def settings_of_nir(path, step: float | None = None, kind: str | None = None) ->
     kind : str, optional
         ``"image"`` or ``"events"``; default: from the number of channels of the graph's input, two
         for events and one for images.
+    before : Settings, optional
+        The run's present settings.  If they are of a graph with the same kind of input, such as an
+        earlier version of this one, its presentation and steps are kept.
+    retrain : bool
+        The graph will be trained further.
 
     Raises
     ------
     UserError
         The file cannot be read, is not a NIR graph, or cannot be used.
     """
-    path = Path(path)
-    network = read_nir(path)
-    nir = {"file": str(path.absolute()), "sha256": sha256_of(path), "step": 0.0, "retrain": False}
+    path, before = Path(path), before or Settings()
+    network, sha256 = read_nir(path), sha256_of(path)
+    nir = {"file": str(path.absolute()), "sha256": sha256, "retrain": retrain}
+    was_graph = bool(before.nir.file) and before.nir.retrain == retrain
+    is_known = was_graph and before.nir.sha256 == sha256
     if (exported := exported_here(network, path)) is not None:
+        nir["step"] = 0.0
+        if is_known:
+            return {"input": {"kind": before.input.kind}, "nir": nir}
         return {**_settings_of_export(exported), "nir": nir}
-    kind = kind or _kind_of(path, network.input_shape)
-    fed = {"kind": kind, "refractory": 0.0}
+    if kind is None:
+        kind = before.input.kind if is_known else _kind_of(path, network.input_shape)
+    changes = {"input": {"kind": kind}, "nir": nir}
+    if not (was_graph and before.input.kind == kind):
+        changes["input"]["refractory"] = nir["step"] = 0.0
+        changes["presentation"] = FROM_REST
     if step is not None:
-        if kind == "events":
-            fed["step"] = step
-        else:
-            nir["step"] = step
-    return {"input": fed, "nir": nir, "presentation": FROM_REST}
+        changes["input" if kind == "events" else "nir"]["step"] = step
+    return changes
+
+
+def give_again(settings: Settings) -> str:
+    """The remedy for a graph that has changed since it was imported."""
+    retrain = " --retrain" if settings.nir.retrain else ""
+    return f"give it again with 'stmnist convert RUN --nir FILE{retrain}'"
+
+
+def is_unchanged(settings: Settings) -> bool:
+    """True if the file of the graph can be read and is the one that was imported."""
+    try:
+        return sha256_of(Path(settings.nir.file)) == settings.nir.sha256
+    except (OSError, UserError):
+        return False
+
+
+def changed_note(settings: Settings) -> str | None:
+    """A warning if the file of a run's graph is another one now, such as a later version."""
+    file = settings.nir.file
+    if not file or not Path(file).is_file() or is_unchanged(settings):
+        return None
+    return (
+        f"{WARNING}{file}: has changed since it was imported; the run keeps the earlier version; "
+        f"for this one {give_again(settings)}"
+    )
 
 
 def graph_in(folder: Path, settings: Settings) -> NirNetwork:

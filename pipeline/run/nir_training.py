@@ -45,14 +45,16 @@ SCALES = 2.0 ** np.arange(-12, 9)
 """Candidate factors of the outputs."""
 
 
-def settings_of_retrained(path, step: float | None = None, kind: str | None = None) -> dict:
+def settings_of_retrained(
+    path, step: float | None = None, kind: str | None = None, before: Settings | None = None
+) -> dict:
     """Changes of the settings that let a run train a NIR graph further.
 
     Samples are presented as to any network on events, because its biases settle in the gap.
 
     Parameters
     ----------
-    path, step, kind
+    path, step, kind, before
         As in :func:`pipeline.run.nir_settings.settings_of_nir`.
 
     Raises
@@ -60,7 +62,8 @@ def settings_of_retrained(path, step: float | None = None, kind: str | None = No
     UserError
         As there, and as :func:`trainable`; or the graph is for images.
     """
-    changes, network = settings_of_nir(path, step, kind), read_nir(path)
+    changes = settings_of_nir(path, step, kind, before, retrain=True)
+    network = read_nir(path)
     if changes["input"]["kind"] != "events":
         raise UserError(
             f"{path}: --retrain trains networks on events, and {network.nodes[0]} reads an image; "
@@ -73,9 +76,10 @@ def settings_of_retrained(path, step: float | None = None, kind: str | None = No
         architecture = architecture_of(network, place)
     except UserError as error:
         raise UserError(f"{path}: {error}") from error
+    if "presentation" not in changes:  # the run trains a graph with this input already
+        return {**changes, "events": {"architecture": architecture}}
     return {
         **changes,
-        "nir": {**changes["nir"], "retrain": True},
         "events": {"architecture": architecture, "budget": NO_BUDGET},
         "presentation": {name: getattr(usual, name) for name in ("gap", "stream_length")},
     }

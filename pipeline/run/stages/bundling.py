@@ -66,7 +66,8 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
     if view.network == "image":
         # A damaged CNN is found now, not when its answers are compared.
         read_weights(run.cnn, view)
-    chosen = draw_check_samples(seen.split.test, view.check.samples, view.seed)
+    test = seen.split.test
+    chosen = draw_check_samples(test, view.check.drawn(len(test)), view.seed)
     source = seen.recordings.source
     provenance = {
         "made_from": origin.to_json(),

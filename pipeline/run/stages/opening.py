@@ -16,6 +16,7 @@ from pipeline.inputs.dataset import (
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.recordings.facts import facts_of
 from pipeline.run.folder import RunFolder
+from pipeline.run.nir_settings import changed_note
 from pipeline.run.stages.own_model import take_over
 from pipeline.run.stages.training import network_artifact
 from pipeline.settings import SIMULATED, Settings
@@ -66,7 +67,8 @@ def open_dataset(
     if check:
         require_replaceable(run.bundle)
         try:
-            draw_check_samples(split.test, settings.check.samples, settings.seed)
+            n_check = settings.check.drawn(len(split.test))
+            draw_check_samples(split.test, n_check, settings.seed)
         except ValueError as error:
             remedy = TOO_SMALL
             if settings.data != run.resolve_settings(None, {}).data:
@@ -75,7 +77,7 @@ def open_dataset(
         rows, columns = recordings.sensor.rows, recordings.sensor.columns
         stimulus, channels = settings.stimulus, 2 if settings.on_events else 1
         shape = stimulus.sample_shape((rows, columns, channels), settings.steps)
-        require_room(settings.check.samples, shape, stimulus)
+        require_room(n_check, shape, stimulus)
         if not settings.on_events:
             require_images_fit(dataset.inputs, settings)
     _refuse_useless_model(run, settings, dataset)
@@ -107,6 +109,8 @@ def _notes(run, settings, recordings):
     """Warnings, for example about simulated data that the user did not ask for."""
     if settings.on_events:
         yield from event_warnings(settings, recordings)
+    if (note := changed_note(settings)) is not None:
+        yield note
     if not run.experiment.exists():
         if settings.data.source == SIMULATED:
             yield f"{run.path}: a new run, on simulated recordings (others: --data)"

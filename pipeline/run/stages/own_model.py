@@ -91,7 +91,10 @@ def take_over(settings: Settings, dataset: Dataset) -> tuple:
     path = Path(settings.cnn.model)
     model, sha256 = read_model(path)
     if sha256 != settings.cnn.model_sha256 or str(model.architecture) != settings.cnn.architecture:
-        raise UserError(f"{path}: has changed; give it again with 'stmnist convert RUN --model'")
+        raise UserError(
+            f"{path}: has changed; give it again with 'stmnist convert RUN --model FILE', and with "
+            "--retrain if it was given before"
+        )
     from pipeline.training.networks import TrainedCNN
 
     images, labels = dataset.part("train")

@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from pipeline.recordings.archive import read_source
+from pipeline.recordings.own import write_recordings
+from pipeline.settings import Settings, parse_assignments
 from pipeline.skin import aces
 from tests.command import call, missing
+from tests.own_sensor import CLASSES, gestures
 from tests.pipeline.handmade import good_members
 
 SEVENS = """\
@@ -50,6 +53,21 @@ def test_simulated_zip_is_read_back_and_counted(archive, capsys):
     ]
     assert row["on"] == pytest.approx([np.mean(on), np.std(on, ddof=1)])
     assert {"off", "x_mean", "y_mean", "x_range", "y_range"} < set(row)
+
+
+def test_the_suggested_run_reads_the_recordings_in_the_same_way(tmp_path, monkeypatch):
+    path = write_recordings(tmp_path / "own.zip", gestures(2), CLASSES)
+    suggested = []
+    monkeypatch.setattr("pipeline.commands.options.suggest", lambda *words: suggested.append(words))
+    given = ["--time-unit", "ms", "--downsample", 3, "--skip-bad"]
+    assert call("data", "import", path, *given, "--jobs", 1) == 0
+    verb, run, *options = suggested[0]
+    assert (verb, run.name) == ("ladder", "own")
+    settings = Settings().with_values(parse_assignments(options[3::2]), "")
+    data = settings.data
+    assert (data.time_unit, data.downsample, data.skip_bad) == ("ms", 3, True)
+    assert call("data", "import", path, "--jobs", 1) == 0
+    assert suggested[1][2:] == ("--data", str(path))
 
 
 def test_stats_against_the_paper(archive, capsys):

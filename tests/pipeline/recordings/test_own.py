@@ -56,13 +56,17 @@ def test_names_writers_and_the_unit(tmp_path):
     ([(events, "../up") for events, _ in gestures(1)], r"'\.\./up'"),
     ([(events, "unknown") for events, _ in gestures(1)], "'unknown'"),
     ([(label, events) for events, label in gestures(1)], "tuple"),
-    (gestures(1), f"'{CLASSES[0]}'"),
     ([], r"a\.zip"),
 ])  # fmt: skip
 def test_what_cannot_be_written(tmp_path, items, fact):
     with pytest.raises(SeveralErrors, match=fact):
         write_recordings(tmp_path / "a.zip", items, CLASSES)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_one_recording_of_each_class_is_enough_to_adapt_to(tmp_path):
+    path = write_recordings(tmp_path / "a.zip", gestures(1), CLASSES)
+    assert len(load_recordings(str(path), jobs=1)) == len(CLASSES)
 
 
 def test_the_name_and_the_unit(tmp_path):

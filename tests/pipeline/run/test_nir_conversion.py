@@ -230,9 +230,11 @@ def test_a_run_of_a_graph(tmp_path, capsys):
     assert cost["samples"] == 64
     assert cost["spikes"] > 1
     assert 0 <= cost["agreement"] <= 1
-    file.unlink()  # the run has its own copy
-    assert stmnist("ladder", run, "--json", "--jobs", "1") == 0
+    nir.write(file, graph_of_ones())  # a later version; the run has its own copy
+    changed = ["--set", "nir.method=euler"]  # for which the graph is read again
+    assert stmnist("ladder", run, "--json", "--jobs", "1", *changed) == 0
     answered = capsys.readouterr()
+    assert "has changed" in answered.err
     rows = json.loads(answered.out)["rows"]
     assert [row["stage"] for row in rows] == ["nir", "nengo", "simreal", "emulator"]
     assert "nir: " in answered.err

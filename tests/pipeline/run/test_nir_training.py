@@ -1,6 +1,7 @@
 """``convert --nir --retrain``: a graph is what a training on events begins with."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ from deploy.files import read_json
 from models.integers import THRESHOLD_UNIT
 from models.nir_layers import layers_of, rounded
 from pipeline.run import nir_training
-from pipeline.run.nir_training import architecture_of, trainable
+from pipeline.run.nir_settings import settings_of_nir
+from pipeline.run.nir_training import architecture_of, settings_of_retrained, trainable
+from pipeline.settings import Settings
 from pipeline.training.events import EventRecipe, network_of
 from tests.command import call as stmnist
 from tests.command import missing
@@ -112,16 +115,43 @@ def test_a_run_trains_a_graph_further(tmp_path, capsys):
     few = ["--set", "data.samples_per_digit=8", "--set", "events.epochs=1", "--samples", "6"]
     options = ["--step", "20", "--jobs", "1", *few]
     assert stmnist("convert", run, "--nir", file, "--retrain", *options) == 0
-    file.unlink()  # the run has its own copy
+    file.write_bytes(b"a later version")  # the run has its own copy
     capsys.readouterr()
     assert stmnist("ladder", run, "--json", "--jobs", "1") == 0
     answered = capsys.readouterr()
+    (line,) = [line for line in answered.err.splitlines() if "has changed" in line]
+    assert missing(line, str(file), "--nir FILE --retrain") == []
     stages = [row["stage"] for row in json.loads(answered.out)["rows"]]
     assert stages == ["nir", "trained", "nengo", "simreal", "emulator"]
     assert read_json(run / "snn" / "training.json", "")["epochs"] == 1
     assert stmnist("status", run) == 0
-    assert "outdated" not in capsys.readouterr().out
+    told = capsys.readouterr()
+    assert "outdated" not in told.out
+    assert "has changed" in told.err
+    file.unlink()
+    assert stmnist("status", run) == 0
+    assert "has changed" not in capsys.readouterr().err
     assert stmnist("report", run) == 0
+
+
+def test_a_graph_that_is_given_again_keeps_the_users_values(tmp_path):
+    file = tmp_path / "some.nir"
+    small_graph(file)
+    for take, retrain in ((settings_of_nir, False), (settings_of_retrained, True)):
+        first = Settings().with_values(take(file, 20.0), "")
+        assert first.nir.retrain is retrain
+        changes = {"presentation": {"gap": 7, "stream_length": 9}, "nir": {"step": 15.0}}
+        mine = first.with_values({**changes, "events": {"budget": 9.0}}, "")
+        assert mine.with_values(take(file, before=mine), "") == mine
+        with file.open("ab") as later:
+            later.write(b"\0")
+        again = mine.with_values(take(file, before=mine), "")
+        assert again.nir.sha256 != mine.nir.sha256
+        assert replace(again, nir=mine.nir) == mine
+    # The other kind of import begins with its own values.
+    other = mine.with_values(settings_of_nir(file, before=mine), "")
+    assert (other.presentation.gap, other.presentation.stream_length) == (0, 1)
+    assert other.nir.step == 0
 
 
 def test_a_graph_for_images_is_refused(tmp_path, capsys):
