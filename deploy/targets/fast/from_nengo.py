@@ -335,6 +335,9 @@ def _decoders(probe, chip, positions):
     """Contribution of each compartment's spike to a probe of NengoLoihi, shape (n, n_outputs)."""
     if probe.key != "spiked":
         raise cannot("an output decoded from the chip's voltages")
-    unit = np.eye(chip.n, dtype=bool)
-    spikes = [unit[:, positions[block][part]] for block, part in zip(probe.target, probe.slice)]
-    return np.asarray(probe.weight_outputs(spikes), float)
+    decoders = []
+    for first in range(0, chip.n, 1024):  # all at once, a large network would take gigabytes
+        unit = np.eye(min(1024, chip.n - first), chip.n, first, dtype=bool)
+        spikes = [unit[:, positions[block][part]] for block, part in zip(probe.target, probe.slice)]
+        decoders.append(np.asarray(probe.weight_outputs(spikes), float))
+    return np.concatenate(decoders)
