@@ -94,6 +94,7 @@ SEED = between(0, 2**31 - 1)
 EPOCHS, BATCH = between(1, limits.EPOCHS), between(1, limits.BATCH)
 OWN_EPOCHS, OWN_BATCH = between(0, limits.EPOCHS), between(0, limits.BATCH)
 STEPS, STEPS_OR_NONE = between(1, limits.STEPS), between(0, limits.STEPS)
+MOST_DOWNSAMPLED = 64
 SAMPLES, SAMPLES_OR_ALL = between(1, limits.SAMPLES), between(0, limits.SAMPLES)
 TAU = between(1e-6, limits.SECONDS, " seconds")
 TAU_OR_NONE = between(0, limits.SECONDS, " seconds")
@@ -126,7 +127,7 @@ class Data(Section):
     time_unit: Annotated[str, one_of("", "s", "ms", "us", "ns")] = ""
     """Unit of the times in files of events (not .mat): s, ms, us or ns; empty: inferred from the
     duration of the recordings."""
-    downsample: Annotated[int, between(1, 64)] = 1
+    downsample: Annotated[int, between(1, MOST_DOWNSAMPLED)] = 1
     """Files of events: side of the square of pixels that becomes one taxel; 1 for all pixels."""
 
 

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from deploy.check.bundle import read_bundle, write_bundle
+from deploy.errors import UserError
 from deploy.files import read_json
 from pipeline.live.network import SHIPPED
 from pipeline.recordings.archive import write_zip
 from pipeline.recordings.events import Recordings
+from pipeline.run.elsewhere import recordings_for
 from pipeline.settings import Settings, write_settings
 from pipeline.skin import handwriting, parameters
 from pipeline.skin.handwriting import Trace
@@ -245,3 +247,12 @@ def test_recordings_are_read_with_the_settings_of_the_run(tmp_path, capsys):
     arguments = (tmp_path / "run", "--data", tmp_path / "data", "--json")
     assert call("adapt", *arguments) == 0
     assert told(capsys)["samples"] == 40
+    copied = read_bundle(tmp_path / "run" / "bundle")
+    for recorded, right in ((2, True), (1, False), ("2", False)):
+        spec = replace(copied.spec, provenance={**copied.spec.provenance, "downsample": recorded})
+        arguments = replace(copied, spec=spec), str(tmp_path / "data"), Settings()
+        if right:
+            assert len(recordings_for(*arguments)) == 40
+        else:
+            with pytest.raises(UserError):
+                recordings_for(*arguments)

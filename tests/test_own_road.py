@@ -94,6 +94,13 @@ def test_the_own_recordings_are_said_to_be_known(folder, capsys):
     assert missing(capsys.readouterr().err, "warning", folder / "own") == []
 
 
+def test_so_are_those_of_a_folder_that_has_grown(folder, tmp_path, capsys):
+    write_folder(tmp_path / "own", per_class=26)
+    shown = ("--target", "fast", "--data", tmp_path / "own", "--out", tmp_path / "own.json")
+    assert call("check", "run", folder / "image", *shown) == 0
+    assert missing(capsys.readouterr().err, "warning", tmp_path / "own") == []
+
+
 def test_recordings_of_other_classes_or_sensors_are_refused(folder, tmp_path, capsys):
     renamed = [(events, f"class {label}") for events, label in gestures(2)]
     write_recordings(tmp_path / "renamed.zip", renamed)

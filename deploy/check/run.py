@@ -327,8 +327,9 @@ def _note_on_others(saved, others, check):
     """The text of :attr:`OpenCheck.note`."""
     if not others:
         return None
-    n = sum(len(record["samples"]) for record in others)
-    before = _parts(others[-1]["of"])
+    last = others[-1]["of"]
+    n = sum({r["first"]: len(r["samples"]) for r in others if r["of"] == last}.values())
+    before = _parts(last)
     now = _parts(check)
     changed = [
         f"{name} ({before.get(name)}, now {now[name]})"

@@ -20,7 +20,7 @@ from pipeline.recordings.events import GRID
 from pipeline.recordings.facts import facts_of_file, facts_with_events, file_text, recordings_text
 from pipeline.recordings.sensors import Reading
 from pipeline.recordings.table1 import table1_json, table1_text
-from pipeline.settings import SIMULATED, Settings
+from pipeline.settings import MOST_DOWNSAMPLED, SIMULATED, Settings
 from pipeline.skin import unipen
 
 Source = Annotated[
@@ -83,7 +83,7 @@ Downsample = Annotated[
     int,
     typer.Option(
         help="Files of events: side of the square of pixels that becomes one taxel.",
-        parser=options.between(1, 64),
+        parser=options.between(1, MOST_DOWNSAMPLED),
     ),
 ]
 
@@ -92,6 +92,7 @@ def _reading(rows=0, columns=0, time_unit=Unit.found, downsample=1):
     return Reading(rows, columns, time_unit.setting, downsample)
 
 
+SkipBad = Annotated[bool, typer.Option("--skip-bad", help="Leave out files that cannot be read.")]
 ReadingGiven = signatures.group(
     _reading,
     rows=_side_or_found("rows"),
@@ -103,9 +104,7 @@ ReadingGiven = signatures.group(
 
 def import_(
     source: Annotated[str, typer.Argument(help="Zip or folder of recordings, such as ST-MNIST's.")],
-    skip_bad: Annotated[
-        bool, typer.Option("--skip-bad", help="Leave out files that cannot be read.")
-    ] = False,
+    skip_bad: SkipBad = False,
     *,
     reading: ReadingGiven,
     jobs: options.Jobs = 2,
@@ -215,6 +214,7 @@ def stats(
         bool,
         typer.Option("--against-paper", help="Also print the paper's Table 1 and the differences."),
     ] = False,
+    skip_bad: SkipBad = False,
     *,
     reading: ReadingGiven,
     jobs: options.Jobs = 2,
@@ -225,7 +225,9 @@ def stats(
     Events are counted as the paper does, one for each column of a file; physical events count each
     burst of columns once.
     """
-    recordings = load_recordings(data, seed, jobs=jobs, reading=reading)
+    recordings = load_recordings(
+        data, seed, skip_bad=skip_bad, jobs=jobs, warn=options.say, reading=reading
+    )
     value = table1_json(recordings, against_paper)
     options.tell(value, lambda _: table1_text(recordings, against_paper), as_json)
 
@@ -247,6 +249,7 @@ def plot(
     per_digit: Annotated[
         int, typer.Option(help="Number of samples of each class on a sheet.", min=1)
     ] = 16,
+    skip_bad: SkipBad = False,
     *,
     reading: ReadingGiven,
     jobs: options.Jobs = 2,
@@ -267,7 +270,9 @@ def plot(
     if what not in FIGURES:
         raise UserError(f"{what!r} is not a figure; choose one of {', '.join(FIGURES)}")
     figures.format_of(out)  # reports a wrong format before the recordings are read
-    recordings = load_recordings(data, seed, jobs=jobs, reading=reading)
+    recordings = load_recordings(
+        data, seed, skip_bad=skip_bad, jobs=jobs, warn=options.say, reading=reading
+    )
     if what == "layout":
         figure = drawn.layout(recordings.taxels, drawn.is_as_in_paper(recordings))
     elif what == "sheet":

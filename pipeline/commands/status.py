@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pipeline.commands import options
 from pipeline.run.folder import RunFolder
-from pipeline.run.nir_settings import changed_note
+from pipeline.run.given_networks import changed_note
 from pipeline.run.status import status_of, status_text
 from pipeline.settings import read_settings
 

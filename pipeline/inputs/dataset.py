@@ -344,7 +344,7 @@ def inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | None = 
         frames = table.frames(np.arange(len(table)), step_ms, steps, stimulus.rest)
         return np.moveaxis(frames, 0, 1)
     if (recorded := spec.provenance.get("image")) is not None:
-        image = Image(**recorded)
+        image = Settings().with_values({"image": recorded}, "provenance of the bundle").image
     image = image or Image()
     return tactile_images(recordings, image.aggregation, image.normalisation)
 

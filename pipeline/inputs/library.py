@@ -124,10 +124,13 @@ def simulated(seed: int, counts, jobs: int, **how) -> Recordings:
 
 
 def _imported(path, skip_bad, jobs, warn, reading):
-    archive.list_source(path)  # reports a wrong path or damaged zip before the hash
+    listing = archive.list_source(path)  # reports a wrong path or damaged zip before the hash
     sha256 = _hash_of(path)
     # An import without the bad files must not be used as a complete import later.
-    key = cache.key_of("imported", path.name, sha256, skip_bad, *astuple(reading))
+    key = ["imported", path.name, sha256, skip_bad, *astuple(reading)]
+    if left_out := (*listing.refused, *listing.noted):  # such as empty folders, not in the hash
+        key += map(list, left_out)
+    key = cache.key_of(*key)
     recordings = cache.load(key)
     if recordings is None:
         recordings = archive.read_source(path, jobs, skip_bad, progress, reading)

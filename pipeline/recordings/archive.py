@@ -204,22 +204,26 @@ def _suffix(name):
 
 
 def _of_main_kinds(recordings):
-    """The files of the main formats, and those of others that are in folders of their own.
+    """The files of the main formats, and those of others that may be recordings too.
 
-    Others in the folder of a class that has the main kind, or above the classes, are neither: they
-    are taken for tables.
+    Files above the classes are neither: they are taken for tables.  So is a file beside one of the
+    main kind with the same name, such as its copy in another format.
     """
     ranks = [_rank(name) for name, _ in recordings]
     best = min(ranks, default=0)
     of_best = [n for (n, _), rank in zip(recordings, ranks, strict=True) if rank == best]
     main = {PurePosixPath(name).parent for name in of_best}
+    copied = {PurePosixPath(name).with_suffix("") for name in of_best}
     above = {folder for leaf in main for folder in leaf.parents}
     kept, others = [], []
     for entry, rank in zip(recordings, ranks, strict=True):
         around = PurePosixPath(entry[0]).parents
         if rank == best:
             kept.append(entry)
-        elif around[0] not in main | above and (main - above).isdisjoint(around):
+        elif around[0] in main:
+            if PurePosixPath(entry[0]).with_suffix("") not in copied:
+                others.append(entry)
+        elif around[0] not in above and (main - above).isdisjoint(around):
             others.append(entry)
     return kept, others
 
@@ -765,8 +769,8 @@ def _refusals(path, refused, total):
     if len(kinds) > LISTED:
         lines.append(f"and files refused for {len(kinds) - LISTED} more reasons")
     remedy = (
-        "correct them, or leave them out: --skip-bad of 'stmnist data import', 'adapt' and "
-        "'check run', else --set data.skip_bad=true"
+        "correct them, or leave them out: --skip-bad of 'stmnist data', 'adapt' and 'check run', "
+        "else --set data.skip_bad=true"
     )
     if len(lines) == 1:
         return [f"{path}: {lines[0]}; {remedy}"]

@@ -191,15 +191,15 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
     """
     spec = bundle.spec
     require_fit(spec, recordings)
+    try:
+        responder = Responder(spec, seed)
+    except UserError as error:
+        raise UserError(f"{bundle.path}: {error}") from error
     if spec.rehearsal is None:
         raise UserError(
             f"{bundle.path}: has no responses to training samples (made by an earlier version); "
             "delete it and make it again with 'stmnist convert'"
         )
-    try:
-        responder = Responder(spec, seed)
-    except UserError as error:
-        raise UserError(f"{bundle.path}: {error}") from error
     person = responder.person(recordings, [seed, 0xADA])
     readout = spec.layers[-1]
     fit = refit(readout.weights, readout.bias, person, spec.rehearsal, seed, responder.scale)

@@ -22,7 +22,7 @@ from pipeline.recordings.words import listed
 from pipeline.run.folder import checks_beside
 from pipeline.run.ladder import confusion_matrix
 from pipeline.run.places import run_around
-from pipeline.settings import Image, Settings, read_settings
+from pipeline.settings import MOST_DOWNSAMPLED, Image, Settings, read_settings
 
 FOLDER = "other"
 """Name of the folder in a run's results."""
@@ -71,11 +71,16 @@ def recordings_for(
         The recordings cannot be read, or are from another sensor or of other classes.
     """
     rows, columns = bundle.spec.input_shape[:2]
-    data, usual = settings.data, bundle.spec.provenance.get("time_unit")
+    data, recorded = settings.data, bundle.spec.provenance
     # A person who writes faster than the others of the training has the same unit of time.
-    reading = Reading(
-        rows, columns, data.time_unit, data.downsample, usual if usual in UNITS else ""
-    )
+    usual = recorded.get("time_unit")
+    downsample = recorded.get("downsample", data.downsample)  # of a bundle without its run too
+    if type(downsample) is not int or not 1 <= downsample <= MOST_DOWNSAMPLED:
+        raise UserError(
+            f"{bundle.path}: has a 'downsample' that is not a number from 1 to {MOST_DOWNSAMPLED}; "
+            "convert the run again"
+        )
+    reading = Reading(rows, columns, data.time_unit, downsample, usual if usual in UNITS else "")
     recordings = load_recordings(
         source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading
     )
@@ -98,12 +103,18 @@ def recordings_for(
     labels = np.array([number.get(name, -1) for name in sensor.classes])[recordings.labels]
     adapted = bundle.spec.provenance.get("adapted")
     fitted_to = adapted.get("source_sha256") if isinstance(adapted, dict) else None
-    known_to_it = (bundle.spec.provenance.get("source_sha256"), fitted_to)
-    if warn is not None and recordings.source.sha256 in known_to_it:
-        warn(
-            f"{WARNING}{source}: the network was made from a part of these recordings; its "
-            "accuracy on them says little about others"
-        )
+    if warn is not None:
+        says_little = "its accuracy on them says little about others"
+        if recordings.source.sha256 in (recorded.get("source_sha256"), fitted_to):
+            warn(
+                f"{WARNING}{source}: the network was made from a part of these recordings; "
+                f"{says_little}"
+            )
+        elif recordings.source.name == recorded.get("source"):  # it may have grown since
+            warn(
+                f"{WARNING}{source}: the network was made from recordings of the same name; if "
+                f"they are among these, {says_little}"
+            )
     return replace(recordings, labels=labels, sensor=replace(sensor, classes=known))
 
 

@@ -25,7 +25,7 @@ from pipeline.recordings.sensors import too_small
 from pipeline.recordings.steps import EventTable
 from pipeline.run.chip_fit import chip_problems
 from pipeline.run.nir_import import require_fit
-from pipeline.run.nir_settings import is_unchanged
+from pipeline.run.nir_settings import is_file
 from pipeline.settings import SIMULATED, Settings, Slayer, check_fits
 
 LARGEST_MAP = 14
@@ -166,18 +166,20 @@ def architecture_for(sensor: Sensor, on_events: bool) -> str:
 
 
 def _architecture(settings, recordings, changes, problems):
-    """Choose an architecture if the setting has its default and this does not fit."""
+    """Choose an architecture if the user has not chosen one and the present one does not fit."""
     section = "events" if settings.on_events else "cnn"
     before = getattr(settings, section)
     is_default = before.architecture == getattr(Settings(), section).architecture
-    if not is_default or (section == "cnn" and before.model):
+    was_chosen = _is_as_chosen(before.architecture, settings.on_events)
+    is_given = settings.nir.file or (section == "cnn" and before.model)
+    if is_given or not (is_default or was_chosen):
         return
     sensor = recordings.sensor
     if _is_for(before.architecture, sensor, 2 if settings.on_events else 1):
         return
     chosen = architecture_for(sensor, settings.on_events)
     changes[section] = {"architecture": chosen}
-    if section == "events" and before.budget == Settings().events.budget:
+    if section == "events" and (was_chosen or before.budget == Settings().events.budget):
         budget = OPERATIONS_AN_EVENT * _operations_of_input(chosen, recordings) / CNN_MACS
         if budget > before.budget:
             changes[section]["budget"] = float(min(round(budget, 1), 1000.0))
@@ -189,6 +191,18 @@ def _architecture(settings, recordings, changes, problems):
             "choose cnn.architecture"
         )
         changes["snn"] = {"max_rates": rates[:layers]}  # other problems can still be found
+
+
+def _is_as_chosen(architecture, on_events):
+    """True if an architecture is the one that is chosen for its size and its number of classes.
+
+    It was then probably chosen for fewer recordings, which have since got another class or taxel.
+    """
+    parsed = parse(architecture)
+    rows, columns, _ = parsed.input_shape
+    classes = tuple(map(str, range(parsed.outputs)))
+    sensor = Sensor(rows=rows, columns=columns, classes=classes)
+    return architecture == architecture_for(sensor, on_events)
 
 
 def with_slayer(settings: Settings, recordings: Recordings) -> Settings:
@@ -278,7 +292,7 @@ def _unfit(settings, recordings):
         check_fits(settings, sensor.rows, sensor.columns, len(sensor.classes), source)
         # A file that has changed is not the run's network; the run's copy is compared when it is
         # read again.
-        if settings.nir.file and is_unchanged(settings):
+        if settings.nir.file and is_file(settings.nir.file, settings.nir.sha256):
             shape = sensor.rows, sensor.columns, 2 if settings.on_events else 1
             require_fit(read_nir(settings.nir.file), shape, len(sensor.classes), settings.nir.file)
     except (UserError, NotationError) as error:

@@ -14,7 +14,7 @@ import numpy as np
 
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
-from deploy.files import replacing, sha256_of
+from deploy.files import replacing
 from deploy.network.chip import LOIHI
 from deploy.network.decision import choose_threshold, delayed
 from deploy.network.stimulus import last_steps
@@ -26,7 +26,7 @@ from pipeline.inputs.splits import Split
 from pipeline.progress import progress
 from pipeline.run.event_training import trusted
 from pipeline.run.nir_answers import NUMPY, outputs_of, predictions_of
-from pipeline.run.nir_settings import GRAPH, Stepped, exported_here, give_again, is_unchanged
+from pipeline.run.nir_settings import GRAPH, Stepped, exported_here, give_again, is_file
 from pipeline.settings import SIMULATED, Settings
 
 DECIDED_ON = 300
@@ -57,12 +57,10 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     Raises
     ------
     UserError
-        The file has changed and the run has no copy, or the graph is for another sensor or other
-        classes.
+        As :func:`graph_for`.
     """
-    begun, source = time.perf_counter(), _source(folder, settings)
-    network = read_nir(source)
-    require_fit(network, _fed_shape(dataset), len(dataset.recordings.sensor.classes), source)
+    begun = time.perf_counter()
+    source, network = graph_for(folder, settings, dataset)
     stepped = Stepped.of(settings, network)
     exported, cost = exported_here(network, source), None
     if exported is None:
@@ -113,15 +111,33 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     return metrics
 
 
-def _source(folder, settings):
-    """The user's file, or the run's copy if the file has changed or cannot be read."""
-    original, copy = Path(settings.nir.file), folder / GRAPH
-    if is_unchanged(settings):
-        return original
-    if copy.exists() and sha256_of(copy) == settings.nir.sha256:
-        return copy
-    read_nir(original)  # whose error is clearer, if it cannot be read
-    raise UserError(f"{original}: has changed; {give_again(settings)}")
+def graph_for(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
+    """The graph that was imported, from the user's file or else from the run's copy.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the copy.
+    settings, dataset
+
+    Returns
+    -------
+    Path, NirNetwork
+
+    Raises
+    ------
+    UserError
+        The file has changed or cannot be read, and the run has no copy; or the graph is for another
+        sensor or other classes.
+    """
+    sources = Path(settings.nir.file), folder / GRAPH
+    source = next((path for path in sources if is_file(path, settings.nir.sha256)), None)
+    if source is None:
+        read_nir(sources[0])  # whose error is clearer, if the file cannot be read
+        raise UserError(f"{sources[0]}: has changed; {give_again(settings)}")
+    network = read_nir(source)
+    require_fit(network, _fed_shape(dataset), len(dataset.recordings.sensor.classes), source)
+    return source, network
 
 
 def refuse_early(settings: Settings):

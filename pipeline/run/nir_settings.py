@@ -12,7 +12,6 @@ from deploy.network.chip import LOIHI
 from deploy.network.nir import DEPLOYED, deployed_network
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, ImageSpikes
-from deploy.terminal import WARNING
 from models.nir_graph import SNNTORCH_STEP, NirNetwork, read_nir
 from pipeline.run.folder import DELETE_ITS_FOLDER
 from pipeline.settings import Settings
@@ -97,11 +96,14 @@ def settings_of_nir(
     was_graph = bool(before.nir.file) and before.nir.retrain == retrain
     is_known = was_graph and before.nir.sha256 == sha256
     if (exported := exported_here(network, path)) is not None:
+        if step is not None:
+            raise UserError(f"{path}: was exported from a bundle and has its step; omit --step")
         nir["step"] = 0.0
         if is_known:
             return {"input": {"kind": before.input.kind}, "nir": nir}
         return {**_settings_of_export(exported), "nir": nir}
     if kind is None:
+        is_known = is_known or (was_graph and len(network.input_shape) == 1)
         kind = before.input.kind if is_known else _kind_of(path, network.input_shape)
     changes = {"input": {"kind": kind}, "nir": nir}
     if not (was_graph and before.input.kind == kind):
@@ -118,23 +120,12 @@ def give_again(settings: Settings) -> str:
     return f"give it again with 'stmnist convert RUN --nir FILE{retrain}'"
 
 
-def is_unchanged(settings: Settings) -> bool:
-    """True if the file of the graph can be read and is the one that was imported."""
+def is_file(path, sha256: str) -> bool:
+    """True if a file can be read and has this SHA-256."""
     try:
-        return sha256_of(Path(settings.nir.file)) == settings.nir.sha256
+        return sha256_of(Path(path)) == sha256
     except (OSError, UserError):
         return False
-
-
-def changed_note(settings: Settings) -> str | None:
-    """A warning if the file of a run's graph is another one now, such as a later version."""
-    file = settings.nir.file
-    if not file or not Path(file).is_file() or is_unchanged(settings):
-        return None
-    return (
-        f"{WARNING}{file}: has changed since it was imported; the run keeps the earlier version; "
-        f"for this one {give_again(settings)}"
-    )
 
 
 def graph_in(folder: Path, settings: Settings) -> NirNetwork:
@@ -177,6 +168,8 @@ def _settings_of_export(spec):
         changes["input"] = {"kind": "events", "step": step, "refractory": stimulus.rest * step}
         return changes
     changes["input"] = {"kind": "image"}
+    if (image := spec.provenance.get("image")) is not None:
+        changes["image"] = image
     changes["presentation"]["readout_start"] = presentation.readout_start
     changes["deployment"] = {"first_layer": "host" if stimulus.area is None else "chip"}
     if isinstance(stimulus, ImageSpikes):

@@ -25,7 +25,7 @@ from pipeline.run.stages.training import (
     train_all,
     weights_of,
 )
-from pipeline.settings import Settings
+from pipeline.settings import SIMULATED, Settings
 
 
 def make_bundle(
@@ -80,6 +80,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         "image": asdict(view.image),
         "package": __version__,
         **({"time_unit": source.time_unit} if source.time_unit else {}),
+        **_downsample(view, dataset),
     }
     spec = spec_of(run, view, seen, provenance)
     spec = with_rehearsal(spec, seen.inputs, seen.labels, seen.split.train, view.seed)
@@ -93,6 +94,14 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
             "training; compare the predictions of 'stmnist ladder', or use fewer neurons"
         )
     return bundle
+
+
+def _downsample(settings, dataset):
+    """The downsampling of files, which other recordings of the sensor need too."""
+    if dataset.is_of_arrays or settings.data.source == SIMULATED:
+        return {}
+    n = settings.data.downsample
+    return {"downsample": n} if n > 1 else {}
 
 
 def bundle_artifact(run: RunFolder, settings: Settings, dataset: Origin) -> Artifact:

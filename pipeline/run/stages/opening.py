@@ -16,7 +16,8 @@ from pipeline.inputs.dataset import (
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.recordings.facts import facts_of
 from pipeline.run.folder import RunFolder
-from pipeline.run.nir_settings import changed_note
+from pipeline.run.given_networks import changed_note
+from pipeline.run.nir_import import graph_for
 from pipeline.run.stages.own_model import take_over
 from pipeline.run.stages.training import network_artifact
 from pipeline.settings import SIMULATED, Settings
@@ -80,7 +81,7 @@ def open_dataset(
         require_room(n_check, shape, stimulus)
         if not settings.on_events:
             require_images_fit(dataset.inputs, settings)
-    _refuse_useless_model(run, settings, dataset)
+    _refuse_useless_network(run, settings, dataset)
     if warn is not None:
         for line in _notes(run, settings, recordings):
             warn(line)
@@ -92,11 +93,17 @@ def open_dataset(
     return dataset
 
 
-def _refuse_useless_model(run, settings, dataset):
-    """Judge a user's Keras model now, unless the run has taken it over already."""
-    if settings.network != "image" or not settings.cnn.model:
+def _refuse_useless_network(run, settings, dataset):
+    """Examine a user's graph or Keras model now, unless the run has taken it over already."""
+    name = "nir" if settings.nir.file else "cnn"
+    if name == "cnn" and (settings.network != "image" or not settings.cnn.model):
         return
-    if not network_artifact("cnn", run, settings, dataset.origin).state().is_current:
+    artifact = network_artifact(name, run, settings, dataset.origin)
+    if artifact.state().is_current:
+        return
+    if name == "nir":
+        graph_for(artifact.folder, settings, dataset)
+    else:
         take_over(settings, dataset)
 
 

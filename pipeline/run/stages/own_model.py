@@ -11,6 +11,7 @@ from deploy.errors import UserError
 from deploy.files import sha256_of
 from models.own import ModelFileError, read_own_model
 from pipeline.inputs.dataset import Dataset
+from pipeline.run.given_networks import GIVE_MODEL_AGAIN
 from pipeline.settings import Settings
 
 LEAST_KNOWN = 0.15
@@ -91,10 +92,7 @@ def take_over(settings: Settings, dataset: Dataset) -> tuple:
     path = Path(settings.cnn.model)
     model, sha256 = read_model(path)
     if sha256 != settings.cnn.model_sha256 or str(model.architecture) != settings.cnn.architecture:
-        raise UserError(
-            f"{path}: has changed; give it again with 'stmnist convert RUN --model FILE', and with "
-            "--retrain if it was given before"
-        )
+        raise UserError(f"{path}: has changed; {GIVE_MODEL_AGAIN}")
     from pipeline.training.networks import TrainedCNN
 
     images, labels = dataset.part("train")

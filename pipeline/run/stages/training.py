@@ -20,6 +20,7 @@ from pipeline.run.answers import training_versions
 from pipeline.run.diagnosis import activity, fastest_rate, training_lines
 from pipeline.run.event_training import FEWEST, choose, event_samples
 from pipeline.run.folder import DELETE_ITS_FOLDER, RunFolder
+from pipeline.run.given_networks import split_note
 from pipeline.run.history import write_history
 from pipeline.run.nir_settings import GRAPH
 from pipeline.run.origins import (
@@ -115,6 +116,9 @@ def train(name: str, place: Place, settings: Settings, dataset: Dataset, say=pri
         say(f"{name}: up to date ({artifact.folder})")
         return state.record
     if (line := state.announcement(action)) is not None:
+        say(line)
+    given = {"nir": settings.nir.file, "cnn": settings.cnn.model}.get(name, "")
+    if (line := split_note(state, given)) is not None:
         say(line)
     view = artifact.origin.view(settings)
     record = artifact.write(make(artifact, place, view, dataset.seen_by(view), say))

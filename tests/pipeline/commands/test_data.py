@@ -13,6 +13,7 @@ from pipeline.settings import Settings, parse_assignments
 from pipeline.skin import aces
 from tests.command import call, missing
 from tests.own_sensor import CLASSES, gestures
+from tests.pipeline.handmade import archive as archive_of
 from tests.pipeline.handmade import good_members
 
 SEVENS = """\
@@ -68,6 +69,15 @@ def test_the_suggested_run_reads_the_recordings_in_the_same_way(tmp_path, monkey
     assert (data.time_unit, data.downsample, data.skip_bad) == ("ms", 3, True)
     assert call("data", "import", path, "--jobs", 1) == 0
     assert suggested[1][2:] == ("--data", str(path))
+
+
+def test_files_that_cannot_be_read_are_left_out_of_statistics_and_figures(tmp_path, capsys):
+    path = tmp_path / "st.zip"
+    archive_of(path, {**good_members(), "3/bad.mat": b"no recording"})
+    for words in (("stats", "--json"), ("plot", "sheet", "--out", tmp_path / "sheet.png")):
+        assert call("data", *words, "--data", path, "--jobs", 1) == 2
+        assert call("data", *words, "--data", path, "--jobs", 1, "--skip-bad") == 0
+        assert "3/bad.mat" in capsys.readouterr().err
 
 
 def test_stats_against_the_paper(archive, capsys):

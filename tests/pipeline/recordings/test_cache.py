@@ -9,6 +9,7 @@ from pipeline.inputs import library as sources
 from pipeline.recordings import archive, cache
 from pipeline.recordings.events import TaxelMap
 from pipeline.recordings.facts import facts_of
+from tests.own_sensor import write_folder
 from tests.pipeline.handmade import GOOD, assert_same, good_members, recordings
 from tests.pipeline.handmade import archive as write_archive
 
@@ -145,6 +146,14 @@ def test_an_import_with_files_left_out_does_not_pass_for_a_clean_one(own, tmp_pa
         assert facts_of(read)["files_left_out"] == 1
     with pytest.raises(UserError, match=r"3/bad\.mat"):
         sources.load_recordings(str(path), jobs=1)
+
+
+def test_an_empty_class_is_refused_although_the_rest_is_in_the_cache(own, tmp_path):
+    write_folder(tmp_path / "own", per_class=2)
+    assert len(sources.load_recordings(str(tmp_path / "own"), jobs=1)) == 8
+    (tmp_path / "own" / "next week").mkdir()
+    with pytest.raises(UserError, match="next week"):
+        sources.load_recordings(str(tmp_path / "own"), jobs=1)
 
 
 @pytest.mark.parametrize("value", [5, None, ["a"], "../../etc", "A" * 64])

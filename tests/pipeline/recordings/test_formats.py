@@ -315,6 +315,17 @@ def test_a_class_of_another_format_is_not_taken_for_tables(tmp_path):
     assert (len(read), len(read.source.left_out)) == (16, 1)
 
 
+def test_later_recordings_of_a_class_in_another_format_are_not_taken_for_tables(tmp_path):
+    """After some weeks, recordings are saved as .csv in the same folders."""
+    later = {f"{CLASSES[0]}/later{i}.csv": CSV.encode() for i in range(3)}
+    (line,) = refused(tmp_path, {**own(), **later})
+    assert missing(line, ".csv", "3 of 19 ", "later0.csv") == []
+    names = [name for name in own() if name.startswith(CLASSES[0])]
+    copies = {name.replace(".npz", ".csv"): CSV.encode() for name in names}
+    archive(tmp_path / "own.zip", {**own(), **copies})
+    assert len(read_source(tmp_path / "own.zip", jobs=1)) == 16
+
+
 @pytest.mark.parametrize("place", ["about.csv", f"{CLASSES[0]}/about.csv", f"{CLASSES[0]}/x/a.npy"])
 def test_a_table_beside_recordings_is_left_out(tmp_path, place):
     root = {f"own/{name}": content for name, content in own().items()}

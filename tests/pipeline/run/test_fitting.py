@@ -74,6 +74,20 @@ def test_images_of_a_sensor_of_one_s_own(own):
     assert any("9x12-6c4-24c3-4o" in line for line in said)
 
 
+@pytest.mark.parametrize(("kind", "section"), [("image", "cnn"), ("events", "events")])
+def test_what_was_chosen_for_fewer_classes_is_chosen_again(tmp_path, kind, section):
+    """A week later there is a fifth gesture: the first choice was taken for the user's."""
+    items = gestures(12)
+    path = write_recordings(tmp_path / "own.zip", items, CLASSES)
+    first = fitted(settings_of(path, input={"kind": kind}))
+    more = [(events, "more") for events, label in items if label == 0]
+    write_recordings(path, [(e, CLASSES[label]) for e, label in items] + more)
+    assert getattr(fitted(first), section).architecture.endswith("-5o")
+    mine = getattr(first, section).architecture.replace("-", "-7c2-", 1)
+    with pytest.raises(SeveralErrors):
+        fitted(first.with_values({section: {"architecture": mine}}, ""))
+
+
 def test_more_rates_than_the_chosen_network_has_layers_are_a_problem(tmp_path):
     """The rates were cut to one, and saved so, without a word."""
     small = write_recordings(tmp_path / "small.zip", _in_rows_and_columns(4), CLASSES)

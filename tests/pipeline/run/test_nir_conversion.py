@@ -26,7 +26,7 @@ from pipeline.run.event_training import FEWEST, trusted
 from pipeline.run.nir_conversion import spec_of_nir
 from pipeline.run.nir_import import decided_on, notes
 from pipeline.run.nir_settings import Stepped, settings_of_nir
-from pipeline.settings import Image
+from pipeline.settings import Image, Settings
 from pipeline.skin.simulate import simulate as simulated_skin
 from tests.command import call as stmnist
 from tests.command import missing
@@ -195,6 +195,30 @@ def test_an_imported_network_survives_the_round_trip(tmp_path):
     changes = settings_of_nir(tmp_path / "n.nir")
     assert changes["input"] == {"kind": "events", "step": 20.0, "refractory": 0.0}
     assert changes["presentation"]["stream_length"] == 1
+    with pytest.raises(UserError, match="--step"):
+        settings_of_nir(tmp_path / "n.nir", 10.0)
+
+
+def test_an_exported_network_on_images_has_its_conversion_of_events(tmp_path):
+    spec = replace(small_spec(), provenance={"image": {"normalisation": "sqrt-max"}})
+    write_nir(tmp_path / "n.nir", spec)
+    settings = Settings().with_values(settings_of_nir(tmp_path / "n.nir"), "")
+    assert settings.image.normalisation == "sqrt-max"
+
+
+def test_a_flat_graph_is_given_again_without_its_kind(tmp_path):
+    """216 inputs, of 9 x 12 taxels, are no square: the first time the kind is given."""
+    graph = nir.NIRGraph.from_list(
+        nir.Input({"input": np.array([216])}),
+        nir.Affine(np.ones((4, 216)), np.zeros(4)),
+        nir.LIF(*(np.full(4, x) for x in (0.1, 8.0, 0.0, 1.0))),
+        nir.Output({"output": np.array([4])}),
+    )
+    nir.write(tmp_path / "flat.nir", graph)
+    with pytest.raises(UserError, match="--input"):
+        settings_of_nir(tmp_path / "flat.nir")
+    run = Settings().with_values(settings_of_nir(tmp_path / "flat.nir", 20.0, "events"), "")
+    assert settings_of_nir(tmp_path / "flat.nir", before=run)["input"] == {"kind": "events"}
 
 
 def test_early_decisions_are_chosen_on_every_class():
@@ -246,6 +270,10 @@ def test_a_run_of_a_graph(tmp_path, capsys):
     assert stmnist("deploy", "energy", run / "bundle") == 0
     assert "emulator" in (run / "report.html").read_text()
     decides_as_its_check(read_bundle(run / "bundle"))
+    saved = (run / "experiment.toml").read_bytes()
+    other = write_folder(tmp_path / "own", per_class=5)  # of another sensor
+    assert stmnist("ladder", run, "--data", other, "--jobs", "1") == 2
+    assert (run / "experiment.toml").read_bytes() == saved
     nir.write(run / "snn" / "network.nir", graph_of_ones())
     assert stmnist("convert", run, "--set", "presentation.gap=3", "--jobs", "1") == 2
     assert missing(capsys.readouterr().err, "network.nir: ") == []

@@ -1,5 +1,7 @@
 """A user's Keras model in the place of the CNN: taken over, scaled, converted, or refused."""
 
+import shutil
+
 import numpy as np
 import pytest
 
@@ -139,6 +141,24 @@ def test_again_is_up_to_date_even_without_the_file(run, files, tmp_path):
     finally:
         path.write_bytes(content)
     assert [file.stat().st_mtime_ns for file in made] == before
+
+
+def test_a_later_version_and_another_split_are_reported(run, files, tmp_path, capsys):
+    copy, path = tmp_path / "run", files / "good.keras"
+    shutil.copytree(run, copy)
+    content = path.read_bytes()
+    path.write_bytes((files / "other.keras").read_bytes())
+    try:
+        assert call("status", copy) == 0
+        assert missing(capsys.readouterr().err, str(path), "--model FILE") == []
+    finally:
+        path.write_bytes(content)
+    assert call("status", copy) == 0
+    assert str(path) not in capsys.readouterr().err
+    assert call("convert", copy, "--seed", 1) == 0
+    assert "this split" in capsys.readouterr().err
+    assert call("convert", copy, "--set", "snn.max_rates=[150]") == 0
+    assert "this split" not in capsys.readouterr().err
 
 
 def test_retraining_starts_from_the_model(files, tmp_path):
