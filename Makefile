@@ -4,6 +4,7 @@
 # events), RUN (default runs/default), SEED (default 0), SAMPLES (default 200), STEPS (default 100
 # of 1 ms, or with events 200 of 10 ms of skin time), JOBS (default 2),
 # TARGET (of make check; default emulator), BOARD, PARTITION and CHIPS (of make loihi-hardware),
+# SET (other settings, such as SET="cnn.epochs=5 presentation.readout_start=3"),
 # PYTHON (of 3.11 to 3.13; default: the first on the path that fits).
 # Unset ones leave a run's own settings as they are.
 
@@ -16,7 +17,7 @@ PYTHON310 ?= $(shell sh setup.sh --find 3.10)
 BIN := .venv/bin
 STMNIST := $(BIN)/stmnist
 DATA_OPTIONS := $(if $(DATA),--data "$(DATA)") $(if $(SEED),--seed $(SEED)) --jobs $(JOBS)
-SOURCE_OPTIONS := $(DATA_OPTIONS) $(if $(INPUT),--input $(INPUT))
+SOURCE_OPTIONS := $(DATA_OPTIONS) $(if $(INPUT),--input $(INPUT)) $(foreach value,$(SET),--set $(value))
 CHIP_OPTIONS := $(if $(CHIPS),--chips $(CHIPS))
 BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $(PARTITION)) $(CHIP_OPTIONS)
 ON_ALL_CORES := --numprocesses logical --maxprocesses 4 --dist worksteal

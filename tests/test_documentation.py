@@ -269,6 +269,11 @@ def test_a_target_of_the_makefile_calls_a_command_that_exists(target):
         assert any(called.startswith(words) for words in commands()), called
 
 
+def test_settings_are_passed_on():
+    done = make("-n", "-o", "setup", "train", "SET=cnn.epochs=5 seed=3")
+    assert "--set cnn.epochs=5 --set seed=3" in done.stdout
+
+
 @pytest.mark.parametrize("target", TARGETS)
 def test_blanks_in_a_path_do_not_part_it(target):
     given = {"DATA": "my events  set.zip", "RUN": "my runs/a b", "INPUT": "events"}
