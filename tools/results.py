@@ -4,7 +4,7 @@
 each takes; ``python -m tools.results`` measures those that are not, quick ones first, and
 ``python -m tools.results losses`` only that one.  Each measurement is a command of ``stmnist`` that
 continues where it was interrupted, in a folder below ``--work``.  Afterwards
-``python -m pipeline.commands.documentation`` writes the figures into the documents.
+``python -m tools.documentation`` writes the figures into the documents.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from deploy.errors import UserError
 from deploy.files import read_json, sha256_of, write_json
 from deploy.tables import aligned
 from pipeline.artifacts import CURRENT, Artifact, Origin
-from pipeline.commands.figures import FOLDER
 from pipeline.commands.main import run_tool
 from pipeline.experiments.table2_splits import WITH_SLAYER
 from pipeline.inputs.library import recordings_of
 from pipeline.settings import Settings
+from tools.figures import FOLDER
 
 IMAGES = "cnn,ann-snn,loihi,own-ann-snn,own-loihi"
 ARCHITECTURES = (

@@ -1,8 +1,8 @@
 """The generated parts of the documentation: every command, every setting, and measured figures.
 
-``python -m pipeline.commands.documentation`` updates them between their marks in the files of
+``python -m tools.documentation`` updates them between their marks in the files of
 `FILES`; a test checks that they are current.  Figures come from ``results/``
-(:mod:`pipeline.commands.figures`).
+(:mod:`tools.figures`).
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from itertools import groupby
 from pathlib import Path
 
 from deploy.files import replacing
-from pipeline.commands.figures import TABLES, with_figures
 from pipeline.settings import Settings, describe
+from tools.figures import TABLES, with_figures
 
-ROOT = Path(__file__).resolve().parent.parent.parent
+ROOT = Path(__file__).resolve().parent.parent
 FILES = (
     *("README.md", "docs/commands.md", "docs/settings.md"),
     *("docs/adapt.md", "docs/benchmarks.md", "docs/bundle.md", "docs/events.md", "docs/live.md"),
@@ -58,7 +58,7 @@ def with_parts(text: str) -> str:
         A part has a mark at its beginning but not at its end, or a figure does not exist.
     """
     for name, part in PARTS.items():
-        begin = f"<!-- {name}: written by python -m pipeline.commands.documentation -->"
+        begin = f"<!-- {name}: written by python -m tools.documentation -->"
         end = f"<!-- end of {name} -->"
         before, found, rest = text.partition(begin)
         if not found:

@@ -2,8 +2,8 @@ import json
 
 import pytest
 
-from pipeline.commands import figures
-from pipeline.commands.figures import figure, with_figures
+from tools import figures
+from tools.figures import figure, with_figures
 
 NOW, BEFORE = "1" * 64, "2" * 64
 

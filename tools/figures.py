@@ -25,7 +25,7 @@ from pipeline.experiments.sweep_text import sweep_text
 from pipeline.experiments.table2 import table_text
 from pipeline.experiments.table2_splits import MODELS
 
-ROOT = Path(__file__).resolve().parent.parent.parent
+ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "results"
 TABLE2 = ("table2-images", "table2-slayer-random", "table2-slayer-writers", "table2-events")
 """Files with rows of Table 2."""
