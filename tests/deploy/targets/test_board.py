@@ -244,8 +244,8 @@ def test_a_fault_at_any_stream(
 
         injected.step = step
     # On a busy machine a stream can take longer than a second, which is a lost connection too.
-    timeout = 1.0 if "hang_at_step" in faults else BoardOptions.timeout
-    options = BoardOptions(attempts=2, wait=0, timeout=timeout)
+    timeout, attempts = (1.0, 20) if "hang_at_step" in faults else (BoardOptions.timeout, 2)
+    options = BoardOptions(attempts=attempts, wait=0, timeout=timeout)
     out = tmp_path / "r.json"
     if not survived:
         with pytest.raises(UserError, match=f"stream {stream + 1} ") as error:
