@@ -314,7 +314,7 @@ def test_job_of_a_network_for_several_chips(far_away, tmp_path):
     assert result_in(tmp_path / "bundle", "loihi")["hardware"]["chips"] == 2
 
 
-def test_job_without_arguments_says_how(far_away, tmp_path):
+def test_job_without_arguments_says_how(far_away):
     run = subprocess.run(
         ["bash", str(INRC / "check.sbatch")], env=far_away, capture_output=True, text=True
     )

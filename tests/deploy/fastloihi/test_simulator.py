@@ -247,7 +247,7 @@ def test_without_numba_nengo_loihi_runs_and_one_warning_says_so(monkeypatch):
         assert_same_run(expected, one)
 
 
-def test_numba_that_is_missing_is_found_out(tmp_path):
+def test_numba_that_is_missing_is_found_out():
     code = """
 import sys, warnings
 sys.modules["numba"] = None
