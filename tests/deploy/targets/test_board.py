@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy import interrupts
+from deploy import cli, interrupts
 from deploy.check.bundle import read_bundle
 from deploy.check.results import compare_results, read_result
 from deploy.check.run import run_check
@@ -17,7 +17,7 @@ from deploy.errors import UserError
 from deploy.targets import board as hardware
 from deploy.targets import registry as targets
 from deploy.targets.board import BoardOptions
-from tests.command import missing
+from tests.command import call, missing
 from tests.deploy.networks import (
     bundle_at,
     events_spec,
@@ -345,6 +345,35 @@ def test_mean_power_is_weighted_by_steps():
     )
     assert result["power"]["dynamic_mw"] == pytest.approx(2.0)
     assert result["timing"]["run_seconds_per_sample"] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("command", ["stmnist", "deploy.pyz"])
+def test_a_command_s_options_reach_the_board(nxsdk, bundle, tmp_path, monkeypatch, command):
+    waits, limits, set_timer = [], [], signal.setitimer
+
+    def timer(which, seconds):
+        limits.append(seconds)
+        return set_timer(which, seconds)
+
+    monkeypatch.setattr("time.sleep", waits.append)
+    monkeypatch.setattr(signal, "setitimer", timer)
+    nxsdk.faults.FAULTS.power = {"total": 30.0, "static": 25.0, "dynamic": 5.0, "core": {}}
+    nxsdk.faults.FAULTS.refuse = 10  # NengoLoihi gives up after three, the fourth attempt gets it
+    out = tmp_path / "r.json"
+    place = ("--board", "b", "--partition", "p", "--chips", 2)
+    patience = ("--attempts", 4, "--wait", 200, "--timeout", 432)
+    arguments = (bundle.path, "--target", "loihi", "--out", out, *place, *patience, "--energy")
+    if command == "stmnist":
+        assert call("check", "run", *arguments) == 0
+    else:
+        assert cli.main(["check", *map(str, arguments)]) == 0
+    result = read_result(out)
+    assert result["hardware"] == {
+        "board": "b", "partition": "p", "chips": 2, "connections": 3, "attempts": 6,
+    }  # fmt: skip
+    assert [wait for wait in waits if wait >= 200] == [200, 400, 600]
+    assert set(limits) == {432, 0}
+    assert result["power"]["dynamic_mw"] == 5
 
 
 @pytest.mark.parametrize("wrong", [{"chips": 0}, {"attempts": 0}, {"wait": -1}, {"wait": 86_401}])

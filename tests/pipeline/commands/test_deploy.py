@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from deploy import cli
 from deploy.check.run import run_check
 from tests.command import call, missing
 from tests.deploy.networks import bundle_at, small_spec
@@ -57,6 +58,16 @@ def test_plan_refuses_what_will_not_fit(capsys, tmp_path):
     assert missing(err, "conv1", "1536 compartments", 1024) == []
     assert len(err.strip().splitlines()) == 1
     assert "1536 compartments" in out
+
+
+def test_plan_for_several_chips(capsys, tmp_path):
+    spec = spec_of((2, 3), (2, 3), shape=(20, 20, 1), block_shape=(2, 2, 2))  # 81 + 64 cores
+    large = bundle_at(tmp_path / "bundle", spec.with_presentation(steps=2, readout_start=0), 1)
+    for chips, status in ((1, 2), (2, 0)):
+        found, out, _ = run(capsys, "deploy", "plan", large.path, "--chips", chips)
+        assert found == status
+        assert missing(out, "145 cores") == []
+        assert cli.main(["plan", str(large.path), "--chips", str(chips)]) == status
 
 
 def test_export_with_inputs(bundle, capsys, tmp_path):
