@@ -251,11 +251,6 @@ pip() {{ [ "$1" = install ] && if [ "$2" = -r ]; then [ -f "$3" ]; fi; }}
     }
 
 
-@pytest.mark.parametrize("script", [INRC / "check.sbatch"])
-def test_script_has_no_syntax_error(script):
-    subprocess.run(["bash", "-n", str(script)], check=True)
-
-
 def test_guide_from_end_to_end(home, far_away, tmp_path):
     """Every command of the guide, in its order, with stand-ins for what INRC has."""
     work = tmp_path / "work"

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from deploy.network.blocks import block_shapes, default_block, parts_of, scaled_by_block
 from deploy.network.build import _transform, build
-from deploy.network.chip import LOIHI
 from deploy.network.geometry import windows
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.operations import fan_out, multiply_accumulates
@@ -188,11 +187,6 @@ def test_the_counts_are_those_that_nengo_loihi_makes(layer, more, data):
             assert words <= 1.6 * used["synapse words"] + max(40, np.prod(layer.input_shape))
         assert receiver.axons_from(parts) == used["output axons"]
     assert total == cutting.axons(block)
-
-
-def test_limits_are_the_chips():
-    assert LOIHI.limits["compartments"] == 1024
-    assert LOIHI.weight_levels == 127
 
 
 def test_a_window_along_one_dimension_by_hand():

@@ -28,7 +28,7 @@ from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import EventFrames, ImageCurrent
 from deploy.targets import fast
 from deploy.targets.fast import kernel_numpy
-from deploy.targets.fast.arrays import OVERFLOWS, State
+from deploy.targets.fast.arrays import OVERFLOWS
 from deploy.targets.fast.emulation import Emulation, compile_spec, run_fast
 from deploy.targets.fast.from_nengo import compile_network
 from deploy.targets.registry import run_emulator
@@ -473,12 +473,6 @@ def test_says_what_nengo_loihi_cannot_build():
         output = nengo.Probe(sink)
     with pytest.raises(UserError, match=r"NengoLoihi.*No neurons"):
         compile_network(network, source, output)
-
-
-def test_fresh_state_is_zero():
-    state = State.fresh(compile_spec(paper_spec()).network, 3)
-    assert state.current.shape == (3, 894)
-    assert not any(getattr(state, name).any() for name in vars(state))
 
 
 def test_the_packages_description_names_its_modules():

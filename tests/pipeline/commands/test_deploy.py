@@ -83,14 +83,6 @@ def test_export_with_inputs(bundle, capsys, tmp_path):
         assert arrays["spikes"].shape == (7, 35, 1, 6, 6)
 
 
-def test_export_to_something_else(bundle, capsys, tmp_path):
-    status, _, err = run(
-        capsys, "deploy", "export", bundle.path, "--format", "onnx", "--out", tmp_path / "x"
-    )
-    assert status == 2
-    assert "nir" in err
-
-
 def test_energy(bundle, capsys):
     checks = bundle.path.parent / "checks"
     run_check(bundle, "emulator", checks / "emulator.json")
@@ -116,12 +108,6 @@ def test_check_run_takes_board_options_for_a_board_only(bundle, capsys):
     )
     assert status == 2
     assert missing(err, "--partition", "loihi", "emulator") == []
-
-
-def test_check_run_without_nxsdk(bundle, capsys):
-    status, _, err = run(capsys, "check", "run", bundle.path, "--target", "loihi")
-    assert status == 2
-    assert "NxSDK" in err
 
 
 def test_export_to_lava(bundle, capsys, tmp_path):

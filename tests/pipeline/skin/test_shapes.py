@@ -1,6 +1,5 @@
 """The model of handwriting: drawn from, stored, and estimated from trajectories."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -176,7 +175,3 @@ def test_real_trajectories_as_vectors(shared_data):
         for mine, again in zip(trace.strokes, way.strokes(np.zeros(1), np.zeros(1)), strict=True):
             there = shape_model.resampled(again, len(mine))
             assert np.sqrt(((there - mine) ** 2).sum(1)).mean() < 0.05
-
-
-def test_about_is_json():
-    assert json.loads(str(BUILT_IN.arrays()["about"])) == BUILT_IN.about
