@@ -15,6 +15,12 @@ os.environ["TF_NUM_INTRAOP_THREADS"] = "1"  # as a run on images has it
 # takes TensorFlow a fifth of the time of the tests that make one.
 os.environ["TF_ENABLE_ONEDNN_OPTS"] = "0"
 
+# Without a terminal nothing is drawn or coloured, whatever the shell or a CI system has set.
+os.environ.pop("FORCE_COLOR", None)
+os.environ.pop("NO_COLOR", None)
+os.environ.pop("COLUMNS", None)
+os.environ.pop("TTY_COMPATIBLE", None)
+
 import pytest
 from hypothesis import settings
 

@@ -102,12 +102,13 @@ def test_a_person_whom_the_network_does_not_know(run, person, tmp_path, capsys):
     assert call("adapt", folder, "--data", person, "--json") == 0
 
 
-def test_responses_are_what_the_readout_reads(run):
+@pytest.mark.parametrize("of", ["run", "tiny_run"])
+def test_responses_are_what_the_readout_reads(of, request):
     """Old weights on the responses give the scores of the target itself, and of other targets."""
     from deploy.targets.registry import answer
     from pipeline.run.adaptation import Responder
 
-    bundle = read_bundle(run / "bundle")
+    bundle = read_bundle(request.getfixturevalue(of) / "bundle")
     alone = bundle.spec.with_presentation(stream_length=1)
     readout = bundle.spec.layers[-1]
     scores = Responder(bundle.spec).responses(bundle.checks.inputs) @ readout.weights.T
@@ -126,17 +127,8 @@ def test_of_images(tiny_run, person, tmp_path, capsys):
     assert call("adapt", tiny_run, "--data", person, "--out", tmp_path / "new", "--json") == 0
     result = told(capsys)
     assert result["samples"] == 50
-    if result["bundle"] is not None:
-        assert result["after"] > result["before"]
-        assert read_bundle(result["bundle"]).spec.stimulus.static
-    from deploy.targets.registry import answer
-    from pipeline.run.adaptation import Responder
-
-    bundle = read_bundle(tiny_run / "bundle")
-    alone, readout = bundle.spec.with_presentation(stream_length=1), bundle.spec.layers[-1]
-    scores = Responder(bundle.spec).responses(bundle.checks.inputs) @ readout.weights.T
-    found = answer(alone, bundle.checks.inputs, "fast").scores
-    np.testing.assert_allclose(scores + readout.bias, found, atol=1e-6)
+    assert result["after"] > result["before"] + 0.1
+    assert read_bundle(result["bundle"]).spec.stimulus.static
 
 
 def test_labels_that_are_all_wrong_change_nothing(run, tmp_path, capsys):

@@ -94,7 +94,7 @@ def test_the_ladder_agrees_with_the_results(tiny_run):
     np.testing.assert_allclose(drops, -np.diff(accuracies), atol=1e-12)
 
 
-def test_the_same_seed_trains_the_same_weights(tiny_run, tmp_path, capsys):
+def test_the_same_seed_trains_the_same_weights(tiny_run, tmp_path):
     (tmp_path / "again").mkdir()
     shutil.copy(tiny_run / "experiment.toml", tmp_path / "again")
     assert call("train", tmp_path / "again") == 0

@@ -10,11 +10,12 @@ import threading
 
 import pytest
 
+from deploy import interrupts
 from pipeline.__main__ import QUIET, report_thread_errors
 
 from .command import ROOT, environment, process_of
 
-LINE = "stmnist: interrupted; the same command continues where it stopped"
+LINE = f"stmnist: {interrupts.LINE}"
 
 
 def told(**more):

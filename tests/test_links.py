@@ -2,14 +2,12 @@
 
 import os
 import shutil
-from pathlib import Path
 
 import pytest
 
 from deploy.errors import UserError
 from deploy.files import is_at, locked, locked_folder, replacing
 from pipeline.live.keeping import Keeper
-from pipeline.run.folder import RunFolder
 
 from .command import call
 from .conftest import TINY
@@ -126,11 +124,3 @@ def test_a_lock_that_its_owner_has_just_removed_is_taken_anew(tmp_path, monkeypa
     with locked(path, "taken") as file:
         assert is_at(file, path)
     assert removed
-
-
-def test_a_run_that_is_refused_leaves_nothing(tmp_path, refused):
-    line = refused("train", tmp_path / "run", "--data", tmp_path / "nothing.zip")
-    assert "nothing.zip" in line
-    assert not list(Path(tmp_path).iterdir())
-    with RunFolder(tmp_path / "run").locked():
-        assert (tmp_path / "run" / ".lock").exists()

@@ -76,7 +76,7 @@ def test_other_recordings_are_answered_by_the_same_network(folder, kind, capsys)
     assert json.loads(capsys.readouterr().out)["n_samples"] == 5
 
 
-def test_where_such_results_are_kept(folder, capsys):
+def test_where_such_results_are_kept(folder):
     others = ("--target", "fast", "--data", folder / "people.zip")
     assert call("check", "run", folder / "image", *others) == 0
     (kept,) = (folder / "image" / "checks" / "other").glob("*.json")

@@ -46,6 +46,8 @@ def test_the_same_arrays_make_the_same_bytes(tmp_path):
     write_arrays(tmp_path / "a.npz", x=x, y=y)
     write_arrays(tmp_path / "b.npz", y=y, x=x)
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    with zipfile.ZipFile(tmp_path / "a.npz") as file:
+        assert {member.date_time for member in file.infolist()} == {(1980, 1, 1, 0, 0, 0)}
 
 
 def write_half_and_raise(file, error):

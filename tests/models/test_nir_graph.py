@@ -1,6 +1,5 @@
 """NIR files and graphs are read as data, and what cannot be used is refused by name."""
 
-import contextlib
 import io
 
 import h5py
@@ -166,10 +165,10 @@ def test_files_that_are_no_nir(tmp_path, path):
             read_nir(tmp_path / name)
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["x"] = 1
-    for name in ("other.h5", "missing", "."):
-        with pytest.raises(NirError):
+    for name, fact in (("other.h5", "'node'"), ("missing", "path"), (".", "folder")):
+        with pytest.raises(NirError, match=f"^{tmp_path / name}: .*{fact}"):
             read_nir(tmp_path / name)
-    with pytest.raises(NirError):
+    with pytest.raises(NirError, match=r"'a\\x00b'"):
         read_nir("a\0b")
 
 
@@ -213,14 +212,14 @@ def test_a_node_that_is_a_link_is_named(path):
         read_nir(path)
 
 
-def test_a_group_within_itself_ends(tmp_path, path):
+def test_a_group_within_itself_ends(path):
     with h5py.File(path, "r+") as file:
         file["node/nodes/again"] = file["node"]
     with pytest.raises(NirError, match=" 12 "):
         read_nir(path)
 
 
-def test_huge_arrays_are_not_made(tmp_path, path):
+def test_huge_arrays_are_not_made(path):
     with h5py.File(path, "r+") as file:
         file.create_dataset("node/nodes/huge", (10**6, 10**6), float, chunks=(10, 10))
     with pytest.raises(NirError, match=r"node 'huge' .* 30000000 "):
@@ -228,7 +227,7 @@ def test_huge_arrays_are_not_made(tmp_path, path):
 
 
 @pytest.mark.parametrize(("count", "kind"), [(10**6, h5py.string_dtype()), (500, "S1000000")])
-def test_texts_without_end_are_not_read(tmp_path, path, count, kind):
+def test_texts_without_end_are_not_read(path, count, kind):
     """A few bytes that say so are a million texts, or 500 MB."""
     with h5py.File(path, "r+") as file:
         file.create_dataset("node/nodes/texts", (count,), kind, chunks=(1,))
@@ -284,17 +283,9 @@ def test_a_crash_of_the_reading_process_is_a_line(path, monkeypatch, tmp_path):
         read_nir(path)
 
 
-@pytest.fixture(scope="module")
-def impatient():
-    """A file on which HDF5 would never end is given up soon."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(apart, "MAX_SECONDS", 5)
-        yield
-
-
 @given(st.data())
 @settings(max_examples=15, deadline=None)
-def test_damaged_files_are_read_or_refused(impatient, tmp_path_factory, data):
+def test_damaged_files_are_read_or_refused(tmp_path_factory, data):
     buffer = io.BytesIO()
     nir.write(buffer, small_graph())
     content = bytearray(buffer.getvalue())
@@ -302,8 +293,10 @@ def test_damaged_files_are_read_or_refused(impatient, tmp_path_factory, data):
         content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
     path = tmp_path_factory.mktemp("damaged") / "graph.nir"
     path.write_bytes(content)
-    with contextlib.suppress(NirError):
+    try:
         read_nir(path)
+    except NirError as error:  # not because reading it did not begin, or did not end
+        assert "could not be read in" not in str(error)  # noqa: PT017
 
 
 def test_reading_needs_no_package_nir(path, monkeypatch):

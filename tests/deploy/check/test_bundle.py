@@ -42,6 +42,8 @@ def test_the_files_of_the_contract(bundle):
 
 def test_the_same_inputs_make_the_same_id_and_others_another(bundle, tmp_path):
     assert bundle_at(tmp_path / "again").id == bundle.id
+    with zipfile.ZipFile(bundle.path / "deploy.pyz") as file:
+        assert {member.date_time for member in file.infolist()} == {(1980, 1, 1, 0, 0, 0)}
     assert bundle_at(tmp_path / "other", small_spec(seed=1)).id != bundle.id
     assert bundle_at(tmp_path / "gap", small_spec(gap=6)).id != bundle.id
     assert bundle_at(tmp_path / "more", count=8).id != bundle.id
@@ -109,18 +111,14 @@ def test_a_bundle_of_another_version_without_a_number_of_steps_has_the_default(b
     ("change", "fact"),
     [
         (lambda d: d.update(schema="stmnist-bundle/9"), "'stmnist-bundle/9'"),
-        (lambda d: d.update(dt=0.002), "0.002 s"),
         (lambda d: d["layers"][0].update(pop_type=64), "pop_type"),
-        (lambda d: d["layers"][0].update(shape="abc"), "'a'"),
         (lambda d: d.pop("layers"), "'layers'"),
-        (lambda d: d["presentation"].update(steps=10**5), r"presentation\.steps.* 1 to 10000\b"),
-        (lambda d: d["presentation"].update(gap=10**22), r"presentation\.gap.* 0 to 10000\b"),
         (lambda d: d["layers"][0].update(block_shape=[0, 0, 0]), r"block_shape \(0, 0, 0\)"),
         (lambda d: d["layers"][0].update(block_shape=[1, 2]), r"block_shape \(1, 2\)"),
         (lambda d: d["layers"][0]["neurons"].update(tau_rc=float("nan")), "network.json"),
         (lambda d: d["layers"][0]["neurons"].update(tau_ref=2**70), "tau_ref"),
         (lambda d: d["layers"][0]["neurons"].update(amplitude=float("inf")), "network.json"),
-        (lambda d: d["layers"][0].update(name="x" * 200), "x{100}|name"),
+        (lambda d: d["layers"][0].update(name="x" * 200), "x{100}"),
         (lambda d: d.update(note="mine"), "note"),
         (lambda d: d.update(input_shape=[10**6, 10**6, 1]), "input_shape"),
     ],
@@ -277,10 +275,10 @@ NAN = np.full((7, 6, 6, 1), np.nan, np.float32)
         ({"ids": np.arange(7)}, r"\bids\b"),
         ({"ids": np.array([["a"]] * 7)}, r"\bids\b"),
         ({"inputs": NAN}, "NaN"),
-        ({"inputs": np.full((7, 6, 6, 1), 1e30, np.float32)}, ""),
-        ({"inputs": np.zeros((7, 6, 6, 1), complex)}, ""),
+        ({"inputs": np.full((7, 6, 6, 1), 1e30, np.float32)}, "large"),
+        ({"inputs": np.zeros((7, 6, 6, 1), complex)}, "real"),
         ({"inputs": np.zeros((7, 6, 6, 2))}, r"\(6, 6, 2\)"),
-        ({"seed": [0, 1]}, ""),
+        ({"seed": [0, 1]}, "seed"),
         ({"more": [0]}, "more"),
     ],
 )

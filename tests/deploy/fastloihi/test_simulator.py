@@ -81,10 +81,40 @@ def test_the_networks_on_which_the_target_fast_is_tried(seed):
     assert_same_run(*runs)
 
 
-@pytest.mark.parametrize("precompute", [True, False])
-def test_precomputed_or_not(precompute):
-    expected = run(nengo_loihi.Simulator, channel, precompute=precompute)
-    assert_same_run(expected, run(FastSimulator, channel, precompute=precompute))
+def clear(simulator):
+    simulator.clear_probes()
+    with pytest.raises(NotImplementedError):
+        simulator.reset()
+
+
+def change(simulator):
+    state = simulator.sims["emulator"].compartment
+    state.voltage[::3] = 0
+    state.bias[::2] += 5
+    state.current = np.arange(len(state.current), dtype=np.int32)
+    state.ref_count = np.full(len(state.current), 2, np.int32)
+
+
+def draw(simulator):
+    simulator.sims["emulator"].rng.randint(5, size=3)
+
+
+CHIPS = {"n_chips": 2, "snip_max_spikes_per_step": 4}
+OPTIONS = {
+    "precomputed": (channel, {"precompute": True}),
+    "not precomputed": (channel, {"precompute": False}),
+    "steps of 2 ms": (channel, {"dt": 0.002}),
+    "options of the hardware": (channel, {"hardware_options": CHIPS}),
+    "probes are cleared and a reset is refused": (channel, {"after_first": clear}),
+    "state is changed in place or by a new array": (channel, {"after_first": change}),
+    "random numbers are drawn between steps": (learning, {"after_first": draw}),
+}
+
+
+@pytest.mark.parametrize(("make", "options"), OPTIONS.values(), ids=OPTIONS)
+def test_options_and_changes_are_those_of_nengo_loihi(make, options):
+    expected = run(nengo_loihi.Simulator, make, **options)
+    assert_same_run(expected, run(FastSimulator, make, **options))
 
 
 @pytest.mark.parametrize("remove_passthrough", [True, False])
@@ -98,15 +128,6 @@ def test_nodes_are_removed_or_not(remove_passthrough, monkeypatch):
             simulator.run_steps(steps)
         assert type(chip.fast) is FastEmulator
         assert chip.compartment.spike_count.any()
-
-
-@pytest.mark.parametrize(
-    "options",
-    [{"dt": 0.002}, {"hardware_options": {"n_chips": 2, "snip_max_spikes_per_step": 4}}],
-)
-def test_options_are_those_of_nengo_loihi(options):
-    expected = run(nengo_loihi.Simulator, channel, **options)
-    assert_same_run(expected, run(FastSimulator, channel, **options))
 
 
 @pytest.mark.parametrize("loop", [True, False])
@@ -127,16 +148,6 @@ def test_a_simulator_goes_on_after_an_error_on_the_host(loop):
             simulator.run_steps(15)
             runs.append(([simulator.data[probe]], state_of(simulator.sims["emulator"])))
     assert_same_run(*runs)
-
-
-def test_probed_values_can_be_cleared_and_reset_is_refused():
-    def clear(simulator):
-        simulator.clear_probes()
-        with pytest.raises(NotImplementedError):
-            simulator.reset()
-
-    expected = run(nengo_loihi.Simulator, channel, after_first=clear)
-    assert_same_run(expected, run(FastSimulator, channel, after_first=clear))
 
 
 @pytest.mark.parametrize("make", [channel, learning, convolution])
@@ -180,18 +191,6 @@ def test_a_node_on_the_host_sees_the_state_of_every_step():
             assert np.array_equal(expected, found)
 
 
-def test_state_may_be_changed_in_place_or_by_a_new_array():
-    def change(simulator):
-        state = simulator.sims["emulator"].compartment
-        state.voltage[::3] = 0
-        state.bias[::2] += 5
-        state.current = np.arange(len(state.current), dtype=np.int32)
-        state.ref_count = np.full(len(state.current), 2, np.int32)
-
-    expected = run(nengo_loihi.Simulator, channel, after_first=change)
-    assert_same_run(expected, run(FastSimulator, channel, after_first=change))
-
-
 def test_what_is_compiled_in_cannot_be_changed_unnoticed():
     with FastSimulator(channel()[0]) as simulator:
         chip = simulator.sims["emulator"]
@@ -199,14 +198,6 @@ def test_what_is_compiled_in_cannot_be_changed_unnoticed():
             chip.compartment.decay_u[0] = 1
         with pytest.raises(ValueError, match="read-only"):
             next(s for s in chip.synapses.slices if not s.learning).weights[0][0, 0] = 1
-
-
-def test_random_numbers_may_be_drawn_between_steps():
-    def draw(simulator):
-        simulator.sims["emulator"].rng.randint(5, size=3)
-
-    expected = run(nengo_loihi.Simulator, learning, after_first=draw)
-    assert_same_run(expected, run(FastSimulator, learning, after_first=draw))
 
 
 def test_a_closed_one_refuses_as_ever():
@@ -247,7 +238,7 @@ def test_without_numba_nengo_loihi_runs_and_one_warning_says_so(monkeypatch):
         assert_same_run(expected, one)
 
 
-def test_numba_that_is_missing_is_found_out(tmp_path):
+def test_numba_that_is_missing_is_found_out():
     code = """
 import sys, warnings
 sys.modules["numba"] = None

@@ -12,6 +12,7 @@ from tests.command import ROOT
 def test_levels_by_hand():
     """8 bits with a sign reach 127; decays are parts of 4096, so at most 4095 of them."""
     assert (LOIHI.weight_levels, LOIHI.decay_unit, LOIHI.decay_levels) == (127, 4096, 4095)
+    assert LOIHI.limits["compartments"] == 1024
 
 
 def test_words_of_a_list_by_hand():

@@ -91,15 +91,6 @@ def test_input_spikes_are_the_encoders():
     np.testing.assert_array_equal(spikes.sum((1, 2, 3, 4)), counted)
 
 
-def test_same_bytes_for_the_same_network_but_for_hdf5(tmp_path):
-    for name in "ab":
-        write_nir(tmp_path / name, paper_spec())
-    a, b = (nir.read(str(tmp_path / name)) for name in "ab")
-    for key, node in a.nodes.items():
-        if hasattr(node, "weight"):
-            np.testing.assert_array_equal(node.weight, b.nodes[key].weight)
-
-
 def test_without_the_package(monkeypatch, tmp_path):
     monkeypatch.setitem(__import__("sys").modules, "nir", None)
     with pytest.raises(UserError, match="needs the package nir"):

@@ -123,15 +123,17 @@ def changed(path, value):
         (("layers", 0, "shape"), "abc", "'a'"),
         (("layers", 0, "input_shape"), [10, 10], r"input_shape \(10, 10\)"),
         (("layers", 1, "input_shape"), [7, 7, 5], "layer 'conv2'"),
-        (("layers", 1, "name"), "conv1", "weights|name"),
+        (("layers", 1, "name"), "conv1", "'conv1': weights"),  # reads the arrays of the other
         (("layers", 2, "shape"), [9], r"weights.*\(10, 600\).*\(9, 600\)"),
         (("input_shape",), [10, 10, 2], r"layer 'conv1': input_shape.*\(10, 10, 2\)"),
         (("stimulus", "max_rate"), 2000, "max_rate.* 1000"),
         (("stimulus", "initial_phase"), 1, "initial_phase"),
         (("stimulus", "kind"), "film", "'film'.*image-spikes"),
         (("presentation", "steps"), 0, "'presentation.steps'.* 1 to 10000"),
+        (("presentation", "steps"), 10**5, r"'presentation.steps'.* 1 to 10000\b"),
         (("presentation", "steps"), 40.5, "'presentation.steps'"),
         (("presentation", "gap"), -1, "'presentation.gap'.* 0 to 10000"),
+        (("presentation", "gap"), 10**22, r"'presentation.gap'.* 0 to 10000\b"),
         (("presentation", "readout_start"), 100, r"'presentation.readout_start'.*\(100\)"),
         (("presentation", "stream_length"), 0, "'presentation.stream_length'.* 1 to"),
         (("presentation", "stream_length"), True, "'presentation.stream_length'"),
@@ -175,7 +177,12 @@ def test_the_order_of_the_layers():
         NetworkSpec(
             stimulus=ImageSpikes(), layers=(replace(conv1, name="input"), conv2, output), **common
         )
-    with pytest.raises(UserError):  # an image as a current goes only into a layer on the host
+    for name, fact in (("conv1", "two .* name"), ("x" * 200, "short"), ("", "short")):
+        with pytest.raises(UserError, match=f"network: .*{fact}"):
+            NetworkSpec(
+                stimulus=ImageSpikes(), layers=(conv1, replace(conv2, name=name), output), **common
+            )
+    with pytest.raises(UserError, match=r"network: .*current.* host"):
         NetworkSpec(stimulus=ImageCurrent(), layers=(conv1, conv2, output), **common)
     assert isinstance(conv1, Layer)
     assert conv1.size == 64

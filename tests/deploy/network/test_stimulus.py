@@ -94,17 +94,6 @@ def test_operations_of_events_by_hand():
     assert operations["conv1"].tolist() == [2 * 4]
 
 
-def test_no_event_no_spike():
-    """Silent for as long as nothing is touched, where no bias makes a neuron fire by itself."""
-    spec = events_spec()
-    layers = [replace(layer, bias=0 * layer.bias) for layer in spec.layers]
-    spec = replace(spec, layers=layers)
-    built = build(spec)
-    with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
-        (shown,) = show(built, sim, spec.stimulus.flat(random_frames(spec, 1, share=0)))
-    assert not any(rows.any() for rows in shown.spikes.values())
-
-
 def test_worst_case_counts_an_event_a_step():
     assert EventFrames().shortest_interval == 1
     assert ImageSpikes(250.0).shortest_interval == 4

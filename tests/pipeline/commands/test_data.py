@@ -3,18 +3,22 @@
 import json
 import re
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from deploy.files import read_json
 from pipeline.recordings.archive import read_source
 from pipeline.recordings.own import write_recordings
 from pipeline.settings import Settings, parse_assignments
-from pipeline.skin import aces
+from pipeline.skin import aces, unipen
 from tests.command import call, missing
+from tests.deploy.networks import bundle_at
 from tests.own_sensor import CLASSES, gestures
 from tests.pipeline.handmade import archive as archive_of
 from tests.pipeline.handmade import good_members
+from tests.pipeline.skin.test_shapes import people
 
 SEVENS = """\
 .SEGMENT DIGIT 0 ? "7"
@@ -158,6 +162,30 @@ def test_recordings_that_were_not_simulated_are_not_replaced(archive, tmp_path, 
     assert call("data", "export", theirs, mine) == 0
     assert call("data", "simulate", "--out", archive, *few) == 0
     assert len(read_source(archive, jobs=1)) == 10
+
+
+@pytest.mark.parametrize(
+    ("arguments", "result"),
+    [
+        ("data simulate --out OUT --samples-per-digit 1 --jobs 1", Path.read_bytes),
+        ("data handwriting PEN --out OUT", Path.read_bytes),
+        ("data aces --trials 1 --json", None),  # is printed
+        ("check run BUNDLE --target emulator --out OUT", lambda out: read_json(out, "")["seed"]),
+    ],
+    ids=["simulate", "handwriting", "aces", "check"],
+)
+def test_another_seed_gives_another_result(arguments, result, tmp_path, capsys, monkeypatch):
+    places = {name: tmp_path / f"{name.lower()}.zip" for name in ("OUT", "PEN", "BUNDLE")}
+    places["PEN"].touch()
+    monkeypatch.setattr(unipen, "read", lambda path: people(writers=9))
+    bundle_at(places["BUNDLE"], count=1)
+
+    def of(seed):
+        assert call(*(places.get(word, word) for word in arguments.split()), "--seed", seed) == 0
+        printed = capsys.readouterr().out
+        return printed if result is None else result(places["OUT"])
+
+    assert of(1) == of(1) != of(2)
 
 
 def test_aces(capsys, monkeypatch):

@@ -50,11 +50,6 @@ def test_a_section_given_a_value_beside_an_option_is_refused(tmp_path, option, g
         pass
 
 
-def test_a_mistyped_setting_is_answered_with_the_one_that_was_meant(tmp_path, capsys):
-    assert call("ladder", tmp_path / "run", "--set", "cnn.epoch=5") == 2
-    assert "'cnn.epochs'" in capsys.readouterr().err
-
-
 def test_an_option_that_is_a_setting_s_name(tmp_path, capsys):
     assert call("ladder", tmp_path / "run", "--epochs", 5) == 2
     assert "--set cnn.epochs=5" in capsys.readouterr().err

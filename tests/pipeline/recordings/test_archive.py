@@ -1,4 +1,5 @@
 import os
+import re
 import zipfile
 from dataclasses import replace
 
@@ -227,6 +228,10 @@ def test_the_same_recordings_make_the_same_bytes(tmp_path):
     write_zip(tmp_path / "b.zip", recordings)
     assert (tmp_path / "a.zip").read_bytes() == (tmp_path / "b.zip").read_bytes()
     assert content_hash(tmp_path / "a.zip") == content_hash(tmp_path / "b.zip")
+    with zipfile.ZipFile(tmp_path / "a.zip") as file:
+        assert {member.date_time for member in file.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+        (mat, *_) = (name for name in file.namelist() if name.endswith(".mat"))
+        assert not re.search(rb"\d{4}", file.read(mat)[:116])  # no year
 
 
 def test_the_hash_of_a_folder_follows_its_content(tmp_path):

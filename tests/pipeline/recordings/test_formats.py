@@ -119,19 +119,19 @@ def test_a_camera_s_file_is_read(tmp_path, suffix, version):
 @pytest.mark.parametrize(("name", "content", "fact"), [
     ("a.bin", nmnist()[:-1], "N-MNIST"),
     ("a.aedat", b"x", "AEDAT"),
-    ("a.aedat", aedat3()[:-1], ""),
-    ("a.aedat", aedat3()[:60], ""),
+    ("a.aedat", aedat3()[:-1], "short"),
+    ("a.aedat", aedat3()[:60], "short"),
     ("a.aedat", b"#!AER-DAT3.1\r\n#!END-HEADER\r\n", "empty"),
     ("a.csv", b"1,2,3,4\n1,2,3", "line"),
     ("a.csv", b"\xff", "UTF-8"),
     ("a.csv", b"x,y,t\n1,2,3", "'p'"),
     ("a.npy", npy(np.zeros((2, 5))), r"\(2, 5\)"),
-    ("a.npy", npy(X)[:-1], ""),
+    ("a.npy", npy(X)[:-1], "damaged"),
     ("a.npz", npz(x=X, y=Y, t=T), "'p'"),
     ("a.npz", npz(x=X, y=Y, t=T, p=[-1, 0, 1, 0]), "p has -1, 0 and 1"),
 ])  # fmt: skip
 def test_a_damaged_file_is_refused(name, content, fact):
-    with pytest.raises(BadRecording, match=fact or None):
+    with pytest.raises(BadRecording, match=fact):
         read_events(content, name)
 
 

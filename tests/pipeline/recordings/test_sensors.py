@@ -360,7 +360,7 @@ def test_a_simulated_skin_of_another_size():
         assert wide >= 0.6 * size
 
 
-def test_simulated_recordings_of_another_size_travel(tmp_path, capsys):
+def test_simulated_recordings_of_another_size_travel(tmp_path):
     path = tmp_path / "skin.zip"
     assert call("data", "simulate", "--out", path, "--samples-per-digit", 2, "--rows", 12,
                 "--columns", 15, "--jobs", 1) == 0  # fmt: skip

@@ -1,6 +1,5 @@
 """The model of handwriting: drawn from, stored, and estimated from trajectories."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -78,7 +77,7 @@ def test_what_hardly_anybody_does_is_left_out():
 
 
 def test_too_few_people():
-    with pytest.raises(ValueError, match="4"):
+    with pytest.raises(ValueError, match=r"no .* 4$"):
         shape_fit.estimate(people(digits=[d for d in range(10) if d != 4]))
 
 
@@ -176,7 +175,3 @@ def test_real_trajectories_as_vectors(shared_data):
         for mine, again in zip(trace.strokes, way.strokes(np.zeros(1), np.zeros(1)), strict=True):
             there = shape_model.resampled(again, len(mine))
             assert np.sqrt(((there - mine) ** 2).sum(1)).mean() < 0.05
-
-
-def test_about_is_json():
-    assert json.loads(str(BUILT_IN.arrays()["about"])) == BUILT_IN.about

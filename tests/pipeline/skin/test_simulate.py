@@ -16,7 +16,7 @@ from pipeline.recordings.events import (
 )
 from pipeline.skin import parameters
 from pipeline.skin.handwriting import Trace
-from pipeline.skin.simulate import simulate, source_of
+from pipeline.skin.simulate import _samples, simulate, source_of
 
 FEW = [8] * 10
 
@@ -57,9 +57,10 @@ def test_labels_ids_writers_and_source(recordings):
 
 
 def test_every_writer_writes_every_digit_about_thirty_times():
-    for count in SAMPLES_PER_DIGIT:
-        each = np.bincount(np.arange(count) * 23 // count)
-        assert len(each) == 23
+    samples = _samples(0, SAMPLES_PER_DIGIT, 23, None)
+    for digit, count in enumerate(SAMPLES_PER_DIGIT):
+        each = np.bincount([sample.writer for sample in samples if sample.digit == digit])
+        assert (len(each), sum(each)) == (23, count)
         assert set(each) <= {30, 31}
 
 

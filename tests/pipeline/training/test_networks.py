@@ -60,6 +60,7 @@ def test_rate_networks_learn(cnn, stripes, recipe):
     assert accuracy(trained.logits(images), labels) > 0.9
 
 
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="only one core is allowed")
 def test_the_number_of_cores_does_not_matter(stripes, tmp_path):
     """The weights of a process on one core in another that has all, both as a user starts them."""
     np.savez(tmp_path / "data.npz", *stripes)
