@@ -564,6 +564,12 @@ def read_arrays(path, remedy, most=limits.ARRAY_BYTES):
     return arrays
 
 
+def copy_file(source, to):
+    """Copy a file's content, completely or not at all."""
+    with open_regular(source) as content, replacing(to) as file:
+        shutil.copyfileobj(content, file)
+
+
 def sha256_of(path, most=limits.FILE_BYTES):
     """Hexadecimal SHA-256 of a file's content.
 

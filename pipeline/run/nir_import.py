@@ -5,7 +5,6 @@ The run has a copy of the graph, ``snn/network.nir``, from which everything else
 
 from __future__ import annotations
 
-import shutil
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
-from deploy.files import replacing
+from deploy.files import copy_file
 from deploy.network.chip import LOIHI
 from deploy.network.decision import choose_threshold, delayed
 from deploy.network.stimulus import last_steps
@@ -94,8 +93,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     if source != folder / GRAPH:
         for record in ("metrics.json", "training.json", "history.csv"):  # of the previous network
             (folder / record).unlink(missing_ok=True)
-        with replacing(folder / GRAPH) as file, open(source, "rb") as graph:
-            shutil.copyfileobj(graph, file)
+        copy_file(source, folder / GRAPH)
     metrics["seconds"] = time.perf_counter() - begun
     say(
         f"nir: {part} accuracy of the graph {accuracy:.3f} on {len(index)} samples, "

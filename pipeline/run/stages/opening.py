@@ -104,7 +104,7 @@ def _refuse_useless_network(run, settings, dataset):
     if name == "nir":
         graph_for(artifact.folder, settings, dataset)
     else:
-        take_over(settings, dataset)
+        take_over(artifact.folder, settings, dataset)
 
 
 def dataset_artifact(run: RunFolder, origin: Origin) -> Artifact:

@@ -12,6 +12,7 @@ from deploy.files import sha256_of
 from models.own import ModelFileError, read_own_model
 from pipeline.inputs.dataset import Dataset
 from pipeline.run.given_networks import GIVE_MODEL_AGAIN
+from pipeline.run.nir_settings import is_file
 from pipeline.settings import Settings
 
 LEAST_KNOWN = 0.15
@@ -70,26 +71,39 @@ def settings_of_model(path: Path, retrain: bool = False) -> dict:
     }
 
 
-def take_over(settings: Settings, dataset: Dataset) -> tuple:
+def copy_of_model(folder: Path, settings: Settings) -> Path:
+    """The run's copy of the user's model, in the folder of the CNN."""
+    return folder / f"model{Path(settings.cnn.model).suffix.lower()}"
+
+
+def take_over(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
     """Use the user's model instead of the CNN; it must be better than chance.
+
+    The run's copy is used if the user's file has changed or cannot be read, for example on another
+    machine.
 
     Parameters
     ----------
+    folder : Path
+        Folder of the CNN.
     settings : Settings
         Settings from :func:`settings_of_model`.
     dataset : Dataset
 
     Returns
     -------
-    TrainedCNN, sequence of str
-        The network, and messages about it.
+    Path, TrainedCNN, sequence of str
+        The file that was read, the network, and messages about it.
 
     Raises
     ------
     UserError
-        The model cannot be read, has changed, or is not better than chance.
+        The model cannot be read or has changed, and the run has no copy; or it is not better than
+        chance.
     """
-    path = Path(settings.cnn.model)
+    path, copy = Path(settings.cnn.model), copy_of_model(folder, settings)
+    if not is_file(path, settings.cnn.model_sha256) and copy.exists():
+        path = copy
     model, sha256 = read_model(path)
     if sha256 != settings.cnn.model_sha256 or str(model.architecture) != settings.cnn.architecture:
         raise UserError(f"{path}: has changed; {GIVE_MODEL_AGAIN}")
@@ -107,7 +121,8 @@ def take_over(settings: Settings, dataset: Dataset) -> tuple:
             "train it on tactile images as [image] in the settings makes them, with the classes in "
             "the same order"
         )
-    return (taken, model.notes) if scale == 1 else (taken, (*model.notes, _scale_note(scale)))
+    notes = model.notes if scale == 1 else (*model.notes, _scale_note(scale))
+    return path, taken, notes
 
 
 def _usual_scale(settings, weights, images) -> tuple:

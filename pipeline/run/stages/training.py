@@ -9,7 +9,7 @@ import numpy as np
 
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
-from deploy.files import read_arrays, reporting_damage, write_arrays
+from deploy.files import copy_file, read_arrays, reporting_damage, write_arrays
 from deploy.network.decision import Estimator
 from models.architecture import parse
 from pipeline.artifacts import Artifact, Library, Origin
@@ -30,7 +30,7 @@ from pipeline.run.origins import (
     rates_origin,
     threshold_origin,
 )
-from pipeline.run.stages.own_model import take_over
+from pipeline.run.stages.own_model import copy_of_model, take_over
 from pipeline.settings import Settings
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.threads import one_thread_each
@@ -135,9 +135,12 @@ def _read_graph(artifact, place, settings, dataset, say):
 def _train_cnn(artifact, place, settings, dataset, say):
     """Train the CNN, or read the user's own."""
     if settings.cnn.model:
-        trained, notes = take_over(settings, dataset)
+        path, trained, notes = take_over(artifact.folder, settings, dataset)
         for note in notes:
             say(f"cnn: {note}")
+        copy = copy_of_model(artifact.folder, settings)
+        if path != copy:
+            copy_file(path, copy)
         seconds = 0.0
     else:
         from pipeline.training.networks import train_cnn  # TensorFlow takes seconds to import

@@ -159,6 +159,11 @@ def test_a_later_version_and_another_split_are_reported(run, files, tmp_path, ca
     assert "this split" in capsys.readouterr().err
     assert call("convert", copy, "--set", "snn.max_rates=[150]") == 0
     assert "this split" not in capsys.readouterr().err
+    path.rename(tmp_path / "away")  # as on another machine
+    try:
+        assert call("convert", copy, "--seed", 2) == 0
+    finally:
+        (tmp_path / "away").rename(path)
 
 
 def test_retraining_starts_from_the_model(files, tmp_path):
