@@ -57,7 +57,6 @@ def table2(
     """
     names = _names(models)
     with options.opened(out, given) as (folder, resolved):
-        resolved = options.suited(resolved, workers)
         found = measure_table(folder, resolved, names, kind, splits, workers, options.say)
     options.conclude(found, table_text, as_json)
 

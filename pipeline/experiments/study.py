@@ -23,9 +23,11 @@ from pipeline.inputs.dataset import Dataset, dataset_origin, require_recordings_
 from pipeline.inputs.library import recordings_of
 from pipeline.jobs import Failure, attempt, run_jobs
 from pipeline.progress import hidden, progress
+from pipeline.recordings.events import Recordings
 from pipeline.run import stages
+from pipeline.run.fitting import fitted
 from pipeline.run.folder import RunFolder
-from pipeline.settings import Settings
+from pipeline.settings import SIMULATED, Settings
 
 
 @dataclass(frozen=True)
@@ -308,6 +310,45 @@ def on_split(settings: Settings, seed: int) -> Settings:
     """The settings of an experiment's split: a separate seed, no validation part."""
     split = replace(settings.split, validation_fraction=0.0)
     return replace(settings, seed=seed, split=split)
+
+
+def fitted_to_inputs(settings: Settings, kinds, recordings: Recordings, say: Callable) -> dict:
+    """Adapt settings to recordings that are not simulated, for each kind of input.
+
+    Parameters
+    ----------
+    settings : Settings
+    kinds : iterable of str
+        Values of ``input.kind``.
+    recordings : Recordings
+        Recordings that the settings name.
+    say : callable
+        Called with a message about each chosen setting.
+
+    Returns
+    -------
+    dict of str to Settings
+        By kind.  Each has the architectures of all kinds, and the presentation of its own.
+
+    Raises
+    ------
+    SeveralErrors
+        With a line for each reason why the settings do not fit the recordings.
+    """
+    found = {kind: on_input(settings, kind) for kind in kinds}
+    if settings.data.source == SIMULATED:
+        return found
+    found = {
+        kind: fitted(of_kind, say=say, recordings=recordings) for kind, of_kind in found.items()
+    }
+    sections = {"image": "cnn", "events": "events"}
+    trained = {sections[kind]: getattr(of, sections[kind]) for kind, of in found.items()}
+    return {kind: replace(of_kind, **trained) for kind, of_kind in found.items()}
+
+
+def on_input(settings: Settings, kind: str) -> Settings:
+    """The settings with another ``input.kind``."""
+    return replace(settings, input=replace(settings.input, kind=kind))
 
 
 def measure_splits(

@@ -15,7 +15,7 @@ import numpy as np
 from deploy.errors import UserError
 from deploy.targets.registry import answer
 from pipeline.artifacts import Origin
-from pipeline.experiments.study import Task, on_split, silent
+from pipeline.experiments.study import Task, on_input, on_split, silent
 from pipeline.inputs.dataset import dataset_origin
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.paper import TABLE2
@@ -101,6 +101,8 @@ class Benchmark:
         Number of splits of each kind.
     models : tuple of str
         Keys of :data:`MODELS`.
+    on_events : Settings, optional
+        The settings of models on events, if these need another presentation.
     """
 
     settings: Settings
@@ -109,6 +111,7 @@ class Benchmark:
     kinds: tuple
     splits: int
     models: tuple
+    on_events: Settings | None = None
 
     def groups(self) -> list:
         """The requested results in groups that share trained networks.
@@ -132,12 +135,24 @@ class Benchmark:
 
     def task(self, kind: str, index: int, model: str) -> Task:
         """The result of a model on a split."""
-        settings = on_split(self.settings, self.settings.seed + index)
-        settings = settings_of(settings, model)
+        settings = on_split(self.settings_of(model), self.settings.seed + index)
         origin = result_origin(settings, dataset_origin(settings, self.source_sha256, kind), model)
         name, file = f"{model}, {kind} split {index}", split_file(kind, index, model)
         more = {"split": kind, "subject": model}
         return Task.of(self.folder, file, name, origin, settings, self.source_sha256, **more)
+
+    def settings_of(self, model: str) -> Settings:
+        """The settings with the input and the recipe of a model."""
+        settings = self.settings
+        if model in ON_EVENTS and self.on_events is not None:
+            settings = self.on_events
+        settings = on_input(settings, input_of(model))
+        if model == "slayer-small":
+            slayer = replace(settings.slayer, conv_scale=SMALL_CONV_SCALE)
+            settings = replace(settings, slayer=slayer)
+        if recipe := MODELS[model].recipe:
+            settings = replace(settings, snn=replace(settings.snn, recipe=recipe))
+        return settings
 
     def results(self, kind: str, model: str) -> list:
         """The current results of a model, whether requested now or earlier."""
@@ -150,16 +165,9 @@ class Benchmark:
         return found
 
 
-def settings_of(settings: Settings, model: str) -> Settings:
-    """The settings of a split with the input and the recipe of a model."""
-    kind = "events" if model in ON_EVENTS else "image"
-    settings = replace(settings, input=replace(settings.input, kind=kind))
-    if model == "slayer-small":
-        slayer = replace(settings.slayer, conv_scale=SMALL_CONV_SCALE)
-        settings = replace(settings, slayer=slayer)
-    if recipe := MODELS[model].recipe:
-        settings = replace(settings, snn=replace(settings.snn, recipe=recipe))
-    return settings
+def input_of(model: str) -> str:
+    """The ``input.kind`` of a model's settings."""
+    return "events" if model in ON_EVENTS else "image"
 
 
 def result_origin(settings: Settings, dataset: Origin, model: str) -> Origin:
@@ -168,7 +176,7 @@ def result_origin(settings: Settings, dataset: Origin, model: str) -> Origin:
     Parameters
     ----------
     settings : Settings
-        From :func:`settings_of`.
+        From :meth:`Benchmark.settings_of`.
     dataset : Origin
     model : str
     """

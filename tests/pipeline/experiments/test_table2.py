@@ -14,9 +14,10 @@ from pipeline.experiments.study import Workers
 from pipeline.experiments.table2 import summarise, table_text
 from pipeline.experiments.table2_splits import MODELS, checkpoint_of
 from pipeline.jobs import Failure
+from pipeline.recordings.own import write_recordings
 from pipeline.settings import Settings, read_settings
 from tests.command import call
-from tests.own_sensor import write_folder
+from tests.own_sensor import CLASSES, gestures, write_folder
 from tests.untraced import untraced
 
 
@@ -285,6 +286,54 @@ def test_slayer_on_own_recordings_needs_no_architecture(tmp_path, capsys):
     (row,) = json.loads(said.out)["rows"]
     assert (row["model"], row["n_test"]) == ("slayer", 6)  # a fifth of 32
     assert read_settings(out / "experiment.toml").slayer.architecture == "9x12x2-6c4-24c3-4o"
+
+
+def made_up(task):
+    """A result of a model on a split, without a training."""
+    return {
+        "simulated": False,
+        "n_train": 24,
+        "n_test": 2,
+        "accuracy": 0.5,
+        "samples": [0, 1],
+        "labels": [0, 1],
+        "predictions": [0, 0],
+        "seconds": 1.0,
+    }
+
+
+def test_events_and_images_of_own_recordings_are_presented_differently(
+    tmp_path, monkeypatch, capsys
+):
+    """Events as long as the recordings last, images with the steps of the settings."""
+    out, asked = tmp_path / "out", {}
+
+    def measure(task):
+        asked[task.subject] = task.settings
+        return made_up(task)
+
+    monkeypatch.setattr(table2_command, "measure", measure)
+    long = [((x, y, 3 * t, p), label) for (x, y, t, p), label in gestures(4)]  # up to 5.85 s
+    data = write_recordings(tmp_path / "own.zip", long, CLASSES)
+    few = ("--splits", "1", "--jobs", "1", "--json")
+    status, said = run(
+        capsys, "--out", out, "--models", "ann-snn,events", "--data", str(data), *few
+    )
+    assert status == 0, said.err
+    lasts = 1000 * max(t[-1] - t[0] for (_, _, t, _), _ in long)
+    step = asked["events"].input.step
+    assert lasts < asked["events"].steps * step <= lasts + step
+    assert asked["ann-snn"].presentation.steps == 0
+    kept = read_settings(out / "experiment.toml")
+    assert kept.presentation == Settings().presentation
+    assert kept.cnn.architecture == "9x12-6c4-24c3-4o"
+    assert kept.events.architecture.startswith("9x12x2-")
+    assert "merged into one spike" in said.err
+    # A later command for other rows keeps those on events.
+    status, said = run(capsys, "--out", out, "--models", "cnn", *few)
+    assert status == 0, said.err
+    rows = [(row["model"], row["per_split"]) for row in json.loads(said.out)["rows"]]
+    assert rows == [("cnn", [0.5]), ("ann-snn", [0.5]), ("events", [0.5])]
 
 
 def test_what_takes_long_is_only_run_if_asked_for():
