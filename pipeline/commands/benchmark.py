@@ -63,7 +63,6 @@ def table2(
 
 def _measure(experiment, out, splits, given, workers, as_json):
     with options.opened(out, given) as (folder, resolved):
-        resolved = options.suited(resolved, workers)
         found = measure_splits(experiment, folder, resolved, splits, workers, options.say)
     options.conclude(found, experiment.text, as_json)
 

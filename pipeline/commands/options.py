@@ -22,7 +22,7 @@ from pipeline.run.places import (
     refuse_other_folders,
     similar_run,
 )
-from pipeline.settings import SIMULATED, Settings, parse_assignments, put
+from pipeline.settings import SIMULATED, parse_assignments, put
 
 
 def between(low: int, high: int):
@@ -238,26 +238,6 @@ def fit_recordings(jobs: int, until: str):
         return chosen
 
     return fit
-
-
-def suited(settings: Settings, workers):
-    """The settings of an experiment, adapted to recordings that are not simulated.
-
-    Parameters
-    ----------
-    settings : Settings
-    workers : pipeline.experiments.study.Workers
-
-    Raises
-    ------
-    SeveralErrors
-        With a line for each reason why the settings do not fit the recordings.
-    """
-    from pipeline.run.fitting import fitted
-
-    if settings.data.source == SIMULATED:
-        return settings
-    return fitted(settings, workers.processes, say)
 
 
 def _ask_about_a_similar_name(path, data):

@@ -291,6 +291,8 @@ class Experiment:
         Subjects that are measured on each split.
     refuse : callable
         Called with the settings; raises UserError if nothing can be measured with them.
+    other_inputs : tuple of str
+        Kinds of input of networks that are trained in addition to those of the settings.
     """
 
     name: str
@@ -300,6 +302,11 @@ class Experiment:
     text: Callable
     subjects: tuple = ("",)
     refuse: Callable = lambda settings: None
+    other_inputs: tuple = ()
+
+    def inputs(self, settings: Settings) -> tuple:
+        """Kinds of input of the networks that are trained with the settings."""
+        return tuple(dict.fromkeys((settings.input.kind, *self.other_inputs)))
 
 
 CNN_SETTINGS = ("image", "cnn.architecture", "cnn.epochs", "cnn.batch_size", "cnn.learning_rate")
@@ -375,13 +382,16 @@ def measure_splits(
     Raises
     ------
     UserError
-        The recordings cannot be read, or the experiment refuses the settings.
+        The recordings cannot be read or do not fit, or the experiment refuses the settings.
     CheckFailed
         Every measurement failed.
     """
     experiment.refuse(settings)
-    recordings = recordings_of(settings, workers.processes)
-    require_recordings_fit(recordings, settings)
+    recordings = recordings_of(settings, workers.processes, say)
+    fits = fitted_to_inputs(settings, experiment.inputs(settings), recordings, say)
+    for of_kind in fits.values():
+        require_recordings_fit(recordings, of_kind)
+    settings = fits[settings.input.kind]
     folder.save_settings(settings)
     sha256, groups = recordings.source.sha256, []
     for seed in range(settings.seed, settings.seed + splits):
