@@ -175,8 +175,9 @@ def summarise(benchmark: Benchmark, failures=None) -> dict:
     Returns
     -------
     dict
-        Plain values: ``simulated``, ``splits`` (the requested number), ``rows`` (those of random
-        splits, the paper's protocol), ``writer_rows``, ``comparisons``, ``failures``.
+        Plain values: ``simulated``, ``settings``, ``splits`` (the requested number), ``rows``
+        (those of random splits, the paper's protocol), ``writer_rows``, ``comparisons``,
+        ``failures``.
     """
     results = {(kind, name): benchmark.results(kind, name) for kind in KINDS for name in MODELS}
 
@@ -199,6 +200,7 @@ def summarise(benchmark: Benchmark, failures=None) -> dict:
         "schema": "stmnist-table2/1",
         "simulated": all(result["simulated"] for result in everything) if everything else None,
         "source_sha256": benchmark.source_sha256,
+        "settings": benchmark.settings.to_json(),
         "splits": benchmark.splits,
         "seed": benchmark.settings.seed,
         "check_samples": min(checked, default=benchmark.settings.check.samples),

@@ -12,7 +12,7 @@ import pytest
 
 from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
-from deploy.files import write_json
+from deploy.files import read_json, write_json
 from deploy.preflight.plan import make_plan
 from pipeline.experiments import table2_splits as table2
 from pipeline.experiments.table2 import summarise
@@ -24,7 +24,7 @@ from pipeline.report.replay import replay
 from pipeline.run.folder import RunFolder
 from pipeline.run.history import read_history
 from pipeline.settings import read_settings, write_settings
-from tests.command import call
+from tests.command import call, missing
 
 BROWSER = next(filter(shutil.which, ("chromium", "chromium-browser", "google-chrome")), None)
 
@@ -51,7 +51,6 @@ def with_benchmark(run):
     failed = benchmark.task("random", 2, "cnn").name
     table = summarise(benchmark, {failed: Failure("<oops> & co", "")})
     write_json(folder / "table2.json", table)
-    write_settings(folder / "experiment.toml", settings)
     return folder
 
 
@@ -184,6 +183,24 @@ def test_a_benchmark_of_other_recordings_is_left_out(tiny_run, tmp_path, capsys)
     assert call("report", tiny_run, "--benchmark", tmp_path, "--out", out) == 0
     assert str(tmp_path / "table2.json") in capsys.readouterr().err
     assert "make benchmark" in out.read_text()
+
+
+def test_an_interrupted_benchmark_leaves_its_last_table(tiny_run, tmp_path):
+    """Settings and answers are those of the table, although newer ones are beside it."""
+    folder, said = tmp_path / "table2", []
+    shutil.copytree(with_benchmark(tiny_run), folder)
+    before = gather(RunFolder(tiny_run), folder, 1, said.append)
+    assert said == []
+    settings = before.table2_settings
+    write_settings(folder / "experiment.toml", replace(settings, seed=settings.seed + 1))
+    path = sorted(folder.glob("splits/random-*/cnn.json"))[0]
+    newer = {"seconds": 2.0, "predictions": [0, 0, 0]}
+    write_json(path, {**read_json(path, ""), **newer})
+    after = gather(RunFolder(tiny_run), folder, 1, said.append)
+    assert after.table2_settings == settings
+    assert [len(inputs.answers["cnn"][1]) for inputs in (before, after)] == [6, 3]
+    assert after.answers["cnn"][1].tolist() == [0, 1, 7]
+    assert missing(said[0], "table2.json", "splits", "1") == []
 
 
 def test_a_run_that_is_not_there(tmp_path, capsys):
