@@ -20,6 +20,7 @@ from pipeline.run.folder import RunFolder
 from pipeline.run.places import (
     nothing_left_of_a_failure,
     refuse_other_folders,
+    refuse_results,
     similar_run,
 )
 from pipeline.settings import SIMULATED, parse_assignments, put
@@ -262,10 +263,11 @@ def bundle_in(path: Path) -> Path:
     Raises
     ------
     UserError
-        The run has no bundle.
+        The run has no bundle, or the folder is that of a benchmark.
     """
     if (path / "MANIFEST.json").exists() or not (path / "experiment.toml").exists():
         return path
+    refuse_results(path)
     if not (path / "bundle").is_dir():
         raise UserError(f"{path}: has no bundle yet; make it with 'stmnist convert {path}'")
     return path / "bundle"

@@ -21,6 +21,7 @@ from pipeline.run.elsewhere import FOLDER as OTHERS
 from pipeline.run.folder import RunFolder
 from pipeline.run.history import read_history
 from pipeline.run.ladder import ladder_stages
+from pipeline.run.places import refuse_results
 from pipeline.run.status import outdated, status_of
 from pipeline.settings import Settings, read_settings
 
@@ -56,6 +57,7 @@ def gather(
         There is no run or no check result, a file is damaged, or the recordings have changed; the
         run beside it has other recordings or is not on images.
     """
+    refuse_results(folder.path)
     settings = read_settings(folder.experiment)
     bundle = read_bundle(folder.bundle)
     results = _results(folder, bundle, settings.network)

@@ -13,6 +13,7 @@ from pipeline.artifacts import Artifact, Library, Origin
 from pipeline.experiments import choices as conversion_choices
 from pipeline.experiments import losses
 from pipeline.experiments.study import Task, Workers, _work, study
+from pipeline.run.places import refuse_results
 from pipeline.settings import Settings
 from tests.command import call
 
@@ -178,6 +179,8 @@ def test_splits_are_measured_once_and_failed_ones_tried_again(
     assert call(*command) == 0
     first = json.loads(capsys.readouterr().out)
     assert first["seeds"] == asked == [7, 8]
+    with pytest.raises(UserError, match="not of a run"):
+        refuse_results(out)
     assert call(*command) == 0
     assert json.loads(capsys.readouterr().out) == first
     assert asked == [7, 8]

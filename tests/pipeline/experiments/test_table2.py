@@ -15,6 +15,7 @@ from pipeline.experiments.table2 import summarise, table_text
 from pipeline.experiments.table2_splits import MODELS, checkpoint_of
 from pipeline.jobs import Failure
 from pipeline.recordings.own import write_recordings
+from pipeline.run.places import refuse_results
 from pipeline.settings import Settings, read_settings
 from tests.command import call
 from tests.own_sensor import CLASSES, gestures, write_folder
@@ -329,6 +330,8 @@ def test_events_and_images_of_own_recordings_are_presented_differently(
     assert kept.cnn.architecture == "9x12-6c4-24c3-4o"
     assert kept.events.architecture.startswith("9x12x2-")
     assert "merged into one spike" in said.err
+    with pytest.raises(UserError, match="not of a run"):
+        refuse_results(out)
     # A later command for other rows keeps those on events.
     status, said = run(capsys, "--out", out, "--models", "cnn", *few)
     assert status == 0, said.err
