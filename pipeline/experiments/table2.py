@@ -85,8 +85,7 @@ def measure_table(
     kinds = _kinds(kind, recordings)
     settings, on_events = _fitted(settings, recordings, folder.path, models, say)
     try:
-        for each, index in itertools.product(kinds, range(splits)):
-            seed = settings.seed + index
+        for each, seed in itertools.product(kinds, range(settings.seed, settings.seed + splits)):
             split = split_of(recordings, seed, settings.split.test_fraction, kind=each)
             draw_check_samples(split.test, settings.check.drawn(len(split.test)), seed)
     except ValueError as error:
@@ -233,7 +232,7 @@ def _row(name, results):
         "paper_mean": paper[0],
         "paper_sd": paper[1],
         "per_split": accuracies,
-        "indices": [result["index"] for result in results],
+        "indices": [result["seed"] for result in results],
         "n_test": n_test,
         "seconds": [result["seconds"] for result in results],
     }
@@ -246,8 +245,8 @@ def _mean(results, size):
 
 def _compare(kind, a, b, results):
     """Accuracy of a minus that of b, on the samples of each split that both have in common."""
-    of_b = {result["index"]: result for result in results[kind, b]}
-    pairs = [(r, of_b[r["index"]]) for r in results[kind, a] if r["index"] in of_b]
+    of_b = {result["seed"]: result for result in results[kind, b]}
+    pairs = [(r, of_b[r["seed"]]) for r in results[kind, a] if r["seed"] in of_b]
     if not pairs:
         return None
     differences, n_shared = [], []

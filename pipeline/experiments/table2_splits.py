@@ -1,7 +1,8 @@
 """The models of the paper's Table 2 on one split: the origin of a result, and its measurement.
 
 A result of a model on a split is an artifact of its own, so that a benchmark that was interrupted
-continues with the results that are missing.  The models of a split share its trained networks.
+continues with the results that are missing.  The models of a split share its trained networks.  The
+number of a split is its seed, so that benchmarks with other first seeds share splits.
 """
 
 from __future__ import annotations
@@ -98,7 +99,7 @@ class Benchmark:
     kinds : tuple of str
         ``"random"``, ``"writers"``.
     splits : int
-        Number of splits of each kind.
+        Number of splits of each kind, with the seeds from the settings' own on.
     models : tuple of str
         Keys of :data:`MODELS`.
     on_events : Settings, optional
@@ -127,17 +128,20 @@ class Benchmark:
             asked = [name for name in together if name in self.models]
             for kind in self.kinds:
                 groups += [
-                    [self.task(kind, index, name) for name in asked]
-                    for index in range(self.splits)
-                    if asked
+                    [self.task(kind, seed, name) for name in asked] for seed in self.seeds if asked
                 ]
         return groups
 
-    def task(self, kind: str, index: int, model: str) -> Task:
+    @property
+    def seeds(self) -> range:
+        """Seeds of the requested splits."""
+        return range(self.settings.seed, self.settings.seed + self.splits)
+
+    def task(self, kind: str, seed: int, model: str) -> Task:
         """The result of a model on a split."""
-        settings = on_split(self.settings_of(model), self.settings.seed + index)
+        settings = on_split(self.settings_of(model), seed)
         origin = result_origin(settings, dataset_origin(settings, self.source_sha256, kind), model)
-        name, file = f"{model}, {kind} split {index}", split_file(kind, index, model)
+        name, file = f"{model}, {kind} split {seed}", split_file(kind, seed, model)
         more = {"split": kind, "subject": model}
         return Task.of(self.folder, file, name, origin, settings, self.source_sha256, **more)
 
@@ -155,13 +159,16 @@ class Benchmark:
         return settings
 
     def results(self, kind: str, model: str) -> list:
-        """The current results of a model, whether requested now or earlier."""
+        """The current results of a model, whether requested now or earlier.
+
+        Those of splits before the first requested one are left out.
+        """
         found = []
         paths = self.folder.glob(split_file(kind, "*", model))
-        for index in sorted(int(path.parent.name.rsplit("-", 1)[1]) for path in paths):
-            state = self.task(kind, index, model).artifact.state()
-            if state.is_current:
-                found.append({**state.record, "index": index})
+        for seed in sorted(int(path.parent.name.rsplit("-", 1)[1]) for path in paths):
+            state = self.task(kind, seed, model).artifact.state()
+            if state.is_current and seed >= self.settings.seed:
+                found.append({**state.record, "seed": seed})
         return found
 
 
@@ -194,9 +201,9 @@ def result_origin(settings: Settings, dataset: Origin, model: str) -> Origin:
     return Origin.of(settings, reads, [rates_origin(settings, dataset)], schema)
 
 
-def split_file(kind: str, index, model: str) -> str:
+def split_file(kind: str, seed, model: str) -> str:
     """The file of the result of a model on a split, or for ``"*"`` the pattern of all of them."""
-    number = index if index == "*" else f"{index:02d}"
+    number = seed if seed == "*" else f"{seed:02d}"
     return f"splits/{kind}-{number}/{model}.json"
 
 

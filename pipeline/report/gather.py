@@ -235,11 +235,11 @@ def _of_rows(folder, rows):
     answers, curves, n_others = {}, {}, 0
     for row in rows:
         results = {}
-        for index, *measured in zip(row["indices"], row["per_split"], row["seconds"], strict=True):
-            path = folder / split_file("random", index, row["model"])
+        for seed, *measured in zip(row["indices"], row["per_split"], row["seconds"], strict=True):
+            path = folder / split_file("random", seed, row["model"])
             result = read_json(path, REMEDY) if path.exists() else {}
             if [result.get("accuracy"), result.get("seconds")] == measured:
-                results[index] = result
+                results[seed] = result
             else:
                 n_others += 1
         if results:
@@ -248,6 +248,6 @@ def _of_rows(folder, rows):
                 for key in ("labels", "predictions")
             )
         if row["model"] in WITH_SLAYER and results:
-            index, result = next(iter(results.items()))
-            curves[f"{row['title']}, split {index}"] = result["history"]
+            seed, result = next(iter(results.items()))
+            curves[f"{row['title']}, split {seed}"] = result["history"]
     return answers, curves, n_others

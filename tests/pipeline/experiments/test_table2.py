@@ -29,7 +29,7 @@ def benchmark(tmp_path):
     )
 
 
-def store(benchmark, model, index, right, samples=None, kind="random"):
+def store(benchmark, model, seed, right, samples=None, kind="random"):
     """A split's result with the given answers right (1) or wrong (0)."""
     right = np.array(right)
     samples = list(range(len(right))) if samples is None else samples
@@ -38,7 +38,7 @@ def store(benchmark, model, index, right, samples=None, kind="random"):
         "model": model,
         "split": kind,
         "simulated": True,
-        "made_from": benchmark.task(kind, index, model).origin.to_json(),
+        "made_from": benchmark.task(kind, seed, model).origin.to_json(),
         "n_train": 4 * len(right),
         "n_test": len(right),
         "accuracy": float(right.mean()),
@@ -47,7 +47,7 @@ def store(benchmark, model, index, right, samples=None, kind="random"):
         "predictions": [(y + 1 - r) % 10 for y, r in zip(labels, right.tolist(), strict=True)],
         "seconds": 1.0,
     }
-    write_json(benchmark.folder / table2.split_file(kind, index, model), result)
+    write_json(benchmark.folder / table2.split_file(kind, seed, model), result)
 
 
 def test_models_that_share_a_training_are_a_group(benchmark):
@@ -97,6 +97,22 @@ def test_a_setting_redoes_what_depends_on_it(benchmark, section, change, redone)
     assert {model for model in models if before[model] != after[model]} == redone
 
 
+def test_benchmarks_with_other_first_seeds_share_splits(benchmark):
+    """They have the same files and origins, and no others replace them."""
+    later = replace(benchmark, settings=replace(Settings(), seed=1))
+    tasks = [[t for group in of.groups() for t in group] for of in (benchmark, later)]
+    before, after = ({t.artifact.record: t.origin for t in of} for of in tasks)
+    assert len(before.keys() & after.keys()) == 2 * 3  # of seeds 1 and 2, of three models
+    assert all(before[file] == after[file] for file in before.keys() & after.keys())
+    assert {file.parent.name for file in before} == {"random-00", "random-01", "random-02"}
+    assert {t.name for t in tasks[0] if t.seed == 1} == {t.name for t in tasks[1] if t.seed == 1}
+    for seed, right in enumerate(([1, 1], [1, 0], [0, 0])):
+        store(benchmark, "cnn", seed, right)
+    assert summarise(benchmark)["rows"][0]["per_split"] == [1.0, 0.5, 0.0]
+    row = summarise(later)["rows"][0]
+    assert (row["indices"], row["per_split"]) == ([1, 2], [0.5, 0.0])
+
+
 def test_other_recordings_redo_everything(benchmark):
     store(benchmark, "cnn", 0, [1, 0])
     assert len(benchmark.results("random", "cnn")) == 1
@@ -104,8 +120,8 @@ def test_other_recordings_redo_everything(benchmark):
 
 
 def test_slayer_continues_only_its_own_training(benchmark):
-    def key(**changes):
-        task = replace(benchmark, **changes).task("random", 0, "slayer")
+    def key(seed=0, **changes):
+        task = replace(benchmark, **changes).task("random", seed, "slayer")
         return checkpoint_of(task).key
 
     def settings(**changes):
@@ -113,7 +129,7 @@ def test_slayer_continues_only_its_own_training(benchmark):
 
     assert key(settings=settings(epochs=3)) == key()
     assert key(settings=settings(tau_s=0.5)) != key()
-    assert key(settings=replace(Settings(), seed=1)) != key()
+    assert key(seed=1) != key()
     assert key(source_sha256="1" * 64) != key()
 
 
