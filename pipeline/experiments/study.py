@@ -358,6 +358,24 @@ def on_input(settings: Settings, kind: str) -> Settings:
     return replace(settings, input=replace(settings.input, kind=kind))
 
 
+def begin(folder: RunFolder, settings: Settings, say: Callable):
+    """Save the settings in the folder of an experiment; of a new one, say what it measures.
+
+    Parameters
+    ----------
+    folder : RunFolder
+        Folder of the results, locked.
+    settings : Settings
+    say : callable
+        Called with the source of the recordings: hours later it would be too late.
+    """
+    if not folder.experiment.exists():
+        source = settings.data.source
+        what = "simulated recordings (others: --data)" if source == SIMULATED else source
+        say(f"{folder.path}: new results, on {what}")
+    folder.save_settings(settings)
+
+
 def measure_splits(
     experiment: Experiment,
     folder: RunFolder,
@@ -392,7 +410,7 @@ def measure_splits(
     for of_kind in fits.values():
         require_recordings_fit(recordings, of_kind)
     settings = fits[settings.input.kind]
-    folder.save_settings(settings)
+    begin(folder, settings, say)
     sha256, groups = recordings.source.sha256, []
     for seed in range(settings.seed, settings.seed + splits):
         split = on_split(settings, seed)

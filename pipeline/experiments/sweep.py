@@ -26,6 +26,7 @@ from pipeline.experiments.study import (
     Findings,
     Task,
     Workers,
+    begin,
     concluded,
     fitted_to_inputs,
     silent,
@@ -345,7 +346,7 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     dataset = without_test(Dataset.of(base, workers.processes))
     grid = grid or (EVENTS_GRID if settings.on_events else DEFAULT_GRID)
     points = points_of(folder.path.absolute(), base, grid, dataset.recordings)
-    folder.save_settings(base)
+    begin(folder, base, say)
     results = _measure(points, workers, say)
     failed = sum(isinstance(result, Failure) for result in results)
     summary = summarise(points, results)

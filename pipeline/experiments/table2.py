@@ -11,7 +11,14 @@ from deploy.errors import UserError
 from deploy.tables import aligned, p_text
 from deploy.terminal import WARNING
 from pipeline.experiments.resampling import estimate
-from pipeline.experiments.study import Findings, Workers, concluded, fitted_to_inputs, study
+from pipeline.experiments.study import (
+    Findings,
+    Workers,
+    begin,
+    concluded,
+    fitted_to_inputs,
+    study,
+)
 from pipeline.experiments.table2_splits import (
     LOIHI_TARGET,
     MODELS,
@@ -97,7 +104,7 @@ def measure_table(
     for model in models:
         if model not in WITH_SLAYER:
             require_recordings_fit(recordings, benchmark.settings_of(model))
-    folder.save_settings(settings)
+    begin(folder, settings, say)
     if estimate_of_slayer := _time_of_slayer(benchmark, len(recordings), workers):
         say(estimate_of_slayer)
     results = study("table 2", measure, benchmark.groups(), workers, say)
