@@ -10,14 +10,15 @@ from deploy.files import write_json
 from pipeline.commands.benchmark import BY_DEFAULT
 from pipeline.experiments import table2 as table2_command
 from pipeline.experiments import table2_splits as table2
-from pipeline.experiments.study import Workers
+from pipeline.experiments.study import Workers, concluded
 from pipeline.experiments.table2 import summarise, table_text
 from pipeline.experiments.table2_splits import MODELS, checkpoint_of
 from pipeline.jobs import Failure
 from pipeline.recordings.own import write_recordings
+from pipeline.run.folder import RunFolder
 from pipeline.run.places import refuse_results
 from pipeline.settings import Settings, read_settings
-from tests.command import call
+from tests.command import ROOT, call, missing
 from tests.own_sensor import CLASSES, gestures, write_folder
 from tests.untraced import untraced
 
@@ -188,6 +189,17 @@ def test_a_failed_split_is_reported_and_not_counted(benchmark):
     assert table["rows"][0]["per_split"] == [0.5, 1.0]
     assert table["failures"] == [{"result": name, "error": "MemoryError: no message"}]
     assert f"{name}: MemoryError" in table_text(table)
+
+
+def test_the_guide_for_clusters_shows_a_failure_as_it_is_printed(benchmark):
+    failures = {
+        benchmark.task("random", 1, model).name: Failure("KilledWorker: Attempted", "")
+        for model in benchmark.models
+    }
+    lines = table_text(summarise(benchmark, failures)).splitlines()
+    found = concluded(RunFolder(benchmark.folder), "table2", {}, "3 of 40 results")
+    guide = (ROOT / "docs" / "slurm.md").read_text(encoding="utf-8")
+    assert missing(guide, *lines[-3:], f"stmnist: {found.failed}\n") == []
 
 
 def test_results_of_earlier_commands_stay_in_the_table(benchmark):
