@@ -181,6 +181,11 @@ class SlayerNetwork:
         list of (potential, spikes)
             Each of shape (steps, rows, columns, filters) or (steps, units): u in float32, including
             the refractory response, and 1 or 0 in uint8.
+
+        Raises
+        ------
+        ValueError
+            The sample does not have the architecture's rows, columns and channels.
         """
         self._load()
         self._run(sample)
@@ -240,6 +245,10 @@ class SlayerNetwork:
 
     def _run(self, sample):
         """Simulate all layers; returns the spike counts of the outputs."""
+        if sample.shape[1:] != self.architecture.input_shape:  # the compiled loops do not check it
+            raise ValueError(
+                f"a sample of {sample.shape[1:]} for a network of {self.architecture.input_shape}"
+            )
         sample = np.ascontiguousarray(sample, np.uint8).reshape(len(sample), -1)
         for layer in self._layers:
             layer.begin(len(sample))

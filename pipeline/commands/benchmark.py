@@ -57,14 +57,12 @@ def table2(
     """
     names = _names(models)
     with options.opened(out, given) as (folder, resolved):
-        resolved = options.suited(resolved, workers)
         found = measure_table(folder, resolved, names, kind, splits, workers, options.say)
     options.conclude(found, table_text, as_json)
 
 
 def _measure(experiment, out, splits, given, workers, as_json):
     with options.opened(out, given) as (folder, resolved):
-        resolved = options.suited(resolved, workers)
         found = measure_splits(experiment, folder, resolved, splits, workers, options.say)
     options.conclude(found, experiment.text, as_json)
 

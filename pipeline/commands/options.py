@@ -20,9 +20,10 @@ from pipeline.run.folder import RunFolder
 from pipeline.run.places import (
     nothing_left_of_a_failure,
     refuse_other_folders,
+    refuse_results,
     similar_run,
 )
-from pipeline.settings import SIMULATED, Settings, parse_assignments, put
+from pipeline.settings import SIMULATED, parse_assignments, put
 
 
 def between(low: int, high: int):
@@ -240,26 +241,6 @@ def fit_recordings(jobs: int, until: str):
     return fit
 
 
-def suited(settings: Settings, workers):
-    """The settings of an experiment, adapted to recordings that are not simulated.
-
-    Parameters
-    ----------
-    settings : Settings
-    workers : pipeline.experiments.study.Workers
-
-    Raises
-    ------
-    SeveralErrors
-        With a line for each reason why the settings do not fit the recordings.
-    """
-    from pipeline.run.fitting import fitted
-
-    if settings.data.source == SIMULATED:
-        return settings
-    return fitted(settings, workers.processes, say)
-
-
 def _ask_about_a_similar_name(path, data):
     """Ask at a terminal whether a new run is meant, if its name is similar to another run's.
 
@@ -282,10 +263,11 @@ def bundle_in(path: Path) -> Path:
     Raises
     ------
     UserError
-        The run has no bundle.
+        The run has no bundle, or the folder is that of a benchmark.
     """
     if (path / "MANIFEST.json").exists() or not (path / "experiment.toml").exists():
         return path
+    refuse_results(path)
     if not (path / "bundle").is_dir():
         raise UserError(f"{path}: has no bundle yet; make it with 'stmnist convert {path}'")
     return path / "bundle"

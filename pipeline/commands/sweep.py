@@ -33,7 +33,6 @@ def sweep(
     Writes sweep.json, sweep.csv and pareto.png.  Existing points are not computed again.
     """
     with options.opened(out, given) as (folder, resolved):
-        resolved = options.suited(resolved, workers)
         found = measure_sweep(folder, resolved, grid, workers, options.say)
         if found.summary["points"]:
             from pipeline.report import figures  # imports Matplotlib

@@ -226,4 +226,8 @@ def losses_text(summary: dict) -> str:
     return "\n".join(lines)
 
 
-EXPERIMENT = Experiment("losses", measure, summarise, result_origin, losses_text, refuse=refuse)
+EXPERIMENT = Experiment(
+    *("losses", measure, summarise, result_origin, losses_text),
+    refuse=refuse,
+    other_inputs=("image",),  # of the CNNs with which a network on events is compared
+)

@@ -23,9 +23,11 @@ from pipeline.inputs.dataset import Dataset, dataset_origin, require_recordings_
 from pipeline.inputs.library import recordings_of
 from pipeline.jobs import Failure, attempt, run_jobs
 from pipeline.progress import hidden, progress
+from pipeline.recordings.events import Recordings
 from pipeline.run import stages
+from pipeline.run.fitting import fitted
 from pipeline.run.folder import RunFolder
-from pipeline.settings import Settings
+from pipeline.settings import SIMULATED, Settings
 
 
 @dataclass(frozen=True)
@@ -289,6 +291,8 @@ class Experiment:
         Subjects that are measured on each split.
     refuse : callable
         Called with the settings; raises UserError if nothing can be measured with them.
+    other_inputs : tuple of str
+        Kinds of input of networks that are trained in addition to those of the settings.
     """
 
     name: str
@@ -298,6 +302,11 @@ class Experiment:
     text: Callable
     subjects: tuple = ("",)
     refuse: Callable = lambda settings: None
+    other_inputs: tuple = ()
+
+    def inputs(self, settings: Settings) -> tuple:
+        """Kinds of input of the networks that are trained with the settings."""
+        return tuple(dict.fromkeys((settings.input.kind, *self.other_inputs)))
 
 
 CNN_SETTINGS = ("image", "cnn.architecture", "cnn.epochs", "cnn.batch_size", "cnn.learning_rate")
@@ -308,6 +317,63 @@ def on_split(settings: Settings, seed: int) -> Settings:
     """The settings of an experiment's split: a separate seed, no validation part."""
     split = replace(settings.split, validation_fraction=0.0)
     return replace(settings, seed=seed, split=split)
+
+
+def fitted_to_inputs(settings: Settings, kinds, recordings: Recordings, say: Callable) -> dict:
+    """Adapt settings to recordings that are not simulated, for each kind of input.
+
+    Parameters
+    ----------
+    settings : Settings
+    kinds : iterable of str
+        Values of ``input.kind``.
+    recordings : Recordings
+        Recordings that the settings name.
+    say : callable
+        Called with a message about each chosen setting.
+
+    Returns
+    -------
+    dict of str to Settings
+        By kind.  Each has the architectures of all kinds, and the presentation of its own.
+
+    Raises
+    ------
+    SeveralErrors
+        With a line for each reason why the settings do not fit the recordings.
+    """
+    found = {kind: on_input(settings, kind) for kind in kinds}
+    if settings.data.source == SIMULATED:
+        return found
+    found = {
+        kind: fitted(of_kind, say=say, recordings=recordings) for kind, of_kind in found.items()
+    }
+    sections = {"image": "cnn", "events": "events"}
+    trained = {sections[kind]: getattr(of, sections[kind]) for kind, of in found.items()}
+    return {kind: replace(of_kind, **trained) for kind, of_kind in found.items()}
+
+
+def on_input(settings: Settings, kind: str) -> Settings:
+    """The settings with another ``input.kind``."""
+    return replace(settings, input=replace(settings.input, kind=kind))
+
+
+def begin(folder: RunFolder, settings: Settings, say: Callable):
+    """Save the settings in the folder of an experiment; of a new one, say what it measures.
+
+    Parameters
+    ----------
+    folder : RunFolder
+        Folder of the results, locked.
+    settings : Settings
+    say : callable
+        Called with the source of the recordings: hours later it would be too late.
+    """
+    if not folder.experiment.exists():
+        source = settings.data.source
+        what = "simulated recordings (others: --data)" if source == SIMULATED else source
+        say(f"{folder.path}: new results, on {what}")
+    folder.save_settings(settings)
 
 
 def measure_splits(
@@ -334,14 +400,17 @@ def measure_splits(
     Raises
     ------
     UserError
-        The recordings cannot be read, or the experiment refuses the settings.
+        The recordings cannot be read or do not fit, or the experiment refuses the settings.
     CheckFailed
         Every measurement failed.
     """
     experiment.refuse(settings)
-    recordings = recordings_of(settings, workers.processes)
-    require_recordings_fit(recordings, settings)
-    folder.save_settings(settings)
+    recordings = recordings_of(settings, workers.processes, say)
+    fits = fitted_to_inputs(settings, experiment.inputs(settings), recordings, say)
+    for of_kind in fits.values():
+        require_recordings_fit(recordings, of_kind)
+    settings = fits[settings.input.kind]
+    begin(folder, settings, say)
     sha256, groups = recordings.source.sha256, []
     for seed in range(settings.seed, settings.seed + splits):
         split = on_split(settings, seed)

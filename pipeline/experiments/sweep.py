@@ -22,9 +22,19 @@ from deploy.files import replacing
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
 from pipeline.artifacts import Library, Origin
-from pipeline.experiments.study import Findings, Task, Workers, concluded, silent, study
+from pipeline.experiments.study import (
+    Findings,
+    Task,
+    Workers,
+    begin,
+    concluded,
+    fitted_to_inputs,
+    silent,
+    study,
+)
 from pipeline.experiments.sweep_text import sweep_csv
 from pipeline.inputs.dataset import Dataset, dataset_origin, require_recordings_fit
+from pipeline.inputs.library import recordings_of
 from pipeline.jobs import Failure
 from pipeline.paper import CNN_MACS
 from pipeline.progress import hidden
@@ -331,11 +341,12 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     UserError
         As in :func:`points_of`, or the recordings cannot be read or are too few.
     """
-    base = base_settings(settings)
-    dataset = without_test(Dataset.of(base, workers.processes, say))
+    recordings, kind = recordings_of(settings, workers.processes, say), settings.input.kind
+    base = base_settings(fitted_to_inputs(settings, (kind,), recordings, say)[kind])
+    dataset = without_test(Dataset.of(base, workers.processes))
     grid = grid or (EVENTS_GRID if settings.on_events else DEFAULT_GRID)
     points = points_of(folder.path.absolute(), base, grid, dataset.recordings)
-    folder.save_settings(base)
+    begin(folder, base, say)
     results = _measure(points, workers, say)
     failed = sum(isinstance(result, Failure) for result in results)
     summary = summarise(points, results)

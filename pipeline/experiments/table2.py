@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,17 +11,26 @@ from deploy.errors import UserError
 from deploy.tables import aligned, p_text
 from deploy.terminal import WARNING
 from pipeline.experiments.resampling import estimate
-from pipeline.experiments.study import Findings, Workers, concluded, study
+from pipeline.experiments.study import (
+    Findings,
+    Workers,
+    begin,
+    concluded,
+    fitted_to_inputs,
+    study,
+)
 from pipeline.experiments.table2_splits import (
     LOIHI_TARGET,
     MODELS,
+    ON_EVENTS,
     SECONDS_PER_SAMPLE,
     WITH_SLAYER,
     Benchmark,
+    input_of,
     measure,
-    settings_of,
+    split_file,
 )
-from pipeline.inputs.dataset import KINDS, require_recordings_fit, split_of
+from pipeline.inputs.dataset import KINDS, event_warnings, require_recordings_fit, split_of
 from pipeline.inputs.frames import after_the_bins
 from pipeline.inputs.library import recordings_of
 from pipeline.inputs.splits import draw_check_samples
@@ -78,20 +88,44 @@ def measure_table(
     UserError
         There is no such kind, or too few recordings.
     """
-    recordings = recordings_of(settings, workers.processes)
+    recordings = recordings_of(settings, workers.processes, say)
     kinds = _kinds(kind, recordings)
+    settings, on_events = _fitted(settings, recordings, folder.path, models, say)
     try:
-        for each, index in itertools.product(kinds, range(splits)):
-            seed = settings.seed + index
+        for each, seed in itertools.product(kinds, range(settings.seed, settings.seed + splits)):
             split = split_of(recordings, seed, settings.split.test_fraction, kind=each)
             draw_check_samples(split.test, settings.check.drawn(len(split.test)), seed)
     except ValueError as error:
         raise UserError(
             f"{settings.data.source}: {error}; change --kind, check.samples or the data"
         ) from error
+    sha256, path = recordings.source.sha256, folder.path.absolute()
+    benchmark = Benchmark(settings, sha256, path, kinds, splits, models, on_events)
     for model in models:
         if model not in WITH_SLAYER:
-            require_recordings_fit(recordings, settings_of(settings, model))
+            require_recordings_fit(recordings, benchmark.settings_of(model))
+    begin(folder, settings, say)
+    if estimate_of_slayer := _time_of_slayer(benchmark, len(recordings), workers):
+        say(estimate_of_slayer)
+    results = study("table 2", measure, benchmark.groups(), workers, say)
+    failures = {name: found for name, found in results.items() if isinstance(found, Failure)}
+    table = summarise(benchmark, failures)
+    failed = f"{len(failures)} of {len(results)} results" if failures else ""
+    return concluded(folder, "table2", table, failed)
+
+
+def _fitted(settings, recordings, folder, models, say):
+    """The settings for the recordings, and those of models on events or None without any."""
+    # The presentation of events is not saved with the settings, which are also those of images.  So
+    # it is chosen again for rows that were measured earlier, which stay in the table.
+    earlier = [name for name in ON_EVENTS if any(folder.glob(split_file("*", "*", name)))]
+    inputs = dict.fromkeys(map(input_of, (*models, *earlier)))
+    fits = fitted_to_inputs(settings, inputs, recordings, say)
+    for each in fits.values():  # all have the same networks
+        settings = replace(settings, cnn=each.cnn, events=each.events)
+    if {*models} & {*ON_EVENTS}:
+        for line in event_warnings(fits["events"], recordings):
+            say(line)
     if {*models} & {*WITH_SLAYER}:
         given, settings = settings, with_slayer(settings, recordings)
         if settings is not given:
@@ -102,17 +136,7 @@ def measure_table(
                 f"{WARNING}{late} of {len(recordings.events)} events are after "
                 f"{recordings.sensor.duration_s:g} s and left out by SLAYER"
             )
-    folder.save_settings(settings)
-    benchmark = Benchmark(
-        *(settings, recordings.source.sha256, folder.path.absolute(), kinds, splits, models)
-    )
-    if estimate_of_slayer := _time_of_slayer(benchmark, len(recordings), workers):
-        say(estimate_of_slayer)
-    results = study("table 2", measure, benchmark.groups(), workers, say)
-    failures = {name: found for name, found in results.items() if isinstance(found, Failure)}
-    table = summarise(benchmark, failures)
-    failed = f"{len(failures)} of {len(results)} results" if failures else ""
-    return concluded(folder, "table2", table, failed)
+    return settings, fits.get("events")
 
 
 def _time_of_slayer(benchmark, n_recordings, workers):
@@ -157,8 +181,9 @@ def summarise(benchmark: Benchmark, failures=None) -> dict:
     Returns
     -------
     dict
-        Plain values: ``simulated``, ``splits`` (the requested number), ``rows`` (those of random
-        splits, the paper's protocol), ``writer_rows``, ``comparisons``, ``failures``.
+        Plain values: ``simulated``, ``settings``, ``splits`` (the requested number), ``rows``
+        (those of random splits, the paper's protocol), ``writer_rows``, ``comparisons``,
+        ``failures``.
     """
     results = {(kind, name): benchmark.results(kind, name) for kind in KINDS for name in MODELS}
 
@@ -181,6 +206,7 @@ def summarise(benchmark: Benchmark, failures=None) -> dict:
         "schema": "stmnist-table2/1",
         "simulated": all(result["simulated"] for result in everything) if everything else None,
         "source_sha256": benchmark.source_sha256,
+        "settings": benchmark.settings.to_json(),
         "splits": benchmark.splits,
         "seed": benchmark.settings.seed,
         "check_samples": min(checked, default=benchmark.settings.check.samples),
@@ -213,7 +239,7 @@ def _row(name, results):
         "paper_mean": paper[0],
         "paper_sd": paper[1],
         "per_split": accuracies,
-        "indices": [result["index"] for result in results],
+        "indices": [result["seed"] for result in results],
         "n_test": n_test,
         "seconds": [result["seconds"] for result in results],
     }
@@ -226,8 +252,8 @@ def _mean(results, size):
 
 def _compare(kind, a, b, results):
     """Accuracy of a minus that of b, on the samples of each split that both have in common."""
-    of_b = {result["index"]: result for result in results[kind, b]}
-    pairs = [(r, of_b[r["index"]]) for r in results[kind, a] if r["index"] in of_b]
+    of_b = {result["seed"]: result for result in results[kind, b]}
+    pairs = [(r, of_b[r["seed"]]) for r in results[kind, a] if r["seed"] in of_b]
     if not pairs:
         return None
     differences, n_shared = [], []

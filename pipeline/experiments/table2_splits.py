@@ -1,7 +1,8 @@
 """The models of the paper's Table 2 on one split: the origin of a result, and its measurement.
 
 A result of a model on a split is an artifact of its own, so that a benchmark that was interrupted
-continues with the results that are missing.  The models of a split share its trained networks.
+continues with the results that are missing.  The models of a split share its trained networks.  The
+number of a split is its seed, so that benchmarks with other first seeds share splits.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from deploy.errors import UserError
 from deploy.targets.registry import answer
 from pipeline.artifacts import Origin
-from pipeline.experiments.study import Task, on_split, silent
+from pipeline.experiments.study import Task, on_input, on_split, silent
 from pipeline.inputs.dataset import dataset_origin
 from pipeline.inputs.splits import draw_check_samples
 from pipeline.paper import TABLE2
@@ -98,9 +99,11 @@ class Benchmark:
     kinds : tuple of str
         ``"random"``, ``"writers"``.
     splits : int
-        Number of splits of each kind.
+        Number of splits of each kind, with the seeds from the settings' own on.
     models : tuple of str
         Keys of :data:`MODELS`.
+    on_events : Settings, optional
+        The settings of models on events, if these need another presentation.
     """
 
     settings: Settings
@@ -109,6 +112,7 @@ class Benchmark:
     kinds: tuple
     splits: int
     models: tuple
+    on_events: Settings | None = None
 
     def groups(self) -> list:
         """The requested results in groups that share trained networks.
@@ -124,42 +128,53 @@ class Benchmark:
             asked = [name for name in together if name in self.models]
             for kind in self.kinds:
                 groups += [
-                    [self.task(kind, index, name) for name in asked]
-                    for index in range(self.splits)
-                    if asked
+                    [self.task(kind, seed, name) for name in asked] for seed in self.seeds if asked
                 ]
         return groups
 
-    def task(self, kind: str, index: int, model: str) -> Task:
+    @property
+    def seeds(self) -> range:
+        """Seeds of the requested splits."""
+        return range(self.settings.seed, self.settings.seed + self.splits)
+
+    def task(self, kind: str, seed: int, model: str) -> Task:
         """The result of a model on a split."""
-        settings = on_split(self.settings, self.settings.seed + index)
-        settings = settings_of(settings, model)
+        settings = on_split(self.settings_of(model), seed)
         origin = result_origin(settings, dataset_origin(settings, self.source_sha256, kind), model)
-        name, file = f"{model}, {kind} split {index}", split_file(kind, index, model)
+        name, file = f"{model}, {kind} split {seed}", split_file(kind, seed, model)
         more = {"split": kind, "subject": model}
         return Task.of(self.folder, file, name, origin, settings, self.source_sha256, **more)
 
+    def settings_of(self, model: str) -> Settings:
+        """The settings with the input and the recipe of a model."""
+        settings = self.settings
+        if model in ON_EVENTS and self.on_events is not None:
+            settings = self.on_events
+        settings = on_input(settings, input_of(model))
+        if model == "slayer-small":
+            slayer = replace(settings.slayer, conv_scale=SMALL_CONV_SCALE)
+            settings = replace(settings, slayer=slayer)
+        if recipe := MODELS[model].recipe:
+            settings = replace(settings, snn=replace(settings.snn, recipe=recipe))
+        return settings
+
     def results(self, kind: str, model: str) -> list:
-        """The current results of a model, whether requested now or earlier."""
+        """The current results of a model, whether requested now or earlier.
+
+        Those of splits before the first requested one are left out.
+        """
         found = []
         paths = self.folder.glob(split_file(kind, "*", model))
-        for index in sorted(int(path.parent.name.rsplit("-", 1)[1]) for path in paths):
-            state = self.task(kind, index, model).artifact.state()
-            if state.is_current:
-                found.append({**state.record, "index": index})
+        for seed in sorted(int(path.parent.name.rsplit("-", 1)[1]) for path in paths):
+            state = self.task(kind, seed, model).artifact.state()
+            if state.is_current and seed >= self.settings.seed:
+                found.append({**state.record, "seed": seed})
         return found
 
 
-def settings_of(settings: Settings, model: str) -> Settings:
-    """The settings of a split with the input and the recipe of a model."""
-    kind = "events" if model in ON_EVENTS else "image"
-    settings = replace(settings, input=replace(settings.input, kind=kind))
-    if model == "slayer-small":
-        slayer = replace(settings.slayer, conv_scale=SMALL_CONV_SCALE)
-        settings = replace(settings, slayer=slayer)
-    if recipe := MODELS[model].recipe:
-        settings = replace(settings, snn=replace(settings.snn, recipe=recipe))
-    return settings
+def input_of(model: str) -> str:
+    """The ``input.kind`` of a model's settings."""
+    return "events" if model in ON_EVENTS else "image"
 
 
 def result_origin(settings: Settings, dataset: Origin, model: str) -> Origin:
@@ -168,7 +183,7 @@ def result_origin(settings: Settings, dataset: Origin, model: str) -> Origin:
     Parameters
     ----------
     settings : Settings
-        From :func:`settings_of`.
+        From :meth:`Benchmark.settings_of`.
     dataset : Origin
     model : str
     """
@@ -186,9 +201,9 @@ def result_origin(settings: Settings, dataset: Origin, model: str) -> Origin:
     return Origin.of(settings, reads, [rates_origin(settings, dataset)], schema)
 
 
-def split_file(kind: str, index, model: str) -> str:
+def split_file(kind: str, seed, model: str) -> str:
     """The file of the result of a model on a split, or for ``"*"`` the pattern of all of them."""
-    number = index if index == "*" else f"{index:02d}"
+    number = seed if seed == "*" else f"{seed:02d}"
     return f"splits/{kind}-{number}/{model}.json"
 
 

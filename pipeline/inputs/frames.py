@@ -22,12 +22,12 @@ def bin_events(recordings: Recordings, bins: int = 200) -> np.ndarray:
 
     Returns
     -------
-    ndarray of uint8, shape (n_samples, bins, rows, columns, polarities)
+    ndarray of uint8, shape (n_samples, bins, rows, columns, 2)
         1 or 0 for each sample, bin, row and column of the tactile image, and polarity: first ON,
-        then OFF.
+        then OFF, which is empty for a sensor that has only ON events.
     """
     events, taxels, sensor = recordings.events, recordings.taxels, recordings.sensor
-    shape = (len(recordings), bins, sensor.rows, sensor.columns, sensor.polarities)
+    shape = (len(recordings), bins, sensor.rows, sensor.columns, 2)
     frames = np.zeros(shape, np.uint8)
     time = _bin_of_event(recordings, bins)
     inside = (time >= 0) & (time < bins)

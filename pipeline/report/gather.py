@@ -21,8 +21,9 @@ from pipeline.run.elsewhere import FOLDER as OTHERS
 from pipeline.run.folder import RunFolder
 from pipeline.run.history import read_history
 from pipeline.run.ladder import ladder_stages
+from pipeline.run.places import refuse_results
 from pipeline.run.status import outdated, status_of
-from pipeline.settings import read_settings
+from pipeline.settings import Settings, read_settings
 
 REMEDY = "delete it and make it again"
 
@@ -56,6 +57,7 @@ def gather(
         There is no run or no check result, a file is damaged, or the recordings have changed; the
         run beside it has other recordings or is not on images.
     """
+    refuse_results(folder.path)
     settings = read_settings(folder.experiment)
     bundle = read_bundle(folder.bundle)
     results = _results(folder, bundle, settings.network)
@@ -212,26 +214,40 @@ def _read_benchmark(folder, recordings, say):
         say(f"report: {path} is for other recordings and left out")
         return None, None, {}, {}
     try:
-        answers, curves = _of_rows(folder, table["rows"])
+        given = table.get("settings")  # a table of an earlier version does not have them
+        settings = None if given is None else Settings().with_values(given, str(path))
+        answers, curves, n_others = _of_rows(folder, table["rows"])
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise UserError(f"{path}: not a complete table ({error!r}); {REMEDY}") from error
-    experiment = folder / "experiment.toml"
-    return table, read_settings(experiment) if experiment.exists() else None, answers, curves
+    if n_others:
+        say(
+            f"report: {folder / 'splits'} has other results than {path}, and {n_others} are left "
+            "out of the confusion matrices and learning curves; repeat the benchmark"
+        )
+    return table, settings, answers, curves
 
 
 def _of_rows(folder, rows):
-    """Answers of the random splits by model, and SLAYER's learning curves."""
-    answers, curves = {}, {}
+    """Answers of the random splits by model, SLAYER's learning curves, number of other results.
+
+    A benchmark that was interrupted has measured results after its last table.
+    """
+    answers, curves, n_others = {}, {}, 0
     for row in rows:
-        results = [
-            read_json(folder / split_file("random", index, row["model"]), REMEDY)
-            for index in row["indices"]
-        ]
+        results = {}
+        for seed, *measured in zip(row["indices"], row["per_split"], row["seconds"], strict=True):
+            path = folder / split_file("random", seed, row["model"])
+            result = read_json(path, REMEDY) if path.exists() else {}
+            if [result.get("accuracy"), result.get("seconds")] == measured:
+                results[seed] = result
+            else:
+                n_others += 1
         if results:
             answers[row["model"]] = tuple(
-                np.concatenate([result[key] for result in results])
+                np.concatenate([result[key] for result in results.values()])
                 for key in ("labels", "predictions")
             )
         if row["model"] in WITH_SLAYER and results:
-            curves[f"{row['title']}, split {row['indices'][0]}"] = results[0]["history"]
-    return answers, curves
+            seed, result = next(iter(results.items()))
+            curves[f"{row['title']}, split {seed}"] = result["history"]
+    return answers, curves, n_others

@@ -221,20 +221,21 @@ def with_slayer(settings: Settings, recordings: Recordings) -> Settings:
     Raises
     ------
     UserError
-        The architecture is the user's and does not fit.
+        The architecture is the user's and does not fit; the message suggests one that does.
     """
     sensor, default = recordings.sensor, Slayer().architecture
     if _is_for(settings.slayer.architecture, sensor, 2):
         return settings
     size, classes = f"{sensor.rows}x{sensor.columns}x2", len(sensor.classes)
-    if settings.slayer.architecture != default:
-        raise UserError(
-            f"{recordings.source.name}: 'slayer.architecture' must be for {size}, a channel for "
-            f"each polarity, and {classes} classes, not {settings.slayer.architecture}"
-        )
     alike = default if default.startswith(size) else architecture_for(sensor, on_events=False)
     layers = alike.split("-")[1:-1]
     chosen = "-".join([size, *layers, f"{classes}o"])
+    if settings.slayer.architecture != default:
+        raise UserError(
+            f"{recordings.source.name}: 'slayer.architecture' must be for {size}, a channel for "
+            f"each polarity, and {classes} classes, such as {chosen}, not "
+            f"{settings.slayer.architecture}"
+        )
     return settings.with_values({"slayer": {"architecture": chosen}}, recordings.source.name)
 
 

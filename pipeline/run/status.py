@@ -20,7 +20,7 @@ from pipeline.inputs.library import content_of
 from pipeline.run.folder import RunFolder
 from pipeline.run.ladder import BOARDS, SLOW, ladder_artifact, ladder_stages
 from pipeline.run.origins import check_origin
-from pipeline.run.places import refuse_other_folders, run_around
+from pipeline.run.places import refuse_other_folders, refuse_results, run_around
 from pipeline.run.stages.answering import check_artifact
 from pipeline.run.stages.bundling import bundle_artifact
 from pipeline.run.stages.opening import dataset_artifact
@@ -74,8 +74,9 @@ def status_of(run: RunFolder, settings: Settings | None = None) -> list:
     Raises
     ------
     UserError
-        The folder has no run, or a file of it is damaged.
+        The folder has no run, or is that of a benchmark, or a file of it is damaged.
     """
+    refuse_results(run.path)
     if not run.experiment.is_file():
         refuse_other_folders(run.path)
         raise UserError(

@@ -1,5 +1,7 @@
 """SLAYER against a plain NumPy version written from the paper's sums, and finite differences."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -276,3 +278,16 @@ def test_kernels_have_the_shapes_of_the_notation():
 def test_a_parameter_of_zero_is_refused(name):
     with pytest.raises(ValueError, match=name):
         slayer.SpikeResponse(**{name: 0})
+
+
+def test_samples_of_another_size_are_refused():
+    """The compiled loops would read beyond their ends."""
+    network = slayer.SlayerNetwork(architecture.parse("5x5x2-3c2-3o"))
+    sample = np.zeros((4, 5, 5, 1), np.uint8)
+    for run in (
+        lambda: network.layers(sample),
+        lambda: network.counts([sample]),
+        lambda: network.gradients(sample[None], np.zeros((1, 3))),
+    ):
+        with pytest.raises(ValueError, match=re.escape("(5, 5, 1)")):
+            run()

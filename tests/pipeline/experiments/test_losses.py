@@ -1,10 +1,13 @@
 import math
+from dataclasses import replace
 
 import pytest
 from scipy import stats
 
+from deploy.errors import UserError
 from pipeline.experiments import losses
-from tests.command import missing
+from tests.command import call, missing
+from tests.own_sensor import write_folder
 
 STAGES = ("cnn", "cnn-annealed", "rate-lif", "spiking-lif", "chip-100", "chip-50")
 
@@ -64,3 +67,24 @@ def test_text_says_what_is_simulated_and_leaves_out_an_interval_of_one_seed():
     assert missing(one, "20", "simulated") == []
     assert "nan" not in one
     assert "  cnn           80.00\n" in one
+
+
+def test_both_networks_fit_own_recordings(tmp_path, monkeypatch, capsys):
+    """Those on events, and the CNNs on images with which they are compared."""
+    asked = []
+
+    def measure(task):
+        asked.append(task.settings)
+        raise UserError("not measured here")
+
+    monkeypatch.setattr(losses, "EXPERIMENT", replace(losses.EXPERIMENT, measure=measure))
+    data = write_folder(tmp_path / "own", per_class=4)
+    command = ("benchmark", "losses", "--input", "events", "--data", data, "--seeds", "1")
+    command += ("--jobs", "1", "--out", tmp_path / "out")
+    assert call(*command) == 1
+    (settings,) = asked
+    assert settings.cnn.architecture == "9x12-6c4-24c3-4o"
+    assert settings.events.architecture.startswith("9x12x2-")
+    assert call(*command, "--set", "cnn.architecture=12x9-8-4o") == 2
+    assert len(asked) == 1
+    assert missing(capsys.readouterr().err, "cnn.architecture", "9x12-8-4o") == []

@@ -3,18 +3,22 @@
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
-from deploy.errors import UserError
+from deploy.errors import CheckFailed, UserError
 from deploy.files import read_json
 from pipeline import jobs
 from pipeline.artifacts import Artifact, Library, Origin
 from pipeline.experiments import choices as conversion_choices
-from pipeline.experiments import losses
+from pipeline.experiments import losses, sweep, table2
+from pipeline.experiments import study as experiments_study
 from pipeline.experiments.study import Task, Workers, _work, study
+from pipeline.run.places import refuse_results
 from pipeline.settings import Settings
-from tests.command import call
+from tests.command import call, missing
+from tests.own_sensor import write_folder
 
 
 def half(number, folder, content="0"):
@@ -178,6 +182,8 @@ def test_splits_are_measured_once_and_failed_ones_tried_again(
     assert call(*command) == 0
     first = json.loads(capsys.readouterr().out)
     assert first["seeds"] == asked == [7, 8]
+    with pytest.raises(UserError, match="not of a run"):
+        refuse_results(out)
     assert call(*command) == 0
     assert json.loads(capsys.readouterr().out) == first
     assert asked == [7, 8]
@@ -195,6 +201,30 @@ def test_splits_are_measured_once_and_failed_ones_tried_again(
     assert call(*command, "--set", "cnn.epochs=2") == 1
     assert asked == [7, 8, 8, 8, 7, 8]
     assert re.search("cnn.epochs .*1 .*2", capsys.readouterr().err)
+
+
+def test_a_new_folder_of_results_names_their_recordings(tmp_path, monkeypatch, capsys):
+    """All kinds of experiment, once for each folder, before anything is measured."""
+    for module in (experiments_study, table2, sweep):
+        monkeypatch.setattr(module, "study", lost)
+    own = str(write_folder(tmp_path / "own", per_class=4))
+    few = ("--jobs", "1", "--set", "data.samples_per_digit=6", "--set", "check.samples=2")
+    for name, *command in (
+        ("losses", "benchmark", "losses", "--seeds", "1", "--out"),
+        ("table2", "benchmark", "table2", "--splits", "1", "--models", "cnn", "--out"),
+        ("sweep", "sweep"),
+    ):
+        for source, data, told in ((own, ("--data", own), own), ("simulated", (), "--data")):
+            out = tmp_path / f"{name} of {Path(source).name}"
+            for times in (1, 0):
+                assert call(*command, out, *data, *few) == 1
+                said = [line for line in capsys.readouterr().err.splitlines() if str(out) in line]
+                assert len(said) == times
+                assert all(missing(line, source, told) == [] for line in said)
+
+
+def lost(*arguments):
+    raise CheckFailed("nothing is measured here")
 
 
 def test_an_output_read_too_late_is_said_before_anything_is_trained(tmp_path, capsys):

@@ -20,6 +20,7 @@ from pipeline.inputs.dataset import Dataset, dataset_origin
 from pipeline.inputs.library import recordings_of
 from pipeline.jobs import Failure
 from pipeline.run.origins import threshold_origin
+from pipeline.run.places import refuse_results
 from pipeline.settings import Settings, read_settings
 from tests.command import call, missing
 from tests.own_sensor import write_folder
@@ -248,6 +249,8 @@ def test_a_small_sweep(tiny_sweep):
     assert (len(points), len(list((tiny_sweep / "points").iterdir()))) == (4, 4)
     assert len(list((tiny_sweep / "networks" / "cnn").iterdir())) == 1
     assert len(list((tiny_sweep / "networks" / "snn").iterdir())) == 2
+    with pytest.raises(UserError, match="not of a run"):
+        refuse_results(tiny_sweep)
     assert all(p["simulated"] is True for p in points)
     assert {p["n_samples"] for p in points} == {48}  # 15 % of 320
     assert any(p["pareto"] for p in points)

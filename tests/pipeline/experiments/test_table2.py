@@ -10,13 +10,16 @@ from deploy.files import write_json
 from pipeline.commands.benchmark import BY_DEFAULT
 from pipeline.experiments import table2 as table2_command
 from pipeline.experiments import table2_splits as table2
-from pipeline.experiments.study import Workers
+from pipeline.experiments.study import Workers, concluded
 from pipeline.experiments.table2 import summarise, table_text
 from pipeline.experiments.table2_splits import MODELS, checkpoint_of
 from pipeline.jobs import Failure
+from pipeline.recordings.own import write_recordings
+from pipeline.run.folder import RunFolder
+from pipeline.run.places import refuse_results
 from pipeline.settings import Settings, read_settings
-from tests.command import call
-from tests.own_sensor import write_folder
+from tests.command import ROOT, call, missing
+from tests.own_sensor import CLASSES, gestures, write_folder
 from tests.untraced import untraced
 
 
@@ -27,7 +30,7 @@ def benchmark(tmp_path):
     )
 
 
-def store(benchmark, model, index, right, samples=None, kind="random"):
+def store(benchmark, model, seed, right, samples=None, kind="random"):
     """A split's result with the given answers right (1) or wrong (0)."""
     right = np.array(right)
     samples = list(range(len(right))) if samples is None else samples
@@ -36,7 +39,7 @@ def store(benchmark, model, index, right, samples=None, kind="random"):
         "model": model,
         "split": kind,
         "simulated": True,
-        "made_from": benchmark.task(kind, index, model).origin.to_json(),
+        "made_from": benchmark.task(kind, seed, model).origin.to_json(),
         "n_train": 4 * len(right),
         "n_test": len(right),
         "accuracy": float(right.mean()),
@@ -45,7 +48,7 @@ def store(benchmark, model, index, right, samples=None, kind="random"):
         "predictions": [(y + 1 - r) % 10 for y, r in zip(labels, right.tolist(), strict=True)],
         "seconds": 1.0,
     }
-    write_json(benchmark.folder / table2.split_file(kind, index, model), result)
+    write_json(benchmark.folder / table2.split_file(kind, seed, model), result)
 
 
 def test_models_that_share_a_training_are_a_group(benchmark):
@@ -95,6 +98,22 @@ def test_a_setting_redoes_what_depends_on_it(benchmark, section, change, redone)
     assert {model for model in models if before[model] != after[model]} == redone
 
 
+def test_benchmarks_with_other_first_seeds_share_splits(benchmark):
+    """They have the same files and origins, and no others replace them."""
+    later = replace(benchmark, settings=replace(Settings(), seed=1))
+    tasks = [[t for group in of.groups() for t in group] for of in (benchmark, later)]
+    before, after = ({t.artifact.record: t.origin for t in of} for of in tasks)
+    assert len(before.keys() & after.keys()) == 2 * 3  # of seeds 1 and 2, of three models
+    assert all(before[file] == after[file] for file in before.keys() & after.keys())
+    assert {file.parent.name for file in before} == {"random-00", "random-01", "random-02"}
+    assert {t.name for t in tasks[0] if t.seed == 1} == {t.name for t in tasks[1] if t.seed == 1}
+    for seed, right in enumerate(([1, 1], [1, 0], [0, 0])):
+        store(benchmark, "cnn", seed, right)
+    assert summarise(benchmark)["rows"][0]["per_split"] == [1.0, 0.5, 0.0]
+    row = summarise(later)["rows"][0]
+    assert (row["indices"], row["per_split"]) == ([1, 2], [0.5, 0.0])
+
+
 def test_other_recordings_redo_everything(benchmark):
     store(benchmark, "cnn", 0, [1, 0])
     assert len(benchmark.results("random", "cnn")) == 1
@@ -102,8 +121,8 @@ def test_other_recordings_redo_everything(benchmark):
 
 
 def test_slayer_continues_only_its_own_training(benchmark):
-    def key(**changes):
-        task = replace(benchmark, **changes).task("random", 0, "slayer")
+    def key(seed=0, **changes):
+        task = replace(benchmark, **changes).task("random", seed, "slayer")
         return checkpoint_of(task).key
 
     def settings(**changes):
@@ -111,7 +130,7 @@ def test_slayer_continues_only_its_own_training(benchmark):
 
     assert key(settings=settings(epochs=3)) == key()
     assert key(settings=settings(tau_s=0.5)) != key()
-    assert key(settings=replace(Settings(), seed=1)) != key()
+    assert key(seed=1) != key()
     assert key(source_sha256="1" * 64) != key()
 
 
@@ -170,6 +189,17 @@ def test_a_failed_split_is_reported_and_not_counted(benchmark):
     assert table["rows"][0]["per_split"] == [0.5, 1.0]
     assert table["failures"] == [{"result": name, "error": "MemoryError: no message"}]
     assert f"{name}: MemoryError" in table_text(table)
+
+
+def test_the_guide_for_clusters_shows_a_failure_as_it_is_printed(benchmark):
+    failures = {
+        benchmark.task("random", 1, model).name: Failure("KilledWorker: Attempted", "")
+        for model in benchmark.models
+    }
+    lines = table_text(summarise(benchmark, failures)).splitlines()
+    found = concluded(RunFolder(benchmark.folder), "table2", {}, "3 of 40 results")
+    guide = (ROOT / "docs" / "slurm.md").read_text(encoding="utf-8")
+    assert missing(guide, *lines[-3:], f"stmnist: {found.failed}\n") == []
 
 
 def test_results_of_earlier_commands_stay_in_the_table(benchmark):
@@ -285,6 +315,56 @@ def test_slayer_on_own_recordings_needs_no_architecture(tmp_path, capsys):
     (row,) = json.loads(said.out)["rows"]
     assert (row["model"], row["n_test"]) == ("slayer", 6)  # a fifth of 32
     assert read_settings(out / "experiment.toml").slayer.architecture == "9x12x2-6c4-24c3-4o"
+
+
+def made_up(task):
+    """A result of a model on a split, without a training."""
+    return {
+        "simulated": False,
+        "n_train": 24,
+        "n_test": 2,
+        "accuracy": 0.5,
+        "samples": [0, 1],
+        "labels": [0, 1],
+        "predictions": [0, 0],
+        "seconds": 1.0,
+    }
+
+
+def test_events_and_images_of_own_recordings_are_presented_differently(
+    tmp_path, monkeypatch, capsys
+):
+    """Events as long as the recordings last, images with the steps of the settings."""
+    out, asked = tmp_path / "out", {}
+
+    def measure(task):
+        asked[task.subject] = task.settings
+        return made_up(task)
+
+    monkeypatch.setattr(table2_command, "measure", measure)
+    long = [((x, y, 3 * t, p), label) for (x, y, t, p), label in gestures(4)]  # up to 5.85 s
+    data = write_recordings(tmp_path / "own.zip", long, CLASSES)
+    few = ("--splits", "1", "--jobs", "1", "--json")
+    status, said = run(
+        capsys, "--out", out, "--models", "ann-snn,events", "--data", str(data), *few
+    )
+    assert status == 0, said.err
+    lasts = 1000 * max(t[-1] - t[0] for (_, _, t, _), _ in long)
+    step = asked["events"].input.step
+    assert lasts < asked["events"].steps * step <= lasts + step
+    assert asked["ann-snn"].presentation.steps == 0
+    kept = read_settings(out / "experiment.toml")
+    assert kept.presentation == Settings().presentation
+    assert kept.cnn.architecture == "9x12-6c4-24c3-4o"
+    assert kept.events.architecture.startswith("9x12x2-")
+    assert "merged into one spike" in said.err
+    with pytest.raises(UserError, match="not of a run"):
+        refuse_results(out)
+    # A later command for other rows keeps those on events.
+    status, said = run(capsys, "--out", out, "--models", "cnn", *few)
+    assert status == 0, said.err
+    rows = [(row["model"], row["per_split"]) for row in json.loads(said.out)["rows"]]
+    assert rows == [("cnn", [0.5]), ("ann-snn", [0.5]), ("events", [0.5])]
 
 
 def test_what_takes_long_is_only_run_if_asked_for():

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -30,6 +32,13 @@ def test_events_by_hand():
         (0, 1, 7, 3, 0),
         (1, 199, 9, 9, 1),
     ]
+
+
+def test_a_sensor_with_on_events_only_has_an_empty_channel_for_the_others():
+    both = recordings([[0, 37, 1, 1]])
+    frames = bin_events(replace(both, sensor=replace(both.sensor, polarities=1)))
+    np.testing.assert_array_equal(frames, bin_events(both))
+    assert frames[..., 1].sum() == 0
 
 
 def test_the_lookup_table_decides_where_a_taxel_is():

@@ -12,16 +12,19 @@ import pytest
 
 from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
+from deploy.files import read_json, write_json
 from deploy.preflight.plan import make_plan
 from pipeline.experiments import table2_splits as table2
+from pipeline.experiments.table2 import summarise
 from pipeline.inputs.library import recordings_of
+from pipeline.jobs import Failure
 from pipeline.report import page as report
 from pipeline.report.gather import _outdated, gather
 from pipeline.report.replay import replay
 from pipeline.run.folder import RunFolder
 from pipeline.run.history import read_history
 from pipeline.settings import read_settings, write_settings
-from tests.command import call
+from tests.command import call, missing
 
 BROWSER = next(filter(shutil.which, ("chromium", "chromium-browser", "google-chrome")), None)
 
@@ -34,55 +37,39 @@ def html(tiny_run, tmp_path_factory):
 
 
 def with_benchmark(run):
-    """A benchmark of the run's recordings with results made by hand."""
+    """A benchmark of the run's recordings: the table of results that were made by hand."""
     folder = run.parent / "table2"
-    source = json.loads((run / "dataset.json").read_text())["sha256"]
-    rows = []
-    for name, model in table2.MODELS.items():
-        if name == "loihi":  # not asked for
-            continue
-        ran = name in ("cnn", "slayer")
-        rows.append(
-            {
-                "model": name,
-                "title": model.title,
-                "accuracy_mean": 0.7125 if ran else None,
-                "accuracy_sd": 0.0213 if ran else None,
-                "accuracy_ci95": [0.68, 0.74] if ran else None,
-                "paper_mean": model.paper and model.paper[0],
-                "paper_sd": model.paper and model.paper[1],
-                "per_split": [0.7, 0.725] if ran else [],
-                "indices": [0, 1] if ran else [],
-                "n_test": 100,
-                "seconds": [1.0, 1.0],
-            }
-        )
-        for index in rows[-1]["indices"]:
-            path = folder / table2.split_file("random", index, name)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            history = [{"epoch": e, "accuracy": e / 5, "test_accuracy": e / 6} for e in (1, 2, 3)]
-            answers = {"labels": [0, 1, 2], "predictions": [0, 1, 7], "history": history}
-            path.write_text(json.dumps(answers))
-    table = {
-        "simulated": True,
-        "source_sha256": source,
-        "splits": 2,
-        "seed": 0,
-        "loihi_target": "fast",
-        "check_samples": 20,
-        "rows": rows,
-        "writer_rows": [{**rows[0], "accuracy_mean": 0.6543}],
-        "comparisons": [
-            {"split": "random", "a": "cnn", "b": "slayer", "difference": 0.05, "ci95": [0.01, 0.09],
-             "p_value": 0.02, "n_splits": 2, "n_samples": 100},
-        ],
-        "failures": [{"split": "random", "index": 7, "models": ["loihi"], "error": "<oops> & co"}],
-    }  # fmt: skip
-    folder.mkdir(exist_ok=True)
-    (folder / "table2.json").write_text(json.dumps(table))
     settings = read_settings(run / "experiment.toml")
-    write_settings(folder / "experiment.toml", replace(settings, seed=settings.seed + 4))
+    settings = replace(settings, seed=settings.seed + 4)
+    source = json.loads((run / "dataset.json").read_text())["sha256"]
+    asked = tuple(name for name in table2.MODELS if name != "loihi")
+    benchmark = table2.Benchmark(settings, source, folder, ("random",), 3, asked)
+    for kind, accuracies in (("random", (0.7, 0.725)), ("writers", (0.6543,))):
+        for name in ("cnn", "slayer"):
+            for seed, accuracy in enumerate(accuracies, settings.seed):
+                store(benchmark.task(kind, seed, name), accuracy)
+    failed = benchmark.task("random", settings.seed + 2, "cnn").name
+    table = summarise(benchmark, {failed: Failure("<oops> & co", "")})
+    write_json(folder / "table2.json", table)
     return folder
+
+
+def store(task, accuracy):
+    """A result of Table 2 with three answers, whatever its accuracy."""
+    task.artifact.write(
+        {
+            "model": task.subject,
+            "simulated": True,
+            "n_train": 400,
+            "n_test": 100,
+            "accuracy": accuracy,
+            "samples": [3, 4, 5],
+            "labels": [0, 1, 2],
+            "predictions": [0, 1, 7],
+            "history": [{"epoch": e, "accuracy": e / 5, "test_accuracy": e / 6} for e in (1, 2, 3)],
+            "seconds": 1.0,
+        }
+    )
 
 
 class Outline(HTMLParser):
@@ -167,7 +154,7 @@ def test_it_says_what_was_measured(html, tiny_run):
     assert bundle.id in text
     for stage in ("cnn", "emulator"):
         assert f"{read_result(tiny_run / f'checks/{stage}.json')['accuracy']:.3f}" in text
-    assert "0.713 (0.021)" in text or "0.712 (0.021)" in text
+    assert "0.713 (0.018)" in text or "0.712 (0.018)" in text
     assert "0.89 (0.01)" in text  # the paper's CNN
     assert "0.654" in text  # new writers
     assert "1738 (1366)" not in text  # the paper's ON events of 0; these are simulated
@@ -177,7 +164,7 @@ def test_it_says_what_was_measured(html, tiny_run):
     assert "snn.batch_size 0" in text
     used = make_plan(bundle.spec).cores[0].used
     assert f"core 0 {used['compartments']} {used['input axons']}" in text
-    assert re.search("random split 7.*loihi.*<oops> & co", text)  # escaped on the way
+    assert "cnn, random split 6: <oops> & co" in text  # escaped on the way
     assert "estimate" in text
     assert "data.samples_per_digit 60" in text
     metrics = json.loads((tiny_run / "cnn/metrics.json").read_text())
@@ -196,6 +183,24 @@ def test_a_benchmark_of_other_recordings_is_left_out(tiny_run, tmp_path, capsys)
     assert call("report", tiny_run, "--benchmark", tmp_path, "--out", out) == 0
     assert str(tmp_path / "table2.json") in capsys.readouterr().err
     assert "make benchmark" in out.read_text()
+
+
+def test_an_interrupted_benchmark_leaves_its_last_table(tiny_run, tmp_path):
+    """Settings and answers are those of the table, although newer ones are beside it."""
+    folder, said = tmp_path / "table2", []
+    shutil.copytree(with_benchmark(tiny_run), folder)
+    before = gather(RunFolder(tiny_run), folder, 1, said.append)
+    assert said == []
+    settings = before.table2_settings
+    write_settings(folder / "experiment.toml", replace(settings, seed=settings.seed + 1))
+    path = sorted(folder.glob("splits/random-*/cnn.json"))[0]
+    newer = {"seconds": 2.0, "predictions": [0, 0, 0]}
+    write_json(path, {**read_json(path, ""), **newer})
+    after = gather(RunFolder(tiny_run), folder, 1, said.append)
+    assert after.table2_settings == settings
+    assert [len(inputs.answers["cnn"][1]) for inputs in (before, after)] == [6, 3]
+    assert after.answers["cnn"][1].tolist() == [0, 1, 7]
+    assert missing(said[0], "table2.json", "splits", "1") == []
 
 
 def test_a_run_that_is_not_there(tmp_path, capsys):

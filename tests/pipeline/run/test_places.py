@@ -4,8 +4,8 @@ import pytest
 
 from pipeline.run.folder import RunFolder, checks_beside
 from pipeline.run.places import similar_run
-from pipeline.settings import Settings
-from tests.command import call
+from pipeline.settings import Settings, write_settings
+from tests.command import call, missing
 
 
 def test_a_bundle_is_no_run(tmp_path, capsys):
@@ -42,6 +42,22 @@ def test_a_run_does_not_become_the_folder_of_a_benchmark(tmp_path, capsys, comma
     assert call(*(tmp_path if word == "RUN" else word for word in command)) == 2
     assert str(tmp_path) in capsys.readouterr().err
     assert (tmp_path / "experiment.toml").read_text() == ""
+
+
+@pytest.mark.parametrize(
+    "result", ["splits/random-00/cnn.json", "points/0a.json", "networks/cnn/0a/x", "split-07.json"]
+)
+def test_the_folder_of_a_benchmark_does_not_become_a_run(tmp_path, capsys, result):
+    """A benchmark that was interrupted could not continue there."""
+    (tmp_path / result).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / result).write_text("{}")
+    write_settings(tmp_path / "experiment.toml", Settings())
+    for command in ("convert", "train", "status", "report", "check run --target fast", "live"):
+        assert call(*command.split(), tmp_path) == 2
+        said = capsys.readouterr().err
+        assert missing(said, tmp_path, result.split("/")[0], "benchmark") == []
+        assert "stmnist convert" not in said
+    assert not (tmp_path / "dataset.json").exists()
 
 
 def test_the_status_of_a_bundle_names_its_run(tmp_path, capsys):
