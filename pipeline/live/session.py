@@ -9,7 +9,8 @@ sends:
 ``label``    ``label``: save the recording under this class, counted from 0
 ``example``  ``now``, ``origin`` (``"test"`` or ``"kept"``) and ``label`` (or null for any): play an
              existing recording, which is not saved again
-``undo``     remove the writer's last recording
+``undo``     discard the present recording or, if it is saved already, remove the last one that
+             this page saved of this writer; one that it did not save only if asked twice
 ``learning`` ``on``: whether the network learns this writer's handwriting
 ``forget``   delete what the network has learned from this writer
 ``writer``   ``number`` (or null for a new one), ``handedness``, ``each`` (0: no session): the
@@ -35,7 +36,7 @@ import numpy as np
 from deploy.errors import UserError, line_of
 from pipeline.live.deciding import Answer, Decider
 from pipeline.live.examples import KEPT, TEST, Examples, Replayed
-from pipeline.live.keeping import WRITERS, Keeper, asked_next
+from pipeline.live.keeping import FIRST_WRITER, WRITERS, Keeper, asked_next
 from pipeline.recordings.events import Events, joined
 from pipeline.recordings.matfile import MatRecording, Written
 from pipeline.skin.writing import MARGIN, START_S, PenPoint, Writing
@@ -239,8 +240,9 @@ class Session:
         self._learns, self._lessons = True, []
         self._recordings = 0
         self._each, self._handedness = 0, ""
-        self.writer = 1
+        self.writer = FIRST_WRITER
         self.recording = None
+        self._offered = None  # another page's recording that a second undo removes
         self._limits = limits or Limits()
         self._complained_s = -math.inf
 
@@ -395,6 +397,7 @@ class Session:
 
     def _begin(self, page_ms):
         self._recordings += 1
+        self._offered = None
         seed = (self._seed, 2, self._number, self._recordings)
         sensor = self._sensor
         writing = Writing(seed, self._p, (sensor.rows, sensor.columns), sensor.polarities)
@@ -474,7 +477,8 @@ class Session:
             pen=np.array(recording.pen),
         )
         taxels = self._sensor.rows * self._sensor.columns
-        kept = self._keeper.save(label, MatRecording(events, True, self.writer, written, taxels))
+        saved = MatRecording(events, True, self.writer, written, taxels)
+        kept = self._keeper.save(label, saved, self._number)
         recording.saved = True
         self._study("learn", self.writer, kept.name, label, events)
         saved = {
@@ -487,11 +491,29 @@ class Session:
         return [*replies, saved, self.state()]
 
     def _undo(self, message, now_s):
-        removed = self._keeper.undo(self.writer)
-        if removed is None:
-            return [problem(f"writer {self.writer} has no recording to remove")]
-        self._study("forget", self.writer, removed.name)
-        return [{"type": "undone", "label": removed.label, "name": removed.name}, self.state()]
+        if self.recording is not None and not self.recording.kept:
+            return self._clear(message, now_s)  # it is the last, and not in the folder yet
+        self._keeper.look()
+        last = self._keeper.last(self.writer, self._number) or self._of_another_page()
+        self._keeper.remove(last)
+        self._study("forget", self.writer, last.name)
+        return [{"type": "undone", "label": last.label, "name": last.name}, self.state()]
+
+    def _of_another_page(self):
+        """This writer's last recording, which another page may have saved, if asked for twice.
+
+        Every page begins with the same number, so that it may be another person's.
+        """
+        last, offered = self._keeper.last(self.writer), self._offered
+        self._offered = last
+        if last is None:
+            raise UserError(f"writer {self.writer} has no recording to remove")
+        if last != offered:
+            raise UserError(
+                f"{last.name}, the last recording of writer {self.writer}, was saved on another "
+                "page, or on this one before it was loaded; undo again to remove it nevertheless"
+            )
+        return last
 
     def _learning(self, message, now_s):
         on = message.get("on")
@@ -506,30 +528,18 @@ class Session:
 
     def _who(self, message, now_s):
         number = message.get("number")
-        if number is None:
-            number = self._new_writer()
-        elif type(number) is not int or not 1 <= number < WRITERS:
+        if number is not None and (type(number) is not int or not 1 <= number < WRITERS):
             raise BadMessage(f"number: not from 1 to {WRITERS - 1}")
         handedness = message.get("handedness", "")
         if handedness not in ("", "left", "right"):
             raise BadMessage("handedness: neither left nor right nor empty")
         each = _whole(message, "each", 0, EACH)
+        if number is None:
+            number = self._keeper.new_writer()
+        self._keeper.is_writer(number)
         self.writer, self._handedness, self._each = number, handedness, each
         self._study("recall", self.writer)
         return [self.state()]
-
-    def _new_writer(self):
-        """A number above all others or, if there is none, the lowest free one."""
-        self._keeper.look()
-        known = {self.writer, *self._keeper.writers}
-        numbers = [max(known) + 1, *range(1, WRITERS)]
-        free = next((n for n in numbers if n < WRITERS and n not in known), None)
-        if free is None:
-            raise UserError(
-                f"{self._keeper.folder}: has recordings of {len(known)} writers, the maximum; "
-                "choose another folder with --record"
-            )
-        return free
 
     def _too_fast(self, now_s):
         if self.recording is not None and not self.recording.kept:

@@ -174,6 +174,57 @@ def test_somebody_new_is_the_next_number(session):
     assert say(session, new)[0]["number"] == 3
 
 
+def test_new_writers_on_two_pages_have_two_numbers(session, keeper):
+    """Also before they have saved anything, and after one of them has lost its connection."""
+    new = {"type": "writer", "number": None, "handedness": "", "each": 0}
+    assert say(session, new)[0]["number"] == 2
+    other = Session(2, keeper, P)
+    assert say(other, new)[0]["number"] == 3
+    again = Session(3, keeper, P)
+    assert say(again, {**new, "number": 7})[0]["number"] == 7  # the browser has stored it
+    assert say(other, new)[0]["number"] == 8
+
+
+def test_undo_removes_what_this_page_has_saved(session, keeper):
+    """Both pages begin as writer 1, and the other one's recording has the higher number."""
+    other = Session(2, keeper, P)
+    other.begin(Parrot())
+    for page, digit in ((session, 1), (other, 7)):
+        written(page)
+        say(page, {"type": "label", "label": digit})
+    assert of(say(session, {"type": "undo"}), "undone")[0]["name"] == "1/w001-0001.mat"
+    assert [kept.label for kept in keeper.kept] == [7]
+
+
+def test_undo_of_another_pages_recording_has_to_be_asked_for_twice(session, keeper):
+    written(session)
+    say(session, {"type": "label", "label": 7})
+    other = Session(2, keeper, P)
+    other.begin(Parrot())
+
+    def offered():
+        (said,) = say(other, {"type": "undo"})
+        return said["type"] == "problem" and missing(said["text"], "7/w001-0001.mat", "again") == []
+
+    assert offered()
+    written(other)
+    say(other, {"type": "label", "label": 3})
+    assert of(say(other, {"type": "undo"}), "undone")[0]["label"] == 3
+    assert offered()  # it is long ago that this was asked
+    assert len(keeper) == 1
+    assert of(say(other, {"type": "undo"}), "undone")[0]["label"] == 7
+    assert len(keeper) == 0
+
+
+def test_undo_of_a_drawing_that_is_not_saved_clears_it_only(session, keeper):
+    written(session)
+    say(session, {"type": "label", "label": 7})
+    written(session, start_ms=9000.0)
+    assert say(session, {"type": "undo"}) == [{"type": "cleared", "recording": None}]
+    assert len(keeper) == 1
+    assert of(say(session, {"type": "undo"}), "undone")[0]["label"] == 7
+
+
 def test_undo_without_anything_says_so(session):
     (said,) = say(session, {"type": "undo"})
     assert said["type"] == "problem"
@@ -282,9 +333,8 @@ def test_a_new_writer_has_a_number_of_their_own(session, keeper):
     (keeper.folder / "3" / "w007-0001.mat").write_text("")
     assert number() == 8
     (keeper.folder / "3" / "w999-0001.mat").write_text("")
-    assert number() == 1  # the one before has written nothing
-    (keeper.folder / "3" / "w001-0001.mat").write_text("")
-    assert number() == 2
+    assert number() == 2  # every page begins with 1
+    assert number() == 3
     for writer in range(1, 1000):
         (keeper.folder / "3" / f"w{writer:03d}-0001.mat").write_text("")
     refused = say(session, {"type": "writer", "number": None, "each": 0})
