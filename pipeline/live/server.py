@@ -298,7 +298,13 @@ class Live:
     async def _talk(self, socket, limits):
         session = Session(next(self._numbers), self._keeper, self._p, self._seed, limits=limits)
         page, loop = _Page(socket, session), asyncio.get_running_loop()
-        hello = {"type": "hello", **self._about, **_LIMITS, "shared": self.picture is not None}
+        hello = {
+            "type": "hello",
+            **self._about,
+            **_LIMITS,
+            "data_set": self._keeper.data_set,
+            "shared": self.picture is not None,
+        }
         await _say(socket, [hello, session.state()])
         tasks = [
             asyncio.create_task(each(page)) for each in (self._answer, self._study, self._exhibit)

@@ -7,7 +7,6 @@ import { Pen } from "./pen.js";
 const $ = (id) => document.getElementById(id);
 const BY_ITSELF_MS = 1000;
 const LAYERS_MS = 60;
-const REMEMBERED = "stmnist-writer";
 const SCORES = 5; // number of displayed classes, with the highest scores, if there is no room for all
 const BUTTONS = 12; // with more classes, their buttons can be searched
 const SHORT = 3; // characters of a name that is shown large
@@ -149,18 +148,18 @@ const pen = new Pen($("skin"), (points, now) => {
   link.send({ type: "pen", now, points });
 });
 
-function keep(label) {
+// Whatever is asked of the server decides about the drawing, so that nothing saves it afterwards.
+function ask(message) {
   clearTimeout(byItself);
-  link.send({ type: "label", label });
+  link.send(message);
 }
 
-function clear() {
-  clearTimeout(byItself);
-  link.send({ type: "clear" });
-}
+const keep = (label) => ask({ type: "label", label });
+const clear = () => ask({ type: "clear" });
+const undo = () => ask({ type: "undo" });
 
 $("clear").addEventListener("click", clear);
-$("undo").addEventListener("click", () => link.send({ type: "undo" }));
+$("undo").addEventListener("click", undo);
 
 $("learn").addEventListener("change", () => link.send({ type: "learning", on: $("learn").checked }));
 $("forget").addEventListener("click", () => link.send({ type: "forget" }));
@@ -172,14 +171,14 @@ document.addEventListener("keydown", (event) => {
   if (label >= 0) keep(label);
   else if (event.key === "e") $("examples").requestSubmit();
   else if (event.key === "c" || event.key === "Escape") clear();
-  else if (event.key === "u") link.send({ type: "undo" });
+  else if (event.key === "u") undo();
 });
 
 $("examples").addEventListener("submit", (event) => {
   event.preventDefault();
   if ($("example").disabled) return;
   const label = $("example-class").value;
-  link.send({
+  ask({
     type: "example",
     now: performance.now(),
     origin: $("example-from").value,
@@ -189,7 +188,7 @@ $("examples").addEventListener("submit", (event) => {
 
 function tellWriter(each) {
   const chosen = $("writer").value;
-  link.send({
+  ask({
     type: "writer",
     number: chosen === "new" ? null : Number(chosen || 1),
     handedness: $("handedness").value,
@@ -203,7 +202,11 @@ $("session").addEventListener("submit", (event) => {
   clear();
   scrollTo({ top: 0 }); // from the form, at the end of the page, to the skin
 });
-$("stop").addEventListener("click", () => tellWriter(0));
+$("stop").addEventListener("click", () => {
+  tellWriter(0);
+  if (recording !== null && !kept)
+    $("told").textContent = "The drawing on the skin is not saved: press its class to save it.";
+});
 $("writer").addEventListener("change", () => tellWriter(writer?.each ?? 0));
 $("handedness").addEventListener("change", () => tellWriter(writer?.each ?? 0));
 
@@ -310,10 +313,12 @@ link.on("learned", (message) => {
 
 link.on("undone", (message) => {
   $("told").textContent = `Removed ${named(message.label)}: ${message.name}.`;
+  complain(null);
 });
 
 link.on("writer", (state) => {
   const first = writer === null;
+  if (writer?.asked !== state.asked) clearTimeout(byItself);
   writer = state;
   $("saved").textContent = state.saved;
   $("learning").hidden = !state.can_learn;
@@ -351,10 +356,13 @@ async function comeBack() {
   }
 }
 
-// The browser stores the writer, so that a session continues where it was left.
+// The browser stores the writer, so that a session continues where it was left.  It does so for each
+// data set: all pages of this machine have the same storage.
+const remembered = () => `stmnist-writer:${about.data_set}`;
+
 function recall() {
   try {
-    const { number, handedness, each } = JSON.parse(localStorage.getItem(REMEMBERED)) ?? {};
+    const { number, handedness, each } = JSON.parse(localStorage.getItem(remembered())) ?? {};
     if (Number.isInteger(number)) link.send({ type: "writer", number, handedness, each });
   } catch {
     // this browser has no storage
@@ -364,7 +372,7 @@ function recall() {
 function remember() {
   try {
     const { number, handedness, each } = writer;
-    localStorage.setItem(REMEMBERED, JSON.stringify({ number, handedness, each }));
+    localStorage.setItem(remembered(), JSON.stringify({ number, handedness, each }));
   } catch {
     // this browser has no storage
   }
@@ -380,8 +388,9 @@ function complain(text) {
 function settle() {
   announce();
   clearTimeout(byItself);
-  if (writer?.asked !== null && !kept && events.taxel.length && $("by-itself").checked)
-    byItself = setTimeout(() => keep(writer.asked), BY_ITSELF_MS);
+  const asked = writer?.asked ?? null; // the class when the pen was lifted
+  if (asked !== null && !kept && events.taxel.length && $("by-itself").checked)
+    byItself = setTimeout(() => keep(asked), BY_ITSELF_MS);
 }
 
 // For screen readers: one sentence when the pen is lifted, not one per event.

@@ -8,6 +8,7 @@ import threading
 import time
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -56,8 +57,9 @@ def page_of(browser, server, **options):
     page.complaints = []
     page.on("console", lambda message: page.complaints.append(message.text))
     page.on("pageerror", lambda error: page.complaints.append(str(error)))
-    page.told = []
+    page.told, page.said = [], []
     page.on("websocket", lambda s: s.on("framereceived", lambda frame: page.told.append(frame)))
+    page.on("websocket", lambda s: s.on("framesent", lambda frame: page.said.append(frame)))
     robot.opened(page, server.url)
     yield page
     assert page.complaints == []
@@ -65,7 +67,17 @@ def page_of(browser, server, **options):
 
 
 def messages(page, kind):
-    every = [json.loads(frame) for frame in page.told]
+    """What the server has told the page."""
+    return of_kind(page.told, kind)
+
+
+def sent(page, kind):
+    """What the page has sent to the server."""
+    return of_kind(page.said, kind)
+
+
+def of_kind(frames, kind):
+    every = [json.loads(frame) for frame in frames]
     return [message for message in every if message["type"] == kind]
 
 
@@ -95,6 +107,24 @@ def settled(page):
         " parseInt(document.querySelector('#count').textContent) =="
         " document.querySelector('#decision').dataset.events",
     )
+
+
+def time_to_save(page):
+    """Wait for as long as the page waits until it saves a drawing by itself, and a bit more."""
+    end = page.evaluate("performance.now()") + 1300
+    until(page, f"performance.now() > {end}")
+
+
+def start(page, each=1):
+    """Start a session; returns the class that is asked for."""
+    page.fill("#each", str(each))
+    page.click("#start")
+    page.wait_for_selector("#asking:not([hidden])")
+    return asked(page)
+
+
+def asked(page):
+    return int(page.inner_text("#asked b"))
 
 
 def label(page, number):
@@ -415,6 +445,48 @@ def test_keeping_by_itself_complains_of_nothing(page):
         robot.replay(page, digit(int(page.inner_text("#asked b"))))
         until(page, f"document.querySelector('#progress').value === {done}")
     assert messages(page, "problem") == []
+
+
+def test_stop_saves_nothing_and_the_last_drawing_can_still_be_saved(page):
+    """The page sent the class that is asked for, which was none any more, and was refused."""
+    number = start(page)
+    robot.replay(page, digit(number))
+    settled(page)
+    page.click("#stop")
+    page.wait_for_selector("#asking", state="hidden")
+    assert "not saved" in page.inner_text("#told")
+    time_to_save(page)
+    assert sent(page, "label") == []
+    label(page, number)
+
+
+def test_undo_before_a_drawing_is_saved_clears_that_drawing_only(page):
+    """It removed the recording before, and the drawing was saved as the class of that one."""
+    first = start(page)
+    robot.replay(page, digit(first))
+    until(page, "document.querySelector('#saved').textContent === '1'")
+    second = asked(page)
+    robot.replay(page, digit(second))
+    settled(page)
+    page.click("#undo")
+    until(page, "document.querySelector('#count').textContent === ''")
+    time_to_save(page)
+    assert [kept.label for kept in page.server.keeper.kept] == [first]
+    assert asked(page) == second
+
+
+def test_a_session_continues_in_its_own_data_set_only(browser, tmp_path):
+    """All servers of a machine have the same address, and with it the same storage in a browser."""
+    page, port = browser.new_page(), 0
+    for folder, goes_on in (("one", False), ("other", False), ("one", True)):
+        with served(tmp_path / folder, port=port) as server:
+            port = urlsplit(server.url).port
+            robot.opened(page, server.url)
+            page.wait_for_selector("#asking", state="visible" if goes_on else "hidden")
+            if folder == "one" and not goes_on:
+                start(page)
+            page.goto("about:blank")
+    page.close()
 
 
 @pytest.mark.parametrize("sensor", [Sensor(), OWN])

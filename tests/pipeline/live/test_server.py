@@ -154,6 +154,7 @@ def test_the_own_page_is_welcome_and_a_digit_is_kept(server):
     with connect(server, origin=f"http://localhost:{port}") as page:
         messages = read_until(page, "ready")
         assert messages[0]["type"] == "hello"
+        assert messages[0]["data_set"] == server.keeper.data_set
         write(page)
         messages = read_until(page, "answer")
         page.send(json.dumps({"type": "label", "label": 1}))
