@@ -327,7 +327,7 @@ class Keeper:
             self.look()
 
     def is_writer(self, number: int):
-        """Note that a page uses a writer's number, so that :meth:`new_writer` does not return it."""
+        """Note that a page has a writer's number, which :meth:`new_writer` then does not return."""
         with self._guard:
             self._given.add(number)
 

@@ -225,6 +225,39 @@ def test_undo_of_a_drawing_that_is_not_saved_clears_it_only(session, keeper):
     assert of(say(session, {"type": "undo"}), "undone")[0]["label"] == 7
 
 
+def test_a_mislabelled_recording_is_saved_again_after_an_undo(session, keeper):
+    written(session)
+    say(session, {"type": "label", "label": 3})
+    assert of(say(session, {"type": "undo"}), "undone")[0]["label"] == 3
+    (saved,) = of(say(session, {"type": "label", "label": 8}), "saved")
+    assert [kept.name for kept in keeper.kept] == [saved["name"]] == ["8/w001-0001.mat"]
+    read = read_recording((keeper.folder / saved["name"]).read_bytes())
+    assert len(read.events) == saved["events"] > 20
+    assert of(say(session, {"type": "label", "label": 8}), "problem")
+    say(session, {"type": "undo"})
+    assert of(written(session, start_ms=1400.0), "cleared")  # it is not written on again
+
+
+def test_a_second_undo_removes_the_recording_before(session, keeper):
+    for n, digit in enumerate((1, 7)):
+        written(session, start_ms=9000.0 * (n + 1))
+        say(session, {"type": "label", "label": digit})
+    for digit in (7, 1):
+        assert of(say(session, {"type": "undo"}), "undone")[0]["label"] == digit
+    assert len(keeper) == 0
+
+
+def test_a_recording_is_of_who_has_written_it(session, keeper):
+    who = {"type": "writer", "number": 4, "handedness": "left", "each": 0}
+    say(session, who)
+    written(session)
+    say(session, {**who, "number": 5, "handedness": "right"})
+    (saved,) = of(say(session, {"type": "label", "label": 3}), "saved")
+    read = read_recording((keeper.folder / saved["name"]).read_bytes())
+    assert (saved["name"], read.writer) == ("3/w004-0001.mat", 4)
+    assert read.written.handedness == "left"
+
+
 def test_undo_without_anything_says_so(session):
     (said,) = say(session, {"type": "undo"})
     assert said["type"] == "problem"
