@@ -17,8 +17,9 @@ sends:
 ``writer``   ``number`` (or null for a new one), ``handedness``, ``each`` (0: no session): the
              writer, and the requested number of recordings of each class
 
-and it receives: ``events``, ``cleared``, ``saved``, ``undone``, ``learned``, ``examples``,
-``writer`` and ``problem``.
+and it receives: ``events``, ``answer``, ``spikes``, ``cleared``, ``saved``, ``undone``,
+``learned``, ``examples``, ``writer`` and ``problem``.  ``spikes`` are most of the data and slow to
+draw, and are therefore not in every ``answer``.
 Any other message raises :class:`BadMessage`.
 """
 
@@ -181,6 +182,7 @@ class OpenRecording:
         self.complete = example is not None
         self.saved_as = None
         self.decision, self.since_s = None, None
+        self.spikes = None  # of the latest answer
         self._longest_s = LONGEST_S if example is None else writing.settled_s
         self._begun_ms = begun_ms
 
@@ -377,6 +379,18 @@ class Session:
             return None if said is None else _answer(recording, events, time_s, said)
 
         return answer
+
+    def spikes(self):
+        """The message ``spikes`` of the latest answer, or None."""
+        recording = self.recording
+        if recording is None or recording.spikes is None:
+            return None
+        layers = recording.spikes.items()
+        return {
+            "type": "spikes",
+            "recording": recording.number,
+            "layers": {name: base64.b64encode(rows.tobytes()).decode() for name, rows in layers},
+        }
 
     def _pen(self, message, now_s):
         now_ms, points = _number(message, "now"), message.get("points")
@@ -595,6 +609,7 @@ def problem(text: str) -> dict:
 def _answer(recording, events, time_s, said: Answer):
     if said.decision != recording.decision:
         recording.decision, recording.since_s = said.decision, time_s
+    recording.spikes = said.spikes
     curve = said.curve
     return {
         "type": "answer",
@@ -609,9 +624,6 @@ def _answer(recording, events, time_s, said: Answer):
         if said.decided is None
         else {"s": said.decided[0] - START_S, "label": said.decided[1]},
         "shares": said.shares.round(4).tolist(),
-        "spikes": {
-            name: base64.b64encode(rows.tobytes()).decode() for name, rows in said.spikes.items()
-        },
     }
 
 

@@ -6,7 +6,6 @@ import { Pen } from "./pen.js";
 
 const $ = (id) => document.getElementById(id);
 const BY_ITSELF_MS = 1000;
-const LAYERS_MS = 60;
 const SCORES = 5; // number of displayed classes, with the highest scores, if there is no room for all
 const BUTTONS = 12; // with more classes, their buttons can be searched
 const SHORT = 3; // characters of a name that is shown large
@@ -24,6 +23,7 @@ let strokes = [], flashes = [], counts = [];
 let events = { s: [], taxel: [], polarity: [] };
 let time = 0;
 let answer = null; // the latest answer, until it is displayed
+let spikes = null; // the latest spikes, which do not come with every answer
 let byItself = null;
 const latencies = [];
 let lastCounted = -Infinity;
@@ -36,14 +36,12 @@ function forget() {
   events = { s: [], taxel: [], polarity: [] };
   counts = Array(taxels).fill(0);
   time = 0;
-  answer = shown = null;
+  answer = shown = spikes = null;
   kept = false;
   clearTimeout(byItself);
   $("announce").textContent = $("shown").textContent = "";
   showDecision(null);
-  showLayers(null);
-  stale.skin = stale.rest = stale.all = true;
-  draw();
+  redraw();
 }
 
 // ---- texts that depend on the data set
@@ -296,6 +294,12 @@ link.on("answer", (message) => {
   draw();
 });
 
+link.on("spikes", (message) => {
+  if (message.recording !== recording) return;
+  spikes = message;
+  showLayers(); // not in the next frame, which may be that of a decision: this takes the longest
+});
+
 link.on("saved", (message) => {
   kept = true;
   clearTimeout(byItself); // the saved recording is complete
@@ -488,24 +492,15 @@ function showDecided(message) {
   else $("decided").textContent = `Confidence of the network over time; it decides at ${exact(threshold)}.`;
 }
 
-function showLayers(message) {
+function showLayers() {
   if (!ready) return;
   ready.layers.forEach(({ name, neurons }, i) => {
     const part = $("layers").children[i];
-    const text = message === null ? "" : atob(message.spikes[name]);
+    const text = spikes === null ? "" : atob(spikes.layers[name]);
     const packed = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
-    const spikes = drawLayer(part.querySelector("canvas"), packed, neurons, ready.steps, ready.first_step);
-    part.querySelector("span").textContent = message === null ? "" : `${spikes} spikes`;
+    const count = drawLayer(part.querySelector("canvas"), packed, neurons, ready.steps, ready.first_step);
+    part.querySelector("span").textContent = spikes === null ? "" : `${count} spikes`;
   });
-}
-
-// Drawing the spikes takes the longest; a higher frame rate would not be visible.
-let soon = null;
-function showLayersSoon() {
-  soon ??= setTimeout(() => {
-    soon = null;
-    if (shown !== null) showLayers(shown);
-  }, LAYERS_MS);
 }
 
 let drawing = false;
@@ -522,7 +517,6 @@ function draw() {
         shown = answer;
         showDecision(answer);
         announce();
-        showLayersSoon();
         afterPaint(answer.last_ms);
       }
       drawRaster($("raster"), events, time, stale.all);
@@ -556,7 +550,7 @@ function afterPaint(last) {
 
 function redraw() {
   stale.skin = stale.rest = stale.all = true;
-  showLayers(shown);
+  showLayers();
   draw();
 }
 addEventListener("resize", redraw);
