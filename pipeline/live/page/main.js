@@ -519,8 +519,9 @@ function draw() {
         announce();
         afterPaint(answer.last_ms);
       }
-      drawRaster($("raster"), events, time, stale.all);
-      drawCurve($("curve"), shown, ready?.threshold ?? null, time);
+      const last = Math.max(time, shown?.curve[0].at(-1) ?? 0); // a network may run longer than the skin
+      drawRaster($("raster"), events, last, stale.all);
+      drawCurve($("curve"), shown, ready?.threshold ?? null, last);
       stale.all = false;
       drawImage($("image"), counts);
       $("count").textContent = events.taxel.length ? `${events.taxel.length} events` : "";
