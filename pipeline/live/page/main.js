@@ -122,7 +122,8 @@ $("search").addEventListener("input", () => {
 $("search").addEventListener("keydown", (event) => {
   if (event.key !== "Enter") return;
   event.preventDefault();
-  [...$("labels").children].find((button) => !button.hidden)?.click();
+  const label = classSought($("search").value.trim());
+  if (label !== null) keep(label);
 });
 
 // ---- input of the user
@@ -130,6 +131,20 @@ $("search").addEventListener("keydown", (event) => {
 const pen = new Pen($("skin"), (points, now) => {
   if (!ready) return;
   clearTimeout(byItself);
+// The class of this name or, if there is none, the only one that contains it; null if there are several.
+function classSought(typed) {
+  const lower = (name) => name.toLocaleLowerCase();
+  for (const fits of [
+    (name) => name === typed,
+    (name) => lower(name) === lower(typed),
+    (name) => typed !== "" && lower(name).includes(lower(typed)),
+  ]) {
+    const found = [...about.classes.keys()].filter((label) => fits(about.classes[label]));
+    if (found.length) return found.length === 1 ? found[0] : null;
+  }
+  return null;
+}
+
   for (const [, right, down, , touches] of points) {
     if (!touches) {
       pen.lifted = true;
