@@ -286,7 +286,7 @@ class Live:
             return
         await socket.accept()
         if not self._free:
-            text = f"{PAGES} pages are open already; close one of them and reload this page"
+            text = f"{PAGES} pages are open already; close one of them, and this page will connect"
             await _say(socket, [problem(text)])
             await socket.close(1013, "too many pages")
             return
@@ -329,7 +329,7 @@ class Live:
                 if any(r["type"] == "events" and (r["ns"] or session.clocked) for r in replies):
                     page.wake.set()
         except BadMessage as error:
-            await _say(socket, [problem(f"a message was refused: {error}")])
+            await _say(socket, [problem(f"a message was refused: {error}; reload this page")])
             await socket.close(1008, "a message was refused")
         finally:
             for task in tasks:

@@ -6,6 +6,9 @@ import { Pen } from "./pen.js";
 
 const $ = (id) => document.getElementById(id);
 const BY_ITSELF_MS = 1000;
+const AGAIN_MS = 2000; // until the page tries to connect again
+const [REFUSED, TOO_MANY] = [1008, 1013]; // codes with which the server ends a connection
+const LOST = "stmnist-lost";
 const SCORES = 5; // number of displayed classes, with the highest scores, if there is no room for all
 const BUTTONS = 12; // with more classes, their buttons can be searched
 const SHORT = 3; // characters of a name that is shown large
@@ -19,6 +22,8 @@ let writer = null; // the writer, and the requested class
 let tests = null; // test samples of each class, once they are known
 let recording = null; // number of the recording that is written or played
 let kept = false;
+let over = false; // the recording has been cut at its maximum duration
+let tried = false; // it was to be saved since the last stroke
 let strokes = [], flashes = [], counts = [];
 let events = { s: [], taxel: [], polarity: [] };
 let time = 0;
@@ -37,7 +42,7 @@ function forget() {
   counts = Array(taxels).fill(0);
   time = 0;
   answer = shown = spikes = null;
-  kept = false;
+  kept = over = tried = false;
   clearTimeout(byItself);
   $("announce").textContent = $("shown").textContent = "";
   showDecision(null);
@@ -126,11 +131,6 @@ $("search").addEventListener("keydown", (event) => {
   if (label !== null) keep(label);
 });
 
-// ---- input of the user
-
-const pen = new Pen($("skin"), (points, now) => {
-  if (!ready) return;
-  clearTimeout(byItself);
 // The class of this name or, if there is none, the only one that contains it; null if there are several.
 function classSought(typed) {
   const lower = (name) => name.toLocaleLowerCase();
@@ -145,41 +145,60 @@ function classSought(typed) {
   return null;
 }
 
+// ---- input of the user
+
+const pen = new Pen($("skin"), (points, now) => {
+  if (!ready) return;
+  clearTimeout(byItself);
   for (const [, right, down, , touches] of points) {
     if (!touches) {
       pen.lifted = true;
       continue;
     }
     if (pen.lifted !== false || !strokes.length) strokes.push([]); // or the skin was cleared during a stroke
-    pen.lifted = false;
+    pen.lifted = tried = false;
     strokes.at(-1).push([right, down]);
   }
   if (points.length) {
     stale.skin = true;
     draw();
   }
-  link.send({ type: "pen", now, points });
+  const touches = points.some((point) => point[4]);
+  link.send({ type: "pen", now, points }, touches ? ["events", "problem"] : []);
+}, () => {
+  if (strokes.length) strokes.at(-1).interrupted = true;
 });
 
-// Whatever is asked of the server decides about the drawing, so that nothing saves it afterwards.
-function ask(message) {
+// Whatever is asked of the server decides about the drawing: nothing saves it afterwards, and the rest of
+// a stroke that has not ended is no other recording.
+function ask(message, answers) {
+  pen.lift();
   clearTimeout(byItself);
-  link.send(message);
+  link.send(message, answers);
 }
 
-const keep = (label) => ask({ type: "label", label });
+function keep(label) {
+  tried = true;
+  ask({ type: "label", label }, ["saved", "problem"]);
+}
+
 const clear = () => ask({ type: "clear" });
 const undo = () => ask({ type: "undo" });
 
 $("clear").addEventListener("click", clear);
 $("undo").addEventListener("click", undo);
 
-$("learn").addEventListener("change", () => link.send({ type: "learning", on: $("learn").checked }));
+$("learn").addEventListener("change", () => {
+  tellLearning();
+  remember();
+});
+const tellLearning = () => link.send({ type: "learning", on: $("learn").checked });
+$("by-itself").addEventListener("change", remember);
 $("forget").addEventListener("click", () => link.send({ type: "forget" }));
 
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;
-  if (event.target.matches("input, select, textarea")) return;
+  if (event.target.matches("input:not([type=checkbox]), select")) return;
   const label = about?.classes.findIndex((_, label) => keyOf(label) === event.key) ?? -1;
   if (label >= 0) keep(label);
   else if (event.key === "e") $("examples").requestSubmit();
@@ -239,6 +258,7 @@ link.on("hello", (message) => {
   $("share").hidden = !about.shared;
   if (about.shared) $("qr").src = "qr.svg";
   forget();
+  complain(lost());
 });
 
 link.on("examples", (message) => {
@@ -275,6 +295,7 @@ link.on("cleared", (message) => {
   forget();
   if (message.recording !== null && !message.example) strokes = started;
   recording = message.recording;
+  if (recording === null) pen.settled = true; // no events will say so
   if (message.example) showExample(message.example);
   $("hint").classList.toggle("gone", recording !== null);
   complain(null);
@@ -292,10 +313,11 @@ link.on("events", (message) => {
     flashes[taxel] ??= { on: -Infinity, off: -Infinity };
     flashes[taxel][message.polarity[i] > 0 ? "on" : "off"] = now;
   });
-  pen.settled = message.settled;
-  if (message.over && pen.writes) {
+  if (message.settled) pen.settled = true;
+  else pen.watch();
+  if (message.over && !over && !kept) {
+    over = true;
     complain("This recording has reached its maximum duration: press its class, or lift the pen and write again.");
-    pen.settled = true;
   }
   stale.skin = stale.rest = true;
   draw();
@@ -341,7 +363,6 @@ link.on("writer", (state) => {
   writer = state;
   $("saved").textContent = state.saved;
   $("learning").hidden = !state.can_learn;
-  if (state.can_learn) $("learn").checked = state.learns;
   const known = [...new Set([...state.known, state.number])].sort((a, b) => a - b);
   $("writer").replaceChildren(
     ...known.map((number) => new Option(`Writer ${number}`, number, false, number === state.number)),
@@ -356,60 +377,95 @@ link.on("writer", (state) => {
 
 link.on("problem", (message) => complain(message.text));
 
-link.on("gone", (reason) => {
+link.on("silent", () => complain("The server does not answer: what you have written or saved in the last seconds may be lost."));
+link.on("heard", () => complain(null));
+
+link.on("gone", ({ code, reason, opened }) => {
   ready = null;
   delete document.body.dataset.ready;
   $("status").classList.remove("ready");
   $("status").textContent = "Not connected.";
-  if ($("problem").hidden)
-    complain(`The server has ended or cannot be reached${reason ? ` (${reason})` : ""}. Saved recordings are safe; start 'stmnist live' again and open the address that it prints.`);
-  if (!reason) setTimeout(comeBack, 2000);
+  if (code !== REFUSED && code !== TOO_MANY) // of these, the server has said the reason itself
+    complain(opened
+      ? `The server has ended or cannot be reached${reason ? ` (${reason})` : ""}. Saved recordings are safe; start 'stmnist live' again and open the address that it prints.`
+      : "The page cannot open its connection to the server: the server has ended, or a proxy or an extension of the browser blocks WebSockets. The page tries again by itself.");
+  // Without the first message the page is as it was loaded, and reloading it would change nothing.
+  if (code !== REFUSED) setTimeout(about === null ? () => link.connect() : comeBack, AGAIN_MS);
 });
 
 // The server can be reached again, for example after the machine has slept: reload, same writer.
 async function comeBack() {
   try {
-    if ((await fetch(location.href)).ok) location.reload();
+    if (!(await fetch(location.href)).ok) return; // another server, with another token
   } catch {
-    setTimeout(comeBack, 2000);
+    setTimeout(comeBack, AGAIN_MS);
+    return;
+  }
+  if (recording !== null && !kept) store(sessionStorage, LOST, true);
+  location.reload();
+}
+
+// What the page has to say of the time before it was loaded again.
+function lost() {
+  const drawing = stored(sessionStorage, LOST);
+  store(sessionStorage, LOST, null);
+  return drawing
+    ? "The connection was lost, and with it the drawing on the skin. If you had just pressed its class, look at the number of saved recordings; otherwise write it again."
+    : null;
+}
+
+// A browser may have no storage.
+function store(storage, key, value) {
+  try {
+    storage.setItem(key, JSON.stringify(value));
+  } catch {
+    // the page works without it
+  }
+}
+
+function stored(storage, key) {
+  try {
+    return JSON.parse(storage.getItem(key));
+  } catch {
+    return null;
   }
 }
 
 // The browser stores the writer, so that a session continues where it was left.  It does so for each
-// data set: all pages of this machine have the same storage.
+// data set: all servers of this machine have the same storage.
 const remembered = () => `stmnist-writer:${about.data_set}`;
 
 function recall() {
-  try {
-    const { number, handedness, each } = JSON.parse(localStorage.getItem(remembered())) ?? {};
-    if (Number.isInteger(number)) link.send({ type: "writer", number, handedness, each });
-  } catch {
-    // this browser has no storage
-  }
+  const { number, handedness, each, learn, save } = stored(localStorage, remembered()) ?? {};
+  $("learn").checked = learn ?? true;
+  $("by-itself").checked = save ?? true;
+  if (Number.isInteger(number)) link.send({ type: "writer", number, handedness, each });
+  if (!$("learn").checked) tellLearning(); // to a new connection
 }
 
 function remember() {
-  try {
-    const { number, handedness, each } = writer;
-    localStorage.setItem(remembered(), JSON.stringify({ number, handedness, each }));
-  } catch {
-    // this browser has no storage
-  }
+  if (writer === null) return; // not connected yet
+  const { number, handedness, each } = writer;
+  const [learn, save] = [$("learn").checked, $("by-itself").checked];
+  store(localStorage, remembered(), { number, handedness, each, learn, save });
 }
 
 // ---- what is shown
 
 function complain(text) {
   $("problem").hidden = text === null;
-  if (text !== null) $("problem").textContent = text;
+  if (text !== null) $("problem-text").textContent = text;
 }
+$("dismiss").addEventListener("click", () => complain(null));
 
 function settle() {
   announce();
   clearTimeout(byItself);
   const asked = writer?.asked ?? null; // the class when the pen was lifted
-  if (asked !== null && !kept && events.taxel.length && $("by-itself").checked)
-    byItself = setTimeout(() => keep(asked), BY_ITSELF_MS);
+  if (asked === null || kept || over || tried || !events.taxel.length || !$("by-itself").checked) return;
+  if (strokes.some((stroke) => stroke.interrupted))
+    complain("The device has interrupted a stroke, so that this recording is not saved automatically: press its class, or press Clear and write again.");
+  else byItself = setTimeout(() => keep(asked), BY_ITSELF_MS);
 }
 
 // For screen readers: one sentence when the pen is lifted, not one per event.
