@@ -8,6 +8,8 @@ lost or become outdated.  A file is never overwritten.
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import json
 import os
 import re
 import threading
@@ -39,6 +41,9 @@ from pipeline.recordings.matfile import (
 
 WRITERS = 1000
 """Writers are numbered from 1 to one less than this."""
+
+FIRST_WRITER = 1
+"""Number with which every page begins, until a writer is chosen there."""
 
 TABLE = "LUT.mat"
 """Place of each taxel, beside the classes' folders."""
@@ -119,6 +124,10 @@ class Keeper:
         self._taxels = TaxelMap.grid(self.sensor.rows, self.sensor.columns)
         self._places = places_of(self.sensor.classes)
         self._guard = threading.Lock()
+        self._pages = {}  # the page that saved each recording, since the server's start
+        # Numbers of writers that were on any page.  They are not given again when it closes,
+        # because a page that has lost its connection comes back with its number.
+        self._given = {FIRST_WRITER}
         self._held = contextlib.ExitStack()
         self._lock, self._closed = None, False
         self._hold()
@@ -205,6 +214,16 @@ class Keeper:
         return len(self._kept)
 
     @property
+    def data_set(self) -> str:
+        """A name for the folder and its classes, the same after a restart.
+
+        Browsers store a page's writer under it.  It is a hash, because the path of the folder is
+        not for other devices.
+        """
+        own = [str(self.folder.resolve()), *self.sensor.classes]
+        return hashlib.sha256(json.dumps(own).encode()).hexdigest()[:16]
+
+    @property
     def writers(self) -> list:
         """Numbers of the writers with recordings, in order."""
         return sorted({kept.writer for kept in self._kept})
@@ -236,8 +255,15 @@ class Keeper:
         except BadRecording as error:
             raise UserError(f"{path}: {error}; delete it") from error
 
-    def save(self, label: int, recording: MatRecording) -> Kept:
+    def save(self, label: int, recording: MatRecording, page: int | None = None) -> Kept:
         """Write a recording; when the function returns, it is on the disk.
+
+        Parameters
+        ----------
+        label : int
+        recording : MatRecording
+        page : int, optional
+            Number of the page that saves it, for :meth:`last`.
 
         Raises
         ------
@@ -261,11 +287,28 @@ class Keeper:
                     break
                 except FileExistsError:
                     kept = replace(kept, number=kept.number + 1)
+            self._pages[kept] = page
             self.look()
             return kept
 
-    def undo(self, writer: int) -> Kept | None:
-        """Remove a writer's last recording; returns it, or None if there is none.
+    def last(self, writer: int, page: int | None = None) -> Kept | None:
+        """A writer's last recording, or None if there is none.
+
+        Several people may have the same number, each on a page of their own.
+
+        Parameters
+        ----------
+        writer : int
+        page : int, optional
+            Only recordings that were saved with this number of a page.
+        """
+        mine = [kept for kept in self._kept if kept.writer == writer]
+        if page is not None:
+            mine = [kept for kept in mine if self._pages.get(kept) == page]
+        return mine[-1] if mine else None
+
+    def remove(self, kept: Kept):
+        """Remove a recording; nothing happens if it does not exist any more.
 
         Raises
         ------
@@ -274,19 +317,42 @@ class Keeper:
         """
         with self._guard:
             self._hold()
-            self.look()
-            mine = [kept for kept in self._kept if kept.writer == writer]
-            if not mine:
-                return None
-            last = max(mine, key=lambda kept: kept.number)
             try:
-                (self.folder / last.name).unlink(missing_ok=True)
+                (self.folder / kept.name).unlink(missing_ok=True)
             except OSError as error:
                 raise UserError(
-                    f"{self.folder / last.name}: cannot be removed ({error.strerror})"
+                    f"{self.folder / kept.name}: cannot be removed ({error.strerror})"
                 ) from error
+            self._pages.pop(kept, None)
             self.look()
-            return last
+
+    def is_writer(self, number: int):
+        """Note that a page has a writer's number, which :meth:`new_writer` then does not return."""
+        with self._guard:
+            self._given.add(number)
+
+    def new_writer(self) -> int:
+        """A number that no other page has or had, also if its writer has not saved anything yet.
+
+        It is above all others or, if there is none, the lowest free one.
+
+        Raises
+        ------
+        UserError
+            All numbers are taken.
+        """
+        with self._guard:
+            self.look()
+            known = {*self._given, *self.writers}
+            numbers = [max(known, default=0) + 1, *range(1, WRITERS)]
+            free = next((n for n in numbers if n < WRITERS and n not in known), None)
+            if free is None:
+                raise UserError(
+                    f"{self.folder}: all {WRITERS - 1} numbers of writers are taken; "
+                    "choose another folder with --record"
+                )
+            self._given.add(free)
+            return free
 
 
 def asked_next(counts, each: int, seed) -> int | None:

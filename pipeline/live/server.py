@@ -61,6 +61,10 @@ LARGEST = 64 * 1024
 APART_S = 0.012
 """Minimum seconds between two answers, because a screen cannot display more."""
 
+SPIKES_APART_S = 0.06
+"""Minimum seconds between two messages with the spikes of the network, which are large and slow to
+draw; more of them would not be visible."""
+
 PAGES = 8
 """Pages that may be open at a time."""
 
@@ -165,8 +169,8 @@ class _Page:
     session : Session
     turn : asyncio.Lock
         Held by whoever uses the session.
-    wake, study : asyncio.Event
-        Set when there may be something to answer, or to learn.
+    wake, study, draw : asyncio.Event
+        Set when there may be something to answer or to learn, or spikes to draw.
     """
 
     socket: WebSocket
@@ -174,6 +178,7 @@ class _Page:
     turn: asyncio.Lock = field(default_factory=asyncio.Lock)
     wake: asyncio.Event = field(default_factory=asyncio.Event)
     study: asyncio.Event = field(default_factory=asyncio.Event)
+    draw: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class Live:
@@ -281,7 +286,7 @@ class Live:
             return
         await socket.accept()
         if not self._free:
-            text = f"{PAGES} pages are open already; close one of them and reload this page"
+            text = f"{PAGES} pages are open already; close one of them, and this page will connect"
             await _say(socket, [problem(text)])
             await socket.close(1013, "too many pages")
             return
@@ -298,11 +303,16 @@ class Live:
     async def _talk(self, socket, limits):
         session = Session(next(self._numbers), self._keeper, self._p, self._seed, limits=limits)
         page, loop = _Page(socket, session), asyncio.get_running_loop()
-        hello = {"type": "hello", **self._about, **_LIMITS, "shared": self.picture is not None}
+        hello = {
+            "type": "hello",
+            **self._about,
+            **_LIMITS,
+            "data_set": self._keeper.data_set,
+            "shared": self.picture is not None,
+        }
         await _say(socket, [hello, session.state()])
-        tasks = [
-            asyncio.create_task(each(page)) for each in (self._answer, self._study, self._exhibit)
-        ]
+        work = self._answer, self._draw, self._study, self._exhibit
+        tasks = [asyncio.create_task(each(page)) for each in work]
         try:
             while True:
                 message = await socket.receive()
@@ -319,7 +329,7 @@ class Live:
                 if any(r["type"] == "events" and (r["ns"] or session.clocked) for r in replies):
                     page.wake.set()
         except BadMessage as error:
-            await _say(socket, [problem(f"a message was refused: {error}")])
+            await _say(socket, [problem(f"a message was refused: {error}; reload this page")])
             await socket.close(1008, "a message was refused")
         finally:
             for task in tasks:
@@ -383,7 +393,18 @@ class Live:
                     except Exception as error:  # reported; the next answer may succeed
                         answer = problem(f"the network could not answer: {error}")
                     await _say(socket, [answer] if answer is not None else [])
+                    page.draw.set()
                     await asyncio.sleep(APART_S)
+
+    async def _draw(self, page):
+        """Send the spikes of the latest answer; those of the last one always."""
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+            while True:
+                await page.draw.wait()
+                page.draw.clear()
+                spikes = page.session.spikes()
+                await _say(page.socket, [spikes] if spikes is not None else [])
+                await asyncio.sleep(SPIKES_APART_S)
 
 
 _LIMITS = {

@@ -6,17 +6,20 @@ sends:
 ``pen``      ``now`` and ``points`` [[t, right, down, pressure, touches], ...], times in
              milliseconds of the page's clock, positions in taxels
 ``clear``    discard the present recording
-``label``    ``label``: save the recording under this class, counted from 0
+``label``    ``label``: save the recording under this class, counted from 0, and under the writer
+             that it was begun with
 ``example``  ``now``, ``origin`` (``"test"`` or ``"kept"``) and ``label`` (or null for any): play an
              existing recording, which is not saved again
-``undo``     remove the writer's last recording
+``undo``     discard the present recording or, if it is saved already, remove the last one that
+             this page saved of this writer; one that it did not save only if asked twice
 ``learning`` ``on``: whether the network learns this writer's handwriting
 ``forget``   delete what the network has learned from this writer
 ``writer``   ``number`` (or null for a new one), ``handedness``, ``each`` (0: no session): the
              writer, and the requested number of recordings of each class
 
-and it receives: ``events``, ``cleared``, ``saved``, ``undone``, ``learned``, ``examples``,
-``writer`` and ``problem``.
+and it receives: ``events``, ``answer``, ``spikes``, ``cleared``, ``saved``, ``undone``,
+``learned``, ``examples``, ``writer`` and ``problem``.  ``spikes`` are most of the data and slow to
+draw, and are therefore not in every ``answer``.
 Any other message raises :class:`BadMessage`.
 """
 
@@ -28,14 +31,14 @@ import functools
 import json
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from deploy.errors import UserError, line_of
 from pipeline.live.deciding import Answer, Decider
 from pipeline.live.examples import KEPT, TEST, Examples, Replayed
-from pipeline.live.keeping import WRITERS, Keeper, asked_next
+from pipeline.live.keeping import FIRST_WRITER, WRITERS, Keeper, asked_next
 from pipeline.recordings.events import Events, joined
 from pipeline.recordings.matfile import MatRecording, Written
 from pipeline.skin.writing import MARGIN, START_S, PenPoint, Writing
@@ -131,6 +134,20 @@ class Limits:
         self.requests = Allowance(10)
 
 
+class Writer(NamedTuple):
+    """Who writes.
+
+    Attributes
+    ----------
+    number : int
+    handedness : str
+        ``"left"``, ``"right"``, or empty if it is not stated.
+    """
+
+    number: int = FIRST_WRITER
+    handedness: str = ""
+
+
 class OpenRecording:
     """A recording that is being written, or an example that is being played.
 
@@ -141,27 +158,33 @@ class OpenRecording:
         Time of the first touch on the page's clock.
     deciding : Deciding
     writing : Writing or Replayed
+    writer : Writer, optional
+        Who writes it, also if another writer is chosen before it is saved.
     seed : sequence of int
         Seed of the skin's noise.
     example : Example, optional
         The example that is played.
+
+    Attributes
+    ----------
+    complete : bool
+        True if nothing can be written on it any more, because it is an example or was saved.
+    saved_as : pipeline.live.keeping.Kept or None
+        Its file; None before it is saved, and after that was undone.
     """
 
-    def __init__(self, number, begun_ms, deciding, writing, seed=(), example=None):
+    def __init__(self, number, begun_ms, deciding, writing, writer=None, seed=(), example=None):
         self.number, self.seed, self.deciding = number, seed, deciding
-        self.writing, self.example = writing, example
+        self.writing, self.writer, self.example = writing, writer, example
         self.pen = []
         self.down = False
         self.spoiled = False  # some of its points were lost
-        self.saved = False
+        self.complete = example is not None
+        self.saved_as = None
         self.decision, self.since_s = None, None
+        self.spikes = None  # of the latest answer
         self._longest_s = LONGEST_S if example is None else writing.settled_s
         self._begun_ms = begun_ms
-
-    @property
-    def kept(self):
-        """True if it is in a folder already, so that nothing can be written on it."""
-        return self.saved or self.example is not None
 
     def time_s(self, page_ms):
         """Convert a time of the page's clock to the recording's."""
@@ -238,16 +261,16 @@ class Session:
         self._sensor = keeper.sensor
         self._learns, self._lessons = True, []
         self._recordings = 0
-        self._each, self._handedness = 0, ""
-        self.writer = 1
+        self._writer, self._each = Writer(), 0
         self.recording = None
+        self._offered = None  # another page's recording that a second undo removes
         self._limits = limits or Limits()
         self._complained_s = -math.inf
 
     def begin(self, decider: Decider, learner: Learner | None = None):
         """Set the decider and, if the network can be fitted, the learner."""
         self._decider, self._learner = decider, learner
-        self._study("recall", self.writer)
+        self._study("recall", self._writer.number)
 
     def show(self, tests) -> dict:
         """Set the recordings of the network's check; returns the message ``examples``.
@@ -279,14 +302,15 @@ class Session:
 
     def state(self) -> dict:
         """The message ``writer``: the writer, the saved recordings, the requested class."""
-        counts = self._keeper.counts(self.writer)
+        number = self._writer.number
+        counts = self._keeper.counts(number)
         done = sum(min(n, self._each) for n in counts)
-        asked = asked_next(counts, self._each, [self._seed, 1, self.writer])
+        asked = asked_next(counts, self._each, [self._seed, 1, number])
         return {
             "type": "writer",
-            "number": self.writer,
+            "number": number,
             "known": self._keeper.writers,
-            "handedness": self._handedness,
+            "handedness": self._writer.handedness,
             "each": self._each,
             "done": done,
             "asked": asked if self._each else None,
@@ -356,6 +380,18 @@ class Session:
 
         return answer
 
+    def spikes(self):
+        """The message ``spikes`` of the latest answer, or None."""
+        recording = self.recording
+        if recording is None or recording.spikes is None:
+            return None
+        layers = recording.spikes.items()
+        return {
+            "type": "spikes",
+            "recording": recording.number,
+            "layers": {name: base64.b64encode(rows.tobytes()).decode() for name, rows in layers},
+        }
+
     def _pen(self, message, now_s):
         now_ms, points = _number(message, "now"), message.get("points")
         if not isinstance(points, list) or len(points) > POINTS:
@@ -379,15 +415,15 @@ class Session:
             if point[4] and self._is_new(point[0]):
                 self._begin(point[0])
                 replies.append({"type": "cleared", "recording": self.recording.number})
-            if self.recording is not None and not self.recording.kept:
+            if self.recording is not None and not self.recording.complete:
                 self.recording.point(*point)
-        if self.recording is not None and not self.recording.saved:
+        if self.recording is not None:
             replies.append(self._passed(self.recording.advance, now_ms))
         return replies
 
     def _is_new(self, page_ms):
         recording = self.recording
-        if recording is None or recording.kept:
+        if recording is None or recording.complete:
             return True
         if recording.down:
             return False
@@ -395,15 +431,16 @@ class Session:
 
     def _begin(self, page_ms):
         self._recordings += 1
+        self._offered = None
         seed = (self._seed, 2, self._number, self._recordings)
         sensor = self._sensor
         writing = Writing(seed, self._p, (sensor.rows, sensor.columns), sensor.polarities)
         self.recording = OpenRecording(
-            self._recordings, page_ms, self._deciding(), writing, seed=seed
+            self._recordings, page_ms, self._deciding(), writing, self._writer, seed
         )
 
     def _deciding(self):
-        own = self._learner.decider(self.writer) if self._learner and self._learns else None
+        own = self._learner.decider(self._writer.number) if self._learner and self._learns else None
         return (own or self._decider).begin()
 
     def _example(self, message, now_s):
@@ -456,7 +493,7 @@ class Session:
         label, recording = self._class(message), self.recording
         if recording is not None and recording.example is not None:
             return [problem("this example is saved already; only your own recordings can be saved")]
-        if recording is None or recording.kept:
+        if recording is None or recording.saved_as is not None:
             return [problem("nothing has been written; write first, then press the class")]
         recording.lift()
         replies = [self._passed(recording.finish)]
@@ -469,14 +506,16 @@ class Session:
             )]  # fmt: skip
         written = Written(
             time=self._now().isoformat(timespec="seconds"),
-            handedness=self._handedness,
+            handedness=recording.writer.handedness,
             seed=recording.seed,
             pen=np.array(recording.pen),
         )
         taxels = self._sensor.rows * self._sensor.columns
-        kept = self._keeper.save(label, MatRecording(events, True, self.writer, written, taxels))
-        recording.saved = True
-        self._study("learn", self.writer, kept.name, label, events)
+        writer = recording.writer.number
+        content = MatRecording(events, True, writer, written, taxels)
+        kept = self._keeper.save(label, content, self._number)
+        recording.complete, recording.saved_as = True, kept
+        self._study("learn", writer, kept.name, label, events)
         saved = {
             "type": "saved",
             "label": label,
@@ -487,11 +526,32 @@ class Session:
         return [*replies, saved, self.state()]
 
     def _undo(self, message, now_s):
-        removed = self._keeper.undo(self.writer)
-        if removed is None:
-            return [problem(f"writer {self.writer} has no recording to remove")]
-        self._study("forget", self.writer, removed.name)
-        return [{"type": "undone", "label": removed.label, "name": removed.name}, self.state()]
+        if self.recording is not None and not self.recording.complete:
+            return self._clear(message, now_s)  # it is the last, and not in the folder yet
+        self._keeper.look()
+        last = self._keeper.last(self._writer.number, self._number) or self._of_another_page()
+        self._keeper.remove(last)
+        if self.recording is not None and self.recording.saved_as == last:
+            self.recording.saved_as = None  # it can be saved as another class
+        self._study("forget", last.writer, last.name)
+        return [{"type": "undone", "label": last.label, "name": last.name}, self.state()]
+
+    def _of_another_page(self):
+        """This writer's last recording, which another page may have saved, if asked for twice.
+
+        Every page begins with the same number, so that it may be another person's.
+        """
+        number = self._writer.number
+        last, offered = self._keeper.last(number), self._offered
+        self._offered = last
+        if last is None:
+            raise UserError(f"writer {number} has no recording to remove")
+        if last != offered:
+            raise UserError(
+                f"{last.name}, the last recording of writer {number}, was saved on another "
+                "page, or on this one before it was loaded; undo again to remove it nevertheless"
+            )
+        return last
 
     def _learning(self, message, now_s):
         on = message.get("on")
@@ -501,38 +561,26 @@ class Session:
         return [self.state()]
 
     def _forget(self, message, now_s):
-        self._study("forget", self.writer)
+        self._study("forget", self._writer.number)
         return []
 
     def _who(self, message, now_s):
         number = message.get("number")
-        if number is None:
-            number = self._new_writer()
-        elif type(number) is not int or not 1 <= number < WRITERS:
+        if number is not None and (type(number) is not int or not 1 <= number < WRITERS):
             raise BadMessage(f"number: not from 1 to {WRITERS - 1}")
         handedness = message.get("handedness", "")
         if handedness not in ("", "left", "right"):
             raise BadMessage("handedness: neither left nor right nor empty")
         each = _whole(message, "each", 0, EACH)
-        self.writer, self._handedness, self._each = number, handedness, each
-        self._study("recall", self.writer)
+        if number is None:
+            number = self._keeper.new_writer()
+        self._keeper.is_writer(number)
+        self._writer, self._each = Writer(number, handedness), each
+        self._study("recall", number)
         return [self.state()]
 
-    def _new_writer(self):
-        """A number above all others or, if there is none, the lowest free one."""
-        self._keeper.look()
-        known = {self.writer, *self._keeper.writers}
-        numbers = [max(known) + 1, *range(1, WRITERS)]
-        free = next((n for n in numbers if n < WRITERS and n not in known), None)
-        if free is None:
-            raise UserError(
-                f"{self._keeper.folder}: has recordings of {len(known)} writers, the maximum; "
-                "choose another folder with --record"
-            )
-        return free
-
     def _too_fast(self, now_s):
-        if self.recording is not None and not self.recording.kept:
+        if self.recording is not None and not self.recording.complete:
             self.recording.spoiled = True
             self.recording.lift()
         if now_s < self._complained_s + 1:
@@ -561,6 +609,7 @@ def problem(text: str) -> dict:
 def _answer(recording, events, time_s, said: Answer):
     if said.decision != recording.decision:
         recording.decision, recording.since_s = said.decision, time_s
+    recording.spikes = said.spikes
     curve = said.curve
     return {
         "type": "answer",
@@ -575,9 +624,6 @@ def _answer(recording, events, time_s, said: Answer):
         if said.decided is None
         else {"s": said.decided[0] - START_S, "label": said.decided[1]},
         "shares": said.shares.round(4).tolist(),
-        "spikes": {
-            name: base64.b64encode(rows.tobytes()).decode() for name, rows in said.spikes.items()
-        },
     }
 
 

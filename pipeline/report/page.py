@@ -256,12 +256,10 @@ def _browser(inputs):
         top = list(np.argsort(-chances[-1], kind="stable")[:SHOWN_CLASSES])
         if sample["label"] not in top:
             top[-1] = sample["label"]
-        every = max(1, len(chances) // 100)
-        at = np.arange(start + 1, start + len(chances) + 1)[::every]
+        drawn = drawn_steps(len(chances))
+        at_ms = tuple((start + 1 + drawn) * step_ms)
         series = [
-            charts.Series(
-                classes[label], tuple(at * step_ms), tuple(chances[::every, label].round(4))
-            )
+            charts.Series(classes[label], at_ms, tuple(chances[drawn, label].round(4)))
             for label in top
         ]
         shown.append(
@@ -286,6 +284,12 @@ def _browser(inputs):
             }
         )
     return shown
+
+
+def drawn_steps(n: int) -> np.ndarray:
+    """The steps of a curve that are drawn: at most about 200, and always the last one."""
+    every = max(1, n // 100)
+    return np.append(np.arange(0, n - 1, every), n - 1)
 
 
 SHOWN_CLASSES = 4

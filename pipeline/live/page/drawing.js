@@ -93,22 +93,27 @@ export function drawSkin(canvas, strokes, counts, flashes, now) {
 }
 
 const SPANS = [2, 4, 10, 20, 60]; // lengths of a time axis in seconds
-const span = (time) => SPANS.find((seconds) => time <= seconds) ?? time;
+const SPARE = 1.03; // a network's presentation of 2 s ends a little later, as it begins with the first event
+// The last mark of a time axis, and its end.
+function span(time) {
+  const mark = SPANS.find((seconds) => time <= SPARE * seconds) ?? time;
+  return { mark, end: Math.max(mark, time) };
+}
 const [LEFT, BELOW] = [4, 20];
-const across = (canvas, last, left = LEFT) => (seconds) =>
-  left + (seconds / last) * (canvas.clientWidth - left - LEFT);
+const across = (canvas, end, left = LEFT) => (seconds) =>
+  left + (seconds / end) * (canvas.clientWidth - left - LEFT);
 
 // Draws only new events, as long as the others do not move.
 const raster = { key: null, drawn: 0 };
 export function drawRaster(canvas, events, time, afresh) {
-  const last = span(time);
-  const key = `${last} ${canvas.clientWidth} ${canvas.clientHeight} ${devicePixelRatio}`;
+  const { mark, end } = span(time);
+  const key = `${end} ${canvas.clientWidth} ${canvas.clientHeight} ${devicePixelRatio}`;
   if (afresh || key !== raster.key || events.taxel.length < raster.drawn) {
     Object.assign(raster, { key, drawn: 0 });
-    drawAxes(canvas, last);
+    drawAxes(canvas, mark, end);
   }
   const context = canvas.getContext("2d");
-  const x = across(canvas, last);
+  const x = across(canvas, end);
   const tall = (canvas.clientHeight - BELOW) / (rows * columns);
   for (const [polarity, name] of [[-1, "--off"], [1, "--on"]]) {
     context.fillStyle = colour(name);
@@ -122,17 +127,17 @@ export function drawRaster(canvas, events, time, afresh) {
   raster.drawn = events.taxel.length;
 }
 
-function drawAxes(canvas, last, left = LEFT) {
+function drawAxes(canvas, mark, end, left = LEFT) {
   const { context, width, height } = fitted(canvas);
-  const x = across(canvas, last, left);
+  const x = across(canvas, end, left);
   context.fillStyle = colour("--paper");
   context.fillRect(left, 0, width - left - LEFT, height - BELOW);
   context.font = "12px system-ui, sans-serif";
-  for (let tick = 0; tick <= last; tick += last / 4) {
+  for (let tick = 0; tick <= mark; tick += mark / 4) {
     context.fillStyle = colour("--line");
     context.fillRect(x(tick) - 0.5, 0, 1, height - BELOW);
     context.fillStyle = colour("--soft");
-    context.textAlign = tick === 0 ? "left" : tick === last ? "right" : "center";
+    context.textAlign = tick === 0 ? "left" : tick === mark ? "right" : "center";
     context.fillText(`${tick} s`, x(tick), height - 5);
   }
   return { context, x, width, height };
@@ -141,7 +146,8 @@ function drawAxes(canvas, last, left = LEFT) {
 // answer: of the network, or null; threshold: null if it decides at the end.
 export function drawCurve(canvas, answer, threshold, time) {
   const left = 44;
-  const { context, x, width, height } = drawAxes(canvas, span(time), left);
+  const { mark, end } = span(time);
+  const { context, x, width, height } = drawAxes(canvas, mark, end, left);
   const y = (share) => 4 + (1 - share) * (height - BELOW - 4);
   context.textAlign = "right";
   context.textBaseline = "middle";

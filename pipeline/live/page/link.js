@@ -1,17 +1,32 @@
-// The connection to the server: messages as JSON, and the event "gone" when it is lost.
+// The connection to the server: messages as JSON.  Its own events are "gone" when it is lost or cannot
+// be made, "silent" when there has been no answer for a while, and "heard" when one comes after all.
+
+const SILENT_MS = 3000;
 
 export class Link extends EventTarget {
   constructor() {
     super();
+    this.waiting = []; // messages that have not been answered
+    this.silent = false;
+    this.connect();
+  }
+
+  connect() {
     const address = new URL("pen", location.href);
     address.protocol = "ws:";
+    let opened = false;
     this.socket = new WebSocket(address);
+    this.socket.addEventListener("open", () => {
+      opened = true;
+    });
     this.socket.addEventListener("message", (event) => {
       const message = JSON.parse(event.data);
-      this.dispatchEvent(new CustomEvent(message.type, { detail: message }));
+      this.heard(({ answers }) => answers.includes(message.type));
+      this.tell(message.type, message);
     });
-    this.socket.addEventListener("close", (event) => {
-      this.dispatchEvent(new CustomEvent("gone", { detail: event.reason }));
+    this.socket.addEventListener("close", ({ code, reason }) => {
+      this.heard(() => true);
+      this.tell("gone", { code, reason, opened });
     });
   }
 
@@ -19,7 +34,30 @@ export class Link extends EventTarget {
     this.addEventListener(type, (event) => listen(event.detail));
   }
 
-  send(message) {
-    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
+  tell(type, detail = null) {
+    this.dispatchEvent(new CustomEvent(type, { detail }));
+  }
+
+  // answers: types of which the server sends one at once
+  send(message, answers = []) {
+    if (this.socket.readyState !== WebSocket.OPEN) return;
+    this.socket.send(JSON.stringify(message));
+    const { type } = message;
+    if (!answers.length || this.waiting.some((other) => other.type === type)) return;
+    const timer = setTimeout(() => {
+      this.silent = true;
+      this.tell("silent");
+    }, SILENT_MS);
+    this.waiting.push({ type, answers, timer });
+  }
+
+  // Ends the waiting for which this holds.
+  heard(holds) {
+    for (const { timer } of this.waiting.filter(holds)) clearTimeout(timer);
+    this.waiting = this.waiting.filter((one) => !holds(one));
+    if (this.silent && !this.waiting.length) {
+      this.silent = false;
+      this.tell("heard");
+    }
   }
 }

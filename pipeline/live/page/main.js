@@ -6,8 +6,9 @@ import { Pen } from "./pen.js";
 
 const $ = (id) => document.getElementById(id);
 const BY_ITSELF_MS = 1000;
-const LAYERS_MS = 60;
-const REMEMBERED = "stmnist-writer";
+const AGAIN_MS = 2000; // until the page tries to connect again
+const [REFUSED, TOO_MANY] = [1008, 1013]; // codes with which the server ends a connection
+const LOST = "stmnist-lost";
 const SCORES = 5; // number of displayed classes, with the highest scores, if there is no room for all
 const BUTTONS = 12; // with more classes, their buttons can be searched
 const SHORT = 3; // characters of a name that is shown large
@@ -21,10 +22,13 @@ let writer = null; // the writer, and the requested class
 let tests = null; // test samples of each class, once they are known
 let recording = null; // number of the recording that is written or played
 let kept = false;
+let over = false; // the recording has been cut at its maximum duration
+let tried = false; // it was to be saved since the last stroke
 let strokes = [], flashes = [], counts = [];
 let events = { s: [], taxel: [], polarity: [] };
 let time = 0;
 let answer = null; // the latest answer, until it is displayed
+let spikes = null; // the latest spikes, which do not come with every answer
 let byItself = null;
 const latencies = [];
 let lastCounted = -Infinity;
@@ -37,14 +41,12 @@ function forget() {
   events = { s: [], taxel: [], polarity: [] };
   counts = Array(taxels).fill(0);
   time = 0;
-  answer = shown = null;
-  kept = false;
+  answer = shown = spikes = null;
+  kept = over = tried = false;
   clearTimeout(byItself);
   $("announce").textContent = $("shown").textContent = "";
   showDecision(null);
-  showLayers(null);
-  stale.skin = stale.rest = stale.all = true;
-  draw();
+  redraw();
 }
 
 // ---- texts that depend on the data set
@@ -125,8 +127,23 @@ $("search").addEventListener("input", () => {
 $("search").addEventListener("keydown", (event) => {
   if (event.key !== "Enter") return;
   event.preventDefault();
-  [...$("labels").children].find((button) => !button.hidden)?.click();
+  const label = classSought($("search").value.trim());
+  if (label !== null) keep(label);
 });
+
+// The class of this name or, if there is none, the only one that contains it; null if there are several.
+function classSought(typed) {
+  const lower = (name) => name.toLocaleLowerCase();
+  for (const fits of [
+    (name) => name === typed,
+    (name) => lower(name) === lower(typed),
+    (name) => typed !== "" && lower(name).includes(lower(typed)),
+  ]) {
+    const found = [...about.classes.keys()].filter((label) => fits(about.classes[label]));
+    if (found.length) return found.length === 1 ? found[0] : null;
+  }
+  return null;
+}
 
 // ---- input of the user
 
@@ -139,47 +156,61 @@ const pen = new Pen($("skin"), (points, now) => {
       continue;
     }
     if (pen.lifted !== false || !strokes.length) strokes.push([]); // or the skin was cleared during a stroke
-    pen.lifted = false;
+    pen.lifted = tried = false;
     strokes.at(-1).push([right, down]);
   }
   if (points.length) {
     stale.skin = true;
     draw();
   }
-  link.send({ type: "pen", now, points });
+  const touches = points.some((point) => point[4]);
+  link.send({ type: "pen", now, points }, touches ? ["events", "problem"] : []);
+}, () => {
+  if (strokes.length) strokes.at(-1).interrupted = true;
 });
 
-function keep(label) {
+// Whatever is asked of the server decides about the drawing: nothing saves it afterwards, and the rest of
+// a stroke that has not ended is no other recording.
+function ask(message, answers) {
+  pen.lift();
   clearTimeout(byItself);
-  link.send({ type: "label", label });
+  link.send(message, answers);
 }
 
-function clear() {
-  clearTimeout(byItself);
-  link.send({ type: "clear" });
+function keep(label) {
+  tried = true;
+  ask({ type: "label", label }, ["saved", "problem"]);
 }
+
+const clear = () => ask({ type: "clear" });
+const undo = () => ask({ type: "undo" });
 
 $("clear").addEventListener("click", clear);
-$("undo").addEventListener("click", () => link.send({ type: "undo" }));
+$("undo").addEventListener("click", undo);
 
-$("learn").addEventListener("change", () => link.send({ type: "learning", on: $("learn").checked }));
+$("learn").addEventListener("change", () => {
+  tellLearning();
+  remember();
+});
+const tellLearning = () => link.send({ type: "learning", on: $("learn").checked });
+$("by-itself").addEventListener("change", remember);
 $("forget").addEventListener("click", () => link.send({ type: "forget" }));
 
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;
-  if (event.target.matches("input, select, textarea")) return;
+  if (event.target.matches("input:not([type=checkbox]), select")) return;
   const label = about?.classes.findIndex((_, label) => keyOf(label) === event.key) ?? -1;
   if (label >= 0) keep(label);
   else if (event.key === "e") $("examples").requestSubmit();
   else if (event.key === "c" || event.key === "Escape") clear();
-  else if (event.key === "u") link.send({ type: "undo" });
+  else if (event.key === "u") undo();
 });
 
 $("examples").addEventListener("submit", (event) => {
   event.preventDefault();
   if ($("example").disabled) return;
   const label = $("example-class").value;
-  link.send({
+  ask({
     type: "example",
     now: performance.now(),
     origin: $("example-from").value,
@@ -189,7 +220,7 @@ $("examples").addEventListener("submit", (event) => {
 
 function tellWriter(each) {
   const chosen = $("writer").value;
-  link.send({
+  ask({
     type: "writer",
     number: chosen === "new" ? null : Number(chosen || 1),
     handedness: $("handedness").value,
@@ -203,7 +234,11 @@ $("session").addEventListener("submit", (event) => {
   clear();
   scrollTo({ top: 0 }); // from the form, at the end of the page, to the skin
 });
-$("stop").addEventListener("click", () => tellWriter(0));
+$("stop").addEventListener("click", () => {
+  tellWriter(0);
+  if (recording !== null && !kept)
+    $("told").textContent = "The drawing on the skin is not saved: press its class to save it.";
+});
 $("writer").addEventListener("change", () => tellWriter(writer?.each ?? 0));
 $("handedness").addEventListener("change", () => tellWriter(writer?.each ?? 0));
 
@@ -223,6 +258,7 @@ link.on("hello", (message) => {
   $("share").hidden = !about.shared;
   if (about.shared) $("qr").src = "qr.svg";
   forget();
+  complain(lost());
 });
 
 link.on("examples", (message) => {
@@ -259,6 +295,7 @@ link.on("cleared", (message) => {
   forget();
   if (message.recording !== null && !message.example) strokes = started;
   recording = message.recording;
+  if (recording === null) pen.settled = true; // no events will say so
   if (message.example) showExample(message.example);
   $("hint").classList.toggle("gone", recording !== null);
   complain(null);
@@ -276,10 +313,11 @@ link.on("events", (message) => {
     flashes[taxel] ??= { on: -Infinity, off: -Infinity };
     flashes[taxel][message.polarity[i] > 0 ? "on" : "off"] = now;
   });
-  pen.settled = message.settled;
-  if (message.over && pen.writes) {
+  if (message.settled) pen.settled = true;
+  else pen.watch();
+  if (message.over && !over && !kept) {
+    over = true;
     complain("This recording has reached its maximum duration: press its class, or lift the pen and write again.");
-    pen.settled = true;
   }
   stale.skin = stale.rest = true;
   draw();
@@ -291,6 +329,12 @@ link.on("answer", (message) => {
   answer = message;
   stale.rest = true;
   draw();
+});
+
+link.on("spikes", (message) => {
+  if (message.recording !== recording) return;
+  spikes = message;
+  showLayers(); // not in the next frame, which may be that of a decision: this takes the longest
 });
 
 link.on("saved", (message) => {
@@ -310,14 +354,15 @@ link.on("learned", (message) => {
 
 link.on("undone", (message) => {
   $("told").textContent = `Removed ${named(message.label)}: ${message.name}.`;
+  complain(null);
 });
 
 link.on("writer", (state) => {
   const first = writer === null;
+  if (writer?.asked !== state.asked) clearTimeout(byItself);
   writer = state;
   $("saved").textContent = state.saved;
   $("learning").hidden = !state.can_learn;
-  if (state.can_learn) $("learn").checked = state.learns;
   const known = [...new Set([...state.known, state.number])].sort((a, b) => a - b);
   $("writer").replaceChildren(
     ...known.map((number) => new Option(`Writer ${number}`, number, false, number === state.number)),
@@ -332,56 +377,95 @@ link.on("writer", (state) => {
 
 link.on("problem", (message) => complain(message.text));
 
-link.on("gone", (reason) => {
+link.on("silent", () => complain("The server does not answer: what you have written or saved in the last seconds may be lost."));
+link.on("heard", () => complain(null));
+
+link.on("gone", ({ code, reason, opened }) => {
   ready = null;
   delete document.body.dataset.ready;
   $("status").classList.remove("ready");
   $("status").textContent = "Not connected.";
-  if ($("problem").hidden)
-    complain(`The server has ended or cannot be reached${reason ? ` (${reason})` : ""}. Saved recordings are safe; start 'stmnist live' again and open the address that it prints.`);
-  if (!reason) setTimeout(comeBack, 2000);
+  if (code !== REFUSED && code !== TOO_MANY) // of these, the server has said the reason itself
+    complain(opened
+      ? `The server has ended or cannot be reached${reason ? ` (${reason})` : ""}. Saved recordings are safe; start 'stmnist live' again and open the address that it prints.`
+      : "The page cannot open its connection to the server: the server has ended, or a proxy or an extension of the browser blocks WebSockets. The page tries again by itself.");
+  // Without the first message the page is as it was loaded, and reloading it would change nothing.
+  if (code !== REFUSED) setTimeout(about === null ? () => link.connect() : comeBack, AGAIN_MS);
 });
 
 // The server can be reached again, for example after the machine has slept: reload, same writer.
 async function comeBack() {
   try {
-    if ((await fetch(location.href)).ok) location.reload();
+    if (!(await fetch(location.href)).ok) return; // another server, with another token
   } catch {
-    setTimeout(comeBack, 2000);
+    setTimeout(comeBack, AGAIN_MS);
+    return;
+  }
+  if (recording !== null && !kept) store(sessionStorage, LOST, true);
+  location.reload();
+}
+
+// What the page has to say of the time before it was loaded again.
+function lost() {
+  const drawing = stored(sessionStorage, LOST);
+  store(sessionStorage, LOST, null);
+  return drawing
+    ? "The connection was lost, and with it the drawing on the skin. If you had just pressed its class, look at the number of saved recordings; otherwise write it again."
+    : null;
+}
+
+// A browser may have no storage.
+function store(storage, key, value) {
+  try {
+    storage.setItem(key, JSON.stringify(value));
+  } catch {
+    // the page works without it
   }
 }
 
-// The browser stores the writer, so that a session continues where it was left.
-function recall() {
+function stored(storage, key) {
   try {
-    const { number, handedness, each } = JSON.parse(localStorage.getItem(REMEMBERED)) ?? {};
-    if (Number.isInteger(number)) link.send({ type: "writer", number, handedness, each });
+    return JSON.parse(storage.getItem(key));
   } catch {
-    // this browser has no storage
+    return null;
   }
+}
+
+// The browser stores the writer, so that a session continues where it was left.  It does so for each
+// data set: all servers of this machine have the same storage.
+const remembered = () => `stmnist-writer:${about.data_set}`;
+
+function recall() {
+  const { number, handedness, each, learn, save } = stored(localStorage, remembered()) ?? {};
+  $("learn").checked = learn ?? true;
+  $("by-itself").checked = save ?? true;
+  if (Number.isInteger(number)) link.send({ type: "writer", number, handedness, each });
+  if (!$("learn").checked) tellLearning(); // to a new connection
 }
 
 function remember() {
-  try {
-    const { number, handedness, each } = writer;
-    localStorage.setItem(REMEMBERED, JSON.stringify({ number, handedness, each }));
-  } catch {
-    // this browser has no storage
-  }
+  if (writer === null) return; // not connected yet
+  const { number, handedness, each } = writer;
+  const [learn, save] = [$("learn").checked, $("by-itself").checked];
+  store(localStorage, remembered(), { number, handedness, each, learn, save });
 }
 
 // ---- what is shown
 
 function complain(text) {
   $("problem").hidden = text === null;
-  if (text !== null) $("problem").textContent = text;
+  if (text !== null) $("problem-text").textContent = text;
 }
+$("dismiss").addEventListener("click", () => complain(null));
 
 function settle() {
   announce();
   clearTimeout(byItself);
-  if (writer?.asked !== null && !kept && events.taxel.length && $("by-itself").checked)
-    byItself = setTimeout(() => keep(writer.asked), BY_ITSELF_MS);
+  const asked = writer?.asked ?? null; // the class when the pen was lifted
+  if (asked === null || kept || over || tried || !events.taxel.length || !$("by-itself").checked) return;
+  if (strokes.some((stroke) => stroke.interrupted))
+    complain("The device has interrupted a stroke, so that this recording is not saved automatically: press its class, or press Clear and write again.");
+  else byItself = setTimeout(() => keep(asked), BY_ITSELF_MS);
 }
 
 // For screen readers: one sentence when the pen is lifted, not one per event.
@@ -479,24 +563,15 @@ function showDecided(message) {
   else $("decided").textContent = `Confidence of the network over time; it decides at ${exact(threshold)}.`;
 }
 
-function showLayers(message) {
+function showLayers() {
   if (!ready) return;
   ready.layers.forEach(({ name, neurons }, i) => {
     const part = $("layers").children[i];
-    const text = message === null ? "" : atob(message.spikes[name]);
+    const text = spikes === null ? "" : atob(spikes.layers[name]);
     const packed = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
-    const spikes = drawLayer(part.querySelector("canvas"), packed, neurons, ready.steps, ready.first_step);
-    part.querySelector("span").textContent = message === null ? "" : `${spikes} spikes`;
+    const count = drawLayer(part.querySelector("canvas"), packed, neurons, ready.steps, ready.first_step);
+    part.querySelector("span").textContent = spikes === null ? "" : `${count} spikes`;
   });
-}
-
-// Drawing the spikes takes the longest; a higher frame rate would not be visible.
-let soon = null;
-function showLayersSoon() {
-  soon ??= setTimeout(() => {
-    soon = null;
-    if (shown !== null) showLayers(shown);
-  }, LAYERS_MS);
 }
 
 let drawing = false;
@@ -513,11 +588,11 @@ function draw() {
         shown = answer;
         showDecision(answer);
         announce();
-        showLayersSoon();
         afterPaint(answer.last_ms);
       }
-      drawRaster($("raster"), events, time, stale.all);
-      drawCurve($("curve"), shown, ready?.threshold ?? null, time);
+      const last = Math.max(time, shown?.curve[0].at(-1) ?? 0); // a network may run longer than the skin
+      drawRaster($("raster"), events, last, stale.all);
+      drawCurve($("curve"), shown, ready?.threshold ?? null, last);
       stale.all = false;
       drawImage($("image"), counts);
       $("count").textContent = events.taxel.length ? `${events.taxel.length} events` : "";
@@ -547,7 +622,7 @@ function afterPaint(last) {
 
 function redraw() {
   stale.skin = stale.rest = stale.all = true;
-  showLayers(shown);
+  showLayers();
   draw();
 }
 addEventListener("resize", redraw);

@@ -3,12 +3,15 @@
 const BEYOND = 1.5; // taxels beyond the outer sensors to which a pen's position is limited
 const BEAT_MS = 12;
 const APART_MS = 8; // interval of messages while the pen moves
+const MOST = 500; // points in a message, of which the server accepts a few more
 
 export class Pen {
   // tell(points, now): [[ms, right, down, pressure, touches], ...]
-  constructor(canvas, tell) {
+  // interrupt(): the device has ended the stroke, for example because the palm touches the screen
+  constructor(canvas, tell, interrupt) {
     this.canvas = canvas;
     this.tell = tell;
+    this.interrupt = interrupt;
     this.sensor = null; // rows and columns, while writing is possible
     this.pointer = null;
     this.settled = true;
@@ -33,6 +36,7 @@ export class Pen {
     if (this.sensor === null) return;
     if (event.pointerId === this.pointer) this.up(event); // its end was not reported
     if (this.pointer !== null || (event.pointerType === "mouse" && event.button !== 0)) return;
+    document.activeElement?.blur(); // of a list or a number, which would take the keys of the classes
     this.pointer = event.pointerId;
     try {
       this.canvas.setPointerCapture(event.pointerId);
@@ -59,9 +63,16 @@ export class Pen {
 
   up(event) {
     if (event.pointerId !== this.pointer) return;
+    this.lift(this.time(event));
+    if (event.type === "pointercancel") this.interrupt();
+  }
+
+  // Lifts the pen even if it is still on the skin; it writes again when it lands again.
+  lift(at = performance.now()) {
+    if (this.pointer === null) return;
     this.pointer = null;
     const [, right, down, pressure] = this.last;
-    this.send([[this.time(event), right, down, pressure, 0]]);
+    this.send([[at, right, down, pressure, 0]]);
   }
 
   time(event) {
@@ -88,10 +99,11 @@ export class Pen {
     points = [...this.waiting.splice(0), ...points];
     this.settled = false;
     this.told = performance.now();
-    this.tell(points, this.told);
+    do this.tell(points.splice(0, MOST), this.told);
+    while (points.length);
   }
 
-  // An example also takes time, although nobody writes.
+  // The skin's time goes on although nobody writes, also that of an example.
   watch() {
     this.settled = false;
     this.beat();

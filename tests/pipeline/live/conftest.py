@@ -35,7 +35,9 @@ class Parrot:
 
 
 @contextmanager
-def served(folder, make_decider=None, make_learner=None, tests=(), sensor=None, host=None):
+def served(
+    folder, make_decider=None, make_learner=None, tests=(), sensor=None, host=None, port=0
+):  # fmt: skip
     """A server in a thread, and its keeper."""
     from pipeline.live.keeping import Keeper
     from pipeline.live.server import HOST, Live, Server, listen
@@ -52,7 +54,7 @@ def served(folder, make_decider=None, make_learner=None, tests=(), sensor=None, 
             make_decider, keeper, parameters.load(), about,
             make_learner=make_learner, make_tests=lambda: list(tests),
         )  # fmt: skip
-        server = Server(live, listen(0, host), host=host)
+        server = Server(live, listen(port, host), host=host)
         thread = threading.Thread(target=server.run, daemon=True)
         thread.start()
         assert server.listens.wait(120)

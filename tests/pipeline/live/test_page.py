@@ -8,6 +8,7 @@ import threading
 import time
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -23,14 +24,14 @@ from pipeline.settings import Image
 from pipeline.skin import handwriting, parameters, simulate, unipen
 from tests.command import call
 from tests.own_sensor import CLASSES
-from tests.pipeline.live.conftest import served
+from tests.pipeline.live.conftest import Parrot, served
 
 pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
 
 from pipeline.live.examples import Example
 from pipeline.live.keeping import Keeper
 from pipeline.live.server import PAGE, PAGES
-from pipeline.live.session import Session
+from pipeline.live.session import OpenRecording, Session
 from tests import robot
 
 P = parameters.load()
@@ -56,8 +57,9 @@ def page_of(browser, server, **options):
     page.complaints = []
     page.on("console", lambda message: page.complaints.append(message.text))
     page.on("pageerror", lambda error: page.complaints.append(str(error)))
-    page.told = []
+    page.told, page.said = [], []
     page.on("websocket", lambda s: s.on("framereceived", lambda frame: page.told.append(frame)))
+    page.on("websocket", lambda s: s.on("framesent", lambda frame: page.said.append(frame)))
     robot.opened(page, server.url)
     yield page
     assert page.complaints == []
@@ -65,7 +67,17 @@ def page_of(browser, server, **options):
 
 
 def messages(page, kind):
-    every = [json.loads(frame) for frame in page.told]
+    """What the server has told the page."""
+    return of_kind(page.told, kind)
+
+
+def sent(page, kind):
+    """What the page has sent to the server."""
+    return of_kind(page.said, kind)
+
+
+def of_kind(frames, kind):
+    every = [json.loads(frame) for frame in frames]
     return [message for message in every if message["type"] == kind]
 
 
@@ -95,6 +107,24 @@ def settled(page):
         " parseInt(document.querySelector('#count').textContent) =="
         " document.querySelector('#decision').dataset.events",
     )
+
+
+def time_to_save(page):
+    """Wait for as long as the page waits until it saves a drawing by itself, and a bit more."""
+    end = page.evaluate("performance.now()") + 1300
+    until(page, f"performance.now() > {end}")
+
+
+def start(page, each=1):
+    """Start a session; returns the class that is asked for."""
+    page.fill("#each", str(each))
+    page.click("#start")
+    page.wait_for_selector("#asking:not([hidden])")
+    return asked(page)
+
+
+def asked(page):
+    return int(page.inner_text("#asked b"))
 
 
 def label(page, number):
@@ -417,6 +447,48 @@ def test_keeping_by_itself_complains_of_nothing(page):
     assert messages(page, "problem") == []
 
 
+def test_stop_saves_nothing_and_the_last_drawing_can_still_be_saved(page):
+    """The page sent the class that is asked for, which was none any more, and was refused."""
+    number = start(page)
+    robot.replay(page, digit(number))
+    settled(page)
+    page.click("#stop")
+    page.wait_for_selector("#asking", state="hidden")
+    assert "not saved" in page.inner_text("#told")
+    time_to_save(page)
+    assert sent(page, "label") == []
+    label(page, number)
+
+
+def test_undo_before_a_drawing_is_saved_clears_that_drawing_only(page):
+    """It removed the recording before, and the drawing was saved as the class of that one."""
+    first = start(page)
+    robot.replay(page, digit(first))
+    until(page, "document.querySelector('#saved').textContent === '1'")
+    second = asked(page)
+    robot.replay(page, digit(second))
+    settled(page)
+    page.click("#undo")
+    until(page, "document.querySelector('#count').textContent === ''")
+    time_to_save(page)
+    assert [kept.label for kept in page.server.keeper.kept] == [first]
+    assert asked(page) == second
+
+
+def test_a_session_continues_in_its_own_data_set_only(browser, tmp_path):
+    """All servers of a machine have the same address, and with it the same storage in a browser."""
+    page, port = browser.new_page(), 0
+    for folder, goes_on in (("one", False), ("other", False), ("one", True)):
+        with served(tmp_path / folder, port=port) as server:
+            port = urlsplit(server.url).port
+            robot.opened(page, server.url)
+            page.wait_for_selector("#asking", state="visible" if goes_on else "hidden")
+            if folder == "one" and not goes_on:
+                start(page)
+            page.goto("about:blank")
+    page.close()
+
+
 @pytest.mark.parametrize("sensor", [Sensor(), OWN])
 @pytest.mark.parametrize("size", [(1280, 800), (1920, 1080)])
 def test_decision_spikes_and_labels_are_on_one_screen(browser, tmp_path, size, sensor):
@@ -629,7 +701,292 @@ def test_one_page_too_many_says_so(browser, tmp_path):
         last.goto(server.url)
         until(last, "document.querySelector('#status').textContent === 'Not connected.'")
         assert f"{PAGES} pages" in last.inner_text("#problem")
+        first.close()
+        last.wait_for_selector("body[data-ready]")  # by itself
+        assert last.is_hidden("#problem")
         context.close()
+
+
+def test_the_skin_does_not_move_when_a_message_comes_or_goes(page):
+    """It moved under the pen at the first touch, which is when a message goes."""
+    before = page.locator("#skin").bounding_box()
+    page.click("#label-3")
+    page.wait_for_selector("#problem:not([hidden])")
+    assert page.locator("#skin").bounding_box() == before
+    page.click("#dismiss")
+    page.wait_for_selector("#problem", state="hidden")
+
+
+def half_a_stroke(page):
+    page.evaluate(TELL, ["pointerdown", 0.5, 0.1])
+    for down in np.linspace(0.1, 0.5, 20).tolist():
+        page.evaluate(TELL, ["pointermove", 0.5, down])
+
+
+def other_half(page, end="pointerup"):
+    for down in np.linspace(0.5, 0.9, 20).tolist():
+        page.evaluate(TELL, ["pointermove", 0.5, down])
+    page.evaluate(TELL, [end, 0.5, 0.9])
+
+
+@pytest.mark.parametrize("key", ["c", "Escape", "4", "u"])
+def test_the_rest_of_a_stroke_is_no_other_recording(page, key):
+    half_a_stroke(page)
+    page.keyboard.press(key)
+    other_half(page)
+    page.click("#clear")
+    began = [1, None] if key == "4" else [1, None, None]
+    until(page, "document.querySelector('#count').textContent === ''")
+    end = time.monotonic() + 60
+    while len(messages(page, "cleared")) < len(began) and time.monotonic() < end:
+        page.wait_for_timeout(10)
+    assert [message["recording"] for message in messages(page, "cleared")] == began
+    assert len(page.server.keeper) == (key == "4")
+    robot.replay(page, digit(1))  # the pen writes again when it lands again
+    settled(page)
+    label(page, 1)
+
+
+def test_a_stroke_that_the_device_ends_is_not_saved_automatically(page):
+    start(page)
+    half_a_stroke(page)
+    other_half(page, "pointercancel")
+    page.wait_for_selector("#problem:not([hidden])")
+    assert "interrupted" in page.inner_text("#problem")
+    time_to_save(page)
+    assert sent(page, "label") == []
+    label(page, 1)
+
+
+def test_a_recording_that_was_cut_is_not_saved_automatically(page, monkeypatch):
+    monkeypatch.setattr("pipeline.live.session.LONGEST_S", 0.7)
+    start(page)
+    page.evaluate(TELL, ["pointerdown", 0.5, 0.1])
+    moves = itertools.cycle(np.linspace(0.1, 0.9, 20).tolist())
+    while page.is_hidden("#problem"):
+        page.evaluate(TELL, ["pointermove", 0.5, next(moves)])
+    assert "maximum duration" in page.inner_text("#problem")
+    page.evaluate(TELL, ["pointerup", 0.5, 0.9])
+    time_to_save(page)
+    assert sent(page, "label") == []
+    label(page, 1)
+
+
+def test_a_drawing_that_cannot_be_saved_is_tried_once(page, monkeypatch):
+    """It was tried every second, if points of it had been left out."""
+    always = property(lambda recording: True, lambda recording, value: None)
+    monkeypatch.setattr(OpenRecording, "spoiled", always, raising=False)
+    robot.replay(page, digit(start(page)))
+    page.wait_for_selector("#problem:not([hidden])")
+    time_to_save(page)
+    assert len(sent(page, "label")) == 1
+
+
+def test_the_page_is_silent_after_clear(browser, tmp_path):
+    """It asked for the events of an example that was no longer played, for ever."""
+    line = Events(200_000_000 + 50_000_000 * np.arange(99), np.arange(99), [1] * 99, [1] * 99)
+    with (
+        served(tmp_path / "kept", tests=[Example(line, 3, "3/0007")]) as server,
+        page_of(browser, server) as page,
+    ):
+        until(page, "!document.querySelector('#example').disabled")
+        page.click("#example")
+        until(page, "document.querySelector('#count').textContent !== ''")
+        page.click("#clear")
+        until(page, "document.querySelector('#count').textContent === ''")
+        page.said.clear()
+        time_to_save(page)
+        assert len(sent(page, "pen")) <= 1
+        page.click("#example")
+        settled_at = "document.querySelector('#count').textContent === '99 events'"
+        until(page, settled_at)
+
+
+SOCKETS = """
+const Real = WebSocket;
+window.sockets = [];
+window.WebSocket = class extends Real {
+  constructor(address) {
+    super(sockets.length < REFUSED ? `${address}/nowhere` : address);
+    sockets.push(this);
+  }
+};
+"""
+"""Notes the page's connections; the first REFUSED of them cannot be opened."""
+
+
+def with_sockets(browser, refused=0):
+    page = browser.new_page()
+    page.add_init_script(SOCKETS.replace("REFUSED", str(refused)))
+    return page
+
+
+@pytest.mark.parametrize("saved", [False, True])
+def test_what_was_lost_with_the_connection_is_said(browser, server, saved):
+    page = with_sockets(browser)
+    robot.opened(page, server.url)
+    robot.replay(page, digit(1))
+    settled(page)
+    if saved:
+        label(page, 1)
+    with page.expect_navigation():
+        page.evaluate("sockets.at(-1).close()")
+    page.wait_for_selector("body[data-ready]")
+    if saved:
+        assert page.is_hidden("#problem")
+    else:
+        assert "drawing" in page.inner_text("#problem")
+        page.reload()
+        page.wait_for_selector("body[data-ready]")
+        assert page.is_hidden("#problem")
+    page.close()
+
+
+def test_a_server_that_does_not_answer_is_said(page, monkeypatch):
+    answers, save = threading.Event(), page.server.keeper.save
+
+    def slow(*given):
+        assert answers.wait(60)
+        return save(*given)
+
+    monkeypatch.setattr(page.server.keeper, "save", slow)
+    robot.replay(page, digit(1))
+    settled(page)
+    page.click("#label-1")
+    page.wait_for_selector("#problem:not([hidden])")
+    assert "does not answer" in page.inner_text("#problem")
+    answers.set()
+    page.wait_for_selector("#problem", state="hidden")
+    until(page, "document.querySelector('#saved').textContent === '1'")
+
+
+def test_a_connection_that_cannot_be_opened_is_tried_again(browser, server):
+    """The page was loaded again every two seconds, without a reason."""
+    page = with_sockets(browser, refused=1)
+    page.goto(server.url)
+    page.evaluate("window.before = true")
+    page.wait_for_selector("#problem:not([hidden])")
+    assert "WebSocket" in page.inner_text("#problem")
+    page.wait_for_selector("body[data-ready]")
+    assert page.is_hidden("#problem")
+    assert page.evaluate("window.before && sockets.length") == 2
+    page.close()
+
+
+def test_points_that_come_all_at_once_are_several_messages(page):
+    """The server accepts 512 in one, and ended the connection."""
+    page.evaluate(
+        """async () => {
+          const skin = document.querySelector("#skin"), box = skin.getBoundingClientRect();
+          const event = (kind, share) => new PointerEvent(kind, {
+            pointerId: 7, pointerType: "pen", pressure: 0.5,
+            clientX: box.left + box.width / 2, clientY: box.top + share * box.height,
+          });
+          skin.dispatchEvent(event("pointerdown", 0.1));
+          const begun = performance.now();
+          while (performance.now() < begun + 800) await new Promise((done) => setTimeout(done, 10));
+          const now = performance.now(), move = event("pointermove", 0.9);
+          move.getCoalescedEvents = () => Array.from({ length: 700 }, (_, i) => ({
+            timeStamp: now - 700 + i, pointerType: "pen", pressure: 0.5,
+            clientX: move.clientX, clientY: box.top + (0.1 + 0.8 * i / 700) * box.height,
+          }));
+          skin.dispatchEvent(move);
+          skin.dispatchEvent(event("pointerup", 0.9));
+        }"""
+    )
+    settled(page)
+    label(page, 1)
+    assert max(len(message["points"]) for message in sent(page, "pen")) == 500
+    kept = read_recording(next(page.server.keeper.folder.rglob("w*.mat")).read_bytes())
+    assert len(kept.written.pen) > 700
+
+
+def test_what_is_switched_off_is_off_after_a_reload(browser, tmp_path):
+    with (
+        served(tmp_path / "kept", make_learner=Counting) as server,
+        page_of(browser, server) as page,
+    ):
+        for loaded in range(2):
+            if loaded:
+                page.told.clear()
+                page.reload()
+                page.wait_for_selector("body[data-ready]")
+            for box in ("learn", "by-itself"):
+                assert page.is_checked(f"#{box}") is not bool(loaded)
+                page.uncheck(f"#{box}")
+        while not messages(page, "writer")[-1]["can_learn"]:
+            page.wait_for_timeout(10)
+        robot.replay(page, digit(1))
+        settled(page)
+        label(page, 1)
+        assert messages(page, "writer")[-1]["learns"] is False
+        assert all(message["digits"] == 0 for message in messages(page, "learned"))
+
+
+def test_enter_saves_the_class_that_was_typed_or_nothing(browser, tmp_path):
+    names = ("wildcat", "cat", "Cats", *(f"other {n}" for n in range(20)))
+    with (
+        served(tmp_path / "kept", sensor=Sensor(classes=names)) as server,
+        page_of(browser, server) as page,
+    ):
+        for typed in ("", "cat", "other", "CATS", "ild", "nothing", "other 1"):
+            page.fill("#search", typed)
+            page.press("#search", "Enter")
+        page.press("#search", "Enter")
+        assert [names[message["label"]] for message in sent(page, "label")] == [
+            "cat", "Cats", "wildcat", "other 1", "other 1"
+        ]  # fmt: skip
+
+
+TEXTS = """
+window.texts = {};
+const fillText = CanvasRenderingContext2D.prototype.fillText;
+CanvasRenderingContext2D.prototype.fillText = function (text, ...place) {
+  (texts[this.canvas.id] ??= []).push(text);
+  fillText.call(this, text, ...place);
+};
+"""
+
+
+@pytest.mark.parametrize(("end_s", "mark"), [(2.04, "2 s"), (3.5, "4 s")])
+def test_a_time_axis_is_as_long_as_the_networks_time(browser, tmp_path, end_s, mark):
+    class Late(Parrot):
+        """Its time goes on after the skin has come to rest."""
+
+        def answer(self, events, time_s):
+            said = super().answer(events, time_s)
+            seconds = np.linspace(0.2, 0.2 + end_s, len(events))
+            return replace(said, curve=replace(said.curve, seconds=seconds))
+
+    with served(tmp_path / "kept", Late) as server:
+        page = browser.new_page()
+        page.add_init_script(TEXTS)
+        robot.opened(page, server.url)
+        robot.replay(page, digit(1))
+        settled(page)
+        for canvas in ("curve", "raster"):
+            until(page, f"texts['{canvas}'].findLast((text) => /^\\d+ s$/.test(text)) === '{mark}'")
+        page.close()
+
+
+@pytest.mark.parametrize("size", [(1280, 400), (844, 390)])
+def test_the_hint_is_on_the_skin(browser, server, size):
+    width, height = size
+    viewport = {"width": width, "height": height}
+    with page_of(browser, server, viewport=viewport) as page:
+        skin, hint = (page.locator(part).bounding_box() for part in ("#skin", "#hint"))
+        assert hint == pytest.approx(skin, abs=1)
+
+
+@pytest.mark.parametrize("part", ["by-itself", "example-from"])
+def test_keys_save_after_a_box_or_a_list_was_used(page, part):
+    page.locator(f"#{part}").focus()
+    robot.replay(page, digit(7))
+    settled(page)
+    if part == "by-itself":
+        page.locator(f"#{part}").focus()
+    page.keyboard.press("7")
+    until(page, "document.querySelector('#saved').textContent === '1'")
 
 
 def luminance(colour):

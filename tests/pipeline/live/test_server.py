@@ -1,5 +1,6 @@
 """Who may talk to the server, and what it says to whom; without a browser."""
 
+import base64
 import errno
 import http.client
 import json
@@ -9,6 +10,7 @@ import struct
 import threading
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from types import SimpleNamespace
 from urllib.parse import urlsplit
 
@@ -154,6 +156,7 @@ def test_the_own_page_is_welcome_and_a_digit_is_kept(server):
     with connect(server, origin=f"http://localhost:{port}") as page:
         messages = read_until(page, "ready")
         assert messages[0]["type"] == "hello"
+        assert messages[0]["data_set"] == server.keeper.data_set
         write(page)
         messages = read_until(page, "answer")
         page.send(json.dumps({"type": "label", "label": 1}))
@@ -342,6 +345,44 @@ def test_an_answer_that_fails_is_said_and_the_next_one_comes(tmp_path):
         assert "a frog" in read_until(page, "problem")[-1]["text"]
         write(page, start_ms=9000.0)
         assert read_until(page, "answer")
+
+
+class Loud(Parrot):
+    """Its spikes have the number of events in every byte."""
+
+    def answer(self, events, time_s):
+        spikes = {"input": np.full((3, 13), len(events) % 256, np.uint8)}
+        return replace(super().answer(events, time_s), spikes=spikes)
+
+
+def test_spikes_come_less_often_than_answers(tmp_path, monkeypatch):
+    monkeypatch.setattr("pipeline.live.server.SPIKES_APART_S", 3600.0)
+    with served(tmp_path / "kept", Loud) as server, connect(server) as page:
+        read_until(page, "ready")
+        told = []
+        for message in stroke():
+            page.send(json.dumps(message))
+            told += read_until(page, "events")
+            if told[-1]["ns"]:
+                told += read_until(page, "answer")
+        kinds = [message["type"] for message in told]
+        assert kinds.count("answer") > 5
+        assert kinds.count("spikes") == 1
+
+
+def test_the_last_spikes_are_those_of_the_last_answer(tmp_path):
+    with served(tmp_path / "kept", Loud) as server, connect(server) as page:
+        read_until(page, "ready")
+        write(page)
+        page.send(json.dumps({"type": "label", "label": 1}))
+        n, told = None, []
+        while n is None or told[-1] != n % 256:
+            message = read_until(page, ("saved", "spikes"))[-1]
+            if message["type"] == "saved":
+                n = message["events"]
+            else:
+                told.append(base64.b64decode(message["layers"]["input"])[0])
+        assert told == sorted(told)
 
 
 def test_a_network_that_cannot_be_made_ready_is_said_on_the_page(tmp_path):

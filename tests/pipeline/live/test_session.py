@@ -79,8 +79,9 @@ def test_events_come_while_writing_and_are_those_that_are_kept(session, keeper):
 
 
 def test_the_answer_is_to_all_events_so_far(session):
-    assert session.ask() is None
+    assert session.ask() is session.spikes() is None
     replies = written(session)
+    assert session.spikes() is None  # nothing has been asked yet
     n = sum(len(reply["ns"]) for reply in of(replies, "events"))
     answer = session.ask()()
     assert (answer["events"], answer["decision"]) == (n, n % 10)
@@ -90,7 +91,10 @@ def test_the_answer_is_to_all_events_so_far(session):
     early = next(s for s, value in zip(seconds, values, strict=True) if value >= 0.9)
     assert answer["decided"]["s"] == pytest.approx(early, abs=1e-3)
     assert 0 < early < seconds[-1]
-    assert len(base64.b64decode(answer["spikes"]["input"])) == 3 * 13
+    assert "spikes" not in answer  # they are most of the data, and not drawn as often
+    spikes = session.spikes()
+    assert spikes["recording"] == answer["recording"]
+    assert len(base64.b64decode(spikes["layers"]["input"])) == 3 * 13
     last = max(ns for reply in of(replies, "events") for ns in reply["ns"])
     assert answer["last_ms"] == pytest.approx(1000 + (last * 1e-9 - 0.2) * 1e3)
 
@@ -172,6 +176,90 @@ def test_somebody_new_is_the_next_number(session):
     new = {"type": "writer", "number": None, "handedness": "", "each": 0}
     assert say(session, new)[0]["number"] == 2
     assert say(session, new)[0]["number"] == 3
+
+
+def test_new_writers_on_two_pages_have_two_numbers(session, keeper):
+    """Also before they have saved anything, and after one of them has lost its connection."""
+    new = {"type": "writer", "number": None, "handedness": "", "each": 0}
+    assert say(session, new)[0]["number"] == 2
+    other = Session(2, keeper, P)
+    assert say(other, new)[0]["number"] == 3
+    again = Session(3, keeper, P)
+    assert say(again, {**new, "number": 7})[0]["number"] == 7  # the browser has stored it
+    assert say(other, new)[0]["number"] == 8
+
+
+def test_undo_removes_what_this_page_has_saved(session, keeper):
+    """Both pages begin as writer 1, and the other one's recording has the higher number."""
+    other = Session(2, keeper, P)
+    other.begin(Parrot())
+    for page, digit in ((session, 1), (other, 7)):
+        written(page)
+        say(page, {"type": "label", "label": digit})
+    assert of(say(session, {"type": "undo"}), "undone")[0]["name"] == "1/w001-0001.mat"
+    assert [kept.label for kept in keeper.kept] == [7]
+
+
+def test_undo_of_another_pages_recording_has_to_be_asked_for_twice(session, keeper):
+    written(session)
+    say(session, {"type": "label", "label": 7})
+    other = Session(2, keeper, P)
+    other.begin(Parrot())
+
+    def offered():
+        (said,) = say(other, {"type": "undo"})
+        return said["type"] == "problem" and missing(said["text"], "7/w001-0001.mat", "again") == []
+
+    assert offered()
+    written(other)
+    say(other, {"type": "label", "label": 3})
+    assert of(say(other, {"type": "undo"}), "undone")[0]["label"] == 3
+    assert offered()  # it is long ago that this was asked
+    assert len(keeper) == 1
+    assert of(say(other, {"type": "undo"}), "undone")[0]["label"] == 7
+    assert len(keeper) == 0
+
+
+def test_undo_of_a_drawing_that_is_not_saved_clears_it_only(session, keeper):
+    written(session)
+    say(session, {"type": "label", "label": 7})
+    written(session, start_ms=9000.0)
+    assert say(session, {"type": "undo"}) == [{"type": "cleared", "recording": None}]
+    assert len(keeper) == 1
+    assert of(say(session, {"type": "undo"}), "undone")[0]["label"] == 7
+
+
+def test_a_mislabelled_recording_is_saved_again_after_an_undo(session, keeper):
+    written(session)
+    say(session, {"type": "label", "label": 3})
+    assert of(say(session, {"type": "undo"}), "undone")[0]["label"] == 3
+    (saved,) = of(say(session, {"type": "label", "label": 8}), "saved")
+    assert [kept.name for kept in keeper.kept] == [saved["name"]] == ["8/w001-0001.mat"]
+    read = read_recording((keeper.folder / saved["name"]).read_bytes())
+    assert len(read.events) == saved["events"] > 20
+    assert of(say(session, {"type": "label", "label": 8}), "problem")
+    say(session, {"type": "undo"})
+    assert of(written(session, start_ms=1400.0), "cleared")  # it is not written on again
+
+
+def test_a_second_undo_removes_the_recording_before(session, keeper):
+    for n, digit in enumerate((1, 7)):
+        written(session, start_ms=9000.0 * (n + 1))
+        say(session, {"type": "label", "label": digit})
+    for digit in (7, 1):
+        assert of(say(session, {"type": "undo"}), "undone")[0]["label"] == digit
+    assert len(keeper) == 0
+
+
+def test_a_recording_is_of_who_has_written_it(session, keeper):
+    who = {"type": "writer", "number": 4, "handedness": "left", "each": 0}
+    say(session, who)
+    written(session)
+    say(session, {**who, "number": 5, "handedness": "right"})
+    (saved,) = of(say(session, {"type": "label", "label": 3}), "saved")
+    read = read_recording((keeper.folder / saved["name"]).read_bytes())
+    assert (saved["name"], read.writer) == ("3/w004-0001.mat", 4)
+    assert read.written.handedness == "left"
 
 
 def test_undo_without_anything_says_so(session):
@@ -282,9 +370,8 @@ def test_a_new_writer_has_a_number_of_their_own(session, keeper):
     (keeper.folder / "3" / "w007-0001.mat").write_text("")
     assert number() == 8
     (keeper.folder / "3" / "w999-0001.mat").write_text("")
-    assert number() == 1  # the one before has written nothing
-    (keeper.folder / "3" / "w001-0001.mat").write_text("")
-    assert number() == 2
+    assert number() == 2  # every page begins with 1
+    assert number() == 3
     for writer in range(1, 1000):
         (keeper.folder / "3" / f"w{writer:03d}-0001.mat").write_text("")
     refused = say(session, {"type": "writer", "number": None, "each": 0})

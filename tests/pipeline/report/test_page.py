@@ -7,6 +7,7 @@ import subprocess
 from dataclasses import replace
 from html import escape
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 
@@ -252,6 +253,22 @@ def test_a_right_and_a_wrong_sample_are_chosen_early_in_their_streams():
     samples = [{"label": 1, "prediction": p} for p in (1, 1, 0, 1, 0, 1)]
     assert report.choose_samples({"samples": samples}, 4) == [0, 4]
     assert report.choose_samples({"samples": samples[:2]}, 4) == [0]
+
+
+@pytest.mark.parametrize("n", [1, 2, 99, 100, 199, 200, 203, 1000])
+def test_a_drawn_curve_ends_with_the_last_step(n):
+    """Its last value is the probability in the sample's title."""
+    drawn = report.drawn_steps(n)
+    assert (drawn[0], drawn[-1]) == (0, n - 1)
+    assert len(set(drawn.tolist())) == len(drawn) <= min(n, 201)
+
+
+def test_only_closed_samples_lose_their_titles_in_print():
+    """The first sample is open, and printed without its title nobody knows which it is."""
+    style = Path(report.__file__).with_name("report.css").read_text("utf-8")
+    printed = style[style.index("@media print") :]
+    hidden = printed[: printed.index("{ display: none; }")].splitlines()[-1]
+    assert [part.strip() for part in hidden.split(",")] == ["nav", "details:not([open]) > summary"]
 
 
 def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
