@@ -7,6 +7,7 @@ from typing import Annotated, Optional
 
 import typer
 
+from deploy.errors import UserError
 from pipeline.commands import options
 from pipeline.live.network import RECORD, SHIPPED, network_of_bundle, network_of_run
 from pipeline.live.serving import PORT, serve
@@ -65,6 +66,11 @@ def _network(run, given, jobs):
     if run is None:
         run = DEFAULT_RUN if asked else SHIPPED
     if found := network_of_bundle(run):
+        if asked:
+            raise UserError(
+                f"{run}: is a bundle, whose settings are fixed; leave out --data, --input, --seed, "
+                "--settings and --set, or give a run"
+            )
         return found
     folder = RunFolder(run)
     if not asked and (found := network_of_run(folder)):

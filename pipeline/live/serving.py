@@ -21,6 +21,7 @@ from pipeline.live.network import (
     sensor_of,
 )
 from pipeline.run.folder import RunFolder
+from pipeline.run.places import run_around
 from pipeline.run.status import outdated_note
 from pipeline.skin import parameters
 
@@ -96,7 +97,7 @@ def serve(
         # A port that is in use is reported now, not after the network has been trained.
         listening = opened.enter_context(closing(listen(port, host)))
         bundle, image = network()
-        folder = RunFolder(bundle.path.parent)
+        folder = RunFolder(run_around(bundle.path) or bundle.path.parent)
         sensor = sensor_of(bundle, facts_of_run(folder))
         record = Path(record or record_folder(bundle, sensor))
         keeper = opened.enter_context(closing(Keeper(record, sensor)))

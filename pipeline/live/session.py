@@ -493,7 +493,9 @@ class Session:
         label, recording = self._class(message), self.recording
         if recording is not None and recording.example is not None:
             return [problem("this example is saved already; only your own recordings can be saved")]
-        if recording is None or recording.saved_as is not None:
+        if recording is not None and recording.saved_as is not None:
+            return [problem("this recording is saved already; write the next one")]
+        if recording is None:
             return [problem("nothing has been written; write first, then press the class")]
         recording.lift()
         replies = [self._passed(recording.finish)]

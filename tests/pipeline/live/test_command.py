@@ -162,6 +162,11 @@ def test_a_bundle_copied_from_elsewhere_will_do(live, tiny_run, tmp_path):
         assert write_and_label(page, 4)["type"] == "saved"
 
 
+def test_settings_are_not_for_a_bundle(tiny_run, refused):
+    line = refused("live", tiny_run / "bundle", "--port", 0, "--no-browser", "--seed", 3)
+    assert missing(line, tiny_run / "bundle", "--seed") == []
+
+
 def test_a_port_in_use_is_one_line(tiny_run, tmp_path, capsys):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
