@@ -17,7 +17,8 @@ PYTHON310 ?= $(shell sh setup.sh --find 3.10)
 BIN := .venv/bin
 STMNIST := $(BIN)/stmnist
 DATA_OPTIONS := $(if $(DATA),--data "$(DATA)") $(if $(SEED),--seed $(SEED)) --jobs $(JOBS)
-SOURCE_OPTIONS := $(DATA_OPTIONS) $(if $(INPUT),--input $(INPUT)) $(foreach value,$(SET),--set $(value))
+SET_OPTIONS := $(foreach value,$(SET),--set $(value))
+SOURCE_OPTIONS := $(DATA_OPTIONS) $(if $(INPUT),--input $(INPUT)) $(SET_OPTIONS)
 CHIP_OPTIONS := $(if $(CHIPS),--chips $(CHIPS))
 BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $(PARTITION)) $(CHIP_OPTIONS)
 ON_ALL_CORES := --numprocesses logical --maxprocesses 4 --dist worksteal
@@ -53,7 +54,7 @@ check: convert  ## Run the check on TARGET, and compare it with the reference si
 	@$(STMNIST) check compare "$(RUN)/checks/nengo.json" "$(RUN)/checks/$(TARGET).json"
 
 benchmark: setup  ## Measure the paper's Table 2 on ten splits (hours; SLAYER last)
-	@$(STMNIST) benchmark table2 --out "$$(dirname "$(RUN)")/table2" $(DATA_OPTIONS) $(if $(SAMPLES),--set check.samples=$(SAMPLES)) $(if $(STEPS),--set presentation.steps=$(STEPS))
+	@$(STMNIST) benchmark table2 --out "$$(dirname "$(RUN)")/table2" $(DATA_OPTIONS) $(SET_OPTIONS) $(if $(SAMPLES),--set check.samples=$(SAMPLES)) $(if $(STEPS),--set presentation.steps=$(STEPS))
 
 results: setup  ## Measure the files in results/ again that are out of date (hours; maintainers)
 	@$(BIN)/python -m tools.results --jobs $(JOBS)

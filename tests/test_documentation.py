@@ -272,6 +272,8 @@ def test_a_target_of_the_makefile_calls_a_command_that_exists(target):
 def test_settings_are_passed_on():
     done = make("-n", "-o", "setup", "train", "SET=cnn.epochs=5 seed=3")
     assert "--set cnn.epochs=5 --set seed=3" in done.stdout
+    done = make("-n", "-o", "setup", "benchmark", "SET=cnn.epochs=5")
+    assert "--set cnn.epochs=5" in done.stdout
 
 
 @pytest.mark.parametrize("target", TARGETS)

@@ -226,7 +226,10 @@ def fit_recordings(jobs: int, until: str):
             recordings = recordings_of(settings, jobs)  # files that are left out are reported later
         is_new = not folder.experiment.exists()
         try:
-            chosen = fitted(settings, jobs, None, recordings, check=until != "train")
+            # Of other recordings, the user decides: networks of a run would be replaced.
+            rechoose = settings.data.source == folder.resolve_settings(None, {}).data.source
+            options = {"check": until != "train", "rechoose": rechoose}
+            chosen = fitted(settings, jobs, None, recordings, **options)
         except SeveralErrors as error:
             if not is_new:
                 raise

@@ -68,6 +68,9 @@ SKIN_RATE = 2.0
 """Mean number of seconds of the skin that may be simulated for a page per second; a person needs
 one.  At one moment it may be the whole of the longest recording."""
 
+CONFIRMED_S = 10.0
+"""Seconds within which a second undo removes another page's recording."""
+
 PIECE_S = 0.5
 """Seconds of the skin that are simulated in one piece, so that little memory is needed: an
 intermediate result of a piece takes 8 MB on the largest skin."""
@@ -263,7 +266,7 @@ class Session:
         self._recordings = 0
         self._writer, self._each = Writer(), 0
         self.recording = None
-        self._offered = None  # another page's recording that a second undo removes
+        self._offered = None, 0.0  # another page's recording that a second undo removes, and when
         self._limits = limits or Limits()
         self._complained_s = -math.inf
 
@@ -414,7 +417,8 @@ class Session:
         for point in points:
             if point[4] and self._is_new(point[0]):
                 self._begin(point[0])
-                replies.append({"type": "cleared", "recording": self.recording.number})
+                number = self.recording.number
+                replies.append({"type": "cleared", "recording": number, "begun_ms": point[0]})
             if self.recording is not None and not self.recording.complete:
                 self.recording.point(*point)
         if self.recording is not None:
@@ -431,7 +435,7 @@ class Session:
 
     def _begin(self, page_ms):
         self._recordings += 1
-        self._offered = None
+        self._offered = None, 0.0
         seed = (self._seed, 2, self._number, self._recordings)
         sensor = self._sensor
         writing = Writing(seed, self._p, (sensor.rows, sensor.columns), sensor.polarities)
@@ -531,24 +535,28 @@ class Session:
         if self.recording is not None and not self.recording.complete:
             return self._clear(message, now_s)  # it is the last, and not in the folder yet
         self._keeper.look()
-        last = self._keeper.last(self._writer.number, self._number) or self._of_another_page()
+        shown = self.recording and self.recording.saved_as
+        # The drawing on the skin may be of another writer than the one that is chosen now.
+        writer = self._writer.number if shown is None else shown.writer
+        last = self._keeper.last(writer, self._number) or self._of_another_page(now_s)
         self._keeper.remove(last)
-        if self.recording is not None and self.recording.saved_as == last:
+        if shown == last:
             self.recording.saved_as = None  # it can be saved as another class
         self._study("forget", last.writer, last.name)
-        return [{"type": "undone", "label": last.label, "name": last.name}, self.state()]
+        undone = {"type": "undone", "label": last.label, "name": last.name, "open": shown == last}
+        return [undone, self.state()]
 
-    def _of_another_page(self):
+    def _of_another_page(self, now_s):
         """This writer's last recording, which another page may have saved, if asked for twice.
 
         Every page begins with the same number, so that it may be another person's.
         """
         number = self._writer.number
-        last, offered = self._keeper.last(number), self._offered
-        self._offered = last
+        last, (offered, offered_s) = self._keeper.last(number), self._offered
+        self._offered = last, now_s
         if last is None:
             raise UserError(f"writer {number} has no recording to remove")
-        if last != offered:
+        if last != offered or now_s > offered_s + CONFIRMED_S:
             raise UserError(
                 f"{last.name}, the last recording of writer {number}, was saved on another "
                 "page, or on this one before it was loaded; undo again to remove it nevertheless"

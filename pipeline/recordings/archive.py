@@ -136,9 +136,9 @@ def list_source(path) -> Listing:
         [name for name, _ in recordings], lambda name: _reader(path).read(name)
     )
     whole = [entry for entry in recordings if entry[0] not in used]
-    main, others = _of_main_kinds(whole)
-    recordings, strays = _of_classes(main)
-    strays += _of_other_kinds(path, others)
+    kept, others, main = _of_main_kinds(whole)
+    recordings, strays = _of_classes(kept)
+    strays += _of_other_kinds(path, others, main)
     known = {*(name for name, _ in recordings + strays + refused), *tables, *used}
     empty, noted = _empty_classes(path, recordings, known, files, folders)
     refused += strays + unread + empty
@@ -207,13 +207,27 @@ def _of_main_kinds(recordings):
     """The files of the main formats, and those of others that may be recordings too.
 
     Files above the classes are neither: they are taken for tables.  So is a file beside one of the
-    main kind with the same name, such as its copy in another format.
+    main kind with the same name, perhaps with an addition (``3.npz``, ``3_raw.csv``), such as its
+    copy in another format.
+
+    Returns
+    -------
+    kept, others : list of (str, str)
+    main : set of PurePosixPath
+        The folders of the main kind.
     """
     ranks = [_rank(name) for name, _ in recordings]
     best = min(ranks, default=0)
     of_best = [n for (n, _), rank in zip(recordings, ranks, strict=True) if rank == best]
     main = {PurePosixPath(name).parent for name in of_best}
     copied = {PurePosixPath(name).with_suffix("") for name in of_best}
+
+    def is_copy(name):
+        path = PurePosixPath(name).with_suffix("")
+        added = re.finditer(r"[-_. ]", path.name)
+        stems = [path.name, *(path.name[: match.start()] for match in added)]
+        return any(stem and path.with_name(stem) in copied for stem in stems)
+
     above = {folder for leaf in main for folder in leaf.parents}
     kept, others = [], []
     for entry, rank in zip(recordings, ranks, strict=True):
@@ -221,22 +235,23 @@ def _of_main_kinds(recordings):
         if rank == best:
             kept.append(entry)
         elif around[0] in main:
-            if PurePosixPath(entry[0]).with_suffix("") not in copied:
+            if not is_copy(entry[0]):
                 others.append(entry)
         elif around[0] not in above and (main - above).isdisjoint(around):
             others.append(entry)
-    return kept, others
+    return kept, others, main
 
 
-def _of_other_kinds(path, others):
+def _of_other_kinds(path, others, main):
     """Files of other formats in folders of recordings, each with the reason to refuse it.
 
-    The first file of a folder shows whether the folder has recordings or, say, tables.
+    The first file of a folder shows whether the folder has recordings or, say, tables; in the
+    folders of the main kind there may be both.
     """
     refused, are_recordings = [], {}
     for name, _ in others:
         folder = PurePosixPath(name).parent
-        if folder not in are_recordings:
+        if folder not in are_recordings or folder in main:
             are_recordings[folder] = _is_readable(path, name)
         if are_recordings[folder]:
             refused.append((name, f"is a {_suffix(name)} file, unlike the other recordings"))

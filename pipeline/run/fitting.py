@@ -49,6 +49,7 @@ def fitted(
     say=None,
     recordings: Recordings | None = None,
     check: bool = True,
+    rechoose: bool = True,
 ) -> Settings:
     """Adapt settings to the recordings that they name.
 
@@ -66,6 +67,8 @@ def fitted(
         The recordings that the settings name, if they were read already.
     check : bool
         True if samples of a check will be drawn.
+    rechoose : bool
+        False to keep an architecture that was chosen earlier, for other recordings.
 
     Returns
     -------
@@ -86,7 +89,7 @@ def fitted(
     problems, changes = [], {}
     if len(recordings.sensor.classes) < 2:  # there is no network to choose
         raise SeveralErrors([f"{settings.data.source}: {too_small(recordings)}"])
-    _architecture(settings, recordings, changes, problems)
+    _architecture(settings, recordings, rechoose, changes, problems)
     if settings.on_events:
         _presentation(settings, recordings, changes)
     n_test = _test_samples(settings, recordings, problems)
@@ -165,21 +168,20 @@ def architecture_for(sensor: Sensor, on_events: bool) -> str:
     return "-".join([size, *middle, end])
 
 
-def _architecture(settings, recordings, changes, problems):
+def _architecture(settings, recordings, rechoose, changes, problems):
     """Choose an architecture if the user has not chosen one and the present one does not fit."""
     section = "events" if settings.on_events else "cnn"
     before = getattr(settings, section)
     is_default = before.architecture == getattr(Settings(), section).architecture
-    was_chosen = _is_as_chosen(before.architecture, settings.on_events)
     is_given = settings.nir.file or (section == "cnn" and before.model)
-    if is_given or not (is_default or was_chosen):
+    if is_given or not (is_default or (rechoose and _has_outgrown(before, settings, recordings))):
         return
     sensor = recordings.sensor
     if _is_for(before.architecture, sensor, 2 if settings.on_events else 1):
         return
     chosen = architecture_for(sensor, settings.on_events)
     changes[section] = {"architecture": chosen}
-    if section == "events" and (was_chosen or before.budget == Settings().events.budget):
+    if section == "events" and before.budget == Settings().events.budget:
         budget = OPERATIONS_AN_EVENT * _operations_of_input(chosen, recordings) / CNN_MACS
         if budget > before.budget:
             changes[section]["budget"] = float(min(round(budget, 1), 1000.0))
@@ -193,16 +195,18 @@ def _architecture(settings, recordings, changes, problems):
         changes["snn"] = {"max_rates": rates[:layers]}  # other problems can still be found
 
 
-def _is_as_chosen(architecture, on_events):
-    """True if an architecture is the one that is chosen for its size and its number of classes.
+def _has_outgrown(section, settings, recordings):
+    """True if recordings have more classes or taxels than those an architecture was chosen for.
 
-    It was then probably chosen for fewer recordings, which have since got another class or taxel.
+    It was probably chosen if it is what is chosen for its size and number of classes.
     """
-    parsed = parse(architecture)
+    parsed, now = parse(section.architecture), recordings.sensor
     rows, columns, _ = parsed.input_shape
     classes = tuple(map(str, range(parsed.outputs)))
-    sensor = Sensor(rows=rows, columns=columns, classes=classes)
-    return architecture == architecture_for(sensor, on_events)
+    then = Sensor(rows=rows, columns=columns, classes=classes)
+    if section.architecture != architecture_for(then, settings.on_events):
+        return False
+    return now.rows >= rows and now.columns >= columns and len(now.classes) >= len(classes)
 
 
 def with_slayer(settings: Settings, recordings: Recordings) -> Settings:

@@ -23,16 +23,15 @@ SPLIT_AGAIN = ("seed", "split", "recordings", "data.", "skin.")
 
 def changed_note(settings: Settings) -> str | None:
     """A warning if the file of a run's own network is another one now, such as a later version."""
-    for file, sha256, remedy in (
-        (settings.nir.file, settings.nir.sha256, give_again(settings)),
-        (settings.cnn.model, settings.cnn.model_sha256, GIVE_MODEL_AGAIN),
-    ):
-        if file and Path(file).is_file() and not is_file(file, sha256):
-            return (
-                f"{WARNING}{file}: has changed since it was imported; the run keeps the earlier "
-                f"version; for this one {remedy}"
-            )
-    return None
+    file, sha256, remedy = settings.nir.file, settings.nir.sha256, give_again(settings)
+    if settings.network == "image":
+        file, sha256, remedy = settings.cnn.model, settings.cnn.model_sha256, GIVE_MODEL_AGAIN
+    if not file or not Path(file).is_file() or is_file(file, sha256):
+        return None
+    return (
+        f"{WARNING}{file}: has changed since it was imported; the run keeps the earlier version; "
+        f"for this one {remedy}"
+    )
 
 
 def split_note(state: State, file: str) -> str | None:

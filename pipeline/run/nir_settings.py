@@ -80,8 +80,8 @@ def settings_of_nir(
         ``"image"`` or ``"events"``; default: from the number of channels of the graph's input, two
         for events and one for images.
     before : Settings, optional
-        The run's present settings.  If they are of a graph with the same kind of input, such as an
-        earlier version of this one, its presentation and steps are kept.
+        The run's present settings.  If they are of the same file, which may have changed, and have
+        the same kind of input, their presentation and steps are kept.
     retrain : bool
         The graph will be trained further.
 
@@ -93,8 +93,8 @@ def settings_of_nir(
     path, before = Path(path), before or Settings()
     network, sha256 = read_nir(path), sha256_of(path)
     nir = {"file": str(path.absolute()), "sha256": sha256, "retrain": retrain}
-    was_graph = bool(before.nir.file) and before.nir.retrain == retrain
-    is_known = was_graph and before.nir.sha256 == sha256
+    is_known = before.nir.sha256 == sha256 and before.nir.retrain == retrain
+    was_graph = is_known or (before.nir.file, before.nir.retrain) == (nir["file"], retrain)
     if (exported := exported_here(network, path)) is not None:
         if step is not None:
             raise UserError(f"{path}: was exported from a bundle and has its step; omit --step")

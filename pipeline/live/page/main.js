@@ -30,6 +30,8 @@ let time = 0;
 let answer = null; // the latest answer, until it is displayed
 let spikes = null; // the latest spikes, which do not come with every answer
 let byItself = null;
+let askedSince = -Infinity; // when the class that the session asks for became known
+let recalled = null; // the stored writer, until the server has taken it over
 const latencies = [];
 let lastCounted = -Infinity;
 const stale = { skin: true, rest: true, all: true };
@@ -150,12 +152,12 @@ function classSought(typed) {
 const pen = new Pen($("skin"), (points, now) => {
   if (!ready) return;
   clearTimeout(byItself);
-  for (const [, right, down, , touches] of points) {
+  for (const [at, right, down, , touches] of points) {
     if (!touches) {
       pen.lifted = true;
       continue;
     }
-    if (pen.lifted !== false || !strokes.length) strokes.push([]); // or the skin was cleared during a stroke
+    if (pen.lifted !== false || !strokes.length) strokes.push(Object.assign([], { at })); // or the skin was cleared during a stroke
     pen.lifted = tried = false;
     strokes.at(-1).push([right, down]);
   }
@@ -219,6 +221,7 @@ $("examples").addEventListener("submit", (event) => {
 });
 
 function tellWriter(each) {
+  recalled = null;
   const chosen = $("writer").value;
   ask({
     type: "writer",
@@ -291,7 +294,7 @@ link.on("ready", (network) => {
 });
 
 link.on("cleared", (message) => {
-  const started = strokes.slice(-1); // the first stroke has been received already
+  const started = strokes.filter((stroke) => stroke.at >= message.begun_ms); // received already
   forget();
   if (message.recording !== null && !message.example) strokes = started;
   recording = message.recording;
@@ -340,6 +343,7 @@ link.on("spikes", (message) => {
 link.on("saved", (message) => {
   kept = true;
   clearTimeout(byItself); // the saved recording is complete
+  askedSince = performance.now();
   $("told").textContent = `Saved as ${named(message.label)}: ${message.name}, ${message.events} events.`;
   complain(null);
 });
@@ -353,13 +357,17 @@ link.on("learned", (message) => {
 });
 
 link.on("undone", (message) => {
+  if (message.open) kept = false; // the drawing can be saved as another class
   $("told").textContent = `Removed ${named(message.label)}: ${message.name}.`;
   complain(null);
 });
 
 link.on("writer", (state) => {
   const first = writer === null;
-  if (writer?.asked !== state.asked) clearTimeout(byItself);
+  if (writer?.asked !== state.asked) {
+    clearTimeout(byItself);
+    askedSince = performance.now();
+  }
   writer = state;
   $("saved").textContent = state.saved;
   $("learning").hidden = !state.can_learn;
@@ -372,7 +380,10 @@ link.on("writer", (state) => {
   showSession();
   showExamples();
   if (first) recall();
-  else remember();
+  else if (recalled === null || recalled === state.number) {
+    recalled = null;
+    remember();
+  }
 });
 
 link.on("problem", (message) => complain(message.text));
@@ -401,23 +412,23 @@ async function comeBack() {
     setTimeout(comeBack, AGAIN_MS);
     return;
   }
-  if (recording !== null && !kept) store(sessionStorage, LOST, true);
+  if (recording !== null && !kept) store("sessionStorage", LOST, true);
   location.reload();
 }
 
 // What the page has to say of the time before it was loaded again.
 function lost() {
-  const drawing = stored(sessionStorage, LOST);
-  store(sessionStorage, LOST, null);
+  const drawing = stored("sessionStorage", LOST);
+  store("sessionStorage", LOST, null);
   return drawing
     ? "The connection was lost, and with it the drawing on the skin. If you had just pressed its class, look at the number of saved recordings; otherwise write it again."
     : null;
 }
 
-// A browser may have no storage.
+// A browser may have no storage, or refuse even to name it.
 function store(storage, key, value) {
   try {
-    storage.setItem(key, JSON.stringify(value));
+    window[storage].setItem(key, JSON.stringify(value));
   } catch {
     // the page works without it
   }
@@ -425,7 +436,7 @@ function store(storage, key, value) {
 
 function stored(storage, key) {
   try {
-    return JSON.parse(storage.getItem(key));
+    return JSON.parse(window[storage].getItem(key));
   } catch {
     return null;
   }
@@ -436,10 +447,13 @@ function stored(storage, key) {
 const remembered = () => `stmnist-writer:${about.data_set}`;
 
 function recall() {
-  const { number, handedness, each, learn, save } = stored(localStorage, remembered()) ?? {};
+  const { number, handedness, each, learn, save } = stored("localStorage", remembered()) ?? {};
   $("learn").checked = learn ?? true;
   $("by-itself").checked = save ?? true;
-  if (Number.isInteger(number)) link.send({ type: "writer", number, handedness, each });
+  if (Number.isInteger(number)) {
+    recalled = number; // earlier states are of the writer that every connection begins with
+    link.send({ type: "writer", number, handedness, each });
+  }
   if (!$("learn").checked) tellLearning(); // to a new connection
 }
 
@@ -447,7 +461,7 @@ function remember() {
   if (writer === null) return; // not connected yet
   const { number, handedness, each } = writer;
   const [learn, save] = [$("learn").checked, $("by-itself").checked];
-  store(localStorage, remembered(), { number, handedness, each, learn, save });
+  store("localStorage", remembered(), { number, handedness, each, learn, save });
 }
 
 // ---- what is shown
@@ -465,6 +479,8 @@ function settle() {
   if (asked === null || kept || over || tried || !events.taxel.length || !$("by-itself").checked) return;
   if (strokes.some((stroke) => stroke.interrupted))
     complain("The device has interrupted a stroke, so that this recording is not saved automatically: press its class, or press Clear and write again.");
+  else if (strokes.some((stroke) => stroke.at < askedSince))
+    complain("This drawing was begun before its class was asked for, so that it is not saved automatically: press its class, or press Clear and write again.");
   else byItself = setTimeout(() => keep(asked), BY_ITSELF_MS);
 }
 

@@ -99,8 +99,11 @@ export class Pen {
     points = [...this.waiting.splice(0), ...points];
     this.settled = false;
     this.told = performance.now();
-    do this.tell(points.splice(0, MOST), this.told);
-    while (points.length);
+    do {
+      const piece = points.splice(0, MOST);
+      // The skin's time must not pass the points of the next piece.
+      this.tell(piece, points.length ? piece.at(-1)[0] : this.told);
+    } while (points.length);
   }
 
   // The skin's time goes on although nobody writes, also that of an example.

@@ -901,6 +901,23 @@ def test_points_that_come_all_at_once_are_several_messages(page):
     assert len(kept.written.pen) > 700
 
 
+def test_a_browser_without_storage_connects_again(browser, tmp_path):
+    """Where site data are blocked, storage cannot even be named."""
+    blocked = "get() { throw new DOMException('blocked', 'SecurityError'); }"
+    with served(tmp_path / "kept") as server, page_of(browser, server) as page:
+        for name in ("localStorage", "sessionStorage"):
+            page.add_init_script(f"Object.defineProperty(window, '{name}', {{ {blocked} }});")
+        errors = []
+        page.on("pageerror", errors.append)
+        page.told.clear()
+        page.reload()
+        page.wait_for_selector("body[data-ready]")
+        robot.replay(page, digit(1))
+        settled(page)
+        label(page, 1)
+        assert errors == []
+
+
 def test_what_is_switched_off_is_off_after_a_reload(browser, tmp_path):
     with (
         served(tmp_path / "kept", make_learner=Counting) as server,

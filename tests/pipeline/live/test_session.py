@@ -12,6 +12,7 @@ import pytest
 from pipeline.live.examples import Example
 from pipeline.live.keeping import Keeper
 from pipeline.live.session import (
+    CONFIRMED_S,
     LONGEST_S,
     PIECE_S,
     SKIN_RATE,
@@ -240,6 +241,32 @@ def test_a_mislabelled_recording_is_saved_again_after_an_undo(session, keeper):
     assert of(say(session, {"type": "label", "label": 8}), "problem")
     say(session, {"type": "undo"})
     assert of(written(session, start_ms=1400.0), "cleared")  # it is not written on again
+
+
+def test_undo_removes_the_drawing_on_the_skin_also_after_a_change_of_writer(session, keeper):
+    who = {"type": "writer", "number": 5, "handedness": "", "each": 0}
+    say(session, who)
+    written(session)
+    say(session, {"type": "label", "label": 7})
+    say(session, {**who, "number": 4})
+    written(session, start_ms=9000.0)
+    say(session, who)
+    (saved,) = of(say(session, {"type": "label", "label": 3}), "saved")
+    (undone,) = of(say(session, {"type": "undo"}), "undone")
+    assert (undone["name"], undone["open"]) == (saved["name"], True)
+    assert of(say(session, {"type": "undo"}), "undone")[0]["open"] is False
+
+
+def test_the_offer_to_remove_another_pages_recording_expires(session, keeper):
+    written(session)
+    say(session, {"type": "label", "label": 7})
+    other = Session(2, keeper, P)
+    other.begin(Parrot())
+    clock = Clock()
+    for _ in range(2):
+        clock.now_s += CONFIRMED_S
+        assert of(say(other, {"type": "undo"}, clock), "problem")
+    assert of(say(other, {"type": "undo"}, clock), "undone")
 
 
 def test_a_second_undo_removes_the_recording_before(session, keeper):

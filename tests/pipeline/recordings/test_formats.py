@@ -318,10 +318,13 @@ def test_a_class_of_another_format_is_not_taken_for_tables(tmp_path):
 def test_later_recordings_of_a_class_in_another_format_are_not_taken_for_tables(tmp_path):
     """After some weeks, recordings are saved as .csv in the same folders."""
     later = {f"{CLASSES[0]}/later{i}.csv": CSV.encode() for i in range(3)}
-    (line,) = refused(tmp_path, {**own(), **later})
+    table = {f"{CLASSES[0]}/about.csv": b"name,comment\na,b\n"}
+    (line,) = refused(tmp_path, {**own(), **later, **table})
     assert missing(line, ".csv", "3 of 19 ", "later0.csv") == []
     names = [name for name in own() if name.startswith(CLASSES[0])]
-    copies = {name.replace(".npz", ".csv"): CSV.encode() for name in names}
+    copies = {
+        name.replace(".npz", end): CSV.encode() for name in names for end in (".csv", "_raw.csv")
+    }
     archive(tmp_path / "own.zip", {**own(), **copies})
     assert len(read_source(tmp_path / "own.zip", jobs=1)) == 16
 

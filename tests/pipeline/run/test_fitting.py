@@ -83,9 +83,25 @@ def test_what_was_chosen_for_fewer_classes_is_chosen_again(tmp_path, kind, secti
     more = [(events, "more") for events, label in items if label == 0]
     write_recordings(path, [(e, CLASSES[label]) for e, label in items] + more)
     assert getattr(fitted(first), section).architecture.endswith("-5o")
+    with pytest.raises(SeveralErrors):  # for other recordings, the user decides
+        fitted(first, rechoose=False)
+    fewer = write_recordings(tmp_path / "fewer.zip", [i for i in items if i[1] < 3], CLASSES[:3])
+    with pytest.raises(SeveralErrors):
+        fitted(first.with_values({"data": {"source": str(fewer)}}, ""))
     mine = getattr(first, section).architecture.replace("-", "-7c2-", 1)
     with pytest.raises(SeveralErrors):
         fitted(first.with_values({section: {"architecture": mine}}, ""))
+
+
+def test_a_budget_of_the_user_s_is_kept(tmp_path):
+    items = [
+        ([np.tile(part, 30) for part in (3 * x, 3 * y, t, p)], label)
+        for (x, y, t, p), label in gestures(10)
+    ]
+    path = write_recordings(tmp_path / "large.zip", items, CLASSES)
+    for given, kept in (({}, False), ({"events": {"budget": 0.5}}, True)):
+        settings = settings_of(path, input={"kind": "events"}, **given)
+        assert (fitted(settings).events.budget == settings.events.budget) is kept
 
 
 def test_more_rates_than_the_chosen_network_has_layers_are_a_problem(tmp_path):

@@ -148,6 +148,11 @@ def test_a_graph_that_is_given_again_keeps_the_users_values(tmp_path):
         again = mine.with_values(take(file, before=mine), "")
         assert again.nir.sha256 != mine.nir.sha256
         assert replace(again, nir=mine.nir) == mine
+    small_graph(tmp_path / "another.nir")
+    with (tmp_path / "another.nir").open("ab") as another:
+        another.write(b"\0\0\0")
+    other = mine.with_values(settings_of_retrained(tmp_path / "another.nir", before=mine), "")
+    assert (other.nir.step, other.presentation.gap) == (0, Settings().presentation.gap)
     # The other kind of import begins with its own values.
     other = mine.with_values(settings_of_nir(file, before=mine), "")
     assert (other.presentation.gap, other.presentation.stream_length) == (0, 1)
