@@ -908,7 +908,7 @@ def test_a_browser_without_storage_connects_again(browser, tmp_path):
         for name in ("localStorage", "sessionStorage"):
             page.add_init_script(f"Object.defineProperty(window, '{name}', {{ {blocked} }});")
         errors = []
-        page.on("pageerror", errors.append)
+        page.on("pageerror", lambda error: errors.append(error))
         page.told.clear()
         page.reload()
         page.wait_for_selector("body[data-ready]")
