@@ -260,6 +260,10 @@ TABLES = {
         "table2-slayer-random",
         "stmnist benchmark table2 --models slayer,slayer-small --kind random",
     ),
+    "output of table2 with SLAYER on new writers": lambda: _table2_output(
+        "table2-slayer-writers",
+        "stmnist benchmark table2 --models slayer,slayer-small --kind writers",
+    ),
     "output of table2 on events": lambda: _table2_output(
         "table2-events", "stmnist benchmark table2 --models events,events-loihi"
     ),
