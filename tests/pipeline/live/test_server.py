@@ -50,7 +50,8 @@ def get(server, path=None, **headers):
 def connect(server, path=None, **options):
     port, own = parts(server)
     path = f"{own}pen" if path is None else path
-    return sync_client.connect(f"ws://127.0.0.1:{port}{path}", proxy=None, **options)
+    options = {"proxy": None, "max_queue": None, **options}  # a full queue would hide the end
+    return sync_client.connect(f"ws://127.0.0.1:{port}{path}", **options)
 
 
 def read_until(page, kind, seconds=120):
