@@ -24,8 +24,8 @@ from pipeline.recordings.facts import reading_text, size_text
 from pipeline.recordings.sensors import too_small
 from pipeline.recordings.steps import EventTable
 from pipeline.run.chip_fit import chip_problems
+from pipeline.run.given_networks import is_file
 from pipeline.run.nir_import import require_fit
-from pipeline.run.nir_settings import is_file
 from pipeline.settings import SIMULATED, Settings, Slayer, check_fits
 
 LARGEST_MAP = 14

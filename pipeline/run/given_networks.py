@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from deploy.errors import UserError
+from deploy.files import sha256_of
 from deploy.terminal import WARNING
 from pipeline.artifacts import OUTDATED, State
-from pipeline.run.nir_settings import give_again, is_file
+from pipeline.run.nir_settings import give_again
 from pipeline.settings import Settings
 
 GIVE_MODEL_AGAIN = (
@@ -19,6 +21,22 @@ FROM_ELSEWHERE = ("nir.sha256", "cnn.model_sha256")
 
 SPLIT_AGAIN = ("seed", "split", "recordings", "data.", "skin.")
 """Beginnings of the changes after which other samples are in the test split."""
+
+
+def is_file(path, sha256: str) -> bool:
+    """True if a file can be read and has this SHA-256."""
+    try:
+        return sha256_of(Path(path)) == sha256
+    except (OSError, UserError):
+        return False
+
+
+def imported_file(file, sha256: str, copy: Path) -> Path:
+    """The file of a network that was imported: the user's, or the run's copy if that has changed.
+
+    The user's file is also returned if the copy is damaged or missing; then neither has the hash.
+    """
+    return next((path for path in (Path(file), copy) if is_file(path, sha256)), Path(file))
 
 
 def changed_note(settings: Settings) -> str | None:

@@ -24,8 +24,9 @@ from pipeline.inputs.dataset import Dataset
 from pipeline.inputs.splits import Split
 from pipeline.progress import progress
 from pipeline.run.event_training import trusted
+from pipeline.run.given_networks import imported_file, is_file
 from pipeline.run.nir_answers import NUMPY, outputs_of, predictions_of
-from pipeline.run.nir_settings import GRAPH, Stepped, exported_here, give_again, is_file
+from pipeline.run.nir_settings import GRAPH, Stepped, exported_here, give_again
 from pipeline.settings import SIMULATED, Settings
 
 DECIDED_ON = 300
@@ -128,12 +129,10 @@ def graph_for(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
         The file has changed or cannot be read, and the run has no copy; or the graph is for another
         sensor or other classes.
     """
-    sources = Path(settings.nir.file), folder / GRAPH
-    source = next((path for path in sources if is_file(path, settings.nir.sha256)), None)
-    if source is None:
-        read_nir(sources[0])  # whose error is clearer, if the file cannot be read
-        raise UserError(f"{sources[0]}: has changed; {give_again(settings)}")
+    source = imported_file(settings.nir.file, settings.nir.sha256, folder / GRAPH)
     network = read_nir(source)
+    if not is_file(source, settings.nir.sha256):
+        raise UserError(f"{source}: has changed; {give_again(settings)}")
     require_fit(network, _fed_shape(dataset), len(dataset.recordings.sensor.classes), source)
     return source, network
 

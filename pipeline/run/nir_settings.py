@@ -120,14 +120,6 @@ def give_again(settings: Settings) -> str:
     return f"give it again with 'stmnist convert RUN --nir FILE{retrain}'"
 
 
-def is_file(path, sha256: str) -> bool:
-    """True if a file can be read and has this SHA-256."""
-    try:
-        return sha256_of(Path(path)) == sha256
-    except (OSError, UserError):
-        return False
-
-
 def graph_in(folder: Path, settings: Settings) -> NirNetwork:
     """The run's copy of the graph, in the folder of its network.
 

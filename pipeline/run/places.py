@@ -14,7 +14,7 @@ DEEPEST = 3
 """Most folders from a file or bundle of a run up to the run: ``checks/whole/emulator.json``."""
 
 OF_RESULTS = ("splits", "points", "networks", "table2.json", "sweep.json", "*-[0-9]*.json")
-"""What benchmarks and sweeps write into their folders beside ``experiment.toml``, and runs not."""
+"""Names of files and folders that benchmarks and sweeps write, and that runs do not have."""
 
 
 def run_around(path) -> Path | None:

@@ -106,7 +106,7 @@ for streams in json.loads(sys.argv[2]):
 
 
 def outcomes(folder, *streams):
-    """Of a command on a damaged recording, once for each state of its standard streams.
+    """The outcomes of a command on a damaged recording, for each state of its standard streams.
 
     It is called in a fork, as in a campaign, but not of this process, in which other tests have
     filled the memory and started threads.

@@ -11,8 +11,7 @@ from deploy.errors import UserError
 from deploy.files import sha256_of
 from models.own import ModelFileError, read_own_model
 from pipeline.inputs.dataset import Dataset
-from pipeline.run.given_networks import GIVE_MODEL_AGAIN
-from pipeline.run.nir_settings import is_file
+from pipeline.run.given_networks import GIVE_MODEL_AGAIN, imported_file
 from pipeline.settings import Settings
 
 LEAST_KNOWN = 0.15
@@ -101,9 +100,8 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
         The model cannot be read or has changed, and the run has no copy; or it is not better than
         chance.
     """
-    path, copy = Path(settings.cnn.model), copy_of_model(folder, settings)
-    if not is_file(path, settings.cnn.model_sha256) and copy.exists():
-        path = copy
+    copy = copy_of_model(folder, settings)
+    path = imported_file(settings.cnn.model, settings.cnn.model_sha256, copy)
     model, sha256 = read_model(path)
     if sha256 != settings.cnn.model_sha256 or str(model.architecture) != settings.cnn.architecture:
         raise UserError(f"{path}: has changed; {GIVE_MODEL_AGAIN}")

@@ -337,7 +337,7 @@ def sum_beyond_16_bits(sign):
 
 
 class Case(NamedTuple):
-    """What is changed in a model and then in its emulator, the calls, and what they lead to."""
+    """Changes of a model before and after its emulator is made, the calls, and their outcome."""
 
     calls: list
     change: Callable = as_it_is

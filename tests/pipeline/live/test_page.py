@@ -67,12 +67,12 @@ def page_of(browser, server, **options):
 
 
 def messages(page, kind):
-    """What the server has told the page."""
+    """Messages of a type that the page has received from the server."""
     return of_kind(page.told, kind)
 
 
 def sent(page, kind):
-    """What the page has sent to the server."""
+    """Messages of a type that the page has sent to the server."""
     return of_kind(page.said, kind)
 
 
@@ -902,7 +902,7 @@ def test_points_that_come_all_at_once_are_several_messages(page):
 
 
 def test_a_browser_without_storage_connects_again(browser, tmp_path):
-    """Where site data are blocked, storage cannot even be named."""
+    """If a browser blocks site data, reading ``window.localStorage`` raises an error."""
     blocked = "get() { throw new DOMException('blocked', 'SecurityError'); }"
     with served(tmp_path / "kept") as server, page_of(browser, server) as page:
         for name in ("localStorage", "sessionStorage"):
