@@ -277,6 +277,10 @@ class EventTraining(Section):
     """Initial learning rate of Adam; it falls to 0 along a half cosine."""
     early: Annotated[float, AT_LEAST_0] = 1.0
     """Weight of the loss term for early decisions, while the digit is still being written."""
+    augment: Annotated[str, one_of("auto", "time", "space", "none")] = "auto"
+    """Alterations of training samples: ``time``, stretched times and dropped events; ``space``,
+    also rotated, shifted, scaled and sheared on the grid of taxels; ``none``; ``auto``, ``space``
+    for handwriting on the simulated skin or ST-MNIST's, and ``time`` for other recordings."""
     budget: Annotated[float, ABOVE_0] = 0.8
     """Synaptic operations per inference above which the loss has a penalty, in multiples of the
     multiply-accumulates of the paper's CNN."""

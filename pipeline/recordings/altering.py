@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.recordings.events import Events, Recordings
+from pipeline.recordings.events import DIGITS, GRID, Events, Recordings
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,33 @@ class Alteration:
     shift: float = 0.4
     scale: float = 0.08
     shear: float = 0.08
+
+
+TIME_ONLY = Alteration(turn=0.0, shift=0.0, scale=0.0, shear=0.0)
+"""Alterations in time and dropped events, for sensors on which a position may have a meaning of its
+own or neighbours in the grid are not neighbours on the sensor."""
+
+AUGMENTATIONS = {
+    "none": Alteration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    "time": TIME_ONLY,
+    "space": Alteration(),
+}
+"""The alterations of each value of ``events.augment`` but ``auto``."""
+
+
+def augmentation_for(recordings: Recordings) -> str:
+    """The augmentation that suits recordings: ``space`` for handwriting, otherwise ``time``.
+
+    Handwriting is what was simulated, what people wrote on the simulated skin, and recordings in
+    ST-MNIST's format of digits on its array.
+    """
+    source, sensor = recordings.source, recordings.sensor
+    is_st_mnist = (
+        not source.time_unit
+        and (sensor.rows, sensor.columns) == (GRID, GRID)
+        and sensor.classes == DIGITS
+    )
+    return "space" if source.simulated or source.written or is_st_mnist else "time"
 
 
 def alter(how: Alteration, rng, samples: int, sample, step, row, column, polarity, size=(10, 10)):

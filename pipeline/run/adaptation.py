@@ -16,7 +16,7 @@ from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, last_steps
 from deploy.targets.fast.emulation import Emulation, compile_spec
 from pipeline.inputs.dataset import classes_of, inputs_for, require_sensor_fits
-from pipeline.recordings.altering import Alteration, altered_recordings
+from pipeline.recordings.altering import AUGMENTATIONS, altered_recordings, augmentation_for
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.words import listed
 from pipeline.settings import Image
@@ -120,7 +120,8 @@ class Responder:
         n = len(recordings)
         step_ms = 1e3 * self.spec.stimulus.step_seconds
         often = np.repeat(np.arange(n), COPIES)
-        altered = altered_recordings(recordings, often, Alteration(), step_ms, seed)
+        how = AUGMENTATIONS[augmentation_for(recordings)]
+        altered = altered_recordings(recordings, often, how, step_ms, seed)
         return self.responses_to(altered).reshape(n, COPIES, -1)
 
     def person(self, recordings: Recordings, seed) -> Person:

@@ -19,6 +19,7 @@ from models.nir_graph import read_nir
 from pipeline.inputs.dataset import NO_SPLIT, TOO_SMALL, split_of
 from pipeline.inputs.library import recordings_of
 from pipeline.paper import CNN_MACS
+from pipeline.recordings.altering import augmentation_for
 from pipeline.recordings.events import Recordings, Sensor
 from pipeline.recordings.facts import reading_text, size_text
 from pipeline.recordings.sensors import too_small
@@ -92,6 +93,8 @@ def fitted(
     _architecture(settings, recordings, rechoose, changes, problems)
     if settings.on_events:
         _presentation(settings, recordings, changes)
+        if settings.events.augment == "auto":
+            changes.setdefault("events", {})["augment"] = augmentation_for(recordings)
     n_test = _test_samples(settings, recordings, problems)
     if check and 0 < n_test < settings.check.drawn(n_test):
         problems.append(
@@ -121,6 +124,11 @@ def chosen_text(before: Settings, after: Settings, recordings: Recordings) -> li
         lines.append(
             f"{architecture}: chosen for {size_text(sensor)} and "
             f"{len(sensor.classes)} classes (another: --set {name}=...)"
+        )
+    if after.on_events and before.events.augment == "auto":
+        lines.append(
+            f"augmentation in {after.events.augment} "
+            "(another: --set events.augment=time, space or none)"
         )
     if after.presentation != before.presentation:
         shown, longest = after.steps * after.input.step, _longest_ms(recordings)

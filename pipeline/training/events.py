@@ -24,7 +24,7 @@ from models.architecture import parse
 from models.keras2 import tf
 from models.spiking import Neuron, SpikingNetwork, operations
 from pipeline.paper import CNN_MACS
-from pipeline.recordings.altering import Alteration, alter
+from pipeline.recordings.altering import AUGMENTATIONS, Alteration, alter
 from pipeline.recordings.steps import EventTable, spike_frames
 from pipeline.settings import EventTraining, Input, Settings
 from pipeline.training.checkpoint import Checkpoint, train_epochs
@@ -116,7 +116,10 @@ class EventRecipe:
     def of(cls, settings: Settings) -> EventRecipe:
         """Make the recipe from the settings."""
         shown = settings.input
-        return cls(step_ms=shown.step, rest=shown.rest, **asdict(settings.events))
+        values = asdict(settings.events)
+        how = values.pop("augment")
+        how = AUGMENTATIONS["space" if how == "auto" else how]  # auto: not fitted, so simulated
+        return cls(step_ms=shown.step, rest=shown.rest, **values, **asdict(how))
 
 
 @dataclass(frozen=True)
