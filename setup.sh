@@ -37,7 +37,7 @@ cd "$(dirname "$0")" || exit 2
 venv=${1:?which folder?}
 given=${2:-}
 
-pins="$(cat pyproject.toml constraints.txt setup.sh | cksum)"
+pins="$(cat pyproject.toml fastloihi/pyproject.toml constraints.txt setup.sh | cksum)"
 if [ -n "$given" ]; then
   fits "$given" || fail "Python 3.11, 3.12 or 3.13 is needed and '$given' is none;" \
     "install one, or name it with PYTHON=/path/to/python3.13"
@@ -73,5 +73,6 @@ install() { # only what needs no compiler; what pip said of a failure in one lin
 # NengoDL comes as source, and its build asks for a setuptools that fails on Python 3.12 and later:
 # it is built with the one that is pinned here.
 install setuptools wheel
-install --no-build-isolation -e '.[dev,fast,nir,cluster,live,cameras]'
+install --no-build-isolation -e ./fastloihi
+install --no-build-isolation -e '.[dev,nir,cluster,live,cameras]'
 echo "$(version_of "$venv/bin/python") $pins" >"$venv/installed"

@@ -163,7 +163,7 @@ class SkinSize(Section):
 
 @dataclass(frozen=True)
 class Image(Section):
-    """Conversion of events to a tactile image; see :mod:`pipeline.inputs.images`."""
+    """Conversion of events to a tactile image; see :mod:`pipeline.data.images`."""
 
     aggregation: Annotated[str, one_of(*AGGREGATIONS)] = "count"
     """Quantity for each taxel: ``count``, physical events; ``columns``, columns of the file, as in

@@ -30,21 +30,21 @@ _PLACES = {
     "deploy.check.results": ("compare_results", "read_result"),
     "deploy.check.run": ("run_check",),
     "deploy.errors": ("UserError",),
-    "deploy.fastloihi": ("FastSimulator", "accelerate"),
+    "fastloihi": ("FastSimulator", "accelerate"),
     "deploy.network.nir": ("write_nir",),
     "deploy.network.operations": ("multiply_accumulates",),
     "deploy.preflight.plan": ("make_plan", "plan_text"),
     "deploy.targets.registry": ("TARGETS", "answer"),
     "models.nir_graph": ("read_nir",),
     "models.nir_simulator": ("simulate",),
-    "pipeline.inputs.dataset": ("Dataset",),
-    "pipeline.inputs.splits": ("draw_check_samples",),
+    "pipeline.data.dataset": ("Dataset",),
+    "pipeline.data.splits": ("draw_check_samples",),
     "pipeline.live.serving": ("live",),
     "pipeline.progress": ("progress",),
-    "pipeline.recordings.own": ("write_recordings",),
-    "pipeline.report.figures.confusion": ("confusion_figure",),
-    "pipeline.report.figures.placement": ("placement_figure",),
-    "pipeline.report.writing": ("write_report",),
+    "pipeline.data.own": ("write_recordings",),
+    "pipeline.results.report.figures.confusion": ("confusion_figure",),
+    "pipeline.results.report.figures.placement": ("placement_figure",),
+    "pipeline.results.report.writing": ("write_report",),
     "pipeline.run": ("stages",),
     "pipeline.run.comparison": ("compare_runs", "read_runs", "runs_text"),
     "pipeline.run.conversion": ("deployed",),
@@ -56,7 +56,7 @@ _PLACES = {
 }
 """Public names by the module that has them; ``stages`` is itself a module, in a package."""
 
-_BEFORE = {"deploy.fastloihi": "deploy.network.loihi_import"}
+_BEFORE = {"fastloihi": "deploy.network.loihi_import"}
 """Modules to import before others: NengoLoihi 1.1 needs substitutions on NumPy 2."""
 
 _MODULE_OF = {name: module for module, names in _PLACES.items() for name in names}

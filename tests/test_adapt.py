@@ -10,9 +10,9 @@ import pytest
 from deploy.check.bundle import read_bundle, write_bundle
 from deploy.errors import UserError
 from deploy.files import read_json
+from pipeline.data.archive import write_zip
+from pipeline.data.events import Recordings
 from pipeline.live.network import SHIPPED
-from pipeline.recordings.archive import write_zip
-from pipeline.recordings.events import Recordings
 from pipeline.run.elsewhere import recordings_for
 from pipeline.settings import Settings, write_settings
 from pipeline.skin import handwriting, parameters

@@ -10,7 +10,7 @@ from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import read_json
-from pipeline.inputs.dataset import event_warnings
+from pipeline.data.dataset import event_warnings
 from pipeline.settings import Settings
 from pipeline.skin.simulate import simulate
 from pipeline.training import events

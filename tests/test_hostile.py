@@ -14,7 +14,7 @@ import pytest
 from deploy.errors import UserError
 from deploy.files import read_json, write_json
 from pipeline.artifacts import Artifact, Origin
-from pipeline.recordings import cache
+from pipeline.data import cache
 from pipeline.run.folder import RunFolder
 from pipeline.run.stages.bundling import _confidence
 from pipeline.settings import read_settings
@@ -225,7 +225,7 @@ def test_an_empty_name_of_the_cache_is_none(monkeypatch, tmp_path):
 
 
 def test_a_file_larger_than_any_of_its_kind(refused, tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.recordings.mat5.LARGEST", 10_000)
+    monkeypatch.setattr("pipeline.data.mat5.LARGEST", 10_000)
     monkeypatch.setattr("deploy.limits.TEXT_BYTES", 10_000)
     path = tmp_path / "large"
     path.touch()

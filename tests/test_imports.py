@@ -63,19 +63,18 @@ FLOORS = {
         {"jobs", "paper", "progress", "temporary"},
         {"settings"},
         {"artifacts"},
-        {"recordings"},
-        {"skin"},
-        {"inputs", "training"},
+        {"data", "skin"},
+        {"training"},
         {"run"},
         {"experiments"},
-        {"report"},
+        {"results"},
         {"live"},
         {"commands"},
         {"__main__"},
     ],
     "deploy": [
         {"children", "terminal"},
-        {"errors", "interrupts", "limits", "tables", "requirements", "fastloihi"},
+        {"errors", "interrupts", "limits", "tables", "requirements"},
         {"files"},
         {"network"},
         {"preflight"},
@@ -148,8 +147,7 @@ def test_each_foreign_world_is_in_one_file():
         }
 
     assert users("nengo_dl") == {"pipeline/training/nengodl.py"}
-    ours = {path for path in users("nengo_loihi") if not path.startswith("deploy/fastloihi/")}
-    assert ours == {"deploy/network/loihi_import.py"}
+    assert users("nengo_loihi") == {"deploy/network/loihi_import.py"}
     assert users("tensorflow") == {"models/keras2.py"}
     assert users("h5py") == {"models/hdf5.py"}
     assert users("fcntl") == {"deploy/files.py"}

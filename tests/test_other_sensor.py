@@ -63,7 +63,7 @@ def test_names_in_the_ladder(run):
 
 
 def test_names_in_the_report_and_the_figure(run):
-    from pipeline.report.figures.confusion import confusion_figure
+    from pipeline.results.report.figures.confusion import confusion_figure
 
     assert call("report", run) == 0
     page = (run / "report.html").read_text(encoding="utf-8")

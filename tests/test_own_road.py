@@ -12,10 +12,10 @@ import pytest
 from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.files import read_json
-from pipeline.recordings.own import write_recordings
+from pipeline.data.own import write_recordings
 from tests.command import call, missing, users_environment
 from tests.own_sensor import CLASSES, gestures, write_folder
-from tests.pipeline.report.test_page import BROWSER, browse
+from tests.pipeline.results.report.test_page import BROWSER, browse
 
 SCHEMES = {"light": "preferredColorScheme=1", "dark": "preferredColorScheme=0"}
 """Chromium's switch for each."""
@@ -129,7 +129,7 @@ def test_settings_fit_80_columns(folder, monkeypatch, words, capsys):
 def test_an_animation_of_a_sample(folder, tmp_path, monkeypatch, kind):
     from PIL import Image
 
-    from pipeline.report.figures import animation
+    from pipeline.results.report.figures import animation
 
     monkeypatch.setattr(animation, "FRAMES", 4)
     monkeypatch.setattr(animation, "STILL", 1)
@@ -147,7 +147,7 @@ def test_an_animation_of_a_sample(folder, tmp_path, monkeypatch, kind):
 
 
 def test_an_animation_as_mp4(folder, tmp_path, monkeypatch):
-    from pipeline.report.figures import animation
+    from pipeline.results.report.figures import animation
 
     if not animation.FFMpegWriter.isAvailable() and animation._packaged_ffmpeg() is None:
         pytest.skip("no ffmpeg here (Debian: apt install ffmpeg; or pip install imageio-ffmpeg)")
@@ -161,7 +161,7 @@ def test_an_animation_as_mp4(folder, tmp_path, monkeypatch):
 
 
 def test_without_ffmpeg_an_mp4_is_refused_in_one_line(folder, tmp_path, monkeypatch, capsys):
-    from pipeline.report.figures import animation
+    from pipeline.results.report.figures import animation
 
     monkeypatch.setattr(animation.FFMpegWriter, "isAvailable", classmethod(lambda _: False))
     monkeypatch.setattr(animation, "_packaged_ffmpeg", lambda: None)

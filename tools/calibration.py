@@ -40,9 +40,9 @@ from deploy.terminal import show
 from pipeline.commands import options
 from pipeline.commands.data import SimulationSeed
 from pipeline.commands.main import run_tool
+from pipeline.data import table1
 from pipeline.paper import SAMPLES_PER_DIGIT, TABLE1
 from pipeline.progress import progress
-from pipeline.recordings import table1
 from pipeline.skin.parameters import CALIBRATION, Form, Parameters, load
 from pipeline.skin.simulate import simulate, source_of
 
@@ -83,7 +83,7 @@ class Cell:
     ----------
     digit : int
     measure : str
-        One of :data:`pipeline.recordings.table1.MEASURES`.
+        One of :data:`pipeline.data.table1.MEASURES`.
     part : str
         ``"mean"`` or ``"sd"``.
     simulated, paper : float
@@ -143,7 +143,7 @@ def step(form: Form, row, paper, damping) -> Form:
     ----------
     form : Form
     row, paper : dict
-        Values of this digit, as in :func:`pipeline.recordings.table1.table`.
+        Values of this digit, as in :func:`pipeline.data.table1.table`.
     damping : float
         Part of the step to take.
     """

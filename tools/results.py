@@ -32,8 +32,8 @@ from deploy.files import read_json, sha256_of, write_json
 from deploy.tables import aligned
 from pipeline.artifacts import CURRENT, Artifact, Origin
 from pipeline.commands.main import run_tool
+from pipeline.data.library import recordings_of
 from pipeline.experiments.table2_splits import WITH_SLAYER
-from pipeline.inputs.library import recordings_of
 from pipeline.settings import Settings
 from tools.figures import FOLDER
 

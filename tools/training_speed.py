@@ -17,8 +17,8 @@ from deploy.tables import aligned
 from models.cnn import get_weights
 from models.keras2 import tf
 from pipeline.commands.main import run_tool
-from pipeline.inputs.dataset import Dataset
-from pipeline.inputs.frames import bin_events
+from pipeline.data.dataset import Dataset
+from pipeline.data.frames import bin_events
 from pipeline.progress import progress
 from pipeline.settings import Settings
 from pipeline.training import nengodl

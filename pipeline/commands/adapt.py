@@ -13,8 +13,8 @@ from deploy.errors import UserError
 from deploy.files import refuse_linked_folder
 from pipeline.commands import options
 from pipeline.commands.completion import data_sets
-from pipeline.recordings.events import Recordings
-from pipeline.recordings.words import listed
+from pipeline.data.events import Recordings
+from pipeline.data.words import listed
 from pipeline.run.folder import RunFolder
 
 

@@ -13,13 +13,13 @@ from deploy.errors import UserError
 from deploy.terminal import show
 from pipeline.commands import options, signatures
 from pipeline.commands.completion import data_sets
-from pipeline.inputs.library import load_recordings
+from pipeline.data.archive import export_zip, refuse_to_replace, write_zip
+from pipeline.data.events import GRID
+from pipeline.data.facts import facts_of_file, facts_with_events, file_text, recordings_text
+from pipeline.data.library import load_recordings
+from pipeline.data.sensors import Reading
+from pipeline.data.table1 import table1_json, table1_text
 from pipeline.progress import progress
-from pipeline.recordings.archive import export_zip, refuse_to_replace, write_zip
-from pipeline.recordings.events import GRID
-from pipeline.recordings.facts import facts_of_file, facts_with_events, file_text, recordings_text
-from pipeline.recordings.sensors import Reading
-from pipeline.recordings.table1 import table1_json, table1_text
 from pipeline.settings import MOST_DOWNSAMPLED, SIMULATED, Settings
 from pipeline.skin import unipen
 
@@ -264,8 +264,8 @@ def plot(
 
     sheet: tactile images of random samples of each class.
     """
-    from pipeline.report import figures  # Matplotlib takes a second to import
-    from pipeline.report.figures import recordings as drawn
+    from pipeline.results.report import figures  # Matplotlib takes a second to import
+    from pipeline.results.report.figures import recordings as drawn
 
     if what not in FIGURES:
         raise UserError(f"{what!r} is not a figure; choose one of {', '.join(FIGURES)}")

@@ -54,8 +54,8 @@ def plan(
         if rates:
             show(rates_text(rates, len(images)))
     if figure is not None:
-        from pipeline.report import figures  # imports Matplotlib
-        from pipeline.report.figures.placement import placement_figure
+        from pipeline.results.report import figures  # imports Matplotlib
+        from pipeline.results.report.figures.placement import placement_figure
 
         figures.save(placement_figure(made), figure, dpi=150)
     if made.problems:

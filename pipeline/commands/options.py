@@ -215,7 +215,7 @@ def fit_recordings(jobs: int, until: str):
     """
 
     def fit(folder, settings):
-        from pipeline.inputs.library import recordings_of
+        from pipeline.data.library import recordings_of
         from pipeline.progress import stages
         from pipeline.run.fitting import chosen_text, fitted, new_run_text
         from pipeline.run.stages import bars

@@ -11,7 +11,7 @@ from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
 from pipeline.commands import options
 from pipeline.progress import progress
-from pipeline.report.writing import write_report
+from pipeline.results.report.writing import write_report
 from pipeline.run.folder import RunFolder
 from pipeline.settings import read_settings
 
@@ -25,8 +25,8 @@ def animate(
     jobs: options.Jobs = 2,
 ):
     """Write an animation of a sample: events, image, probabilities over time."""
-    from pipeline.inputs.library import recordings_of
-    from pipeline.report.figures import animation
+    from pipeline.data.library import recordings_of
+    from pipeline.results.report.figures import animation
 
     animation.writer_for(out)  # reports a wrong ending of the name before anything is computed
     bundle = read_bundle(options.bundle_in(run))

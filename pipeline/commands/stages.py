@@ -129,8 +129,8 @@ def ladder(
     with options.opened(run, given, fit=fit) as (folder, resolved):
         table = measure_ladder(folder, resolved, jobs, whole, slow, options.say)
         if whole:
-            from pipeline.report import figures  # imports Matplotlib
-            from pipeline.report.figures.confusion import confusion_figure
+            from pipeline.results.report import figures  # imports Matplotlib
+            from pipeline.results.report.figures.confusion import confusion_figure
 
             figures.save(confusion_figure(table), folder.confusion, dpi=100)
     most = limit if limit is not None else 1.0 if whole else 3.0

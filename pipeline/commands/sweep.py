@@ -35,8 +35,8 @@ def sweep(
     with options.opened(out, given) as (folder, resolved):
         found = measure_sweep(folder, resolved, grid, workers, options.say)
         if found.summary["points"]:
-            from pipeline.report import figures  # imports Matplotlib
-            from pipeline.report.figures.pareto import pareto
+            from pipeline.results.report import figures  # imports Matplotlib
+            from pipeline.results.report.figures.pareto import pareto
 
             figures.save(pareto(found.summary), out / "pareto.png")
     options.conclude(found, sweep_text, as_json)

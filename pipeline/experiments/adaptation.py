@@ -18,8 +18,8 @@ from deploy.check.bundle import Bundle
 from deploy.errors import UserError
 from deploy.network.spec import NetworkSpec
 from deploy.tables import aligned
+from pipeline.data.events import Recordings
 from pipeline.experiments.chip_learning import Rule, learn_on_chip
-from pipeline.recordings.events import Recordings
 from pipeline.run.adaptation import Responder, require_fit
 from pipeline.training.readout import Person, refit
 

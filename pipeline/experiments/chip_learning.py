@@ -20,10 +20,10 @@ from dataclasses import dataclass
 import nengo
 import numpy as np
 
-from deploy.fastloihi import FastSimulator
 from deploy.network.build import Relay
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.rehearsal import Rehearsal
+from fastloihi import FastSimulator
 from pipeline.training.readout import Person
 
 DT = 0.001
@@ -180,7 +180,7 @@ def present(weights, bias, lesson: Lesson, rule: Rule, seed: int = 0, on: str = 
     seed : int
         Seed of the chip's stochastic rounding.
     on : str
-        ``"fast"`` (:class:`deploy.fastloihi.simulator.FastSimulator`) or ``"emulator"``
+        ``"fast"`` (:class:`fastloihi.simulator.FastSimulator`) or ``"emulator"``
         (NengoLoihi's own); both give the same result.
 
     Returns

@@ -1,6 +1,6 @@
 """The value of timing: networks trained and tested on events with reduced information.
 
-See :mod:`pipeline.recordings.variants`.  Separate networks are trained on each variant with
+See :mod:`pipeline.data.variants`.  Separate networks are trained on each variant with
 the recipe of the settings, and all are tested on the same samples on the target fast.
 """
 
@@ -16,12 +16,12 @@ from deploy.network.decision import share_of_time
 from deploy.tables import aligned, p_text
 from deploy.targets.registry import answer
 from pipeline.artifacts import Origin
+from pipeline.data.dataset import Dataset
+from pipeline.data.steps import EventTable
+from pipeline.data.variants import VARIANTS, durations_ns, vary
 from pipeline.experiments.resampling import estimate
 from pipeline.experiments.study import Experiment, Task, counted
-from pipeline.inputs.dataset import Dataset
 from pipeline.paper import CNN_MACS
-from pipeline.recordings.steps import EventTable
-from pipeline.recordings.variants import VARIANTS, durations_ns, vary
 from pipeline.run import stages
 from pipeline.run.history import read_history
 from pipeline.run.origins import trained_origin

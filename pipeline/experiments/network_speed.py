@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import nengo
 import numpy as np
 
-from deploy.fastloihi import FastSimulator
 from deploy.network.loihi_import import nengo_loihi
 from deploy.tables import aligned
+from fastloihi import FastSimulator
 from pipeline.progress import progress
 
 TURNS = 4

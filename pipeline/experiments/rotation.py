@@ -18,13 +18,13 @@ import numpy as np
 from deploy.errors import UserError
 from deploy.files import sha256_of
 from pipeline.artifacts import Origin
+from pipeline.data.dataset import Dataset, dataset_origin, split_of
+from pipeline.data.events import Recordings, Source
+from pipeline.data.library import simulated
+from pipeline.data.steps import EventTable
 from pipeline.experiments.adaptation import METHODS, Plan, Subjects, methods_text, summary_of
 from pipeline.experiments.study import Findings, Task, Workers, concluded, study, successful
-from pipeline.inputs.dataset import Dataset, dataset_origin, split_of
-from pipeline.inputs.library import simulated
 from pipeline.paper import SAMPLES_PER_DIGIT
-from pipeline.recordings.events import Recordings, Source
-from pipeline.recordings.steps import EventTable
 from pipeline.run import stages
 from pipeline.run.adaptation import Responder, with_rehearsal
 from pipeline.run.folder import RunFolder

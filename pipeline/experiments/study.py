@@ -19,11 +19,11 @@ from deploy import __version__
 from deploy.errors import CheckFailed, UserError
 from deploy.files import write_json
 from pipeline.artifacts import Artifact, Library, Origin
-from pipeline.inputs.dataset import Dataset, dataset_origin, require_recordings_fit
-from pipeline.inputs.library import recordings_of
+from pipeline.data.dataset import Dataset, dataset_origin, require_recordings_fit
+from pipeline.data.events import Recordings
+from pipeline.data.library import recordings_of
 from pipeline.jobs import Failure, attempt, run_jobs
 from pipeline.progress import hidden, progress
-from pipeline.recordings.events import Recordings
 from pipeline.run import stages
 from pipeline.run.fitting import fitted
 from pipeline.run.folder import RunFolder
@@ -78,7 +78,7 @@ class Task:
     networks : Library
         Library of its trained networks.
     split : str
-        Kind of its split, see :data:`pipeline.inputs.dataset.KINDS`.
+        Kind of its split, see :data:`pipeline.data.dataset.KINDS`.
     subject : str
         Subject of the measurement, such as the name of a model; empty if there is only one.
     """

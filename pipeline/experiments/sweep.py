@@ -22,6 +22,9 @@ from deploy.files import replacing
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
 from pipeline.artifacts import Library, Origin
+from pipeline.data.dataset import Dataset, dataset_origin, require_recordings_fit
+from pipeline.data.events import Recordings
+from pipeline.data.library import recordings_of
 from pipeline.experiments.study import (
     Findings,
     Task,
@@ -33,12 +36,9 @@ from pipeline.experiments.study import (
     study,
 )
 from pipeline.experiments.sweep_text import sweep_csv
-from pipeline.inputs.dataset import Dataset, dataset_origin, require_recordings_fit
-from pipeline.inputs.library import recordings_of
 from pipeline.jobs import Failure
 from pipeline.paper import CNN_MACS
 from pipeline.progress import hidden
-from pipeline.recordings.events import Recordings
 from pipeline.run import stages
 from pipeline.run.folder import RunFolder
 from pipeline.run.origins import bundle_origin

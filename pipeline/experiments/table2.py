@@ -10,6 +10,10 @@ import numpy as np
 from deploy.errors import UserError
 from deploy.tables import aligned, p_text
 from deploy.terminal import WARNING
+from pipeline.data.dataset import KINDS, event_warnings, require_recordings_fit, split_of
+from pipeline.data.frames import after_the_bins
+from pipeline.data.library import recordings_of
+from pipeline.data.splits import draw_check_samples
 from pipeline.experiments.resampling import estimate
 from pipeline.experiments.study import (
     Findings,
@@ -30,10 +34,6 @@ from pipeline.experiments.table2_splits import (
     measure,
     split_file,
 )
-from pipeline.inputs.dataset import KINDS, event_warnings, require_recordings_fit, split_of
-from pipeline.inputs.frames import after_the_bins
-from pipeline.inputs.library import recordings_of
-from pipeline.inputs.splits import draw_check_samples
 from pipeline.jobs import Failure
 from pipeline.run.fitting import with_slayer
 from pipeline.run.folder import RunFolder
@@ -76,7 +76,7 @@ def measure_table(
     models : tuple of str
         Keys of :data:`pipeline.experiments.table2_splits.MODELS`.
     kind : str
-        One of :data:`pipeline.inputs.dataset.KINDS`, ``"both"``, or empty for both where the
+        One of :data:`pipeline.data.dataset.KINDS`, ``"both"``, or empty for both where the
         writers are known.
     splits : int
         Number of splits of each kind.

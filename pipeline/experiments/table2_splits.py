@@ -16,9 +16,9 @@ import numpy as np
 from deploy.errors import UserError
 from deploy.targets.registry import answer
 from pipeline.artifacts import Origin
+from pipeline.data.dataset import dataset_origin
+from pipeline.data.splits import draw_check_samples
 from pipeline.experiments.study import Task, on_input, on_split, silent
-from pipeline.inputs.dataset import dataset_origin
-from pipeline.inputs.splits import draw_check_samples
 from pipeline.paper import TABLE2
 from pipeline.run import stages
 from pipeline.run.history import read_history, write_history
@@ -279,7 +279,7 @@ def checkpoint_of(task: Task) -> Checkpoint:
 
 
 def _slayer(task, dataset):
-    from pipeline.inputs.frames import bin_events
+    from pipeline.data.frames import bin_events
 
     try:
         from pipeline.training.slayer import train_slayer

@@ -17,9 +17,9 @@ from deploy.network.decision import confidence
 from deploy.network.responses import read_output, running_sums, score_unit, settled
 from deploy.network.stimulus import EventFrames
 from deploy.targets.fast.emulation import Emulation, compile_spec
-from pipeline.inputs.images import tactile_images
-from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
-from pipeline.recordings.steps import EventTable
+from pipeline.data.events import Events, Sensor, Source, TaxelMap, collect
+from pipeline.data.images import tactile_images
+from pipeline.data.steps import EventTable
 from pipeline.settings import Image
 
 MOST_DRAWN = 4096

@@ -12,9 +12,9 @@ import numpy as np
 from deploy.check.bundle import Bundle
 from deploy.errors import UserError
 from deploy.network.stimulus import EventFrames
-from pipeline.inputs.library import recordings_of
+from pipeline.data.events import Events, Recordings
+from pipeline.data.library import recordings_of
 from pipeline.live.keeping import Keeper
-from pipeline.recordings.events import Events, Recordings
 from pipeline.run.folder import RunFolder
 from pipeline.settings import read_settings
 from pipeline.skin.writing import START_S

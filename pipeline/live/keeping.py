@@ -28,8 +28,8 @@ from deploy.files import (
     refuse_linked_folders,
     remove_abandoned,
 )
-from pipeline.recordings.events import Events, Sensor, TaxelMap
-from pipeline.recordings.matfile import (
+from pipeline.data.events import Events, Sensor, TaxelMap
+from pipeline.data.matfile import (
     BadRecording,
     MatRecording,
     lookup_table_bytes,

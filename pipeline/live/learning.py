@@ -18,8 +18,8 @@ from deploy import limits
 from deploy.check.bundle import Bundle
 from deploy.errors import UserError
 from deploy.files import read_arrays, write_arrays
+from pipeline.data.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.live.deciding import Decider, decider_of
-from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.run.adaptation import COPIES, Responder
 from pipeline.settings import Image
 from pipeline.training.readout import Person, refit

@@ -9,8 +9,8 @@ from deploy.check.bundle import Bundle, read_bundle
 from deploy.errors import UserError
 from deploy.files import read_json
 from deploy.network.stimulus import EventFrames
-from pipeline.recordings.events import Sensor
-from pipeline.recordings.words import are_digits, is_written
+from pipeline.data.events import Sensor
+from pipeline.data.words import are_digits, is_written
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Image, read_settings
 
@@ -76,7 +76,7 @@ def sensor_of(bundle: Bundle, facts: dict) -> Sensor:
     ----------
     bundle : Bundle
     facts : dict
-        Facts about its run's recordings (:func:`pipeline.recordings.facts.facts_of`); empty without
+        Facts about its run's recordings (:func:`pipeline.data.facts.facts_of`); empty without
         a run.
 
     Raises

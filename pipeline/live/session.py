@@ -36,11 +36,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from deploy.errors import UserError, line_of
+from pipeline.data.events import Events, joined
+from pipeline.data.matfile import MatRecording, Written
 from pipeline.live.deciding import Answer, Decider
 from pipeline.live.examples import KEPT, TEST, Examples, Replayed
 from pipeline.live.keeping import FIRST_WRITER, WRITERS, Keeper, asked_next
-from pipeline.recordings.events import Events, joined
-from pipeline.recordings.matfile import MatRecording, Written
 from pipeline.skin.writing import MARGIN, START_S, PenPoint, Writing
 
 if TYPE_CHECKING:

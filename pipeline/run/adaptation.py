@@ -15,10 +15,10 @@ from deploy.network.responses import running_sums
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, last_steps
 from deploy.targets.fast.emulation import Emulation, compile_spec
-from pipeline.inputs.dataset import classes_of, inputs_for, require_sensor_fits
-from pipeline.recordings.altering import AUGMENTATIONS, altered_recordings, augmentation_for
-from pipeline.recordings.events import Recordings
-from pipeline.recordings.words import listed
+from pipeline.data.altering import AUGMENTATIONS, altered_recordings, augmentation_for
+from pipeline.data.dataset import classes_of, inputs_for, require_sensor_fits
+from pipeline.data.events import Recordings
+from pipeline.data.words import listed
 from pipeline.settings import Image
 from pipeline.training.readout import Person, Refit, refit
 

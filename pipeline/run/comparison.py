@@ -21,9 +21,9 @@ from deploy.tables import SIGNIFICANCE, aligned, p_text, star
 from deploy.targets.registry import TARGETS
 from deploy.terminal import printable
 from pipeline.artifacts import DELETE_IT
-from pipeline.inputs.dataset import classes_of
+from pipeline.data.dataset import classes_of
+from pipeline.data.words import is_written, shortened
 from pipeline.paper import CNN_MACS
-from pipeline.recordings.words import is_written, shortened
 from pipeline.run.answers import REFERENCES
 from pipeline.run.elsewhere import FOLDER as OTHERS
 from pipeline.run.folder import RunFolder

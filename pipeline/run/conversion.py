@@ -8,7 +8,7 @@ from deploy.network.spec import Layer, NetworkSpec, Neurons
 from models.architecture import parse
 from models.lif import gain_for
 from models.quantised import eight_bits, twelve_bits
-from pipeline.inputs.dataset import require_images_fit
+from pipeline.data.dataset import require_images_fit
 from pipeline.run.layers import host_readout
 from pipeline.settings import Settings
 from pipeline.training.networks import TrainedRates

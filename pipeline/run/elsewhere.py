@@ -11,14 +11,14 @@ from deploy.check.bundle import Bundle, CheckSet
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.terminal import WARNING
-from pipeline.inputs.dataset import classes_of, inputs_for, require_sensor_fits
-from pipeline.inputs.library import load_recordings
-from pipeline.inputs.splits import draw_check_samples
+from pipeline.data.dataset import classes_of, inputs_for, require_sensor_fits
+from pipeline.data.events import Recordings
+from pipeline.data.library import load_recordings
+from pipeline.data.sensors import Reading
+from pipeline.data.splits import draw_check_samples
+from pipeline.data.timeunits import UNITS
+from pipeline.data.words import listed
 from pipeline.paper import CHECK_SAMPLES
-from pipeline.recordings.events import Recordings
-from pipeline.recordings.sensors import Reading
-from pipeline.recordings.timeunits import UNITS
-from pipeline.recordings.words import listed
 from pipeline.run.folder import checks_beside
 from pipeline.run.ladder import confusion_matrix
 from pipeline.run.places import run_around

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from deploy.network.decision import Threshold
-from pipeline.inputs.dataset import Dataset
-from pipeline.recordings.steps import EventTable
+from pipeline.data.dataset import Dataset
+from pipeline.data.steps import EventTable
 from pipeline.settings import Settings
 
 FEWEST = 100
@@ -41,7 +41,7 @@ def event_samples(dataset: Dataset, seed: int) -> EventSamples:
     ----------
     dataset : Dataset
     seed : int
-        Seed of :meth:`pipeline.inputs.splits.Split.held_out`.
+        Seed of :meth:`pipeline.data.splits.Split.held_out`.
     """
     table = EventTable.of(dataset.recordings)
     return EventSamples(table, dataset.labels, *dataset.split.held_out(seed))

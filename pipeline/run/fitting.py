@@ -16,14 +16,14 @@ import numpy as np
 from deploy.errors import SeveralErrors, UserError
 from models.architecture import NotationError, parse
 from models.nir_graph import read_nir
-from pipeline.inputs.dataset import NO_SPLIT, TOO_SMALL, split_of
-from pipeline.inputs.library import recordings_of
+from pipeline.data.altering import augmentation_for
+from pipeline.data.dataset import NO_SPLIT, TOO_SMALL, split_of
+from pipeline.data.events import Recordings, Sensor
+from pipeline.data.facts import reading_text, size_text
+from pipeline.data.library import recordings_of
+from pipeline.data.sensors import too_small
+from pipeline.data.steps import EventTable
 from pipeline.paper import CNN_MACS
-from pipeline.recordings.altering import augmentation_for
-from pipeline.recordings.events import Recordings, Sensor
-from pipeline.recordings.facts import reading_text, size_text
-from pipeline.recordings.sensors import too_small
-from pipeline.recordings.steps import EventTable
 from pipeline.run.chip_fit import chip_problems
 from pipeline.run.given_networks import is_file
 from pipeline.run.nir_import import require_fit

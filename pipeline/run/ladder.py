@@ -69,7 +69,7 @@ def measure_ladder(
         With ``whole``: include the stages of :data:`SLOW`.
     say : callable
         Called with a line about each stage.
-    dataset : pipeline.inputs.dataset.Dataset, optional
+    dataset : pipeline.data.dataset.Dataset, optional
         Dataset of the same settings, used instead of their recordings.
     asked : sequence of str, optional
         Stages of the ladder; default: :func:`ladder_stages`.

@@ -15,7 +15,7 @@ from models.architecture import Convolution
 from models.integers import on_loihi
 from models.nir_graph import NirNetwork
 from models.nir_layers import NirLayer, chosen, fired, layers_of
-from pipeline.inputs.dataset import Dataset
+from pipeline.data.dataset import Dataset
 from pipeline.run.layers import chip_layer, host_readout
 from pipeline.run.nir_answers import input_spikes
 from pipeline.run.nir_settings import GRAPH, Stepped, exported_here, give_again, graph_in

@@ -20,8 +20,8 @@ from deploy.network.stimulus import last_steps
 from models.nir_graph import NirError, NirNetwork, read_nir
 from models.nir_layers import layers_of, rounded
 from pipeline import paper
-from pipeline.inputs.dataset import Dataset
-from pipeline.inputs.splits import Split
+from pipeline.data.dataset import Dataset
+from pipeline.data.splits import Split
 from pipeline.progress import progress
 from pipeline.run.event_training import trusted
 from pipeline.run.given_networks import imported_file, is_file

@@ -15,8 +15,8 @@ from deploy.tables import aligned
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
 from pipeline.artifacts import DELETE_IT, MISSING, OUTDATED, Change, Origin, State
-from pipeline.inputs.dataset import ARRAYS, SPLIT_READS, dataset_origin
-from pipeline.inputs.library import content_of
+from pipeline.data.dataset import ARRAYS, SPLIT_READS, dataset_origin
+from pipeline.data.library import content_of
 from pipeline.run.folder import RunFolder
 from pipeline.run.ladder import BOARDS, SLOW, ladder_artifact, ladder_stages
 from pipeline.run.origins import check_origin

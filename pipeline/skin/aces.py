@@ -21,7 +21,7 @@ import itertools
 import numpy as np
 
 from deploy.tables import aligned
-from pipeline.recordings.events import N_TAXELS, TICK_NS, Events
+from pipeline.data.events import N_TAXELS, TICK_NS, Events
 
 SIGNATURE_SEED = 2020
 """Seed of the random search for signatures: a property of the hardware, not of a data set."""

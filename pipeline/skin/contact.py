@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.recordings.events import GRID, TaxelMap
+from pipeline.data.events import GRID, TaxelMap
 
 LANDED = 0.1
 """Share of the greatest force at which the pen counts as on the skin."""

@@ -11,9 +11,9 @@ import numpy as np
 from joblib import delayed
 
 from deploy.errors import UserError
+from pipeline.data.events import GRID, Recordings, Sensor, Source, TaxelMap, collect
 from pipeline.jobs import results_of
 from pipeline.paper import SAMPLES_PER_DIGIT
-from pipeline.recordings.events import GRID, Recordings, Sensor, Source, TaxelMap, collect
 from pipeline.skin import aces, handwriting
 from pipeline.skin import parameters as settings
 from pipeline.skin.contact import Creep, press, scrape

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.recordings.events import Events
+from pipeline.data.events import Events
 from pipeline.skin import aces, contact
 from pipeline.skin.handwriting import on_skin
 from pipeline.skin.receptors import Receptors

@@ -23,9 +23,9 @@ from deploy.network.stimulus import last_steps
 from models.architecture import parse
 from models.keras2 import tf
 from models.spiking import Neuron, SpikingNetwork, operations
+from pipeline.data.altering import AUGMENTATIONS, Alteration, alter
+from pipeline.data.steps import EventTable, spike_frames
 from pipeline.paper import CNN_MACS
-from pipeline.recordings.altering import AUGMENTATIONS, Alteration, alter
-from pipeline.recordings.steps import EventTable, spike_frames
 from pipeline.settings import EventTraining, Input, Settings
 from pipeline.training.checkpoint import Checkpoint, train_epochs
 from pipeline.training.estimator import train_estimator
@@ -60,7 +60,7 @@ class EventRecipe:
         Recording time in milliseconds that one step of the chip represents.
     rest : int
         Refractory period of a taxel in steps; see
-        :func:`pipeline.recordings.steps.spike_frames`.
+        :func:`pipeline.data.steps.spike_frames`.
     tau_u_ms, tau_v_ms : tuple of float
         Initial time constants of current and voltage, in milliseconds of recording time.
     floor, beta : float
@@ -76,7 +76,7 @@ class EventRecipe:
         See the module's docstring.
     stretch, drop, turn, shift, scale, shear : float
         Augmentation of training samples, drawn again in each epoch; see
-        :class:`pipeline.recordings.altering.Alteration`.
+        :class:`pipeline.data.altering.Alteration`.
     """
 
     architecture: str = EventTraining.architecture

@@ -56,7 +56,7 @@ def train_slayer(
     ----------
     settings : Slayer
     frames : ndarray of uint8, shape (n_samples, bins, rows, columns, 2)
-        See :func:`pipeline.inputs.frames.bin_events`.
+        See :func:`pipeline.data.frames.bin_events`.
     labels : ndarray of int, shape (n_samples,)
     train, test : ndarray of int
         Indices of samples.

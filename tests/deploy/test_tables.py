@@ -1,7 +1,7 @@
 """Tables in plain text."""
 
 from deploy.tables import aligned, in_blocks
-from pipeline.recordings.words import shortened, shortened_apart
+from pipeline.data.words import shortened, shortened_apart
 
 
 def test_a_table_that_is_too_wide_is_cut_into_blocks():

@@ -151,8 +151,8 @@ def test_names_in_figures(tmp_path, recwarn):
     """A font lacks most scripts, and two dollars are no formula."""
     from matplotlib.figure import Figure
 
-    from pipeline.report import figures
-    from pipeline.report.figures.confusion import confusion_figure
+    from pipeline.results.report import figures
+    from pipeline.results.report.figures.confusion import confusion_figure
 
     row = {"stage": "cnn", "accuracy": 0.5, "confusion": np.eye(2, dtype=int).tolist()}
     ladder = {"rows": [row], "simulated": True, "n_samples": 2}
@@ -172,7 +172,7 @@ def test_nothing_is_printed_past_the_escaping():
         if isinstance(node, ast.Call) and getattr(node.func, "id", None) == "print"
     ]
     assert set(found) == {"deploy/terminal.py", "deploy/targets/fast/kernel_numba.py",
-                          "deploy/cli.py", "deploy/fastloihi/kernel_numba.py"}  # fmt: skip
+                          "deploy/cli.py"}  # fmt: skip
 
 
 class Terminal(io.StringIO):

@@ -17,7 +17,7 @@ from deploy.files import read_arrays
 from deploy.targets.registry import answer
 from models.nir_graph import read_nir
 from models.nir_simulator import simulate
-from pipeline.inputs.dataset import Dataset
+from pipeline.data.dataset import Dataset
 from pipeline.run.nir_answers import graph_inputs
 from pipeline.run.nir_settings import Stepped
 from pipeline.settings import read_settings

@@ -10,7 +10,7 @@ import sys
 import numpy as np
 
 from deploy.files import write_arrays
-from pipeline.inputs.dataset import Dataset
+from pipeline.data.dataset import Dataset
 from pipeline.settings import Settings
 
 

@@ -7,6 +7,7 @@ package lacks the ``conftest.py`` that its tests were written with; what they ne
 import contextlib
 import sys
 import types
+from pathlib import Path
 
 import nengo
 import numpy as np
@@ -61,6 +62,9 @@ def pytest_configure(config):
         nengo_loihi.simulator.EmulatorInterface = nengo_loihi.emulator.EmulatorInterface
 
 
+sys.path.append(str(Path(__file__).resolve().parents[2] / "fastloihi" / "tests"))  # comparison
+
+
 def _put_back_convolutions():
     """Nengo 4 has its convolutions elsewhere than Nengo 3, where these tests look for them."""
     package = types.ModuleType("nengo._vendor.npconv2d")
@@ -72,13 +76,13 @@ def _put_back_convolutions():
 
 
 def _fast(config):
-    from deploy.fastloihi import FastEmulator
+    from fastloihi import FastEmulator
 
     return FastEmulator
 
 
 def _both(config):
-    from tests.deploy.fastloihi.comparison import Both
+    from comparison import Both
 
     Both.each_step = config.getoption("--each-step")
     return Both
@@ -112,7 +116,7 @@ def Simulator(request):
 
 def pytest_sessionfinish(session):
     if session.config.getoption("--emulator") == "both" and hasattr(session.config, "workeroutput"):
-        from tests.deploy.fastloihi.comparison import Both
+        from comparison import Both
 
         session.config.workeroutput["compared"] = dict(Both.tally)
 
@@ -121,13 +125,13 @@ def pytest_sessionfinish(session):
 def pytest_testnodedown(node):
     """What a process of pytest-xdist has compared."""
     if "compared" in getattr(node, "workeroutput", {}):
-        from tests.deploy.fastloihi.comparison import Both
+        from comparison import Both
 
         Both.tally.update(node.workeroutput["compared"])
 
 
 def pytest_terminal_summary(terminalreporter, config):
     if config.getoption("--emulator") == "both":
-        from tests.deploy.fastloihi.comparison import Both
+        from comparison import Both
 
         terminalreporter.write_line(f"compared: {dict(Both.tally)}")

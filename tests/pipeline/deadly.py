@@ -4,13 +4,13 @@ import os
 import signal
 import zipfile
 
-from pipeline.recordings.matfile import read_recording
+from pipeline.data.matfile import read_recording
 
 CONTENT = b"deadly"
 
 
 def read_members(path, names):
-    """In the place of the one in `pipeline.recordings.archive`."""
+    """In the place of the one in `pipeline.data.archive`."""
     with zipfile.ZipFile(path) as file:
         return [_read(file.read(name)) for name in names]
 

@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 import scipy.io
 
-from pipeline.recordings.events import Events, Source, collect
+from pipeline.data.events import Events, Source, collect
 
 SOURCE = Source("made by hand", "0" * 64, simulated=True)
 

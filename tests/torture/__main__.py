@@ -159,7 +159,7 @@ def _warm(base, folder):
     from deploy.check.bundle import read_bundle
     from deploy.targets.registry import answer
     from pipeline.commands.main import with_every_verb
-    from pipeline.report.gather import gather  # noqa: F401
+    from pipeline.results.report.gather import gather  # noqa: F401
 
     with_every_verb()
     for name in ("run", "events"):

@@ -11,8 +11,8 @@ from deploy.network.blocks import scaled_by_block
 from deploy.network.spec import NetworkSpec
 from deploy.terminal import WARNING
 from pipeline.artifacts import DELETE_IT, Artifact, Origin
-from pipeline.inputs.dataset import Dataset
-from pipeline.inputs.splits import draw_check_samples
+from pipeline.data.dataset import Dataset
+from pipeline.data.splits import draw_check_samples
 from pipeline.run.adaptation import with_rehearsal
 from pipeline.run.folder import RunFolder
 from pipeline.run.nir_conversion import deployed_nir

@@ -6,15 +6,15 @@ from deploy.check.bundle import require_replaceable, require_room
 from deploy.errors import UserError
 from deploy.terminal import WARNING
 from pipeline.artifacts import Artifact, Origin
-from pipeline.inputs.dataset import (
+from pipeline.data.dataset import (
     TOO_SMALL,
     Dataset,
     event_warnings,
     require_images_fit,
     require_recordings_fit,
 )
-from pipeline.inputs.splits import draw_check_samples
-from pipeline.recordings.facts import facts_of
+from pipeline.data.facts import facts_of
+from pipeline.data.splits import draw_check_samples
 from pipeline.run.folder import RunFolder
 from pipeline.run.given_networks import changed_note
 from pipeline.run.nir_import import graph_for

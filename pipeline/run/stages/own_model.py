@@ -10,7 +10,7 @@ from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.files import sha256_of
 from models.own import ModelFileError, read_own_model
-from pipeline.inputs.dataset import Dataset
+from pipeline.data.dataset import Dataset
 from pipeline.run.given_networks import GIVE_MODEL_AGAIN, imported_file
 from pipeline.settings import Settings
 

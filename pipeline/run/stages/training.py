@@ -13,7 +13,7 @@ from deploy.files import copy_file, read_arrays, reporting_damage, write_arrays
 from deploy.network.decision import Estimator
 from models.architecture import parse
 from pipeline.artifacts import Artifact, Library, Origin
-from pipeline.inputs.dataset import Dataset
+from pipeline.data.dataset import Dataset
 from pipeline.progress import progress
 from pipeline.run import nir_import, nir_training
 from pipeline.run.answers import training_versions

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from deploy.files import read_json
-from pipeline.recordings.archive import read_source
-from pipeline.recordings.own import write_recordings
+from pipeline.data.archive import read_source
+from pipeline.data.own import write_recordings
 from pipeline.settings import Settings, parse_assignments
 from pipeline.skin import aces, unipen
 from tests.command import call, missing

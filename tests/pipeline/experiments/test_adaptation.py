@@ -8,9 +8,9 @@ import pytest
 
 from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
+from pipeline.data.archive import write_zip
 from pipeline.experiments.adaptation import Plan, _mistaken, measure_adaptation, summary_of
 from pipeline.live.network import SHIPPED
-from pipeline.recordings.archive import write_zip
 from pipeline.skin.simulate import simulate
 from tests.command import call, missing
 

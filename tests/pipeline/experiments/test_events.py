@@ -9,8 +9,8 @@ from scipy import stats
 
 from deploy.check.intervals import mcnemar, wilson_interval
 from deploy.files import read_json
+from pipeline.data.variants import VARIANTS
 from pipeline.experiments import events
-from pipeline.recordings.variants import VARIANTS
 from tests.command import call, missing
 
 

@@ -14,10 +14,10 @@ from matplotlib.image import imread
 
 from deploy.errors import UserError
 from deploy.files import read_json
+from pipeline.data.dataset import Dataset, dataset_origin
+from pipeline.data.library import recordings_of
 from pipeline.experiments import sweep
 from pipeline.experiments.sweep_text import short_names, sweep_csv, sweep_text
-from pipeline.inputs.dataset import Dataset, dataset_origin
-from pipeline.inputs.library import recordings_of
 from pipeline.jobs import Failure
 from pipeline.run.origins import threshold_origin
 from pipeline.run.places import refuse_results

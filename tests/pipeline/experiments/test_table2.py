@@ -8,13 +8,13 @@ import pytest
 from deploy.errors import UserError
 from deploy.files import write_json
 from pipeline.commands.benchmark import BY_DEFAULT
+from pipeline.data.own import write_recordings
 from pipeline.experiments import table2 as table2_command
 from pipeline.experiments import table2_splits as table2
 from pipeline.experiments.study import Workers, concluded
 from pipeline.experiments.table2 import summarise, table_text
 from pipeline.experiments.table2_splits import MODELS, checkpoint_of
 from pipeline.jobs import Failure
-from pipeline.recordings.own import write_recordings
 from pipeline.run.folder import RunFolder
 from pipeline.run.places import refuse_results
 from pipeline.settings import Settings, read_settings

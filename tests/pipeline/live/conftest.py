@@ -6,8 +6,8 @@ from contextlib import closing, contextmanager
 import numpy as np
 import pytest
 
+from pipeline.data.events import DIGITS, Sensor
 from pipeline.live.deciding import Answer, Curve, DrawnLayer
-from pipeline.recordings.events import DIGITS, Sensor
 from pipeline.skin import parameters
 
 

@@ -16,8 +16,8 @@ import pytest
 
 from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
+from pipeline.data.archive import read_source
 from pipeline.live.network import SHIPPED
-from pipeline.recordings.archive import read_source
 from tests.command import call, environment, missing
 from tests.pipeline.live.conftest import stroke
 

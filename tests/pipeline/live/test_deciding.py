@@ -10,10 +10,10 @@ from deploy.check.bundle import Bundle, read_bundle
 from deploy.network.decision import confidence
 from deploy.network.stimulus import EventFrames
 from deploy.targets.registry import answer as answers_of
-from pipeline.inputs.dataset import inputs_of
-from pipeline.inputs.images import tactile_images
+from pipeline.data.dataset import inputs_of
+from pipeline.data.events import Events, Sensor
+from pipeline.data.images import tactile_images
 from pipeline.live.deciding import EventDecider, decider_of
-from pipeline.recordings.events import Events, Sensor
 from pipeline.settings import Image, Settings
 from pipeline.skin.simulate import simulate
 from tests.deploy import networks

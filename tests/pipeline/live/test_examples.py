@@ -12,12 +12,12 @@ import pytest
 from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
 from deploy.targets.registry import answer
-from pipeline.inputs.library import recordings_of
+from pipeline.data.events import Events, Sensor
+from pipeline.data.library import recordings_of
 from pipeline.live.deciding import decider_of
 from pipeline.live.examples import Example, Examples, Replayed, check_examples
 from pipeline.live.keeping import Keeper
 from pipeline.live.network import SHIPPED
-from pipeline.recordings.events import Events, Sensor
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Image, read_settings
 from pipeline.skin.writing import START_S

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
+from pipeline.data.archive import read_source
+from pipeline.data.events import Events, Sensor
+from pipeline.data.matfile import MatRecording, Written, read_recording
 from pipeline.live.keeping import Keeper, asked_next
-from pipeline.recordings.archive import read_source
-from pipeline.recordings.events import Events, Sensor
-from pipeline.recordings.matfile import MatRecording, Written, read_recording
 
 
 def recording(writer=1, taxel=5, handedness="left"):

@@ -10,11 +10,11 @@ import pytest
 
 from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
+from pipeline.data.events import Sensor
 from pipeline.live.keeping import Keeper
 from pipeline.live.learning import Learner
 from pipeline.live.network import SHIPPED
 from pipeline.live.session import BadMessage, Session
-from pipeline.recordings.events import Sensor
 from pipeline.settings import Image
 from pipeline.skin import handwriting, parameters
 from pipeline.skin.handwriting import Trace

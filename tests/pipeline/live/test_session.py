@@ -9,6 +9,8 @@ from contextlib import closing
 import numpy as np
 import pytest
 
+from pipeline.data.events import Events, Sensor
+from pipeline.data.matfile import read_recording
 from pipeline.live.examples import Example
 from pipeline.live.keeping import Keeper
 from pipeline.live.session import (
@@ -21,8 +23,6 @@ from pipeline.live.session import (
     OpenRecording,
     Session,
 )
-from pipeline.recordings.events import Events, Sensor
-from pipeline.recordings.matfile import read_recording
 from pipeline.skin import parameters
 from pipeline.skin.simulate import STEP_S
 from pipeline.skin.writing import Writing

@@ -8,8 +8,8 @@ import pytest
 from deploy.check.bundle import read_bundle
 from deploy.files import read_json
 from deploy.targets.registry import answer
+from pipeline.data.events import Sensor
 from pipeline.live.network import SHIPPED, sensor_of
-from pipeline.recordings.events import Sensor
 from pipeline.settings import read_settings
 from pipeline.skin.simulate import source_of
 from tests.command import ROOT, call

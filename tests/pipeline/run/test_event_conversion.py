@@ -10,7 +10,7 @@ from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
 from models.architecture import parse
 from models.spiking import Neuron, SpikingNetwork
-from pipeline.recordings.steps import EventTable
+from pipeline.data.steps import EventTable
 from pipeline.run.event_conversion import spec_of_events
 from pipeline.settings import Settings
 from pipeline.training.events import EventRecipe, answer_frames, network_of

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deploy.network.decision import Threshold
-from pipeline.inputs.dataset import Dataset
+from pipeline.data.dataset import Dataset
 from pipeline.run import event_training
 from pipeline.settings import Settings
 from pipeline.training.events import TrainedOnEvents

@@ -9,9 +9,9 @@ import pytest
 from deploy.errors import SeveralErrors, UserError
 from deploy.preflight.plan import make_plan
 from models.architecture import parse
-from pipeline.inputs.library import load_recordings
-from pipeline.recordings.events import Sensor
-from pipeline.recordings.own import write_recordings
+from pipeline.data.events import Sensor
+from pipeline.data.library import load_recordings
+from pipeline.data.own import write_recordings
 from pipeline.run.chip_fit import chip_problems, untrained
 from pipeline.run.fitting import architecture_for, fitted, with_slayer
 from pipeline.settings import Settings

@@ -18,10 +18,10 @@ from deploy.targets.registry import TARGETS, answer
 from models.nir_graph import read_nir
 from models.nir_layers import chosen, fired, layers_of
 from models.nir_simulator import simulate
-from pipeline.inputs.splits import Split
+from pipeline.data.events import Sensor
+from pipeline.data.splits import Split
+from pipeline.data.steps import EventTable
 from pipeline.live.deciding import decider_of
-from pipeline.recordings.events import Sensor
-from pipeline.recordings.steps import EventTable
 from pipeline.run.event_training import FEWEST, trusted
 from pipeline.run.nir_conversion import spec_of_nir
 from pipeline.run.nir_import import decided_on, notes

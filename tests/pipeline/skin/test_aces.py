@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.recordings.events import TICK_NS, Events, expand_bursts, merge_bursts
+from pipeline.data.events import TICK_NS, Events, expand_bursts, merge_bursts
 from pipeline.skin import aces, parameters
 from pipeline.skin.simulate import simulate
 

@@ -8,8 +8,8 @@ import pytest
 
 from deploy.errors import CheckFailed
 from deploy.files import read_json
+from pipeline.data import table1
 from pipeline.paper import TABLE1
-from pipeline.recordings import table1
 from pipeline.skin import parameters
 from pipeline.skin.simulate import simulate, source_of
 from tools import calibration

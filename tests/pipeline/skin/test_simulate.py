@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from pipeline.paper import DURATION_S, SAMPLES_PER_DIGIT
-from pipeline.recordings.events import (
+from pipeline.data.events import (
     EVENT_DTYPES,
     TICK_NS,
     expand_bursts,
     merge_bursts,
 )
+from pipeline.paper import DURATION_S, SAMPLES_PER_DIGIT
 from pipeline.skin import parameters
 from pipeline.skin.handwriting import Trace
 from pipeline.skin.simulate import _samples, simulate, source_of

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.recordings.events import EVENT_DTYPES, TICK_NS, expand_bursts, merge_bursts
+from pipeline.data.events import EVENT_DTYPES, TICK_NS, expand_bursts, merge_bursts
 from pipeline.skin import aces, parameters
 from pipeline.skin.contact import (
     Creep,

@@ -8,8 +8,8 @@ from deploy.network.decision import Estimator, choose_threshold
 from models.architecture import parse
 from models.keras2 import tf
 from models.spiking import SpikingNetwork
+from pipeline.data.steps import EventTable
 from pipeline.paper import CNN_MACS
-from pipeline.recordings.steps import EventTable
 from pipeline.training import events
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.events import (

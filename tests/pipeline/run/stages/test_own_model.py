@@ -8,7 +8,7 @@ import pytest
 from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.files import read_json
-from pipeline.inputs.dataset import Dataset
+from pipeline.data.dataset import Dataset
 from pipeline.run import stages
 from pipeline.run.folder import RunFolder
 from pipeline.settings import Settings, read_settings

@@ -1,0 +1,283 @@
+"""`FastSimulator` and `accelerate` beside NengoLoihi's `Simulator`, on whole networks."""
+
+from __future__ import annotations
+
+import warnings
+
+import nengo
+import numpy as np
+import pytest
+from nengo.exceptions import SimulatorClosed, ValidationError
+
+from deploy.network.build import build
+from deploy.network.loihi_import import nengo_loihi
+from deploy.network.stream import show
+from stmnist import FastSimulator, accelerate
+
+pytest.importorskip("numba")
+from comparison import Both, Outcome, assert_same, state_of
+from nengo_loihi.emulator.interface import EmulatorInterface
+from networks import (
+    NETWORKS,
+    channel,
+    convolution,
+    feedback,
+    learning,
+    passthrough,
+)
+
+from fastloihi import FastEmulator, NotAccelerated, emulator
+from tests.command import printed_by
+from tests.deploy.fast_networks import images_for, random_spec
+
+
+@pytest.fixture(autouse=True)
+def quiet(monkeypatch):
+    """NengoLoihi warns of much that is no concern here; each test hears what is said once."""
+    monkeypatch.setattr(emulator, "_said", set())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("error", NotAccelerated)
+        yield
+
+
+def run(kind, make, calls=(30, 1, 50), target="sim", after_first=None, **options):
+    """Outputs of the probes and the emulator's state after some calls of ``run_steps``."""
+    network, probes = make()
+    with kind(network, target=target, seed=7, **options) as simulator:
+        for steps in calls:
+            simulator.run_steps(steps)
+            if after_first is not None:
+                after_first(simulator)
+        return [simulator.data[probe] for probe in probes], state_of(simulator.sims["emulator"])
+
+
+def assert_same_run(expected, found):
+    for one, other in zip(expected[0], found[0], strict=True):
+        assert one.dtype == other.dtype
+        assert np.array_equal(one, other)
+    assert_same(expected[1], found[1])
+
+
+@pytest.mark.parametrize("target", ["sim", "simreal"])
+@pytest.mark.parametrize("name", NETWORKS)
+def test_a_network_gives_the_same_in_every_bit(name, target):
+    expected = run(nengo_loihi.Simulator, NETWORKS[name], target=target)
+    found = run(FastSimulator, NETWORKS[name], target=target)
+    assert any(np.any(values) for values in expected[0])
+    assert_same_run(expected, found)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 5, 6, 7])
+def test_the_networks_on_which_the_target_fast_is_tried(seed):
+    spec, runs = random_spec(seed), []
+    for convert in (lambda simulator: simulator, accelerate):
+        built = build(spec)
+        with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as simulator:
+            chip = convert(simulator).sims["emulator"]
+            shown = [s.output for s in show(built, simulator, images_for(spec, 2))]
+            runs.append((shown, state_of(chip)))
+    assert type(chip) is FastEmulator
+    assert_same_run(*runs)
+
+
+def clear(simulator):
+    simulator.clear_probes()
+    with pytest.raises(NotImplementedError):
+        simulator.reset()
+
+
+def change(simulator):
+    state = simulator.sims["emulator"].compartment
+    state.voltage[::3] = 0
+    state.bias[::2] += 5
+    state.current = np.arange(len(state.current), dtype=np.int32)
+    state.ref_count = np.full(len(state.current), 2, np.int32)
+
+
+def draw(simulator):
+    simulator.sims["emulator"].rng.randint(5, size=3)
+
+
+CHIPS = {"n_chips": 2, "snip_max_spikes_per_step": 4}
+OPTIONS = {
+    "precomputed": (channel, {"precompute": True}),
+    "not precomputed": (channel, {"precompute": False}),
+    "steps of 2 ms": (channel, {"dt": 0.002}),
+    "options of the hardware": (channel, {"hardware_options": CHIPS}),
+    "probes are cleared and a reset is refused": (channel, {"after_first": clear}),
+    "state is changed in place or by a new array": (channel, {"after_first": change}),
+    "random numbers are drawn between steps": (learning, {"after_first": draw}),
+}
+
+
+@pytest.mark.parametrize(("make", "options"), OPTIONS.values(), ids=OPTIONS)
+def test_options_and_changes_are_those_of_nengo_loihi(make, options):
+    expected = run(nengo_loihi.Simulator, make, **options)
+    assert_same_run(expected, run(FastSimulator, make, **options))
+
+
+@pytest.mark.parametrize("remove_passthrough", [True, False])
+def test_nodes_are_removed_or_not(remove_passthrough, monkeypatch):
+    """Both emulators have one model, because NengoLoihi may build another one the next time."""
+    monkeypatch.setattr(nengo_loihi.simulator, "EmulatorInterface", Both)
+    options = {"target": "sim", "seed": 7, "remove_passthrough": remove_passthrough}
+    with nengo_loihi.Simulator(passthrough()[0], **options) as simulator:
+        chip = simulator.sims["emulator"]
+        for steps in (30, 1, 50):
+            simulator.run_steps(steps)
+        assert type(chip.fast) is FastEmulator
+        assert chip.compartment.spike_count.any()
+
+
+@pytest.mark.parametrize("loop", [True, False])
+def test_a_simulator_goes_on_after_an_error_on_the_host(loop):
+    runs = []
+    for kind in (nengo_loihi.Simulator, FastSimulator):
+        with nengo.Network(seed=1) as network:
+            fails = nengo.Node(lambda t, *x: 1 / (round(t / 0.001) - 20), size_in=int(loop))
+            a = nengo.Ensemble(40, 1)
+            nengo.Connection(fails, a)
+            if loop:
+                nengo.Connection(a, fails)
+            probe = nengo.Probe(a, synapse=0.01)
+        with kind(network, target="sim", seed=7) as simulator:
+            simulator.run_steps(10)
+            with pytest.raises(ZeroDivisionError):
+                simulator.run_steps(20)
+            simulator.run_steps(15)
+            runs.append(([simulator.data[probe]], state_of(simulator.sims["emulator"])))
+    assert_same_run(*runs)
+
+
+@pytest.mark.parametrize("make", [channel, learning, convolution])
+def test_a_simulator_that_has_run_goes_on(make):
+    """With its learned weights, its probes' filters and the spikes that are under way."""
+    expected = run(nengo_loihi.Simulator, make)
+    found = run(nengo_loihi.Simulator, make, after_first=accelerate)
+    assert_same_run(expected, found)
+
+
+def test_accelerate_gives_the_simulator_and_may_be_called_again():
+    with nengo_loihi.Simulator(channel()[0], target="sim") as simulator:
+        assert accelerate(accelerate(simulator)) is simulator
+        assert type(simulator.sims["emulator"]) is FastEmulator
+
+
+def test_a_node_on_the_host_sees_the_state_of_every_step():
+
+    def look(kind):
+        seen, simulators = [], []
+
+        def look_at(t, x):
+            if simulators:
+                state = simulators[0].sims["emulator"].compartment
+                seen.append((state.voltage.copy(), state.current.copy(), state.spiked.copy()))
+
+        network, _ = feedback()
+        with network:
+            watcher = nengo.Node(look_at, size_in=1)
+            nengo.Connection(next(e for e in network.all_ensembles), watcher)
+        with kind(network, target="sim", seed=3) as simulator:
+            simulators.append(simulator)
+            simulator.run_steps(20)
+        assert len(seen) == 20
+        assert seen[-1][0].any()
+        return seen
+
+    states = zip(look(nengo_loihi.Simulator), look(FastSimulator), strict=True)
+    for one, other in states:
+        for expected, found in zip(one, other, strict=True):
+            assert np.array_equal(expected, found)
+
+
+def test_what_is_compiled_in_cannot_be_changed_unnoticed():
+    with FastSimulator(channel()[0]) as simulator:
+        chip = simulator.sims["emulator"]
+        with pytest.raises(ValueError, match="read-only"):
+            chip.compartment.decay_u[0] = 1
+        with pytest.raises(ValueError, match="read-only"):
+            next(s for s in chip.synapses.slices if not s.learning).weights[0][0, 0] = 1
+
+
+def test_a_closed_one_refuses_as_ever():
+    with FastSimulator(channel()[0]) as simulator:
+        simulator.run(0.01)
+    assert simulator.time == pytest.approx(0.01)
+    with pytest.raises(SimulatorClosed):
+        simulator.run(0.01)
+    assert accelerate(simulator) is simulator
+
+
+@pytest.mark.parametrize("arguments", [{"network": None}, {"target": "nowhere"}])
+def test_what_nengo_loihi_refuses_is_refused_with_its_error(arguments):
+    given = {"network": channel()[0], **arguments}
+    expected = Outcome.of(lambda: nengo_loihi.Simulator(**given)).error
+    found = Outcome.of(lambda: FastSimulator(**given)).error
+    assert type(found) is type(expected) is ValidationError
+    assert str(found) == str(expected)
+
+
+def test_a_simulator_on_a_board_has_no_emulator_to_accelerate():
+    simulator = nengo_loihi.Simulator(channel()[0], target="sim")
+    with simulator:
+        chip = simulator.sims.pop("emulator")
+        with pytest.raises(ValidationError):
+            accelerate(simulator)
+        simulator.sims["emulator"] = chip
+
+
+def test_without_numba_nengo_loihi_runs_and_one_warning_says_so(monkeypatch):
+    expected = run(nengo_loihi.Simulator, channel)
+    monkeypatch.setattr(emulator, "find_kernel", lambda: emulator.say_once("no Numba"))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", NotAccelerated)
+        found = run(FastSimulator, channel), run(FastSimulator, channel)
+    assert [w.category for w in said if w.category is NotAccelerated] == [NotAccelerated]
+    for one in found:
+        assert_same_run(expected, one)
+
+
+def test_numba_that_is_missing_is_found_out():
+    code = """
+import sys, warnings
+sys.modules["numba"] = None
+from stmnist import FastSimulator
+import nengo
+with nengo.Network(seed=1) as network:
+    nengo.Ensemble(10, 1)
+with warnings.catch_warnings(record=True) as said:
+    warnings.simplefilter("always")
+    for _ in range(2):
+        with FastSimulator(network) as simulator:
+            simulator.run(0.01)
+print(type(simulator.sims["emulator"]).__name__, sum("Numba" in str(w.message) for w in said))
+"""
+    assert printed_by(code).split() == ["EmulatorInterface", "1"]
+
+
+def test_a_class_of_somebody_elses_is_left_as_it_is():
+    class Own(EmulatorInterface):
+        pass
+
+    with nengo_loihi.Simulator(channel()[0], target="sim") as simulator:
+        simulator.sims["emulator"].__class__ = Own
+        with pytest.warns(NotAccelerated):
+            accelerate(simulator)
+        assert type(simulator.sims["emulator"]) is Own
+
+
+def test_the_package_needs_nothing_else_of_the_project():
+    code = """
+import sys, warnings
+warnings.simplefilter("ignore")
+sys.modules.update(dict.fromkeys(("tensorflow", "nengo_dl", "keras")))
+import nengo_loihi
+before = set(sys.modules)
+import fastloihi
+import fastloihi.kernel_numba
+ours = {"deploy", "models", "pipeline", "stmnist"}
+print(*sorted(name for name in set(sys.modules) - before if name.split(".")[0] in ours))
+"""
+    names = printed_by(code).split()
+    assert all(n == "deploy" or n.startswith("fastloihi") for n in names)

@@ -1,0 +1,414 @@
+"""Data sets for networks: the input and label of each recording, and the split."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from hashlib import sha256
+
+import numpy as np
+
+from deploy.errors import UserError
+from deploy.network.spec import NetworkSpec
+from deploy.network.stimulus import EventFrames
+from deploy.terminal import WARNING
+from pipeline.artifacts import Origin
+from pipeline.data.events import Events, Recordings, Sensor, Source, TaxelMap
+from pipeline.data.images import tactile_images
+from pipeline.data.library import recordings_of
+from pipeline.data.sensors import too_small
+from pipeline.data.splits import Split, random_split, writer_split
+from pipeline.data.steps import EventTable
+from pipeline.settings import SIMULATED, Image, Settings, check_fits
+
+KINDS = ("random", "writers")
+"""Kinds of splits: over samples, as in the paper, or over writers (none in both parts)."""
+
+AT_ONCE = 500
+"""Recordings whose frames of events are made at once, which bounds the memory."""
+
+MOST_LOST = 0.1
+"""Share of merged events above which a warning is printed."""
+
+SPLIT_READS = ("seed", "split")
+"""Settings that a split depends on."""
+
+ARRAYS = "arrays"
+"""File of the images with which :meth:`Dataset.of_arrays` replaces recordings."""
+
+TOO_SMALL = "ask for fewer (SAMPLES, or check.samples) or give more data"
+"""Remedy for too few samples for the check."""
+
+NO_SPLIT = "give more data, or another split.test_fraction"
+"""Remedy for too few samples for the split."""
+
+READING = "2"
+"""Version of the rules by which files become recordings; to be raised if they change, because files
+that are read differently have the same hash."""
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Recordings, their split and the inputs of networks made from them.
+
+    Attributes
+    ----------
+    recordings : Recordings
+    split : Split
+    origin : Origin
+        Origin of the recordings and of their split.
+    settings : Settings
+        Settings with which :attr:`inputs` are made; see :meth:`seen_by`.
+    """
+
+    recordings: Recordings
+    split: Split
+    origin: Origin
+    settings: Settings
+    _made: dict = field(default_factory=dict, repr=False, compare=False)
+
+    @classmethod
+    def of(cls, settings: Settings, jobs: int = 1, warn=None, kind: str = "random") -> Dataset:
+        """The recordings named in the settings, split with the seed of the settings.
+
+        Parameters
+        ----------
+        settings : Settings
+        jobs : int
+            Processes for recordings that are not in the cache.
+        warn : callable, optional
+            Called with one line for each file that was left out.
+        kind : str
+            Kind of the split, one of :data:`KINDS`.
+
+        Raises
+        ------
+        UserError
+            The source cannot be read, is too small for the split, or has a class with a single
+            recording.
+        """
+        recordings = recordings_of(settings, jobs, warn)
+        split = _checked_split(recordings, settings, kind)
+        origin = dataset_origin(settings, recordings.source.sha256, kind)
+        return cls(recordings, split, origin, settings)
+
+    @classmethod
+    def of_arrays(
+        cls, images, labels, settings: Settings, classes=None, simulated: bool = False
+    ) -> Dataset:
+        """The user's images in place of recordings, split with the seed of the settings.
+
+        Parameters
+        ----------
+        images : array_like, shape (n_samples, rows, columns) or (n_samples, rows, columns, 1)
+            Values from -1 to 1; images of recordings are from 0 to 1.
+        labels : array_like of int, shape (n_samples,)
+            Classes, from 0.
+        settings : Settings
+            ``data.source`` is the description of the images in results and reports.  Of the other
+            settings only the seed and the shares of the split are used here.
+        classes : sequence of str, optional
+            Names of the labels 0, 1, ...; default: the numbers.
+        simulated : bool
+            True if the images are simulated; every result repeats this.
+
+        Raises
+        ------
+        UserError
+            The arrays do not fit each other or the settings, are too small for the split, or have
+            values that are not those of an image.
+        """
+        name = settings.data.source
+        if name == SIMULATED:
+            raise UserError(
+                f"'data.source' must say what the arrays are; {SIMULATED!r} means the built-in "
+                "recordings"
+            )
+        if settings.on_events:
+            raise UserError(f"{name}: arrays are taken as images; choose input.kind = 'image'")
+        images, labels = np.asarray(images), np.asarray(labels)
+        if images.ndim == 3:
+            images = images[..., None]
+        if problem := _wrong_with(images, labels, classes):
+            raise UserError(f"{name}: {problem}")
+        images, labels = images.astype(np.float32), labels.astype(np.int64)
+        classes = tuple(classes) if classes is not None else range(labels.max() + 1)
+        rows, columns = images.shape[1:3]
+        content = sha256(repr((images.shape, classes)).encode())
+        for array in (images, labels):
+            content.update(np.ascontiguousarray(array).tobytes())
+        nothing = Events(*np.empty((4, 0), np.int64))
+        recordings = Recordings(
+            events=nothing,
+            offsets=np.zeros(len(images) + 1, np.int64),
+            labels=labels,
+            ids=tuple(f"{classes[label]}/{index:04d}" for index, label in enumerate(labels)),
+            writers=np.full(len(images), -1),
+            source=Source(name, content.hexdigest(), simulated),
+            taxels=TaxelMap.grid(rows, columns),
+            sensor=Sensor(rows, columns, classes=tuple(map(str, classes))),
+        )
+        split = _checked_split(recordings, settings)
+        origin = Origin.of(settings, SPLIT_READS, contents={"arrays": content.hexdigest()})
+        return cls(recordings, split, origin, settings, {ARRAYS: images})
+
+    def __len__(self):
+        return len(self.recordings)
+
+    @property
+    def inputs(self) -> np.ndarray:
+        """The inputs made from each recording; see :func:`inputs_of`."""
+        if self.is_of_arrays:
+            return self._made[ARRAYS]
+        key = _what_is_shown(self.settings)
+        if key not in self._made:
+            self._made.clear()  # frames of events take a quarter of a gigabyte
+            self._made[key] = inputs_of(self.recordings, self.settings)
+        return self._made[key]
+
+    def seen_by(self, view: Settings) -> Dataset:
+        """The same samples, with inputs that are made with the settings of a view only."""
+        return replace(self, settings=view)
+
+    @property
+    def labels(self) -> np.ndarray:
+        """The class of each sample, shape (n_samples,)."""
+        return self.recordings.labels
+
+    @property
+    def is_of_arrays(self) -> bool:
+        """True if the data set has images only; see :meth:`of_arrays`."""
+        return ARRAYS in self._made
+
+    def part(self, name: str):
+        """(inputs, labels) of ``"train"``, ``"validation"`` (None if empty) or ``"test"``."""
+        index = getattr(self.split, name)
+        return (self.inputs[index], self.labels[index]) if len(index) else None
+
+
+def dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "random") -> Origin:
+    """The origin of recordings and their split.
+
+    Parameters
+    ----------
+    settings : Settings
+    recordings_sha256 : str
+        Hash of the recordings' content.
+    kind : str
+        Kind of the split, one of :data:`KINDS`.
+    """
+    reads = [*SPLIT_READS, "data.skip_bad", "skin"]
+    if settings.data.source == SIMULATED:
+        reads += ["data.simulation_seed", "data.samples_per_digit"]
+    else:
+        reads += ["data.time_unit", "data.downsample"]
+    contents = {"recordings": recordings_sha256}
+    if settings.data.source != SIMULATED:
+        contents["rules of reading files"] = READING
+    if kind != "random":
+        contents["split"] = kind
+    return Origin.of(settings, reads, contents=contents)
+
+
+def _what_is_shown(settings):
+    """The settings on which :func:`inputs_of` depends."""
+    if settings.on_events:
+        return settings.input.step, settings.input.refractory, settings.steps
+    return settings.image.aggregation, settings.image.normalisation
+
+
+def require_images_fit(images: np.ndarray, settings: Settings):
+    """Refuse images that cannot be presented to the chip.
+
+    Parameters
+    ----------
+    images : ndarray, shape (n_samples, rows, columns, channels)
+    settings : Settings
+
+    Raises
+    ------
+    UserError
+        A pixel would spike more than once per step.
+    """
+    problem = settings.stimulus.complaint(images, images.shape[1:], settings.steps)
+    if problem is not None:
+        raise UserError(
+            f"'image.normalisation' {settings.image.normalisation!r}: {problem}; choose another, a "
+            "lower deployment.input_rate, or deployment.first_layer = 'host'"
+        )
+
+
+def require_recordings_fit(recordings: Recordings, settings: Settings):
+    """Make sure that the architecture fits the recordings' sensor and classes.
+
+    Raises
+    ------
+    UserError
+        The architecture does not fit.
+    """
+    sensor = recordings.sensor
+    classes = len(sensor.classes)
+    check_fits(settings, sensor.rows, sensor.columns, classes, settings.data.source)
+
+
+def _checked_split(recordings, settings, kind="random"):
+    """The split of recordings as in the settings, after checking their number."""
+    source, parts = settings.data.source, settings.split
+    try:
+        split = split_of(
+            recordings, settings.seed, parts.test_fraction, parts.validation_fraction, kind
+        )
+    except ValueError as error:
+        raise UserError(f"{source}: {error}; {NO_SPLIT}") from error
+    if problem := too_small(recordings):
+        raise UserError(f"{source}: {problem}")
+    return split
+
+
+def _wrong_with(images, labels, classes):
+    """The reason why arrays are not images and their labels, or None."""
+    if images.ndim != 4 or images.shape[3] != 1 or images.dtype.kind not in "fiub":
+        return f"images of shape {images.shape}, not numbers of (n_samples, rows, columns)"
+    if labels.shape != images.shape[:1] or labels.dtype.kind not in "iu":
+        return (
+            f"labels of shape {labels.shape}, not a whole number for each of {len(images)} images"
+        )
+    if not len(images) or not np.all(np.abs(images.astype(float)) <= 1):  # which NaN is not
+        return "no images, or some with values that are NaN or not from -1 to 1; scale them"
+    n_classes = labels.max() + 1 if classes is None else len(classes)
+    if labels.min() < 0 or labels.max() >= n_classes:
+        return f"labels from {labels.min()} to {labels.max()}, not from 0 to {n_classes - 1}"
+    if classes is not None and len(set(map(str, classes))) < len(classes):
+        return "two classes of the same name"
+    return None
+
+
+def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:
+    """The inputs of networks, made from each recording.
+
+    Returns
+    -------
+    ndarray
+        With ``input.kind = "image"`` tactile images, float32, shape (n_samples, rows, columns, 1);
+        with ``"events"`` the events of each step of the presentation, uint8, shape (n_samples,
+        steps, rows, columns, 2), first ON, then OFF.
+    """
+    image = settings.image
+    if settings.on_events:
+        shown, steps, table = settings.input, settings.steps, EventTable.of(recordings)
+        inputs = np.empty((len(table), steps, *table.size, 2), np.uint8)
+        for some in np.array_split(np.arange(len(table)), 1 + len(table) // AT_ONCE):
+            inputs[some] = np.moveaxis(table.frames(some, shown.step, steps, shown.rest), 0, 1)
+        return inputs
+    return tactile_images(recordings, image.aggregation, image.normalisation)
+
+
+def classes_of(spec: NetworkSpec) -> tuple:
+    """Names of the classes of a deployed network; numbers for a bundle without names."""
+    return tuple(map(str, spec.provenance.get("classes") or range(spec.layers[-1].size)))
+
+
+def require_sensor_fits(spec: NetworkSpec, recordings: Recordings):
+    """Refuse recordings of another sensor than that of a deployed network.
+
+    Raises
+    ------
+    UserError
+    """
+    (rows, columns), sensor = spec.input_shape[:2], recordings.sensor
+    if (sensor.rows, sensor.columns) != (rows, columns):
+        raise UserError(
+            f"{recordings.source.name}: recordings of {sensor.rows}x{sensor.columns} taxels; the "
+            f"network is for {rows}x{columns}: give recordings of its sensor"
+        )
+
+
+def inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | None = None):
+    """The inputs of a deployed network for other recordings than its own.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    recordings : Recordings
+    image : Image, optional
+        Conversion of events to images, for a network on images whose bundle does not have it.
+
+    Returns
+    -------
+    ndarray
+        As from :func:`inputs_of`.
+    """
+    stimulus = spec.stimulus
+    if isinstance(stimulus, EventFrames):
+        table, steps = EventTable.of(recordings), spec.presentation.steps
+        step_ms = 1000 * stimulus.step_seconds
+        frames = table.frames(np.arange(len(table)), step_ms, steps, stimulus.rest)
+        return np.moveaxis(frames, 0, 1)
+    if (recorded := spec.provenance.get("image")) is not None:
+        image = Settings().with_values({"image": recorded}, "provenance of the bundle").image
+    image = image or Image()
+    return tactile_images(recordings, image.aggregation, image.normalisation)
+
+
+def event_warnings(settings: Settings, recordings: Recordings) -> list:
+    """Warnings about events that are not presented, a line each; see setting ``input.step``.
+
+    Raises
+    ------
+    UserError
+        No recording has an event.
+    """
+    table, step, steps = EventTable.of(recordings), settings.input.step, settings.steps
+    empty = int(np.sum(np.diff(table.offsets) == 0))
+    if empty == len(recordings):
+        raise UserError(
+            f"{recordings.source.name}: no recording has an event; use other recordings"
+        )
+    long = int(np.sum(table.duration_ms >= step * steps))
+    shared, lost = table.lost(step), table.lost(step, settings.input.rest)
+    lines = [
+        f"events: {shared:.1%} are merged into one spike with another event of their taxel and "
+        f"polarity in the same step of {step:g} ms"
+    ]
+    if shared > MOST_LOST:
+        lines[0] = WARNING + lines[0] + "; a shorter input.step merges fewer"
+    if lost > shared:
+        lines.append(
+            f"events: {lost - shared:.1%} more are ignored in their taxel's refractory period, "
+            f"{settings.input.rest * step:g} ms after a spike (input.refractory)"
+        )
+    if empty:
+        lines.append(f"{WARNING}{empty} of {len(recordings)} recordings have no events")
+    if long:
+        lines.append(
+            f"{WARNING}{long} of {len(recordings)} recordings are longer than {steps} steps of "
+            f"{step:g} ms, and their ends are not presented; choose more presentation.steps"
+        )
+    return lines
+
+
+def split_of(
+    recordings: Recordings,
+    seed: int,
+    test_fraction: float,
+    validation_fraction: float = 0.0,
+    kind: str = "random",
+) -> Split:
+    """Split recordings into training, validation and test samples.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    seed : int
+    test_fraction, validation_fraction : float
+        See :func:`pipeline.data.splits.random_split`; splits by writers have no validation part.
+    kind : str
+        One of :data:`KINDS`.
+
+    Raises
+    ------
+    ValueError
+        There are too few samples, or the writers are not known.
+    """
+    if kind == "writers":
+        return writer_split(recordings.writers, seed, test_fraction)
+    return random_split(len(recordings), seed, test_fraction, validation_fraction)

@@ -1,0 +1,374 @@
+"""A MATLAB file with one recording: ``spiketrain``, 101 x n (paper, Section 2.3).
+
+Rows 0 to 99 have 1 (ON), -1 (OFF) or 0 for the taxels, row 100 the time of each column in seconds.
+For other arrays there are as many rows as taxels, and the time is in the next row.
+MATLAB 5 files are read by :mod:`pipeline.data.mat5`, 7.3 files (HDF5) with h5py; nothing in
+them is executed, and nothing larger than a recording can be is read.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import zlib
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy
+
+from models.hdf5 import h5py, unusual_filters
+from pipeline.data import mat5
+from pipeline.data.events import (
+    N_TAXELS,
+    Events,
+    TaxelMap,
+    expand_bursts,
+    merge_bursts,
+)
+from pipeline.paper import DURATION_S
+
+VARIABLE = "spiketrain"
+_WRITTEN = ("source", "time", "handedness", "seed", "pen")
+LATEST_S = 60.0
+"""A recording lasts 2 s, of other sensors perhaps longer; a time past this is taken for
+milliseconds."""
+
+MAX_TAXELS = 65536
+"""Largest number of taxels of any array, since events cannot address more."""
+
+MAX_SIDE = 256
+"""Rows and columns of any array."""
+
+
+class BadRecording(ValueError):
+    """Raised for a file that is not a recording; the message has the reason."""
+
+
+@dataclass(frozen=True)
+class Written:
+    """Facts about a recording that a person wrote on the simulated skin.
+
+    Attributes
+    ----------
+    time : str
+        Time of the recording, ISO 8601 with its zone.
+    handedness : str
+        ``"left"``, ``"right"``, or empty if it was not stated.
+    seed : tuple of int
+        Seed of the skin's noise.
+    pen : ndarray of float, shape (n, 5)
+        Time in seconds, place in taxels (down, right), pressure and touch (1 or 0) of each point
+        of the pen as received (:class:`pipeline.skin.writing.PenPoint`).
+    """
+
+    time: str
+    handedness: str = ""
+    seed: tuple = ()
+    pen: np.ndarray = field(default_factory=lambda: np.empty((0, 5)))
+
+
+@dataclass(frozen=True)
+class MatRecording:
+    """The contents of one file.
+
+    Attributes
+    ----------
+    events : Events
+    simulated : bool
+        True if the file states that it is simulated (in a variable that this project adds).
+    writer : int
+        Number of the writer (in such a variable), or -1.
+    written : Written or None
+        Not None if the file states that a person wrote it on the simulated skin (in the variable
+        ``source`` with the value ``"written"``).
+    n_taxels : int
+        Number of taxels, from the rows of the file.
+    """
+
+    events: Events
+    simulated: bool = False
+    writer: int = -1
+    written: Written | None = None
+    n_taxels: int = N_TAXELS
+
+
+def read_recording(content: bytes, n_taxels: int | None = N_TAXELS) -> MatRecording:
+    """Read a recording.
+
+    Parameters
+    ----------
+    content : bytes
+        Content of a MATLAB 5 or 7.3 file.
+    n_taxels : int or None
+        Number of taxels of the array; None for any.
+
+    Returns
+    -------
+    MatRecording
+
+    Raises
+    ------
+    BadRecording
+        Not a MAT file, or not a recording; see :func:`events_of`.
+    """
+    variables = read_variables(content, (VARIABLE, "simulated", "writer", *_WRITTEN))
+    if VARIABLE not in variables:
+        raise BadRecording(f"has no variable {VARIABLE!r}")
+    simulated, writer = (_number(variables.get(name)) for name in ("simulated", "writer"))
+    spiketrain = np.asarray(variables[VARIABLE])
+    try:
+        events = events_of(spiketrain, n_taxels)
+    except BadRecording as error:
+        rows = spiketrain.shape[0] if spiketrain.ndim == 2 else N_TAXELS + 1
+        if n_taxels is None and rows != N_TAXELS + 1:  # which may be the only problem
+            raise BadRecording(
+                f"{VARIABLE!r} has {rows} rows; read as {rows - 1} taxels it {error}"
+            ) from error
+        raise
+    return MatRecording(
+        events=events,
+        simulated=bool(simulated),
+        writer=writer_of(writer),
+        written=_written(variables),
+        n_taxels=len(spiketrain) - 1,
+    )
+
+
+def _written(variables):
+    source, time, handedness = (_text(variables.get(n)) for n in ("source", "time", "handedness"))
+    if source != "written":
+        return None
+    numbers = {k: v for k, v in variables.items() if isinstance(v, np.ndarray)}
+    seed, pen = (numbers.get(name) for name in ("seed", "pen"))
+    if seed is None or seed.dtype.kind not in "fiu" or not np.isfinite(seed).all():
+        seed = np.empty(0)
+    if pen is None or pen.dtype.kind != "f" or pen.ndim != 2 or pen.shape[1] != 5:
+        pen = np.empty((0, 5))
+    return Written(time, handedness, tuple(seed.ravel().astype(int).tolist()), pen)
+
+
+def _text(variable):
+    return variable if isinstance(variable, str) else ""
+
+
+def _number(variable):
+    """A variable's value if it is one finite number, else None: the name may have another use."""
+    values = np.ravel([] if variable is None else variable)
+    is_number = values.size == 1 and values.dtype.kind in "fiub" and np.isfinite(values[0])
+    return values[0] if is_number else None
+
+
+def writer_of(number) -> int:
+    """The number of a writer, or -1 for None and for anything but a whole number from 0."""
+    is_one = number is not None and 0 <= number < 2**31 and number == int(number)
+    return int(number) if is_one else -1
+
+
+def events_of(spiketrain, n_taxels: int | None = N_TAXELS) -> Events:
+    """Check a ``spiketrain`` and turn it into physical events.
+
+    Parameters
+    ----------
+    spiketrain : array_like, shape (n_taxels + 1, n)
+    n_taxels : int or None
+        Number of taxels of the array; None for any.
+
+    Raises
+    ------
+    BadRecording
+        Wrong number of rows; no columns; a value other than -1, 0 and 1; a column with several
+        events or none; times that are NaN, negative, not increasing or in milliseconds.
+    """
+    spiketrain = np.asarray(spiketrain)
+    if spiketrain.dtype.kind not in "fiub" or spiketrain.ndim != 2:
+        raise BadRecording(f"{VARIABLE!r} is not a matrix of numbers")
+    rows = spiketrain.shape[0]
+    if n_taxels is not None and rows != n_taxels + 1:
+        raise BadRecording(f"{VARIABLE!r} has {rows} rows, not {n_taxels + 1}")
+    if not 2 <= rows <= MAX_TAXELS + 1:
+        raise BadRecording(f"{VARIABLE!r} has {rows} rows, not 2 to {MAX_TAXELS + 1}")
+    if spiketrain.shape[1] == 0:
+        raise BadRecording("is empty: no events")
+    values, times = spiketrain[:-1], spiketrain[-1].astype(float)
+    if not np.isin(values, (-1, 0, 1)).all():
+        raise BadRecording("has a value other than -1, 0 and 1")
+    per_column = np.count_nonzero(values, axis=0)
+    if (per_column != 1).any():
+        column = int(np.argmax(per_column != 1))
+        raise BadRecording(f"column {column + 1} has {per_column[column]} events, not one")
+    if not np.isfinite(times).all():
+        raise BadRecording("has a time that is NaN or infinite")
+    if times.min() < 0:
+        raise BadRecording("has a negative time")
+    if times.max() > LATEST_S:
+        raise BadRecording(f"has times up to {times.max():g}, not seconds (milliseconds?)")
+    time_ns = np.rint(times * 1e9).astype(np.int64)
+    if (np.diff(time_ns) <= 0).any():
+        column = int(np.argmax(np.diff(time_ns) <= 0)) + 1
+        raise BadRecording(f"times do not increase at column {column + 1}")
+    taxel = np.argmax(values != 0, axis=0)
+    events = merge_bursts(time_ns, taxel, values[taxel, np.arange(values.shape[1])])
+    if events.columns.sum(dtype=np.int64) != len(time_ns):  # they are counted in 16 bits
+        raise BadRecording("has one event in more than 65,535 columns")
+    return events
+
+
+def read_variables(content: bytes, names=None, fits=None) -> dict:
+    """Read those of the named variables that a MATLAB 5 or 7.3 file has.
+
+    Parameters
+    ----------
+    content : bytes
+    names : sequence of str, optional
+        Default: all variables of numbers.
+    fits : callable, optional
+        ``fits(shape)``: only the first variable whose declared shape fits is read.
+
+    Returns
+    -------
+    dict of str to ndarray, str or None
+        None for a named variable that is neither real numbers nor a short text.
+
+    Raises
+    ------
+    BadRecording
+        The content is not a MAT file, is damaged, or declares more than a recording can have.
+    """
+    if not content:
+        raise BadRecording("is an empty file")
+    if len(content) > mat5.LARGEST:
+        raise BadRecording(f"is larger than a recording of {DURATION_S:g} s can be")
+    try:
+        if content[512:520] == b"\x89HDF\r\n\x1a\n":
+            with h5py.File(io.BytesIO(content), "r") as file:
+                return _datasets(file, list(file) if names is None else names, fits)
+        if not content.startswith(mat5.HEADER):
+            raise BadRecording("is not a MAT file")
+        return mat5.read(content, names, fits)
+    except mat5.TooLarge as error:
+        raise BadRecording(
+            f"{error}, more than a recording of {DURATION_S:g} s can have"
+        ) from error
+    except BadRecording:
+        raise
+    except MemoryError:
+        raise
+    except (ValueError, TypeError, KeyError, OSError, EOFError, IndexError, zlib.error) as error:
+        raise BadRecording("is a damaged MAT file") from error
+    except Exception as error:  # h5py fails in many ways on damaged files
+        raise BadRecording(f"is a damaged MAT file ({type(error).__name__})") from error
+
+
+def _datasets(file, names, fits):
+    """The arrays of numbers of an HDF5 file; nothing outside it is opened."""
+    found = {}
+    if len(names) > mat5.MOST_VARIABLES:
+        raise BadRecording(f"has {len(names)} variables")
+    for name in names:
+        if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+            continue
+        dataset = file[name]
+        numbers = isinstance(dataset, h5py.Dataset) and dataset.dtype.kind in "fiub"
+        if fits is not None and not (numbers and dataset.shape and fits(dataset.shape[::-1])):
+            continue
+        found[name] = None
+        if not numbers:
+            continue
+        if dataset.external or dataset.is_virtual or dataset.shape is None:
+            raise BadRecording(f"has {name!r} in another file")
+        if unusual_filters(dataset):
+            raise BadRecording(f"has {name!r} in a form that MATLAB does not write")
+        held = max(math.prod(map(int, shape)) for shape in (dataset.shape, dataset.chunks or ()))
+        if held * dataset.dtype.itemsize > mat5.LARGEST:
+            raise mat5.TooLarge(
+                f"declares {' x '.join(map(str, dataset.shape))} values of {name!r}"
+            )
+        # MATLAB stores columns first, so that HDF5 sees each matrix transposed.
+        found[name] = dataset[()].T
+        if fits is not None:
+            break
+    return found
+
+
+def read_limited(file) -> bytes:
+    """The content of an open file, read at most up to the point at which it is too large."""
+    return file.read(mat5.LARGEST + 1)
+
+
+def spiketrain_of(events: Events, n_taxels: int = N_TAXELS) -> np.ndarray:
+    """The published form of a recording, shape (n_taxels + 1, n_columns).
+
+    Inverse of :func:`events_of`.
+    """
+    time_ns, taxel, polarity = expand_bursts(events)
+    spiketrain = np.zeros((n_taxels + 1, len(time_ns)))
+    spiketrain[taxel, np.arange(len(time_ns))] = polarity
+    spiketrain[-1] = time_ns * 1e-9
+    return spiketrain
+
+
+def recording_bytes(recording: MatRecording) -> bytes:
+    """A recording as a compressed MATLAB 5 file; inverse of :func:`read_recording`."""
+    variables = {}  # the events last: a truncated file then has no events
+    if recording.simulated:
+        variables["simulated"] = 1.0
+    if recording.writer >= 0:
+        variables["writer"] = float(recording.writer)
+    if recording.written is not None:
+        written = recording.written
+        variables |= {"source": "written", "time": written.time, "pen": np.asarray(written.pen)}
+        variables["seed"] = np.array(written.seed, float)
+        if written.handedness:
+            variables["handedness"] = written.handedness
+    variables[VARIABLE] = spiketrain_of(recording.events, recording.n_taxels)
+    return _mat_bytes(variables)
+
+
+def read_lookup_table(content: bytes) -> TaxelMap:
+    """Read ``LUT.mat``: a row of X and Y, or of address, X and Y, for each taxel, in one variable.
+
+    Raises
+    ------
+    BadRecording
+        No variable has that form, or its entries are not positions of different taxels.
+    """
+    table = next(iter(read_variables(content, fits=_is_table).values()), None)
+    if not isinstance(table, np.ndarray):
+        raise BadRecording("has no table of rows with X and Y, or address, X and Y, one per taxel")
+    n = len(table)
+    if table.shape[1] == 3:
+        if sorted(table[:, 0]) != list(range(1, n + 1)):
+            raise BadRecording(f"its first column is not the addresses 1 to {n}")
+        table = table[np.argsort(table[:, 0]), 1:]
+    places = {tuple(row) for row in table.tolist()}
+    whole = np.isfinite(table).all() and (table == np.rint(table)).all()
+    if len(places) != n or not whole or table.min() < 1 or table.max() > MAX_SIDE:
+        raise BadRecording(f"X and Y are not {n} different positions from 1 to {MAX_SIDE}")
+    x, y = (table[:, i].astype(int) - 1 for i in (0, 1))
+    return TaxelMap(x, y)
+
+
+def _is_table(shape):
+    """True for a shape that a look-up table may have, of which nothing is read yet."""
+    if len(shape) != 2 or shape[1] not in (2, 3) or not shape[0]:
+        return False
+    if shape[0] > MAX_TAXELS:
+        raise BadRecording(f"has {shape[0]} rows, more than the {MAX_TAXELS} taxels of any array")
+    return True
+
+
+def lookup_table_bytes(taxels: TaxelMap) -> bytes:
+    """A lookup table as a MATLAB 5 file; inverse of :func:`read_lookup_table`."""
+    address = np.arange(1, len(taxels) + 1)
+    return _mat_bytes(
+        {"LUT": np.stack([address, taxels.row + 1, taxels.column + 1], 1).astype(float)}
+    )
+
+
+def _mat_bytes(variables):
+    buffer = io.BytesIO()
+    scipy.io.savemat(buffer, variables, do_compression=True)
+    content = bytearray(buffer.getvalue())
+    # SciPy writes the time of day into the header's text; the same recording has the same bytes.
+    content[:116] = b"MATLAB 5.0 MAT-file, written by stmnist-loihi".ljust(116)
+    return bytes(content)

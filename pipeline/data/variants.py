@@ -1,0 +1,119 @@
+"""Recordings without part of their timing, to measure how much that part contributes.
+
+Each function returns recordings with the same samples, labels and numbers of events, with the
+events in order of time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.data.events import EVENT_DTYPES, Events, Recordings
+
+VARIANTS = {
+    "as-is": "the events as they were recorded",
+    "no-polarity": "all events ON",
+    "even": "the order of events kept, their speed made even",
+    "shuffled": "times shuffled among a recording's events",
+    "counts": "only how many events each taxel has of each polarity",
+}
+"""Description of the information that remains in the events, by name."""
+
+
+def vary(recordings: Recordings, variant: str, seed: int, lasts_ns: float) -> Recordings:
+    """Apply one of :data:`VARIANTS` to recordings.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    variant : str
+    seed : int
+        Seed of the shuffling.
+    lasts_ns : float
+        Duration of each recording, see :func:`only_counts`.
+    """
+    if variant == "no-polarity":
+        return without_polarity(recordings)
+    if variant == "even":
+        return even(recordings)
+    if variant == "shuffled":
+        return shuffled(recordings, seed)
+    if variant == "counts":
+        return only_counts(recordings, lasts_ns)
+    if variant == "as-is":
+        return recordings
+    raise ValueError(f"no variant {variant!r}")
+
+
+def durations_ns(recordings: Recordings) -> np.ndarray:
+    """Time from each recording's first event to its last, 0 without events, shape (n_samples,)."""
+    first, last = _ends(recordings)
+    return last - first
+
+
+def without_polarity(recordings: Recordings) -> Recordings:
+    """All events are ON: place and time of changes remain, but not their direction."""
+    polarity = np.ones_like(recordings.events.polarity)
+    return replace(recordings, events=replace(recordings.events, polarity=polarity))
+
+
+def even(recordings: Recordings) -> Recordings:
+    """Evenly spaced times from the first event to the last, in the original order."""
+    sample = recordings.sample_of_event
+    first, last = _ends(recordings)
+    counts = np.diff(recordings.offsets)
+    rank = np.arange(len(sample)) - recordings.offsets[sample]
+    share = rank / np.maximum(counts - 1, 1)[sample]
+    time_ns = np.rint(first[sample] + share * (last - first)[sample])
+    return replace(recordings, events=replace(recordings.events, time_ns=time_ns))
+
+
+def shuffled(recordings: Recordings, seed: int) -> Recordings:
+    """The times of a recording's events are assigned to the events at random.
+
+    The number of events in each step does not change, but their places are independent of the
+    time.
+    """
+    rng = np.random.default_rng([seed, 0x5B0F])
+    events, sample = recordings.events, recordings.sample_of_event
+    order = np.lexsort((rng.random(len(sample)), sample))
+    columns = {name: getattr(events, name)[order] for name in EVENT_DTYPES if name != "time_ns"}
+    return replace(recordings, events=Events(time_ns=events.time_ns, **columns))
+
+
+def only_counts(recordings: Recordings, lasts_ns: float) -> Recordings:
+    """The n events of a taxel and polarity are evenly spaced over the same time for all recordings.
+
+    Event k is at (k + 1/2)/n of this time.  The times of events and the duration of recordings are
+    thus removed, as in a tactile image, whose pixels become evenly spaced spikes.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    lasts_ns : float
+        The time in nanoseconds.
+    """
+    events, sample = recordings.events, recordings.sample_of_event
+    key = (sample * (int(events.taxel.max(initial=0)) + 1) + events.taxel) * 2
+    key += events.polarity < 0
+    order = np.argsort(key, kind="stable")
+    _, start, counts = np.unique(key[order], return_index=True, return_counts=True)
+    rank = np.arange(len(key)) - np.repeat(start, counts)
+    time_ns = np.empty(len(key), np.int64)
+    time_ns[order] = np.rint((rank + 0.5) / np.repeat(counts, counts) * lasts_ns)
+    order = np.lexsort(
+        (key, time_ns, sample)
+    )  # nothing of the order in time is left, ties included
+    columns = {name: getattr(events, name)[order] for name in EVENT_DTYPES if name != "time_ns"}
+    return replace(recordings, events=Events(time_ns=time_ns[order], **columns))
+
+
+def _ends(recordings):
+    """Time of each recording's first and last event, 0 without events."""
+    time_ns, offsets = recordings.events.time_ns, recordings.offsets
+    some = np.diff(offsets) > 0
+    first, last = np.zeros(len(recordings), np.int64), np.zeros(len(recordings), np.int64)
+    first[some], last[some] = time_ns[offsets[:-1][some]], time_ns[offsets[1:][some] - 1]
+    return first, last

@@ -1,1 +1,0 @@
-"""The inputs of networks, made from recordings: images, event frames, splits."""

@@ -1,0 +1,187 @@
+"""Recordings as networks see them: loaded, divided and made in one place."""
+
+import numpy as np
+import pytest
+
+from deploy import limits
+from deploy.check.bundle import HEADERS
+from deploy.errors import UserError
+from pipeline.data.dataset import Dataset, dataset_origin, split_of
+from pipeline.data.images import tactile_images
+from pipeline.data.library import content_of, recordings_of
+from pipeline.data.splits import random_split, writer_split
+from pipeline.run.folder import RunFolder
+from pipeline.run.stages import open_dataset
+from pipeline.settings import SIMULATED, Settings, UndeclaredSetting
+from tests.own_sensor import write_folder
+from tests.pipeline.handmade import archive, good_members, recordings
+
+SMALL = Settings().with_values(
+    {"seed": 3, "data": {"samples_per_digit": 6}, "split": {"validation_fraction": 0.25}}, "test"
+)
+
+
+@pytest.fixture(scope="module")
+def dataset():
+    return Dataset.of(SMALL)
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_the_settings_of_an_experiment_suffice_to_read_the_recordings(tmp_path, own):
+    source = str(write_folder(tmp_path / "own", per_class=5)) if own else SIMULATED
+    settings = SMALL.with_values({"data": {"source": source}}, "test")
+    seen = dataset_origin(settings, content_of(settings)).view(settings)
+    assert len(recordings_of(seen)) == (20 if own else 60)
+
+
+def test_inputs_and_labels_are_those_of_the_recordings(dataset):
+    assert len(dataset) == 60
+    np.testing.assert_array_equal(dataset.labels, np.repeat(np.arange(10), 6))
+    np.testing.assert_array_equal(dataset.inputs, tactile_images(dataset.recordings))
+
+
+def test_the_split_is_of_the_settings_seed_and_fractions(dataset):
+    expected = random_split(60, 3, 0.2, 0.25)
+    for name in ("train", "validation", "test"):
+        inputs, labels = dataset.part(name)
+        index = getattr(expected, name)
+        np.testing.assert_array_equal(inputs, dataset.inputs[index])
+        np.testing.assert_array_equal(labels, dataset.labels[index])
+
+
+def test_a_split_by_writers_is_another_data_set(dataset):
+    settings = dataset.settings
+    by_writer = Dataset.of(settings, kind="writers")
+    expected = writer_split(dataset.recordings.writers, settings.seed).test
+    np.testing.assert_array_equal(by_writer.split.test, expected)
+    assert by_writer.part("validation") is None
+    assert by_writer.origin != dataset.origin
+
+
+@pytest.mark.parametrize("source", ["simulated", "imported"])
+def test_recordings_are_loaded_with_the_settings_of_their_origin(source, tmp_path):
+    """A worker of an experiment can read no others."""
+    settings = SMALL
+    if source == "imported":
+        archive(tmp_path / "mine.zip", good_members(per_digit=6))
+        settings = settings.with_values({"data": {"source": str(tmp_path / "mine.zip")}}, "test")
+    opened = Dataset.of(settings)
+    in_a_worker = Dataset.of(opened.origin.view(settings))
+    assert in_a_worker.origin == opened.origin
+    np.testing.assert_array_equal(in_a_worker.labels, opened.labels)
+
+
+def test_inputs_are_made_with_the_settings_of_a_view_and_no_others(dataset):
+    settings = dataset.settings
+    image = ("input.kind", "image.aggregation", "image.normalisation")
+    seen = dataset.seen_by(settings.only(image))
+    assert seen.inputs is dataset.inputs
+    signed = settings.with_values({"image": {"aggregation": "signed"}})
+    assert not np.array_equal(dataset.seen_by(signed.only(image)).inputs, dataset.inputs)
+    with pytest.raises(UndeclaredSetting):
+        _ = dataset.seen_by(settings.only(["input.kind"])).inputs
+
+
+def test_writers_that_are_not_known_are_refused():
+    with pytest.raises(ValueError, match="writers"):
+        split_of(recordings([], []), 0, 0.2, kind="writers")
+
+
+def test_too_few_samples_are_one_line_with_the_source(tmp_path):
+    path = tmp_path / "st.zip"
+    archive(path, good_members())
+    values = {"data": {"source": str(path)}, "split": {"test_fraction": 0.01}}
+    settings = Settings().with_values(values, "test")
+    with pytest.raises(UserError, match=r"st\.zip: 10 .* 0.01 .*split\.test_fraction"):
+        Dataset.of(settings)
+
+
+OWN = Settings().with_values({"seed": 2, "data": {"source": "mine"}}, "test")
+
+
+def arrays(n=10, classes=2):
+    images = np.random.default_rng(0).random((n, 4, 6))
+    return images, np.arange(n) % classes
+
+
+def test_arrays_in_the_place_of_recordings():
+    images, labels = arrays()
+    dataset = Dataset.of_arrays(images, labels, OWN, ("soft", "hard"), simulated=True)
+    assert dataset.is_of_arrays
+    assert not Dataset.of(SMALL).is_of_arrays
+    assert dataset.inputs.shape == (10, 4, 6, 1)
+    np.testing.assert_array_equal(dataset.inputs[..., 0], images.astype(np.float32))
+    np.testing.assert_array_equal(dataset.split.test, random_split(10, 2).test)
+    recordings = dataset.recordings
+    assert recordings.ids[:3] == ("soft/0000", "hard/0001", "soft/0002")
+    assert (recordings.source.name, recordings.source.simulated) == ("mine", True)
+    assert (recordings.sensor.rows, recordings.sensor.columns) == (4, 6)
+    same = Dataset.of_arrays(images[..., None], labels, OWN, ["soft", "hard"])
+    assert same.recordings.source.sha256 == recordings.source.sha256
+    images[0, 0, 0] /= 2
+    other = Dataset.of_arrays(images, labels, OWN)
+    assert other.recordings.source.sha256 != recordings.source.sha256
+    assert other.recordings.sensor.classes == ("0", "1")
+
+
+@pytest.mark.parametrize(
+    ("change", "fact"),
+    [
+        (lambda x, y: (x[0], y), r"images.*\(4, 6\)"),
+        (lambda x, y: (np.stack([x, x], -1), y), r"images.*\(10, 4, 6, 2\)"),
+        (lambda x, y: (x.astype(str), y), "images"),
+        (lambda x, y: (255 * x, y), "-1 to 1"),
+        (lambda x, y: (np.where(x > 0.5, np.nan, x), y), "NaN"),
+        (lambda x, y: (x, y[:-1]), r"labels.*\(9,\).* 10 "),
+        (lambda x, y: (x, y.astype(float)), "labels"),
+        (lambda x, y: (x, y + 1), "labels from 1 to 2.* 0 to 1"),
+        (lambda x, y: (x, y - 1), "labels from -1 to 0.* 0 to 1"),
+        (lambda x, y: (x[:0], y[:0]), "images"),
+        (lambda x, y: (x, 0 * y), "one class"),
+        (lambda x, y: (x, (np.arange(10) > 8).astype(int)), "'hard'"),
+        (lambda x, y: (x[:2], y[:2]), "2 samples"),
+    ],
+)
+def test_arrays_that_are_no_samples_are_refused(change, fact):
+    with pytest.raises(UserError, match=f"^mine: .*{fact}"):
+        Dataset.of_arrays(*change(*arrays()), OWN, ("soft", "hard"))
+
+
+def test_settings_that_are_not_for_arrays_are_refused():
+    with pytest.raises(UserError, match=r"'data\.source'"):
+        Dataset.of_arrays(*arrays(), SMALL)
+    on_events = OWN.with_values({"input": {"kind": "events"}})
+    with pytest.raises(UserError, match=r"input\.kind"):
+        Dataset.of_arrays(*arrays(), on_events)
+    with pytest.raises(UserError, match="classes"):
+        Dataset.of_arrays(*arrays(), OWN, ("soft", "soft"))
+
+
+def test_a_run_refuses_arrays_of_other_settings(tmp_path):
+    dataset = Dataset.of_arrays(*arrays(40), OWN)
+    run = RunFolder(tmp_path)
+    few = OWN.with_values({"check": {"samples": 4}})
+    with pytest.raises(UserError, match=r"mine: 'cnn\.architecture' .* 4x6-6c4-.*-2o"):
+        open_dataset(run, few, dataset=dataset)
+    small = few.with_values({"cnn": {"architecture": "4x6-3c2-2o"}, "snn": {"max_rates": [150.0]}})
+    with pytest.raises(UserError, match=r"data\.source"):
+        open_dataset(run, small.with_values({"data": {"source": "x"}}), dataset=dataset)
+    assert not run.experiment.exists()
+    assert open_dataset(run, small, dataset=dataset) is dataset
+    assert run.experiment.exists()
+
+
+@pytest.mark.parametrize(("kind", "one"), [("image", 100 * 4), ("events", 50 * 200)])
+def test_a_check_that_is_too_large_for_a_bundle_is_refused_before_the_training(
+    tmp_path, monkeypatch, kind, one
+):
+    settings = SMALL.with_values(
+        {"input": {"kind": kind}, "presentation": {"steps": 50}, "check": {"samples": 5}}
+    )
+    run = RunFolder(tmp_path)
+    monkeypatch.setattr(limits, "ARRAY_BYTES", HEADERS + 5 * one - 1)
+    with pytest.raises(UserError, match=r"5 samples .* check\.samples"):
+        open_dataset(run, settings)
+    assert not run.experiment.exists()
+    monkeypatch.setattr(limits, "ARRAY_BYTES", HEADERS + 5 * one)
+    open_dataset(run, settings)

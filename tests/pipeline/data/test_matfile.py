@@ -1,0 +1,330 @@
+import io
+import tracemalloc
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+
+from pipeline.data.events import Events, TaxelMap, expand_bursts
+from pipeline.data.matfile import (
+    BadRecording,
+    MatRecording,
+    Written,
+    events_of,
+    lookup_table_bytes,
+    read_lookup_table,
+    read_recording,
+    recording_bytes,
+    spiketrain_of,
+)
+from tests.pipeline.handmade import events, mat5, mat73, spiketrain
+
+
+def changed(row, column, value):
+    array = spiketrain()
+    array[row, column] = value
+    return array
+
+
+def times(*values):
+    array = spiketrain(len(values))
+    array[100] = values
+    return array
+
+
+BAD = {
+    "not 101 rows": (spiketrain()[:-1], "'spiketrain'.* 100 .* 101"),
+    "transposed": (spiketrain().T, "'spiketrain'.* 6 .* 101"),
+    "a vector in three dimensions": (np.zeros((101, 2, 2)), "'spiketrain'"),
+    "text": (np.array(["a", "b"]), "'spiketrain'"),
+    "complex": (spiketrain() + 0j, "'spiketrain'"),
+    "empty": (np.zeros((101, 0)), "empty"),
+    "value 2": (changed(0, 0, 2), "-1, 0 and 1"),
+    "value one half": (changed(0, 0, 0.5), "-1, 0 and 1"),
+    "value NaN": (changed(0, 0, np.nan), "-1, 0 and 1"),
+    "two events": (changed(50, 2, 1), "column 3 has 2 "),
+    "no event": (changed(3, 3, 0), "column 4 has 0 "),
+    "time NaN": (changed(100, 1, np.nan), "NaN"),
+    "time infinite": (changed(100, 5, np.inf), "infinite"),
+    "time negative": (times(-0.1, 0.2), "negative"),
+    "times equal": (times(0.1, 0.2, 0.2), "column 3"),
+    "times fall": (times(0.1, 0.3, 0.2), "column 3"),
+    "milliseconds": (times(196.6, 500.0, 895.7), "milliseconds"),
+}
+
+
+@pytest.mark.parametrize("write", [mat5, mat73])
+def test_a_good_file(write):
+    recording = read_recording(write(spiketrain=spiketrain(4)))
+    assert recording.events.taxel.tolist() == [0, 1, 2, 3]
+    assert recording.events.polarity.tolist() == [1, -1, 1, -1]
+    assert recording.events.time_ns.tolist() == [100_000_000 + i * 1_000_000 for i in range(4)]
+    assert not recording.simulated
+    assert recording.writer == -1
+
+
+@pytest.mark.parametrize(("array", "fact"), BAD.values(), ids=BAD)
+def test_a_bad_spiketrain_is_refused_with_its_reason(array, fact):
+    with pytest.raises(BadRecording, match=fact):
+        read_recording(mat5(spiketrain=array))
+
+
+def test_and_in_a_matlab_73_file():
+    array, fact = BAD["two events"]
+    with pytest.raises(BadRecording, match=fact):
+        read_recording(mat73(spiketrain=array))
+
+
+@pytest.mark.parametrize(
+    ("content", "fact"),
+    [
+        (b"", "empty"),
+        (b"hello", "MAT"),
+        (b"\x89PNG" * 300, "MAT"),
+        (mat5(other=spiketrain()), "'spiketrain'"),
+        (mat73(other=spiketrain()), "'spiketrain'"),
+        (mat5(spiketrain=spiketrain())[:300], "MAT"),
+        (mat5(spiketrain=spiketrain())[:128], "'spiketrain'|MAT"),
+        (mat73(spiketrain=spiketrain())[:1500], "MAT"),
+        (mat5(spiketrain={"a": 1.0}), "'spiketrain'"),
+    ],
+)
+def test_a_file_that_is_no_recording(content, fact):
+    with pytest.raises(BadRecording, match=fact):
+        read_recording(content)
+
+
+def test_every_way_of_cutting_a_file_short_is_a_reason_not_a_crash():
+    content = recording_bytes(MatRecording(events(), True, 3))
+    for length in range(0, len(content), 7):
+        with pytest.raises(BadRecording):
+            read_recording(content[:length])
+
+
+def test_flipped_bytes_give_a_reason_or_a_recording():
+    content = recording_bytes(MatRecording(events(), True, 3))
+    refused = 0
+    for position in range(0, len(content), 3):
+        damaged = bytearray(content)
+        damaged[position] ^= 0xFF
+        try:
+            read_recording(bytes(damaged))
+        except BadRecording:
+            refused += 1
+    assert refused > len(content) / 3 / 2  # most of the file is compressed and has a checksum
+
+
+@pytest.mark.parametrize("writer", ["Anna", np.nan, [1.0, 2.0], [], -2.0, 1e20, 2.0**31, 0.5])
+def test_another_use_of_the_name_writer_is_no_writer(writer):
+    assert read_recording(mat5(spiketrain=spiketrain(), writer=writer)).writer == -1
+
+
+def hdf5(build):
+    """A MATLAB 7.3 file that a function fills."""
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w", userblock_size=512) as file:
+        build(file)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    "put",
+    [
+        lambda file: file.create_group("writer").create_dataset("name", data=[1.0]),
+        lambda file: file.create_dataset("writer", data=np.array([b"Anna"])),
+        lambda file: file.create_dataset("writer", data=np.zeros(0)),
+        lambda file: file.__setitem__("writer", h5py.SoftLink("/nowhere")),
+    ],
+)
+def test_another_use_of_the_name_writer_in_a_matlab_73_file(put):
+    def build(file):
+        file["spiketrain"] = spiketrain(4).T
+        put(file)
+
+    recording = read_recording(hdf5(build))
+    assert len(recording.events) == 4
+    assert recording.writer == -1
+
+
+@pytest.mark.parametrize(
+    ("build", "fact"),
+    [
+        (
+            lambda file: file.create_dataset("spiketrain", (10**6, 101), "f8", chunks=(100, 101)),
+            " 1000000 x 101 ",
+        ),
+        (
+            lambda file: file.create_dataset("spiketrain", (4, 101), "f8", chunks=(10**6, 101),
+                                             maxshape=(None, 101)),
+            " 4 x 101 ",
+        ),
+        (lambda file: file.create_group("spiketrain"), ""),
+        (lambda file: file.__setitem__("spiketrain", h5py.ExternalLink("other.h5", "/x")), ""),
+        (
+            lambda file: file.create_dataset("spiketrain", (4, 101), "f8",
+                                             external=[("/etc/hostname", 0, 4 * 101 * 8)]),
+            " file",
+        ),
+        (
+            lambda file: file.create_dataset("spiketrain", (4, 101), "i4", chunks=(4, 101),
+                                             scaleoffset=0),
+            "MATLAB",
+        ),
+        (
+            lambda file: file.create_dataset("spiketrain", (4, 101), "f8", compression="lzf"),
+            "MATLAB",
+        ),
+    ],
+)  # fmt: skip
+def test_a_matlab_73_file_that_declares_too_much_or_points_elsewhere(build, fact):
+    with pytest.raises(BadRecording, match="'spiketrain'") as error:
+        read_recording(hdf5(build))
+    assert fact in str(error.value)
+
+
+def test_a_matlab_73_file_compressed_as_matlab_does():
+    def build(file):
+        file.create_dataset(
+            "spiketrain", data=spiketrain(4).T, compression=3, shuffle=True, fletcher32=True
+        )
+
+    assert len(read_recording(hdf5(build)).events) == 4
+
+
+def test_a_file_that_is_too_large(monkeypatch):
+    monkeypatch.setattr("pipeline.data.mat5.LARGEST", 1000)
+    with pytest.raises(BadRecording, match=" 2 s "):
+        read_recording(mat5(spiketrain=spiketrain()))
+
+
+def test_times_that_no_integer_holds():
+    with pytest.raises(BadRecording, match=r" 1e\+300\b"):
+        read_recording(mat5(spiketrain=times(0.1, 1e300)))
+
+
+def test_an_event_in_more_columns_than_are_counted():
+    n = 65_536
+    array = np.zeros((101, n), np.float32)
+    array[3] = 1
+    with pytest.raises(BadRecording, match="65,535 "):
+        events_of(np.vstack([array[:-1], np.arange(n)[None] * 16e-9]))
+
+
+def test_round_trip_of_a_recording():
+    written = MatRecording(events(), simulated=True, writer=22)
+    content = recording_bytes(written)
+    read = read_recording(content)
+    for name in ("time_ns", "taxel", "polarity", "columns"):
+        np.testing.assert_array_equal(getattr(read.events, name), getattr(written.events, name))
+    assert (read.simulated, read.writer) == (True, 22)
+    assert recording_bytes(read) == content
+
+
+def test_the_real_recording_comes_back_column_by_column(real_recording):
+    recording = read_recording(real_recording.read_bytes())
+    assert not recording.simulated
+    read = recording.events
+    assert (read.time_ns % 16 == 0).all()
+    again = events_of(spiketrain_of(read))
+    for found, expected in zip(expand_bursts(again), expand_bursts(read), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+ADDRESS = np.arange(1, 101.0)
+X, Y = (ADDRESS - 1) // 10 + 1, (ADDRESS - 1) % 10 + 1
+
+
+@pytest.mark.parametrize("write", [mat5, mat73])
+def test_lookup_tables(write):
+    two = read_lookup_table(write(LUT=np.stack([X, Y], 1)))
+    assert (two.row[17], two.column[17]) == (1, 7)
+    shuffled = np.random.default_rng(0).permutation(100)
+    three = read_lookup_table(write(any_name=np.stack([ADDRESS, X, Y], 1)[shuffled]))
+    np.testing.assert_array_equal(three.row, two.row)
+    np.testing.assert_array_equal(three.column, two.column)
+
+
+def test_a_lookup_table_among_large_variables_is_all_that_is_read():
+    """Each of the others declares 80 MB, of which a file of a few kilobytes has nothing."""
+
+    def build(file):
+        for name in "abcd":
+            file.create_dataset(name, (1, 10**7), "f8")
+        file["table"] = np.stack([X, Y])
+
+    content = hdf5(build)
+    tracemalloc.start()
+    try:
+        assert len(read_lookup_table(content)) == 100
+        assert tracemalloc.get_traced_memory()[1] < 8_000_000
+    finally:
+        tracemalloc.stop()
+
+
+def test_the_transposed_table_gives_the_transposed_positions():
+    table = read_lookup_table(mat5(LUT=np.stack([Y, X], 1)))
+    assert (table.row[17], table.column[17]) == (7, 1)
+
+
+@pytest.mark.parametrize(
+    ("table", "fact"),
+    [
+        (np.ones((100, 2)), "X and Y .* 100 "),
+        (np.stack([X, Y], 1) - 1, "X and Y .* 1 to 256"),
+        (np.stack([X + 0.5, Y], 1), "X and Y .* 100 "),
+        (np.stack([ADDRESS - 1, X, Y], 1), "address.* 1 to 100"),
+        (np.stack([np.ones(100), X, Y], 1), "address.* 1 to 100"),
+        (np.ones((50, 4)), "X and Y"),
+    ],
+)
+def test_a_bad_lookup_table(table, fact):
+    with pytest.raises(BadRecording, match=fact):
+        read_lookup_table(mat5(LUT=table))
+
+
+def test_a_lookup_table_that_is_no_mat_file():
+    with pytest.raises(BadRecording):
+        read_lookup_table(b"address x y\n1 1 1\n")
+
+
+def test_round_trip_of_a_lookup_table():
+    table = TaxelMap(row=np.arange(100) // 10, column=np.arange(100) % 10)
+    read = read_lookup_table(lookup_table_bytes(table))
+    np.testing.assert_array_equal(read.row, table.row)
+    np.testing.assert_array_equal(read.column, table.column)
+
+
+def written(**values):
+    few = Events([160, 3200], [3, 4], [1, -1], [4, 2])
+    pen = np.array([[0.2, 1.0, 2.0, 0.5, 1.0], [0.3, 2.0, 2.0, 0.5, 0.0]])
+    values = {"time": "2026-01-02T03:04:05+01:00", "handedness": "left", "seed": (0, 5), **values}
+    return MatRecording(few, True, 3, Written(pen=pen, **values))
+
+
+def test_round_trip_of_what_a_hand_has_written():
+    content = recording_bytes(written())
+    read = read_recording(content)
+    assert recording_bytes(read) == content
+    assert (read.written.time, read.written.handedness) == ("2026-01-02T03:04:05+01:00", "left")
+    assert read.written.seed == (0, 5)
+    np.testing.assert_array_equal(read.written.pen, written().written.pen)
+    assert read_recording(recording_bytes(written(handedness=""))).written.handedness == ""
+    theirs = scipy.io.loadmat(io.BytesIO(content))  # others read it too
+    assert theirs["source"].tolist() == ["written"]
+
+
+@pytest.mark.parametrize("source", ["simulated", "", 7.0, np.nan, "wrïtten", "x" * 5000])
+def test_another_source_is_not_written(source):
+    assert read_recording(mat5(spiketrain=spiketrain(), source=source)).written is None
+
+
+@pytest.mark.parametrize(
+    "values",
+    [{"time": 5.0}, {"seed": "five"}, {"seed": np.nan}, {"pen": np.zeros((3, 4))}, {"pen": "pen"}],
+)
+def test_what_else_a_written_recording_says_may_be_anything(values):
+    found = read_recording(mat5(spiketrain=spiketrain(), source="written", **values)).written
+    assert found.time == ""
+    assert found.seed == ()
+    assert found.pen.shape == (0, 5)

@@ -1,0 +1,86 @@
+"""The paper's Table 1."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.io import loadmat
+
+from pipeline.data import table1
+from pipeline.data.events import Events, Source, TaxelMap, collect
+from pipeline.data.matfile import read_recording
+from pipeline.paper import SAMPLES_PER_DIGIT, TABLE1
+
+SOURCE = Source("by hand", "", False)
+
+
+def by_hand():
+    # Digit 4: taxel 0 is (X 1, Y 1), taxel 12 is (X 3, Y 2), taxel 99 is (X 10, Y 10).
+    one = Events([100, 5000], [0, 12], [1, -1], [4, 2])
+    other = Events([100], [99], [1], [5])
+    empty = Events([], [], [], [])
+    return collect([one, other, empty], [4, 4, 7], ["a", "b", "c"], [0, 0, 0], SOURCE)
+
+
+def test_by_hand():
+    row = table1.table(by_hand())[4]
+    assert row["samples"] == 2
+    assert row["on"] == pytest.approx((4.5, np.sqrt(0.5)))
+    assert row["off"] == pytest.approx((1.0, np.sqrt(2)))
+    assert row["on_physical"] == pytest.approx((1.0, 0.0))
+    assert row["off_physical"] == pytest.approx((0.5, np.sqrt(0.5)))
+    # Weighted with columns: (4 x 1 + 2 x 3) / 6 and 10.
+    assert row["x_mean"] == pytest.approx(((10 / 6 + 10) / 2, (10 - 10 / 6) / np.sqrt(2)))
+    assert row["y_mean"] == pytest.approx(((8 / 6 + 10) / 2, (10 - 8 / 6) / np.sqrt(2)))
+    assert row["x_range"] == pytest.approx((1.0, np.sqrt(2)))
+    assert row["y_range"] == pytest.approx((0.5, np.sqrt(0.5)))
+
+
+def test_a_recording_without_events_counts_but_has_no_place():
+    row = table1.table(by_hand())[7]
+    assert row["on"][0] == 0
+    assert np.isnan(row["x_mean"][0])
+    assert row["samples"] == 1
+
+
+def test_another_lookup_table():
+    turned = TaxelMap(row=TaxelMap().column, column=TaxelMap().row)
+    straight = table1.table(by_hand())[4]
+    row = table1.table(replace(by_hand(), taxels=turned))[4]
+    assert row["x_mean"] == straight["y_mean"]
+    assert row["y_range"] == straight["x_range"]
+
+
+def test_the_one_real_recording(real_recording):
+    recording = read_recording(real_recording.read_bytes())
+    recordings = collect([recording.events], [0], ["real"], [-1], SOURCE)
+    measures = {name: values[0] for name, values in table1.per_sample(recordings).items()}
+    assert (measures["on"], measures["off"]) == (1601, 745)
+    assert (measures["on_physical"], measures["off_physical"]) == (359, 306)
+    # From the array itself, without merging bursts.
+    rows, _ = np.nonzero(loadmat(real_recording)["spiketrain"][:100])
+    assert measures["x_mean"] == pytest.approx((rows % 10 + 1).mean())
+    assert measures["y_mean"] == pytest.approx((rows // 10 + 1).mean())
+    assert measures["x_range"] == np.ptp(rows % 10)
+    assert measures["y_range"] == np.ptp(rows // 10)
+
+
+def test_st_mnist_is_recorded_and_has_as_many_of_each_digit_as_published():
+    labels = np.repeat(np.arange(10), SAMPLES_PER_DIGIT)
+    simulated = Source("simulated", "", True)
+    assert table1.is_st_mnist(SimpleNamespace(labels=labels, source=SOURCE))
+    assert not table1.is_st_mnist(SimpleNamespace(labels=labels[1:], source=SOURCE))
+    assert not table1.is_st_mnist(SimpleNamespace(labels=labels, source=simulated))
+
+
+def test_the_paper_beside_others_is_said_to_be_of_st_mnist():
+    text = table1.table1_text(by_hand(), against_paper=True)
+    assert "ST-MNIST" in text.splitlines()[-1]
+    assert "1399" not in table1.table1_text(by_hand())
+
+
+def test_the_papers_table():
+    assert sum(row["samples"] for row in TABLE1.values()) == 6953
+    assert TABLE1[2]["x_mean"] == (6.57, 0.70)
+    assert all(set(row) == {*table1.MEASURES, "samples"} for row in TABLE1.values())

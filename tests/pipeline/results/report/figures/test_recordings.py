@@ -1,0 +1,117 @@
+"""Figures of recordings: what is drawn, and where."""
+
+import dataclasses
+import io
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from pipeline.data.events import Events, Source, TaxelMap, collect
+from pipeline.results.report.figures import recordings as data_figures
+
+
+@pytest.fixture
+def recordings():
+    # Taxel 3 is in row 3 of the first column, taxel 70 in the first row of column 7 (zero-based).
+    events = Events([100e6, 200e6, 1500e6], [3, 70, 70], [1, -1, 1], [4, 2, 5])
+    other = Events([300e6], [99], [1], [4])
+    return collect(
+        [events, other], [4, 8], ["4/0000", "8/0000"], [0, 1], Source("simulated, seed 0", "", True)
+    )
+
+
+def drawn(figure):
+    file = io.BytesIO()
+    figure.savefig(file, format="png", dpi=40)
+    return file.getvalue()
+
+
+def test_recording(recordings):
+    figure = data_figures.recording(recordings, 0)
+    *frames, raster = figure.get_axes()
+    first, last = (np.asarray(axes.images[0].get_array()) for axes in (frames[0], frames[-1]))
+    assert len(frames) == 8
+    assert first[3, 0] > 0
+    assert first[0, 7] == first[3, 0]  # one event each within the first quarter of a second
+    assert last[0, 7] == 1.0  # two events at the end, the most of all
+    assert last[3, 0] == 0.5
+    assert (raster.get_xlim(), raster.get_ylim()) == ((0, 2), (0.5, 100.5))
+    on, off = raster.collections
+    np.testing.assert_allclose(on.get_offsets(), [[0.1, 4], [1.5, 71]])
+    np.testing.assert_allclose(off.get_offsets(), [[0.2, 71]])
+    red, black = (tuple(marks.get_facecolor()[0][:3]) for marks in (on, off))
+    assert red[0] > 0.8 > 0.3 > red[1]
+    assert black == (0, 0, 0)
+    assert "simulated" in figure.get_suptitle()
+    assert drawn(figure).startswith(b"\x89PNG")
+
+
+def test_events_by_taxel(recordings):
+    (axes,) = data_figures.events_by_taxel(recordings, 0).get_axes()
+    on, off = ({tuple(map(tuple, line)) for line in lines.get_segments()} for lines in
+               axes.collections[:2])  # fmt: skip
+    # From the middle of the cell upwards for ON (the axis points down), downwards for OFF.
+    expected = {((-0.45, 3.0), (-0.45, 2.6)), ((7.25, 0.0), (7.25, -0.4))}
+    assert {rounded(line) for line in on} == expected
+    assert {rounded(line) for line in off} == {((6.6, 0.0), (6.6, 0.4))}
+    assert axes.yaxis_inverted()
+
+
+def test_a_recording_longer_than_two_seconds(recordings):
+    """In the published layout, as written on the page: its last event is in its taxel's cell."""
+    late = Events([1e9, 4e9], [3, 3], [1, 1], [4, 4])
+    long = collect([late], [4], ["4/0000"], [0], Source("written", "", True))
+    (axes,) = data_figures.events_by_taxel(long, 0).get_axes()
+    on = {rounded(map(tuple, line)) for line in axes.collections[0].get_segments()}
+    assert on == {((-0.25, 3.0), (-0.25, 2.6)), ((0.5, 3.0), (0.5, 2.6))}
+    *frames, raster = data_figures.recording(long, 0).get_axes()
+    assert raster.get_xlim() == pytest.approx((0, 4))
+    assert np.asarray(frames[-1].images[0].get_array())[3, 0] == 1
+
+
+def rounded(line):
+    return tuple((round(x, 6), round(y, 6)) for x, y in line)
+
+
+def test_layout_names_every_taxel():
+    figure = data_figures.layout(TaxelMap())
+    (axes,) = figure.get_axes()
+    texts = [text.get_text() for text in axes.texts]
+    assert {str(n) for n in range(1, 101)} <= set(texts)
+    assert texts[texts.index("12") + 1] == "(2,2)"
+    assert texts[texts.index("71") + 1] == "(1,8)"
+    assert axes.yaxis_inverted()
+
+
+def test_axes_of_another_sensor_have_no_names_of_the_paper(recordings):
+    own = dataclasses.replace(recordings.sensor, classes=tuple("abcdefghij"))
+    other = dataclasses.replace(recordings, sensor=own)
+    for drawn_of, names in ((recordings, ("X", "Y")), (other, ("row", "column"))):
+        (axes,) = data_figures.events_by_taxel(drawn_of, 0).get_axes()
+        assert (axes.get_ylabel(), axes.get_xlabel()) == names
+
+
+def test_long_names_of_classes_are_beside_the_images_of_a_sheet(recordings):
+    names = tuple(f"{n}: quer über die ganze Fläche gestrichen" for n in range(10))
+    own = dataclasses.replace(recordings.sensor, classes=names)
+    figure = data_figures.sheet(dataclasses.replace(recordings, sensor=own), per_digit=3)
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    figure.draw(renderer)
+    named = [axes for axes in figure.get_axes() if axes.get_ylabel()]
+    assert len({axes.get_ylabel() for axes in named}) == 2
+    for axes in named:
+        box = axes.yaxis.label.get_window_extent(renderer)
+        assert box.x0 >= 0
+        assert box.x1 <= axes.get_window_extent(renderer).x0
+
+
+def test_sheet_has_a_row_for_each_digit(recordings):
+    figure = data_figures.sheet(recordings, per_digit=3)
+    shown = [axes for axes in figure.get_axes() if axes.get_visible()]
+    assert len(shown) == 2
+    assert [axes.get_ylabel() for axes in shown] == ["4", "8"]
+    image = np.asarray(shown[1].images[0].get_array())
+    assert image[9, 9] == 1
+    assert image.sum() == 1
+    assert "simulated" in figure.get_suptitle()
