@@ -244,7 +244,7 @@ class SNN(Section):
 
 @dataclass(frozen=True)
 class NIR(Section):
-    """A NIR graph that replaces the trained network; see :mod:`pipeline.run.nir_import`."""
+    """A NIR graph that replaces the trained network; see :mod:`pipeline.roads.nir_import`."""
 
     file: str = ""
     """A NIR graph, such as one exported from PyTorch; ``convert --nir`` sets it; empty for

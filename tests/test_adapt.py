@@ -13,7 +13,7 @@ from deploy.files import read_json
 from pipeline.data.archive import write_zip
 from pipeline.data.events import Recordings
 from pipeline.live.network import SHIPPED
-from pipeline.run.elsewhere import recordings_for
+from pipeline.results.elsewhere import recordings_for
 from pipeline.settings import Settings, write_settings
 from pipeline.skin import handwriting, parameters
 from pipeline.skin.handwriting import Trace
@@ -88,7 +88,7 @@ def test_a_person_whom_the_network_does_not_know(run, person, tmp_path, capsys):
     assert read_json(out, "")["accuracy"] == pytest.approx(result["others_after"], abs=0.05)
     # Unseen digits of the same person are told better too.
     unseen = strange_hand(8, seed=6)
-    from pipeline.run.adaptation import Responder
+    from pipeline.training.adaptation import Responder
 
     responses = (r := Responder(old.spec)).responses(r.inputs(unseen))
     right = [
@@ -106,7 +106,7 @@ def test_a_person_whom_the_network_does_not_know(run, person, tmp_path, capsys):
 def test_responses_are_what_the_readout_reads(of, request):
     """Old weights on the responses give the scores of the target itself, and of other targets."""
     from deploy.targets.registry import answer
-    from pipeline.run.adaptation import Responder
+    from pipeline.training.adaptation import Responder
 
     bundle = read_bundle(request.getfixturevalue(of) / "bundle")
     alone = bundle.spec.with_presentation(stream_length=1)
@@ -198,7 +198,7 @@ def test_one_of_several_writers(run, tmp_path, capsys, monkeypatch):
     recordings = strange_hand(2)
     several = replace(recordings, writers=np.arange(20) % 2 + 3)
     from pipeline.commands import adapt
-    from pipeline.run import elsewhere
+    from pipeline.results import elsewhere
 
     monkeypatch.setattr(elsewhere, "load_recordings", lambda *a, **k: several)
     assert call("adapt", run, "--data", "any", "--out", tmp_path / "new") == 2

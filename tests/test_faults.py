@@ -14,7 +14,7 @@ from deploy.check.results import read_result
 from deploy.files import read_json, write_json
 from deploy.targets.registry import TARGETS
 from pipeline.commands import check
-from pipeline.run.folder import RunFolder
+from pipeline.run import RunFolder
 from pipeline.settings import read_settings
 from tests.command import call, missing, plain, started, wait_until_said
 from tests.pipeline.handmade import archive, good_members

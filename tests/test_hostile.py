@@ -15,9 +15,9 @@ from deploy.errors import UserError
 from deploy.files import read_json, write_json
 from pipeline.artifacts import Artifact, Origin
 from pipeline.data import cache
-from pipeline.run.folder import RunFolder
-from pipeline.run.stages.bundling import _confidence
+from pipeline.run import RunFolder
 from pipeline.settings import read_settings
+from pipeline.stages.bundling import _confidence
 
 from .command import call, environment
 from .pipeline.handmade import archive, good_members, mat5, spiketrain

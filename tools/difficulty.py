@@ -16,6 +16,7 @@ import typer
 
 from deploy.errors import UserError
 from deploy.files import write_json
+from pipeline import stages
 from pipeline.artifacts import Origin
 from pipeline.commands import options
 from pipeline.commands.main import run_tool
@@ -28,8 +29,7 @@ from pipeline.experiments.study import (
     summary_of_splits,
 )
 from pipeline.paper import TABLE2
-from pipeline.run import stages
-from pipeline.run.origins import cnn_origin
+from pipeline.roads.origins import cnn_origin
 from pipeline.settings import Settings
 from pipeline.skin.parameters import CALIBRATION
 

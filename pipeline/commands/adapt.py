@@ -15,7 +15,7 @@ from pipeline.commands import options
 from pipeline.commands.completion import data_sets
 from pipeline.data.events import Recordings
 from pipeline.data.words import listed
-from pipeline.run.folder import RunFolder
+from pipeline.run import RunFolder
 
 
 def adapt(
@@ -49,7 +49,8 @@ def adapt(
     Nothing is written if the accuracy in cross-validation on the person's recordings does not
     improve.  The original bundle is not changed.
     """
-    from pipeline.run import adaptation, elsewhere  # Nengo takes a second to import
+    from pipeline.results import elsewhere
+    from pipeline.training import adaptation  # Nengo takes a second to import
 
     bundle, beside = _bundle_of(run)
     options.warn_if_outdated(bundle.path)

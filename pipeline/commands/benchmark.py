@@ -20,7 +20,7 @@ from pipeline.experiments.study import measure_splits
 from pipeline.experiments.table2 import measure_table, table_text
 from pipeline.experiments.table2_splits import MODELS, ON_REQUEST
 from pipeline.progress import progress
-from pipeline.run.folder import RunFolder
+from pipeline.run import RunFolder
 
 BY_DEFAULT = tuple(name for name in MODELS if name not in ON_REQUEST)
 OUT = typer.Option(help="Folder of the results; splits with a result are not run again.")
@@ -244,7 +244,7 @@ def adapt(
     With --handwriting PEN, an interrupted command continues if it is repeated.
     """
     from pipeline.experiments import adaptation, rotation  # Nengo
-    from pipeline.run import elsewhere
+    from pipeline.results import elsewhere
 
     counts = _counts(each)
     names = tuple(dict.fromkeys(name.strip() for name in methods.split(",")))

@@ -22,8 +22,8 @@ from deploy.targets.registry import TARGETS, options_for
 from pipeline.commands import options, signatures
 from pipeline.commands.completion import data_sets
 from pipeline.progress import progress
-from pipeline.run.answers import REFERENCES
-from pipeline.run.folder import checks_beside
+from pipeline.roads.answers import REFERENCES
+from pipeline.run import checks_beside
 
 
 def _board_option(kind, text):
@@ -158,7 +158,7 @@ def _loss(bundle, result):
 
 def _on_others(bundle, target, others, seed, out, check):
     """Run the check on other recordings; return the result and its file."""
-    from pipeline.run import elsewhere  # imports the code that reads recordings
+    from pipeline.results import elsewhere  # imports the code that reads recordings
 
     settings = elsewhere.settings_around(bundle, others.skip_bad)
     recordings = elsewhere.recordings_for(bundle, others.data, settings, others.jobs, options.say)

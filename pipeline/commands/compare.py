@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from pipeline.commands import options
-from pipeline.run.comparison import compare_runs, read_runs, runs_text
+from pipeline.results.compare import compare_runs, read_runs, runs_text
 
 
 def compare_(

@@ -20,7 +20,7 @@ from deploy.preflight.plan import make_plan, plan_text
 from deploy.targets.lava import write_lava
 from deploy.terminal import show
 from pipeline.commands import options
-from pipeline.run.folder import checks_beside
+from pipeline.run import checks_beside
 
 
 class Format(StrEnum):

@@ -8,12 +8,12 @@ from typing import Annotated, Optional
 import typer
 
 from deploy.errors import UserError
+from pipeline import stages
 from pipeline.commands import options
 from pipeline.live.network import RECORD, SHIPPED, network_of_bundle, network_of_run
 from pipeline.live.serving import PORT, serve
 from pipeline.progress import stages as numbered
-from pipeline.run import stages
-from pipeline.run.folder import RunFolder
+from pipeline.run import RunFolder
 
 DEFAULT_RUN = Path("runs/default")
 

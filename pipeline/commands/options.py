@@ -16,8 +16,8 @@ from deploy.errors import CheckFailed, SeveralErrors, UserError
 from deploy.terminal import remark, show
 from pipeline.commands.completion import data_sets
 from pipeline.commands.signatures import group
-from pipeline.run.folder import RunFolder
-from pipeline.run.places import (
+from pipeline.run import (
+    RunFolder,
     nothing_left_of_a_failure,
     refuse_other_folders,
     refuse_results,
@@ -181,7 +181,7 @@ def opened(path: Path, given: Given, changes: dict | None = None, fit=None):
         Changed settings; the options have precedence.
     fit : callable, optional
         Adapts settings with default values to the recordings; see
-        :func:`pipeline.run.fitting.fitted`.
+        :func:`pipeline.roads.fitting.fitted`.
 
     Yields
     ------
@@ -211,14 +211,14 @@ def fit_recordings(jobs: int, until: str):
     jobs : int
         Number of processes for recordings that are not in the cache.
     until : str
-        How far the command goes, as in :func:`pipeline.run.stages.bars`.
+        How far the command goes, as in :func:`pipeline.stages.bars`.
     """
 
     def fit(folder, settings):
         from pipeline.data.library import recordings_of
         from pipeline.progress import stages
-        from pipeline.run.fitting import chosen_text, fitted, new_run_text
-        from pipeline.run.stages import bars
+        from pipeline.roads.fitting import chosen_text, fitted, new_run_text
+        from pipeline.stages import bars
 
         if settings.data.source == SIMULATED:
             return fitted(settings, jobs)
@@ -298,7 +298,7 @@ def suggest(verb: str, *arguments):
 
 def warn_if_outdated(*paths: Path):
     """Warn if bundles or check results of a run are outdated, with the reason."""
-    from pipeline.run.status import outdated_note  # imports all that a run is made with
+    from pipeline.results.status import outdated_note  # imports all that a run is made with
 
     for path in paths:
         if (note := outdated_note(path)) is not None:

@@ -12,7 +12,7 @@ from deploy.errors import UserError
 from pipeline.commands import options
 from pipeline.progress import progress
 from pipeline.results.report.writing import write_report
-from pipeline.run.folder import RunFolder
+from pipeline.run import RunFolder
 from pipeline.settings import read_settings
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Optional
 import typer
 
 from pipeline.commands import options
-from pipeline.run.folder import RunFolder
+from pipeline.run import RunFolder
 from pipeline.settings import Settings, describe, read_settings, settings_text
 
 

@@ -9,13 +9,12 @@ import typer
 
 from deploy.errors import UserError
 from deploy.terminal import show
+from pipeline import stages
 from pipeline.commands import options
 from pipeline.progress import stages as numbered
-from pipeline.run import stages
-from pipeline.run.answers import REFERENCES
-from pipeline.run.folder import RunFolder
-from pipeline.run.ladder import ladder_text, measure_ladder
-from pipeline.run.places import refuse_other_folders
+from pipeline.results.ladder import ladder_text, measure_ladder
+from pipeline.roads.answers import REFERENCES
+from pipeline.run import RunFolder, refuse_other_folders
 
 
 def train(

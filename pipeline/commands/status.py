@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pipeline.commands import options
-from pipeline.run.folder import RunFolder
-from pipeline.run.given_networks import changed_note
-from pipeline.run.status import status_of, status_text
+from pipeline.results.status import status_of, status_text
+from pipeline.roads.given_networks import changed_note
+from pipeline.run import RunFolder
 from pipeline.settings import read_settings
 
 

@@ -20,7 +20,7 @@ from deploy.network.spec import NetworkSpec
 from deploy.tables import aligned
 from pipeline.data.events import Recordings
 from pipeline.experiments.chip_learning import Rule, learn_on_chip
-from pipeline.run.adaptation import Responder, require_fit
+from pipeline.training.adaptation import Responder, require_fit
 from pipeline.training.readout import Person, refit
 
 SCHEMA = "stmnist-adaptation/2"

@@ -166,7 +166,7 @@ def measure(task: Task) -> dict:
 
 
 def _predictions(choice, settings, weights, dataset):
-    from pipeline.run.conversion import deployed
+    from pipeline.roads.conversion import deployed
     from pipeline.training import nengodl
 
     chosen = choice.apply(settings)

@@ -15,6 +15,7 @@ from deploy.check.intervals import mcnemar, wilson_interval
 from deploy.network.decision import share_of_time
 from deploy.tables import aligned, p_text
 from deploy.targets.registry import answer
+from pipeline import stages
 from pipeline.artifacts import Origin
 from pipeline.data.dataset import Dataset
 from pipeline.data.steps import EventTable
@@ -22,10 +23,9 @@ from pipeline.data.variants import VARIANTS, durations_ns, vary
 from pipeline.experiments.resampling import estimate
 from pipeline.experiments.study import Experiment, Task, counted
 from pipeline.paper import CNN_MACS
-from pipeline.run import stages
-from pipeline.run.history import read_history
-from pipeline.run.origins import trained_origin
+from pipeline.roads.origins import trained_origin
 from pipeline.settings import Settings
+from pipeline.training.history import read_history
 
 SCHEMA = "stmnist-time/2"
 AS_IS = "as-is"

@@ -15,6 +15,7 @@ import numpy as np
 from deploy.network.operations import multiply_accumulates
 from deploy.tables import aligned
 from deploy.targets.registry import answer
+from pipeline import stages
 from pipeline.artifacts import Origin
 from pipeline.experiments.resampling import estimate
 from pipeline.experiments.study import (
@@ -27,8 +28,7 @@ from pipeline.experiments.study import (
     summary_of_splits,
 )
 from pipeline.paper import CNN_MACS, points_lost
-from pipeline.run import stages
-from pipeline.run.origins import trained_origin
+from pipeline.roads.origins import trained_origin
 from pipeline.settings import Settings
 
 SCHEMA = "stmnist-losses/2"

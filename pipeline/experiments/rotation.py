@@ -17,6 +17,7 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import sha256_of
+from pipeline import stages
 from pipeline.artifacts import Origin
 from pipeline.data.dataset import Dataset, dataset_origin, split_of
 from pipeline.data.events import Recordings, Source
@@ -25,13 +26,12 @@ from pipeline.data.steps import EventTable
 from pipeline.experiments.adaptation import METHODS, Plan, Subjects, methods_text, summary_of
 from pipeline.experiments.study import Findings, Task, Workers, concluded, study, successful
 from pipeline.paper import SAMPLES_PER_DIGIT
-from pipeline.run import stages
-from pipeline.run.adaptation import Responder, with_rehearsal
-from pipeline.run.folder import RunFolder
-from pipeline.run.origins import bundle_origin
+from pipeline.roads.origins import bundle_origin
+from pipeline.run import RunFolder
 from pipeline.settings import SIMULATED, Settings
 from pipeline.skin import parameters, shape_fit, unipen
 from pipeline.skin.simulate import source_of
+from pipeline.training.adaptation import Responder, with_rehearsal
 
 SCHEMA = "stmnist-rotation/1"
 
@@ -298,7 +298,7 @@ def _tuning(settings, dataset, people, weights, confidence):
     """
 
     def tuned(training, test, labels, seed):
-        from pipeline.run.event_conversion import deployed_on_events
+        from pipeline.roads.event_conversion import deployed_on_events
         from pipeline.training.events import EventRecipe, tune_events  # TensorFlow
 
         epochs = {"epochs": TUNING_EPOCHS, "learning_rate": TUNING_RATE}

@@ -18,15 +18,15 @@ import numpy as np
 from deploy import __version__
 from deploy.errors import CheckFailed, UserError
 from deploy.files import write_json
+from pipeline import stages
 from pipeline.artifacts import Artifact, Library, Origin
 from pipeline.data.dataset import Dataset, dataset_origin, require_recordings_fit
 from pipeline.data.events import Recordings
 from pipeline.data.library import recordings_of
 from pipeline.jobs import Failure, attempt, run_jobs
 from pipeline.progress import hidden, progress
-from pipeline.run import stages
-from pipeline.run.fitting import fitted
-from pipeline.run.folder import RunFolder
+from pipeline.roads.fitting import fitted
+from pipeline.run import RunFolder
 from pipeline.settings import SIMULATED, Settings
 
 
@@ -150,7 +150,7 @@ class Task:
             return stages.train_all(self.networks, self.settings, dataset, silent)
 
     def weights(self, name: str, dataset: Dataset) -> dict:
-        """Weights of a trained network, one of :data:`pipeline.run.stages.training.ARTIFACTS`."""
+        """Weights of a trained network, one of :data:`pipeline.stages.training.ARTIFACTS`."""
         return stages.weights_of(name, self.networks, self.settings, dataset.origin)
 
 

@@ -21,6 +21,7 @@ from deploy.errors import UserError
 from deploy.files import replacing
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
+from pipeline import stages
 from pipeline.artifacts import Library, Origin
 from pipeline.data.dataset import Dataset, dataset_origin, require_recordings_fit
 from pipeline.data.events import Recordings
@@ -39,9 +40,8 @@ from pipeline.experiments.sweep_text import sweep_csv
 from pipeline.jobs import Failure
 from pipeline.paper import CNN_MACS
 from pipeline.progress import hidden
-from pipeline.run import stages
-from pipeline.run.folder import RunFolder
-from pipeline.run.origins import bundle_origin
+from pipeline.roads.origins import bundle_origin
+from pipeline.run import RunFolder
 from pipeline.settings import Settings, parse_assignments, put
 
 TARGET = "fast"

@@ -35,8 +35,8 @@ from pipeline.experiments.table2_splits import (
     split_file,
 )
 from pipeline.jobs import Failure
-from pipeline.run.fitting import with_slayer
-from pipeline.run.folder import RunFolder
+from pipeline.roads.fitting import with_slayer
+from pipeline.run import RunFolder
 from pipeline.settings import Settings
 
 COMPARISONS = (

@@ -15,16 +15,16 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.targets.registry import answer
+from pipeline import stages
 from pipeline.artifacts import Origin
 from pipeline.data.dataset import dataset_origin
 from pipeline.data.splits import draw_check_samples
 from pipeline.experiments.study import Task, on_input, on_split, silent
 from pipeline.paper import TABLE2
-from pipeline.run import stages
-from pipeline.run.history import read_history, write_history
-from pipeline.run.origins import bundle_origin, cnn_origin, rates_origin, threshold_origin
+from pipeline.roads.origins import bundle_origin, cnn_origin, rates_origin, threshold_origin
 from pipeline.settings import Settings
 from pipeline.training.checkpoint import Checkpoint
+from pipeline.training.history import read_history, write_history
 
 SCHEMA = "stmnist-table2-split/1"
 LOIHI_TARGET = "fast"

@@ -15,7 +15,7 @@ from deploy.network.stimulus import EventFrames
 from pipeline.data.events import Events, Recordings
 from pipeline.data.library import recordings_of
 from pipeline.live.keeping import Keeper
-from pipeline.run.folder import RunFolder
+from pipeline.run import RunFolder
 from pipeline.settings import read_settings
 from pipeline.skin.writing import START_S
 

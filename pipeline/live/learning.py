@@ -20,8 +20,8 @@ from deploy.errors import UserError
 from deploy.files import read_arrays, write_arrays
 from pipeline.data.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.live.deciding import Decider, decider_of
-from pipeline.run.adaptation import COPIES, Responder
 from pipeline.settings import Image
+from pipeline.training.adaptation import COPIES, Responder
 from pipeline.training.readout import Person, refit
 
 LATEST = 10

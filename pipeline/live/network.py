@@ -11,7 +11,7 @@ from deploy.files import read_json
 from deploy.network.stimulus import EventFrames
 from pipeline.data.events import Sensor
 from pipeline.data.words import are_digits, is_written
-from pipeline.run.folder import RunFolder
+from pipeline.run import RunFolder
 from pipeline.settings import Image, read_settings
 
 SHIPPED = Path(__file__).with_name("bundle")

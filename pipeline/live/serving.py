@@ -20,9 +20,8 @@ from pipeline.live.network import (
     record_folder,
     sensor_of,
 )
-from pipeline.run.folder import RunFolder
-from pipeline.run.places import run_around
-from pipeline.run.status import outdated_note
+from pipeline.results.status import outdated_note
+from pipeline.run import RunFolder, run_around
 from pipeline.skin import parameters
 
 PORT = 8765

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from deploy.files import read_json, write_json
 from pipeline.artifacts import Artifact, Library, Origin
 from pipeline.data.dataset import dataset_origin
-from pipeline.run import origins
+from pipeline.roads import origins
 from pipeline.settings import PATHS, Settings, UndeclaredSetting
 
 SETTINGS = Settings()

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from deploy.errors import UserError
 from deploy.network.spec import Presentation
-from pipeline.run.folder import RunFolder
+from pipeline.run import RunFolder
 from pipeline.settings import (
     Settings,
     describe,

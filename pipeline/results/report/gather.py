@@ -14,16 +14,15 @@ from deploy.preflight.plan import make_plan
 from pipeline.data.library import recordings_of
 from pipeline.experiments.table2_splits import WITH_SLAYER, split_file
 from pipeline.progress import progress
+from pipeline.results.elsewhere import FOLDER as OTHERS
+from pipeline.results.ladder import ladder_stages
 from pipeline.results.report.over_time import probabilities
 from pipeline.results.report.page import Inputs, browsed_samples, choose_samples, trained_title
 from pipeline.results.report.replay import replay
-from pipeline.run.elsewhere import FOLDER as OTHERS
-from pipeline.run.folder import RunFolder
-from pipeline.run.history import read_history
-from pipeline.run.ladder import ladder_stages
-from pipeline.run.places import refuse_results
-from pipeline.run.status import outdated, status_of
+from pipeline.results.status import outdated, status_of
+from pipeline.run import RunFolder, refuse_results
 from pipeline.settings import Settings, read_settings
+from pipeline.training.history import read_history
 
 REMEDY = "delete it and make it again"
 
@@ -150,7 +149,7 @@ def _is_rates(pairs):
 
 
 def _others(folder, bundle):
-    """Results of the bundle on other recordings; see :mod:`pipeline.run.elsewhere`."""
+    """Results of the bundle on other recordings; see :mod:`pipeline.results.elsewhere`."""
     files = sorted((folder.path / "checks" / OTHERS).glob("*.json"))
     results = [read_result(path, REMEDY) for path in files]
     return [r for r in results if r["bundle"] == bundle.id and "per_class" in r and "data" in r]

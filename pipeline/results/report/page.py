@@ -23,11 +23,11 @@ from pipeline.data.steps import EventTable
 from pipeline.data.words import are_digits
 from pipeline.experiments.table2_splits import MODELS
 from pipeline.paper import TABLE1
+from pipeline.results.ladder import confusion_matrix, ladder_json, points_text
 from pipeline.results.report import charts
 from pipeline.results.report.matrix import confusion_shares
 from pipeline.results.report.over_time import final_probabilities
-from pipeline.run.answers import NETWORKS, REFERENCES
-from pipeline.run.ladder import confusion_matrix, ladder_json, points_text
+from pipeline.roads.answers import NETWORKS, REFERENCES
 from pipeline.settings import Settings
 
 ZERO_MEANS = {
@@ -76,7 +76,7 @@ class Inputs:
         Check results of the bundle on other recordings.
     rates : dict of str to list of (float, float)
         For each layer rates of neurons in the trained network and on the chip, in spikes per
-        second; see :func:`pipeline.run.diagnosis.rate_points`.
+        second; see :func:`pipeline.roads.diagnosis.rate_points`.
     """
 
     name: str

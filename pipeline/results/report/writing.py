@@ -8,7 +8,7 @@ from deploy.files import replacing
 from deploy.terminal import remark
 from pipeline.results.report.gather import gather
 from pipeline.results.report.page import render
-from pipeline.run.folder import RunFolder
+from pipeline.run import RunFolder
 
 
 def write_report(run, path=None, benchmark=None, beside=None, jobs: int = 1, say=remark) -> Path:

@@ -10,9 +10,9 @@ from pipeline.data.dataset import Dataset, dataset_origin, split_of
 from pipeline.data.images import tactile_images
 from pipeline.data.library import content_of, recordings_of
 from pipeline.data.splits import random_split, writer_split
-from pipeline.run.folder import RunFolder
-from pipeline.run.stages import open_dataset
+from pipeline.run import RunFolder
 from pipeline.settings import SIMULATED, Settings, UndeclaredSetting
+from pipeline.stages import open_dataset
 from tests.own_sensor import write_folder
 from tests.pipeline.handmade import archive, good_members, recordings
 

@@ -10,11 +10,11 @@ from models.architecture import parse
 from models.spiking import SpikingNetwork
 from pipeline.experiments import rotation
 from pipeline.experiments.rotation import fold_of
-from pipeline.run import adaptation
-from pipeline.run.adaptation import Responder
-from pipeline.run.event_conversion import deployed_on_events
+from pipeline.roads.event_conversion import deployed_on_events
 from pipeline.settings import Settings
 from pipeline.skin import parameters, shape_fit, unipen
+from pipeline.training import adaptation
+from pipeline.training.adaptation import Responder
 from pipeline.training.events import EventRecipe, _neuron
 from tests.command import call
 from tests.pipeline.skin.test_shapes import people

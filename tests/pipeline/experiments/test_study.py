@@ -15,7 +15,7 @@ from pipeline.experiments import choices as conversion_choices
 from pipeline.experiments import losses, sweep, table2
 from pipeline.experiments import study as experiments_study
 from pipeline.experiments.study import Task, Workers, _work, study
-from pipeline.run.places import refuse_results
+from pipeline.run import refuse_results
 from pipeline.settings import Settings
 from tests.command import call, missing
 from tests.own_sensor import write_folder

@@ -19,8 +19,8 @@ from pipeline.data.library import recordings_of
 from pipeline.experiments import sweep
 from pipeline.experiments.sweep_text import short_names, sweep_csv, sweep_text
 from pipeline.jobs import Failure
-from pipeline.run.origins import threshold_origin
-from pipeline.run.places import refuse_results
+from pipeline.roads.origins import threshold_origin
+from pipeline.run import refuse_results
 from pipeline.settings import Settings, read_settings
 from tests.command import call, missing
 from tests.own_sensor import write_folder

@@ -15,8 +15,7 @@ from pipeline.experiments.study import Workers, concluded
 from pipeline.experiments.table2 import summarise, table_text
 from pipeline.experiments.table2_splits import MODELS, checkpoint_of
 from pipeline.jobs import Failure
-from pipeline.run.folder import RunFolder
-from pipeline.run.places import refuse_results
+from pipeline.run import RunFolder, refuse_results
 from pipeline.settings import Settings, read_settings
 from tests.command import ROOT, call, missing
 from tests.own_sensor import CLASSES, gestures, write_folder

@@ -18,7 +18,7 @@ from pipeline.live.deciding import decider_of
 from pipeline.live.examples import Example, Examples, Replayed, check_examples
 from pipeline.live.keeping import Keeper
 from pipeline.live.network import SHIPPED
-from pipeline.run.folder import RunFolder
+from pipeline.run import RunFolder
 from pipeline.settings import Image, read_settings
 from pipeline.skin.writing import START_S
 

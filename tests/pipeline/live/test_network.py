@@ -9,7 +9,7 @@ from deploy.check.bundle import Bundle, read_bundle
 from deploy.errors import UserError
 from pipeline.data.events import Sensor
 from pipeline.live.network import SHIPPED, about, facts_of_run, record_folder, sensor_of
-from pipeline.run.folder import RunFolder
+from pipeline.run import RunFolder
 from tests.own_sensor import CLASSES
 
 BUNDLE = read_bundle(SHIPPED)

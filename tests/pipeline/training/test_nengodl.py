@@ -11,7 +11,7 @@ from deploy.targets.registry import answer
 from models.architecture import parse
 from models.keras2 import tf
 from models.lif import gain_for
-from pipeline.run.conversion import to_spec
+from pipeline.roads.conversion import to_spec
 from pipeline.settings import Settings
 from pipeline.training import nengodl
 from pipeline.training import networks as training

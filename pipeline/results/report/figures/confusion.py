@@ -17,7 +17,7 @@ def confusion_figure(ladder: dict) -> Figure:
     Parameters
     ----------
     ladder : dict
-        From :func:`pipeline.run.ladder.ladder_json`.
+        From :func:`pipeline.results.ladder.ladder_json`.
     """
     rows = ladder["rows"]
     columns = math.ceil(math.sqrt(len(rows)))

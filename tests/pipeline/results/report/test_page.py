@@ -22,9 +22,9 @@ from pipeline.jobs import Failure
 from pipeline.results.report import page as report
 from pipeline.results.report.gather import _outdated, gather
 from pipeline.results.report.replay import replay
-from pipeline.run.folder import RunFolder
-from pipeline.run.history import read_history
+from pipeline.run import RunFolder
 from pipeline.settings import read_settings, write_settings
+from pipeline.training.history import read_history
 from tests.command import call, missing
 
 BROWSER = next(filter(shutil.which, ("chromium", "chromium-browser", "google-chrome")), None)

@@ -1,0 +1,480 @@
+"""Compare runs: different settings, accuracy of each stage, and costs of an inference."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import string
+import textwrap
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+from deploy.check.bundle import read_bundle
+from deploy.check.intervals import fisher, mcnemar, wilson_interval
+from deploy.check.results import read_result
+from deploy.errors import UserError
+from deploy.network.spec import NetworkSpec
+from deploy.preflight.plan import make_plan
+from deploy.tables import SIGNIFICANCE, aligned, p_text, star
+from deploy.targets.registry import TARGETS
+from deploy.terminal import printable
+from pipeline.artifacts import DELETE_IT
+from pipeline.data.dataset import classes_of
+from pipeline.data.words import is_written, shortened
+from pipeline.paper import CNN_MACS
+from pipeline.results.elsewhere import FOLDER as OTHERS
+from pipeline.results.status import outdated, remedy_text, status_of
+from pipeline.roads.answers import REFERENCES
+from pipeline.run import RunFolder
+from pipeline.settings import Settings, read_settings
+
+SCHEMA = "stmnist-runs/1"
+
+NETWORKS = tuple(dict.fromkeys(stage for stages in REFERENCES.values() for stage in stages))
+"""Stages before the bundle, for both kinds of input."""
+
+ORDER = (*NETWORKS, *TARGETS)
+"""Order of the stages in a comparison."""
+
+COUNTED = ("emulator", "fast", "simreal", "nengo", "loihi")
+"""Stages whose spikes give the operations and decision times; the first available one is used.  The
+first two have identical spikes; a board does not report the spikes of all layers."""
+
+LONGEST_SOURCE = 12
+"""Characters of the name of other recordings in a stage's name."""
+
+WIDTH = 80
+"""Width of the text in columns."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """The compared data of a run.
+
+    Attributes
+    ----------
+    name : str
+        The path as the user wrote it.
+    settings : Settings
+    spec : NetworkSpec
+        Network of its bundle.
+    cores, chips : int
+        Cores and chips that the network needs; see :func:`deploy.preflight.plan.make_plan`.
+    results : dict of str to dict
+        Check results of the bundle, by stage.
+    stale : tuple of str
+        Stages whose results belong to an earlier bundle, and are left out.
+    outdated : dict of str to str
+        Outdated artifacts, with the reasons.
+    """
+
+    name: str
+    settings: Settings
+    spec: NetworkSpec
+    cores: int
+    chips: int
+    results: dict
+    stale: tuple = ()
+    outdated: dict = field(default_factory=dict)
+
+
+def read_runs(paths, whole: bool = False) -> list:
+    """Read the compared data of runs.
+
+    Parameters
+    ----------
+    paths : sequence of path-like
+        Folders of at least two runs.
+    whole : bool
+        Compare the whole test split, not the check's samples.
+
+    Returns
+    -------
+    list of Run
+
+    Raises
+    ------
+    UserError
+        There are fewer than two runs, duplicates, or a folder without a run, bundle or results.
+    """
+    if isinstance(paths, (str, Path)):
+        paths = [paths]
+    paths = [Path(path) for path in paths]
+    if len(paths) < 2:
+        raise UserError("one run alone cannot be compared; name at least two")
+    if len(paths) > len(string.ascii_uppercase):
+        raise UserError(f"{len(paths)} runs; name at most {len(string.ascii_uppercase)}")
+    for a, b in itertools.combinations(paths, 2):
+        if a.resolve() == b.resolve():
+            raise UserError(f"{a} and {b} are the same run; name two different ones")
+    others = [{} if whole else _on_other_recordings(RunFolder(path)) for path in paths]
+    names = _stage_names(set().union(*others))
+    return [
+        _read_run(path, whole, {names[stage]: result for stage, result in found.items()})
+        for path, found in zip(paths, others, strict=True)
+    ]
+
+
+def _read_run(path, whole, others):
+    folder = RunFolder(path)
+    if not folder.experiment.is_file():
+        raise UserError(f"{path}: not a run (it has no {folder.experiment.name}); check the path")
+    if not folder.bundle.is_dir():
+        raise UserError(f"{path}: has no bundle; make it with 'stmnist convert {path}'")
+    bundle = read_bundle(folder.bundle)
+    files = {stage: folder.check(stage, whole) for stage in ORDER}
+    found = {stage: read_result(f, DELETE_IT) for stage, f in files.items() if f.exists()} | others
+    results = {stage: result for stage, result in found.items() if result["bundle"] == bundle.id}
+    stale = [stage for stage in found if stage not in results]
+    if not results:
+        option = " --whole" if whole else ""
+        old = " of its bundle, only of an earlier one" if stale else ""
+        raise UserError(
+            f"{path}: no check results{old}; make them with 'stmnist ladder {path}{option}'"
+        )
+    plan = make_plan(bundle.spec)
+    return Run(
+        name=str(path),
+        settings=read_settings(folder.experiment),
+        spec=bundle.spec,
+        cores=len(plan.cores),
+        chips=plan.chips,
+        results=results,
+        stale=tuple(stale),
+        outdated=outdated(status_of(folder)),
+    )
+
+
+class _OtherStage(NamedTuple):
+    """A target on other recordings, which are the same if their content is."""
+
+    target: str
+    source: str
+    sha256: str
+    n_samples: int
+
+
+def _on_other_recordings(folder):
+    """Results on other recordings; see :mod:`pipeline.results.elsewhere`."""
+    found = {}
+    for file in sorted((folder.path / "checks" / OTHERS).glob("*.json")):
+        result = read_result(file, DELETE_IT)
+        if (data := result.get("data")) is not None:
+            name = shortened(Path(data["source"]).name, LONGEST_SOURCE)
+            stage = _OtherStage(result["target"], name, data["sha256"], result["n_samples"])
+            found[stage] = result
+    return found
+
+
+def _stage_names(stages):
+    """The names of such stages, with a part of the hash where they would be equal otherwise."""
+    count = Counter(stage._replace(sha256="") for stage in stages)
+    return {
+        stage: f"{stage.target} on {stage.source}"
+        + (f" {stage.sha256[:6]}" if count[stage._replace(sha256="")] > 1 else "")
+        + f", {stage.n_samples}"
+        for stage in stages
+    }
+
+
+def compare_runs(runs) -> dict:
+    """Compare runs.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        At least two.
+
+    Returns
+    -------
+    dict
+        Ready for JSON: ``runs``, each with its ``name`` and the costs of an inference (see
+        :func:`inference`); the ``settings`` that differ, each with its ``name`` and ``values`` in
+        the order of the runs (None of a run that does not read it); the ``stages`` of at least two
+        runs, each with ``accuracies`` (None for a run without it) and ``differences``, one for
+        every pair (see :func:`difference`).
+    """
+    others = sorted(set().union(*(run.results for run in runs)) - set(ORDER))
+    found = [s for s in (*ORDER, *others) if sum(s in run.results for run in runs) > 1]
+    return {
+        "schema": SCHEMA,
+        "runs": [
+            {
+                "name": run.name,
+                **inference(run),
+                "results_of_an_earlier_bundle": list(run.stale),
+                "outdated": run.outdated,
+            }
+            for run in runs
+        ],
+        "settings": _different_settings(runs),
+        "stages": [_stage(stage, runs) for stage in found],
+    }
+
+
+def _different_settings(runs):
+    """Settings that at least two runs read and that differ; None for runs that do not read them."""
+    # A run whose steps are the default, 0, may have as many as one with a number.
+    read = [{**run.settings.relevant(), "presentation.steps": run.settings.steps} for run in runs]
+    different = []
+    for name in runs[0].settings.flat():
+        values = [settings.get(name) for settings in read]
+        if len({repr(value) for value in values if value is not None}) > 1:
+            different.append({"name": name, "values": values})
+    return different
+
+
+def inference(run: Run) -> dict:
+    """Costs of an inference of a run's network, as plain values.
+
+    Operations and times are those of the stage named by ``counted_on``, or None without a
+    result.  Networks on events with early decisions also have ``writing``: the mean share of the
+    writing until the decision, and its accuracy.
+    """
+    spec = run.spec
+    stage = next((s for s in COUNTED if run.results.get(s, {}).get("synaptic_operations")), None)
+    result = run.results.get(stage, {})
+    counted = result.get("synaptic_operations", {})
+    operations = sum(counted.values()) / result["n_samples"] if stage else None
+    median = result.get("decided_at_median")
+    step_ms = 1000 * spec.stimulus.step_seconds
+    early = result.get("while_written", {}).get("by_itself")
+    return {
+        "input": run.settings.input.kind,
+        "architecture": spec.architecture,
+        "input_shape": list(spec.input_shape),
+        "simulated": spec.provenance.get("simulated"),
+        "classes": list(classes_of(spec)),
+        "neurons": sum(layer.size for layer in spec.layers if layer.neurons is not None),
+        "cores": run.cores,
+        "chips": run.chips,
+        "counted_on": stage,
+        "synaptic_operations": operations,
+        "operations_per_mac": operations / CNN_MACS if stage else None,
+        "steps": spec.presentation.steps,
+        "step_ms": step_ms,
+        "decided_at_median": median,
+        "decided_after_ms": None if median is None else median * step_ms,
+        "writing": early
+        and {
+            "share": early["share_of_writing_mean"],
+            "accuracy": early["accuracy"],
+            "accuracy_ci95": early["accuracy_ci95"],
+        },
+    }
+
+
+def _stage(stage, runs):
+    have = [index for index, run in enumerate(runs) if stage in run.results]
+    return {
+        "stage": stage,
+        "accuracies": [_accuracy(run.results.get(stage)) for run in runs],
+        "differences": [
+            {"a": a, "b": b, **difference(runs[a], runs[b], stage)}
+            for a, b in itertools.combinations(have, 2)
+        ],
+    }
+
+
+def _accuracy(result):
+    return result and {
+        "n_samples": result["n_samples"],
+        "accuracy": result["accuracy"],
+        "accuracy_ci95": list(wilson_interval(_right(result), result["n_samples"])),
+    }
+
+
+def _right(result):
+    return sum(sample["prediction"] == sample["label"] for sample in result["samples"])
+
+
+def difference(a: Run, b: Run, stage: str) -> dict:
+    """Difference in accuracy of a stage between two runs, B's minus A's.
+
+    The comparison is paired if both have the same samples: the same ids and labels, in any order,
+    of the same recordings as far as the bundles record it (``source_sha256``).  The source matters
+    because ids are unique only within it: every simulation has a ``0/0000``.
+
+    Returns
+    -------
+    dict
+        ``difference`` of the accuracies, B's minus A's; ``paired``; ``only_a`` and ``only_b``, the
+        numbers of samples that only A or only B got right (None if not paired); ``p`` of McNemar's
+        exact test if paired, else of Fisher's.
+    """
+    first, second = a.results[stage], b.results[stage]
+    labels_a, labels_b = ({s["id"]: s["label"] for s in r["samples"]} for r in (first, second))
+    sources = [
+        result.get("data", {}).get("sha256", run.spec.provenance.get("source_sha256"))
+        for run, result in ((a, first), (b, second))
+    ]
+    paired = labels_a == labels_b and (None in sources or sources[0] == sources[1])
+    value = {"difference": second["accuracy"] - first["accuracy"], "paired": paired}
+    if not paired:
+        counts = (_right(first), first["n_samples"], _right(second), second["n_samples"])
+        return {**value, "only_a": None, "only_b": None, "p": fisher(*counts)}
+    right_b = {s["id"]: s["prediction"] == s["label"] for s in second["samples"]}
+    pairs = [(s["prediction"] == s["label"], right_b[s["id"]]) for s in first["samples"]]
+    return {
+        **value,
+        "only_a": sum(in_a and not in_b for in_a, in_b in pairs),
+        "only_b": sum(in_b and not in_a for in_a, in_b in pairs),
+        "p": mcnemar(*zip(*pairs, strict=True)),
+    }
+
+
+def runs_text(compared: dict, width: int = WIDTH) -> str:
+    """Format a comparison as tables in which a letter stands for each run.
+
+    Parameters
+    ----------
+    compared : dict
+        From :func:`compare_runs`.
+    width : int
+        Width in columns; only a run's name may exceed it.
+    """
+    runs = compared["runs"]
+    letters = string.ascii_uppercase[: len(runs)]
+    lines = [
+        f"{letter}  {printable(run['name'])}" for letter, run in zip(letters, runs, strict=True)
+    ]
+    lines += ["", *_settings_lines(compared, letters, width)]
+    lines += ["", *_accuracy_lines(compared, letters)]
+    lines += ["", *_inference_lines(runs, letters, width)]
+    for letter, run in zip(letters, runs, strict=True):
+        notes = []
+        if stale := run["results_of_an_earlier_bundle"]:
+            notes.append(f"left out, of an earlier bundle: {', '.join(stale)}")
+        if run["outdated"]:
+            reasons = "; ".join(dict.fromkeys(run["outdated"].values()))
+            notes.append(
+                f"OUTDATED, these results were made with other settings: {reasons}; "
+                f"{remedy_text(run['name'], run['outdated'])} makes them again"
+            )
+        for note in notes:
+            note = printable(f"{letter}: {note}")
+            lines += ["", *textwrap.wrap(note, width, break_on_hyphens=False)]
+    return "\n".join(lines)
+
+
+def _settings_lines(compared, letters, width):
+    if not compared["settings"]:
+        return ["no setting differs"]
+    rows = [["setting that differs", *letters]]
+    for setting in compared["settings"]:
+        rows.append([setting["name"], *map(_plain, setting["values"])])
+    return _fitted(rows, width)
+
+
+def _accuracy_lines(compared, letters):
+    if not compared["stages"]:
+        return ["no stage has results in two of the runs; 'stmnist ladder RUN' makes them"]
+    rows = [["stage", "", "accuracy", "95 % interval", f"vs {letters[0]}", "won", "lost", "p", ""]]
+    unpaired = False
+    for stage in compared["stages"]:
+        against = {d["b"]: d for d in stage["differences"] if d["a"] == 0}
+        name = stage["stage"]
+        for index, (letter, row) in enumerate(zip(letters, stage["accuracies"], strict=True)):
+            if row is None:
+                continue
+            low, high = row["accuracy_ci95"]
+            cells = [name, letter, f"{row['accuracy']:.3f}", f"{low:.3f} to {high:.3f}"]
+            rows.append([*cells, *_difference_cells(against.get(index))])
+            unpaired |= index in against and not against[index]["paired"]
+            name = ""
+    simulated = [a for a, run in zip(letters, compared["runs"], strict=True) if run["simulated"]]
+    what = "simulated samples" if len(simulated) == len(letters) else "samples"
+    of_some = f"; those of {', '.join(simulated)} are simulated"
+    counts = sorted(
+        {row["n_samples"] for s in compared["stages"] for row in s["accuracies"] if row}
+    )
+    lines = [
+        f"accuracy on {' and '.join(map(str, counts))} {what}"
+        + (of_some if 0 < len(simulated) < len(letters) else ""),
+        *aligned(rows, left=2),
+        "won, lost: samples that only this run, or only A, got right; p: McNemar's test",
+    ]
+    if any(cells[-1] for cells in rows):
+        lines.append(f"*: p below {SIGNIFICANCE:g}, more than chance explains")
+    if unpaired:
+        lines.append("unpaired: the samples are different; p is that of Fisher's exact test")
+    return lines
+
+
+def _difference_cells(value):
+    if value is None:
+        return [""] * 5
+    counts = [str(value["only_b"]), str(value["only_a"])] if value["paired"] else ["unpaired", ""]
+    return [
+        f"{round(value['difference'], 3) + 0.0:+.3f}",
+        *counts,
+        p_text(value["p"]),
+        star(value["p"]),
+    ]
+
+
+def _inference_lines(runs, letters, width):
+    def row(head, name, form="{}", part=lambda run: run):
+        values = [part(run) and part(run)[name] for run in runs]
+        return [head, *("" if value is None else form.format(value) for value in values)]
+
+    def early(run):
+        return run["writing"]
+
+    of_digits = all(is_written(*run["input_shape"][:2], run["classes"]) for run in runs)
+    rows = [
+        ["an inference", *letters],
+        row("input", "input"),
+        row("architecture", "architecture"),
+        row("neurons", "neurons"),
+        row("cores", "cores"),
+        row("chips", "chips"),
+        row("counted on", "counted_on"),
+        row("synaptic operations", "synaptic_operations", "{:,.0f}"),
+        *([row("times the CNN's", "operations_per_mac", "{:.2f}")] if of_digits else []),
+        row("steps of presentation", "steps"),
+        row("decided at step", "decided_at_median", "{:g}"),
+        row("decided after, ms", "decided_after_ms", "{:,.0f}"),
+        row("early decision after", "share", "{:.0%} of recording", early),
+        row("its accuracy", "accuracy", "{:.3f}", early),
+    ]
+    lines = _fitted([cells for cells in rows if any(cells[1:])], width)
+    if of_digits:
+        lines.append(f"times the CNN's: the {CNN_MACS:,} multiply-accumulates of the paper's")
+    if any(run["decided_at_median"] is not None for run in runs):
+        lines.append("decided: step or time from which half of the decisions are final")
+    if len({run["input"] for run in runs}) > 1:
+        lines.append("ms: from the end of the recording for an image, from its start for events")
+    return lines
+
+
+def _plain(value):
+    """A setting's value for a table."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(_plain, value))
+    return str(value) if value != "" else "-"
+
+
+def _fitted(rows, width):
+    """A table whose cells are wrapped if their columns would be too wide."""
+    first, n = max(len(row[0]) for row in rows), len(rows[0]) - 1
+    room = max((width - first) // n - 2, 8)
+    folded = []
+    for head, *cells in rows:
+        parts = [_folded(cell, room) for cell in cells]
+        for index, line in enumerate(itertools.zip_longest(*parts, fillvalue="")):
+            folded.append(["" if index else head, *line])
+    return aligned(folded)
+
+
+def _folded(text, room):
+    """The lines of a cell, broken at blanks and after ``-`` and ``/``, elsewhere if unavoidable."""
+    wrapper = textwrap.TextWrapper(room)
+    wrapper.wordsep_re = re.compile(r"(\s+|[^\s/-]*[/-])")
+    return wrapper.wrap(text) or [""]

@@ -1,0 +1,205 @@
+"""A network's results on recordings that were not used in its training, such as other people's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from deploy.check.bundle import Bundle, CheckSet
+from deploy.check.intervals import wilson_interval
+from deploy.errors import UserError
+from deploy.terminal import WARNING
+from pipeline.data.dataset import classes_of, inputs_for, require_sensor_fits
+from pipeline.data.events import Recordings
+from pipeline.data.library import load_recordings
+from pipeline.data.sensors import Reading
+from pipeline.data.splits import draw_check_samples
+from pipeline.data.timeunits import UNITS
+from pipeline.data.words import listed
+from pipeline.paper import CHECK_SAMPLES
+from pipeline.results.ladder import confusion_matrix
+from pipeline.run import checks_beside, run_around
+from pipeline.settings import MOST_DOWNSAMPLED, Image, Settings, read_settings
+
+FOLDER = "other"
+"""Name of the folder in a run's results."""
+
+
+def settings_around(bundle: Bundle, skip_bad: bool = False) -> Settings:
+    """The settings of the run that a bundle is in, or the defaults if it is in none.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    skip_bad : bool
+        True to leave out files that cannot be read, whatever the run's setting is.
+
+    Raises
+    ------
+    UserError
+        The run's settings cannot be read.
+    """
+    run = run_around(bundle.path)
+    settings = Settings() if run is None else read_settings(run / "experiment.toml")
+    skipping = replace(settings.data, skip_bad=skip_bad or settings.data.skip_bad)
+    return replace(settings, data=skipping)
+
+
+def recordings_for(
+    bundle: Bundle, source: str, settings: Settings, jobs: int = 1, warn=None
+) -> Recordings:
+    """Recordings for a bundle's network, with labels in the order of its outputs.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    source : str
+        Path of a zip or folder.
+    settings : Settings
+        From :func:`settings_around`, for reading files.
+    jobs : int
+        Processes.
+    warn : callable, optional
+        Called with a warning.
+
+    Raises
+    ------
+    UserError
+        The recordings cannot be read, or are from another sensor or of other classes.
+    """
+    rows, columns = bundle.spec.input_shape[:2]
+    data, recorded = settings.data, bundle.spec.provenance
+    # A person who writes faster than the others of the training has the same unit of time.
+    usual = recorded.get("time_unit")
+    downsample = recorded.get("downsample", data.downsample)  # of a bundle without its run too
+    if type(downsample) is not int or not 1 <= downsample <= MOST_DOWNSAMPLED:
+        raise UserError(
+            f"{bundle.path}: has a 'downsample' that is not a number from 1 to {MOST_DOWNSAMPLED}; "
+            "convert the run again"
+        )
+    reading = Reading(rows, columns, data.time_unit, downsample, usual if usual in UNITS else "")
+    recordings = load_recordings(
+        source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading
+    )
+    sensor, known, taxels = recordings.sensor, classes_of(bundle.spec), recordings.taxels
+    # The size that was requested may be larger than a look-up table's, of a smaller sensor.
+    found = replace(
+        sensor,
+        rows=settings.skin.rows or int(taxels.row.max()) + 1,
+        columns=settings.skin.columns or int(taxels.column.max()) + 1,
+    )
+    require_sensor_fits(bundle.spec, replace(recordings, sensor=found))
+    present = [sensor.classes[label] for label in np.unique(recordings.labels)]
+    unknown = [name for name in present if name not in known]
+    if unknown:
+        raise UserError(
+            f"{source}: has classes that the network of {bundle.path} does not have: "
+            f"{listed(unknown)}; its classes are {listed(known)}"
+        )
+    number = {name: index for index, name in enumerate(known)}
+    labels = np.array([number.get(name, -1) for name in sensor.classes])[recordings.labels]
+    adapted = bundle.spec.provenance.get("adapted")
+    fitted_to = adapted.get("source_sha256") if isinstance(adapted, dict) else None
+    if warn is not None:
+        says_little = "its accuracy on them says little about others"
+        if recordings.source.sha256 in (recorded.get("source_sha256"), fitted_to):
+            warn(
+                f"{WARNING}{source}: the network was made from a part of these recordings; "
+                f"{says_little}"
+            )
+        elif recordings.source.name == recorded.get("source"):  # it may have grown since
+            warn(
+                f"{WARNING}{source}: the network was made from recordings of the same name; if "
+                f"they are among these, {says_little}"
+            )
+    return replace(recordings, labels=labels, sensor=replace(sensor, classes=known))
+
+
+def with_recordings(
+    bundle: Bundle, recordings: Recordings, samples: int | None, seed: int, image: Image
+) -> tuple:
+    """A bundle with other recordings as the samples of its check, and the indices of these.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    recordings : Recordings
+        From :func:`recordings_for`.
+    samples : int or None
+        Number of samples drawn at random; 0 for all, None for 200 at most.
+    seed : int
+        Seed of the draw.
+    image : Image
+        Conversion of events to images, if the bundle does not have it.
+
+    Raises
+    ------
+    UserError
+        There are fewer recordings, or they cannot be presented to the network.
+    """
+    n = len(recordings)
+    count = min(CHECK_SAMPLES, n) if samples is None else samples or n
+    try:
+        chosen = draw_check_samples(np.arange(n), count, seed)
+    except ValueError as error:
+        raise UserError(
+            f"{recordings.source.name}: {count} samples requested, only {n} exist"
+        ) from error
+    spec, drawn = bundle.spec, recordings.part(chosen)
+    inputs = inputs_for(spec, drawn, image)
+    if problem := spec.stimulus.complaint(inputs, spec.input_shape, spec.presentation.steps):
+        raise UserError(f"{recordings.source.name}: {problem}")
+    return replace(bundle, checks=CheckSet(inputs, drawn.labels, drawn.ids, seed)), chosen
+
+
+def with_accuracies(result: dict, recordings: Recordings, chosen: np.ndarray) -> dict:
+    """A check result with further entries for other recordings than the bundle's.
+
+    ``data`` identifies the recordings.  ``classes``, ``confusion`` (rows: labels, columns:
+    predictions), ``per_class`` and, if the writers are known, ``per_writer`` have the accuracies.
+
+    Parameters
+    ----------
+    result : dict
+        See :func:`deploy.check.results.result_of`.
+    recordings : Recordings
+    chosen : ndarray of int
+        Indices of the presented samples, in the order of the result's samples.
+    """
+    classes, source = recordings.sensor.classes, recordings.source
+    labels = np.array([sample["label"] for sample in result["samples"]])
+    predictions = np.array([sample["prediction"] for sample in result["samples"]])
+    writers = recordings.writers[chosen]
+    per_writer = {}
+    if (writers >= 0).all():
+        per_writer["per_writer"] = [
+            {"writer": int(writer), **_right(labels == predictions, writers == writer)}
+            for writer in np.unique(writers)
+        ]
+    return {
+        **result,
+        "simulated": source.simulated,
+        "data": {"source": source.name, "sha256": source.sha256, "recordings": len(recordings)},
+        "classes": list(classes),
+        "confusion": confusion_matrix(labels, predictions, len(classes)).tolist(),
+        "per_class": [
+            {"class": name, **_right(labels == predictions, labels == index)}
+            for index, name in enumerate(classes)
+            if (labels == index).any()
+        ],
+        **per_writer,
+    }
+
+
+def _right(right, mine):
+    count, n = int(right[mine].sum()), int(mine.sum())
+    return {"n": n, "accuracy": count / n, "accuracy_ci95": list(wilson_interval(count, n))}
+
+
+def result_path(bundle: Bundle, recordings: Recordings, samples: int, target: str) -> Path:
+    """The file of such a result: beside the bundle, one for each set of recordings."""
+    name = "".join(c if c.isalnum() or c in "-_." else "-" for c in recordings.source.name)[:60]
+    file = f"{name}-{recordings.source.sha256[:8]}-{samples}-{target}.json"
+    return checks_beside(bundle.path) / FOLDER / file

@@ -1,0 +1,323 @@
+"""The loss ladder: the stages from CNN to chip on the same samples, one row per stage."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from deploy.check.bundle import Bundle
+from deploy.check.rates import firing_rates
+from deploy.check.results import compare_results, loss_text, read_result
+from deploy.files import reporting_damage
+from deploy.tables import SIGNIFICANCE, aligned, p_text, star
+from deploy.targets.registry import TARGETS
+from deploy.terminal import WARNING
+from pipeline import stages
+from pipeline.artifacts import DELETE_IT, Artifact
+from pipeline.progress import progress
+from pipeline.progress import stages as numbered
+from pipeline.roads.answers import REFERENCES, event_rates
+from pipeline.roads.diagnosis import layers_json, layers_text, least_faithful, rate_points
+from pipeline.roads.fitting import fitted
+from pipeline.roads.origins import ladder_origin
+from pipeline.run import RunFolder
+from pipeline.settings import Settings
+
+BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
+"""Targets whose existing results are included, but which the ladder does not run."""
+
+SLOW = tuple(name for name, target in TARGETS.items() if target.slow and name != "emulator")
+"""Stages of the ladder on the whole test split that take minutes."""
+
+TRAINED = ("rate-lif", "trained")
+"""The network from which the bundle is made; later losses are caused by the conversion."""
+
+
+def ladder_stages(kind: str, whole: bool = False) -> list:
+    """Stages of the ladder for a kind of input, in order.
+
+    ``fast`` is bit-identical to ``emulator``: the ladder has ``emulator`` on the check's samples,
+    and ``fast``, without a board's result, on the whole test split.
+    """
+    left_out = ("emulator", *BOARDS) if whole else ("fast",)
+    return [*REFERENCES[kind], *(name for name in TARGETS if name not in left_out)]
+
+
+def measure_ladder(
+    run: RunFolder,
+    settings: Settings,
+    jobs: int = 1,
+    whole: bool = False,
+    slow: bool = False,
+    say=print,
+    dataset=None,
+    asked=None,
+) -> dict:
+    """Make the missing artifacts of a run up to the emulator, and compare the stages.
+
+    Parameters
+    ----------
+    run : RunFolder
+        Locked.
+    settings : Settings
+    jobs : int
+        Number of processes for simulating recordings and running targets.
+    whole : bool
+        Use the whole test split, not the check's samples.
+    slow : bool
+        With ``whole``: include the stages of :data:`SLOW`.
+    say : callable
+        Called with a line about each stage.
+    dataset : pipeline.data.dataset.Dataset, optional
+        Dataset of the same settings, used instead of their recordings.
+    asked : sequence of str, optional
+        Stages of the ladder; default: :func:`ladder_stages`.
+
+    Returns
+    -------
+    dict
+        See :func:`ladder_json`.
+    """
+    left_out = SLOW if whole and not slow else ()
+    with numbered(stages.bars(settings, "ladder")):
+        settings = fitted(settings, jobs, say, dataset and dataset.recordings)
+        dataset, bundle = stages.make_bundle(run, settings, jobs, say, dataset)
+        if whole:
+            bundle = stages.on_test_split(settings, dataset, bundle)
+        asked = asked or ladder_stages(settings.network, whole)
+        asked = [stage for stage in asked if stage not in (*left_out, *BOARDS)]
+        results = stages.answer_all(run, settings, bundle, asked, jobs, say, whole)
+        # A board's result is included if it exists and belongs to this bundle.
+        for board in () if whole else map(run.check, BOARDS):
+            if board.exists() and (result := read_result(board))["bundle"] == bundle.id:
+                results.append(result)
+        artifact = ladder_artifact(run, results, whole)
+        state = artifact.state()
+        if state.is_current:
+            with reporting_damage(artifact.record, DELETE_IT):
+                ladder_text(state.record, limit=-100.0, by_chance=True)  # an error if damaged
+            return state.record
+        layers, points = _layers(run, settings, bundle)
+        table = ladder_json(results, layers, left_out, dataset.recordings.sensor.classes)
+        return artifact.write({**table, "rates": points})
+
+
+def ladder_artifact(run: RunFolder, results, whole: bool = False) -> Artifact:
+    """The loss ladder of check results, on the check's samples or on the whole test split."""
+    name, path = ("ladder-whole", run.whole_ladder) if whole else ("ladder", run.ladder)
+    return Artifact(name, path, ladder_origin(results))
+
+
+def _layers(run: RunFolder, settings: Settings, bundle: Bundle) -> tuple:
+    """Fidelity of each layer on the bundle's samples, and its rates in both networks.
+
+    Without a rate-based network the fidelity is None; for a NIR graph both are None.
+    """
+    if settings.network == "nir":
+        return None, {}
+    spec, inputs = bundle.spec, bundle.checks.inputs
+    start = spec.presentation.readout_start
+    weights = stages.read_weights(run.snn, settings)
+    with progress("compare layers", len(inputs)) as advance:
+        rates = firing_rates(spec, inputs, settings.seed, start, advance)
+        if settings.on_events:
+            trained = event_rates(settings, weights, bundle)
+            return None, rate_points(trained, rates)
+        from pipeline.training.networks import TrainedRates  # imports TensorFlow only if needed
+
+        activations = TrainedRates(settings, weights).activations(inputs)
+    fastest = {layer.name: 1 / layer.neurons.amplitude for layer in spec.layers if layer.neurons}
+    trained = {name: values * fastest[name] for name, values in activations.items()}
+    return layers_json(spec, rates, activations), rate_points(trained, rates)
+
+
+def ladder_rows(results) -> list:
+    """Compare each result with the previous one.
+
+    Parameters
+    ----------
+    results : sequence of dict
+        Check results of the same bundle, in the order of the stages.
+
+    Returns
+    -------
+    list of dict
+        The ladder's rows: ``stage``, ``accuracy``, ``accuracy_ci95`` (Wilson's interval);
+        compared with the stage above, and None in the first row: ``drop`` of the accuracy, number
+        of ``disagreements`` of the predictions, and ``mcnemar_p`` of the exact test;
+        ``confusion``, the numbers of samples by label (row) and prediction (column).
+
+    Raises
+    ------
+    UserError
+        The results are of different bundles or samples.
+    """
+    rows = []
+    for above, result in itertools.pairwise([None, *results]):
+        against = compare_results(above, result) if above is not None else None
+        samples = result["samples"]
+        answers = ([sample[key] for sample in samples] for key in ("label", "prediction"))
+        rows.append(
+            {
+                "stage": result["target"],
+                "accuracy": result["accuracy"],
+                "accuracy_ci95": list(result["accuracy_ci95"]),
+                "drop": against and against.accuracy_drop,
+                "disagreements": against and len(against.disagreements),
+                "mcnemar_p": against and against.p_value,
+                "confusion": confusion_matrix(*answers, len(samples[0]["scores"])).tolist(),
+            }
+        )
+    return rows
+
+
+def confusion_matrix(labels, predictions, classes: int = 10) -> np.ndarray:
+    """Count samples by label (row) and prediction (column).
+
+    Parameters
+    ----------
+    labels, predictions : sequence of int
+    classes : int
+
+    Returns
+    -------
+    ndarray of int, shape (classes, classes)
+    """
+    matrix = np.zeros((classes, classes), int)
+    np.add.at(matrix, (np.asarray(labels, int), np.asarray(predictions, int)), 1)
+    return matrix
+
+
+def ladder_json(results, layers=None, left_out=(), classes=None) -> dict:
+    """The ladder as plain values.
+
+    Parameters
+    ----------
+    results : sequence of dict
+        As in :func:`ladder_rows`.
+    layers : list of dict, optional
+        From :func:`pipeline.roads.diagnosis.layers_json`.
+    left_out : sequence of str
+        Stages that were not run.
+    classes : sequence of str, optional
+        Class names in the order of the confusion matrices; default: numbers from 0.
+    """
+    first = results[0]
+    if classes is None:
+        classes = map(str, range(len(first["samples"][0]["scores"])))
+    trained = next((result for result in results if result["target"] in TRAINED), None)
+    return {
+        "schema": "stmnist-ladder/1",
+        "bundle": first["bundle"],
+        "simulated": first["simulated"],
+        "n_samples": first["n_samples"],
+        "classes": list(classes),
+        "rows": ladder_rows(results),
+        "left_out": list(left_out),
+        "last_against_trained_p": trained and compare_results(trained, results[-1]).p_value,
+        "while_written": results[-1].get("while_written"),
+        "layers": layers,
+        "least_faithful_layer": layers and least_faithful(layers),
+        "losses": [text for result in results[1:] if (text := loss_text(first, result))],
+    }
+
+
+def early_text(value: dict, row: dict) -> str:
+    """Accuracy and time of early decisions, in one line.
+
+    Parameters
+    ----------
+    value : dict
+        ``while_written`` of a result.
+    row : dict
+        The ladder's row of that result.
+    """
+    early = value["by_itself"]
+    if early["confidence"] >= 1:
+        return f"{row['stage']}: no early decisions, it decides at the end of each recording"
+    return (
+        f"{row['stage']}: early decision at a confidence of {early['confidence']:.4f}, after "
+        f"{early['share_of_writing_mean']:.0%} of the recording on average: "
+        f"accuracy {early['accuracy']:.3f}, "
+        + points_text(100 * (row["accuracy"] - early["accuracy"]))
+    )
+
+
+def losing_stages(ladder: dict, limit: float, by_chance: bool = False) -> list:
+    """Find the stages that lose more than ``limit`` points, as (from, to, points).
+
+    Stages from the trained network on (the rate-based network, or the one trained on events) are
+    compared with the stage above, and the last one also with the trained network.  Losses that are
+    not significant (McNemar's test, p of :data:`SIGNIFICANCE` or more) count only with
+    ``by_chance``.
+    """
+    stages = [row["stage"] for row in ladder["rows"]]
+    trained = next((index for index, name in enumerate(stages) if name in TRAINED), None)
+    if trained is None:
+        return []
+    rows = ladder["rows"][trained:]
+    pairs = [(a, b, b["mcnemar_p"]) for a, b in itertools.pairwise(rows)]
+    if len(rows) > 2:
+        pairs.append((rows[0], rows[-1], ladder.get("last_against_trained_p", 0.0)))
+    drops = [
+        (a["stage"], b["stage"], 100 * (a["accuracy"] - b["accuracy"]))
+        for a, b, p_value in pairs
+        if by_chance or p_value < SIGNIFICANCE
+    ]
+    return [(a, b, points) for a, b, points in drops if points > limit + 1e-9]
+
+
+def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> str:
+    """The ladder as a table, followed by the layers if a stage loses too much.
+
+    Parameters
+    ----------
+    ladder : dict
+        From :func:`ladder_json`.
+    limit : float
+        Points that a stage after the rate-based network may lose.
+    by_chance : bool
+        Also warn of losses that are not significant.
+    """
+    what = "simulated samples" if ladder["simulated"] else "samples"
+    table = [["stage", "accuracy", "95 % interval", "change", "disagree", "McNemar p", ""]]
+    for row in ladder["rows"]:
+        low, high = row["accuracy_ci95"]
+        cells = [row["stage"], f"{row['accuracy']:.3f}", f"{low:.3f} to {high:.3f}", *[""] * 4]
+        if row["drop"] is not None:
+            cells[3:] = [
+                f"{0.0 - round(row['drop'], 3):+.3f}",  # a loss is negative, and nothing is +0.000
+                str(row["disagreements"]),
+                p_text(row["mcnemar_p"]),
+                star(row["mcnemar_p"]),
+            ]
+        table.append(cells)
+    first, last = ladder["rows"][0], ladder["rows"][-1]
+    lines = [
+        f"Loss ladder, {ladder['n_samples']} {what}, the same for each stage",
+        *aligned(table),
+        f"from {first['stage']} to {last['stage']}: "
+        + points_text(100 * (first["accuracy"] - last["accuracy"])),
+    ]
+    if any(cells[-1] for cells in table):
+        lines.append(f"*: p below {SIGNIFICANCE:g}, more than chance explains")
+    for stage in (row["stage"] for row in ladder["rows"]):
+        if stage in TARGETS and TARGETS[stage].note:
+            lines.append(f"{stage}: {TARGETS[stage].note}")
+    if ladder["left_out"]:
+        lines.append(f"left out: {', '.join(ladder['left_out'])} (minutes each; add --slow)")
+    if ladder.get("while_written"):
+        lines.append(early_text(ladder["while_written"], last))
+    lines += ladder.get("losses", [])
+    losing = losing_stages(ladder, limit, by_chance)
+    for a, b, points in losing:
+        lines.append(f"{WARNING}{b} loses {points:.1f} points on {a}, more than {limit:g}")
+    if losing and ladder["layers"]:
+        lines += ["", layers_text(ladder["layers"])]
+    return "\n".join(lines)
+
+
+def points_text(points: float) -> str:
+    """Format a loss in points; a negative one as points gained."""
+    return f"{abs(points):.1f} points {'lost' if points > -0.05 else 'gained'}"

@@ -1,0 +1,283 @@
+"""The state of each artifact of a run: current, missing, or outdated with the reason."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+
+from deploy.check.bundle import read_bundle
+from deploy.check.results import read_result
+from deploy.errors import UserError
+from deploy.files import read_json, reporting_damage, sha256_of
+from deploy.tables import aligned
+from deploy.targets.registry import TARGETS
+from deploy.terminal import WARNING
+from pipeline.artifacts import DELETE_IT, MISSING, OUTDATED, Change, Origin, State
+from pipeline.data.dataset import ARRAYS, SPLIT_READS, dataset_origin
+from pipeline.data.library import content_of
+from pipeline.results.ladder import BOARDS, SLOW, ladder_artifact, ladder_stages
+from pipeline.roads.origins import check_origin
+from pipeline.run import RunFolder, refuse_other_folders, refuse_results, run_around
+from pipeline.settings import Settings, read_settings
+from pipeline.stages.answering import check_artifact
+from pipeline.stages.bundling import bundle_artifact
+from pipeline.stages.opening import dataset_artifact
+from pipeline.stages.training import ARTIFACTS, network_artifact
+
+WIDTH = 80
+"""Width of the text in columns."""
+
+CHECKED_ALONE = ("fast", *BOARDS)
+"""Targets of the check that the ladder does not run."""
+
+
+@dataclass(frozen=True)
+class Status:
+    """The state of an artifact, with its accuracy and duration.
+
+    Attributes
+    ----------
+    state : State
+    accuracy : float or None
+        Accuracy on the test split, or on the samples of a check.
+    seconds : float or None
+        Time it took to make the artifact.
+    """
+
+    state: State
+    accuracy: float | None = None
+    seconds: float | None = None
+
+    def to_json(self) -> dict:
+        """The status as plain values."""
+        return {**self.state.to_json(), "accuracy": self.accuracy, "seconds": self.seconds}
+
+
+def status_of(run: RunFolder, settings: Settings | None = None) -> list:
+    """The state of each artifact of a run.
+
+    Parameters
+    ----------
+    run : RunFolder
+    settings : Settings, optional
+        Default: the run's own.
+
+    Returns
+    -------
+    list of Status
+        In the order of their dependencies: ``dataset``, the networks, ``threshold`` (on events),
+        ``bundle``, ``checks/<stage>``, ``ladder``.
+
+    Raises
+    ------
+    UserError
+        The folder has no run, or is that of a benchmark, or a file of it is damaged.
+    """
+    refuse_results(run.path)
+    if not run.experiment.is_file():
+        refuse_other_folders(run.path)
+        raise UserError(
+            f"{run.path}: not the folder of a run, since it has no {run.experiment.name}; make one "
+            f"with 'stmnist ladder {run.path}'"
+        )
+    settings = settings or read_settings(run.experiment)
+    dataset = _dataset_origin(run, settings)
+    found = [Status(dataset_artifact(run, dataset).state())]
+    found += _networks(run, settings, dataset)
+    bundle = bundle_artifact(run, settings, dataset).state()
+    found.append(Status(bundle))
+    for whole in (False, True):
+        found += _answers(run, settings, bundle, whole)
+    return found
+
+
+def outdated(found) -> dict:
+    """The artifacts that are outdated, with the reasons.
+
+    Parameters
+    ----------
+    found : list of Status
+
+    Returns
+    -------
+    dict of str to str
+        The reasons as one line, by the artifact's name.
+    """
+    return {s.state.name: s.state.reasons() for s in found if s.state.state == OUTDATED}
+
+
+def remedies(run, names) -> list:
+    """Commands that make outdated artifacts again, in the order of their dependencies.
+
+    Parameters
+    ----------
+    run : path-like
+        The run's folder.
+    names : iterable of str
+        The artifacts' names, as in :func:`status_of`.
+    """
+    names = set(names)
+    targets = [target for target in CHECKED_ALONE if f"checks/{target}" in names]
+    whole = {name for name in names if name.startswith("checks/whole/") or name == "ladder-whole"}
+    commands = [f"stmnist check run {run} --target {target}" for target in targets]
+    if names - whole - {f"checks/{target}" for target in targets}:
+        commands.insert(0, f"stmnist ladder {run}")
+    if whole:
+        slow = whole & {f"checks/whole/{stage}" for stage in SLOW}
+        commands.append(f"stmnist ladder {run} --whole{' --slow' if slow else ''}")
+    return commands
+
+
+def remedy_text(run, names) -> str:
+    """The commands of :func:`remedies` in a sentence's form."""
+    return ", then ".join(f"'{command}'" for command in remedies(run, names))
+
+
+def outdated_note(path) -> str | None:
+    """A line for the user if a bundle or check result belongs to a run and is outdated.
+
+    A bundle that was fitted to a person is outdated if it was made from another bundle than the
+    run's present one.
+
+    Parameters
+    ----------
+    path : path-like
+        A bundle's folder or the file of a check's result.
+
+    Returns
+    -------
+    str or None
+        None also if the path is not in a run, or its run cannot be read.
+    """
+    path = Path(path).absolute()
+    around = run_around(path)
+    if around is None:
+        return None
+    run = RunFolder(around)
+    try:
+        if path.parent == around / "adapted":
+            return _note_on_adapted(run, path)
+        reasons = outdated(status_of(run))
+    except UserError:
+        return None
+    name = path.relative_to(around).with_suffix("").as_posix()
+    if name not in reasons:
+        return None
+    remedy = remedy_text(around, reasons.keys() & {"bundle", name})
+    return f"{WARNING}{path}: outdated, {reasons[name]}; {remedy} makes it again"
+
+
+def _note_on_adapted(run, path):
+    """The line on a bundle that was made from another one than the run's."""
+    adapted = read_bundle(path).spec.provenance.get("adapted")
+    source = adapted.get("from") if isinstance(adapted, dict) else None
+    if source in (None, read_bundle(run.bundle).id):
+        return None
+    return (
+        f"{WARNING}{path}: outdated, made from an earlier bundle of {run.path}; "
+        f"'stmnist adapt {run.path} --data ... --out {path}' makes it again"
+    )
+
+
+def status_text(run: RunFolder, found) -> str:
+    """The states as a table."""
+    rows = [["artifact", "state", "accuracy", "seconds"]]
+    for status in found:
+        accuracy = "" if status.accuracy is None else f"{status.accuracy:.3f}"
+        seconds = "" if status.seconds is None else f"{status.seconds:.0f}"
+        rows.append([status.state.name, status.state.state, accuracy, seconds])
+    lines = aligned(rows, left=2)
+    reasons = outdated(found)
+    if reasons:
+        lines.append("")
+        for reason in dict.fromkeys(reasons.values()):
+            names = [name for name, because in reasons.items() if because == reason]
+            lines += textwrap.wrap(f"outdated, because {reason}:", WIDTH, break_on_hyphens=False)
+            indent = {"initial_indent": "  ", "subsequent_indent": "  "}
+            lines += textwrap.wrap(", ".join(names), WIDTH, break_on_hyphens=False, **indent)
+        remedy = f"{remedy_text(run.path, reasons)} makes again what is outdated"
+        lines += textwrap.wrap(remedy, WIDTH, break_on_hyphens=False, break_long_words=False)
+    return "\n".join(lines)
+
+
+def _dataset_origin(run, settings):
+    """The origin of the dataset with the current settings, or the stored one without recordings."""
+    recorded = read_json(run.dataset, DELETE_IT).get("made_from") if run.dataset.exists() else None
+    contents = recorded.get("contents") if isinstance(recorded, dict) else None
+    contents = contents if isinstance(contents, dict) else {}
+    if ARRAYS in contents:
+        return Origin.of(settings, SPLIT_READS, contents={ARRAYS: contents[ARRAYS]})
+    try:
+        content = content_of(settings)
+    except UserError:
+        if "recordings" not in contents:
+            raise
+        content = contents["recordings"]
+    return dataset_origin(settings, content)
+
+
+def _networks(run, settings, dataset):
+    """The states of trained networks, with accuracies and durations from their records."""
+    found = []
+    for name in ARTIFACTS[settings.network]:
+        artifact = network_artifact(name, run, settings, dataset)
+        state = artifact.state()
+        with reporting_damage(artifact.record, DELETE_IT):
+            accuracy = _number(state.record.get("accuracy", {}).get("test"))
+            seconds = _number(state.record.get("seconds"))
+        if name == "threshold":  # its record has the duration of the training
+            state, seconds = _follows(state, found[-1].state), None
+        found.append(Status(state, accuracy, seconds))
+    return found
+
+
+def _number(value):
+    """A finite number, or None."""
+    if value is None or (type(value) in (int, float) and math.isfinite(value)):
+        return value
+    raise ValueError(f"{str(value)[:40]!r} is no number")
+
+
+def _answers(run, settings, bundle, whole):
+    """Checks and ladder, of the bundle's samples or of the whole test split."""
+    expected = ladder_stages(settings.network, whole)
+    there = bundle.state != MISSING
+    origin = check_origin(settings, sha256_of(run.bundle / "MANIFEST.json") if there else "")
+    found, results = [], {}
+    for stage in dict.fromkeys([*expected, *TARGETS]):
+        artifact = check_artifact(run, stage, origin, whole)
+        if not artifact.record.exists():
+            # Not every run needs every target or the whole test split: a result that was never
+            # requested is not reported as missing.
+            if not whole and stage in expected and stage not in BOARDS:
+                found.append(Status(State(artifact.name, MISSING)))
+            continue
+        results[stage] = result = read_result(artifact.record, DELETE_IT)
+        no_bundle = State(artifact.name, OUTDATED, (Change("there is no bundle"),))
+        state = _follows(artifact.state(), bundle) if there else no_bundle
+        found.append(Status(state, result["accuracy"], result["wall_seconds"]))
+    return [*found, *_ladder(run, results, found, whole)]
+
+
+def _ladder(run, results, checks, whole):
+    file = ladder_artifact(run, (), whole).record
+    if not file.exists():
+        return [] if whole else [Status(State("ladder", MISSING))]
+    record = read_json(file, DELETE_IT)
+    with reporting_damage(file, DELETE_IT):
+        stages = [str(row["stage"]) for row in record["rows"]]
+    compared = [results[stage] for stage in stages if stage in results]
+    state = ladder_artifact(run, compared, whole).state()
+    for check in checks:
+        if check.state.name.rsplit("/", 1)[-1] in stages:
+            state = _follows(state, check.state)
+    return [Status(state)]
+
+
+def _follows(state, used):
+    """Mark what is made from an outdated artifact as outdated, for the same reasons."""
+    if state.state == MISSING or used.state != OUTDATED:
+        return state
+    return State(state.name, OUTDATED, used.because, state.record)

@@ -1,0 +1,1 @@
+"""What depends on the kind of network: on images, on events, or from a NIR graph."""

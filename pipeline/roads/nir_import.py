@@ -1,0 +1,299 @@
+"""Take over a NIR graph, such as one exported from PyTorch, as the network of a run.
+
+The run has a copy of the graph, ``snn/network.nir``, from which everything else is made.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from deploy.check.intervals import wilson_interval
+from deploy.errors import UserError
+from deploy.files import copy_file
+from deploy.network.chip import LOIHI
+from deploy.network.decision import choose_threshold, delayed
+from deploy.network.stimulus import last_steps
+from models.nir_graph import NirError, NirNetwork, read_nir
+from models.nir_layers import layers_of, rounded
+from pipeline import paper
+from pipeline.data.dataset import Dataset
+from pipeline.data.splits import Split
+from pipeline.progress import progress
+from pipeline.roads.event_training import trusted
+from pipeline.roads.given_networks import imported_file, is_file
+from pipeline.roads.nir_answers import NUMPY, outputs_of, predictions_of
+from pipeline.roads.nir_settings import GRAPH, Stepped, exported_here, give_again
+from pipeline.settings import SIMULATED, Settings
+
+DECIDED_ON = 300
+"""Maximum number of training samples on which the confidence for early decisions is chosen."""
+
+RESETTING = ("IF", "LIF", "CubaLIF")
+"""Nodes whose voltage a spike resets."""
+
+RESET_ON = 200
+"""Maximum number of training samples on which the two resets are compared."""
+
+
+def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> dict:
+    """Copy the user's graph into a network's folder, and measure its accuracy.
+
+    Parameters
+    ----------
+    folder : Path
+    settings, dataset
+        With `settings.nir.file`.
+    say : callable
+
+    Returns
+    -------
+    dict
+        Metrics of the graph, for its record.
+
+    Raises
+    ------
+    UserError
+        As :func:`graph_for`.
+    """
+    begun = time.perf_counter()
+    source, network = graph_for(folder, settings, dataset)
+    stepped = Stepped.of(settings, network)
+    exported, cost = exported_here(network, source), None
+    if exported is None:
+        layers = layers_of(network, stepped.seconds, stepped.method, _fed_shape(dataset))
+        for line in notes(network, layers, stepped):
+            say(f"nir: {line}")
+        if any(node.kind in RESETTING for node in network.nodes):
+            cost = reset_cost(network, stepped, settings, dataset)
+            say(f"nir: {_reset_text(cost)}")
+    else:
+        layers = exported.layers
+        say("nir: exported from a bundle; what NIR leaves out is taken from the file's metadata")
+    part = "test" if len(dataset.split.test) else "validation"
+    index = getattr(dataset.split, part)
+    with progress("simulate nir", len(index)) as advance:
+        answers = outputs_of(network, stepped, dataset.inputs[index], settings, advance)[0]
+    right = predictions_of(answers, settings) == dataset.labels[index]
+    accuracy, interval = float(right.mean()), wilson_interval(int(right.sum()), len(right))
+    metrics = {
+        "simulated": dataset.recordings.source.simulated,
+        "accuracy": {part: accuracy},
+        f"{part}_accuracy_ci95": list(interval),
+        f"n_{part}": len(index),
+        "epochs": 0,
+        "step_seconds": stepped.seconds,
+        "method": stepped.method,
+        "reset_by_subtraction": cost,
+        "decides_by_itself": _threshold(network, stepped, layers, settings, dataset),
+        "versions": NUMPY,
+    }
+    if source != folder / GRAPH:
+        for record in ("metrics.json", "training.json", "history.csv"):  # of the previous network
+            (folder / record).unlink(missing_ok=True)
+        copy_file(source, folder / GRAPH)
+    metrics["seconds"] = time.perf_counter() - begun
+    say(
+        f"nir: {part} accuracy of the graph {accuracy:.3f} on {len(index)} samples, "
+        f"{metrics['seconds']:.0f} s"
+    )
+    likeliest = float(np.bincount(dataset.labels[index]).max() / len(index))
+    if interval[0] <= likeliest:
+        say(
+            "nir: hardly better than chance; was the graph trained on inputs in this order (ON and "
+            "OFF, rows from the top, columns), in steps of this duration (--step) and with the "
+            "classes in this order?"
+        )
+    return metrics
+
+
+def graph_for(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
+    """The graph that was imported, from the user's file or else from the run's copy.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the copy.
+    settings, dataset
+
+    Returns
+    -------
+    Path, NirNetwork
+
+    Raises
+    ------
+    UserError
+        The file has changed or cannot be read, and the run has no copy; or the graph is for another
+        sensor or other classes.
+    """
+    source = imported_file(settings.nir.file, settings.nir.sha256, folder / GRAPH)
+    network = read_nir(source)
+    if not is_file(source, settings.nir.sha256):
+        raise UserError(f"{source}: has changed; {give_again(settings)}")
+    require_fit(network, _fed_shape(dataset), len(dataset.recordings.sensor.classes), source)
+    return source, network
+
+
+def refuse_early(settings: Settings):
+    """Refuse a graph that cannot fit any recordings, before anything is written.
+
+    Parameters
+    ----------
+    settings : Settings
+        With ``nir.file``.
+
+    Raises
+    ------
+    UserError
+        The message names the file, the node or nodes of a layer, and an alternative.
+    """
+    source = settings.nir.file
+    network = read_nir(source)
+    if exported_here(network, source) is not None:
+        return
+    if settings.data.source == SIMULATED:
+        skin = settings.skin.rows or paper.ROWS, settings.skin.columns or paper.COLUMNS
+        require_fit(network, (*skin, 2 if settings.on_events else 1), paper.CLASSES, source)
+    stepped, area = Stepped.of(settings, network), settings.stimulus.area
+    try:
+        first, *others = layers_of(network, stepped.seconds, stepped.method)
+        height = 1.0 if area is None else area / LOIHI.dt
+        for layer in (replace(first, weights=first.weights * height), *others):
+            if layer.spiking:
+                rounded(layer)
+    except NirError as error:
+        raise UserError(f"{source}: {error}") from error
+
+
+def require_fit(network: NirNetwork, fed_shape, classes: int, source):
+    """Refuse a graph for another sensor or other classes.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    fed_shape : tuple of int
+        (rows, columns, channels) of the input in this run.
+    classes : int
+    source : path-like
+
+    Raises
+    ------
+    UserError
+        The message has the required sensor and classes.
+    """
+    (rows, columns, channels), shape = fed_shape, network.input_shape
+    if shape not in ((channels, rows, columns), (channels * rows * columns,)):
+        what = "events" if channels == 2 else "an image"
+        raise UserError(
+            f"{source}: has an input of {' x '.join(map(str, shape))}; {what} of {rows} x "
+            f"{columns} taxels would be {channels} x {rows} x {columns} (channels, rows, columns): "
+            "train it for that, or give recordings of its sensor (--data), or the other --input"
+        )
+    if network.outputs != classes:
+        raise UserError(
+            f"{source}: {network.nodes[-1]} puts out {network.outputs} values, and there are "
+            f"{classes} classes: train it for those, or give other recordings (--data)"
+        )
+
+
+def _fed_shape(dataset):
+    return dataset.inputs.shape[-3:]
+
+
+def notes(network: NirNetwork, layers: tuple, stepped: Stepped):
+    """Yield what the conversion of a graph changes or may misread, one line each.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    layers : tuple of NirLayer
+        As :func:`models.nir_layers.layers_of` gives them.
+    stepped : Stepped
+    """
+    by_snntorch = network.written_by_snntorch
+    yield str(stepped) + (", as snnTorch's exporter writes it" if by_snntorch else "")
+    for layer in layers:
+        windows = [n for n in network.nodes if n.name in layer.nodes and "Conv" in n.kind]
+        if layer.spiking and layer.kind == "dense" and windows and len(windows[0].input_shape) > 1:
+            yield (
+                f"{layer}: takes the memory of a dense layer, since its windows are not the chip's "
+                "(square kernels, equal strides, no padding or 'same') or its neurons' parameters "
+                "differ within a channel"
+            )
+    for node in network.nodes:
+        if node.kind == "IF":
+            yield f"{node}: the chip's neurons leak at least 1/4096 of the voltage per step"
+            if stepped.seconds < 1 and (node["r"] == 1).all():
+                yield (
+                    f"{node}: its input is multiplied by the step, as NIR says; Norse and others "
+                    "add the whole of it at each step: then give --set nir.step=1000"
+                )
+        if node.kind == "CubaLI":
+            yield f"{node}: only its longer time constant is kept"
+
+
+def reset_cost(network: NirNetwork, stepped: Stepped, settings, dataset) -> dict:
+    """Effect of a reset by subtraction on a graph's answers to training samples.
+
+    A graph does not record how its network was trained to reset; the chip resets to ``v_reset``.
+
+    Returns
+    -------
+    dict
+        ``samples``; ``accuracy`` with the chip's reset and ``accuracy_subtracting``; ``agreement``
+        of their predictions; ``spikes``, the ratio of spikes by subtraction to those with the
+        chip's reset.
+    """
+    rng = np.random.default_rng([settings.seed, 0x5EB])
+    some = np.sort(rng.permutation(dataset.split.train)[:RESET_ON])
+    late = "subtract-late" if network.written_by_snntorch else "subtract"
+    predictions, spikes = {}, {}
+    for reset in ("value", late):
+        outputs, counts = outputs_of(network, stepped, dataset.inputs[some], settings, reset=reset)
+        predictions[reset] = predictions_of(outputs, settings)
+        spikes[reset] = sum(int(count.sum()) for count in counts.values())
+    labels = dataset.labels[some]
+    return {
+        "samples": len(some),
+        "accuracy": float((predictions["value"] == labels).mean()),
+        "accuracy_subtracting": float((predictions[late] == labels).mean()),
+        "agreement": float((predictions["value"] == predictions[late]).mean()),
+        "spikes": spikes[late] / max(spikes["value"], 1),
+    }
+
+
+def _reset_text(cost):
+    here, there = cost["accuracy"], cost["accuracy_subtracting"]
+    text = (
+        f"neurons reset to v_reset; with a reset by subtraction the accuracy on {cost['samples']} "
+        f"training samples is {there:.3f} instead of {here:.3f}, {cost['agreement']:.1%} of the "
+        f"answers are the same, and there are {cost['spikes']:.2f} times as many spikes"
+    )
+    if there <= here:
+        return text
+    return text + "; if it was trained with that reset, train it with a reset to zero"
+
+
+def _threshold(network, stepped, layers, settings, dataset):
+    """The confidence for early decisions of networks on events."""
+    if not settings.on_events or network.outputs < 2:
+        return None
+    held_out = decided_on(dataset.split, settings.seed)
+    inputs = dataset.inputs[held_out]
+    outputs = outputs_of(network, stepped, inputs, settings)[0]
+    sums = delayed(np.cumsum(outputs, 1), len(layers))
+    found = choose_threshold(sums, dataset.labels[held_out], last_steps(inputs))
+    return {**trusted(found, len(held_out))._asdict(), "samples": len(held_out)}
+
+
+def decided_on(split: Split, seed: int) -> np.ndarray:
+    """Indices of the held-out samples on which the confidence is chosen, of every class.
+
+    Held-out samples are in the order of the recordings, which is usually that of the classes, so
+    they are drawn at random.
+    """
+    held_out = split.held_out(seed)[1]
+    return np.random.default_rng([seed, 0xDEC]).permutation(held_out)[:DECIDED_ON]

@@ -1,0 +1,273 @@
+"""A run's folder: the places of its files, its lock, and what may become one."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from deploy.errors import UserError
+from deploy.files import locked_folder, refuse_linked_folder, refuse_linked_folders
+from deploy.interrupts import at_the_end
+from pipeline.artifacts import Origin
+from pipeline.settings import Settings, read_settings, write_settings
+
+FILES = {
+    *(".keras", ".h5", ".hdf5", ".zip", ".mat", ".json", ".npz", ".toml", ".html", ".csv"),
+    *(".py", ".pyz", ".pb", ".png", ".nir"),
+}
+"""File name endings that no folder has: a missing file must not be created as a folder."""
+
+
+DELETE_ITS_FOLDER = "delete its folder and run the command again"
+"""Remedy for a damaged file of a network."""
+
+
+def _inside(name, meaning):
+    """A property of a folder: the path of a file or folder in it."""
+    return property(lambda folder: folder.path / name, doc=meaning)
+
+
+def checks_beside(bundle: Path) -> Path:
+    """The folder for the check results of a bundle: ``checks`` beside it.
+
+    Bundles with other names than ``bundle`` can have others beside them, such as those fitted to
+    several people, so that each has a folder of its own: ``NAME-checks``.
+
+    Parameters
+    ----------
+    bundle : Path
+
+    Raises
+    ------
+    UserError
+        The folder is a symbolic link: results would be written elsewhere.
+    """
+    path = Path(os.path.abspath(bundle))  # which follows no link
+    folder = path.with_name("checks" if path.name == "bundle" else f"{path.name}-checks")
+    refuse_linked_folder(folder)
+    return folder
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """Paths of a run's artifacts.
+
+    Attributes
+    ----------
+    path : Path
+        May be given as text.
+    """
+
+    path: Path
+
+    def __post_init__(self):
+        object.__setattr__(self, "path", Path(self.path))
+
+    experiment = _inside("experiment.toml", "The file of all settings, resolved.")
+    dataset = _inside("dataset.json", "The description of the recordings.")
+    cnn = _inside("cnn", "The folder of the CNN: weights, history and metrics.")
+    snn = _inside("snn", "The folder of the network that becomes the bundle, as that of the CNN.")
+    nir = _inside("nir", "The folder of a NIR graph that was trained further, and its metrics.")
+    bundle = _inside("bundle", "The folder of the bundle.")
+    ladder = _inside("ladder.json", "The file of the loss ladder.")
+    whole_ladder = _inside("ladder-whole.json", "The loss ladder on the whole test split.")
+    confusion = _inside("confusion.png", "The stages' confusion matrices on the whole test split.")
+
+    def check(self, stage: str, whole: bool = False) -> Path:
+        """The file of a stage's result on the check's samples, or on the whole test split."""
+        folder = self.path / "checks"
+        return (folder / "whole" if whole else folder) / f"{stage}.json"
+
+    def folder(self, name: str, origin: Origin) -> Path:
+        """The folder of a network, ``"cnn"``, ``"nir"`` or ``"snn"``, or of its ``"threshold"``.
+
+        A run has only one of each, independently of the origin, unlike a
+        :class:`pipeline.artifacts.Library`.
+        """
+        return {"cnn": self.cnn, "nir": self.nir}.get(name, self.snn)
+
+    def resolve_settings(self, base: Path | None, changes: dict) -> Settings:
+        """Settings of this run, from its folder or from a file, with changes.
+
+        If the input or the length of its steps changes, the run's own number of steps is not kept:
+        it was chosen for the other input.
+
+        Parameters
+        ----------
+        base : Path, optional
+            A TOML file that is used instead of the run's own settings.
+        changes : dict
+            Changes from the command line.
+
+        Raises
+        ------
+        UserError
+            A file or value is invalid.
+        """
+        if base is not None:
+            settings = read_settings(base)
+        elif self.experiment.exists():
+            settings = read_settings(self.experiment)
+        else:
+            settings = Settings()
+        changed = settings.with_values(changes, "command line")
+        is_same = (settings.input.kind, settings.input.step) == (
+            changed.input.kind,
+            changed.input.step,
+        )
+        if is_same or base is not None or "steps" in changes.get("presentation", {}):
+            return changed
+        return replace(changed, presentation=replace(changed.presentation, steps=0))
+
+    def save_settings(self, settings: Settings):
+        """Save the settings for later commands, unless they are saved already.
+
+        Raises
+        ------
+        UserError
+            The folder cannot be written.
+        """
+        if not self.experiment.exists() or read_settings(self.experiment) != settings:
+            write_settings(self.experiment, settings)
+
+    @contextlib.contextmanager
+    def locked(self):
+        """Create the folder, and lock it against other processes.
+
+        Raises
+        ------
+        UserError
+            Another process has locked it; the name is a file's and the folder does not exist; or a
+            folder in it is a symbolic link.
+        """
+        if self.path.suffix.lower() in FILES and not self.path.is_dir():
+            raise UserError(
+                f"{self.path}: has a file's name, and no folder with this name exists; "
+                "RUN must be a folder, such as runs/default"
+            )
+        taken = (
+            f"{self.path}: another process is working in this run; "
+            "wait for it or choose another RUN"
+        )
+        with contextlib.ExitStack() as stack:
+            try:
+                stack.enter_context(locked_folder(self.path, taken))
+            except OSError as error:
+                raise UserError(
+                    f"{error.filename or self.path / '.lock'}: cannot write ({error.strerror}); "
+                    "choose another RUN"
+                ) from error
+            refuse_linked_folders(self.path)
+            yield
+
+
+LOCK = ".lock"
+DEEPEST = 3
+"""Most folders from a file or bundle of a run up to the run: ``checks/whole/emulator.json``."""
+
+OF_RESULTS = ("splits", "points", "networks", "table2.json", "sweep.json", "*-[0-9]*.json")
+"""Names of files and folders that benchmarks and sweeps write, and that runs do not have."""
+
+
+def run_around(path) -> Path | None:
+    """The folder of the run that a file or bundle is in, or None."""
+    above = list(Path(path).absolute().parents)[:DEEPEST]
+    return next((folder for folder in above if (folder / "experiment.toml").is_file()), None)
+
+
+def refuse_results(path: Path):
+    """Make sure that a folder is not that of a benchmark or sweep.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    UserError
+        It has results of one, and no ``dataset.json``, which every run has.
+    """
+    if (path / "dataset.json").exists():
+        return
+    found = [entry.name for pattern in OF_RESULTS for entry in path.glob(pattern)]
+    if found:
+        raise UserError(
+            f"{path}: is the folder of a benchmark or sweep (it has {found[0]!r}), not of a run; "
+            "give another folder as RUN"
+        )
+
+
+def refuse_other_folders(path: Path, of_results: bool = False):
+    """Make sure that a folder is a run or can become one: new, empty, or with experiment.toml.
+
+    Parameters
+    ----------
+    path : Path
+    of_results : bool
+        True for the folder of a benchmark or sweep, which may have results of an interrupted one:
+        only a bundle and a run are refused.
+
+    Raises
+    ------
+    UserError
+        The folder is a bundle or in one, has files that are not those of a run, or is a run where
+        results of a benchmark are meant, or the other way round.
+    """
+    for folder in path.absolute().parents:
+        if (folder / "MANIFEST.json").is_file() and (folder / "network.json").is_file():
+            raise UserError(
+                f"{path}: is in a bundle, {folder}, which may have no other files; "
+                "give another folder as RUN"
+            )
+    if of_results and (path / "dataset.json").is_file():
+        raise UserError(
+            f"{path}: is a run, whose settings would be replaced; give another folder for "
+            "the results"
+        )
+    if not of_results:
+        refuse_results(path)
+    if not path.is_dir() or (path / "experiment.toml").exists():
+        return
+    found = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith("."))
+    if "MANIFEST.json" in found:
+        run = path.absolute().parent
+        meant = f"give its run, {path.parent}" if (run / "experiment.toml").exists() else ""
+        raise UserError(f"{path}: is a bundle, not a run; {meant or 'give another folder as RUN'}")
+    if found and not of_results:
+        raise UserError(
+            f"{path}: is not a run (it has no experiment.toml) and not empty "
+            f"(it has {found[0]!r}); give a new folder as RUN"
+        )
+
+
+@contextlib.contextmanager
+def nothing_left_of_a_failure(path: Path):
+    """Remove the folder of a new run if the block fails before anything is saved."""
+    made = [folder for folder in (path, *path.parents) if not folder.exists()]
+    had_lock = (path / LOCK).exists()
+
+    def leave():
+        with contextlib.suppress(OSError):
+            if {entry.name for entry in path.iterdir()} <= {LOCK} and not had_lock:
+                (path / LOCK).unlink(missing_ok=True)
+            for folder in made:
+                folder.rmdir()  # an OSError if something is in it
+
+    try:
+        with at_the_end(leave):
+            yield
+    except BaseException:
+        leave()
+        raise
+
+
+def similar_run(path: Path) -> Path | None:
+    """An existing run with a similar name, which may be the one that the user meant."""
+    if path.exists() or not path.parent.is_dir():
+        return None
+    names = [entry.parent.name for entry in path.parent.glob("*/experiment.toml")]
+    found = difflib.get_close_matches(path.name, names, n=1, cutoff=0.75)
+    return path.parent / found[0] if found else None

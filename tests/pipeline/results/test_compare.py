@@ -1,0 +1,304 @@
+"""Runs side by side, by hand, and through the command."""
+
+import json
+import re
+import shutil
+
+import pytest
+
+from deploy.check.intervals import fisher, wilson_interval
+from deploy.errors import UserError
+from pipeline.data.archive import write_zip
+from pipeline.results.compare import ORDER, Run, compare_runs, difference, read_runs, runs_text
+from pipeline.settings import Settings
+from pipeline.skin.simulate import simulate
+from tests.command import call, missing
+from tests.deploy.networks import events_spec, paper_spec, small_spec
+
+LABELS = (0, 1, 2, 3, 4, 5, 6, 7)
+
+
+def result(stage, predictions, labels=LABELS, ids=None, operations=None, **more):
+    ids = ids or [f"x/{i}" for i in range(len(labels))]
+    right = sum(a == b for a, b in zip(predictions, labels, strict=True))
+    return {
+        "target": stage,
+        "n_samples": len(labels),
+        "accuracy": right / len(labels),
+        "samples": [
+            {"id": name, "label": label, "prediction": prediction}
+            for name, label, prediction in zip(ids, labels, predictions, strict=True)
+        ],
+        "synaptic_operations": operations or {},
+        **more,
+    }
+
+
+def run(name, results, spec=None, changes=None, cores=2, source="s" * 64, **more):
+    spec = spec or small_spec()
+    spec.provenance["source_sha256"] = source
+    settings = Settings().with_values(changes or {}, "here")
+    return Run(name, settings, spec, cores, 1, {r["target"]: r for r in results}, **more)
+
+
+ALL = list(LABELS)
+FIVE_RIGHT = [0, 1, 2, 3, 4, 0, 0, 0]
+LAST_FOUR = [9, 9, 9, 9, 4, 5, 6, 7]
+
+
+def test_a_paired_difference_by_hand():
+    a, b = run("a", [result("nengo", FIVE_RIGHT)]), run("b", [result("nengo", LAST_FOUR)])
+    found = difference(a, b, "nengo")
+    assert found["paired"]
+    assert found["difference"] == pytest.approx(-1 / 8)
+    assert (found["only_a"], found["only_b"]) == (4, 3)  # 0 to 3, and 5 to 7
+    assert found["p"] == pytest.approx(1)  # 4 of 7
+    found = difference(b, run("c", [result("nengo", ALL)]), "nengo")
+    assert (found["only_a"], found["only_b"]) == (0, 4)
+    assert found["p"] == pytest.approx(2 * 0.5**4)
+
+
+def test_the_same_samples_in_another_order_are_paired():
+    ids = [f"x/{i}" for i in range(8)]
+    backwards = result("nengo", LAST_FOUR[::-1], LABELS[::-1], ids[::-1])
+    a = run("a", [result("nengo", LAST_FOUR)])
+    found = difference(a, run("b", [backwards]), "nengo")
+    assert found["paired"]
+    assert (found["only_a"], found["only_b"], found["p"]) == (0, 0, 1)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"results": [result("nengo", FIVE_RIGHT, ids=[f"y/{i}" for i in range(8)])]},
+        {"results": [result("nengo", FIVE_RIGHT, labels=(0, 1, 2, 3, 4, 5, 6, 9))]},
+        {"results": [result("nengo", FIVE_RIGHT[:5], labels=LABELS[:5])]},
+        {"results": [result("nengo", FIVE_RIGHT)], "source": "t" * 64},
+    ],
+    ids=["ids", "labels", "fewer", "recordings of the same names"],
+)
+def test_other_samples_are_not_paired(other):
+    a = run("a", [result("nengo", LAST_FOUR)])
+    found = difference(a, run("b", **other), "nengo")
+    assert not found["paired"]
+    assert found["only_a"] is None
+    text = runs_text(compare_runs([a, run("b", **other)]))
+    assert "unpaired" in text
+
+
+def test_the_test_of_what_is_not_paired_by_hand():
+    # Of the tables with four of each kind: 3 of 4 against 1 of 4, or more uneven, either way.
+    assert fisher(3, 4, 1, 4) == pytest.approx((16 + 1 + 1 + 16) / 70)
+    assert fisher(2, 4, 2, 4) == pytest.approx(1)
+
+
+def test_settings_that_differ_and_no_others():
+    a = run("a", [result("fast", ALL)], changes={"seed": 3})
+    b = run("b", [result("fast", ALL)], changes={"snn": {"max_rates": [100.0]}})
+    compared = compare_runs([a, b])
+    assert compared["settings"] == [
+        {"name": "seed", "values": [3, 0]},
+        {"name": "snn.max_rates", "values": [(150.0,), (100.0,)]},
+    ]
+    assert compare_runs([a, a])["settings"] == []
+    assert "seed" not in runs_text(compare_runs([a, a]))
+
+
+def test_the_default_number_of_steps_is_that_number():
+    steps = ({"presentation": {"steps": number}} for number in (0, Settings().steps, 40))
+    a, b, c = (
+        run(name, [result("fast", ALL)], changes=s) for name, s in zip("abc", steps, strict=True)
+    )
+    assert compare_runs([a, b])["settings"] == []
+    (found,) = compare_runs([a, c])["settings"]
+    assert found == {"name": "presentation.steps", "values": [Settings().steps, 40]}
+
+
+def test_stages_that_two_runs_have_and_every_pair():
+    runs = [
+        run("a", [result("cnn", ALL), result("nengo", ALL)]),
+        run("b", [result("trained", ALL), result("nengo", LAST_FOUR)]),
+        run("c", [result("cnn", FIVE_RIGHT), result("nengo", FIVE_RIGHT)]),
+    ]
+    cnn, nengo = compare_runs(runs)["stages"]
+    assert (cnn["stage"], nengo["stage"]) == ("cnn", "nengo")
+    assert cnn["accuracies"][1] is None
+    assert cnn["accuracies"][2]["accuracy_ci95"] == list(wilson_interval(5, 8))
+    assert [(d["a"], d["b"]) for d in cnn["differences"]] == [(0, 2)]
+    assert [(d["a"], d["b"]) for d in nengo["differences"]] == [(0, 1), (0, 2), (1, 2)]
+
+
+def test_what_an_inference_takes_by_hand():
+    counts = {"operations": {"conv1": 600, "conv2": 200}, "decided_at_median": 25.0}
+    images = run("a", [result("nengo", ALL), result("emulator", ALL, **counts)])
+    first, second = compare_runs([images, run("b", [result("nengo", ALL)])])["runs"]
+    assert first["counted_on"] == "emulator"
+    assert first["synaptic_operations"] == 100
+    # 6x6-4c3-8c2-10o: 16 * 9 * 4, 9 * 16 * 8, 72 * 10
+    assert first["operations_per_mac"] == pytest.approx(100 / 43104)
+    assert first["neurons"] == 64 + 72
+    assert (first["decided_at_median"], first["decided_after_ms"]) == (25, 25)
+    assert (second["counted_on"], second["synaptic_operations"]) == (None, None)
+
+
+def test_time_to_decide_of_events():
+    early = {"share_of_writing_mean": 0.82, "accuracy": 0.75, "accuracy_ci95": [0.4, 0.9]}
+    counts = {"operations": {"conv1": 8}, "decided_at_median": 12.0}
+    answer = result("fast", ALL, **counts, while_written={"by_itself": early})
+    changes = {"input": {"kind": "events"}}
+    events = run("b", [answer], spec=events_spec(), changes=changes)
+    compared = compare_runs([run("a", [result("fast", ALL)]), events])
+    assert compared["runs"][0]["writing"] is None
+    assert compared["runs"][1]["writing"]["share"] == 0.82
+    assert compared["runs"][1]["decided_after_ms"] == pytest.approx(120)  # steps of 10 ms
+    text = runs_text(compared)
+    assert missing(text, "82%", "image", "events") == []
+
+
+def test_the_table():
+    a = run("runs/a", [result("cnn", FIVE_RIGHT)])
+    b = run("runs/b", [result("cnn", LAST_FOUR)], changes={"seed": 1}, cores=3, stale=("fast",))
+    text = runs_text(compare_runs([a, b]))
+    rows = [" ".join(line.split()) for line in text.splitlines()]
+    for row in (
+        *("A runs/a", "B runs/b", "seed 0 1"),
+        *("cnn A 0.625 0.306 to 0.863", "B 0.500 0.215 to 0.785 -0.125 3 4 1.000"),
+        *("input image image", "architecture 6x6-4c3-8c2-10o 6x6-4c3-8c2-10o"),
+        *("neurons 136 136", "cores 2 3", "chips 1 1"),
+    ):
+        assert row in rows
+    assert missing(text, "8 simulated samples", "McNemar") == []
+    assert re.fullmatch("B: .*: fast", rows[-1])
+
+
+def test_the_papers_cnn_is_a_measure_only_for_digits_on_its_sensor():
+    counts = {"operations": {"conv1": 8}}
+    for spec, applies in ((paper_spec(), True), (small_spec(), False)):
+        text = runs_text(compare_runs([run("a", [result("nengo", ALL, **counts)], spec=spec)] * 2))
+        assert ("CNN" in text) is applies
+
+
+def test_simulated_and_other_samples_are_told_apart():
+    real = small_spec()
+    real.provenance["simulated"] = False
+    runs = [run("a", [result("cnn", ALL)]), run("b", [result("cnn", ALL)], spec=real)]
+    assert "8 samples" in runs_text(compare_runs(runs))
+    assert "simulated" not in runs_text(compare_runs([runs[1], runs[1]]))
+
+
+@pytest.mark.parametrize("n", [2, 3, 4])
+def test_the_text_fits_80_columns(n):
+    long = {
+        "data": {"source": "/home/somebody/recordings of a very long name/" + "x" * 40 + ".zip"}
+    }
+    counts = {"operations": {"conv1": 10**9}, "decided_at_median": 99.5}
+    runs = [
+        run(f"runs/{i}", [result("spiking-lif", FIVE_RIGHT), result("nengo", ALL, **counts)],
+            spec=paper_spec(), changes={**long, "seed": i} if i else {})
+        for i in range(n)
+    ]  # fmt: skip
+    compared = compare_runs(runs)
+    text = runs_text(compared)
+    assert max(map(len, text.splitlines())) <= 80
+    source = text.split("data.source")[1].split("\nan inference")[0]
+    assert "x" * 8 in source
+    assert text.count("spiking-lif") == 1
+    assert "43,104" in text
+    assert json.loads(json.dumps(compared))["runs"] == compared["runs"]
+
+
+@pytest.fixture(scope="module")
+def pair(tiny_run, tmp_path_factory):
+    """Copies of the small run, the second one shown for fewer steps."""
+    folder = tmp_path_factory.mktemp("runs")
+    for name in ("first", "shorter"):
+        shutil.copytree(tiny_run, folder / name)
+    assert call("convert", folder / "shorter", "--steps", "30", "--samples", "20") == 0
+    for name in ("first", "shorter"):
+        assert call("check", "run", folder / name / "bundle", "--target", "fast") == 0
+    return folder / "first", folder / "shorter"
+
+
+def test_the_command(pair, capsys):
+    assert call("compare", *pair, "--json") == 0
+    compared = json.loads(capsys.readouterr().out)
+    assert compared["settings"] == [{"name": "presentation.steps", "values": [40, 30]}]
+    stages = {stage["stage"]: stage for stage in compared["stages"]}
+    assert set(stages) == {"cnn", "rate-lif", "spiking-lif", "fast"}
+    assert all(d["paired"] for stage in stages.values() for d in stage["differences"])
+    assert stages["cnn"]["differences"][0]["difference"] == 0  # it knows nothing of steps
+    first, second = compared["runs"]
+    assert 0 < second["synaptic_operations"] < first["synaptic_operations"]
+    assert first["cores"] == second["cores"] == 2
+    assert call("compare", *pair) == 0
+    assert "presentation.steps    40  30" in capsys.readouterr().out
+
+
+def test_results_of_an_earlier_bundle_are_left_out(pair, tmp_path):
+    mixed = tmp_path / "mixed"
+    shutil.copytree(pair[1], mixed)
+    shutil.copy(pair[0] / "checks" / "nengo.json", mixed / "checks")
+    _, found = read_runs([pair[0], mixed])
+    assert "nengo" in found.stale
+    assert "fast" not in found.stale
+    assert "nengo" not in found.results
+
+
+def test_results_on_other_recordings_with_similar_names_and_of_an_earlier_bundle(pair, tmp_path):
+    runs = [shutil.copytree(run, tmp_path / run.name) for run in pair]
+    sources = [tmp_path / f"recordings-{who}.zip" for who in ("anna", "otto")]
+    for seed, source in enumerate(sources):
+        write_zip(source, simulate(seed, [2] * 10, 1))
+        check = ("--target", "fast", "--data", source)
+        assert call("check", "run", runs[0], *check) == 0
+        assert call("check", "run", runs[1], *check) == 0
+    first, second = (set(run.results) - set(ORDER) for run in read_runs(runs))
+    assert len(first) == 2
+    assert first == second  # which are compared
+    shutil.rmtree(runs[1] / "bundle")
+    shutil.copytree(pair[0] / "bundle", runs[1] / "bundle")
+    _, found = read_runs(runs)
+    assert first <= set(found.stale)
+    # The name is short if there are no others with it.
+    for run in runs:
+        for file in (run / "checks" / "other").glob("*otto*"):
+            file.unlink()
+    (name,) = set(read_runs(runs)[0].results) - set(ORDER)
+    assert name == "fast on recordi….zip, 20"
+
+
+def test_bad_input_is_one_clear_line_and_status_2(pair, tmp_path, capsys):
+    run, other = pair
+
+    def copy(name, without):
+        shutil.copytree(run, tmp_path / name)
+        (shutil.rmtree if (tmp_path / name / without).is_dir() else lambda path: path.unlink())(
+            tmp_path / name / without
+        )
+        return tmp_path / name
+
+    for arguments, fact in (
+        ([run], "two"),
+        ([], "(?i)runs"),
+        ([run, run / ".." / run.name], f"{run}.*{run.name}"),
+        ([run, other, run], f"{run} and {run}"),
+        ([run, tmp_path], "experiment.toml"),
+        ([run, tmp_path / "none"], "experiment.toml"),
+        ([run, run / "ladder.json"], "experiment.toml"),
+        ([run, copy("a", "bundle")], "bundle.*stmnist convert"),
+        ([run, copy("b", "checks")], "'stmnist ladder"),
+        ([run, other, "--whole"], "stmnist ladder .* --whole'"),
+    ):
+        assert call("compare", *arguments) == 2
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert len(err.splitlines()) == 1
+        assert re.search(fact, err), err
+
+
+def test_a_damaged_result_is_named(pair, tmp_path):
+    damaged = tmp_path / "damaged"
+    shutil.copytree(pair[1], damaged)
+    (damaged / "checks" / "nengo.json").write_text("{")
+    with pytest.raises(UserError, match=r"nengo\.json"):
+        read_runs([pair[0], damaged])

@@ -1,0 +1,128 @@
+import re
+
+import pytest
+
+from deploy.errors import UserError
+from pipeline.results.ladder import (
+    ladder_json,
+    ladder_rows,
+    ladder_text,
+    losing_stages,
+    points_text,
+)
+from tests.command import missing
+
+LABELS = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]
+
+
+def result(target, predictions, bundle="b" * 64):
+    right = sum(p == label for p, label in zip(predictions, LABELS, strict=True))
+    return {
+        "target": target,
+        "bundle": bundle,
+        "simulated": True,
+        "n_samples": 10,
+        "accuracy": right / 10,
+        "accuracy_ci95": [0.1, 0.9],
+        "samples": [
+            {"id": str(i), "label": label, "prediction": p, "scores": [0.0] * 10}
+            for i, (label, p) in enumerate(zip(LABELS, predictions, strict=True))
+        ],
+    }
+
+
+CNN = result("cnn", [0, 1, 2, 3, 4, 5, 6, 7, 8, 0])  # 9 right
+RATE = result("rate-lif", [0, 1, 2, 3, 4, 0, 0, 0, 8, 1])  # 6 right, 4 differ, 3 of them lost
+EMULATOR = result("emulator", [0, 1, 2, 3, 4, 5, 0, 0, 8, 1])  # 7 right, 1 differs, won
+
+
+def test_the_ladder_by_hand():
+    first, second, third = ladder_rows([CNN, RATE, EMULATOR])
+    assert (first["stage"], first["accuracy"]) == ("cnn", 0.9)
+    assert (first["drop"], first["disagreements"], first["mcnemar_p"]) == (None, None, None)
+    assert second["drop"] == pytest.approx(0.3)
+    assert second["disagreements"] == 4
+    assert second["mcnemar_p"] == pytest.approx(2 * 0.5**3)
+    assert third["drop"] == pytest.approx(-0.1)
+    assert third["disagreements"] == 1
+    assert second["confusion"][5] == [1, 0, 0, 0, 0, 0, 0, 0, 0, 0]  # the 5 is taken for a 0
+    assert sum(map(sum, second["confusion"])) == 10
+    assert sum(second["confusion"][i][i] for i in range(10)) == 6
+    assert third["mcnemar_p"] == 1
+
+
+def test_the_table():
+    text = ladder_text(ladder_json([CNN, RATE, EMULATOR]))
+    title, _, *rows, last = [" ".join(line.split()) for line in text.splitlines()]
+    assert missing(title, "10 simulated samples") == []
+    assert rows == [
+        "cnn 0.900 0.100 to 0.900",
+        "rate-lif 0.600 0.100 to 0.900 -0.300 4 0.250",
+        "emulator 0.700 0.100 to 0.900 +0.100 1 1.000",
+    ]
+    assert missing(last, "cnn", "emulator", "20.0 points lost") == []
+
+
+def test_points_won_are_called_gained():
+    text = ladder_text(ladder_json([RATE, EMULATOR]))
+    assert missing(text.splitlines()[-1], "rate-lif", "emulator", "10.0 points gained") == []
+    assert points_text(-0.04) == "0.0 points lost"
+    assert points_text(0.5) == "0.5 points lost"
+
+
+def test_only_simulated_samples_are_called_so():
+    text = ladder_text(ladder_json([{**CNN, "simulated": False}]))
+    assert "simulated" not in text
+
+
+def test_results_of_different_bundles_make_no_ladder():
+    with pytest.raises(UserError, match=r"b{12}.*c{12}"):
+        ladder_rows([CNN, result("nengo", LABELS, bundle="c" * 64)])
+
+
+def layer(name, correlation):
+    shares = {"silent": 0.25, "saturated": 0.0}
+    errors = {"worst_error": 0.5, "mean_error": 0.01}
+    both = {"chip": shares, "rate_network": shares}
+    return {"layer": name, "correlation": correlation, **errors, **both}
+
+
+LAYERS = [layer("conv1", 0.99), layer("conv2", 0.87), layer("conv3", 0.95)]
+
+
+def beyond_chance(ladder):
+    """As if there were many samples more of the same."""
+    for row in ladder["rows"][1:]:
+        row["mcnemar_p"] = 0.01
+    return {**ladder, "last_against_trained_p": 0.01}
+
+
+def test_a_loss_that_chance_explains_is_no_warning():
+    ladder = ladder_json([CNN, result("rate-lif", LABELS), EMULATOR], LAYERS)
+    assert ladder["last_against_trained_p"] == pytest.approx(0.25)
+    assert losing_stages(ladder, 1) == []
+    assert "loses" not in ladder_text(ladder, 1)
+
+
+def test_a_stage_that_loses_too_much_brings_the_layers():
+    better = result("rate-lif", LABELS)
+    ladder = beyond_chance(ladder_json([CNN, better, EMULATOR], LAYERS))
+    assert ladder["least_faithful_layer"] == "conv2"
+    assert losing_stages(ladder, 1) == [("rate-lif", "emulator", pytest.approx(30))]
+    text = ladder_text(ladder, 1)
+    assert re.search(r"emulator .*\b30\.0 points .*rate-lif", text)
+    assert re.search(r"conv2 +0\.8700 +0\.500 +0\.0100", text)
+    assert "conv2" not in ladder_text(ladder, 30)  # at the limit is not above it
+
+
+def test_small_losses_that_add_up_are_too_much_together():
+    rate = result("rate-lif", LABELS)
+    nengo = result("nengo", [*LABELS[:9], 0])
+    emulator = result("emulator", [*LABELS[:8], 0, 0])
+    ladder = beyond_chance(ladder_json([CNN, rate, nengo, emulator], LAYERS))
+    assert losing_stages(ladder, 10) == [("rate-lif", "emulator", pytest.approx(20))]
+    assert [b for _, b, _ in losing_stages(ladder, 5)] == ["nengo", "emulator", "emulator"]
+
+
+def test_what_the_cnn_loses_is_no_matter_of_firing_rates():
+    assert losing_stages(ladder_json([CNN, RATE]), 1) == []

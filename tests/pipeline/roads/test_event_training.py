@@ -1,0 +1,54 @@
+"""Training samples and held-out samples of networks on events."""
+
+import numpy as np
+import pytest
+
+from deploy.network.decision import Threshold
+from pipeline.data.dataset import Dataset
+from pipeline.roads import event_training
+from pipeline.settings import Settings
+from pipeline.training.events import TrainedOnEvents
+
+EVENTS = {"input": {"kind": "events", "step": 125.0}, "data": {"samples_per_digit": 6}}
+
+
+@pytest.fixture
+def choice(monkeypatch):
+    """The arguments of the choice of the threshold, which is replaced."""
+    given = {}
+
+    def threshold(self, table, labels, held_out, steps, seed):
+        given.update(held_out=held_out, steps=steps)
+        return Threshold(0.9, 1.0, 0.5)
+
+    monkeypatch.setattr(TrainedOnEvents, "threshold", threshold)
+    return given
+
+
+def chosen_on(changes):
+    settings = Settings().with_values({**EVENTS, **changes}, "here")
+    dataset = Dataset.of(settings)
+    samples = event_training.event_samples(dataset, 3)
+    network = TrainedOnEvents.of(settings, {})
+    return dataset.split, samples, event_training.choose(settings, samples, network, 3)
+
+
+def test_without_validation_some_training_samples_are_held_out(choice):
+    split, samples, chosen = chosen_on({})
+    assert not len(split.validation)
+    assert choice["steps"] == 16
+    np.testing.assert_array_equal(choice["held_out"], samples.held_out)
+    assert 0 < len(samples.held_out) < event_training.FEWEST
+    assert (chosen.confidence, chosen.share) == (1, 1)  # waits for the end
+    both = np.concatenate([samples.train, samples.held_out])
+    np.testing.assert_array_equal(np.sort(both), split.train)
+
+
+def test_validation_samples_are_the_held_out_samples(choice):
+    enough = {"samples_per_digit": 30}
+    changes = {"split": {"validation_fraction": 0.5}, "data": enough}
+    split, samples, chosen = chosen_on(changes)
+    assert len(choice["held_out"]) == len(split.validation) == 120
+    assert chosen.confidence == 0.9
+    np.testing.assert_array_equal(samples.train, split.train)
+    np.testing.assert_array_equal(choice["held_out"], split.validation)

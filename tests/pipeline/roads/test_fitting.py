@@ -1,0 +1,225 @@
+"""Defaults that fit recordings of one's own, and everything that does not fit told at once."""
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.errors import SeveralErrors, UserError
+from deploy.preflight.plan import make_plan
+from models.architecture import parse
+from pipeline.data.events import Sensor
+from pipeline.data.library import load_recordings
+from pipeline.data.own import write_recordings
+from pipeline.roads.chip_fit import chip_problems, untrained
+from pipeline.roads.fitting import architecture_for, fitted, with_slayer
+from pipeline.settings import Settings
+from tests.command import missing
+from tests.deploy.networks import paper_spec
+from tests.own_sensor import CLASSES, gestures, write_folder
+
+SIZES = [
+    (1, 2), (1, 12), (2, 2), (3, 64), (5, 5), (6, 6), (9, 12), (12, 9), (16, 16), (18, 18),
+    (34, 34), (12, 100), (7, 250), (128, 128), (256, 256), (100, 17), (17, 18), (64, 48),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("on_events", [False, True])
+@pytest.mark.parametrize("size", SIZES)
+def test_there_is_an_architecture_for_every_sensor(size, on_events):
+    for n in (2, 300):
+        sensor = Sensor(*size, classes=tuple(map(str, range(n))))
+        architecture = parse(architecture_for(sensor, on_events))
+        assert architecture.input_shape == (*size, 2 if on_events else 1)
+        assert architecture.outputs == n
+        assert len(architecture.layers) >= 2
+        assert max(np.prod(shape) for shape in architecture.shapes[1:]) <= 8192
+
+
+def test_the_paper_s_layers_where_they_fit():
+    assert architecture_for(Sensor(), False) == Settings().cnn.architecture
+    assert architecture_for(Sensor(9, 12, classes=CLASSES), False) == "9x12-6c4-24c3-4o"
+
+
+def test_an_architecture_for_slayer(own):
+    recordings = load_recordings(str(own))
+    chosen = with_slayer(settings_of(own), recordings)
+    assert chosen.slayer.architecture == "9x12x2-6c4-24c3-4o"
+    assert with_slayer(chosen, recordings) is chosen
+    fewer = replace(recordings, sensor=Sensor(classes=("a", "b")))
+    assert with_slayer(Settings(), fewer).slayer.architecture == "10x10x2-6c2-24c3-2o"
+    assert with_slayer(Settings(), replace(recordings, sensor=Sensor())) == Settings()
+    asked = settings_of(own, slayer={"architecture": "9x12x2-8-5o"})
+    with pytest.raises(UserError, match=r"slayer\.architecture.* such as 9x12x2-6c4-24c3-4o,"):
+        with_slayer(asked, recordings)
+
+
+def settings_of(source, **changes):
+    return Settings().with_values({"data": {"source": str(source)}, **changes})
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    return write_folder(tmp_path_factory.mktemp("own") / "own", per_class=15)
+
+
+def test_images_of_a_sensor_of_one_s_own(own):
+    said = []
+    chosen = fitted(settings_of(own), say=said.append)
+    assert chosen.cnn.architecture == "9x12-6c4-24c3-4o"
+    assert chosen.check == Settings().check  # not chosen: the recordings may grow
+    assert chosen.check.drawn(12) == 12  # a fifth of sixty
+    assert fitted(chosen) == chosen
+    assert any("9x12-6c4-24c3-4o" in line for line in said)
+
+
+@pytest.mark.parametrize(("kind", "section"), [("image", "cnn"), ("events", "events")])
+def test_what_was_chosen_for_fewer_classes_is_chosen_again(tmp_path, kind, section):
+    """A week later there is a fifth gesture: the first choice was taken for the user's."""
+    items = gestures(12)
+    path = write_recordings(tmp_path / "own.zip", items, CLASSES)
+    first = fitted(settings_of(path, input={"kind": kind}))
+    more = [(events, "more") for events, label in items if label == 0]
+    write_recordings(path, [(e, CLASSES[label]) for e, label in items] + more)
+    assert getattr(fitted(first), section).architecture.endswith("-5o")
+    with pytest.raises(SeveralErrors):  # for other recordings, the user decides
+        fitted(first, rechoose=False)
+    fewer = write_recordings(tmp_path / "fewer.zip", [i for i in items if i[1] < 3], CLASSES[:3])
+    with pytest.raises(SeveralErrors):
+        fitted(first.with_values({"data": {"source": str(fewer)}}, ""))
+    mine = getattr(first, section).architecture.replace("-", "-7c2-", 1)
+    with pytest.raises(SeveralErrors):
+        fitted(first.with_values({section: {"architecture": mine}}, ""))
+
+
+def test_a_budget_of_the_user_s_is_kept(tmp_path):
+    items = [
+        ([np.tile(part, 30) for part in (3 * x, 3 * y, t, p)], label)
+        for (x, y, t, p), label in gestures(10)
+    ]
+    path = write_recordings(tmp_path / "large.zip", items, CLASSES)
+    for given, kept in (({}, False), ({"events": {"budget": 0.5}}, True)):
+        settings = settings_of(path, input={"kind": "events"}, **given)
+        assert (fitted(settings).events.budget == settings.events.budget) is kept
+
+
+def test_more_rates_than_the_chosen_network_has_layers_are_a_problem(tmp_path):
+    """The rates were cut to one, and saved so, without a word."""
+    small = write_recordings(tmp_path / "small.zip", _in_rows_and_columns(4), CLASSES)
+    rates = {"snn": {"max_rates": [100, 200]}, "check": {"samples": 500}}
+    with pytest.raises(SeveralErrors) as caught:
+        fitted(settings_of(small, **rates))
+    of_rates, asked = caught.value.lines
+    assert missing(of_rates, "snn.max_rates", "4x4-64-4o") == []
+    assert "500" in asked
+
+
+def _in_rows_and_columns(n, each=10):
+    return [((x % n, y % n, t, p), label) for (x, y, t, p), label in gestures(each)]
+
+
+def test_events_of_a_sensor_of_one_s_own(own):
+    chosen = fitted(settings_of(own, input={"kind": "events"}))
+    assert chosen.events.architecture.startswith("9x12x2-")
+    assert chosen.input.step == 10
+    longest = load_recordings(str(own)).sensor.duration_s
+    assert 0.1 * 1000 < chosen.steps * 10 <= 1000 * longest + 10
+
+
+def test_long_recordings_get_long_steps(tmp_path):
+    slow = [((x, y, 20 * t, p), label) for (x, y, t, p), label in gestures(4)]
+    source = write_recordings(tmp_path / "slow.zip", slow, CLASSES)
+    chosen = fitted(settings_of(source, input={"kind": "events"}))
+    assert chosen.steps <= 400
+    assert chosen.steps * chosen.input.step >= 1000 * 20
+    given = settings_of(source, input={"kind": "events"}, presentation={"steps": 30})
+    assert fitted(given).steps == 30
+
+
+def test_a_presentation_that_is_too_short_is_called_so(tmp_path):
+    """The user has chosen the step, of which there may be 400."""
+    slow = [((x, y, 2 * t, p), label) for (x, y, t, p), label in gestures(4)]
+    source = write_recordings(tmp_path / "slow.zip", slow, CLASSES)
+    said = []
+    chosen = fitted(settings_of(source, input={"kind": "events", "step": 1.0}), say=said.append)
+    assert chosen.steps == 400
+    (line,) = [line for line in said if "400 steps of 1 ms" in line]
+    assert "first 0.4 s" in line
+
+
+def test_what_was_chosen_stays_and_is_held_against_the_recordings(own):
+    wrong = settings_of(own, cnn={"architecture": "10x10-8c3-4o"}, check={"samples": 50})
+    with pytest.raises(SeveralErrors) as caught:
+        fitted(wrong)
+    lines = caught.value.lines
+    assert len(lines) == 2
+    assert any(not missing(line, 50, 12) for line in lines)
+    assert any("9x12-8c3-4o" in line for line in lines)
+    right = settings_of(own, cnn={"architecture": "9x12-8c3-4o"}, check={"samples": 5})
+    assert fitted(right) == right
+
+
+def test_simulated_recordings_need_nothing():
+    settings = Settings()
+    assert fitted(settings) is settings
+
+
+@pytest.mark.parametrize(
+    ("kind", "architecture", "resource"),
+    [
+        ("image", "100x100-40-4o", "input axons"),
+        ("events", "60x60x2-40-4o", "input axons"),
+    ],
+)
+def test_what_no_core_can_hold_is_told_before_training(kind, architecture, resource):
+    section = "cnn" if kind == "image" else "events"
+    changes = {"input": {"kind": kind}, section: {"architecture": architecture}}
+    problems = chip_problems(settings_of("own", **changes))
+    assert all(line.startswith(f"{architecture}: ") for line in problems)
+    assert all("layer dense1" in line for line in problems)
+    assert any(not missing(line, resource, 4096) for line in problems)
+    # The remedies are possible: a dense layer has no kernel, and no averaging may pass events.
+    assert not any("kernel" in line for line in problems)
+    assert any("averaging" in line for line in problems) == (kind == "image")
+
+
+@pytest.mark.parametrize("kind", ["image", "events"])
+@pytest.mark.parametrize("size", [(1, 8), (9, 12), (34, 34), (1, 200)])
+def test_the_chosen_architectures_fit_the_chip(size, kind):
+    for n in (2, 300):
+        sensor = Sensor(*size, classes=tuple(map(str, range(n))))
+        section = "cnn" if kind == "image" else "events"
+        architecture = architecture_for(sensor, kind == "events")
+        changes = {"input": {"kind": kind}, section: {"architecture": architecture}}
+        assert chip_problems(settings_of("own", **changes)) == []
+
+
+def test_an_untrained_network_needs_what_the_trained_one_needs():
+    spec = untrained(Settings().cnn.architecture, False, Settings().deployment)
+    assert [core.used for core in make_plan(spec).cores] == [
+        core.used for core in make_plan(paper_spec()).cores
+    ]
+
+
+def test_the_sensor_s_and_the_chip_s_problems_come_together(own):
+    wrong = settings_of(own, cnn={"architecture": "9x12-100c4-40-4o"}, check={"samples": 50})
+    with pytest.raises(SeveralErrors) as caught:
+        fitted(wrong)
+    lines = caught.value.lines
+    assert any("50 samples" in line for line in lines)
+    assert any(not missing(line, "layer dense1", "5400 input axons") for line in lines)
+
+
+def test_the_network_on_simulated_recordings_must_fit_the_chip_too():
+    with pytest.raises(SeveralErrors, match=r"layer dense1 .* 4900 input axons"):
+        fitted(Settings().with_values({"cnn": {"architecture": "10x10-100c4-40-10o"}}))
+
+
+def test_one_class_is_told_as_such(tmp_path):
+    folder = write_folder(tmp_path / "own", per_class=3)
+    for name in CLASSES[1:]:
+        shutil.rmtree(folder / name)
+    for kind in ("image", "events"):
+        with pytest.raises(SeveralErrors, match="one class"):
+            fitted(settings_of(folder, input={"kind": kind}))

@@ -1,0 +1,366 @@
+"""A NIR graph becomes a run's network: integers on every target, round trip, ladder, bad input."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.check.bundle import read_bundle
+from deploy.errors import UserError
+from deploy.files import read_json
+from deploy.network.decision import Threshold
+from deploy.network.nir import deployed_network, nir_graph, write_nir
+from deploy.network.spec import Presentation
+from deploy.network.stimulus import EventFrames, ImageSpikes
+from deploy.preflight.plan import make_plan
+from deploy.targets.registry import TARGETS, answer
+from models.nir_graph import read_nir
+from models.nir_layers import chosen, fired, layers_of
+from models.nir_simulator import simulate
+from pipeline.data.events import Sensor
+from pipeline.data.splits import Split
+from pipeline.data.steps import EventTable
+from pipeline.live.deciding import decider_of
+from pipeline.roads.event_training import FEWEST, trusted
+from pipeline.roads.nir_conversion import spec_of_nir
+from pipeline.roads.nir_import import decided_on, notes
+from pipeline.roads.nir_settings import Stepped, settings_of_nir
+from pipeline.settings import Image, Settings
+from pipeline.skin.simulate import simulate as simulated_skin
+from tests.command import call as stmnist
+from tests.command import missing
+from tests.deploy.networks import (
+    events_spec,
+    host_first_spec,
+    paper_spec,
+    random_checks,
+    random_frames,
+    small_spec,
+)
+from tests.models.nir_graphs import affine, conv, cuba_lif, lif, network_of, spikes
+from tests.own_sensor import write_folder
+
+nir = pytest.importorskip("nir")
+
+SIMULATORS = tuple(name for name, target in TARGETS.items() if not target.hardware)
+FRESH = Presentation(steps=60, gap=0, readout_start=0, stream_length=1)
+STEPPED = Stepped(0.001, "euler")
+
+
+def events_network(rng, *end):
+    """Averaging, a convolution with current-based neurons, and a dense layer."""
+    return network_of(
+        (2, 8, 8),
+        ("AvgPool2d", {"kernel_size": 2, "stride": 2, "padding": 0}),
+        conv(rng, 4, 2, 3, bias=0.1),
+        cuba_lif(0.004, 0.01, 12.0),
+        ("Flatten", {"start_dim": 0}),
+        affine(rng, 6, 16),
+        lif(0.02, 8.0, v_leak=-0.1),
+        affine(rng, 3, 6, bias=0.2),
+        *end,
+    )
+
+
+def frames_of(rng, n, steps=60, shape=(8, 8, 2)):
+    """Frames of events, silent in the last steps, in which spikes still travel."""
+    frames = spikes(rng, n, steps, shape, 0.15).astype(np.uint8)
+    frames[:, -8:] = 0
+    return frames
+
+
+@pytest.mark.parametrize(
+    "end", [[], [lif(0.03, 6.0)], [("LI", {"tau": 0.02, "r": 2, "v_leak": 0})]]
+)
+def test_fast_is_the_emulator_and_the_network_fits(end):
+    rng = np.random.default_rng(2)
+    network = events_network(rng, *end)
+    frames = frames_of(rng, 4)
+    spec = spec_of_nir(network, STEPPED, EventFrames(0.001, 0), FRESH, frames, {})
+    found = answer(spec, frames, "fast")
+    emulated = answer(spec, frames[:2], "emulator")
+    np.testing.assert_array_equal(emulated.spike_hashes, found.spike_hashes[:2])
+    for name in spec.spiking_layers:
+        assert found.spikes[name].sum() > 5, name
+    assert make_plan(spec).problems == []
+
+
+def test_spikes_are_the_chosen_integers_one_by_one():
+    """Without biases the chip's spikes are those of the integers, a step later for each layer."""
+    rng = np.random.default_rng(4)
+    network = network_of(
+        (2, 6, 6),
+        conv(rng, 5, 2, 3),
+        lif(0.01, 10.0),
+        ("Flatten", {}),
+        affine(rng, 7, 80),
+        cuba_lif(0.005, 0.02, 30.0),
+        affine(rng, 3, 7),
+    )
+    frames = frames_of(rng, 3, shape=(6, 6, 2))
+    spec = spec_of_nir(network, STEPPED, EventFrames(0.001, 0), FRESH, frames, {})
+    found = answer(spec, frames, "emulator")
+    signal = calibration = frames.reshape(3, 60, -1).astype(float)
+    for delay, layer in enumerate(layers_of(network, 0.001, "euler", (6, 6, 2))[:-1], 2):
+        integers = chosen(layer, calibration)
+        signal, calibration = fired(layer, signal, integers), fired(layer, calibration)
+        late = signal[:, : 60 - delay + 1].sum((1, 2))
+        np.testing.assert_array_equal(found.spikes[layer.name], late)
+        assert late.min() > 0
+
+
+def test_biases_of_a_filtered_readout_fade_in():
+    """Without spikes the score is the mean of the graph's output over the steps."""
+    network = network_of(
+        (2, 2, 2),
+        ("Flatten", {}),
+        ("Affine", {"weight": np.eye(3, 8), "bias": np.zeros(3)}),
+        lif(0.01, 12.0),
+        ("Affine", {"weight": np.eye(3), "bias": np.array([1.0, -2.0, 0.5])}),
+        ("LI", {"tau": 0.02, "r": 2.0, "v_leak": np.array([0.0, 0.3, 0.1])}),
+        ("Affine", {"weight": np.array([[1.0, 2, 0], [0, 1, 0], [0, 0, 1]]), "bias": np.ones(3)}),
+    )
+    frames = np.zeros((1, 60, 2, 2, 2), np.uint8)
+    spec = spec_of_nir(network, STEPPED, EventFrames(0.001, 0), FRESH, frames, {})
+    graph = simulate(network, np.zeros((1, 60, 2, 2, 2)), 0.001, "euler").outputs
+    np.testing.assert_allclose(answer(spec, frames, "fast").scores, graph.mean(1), atol=1e-9)
+
+
+def test_an_image_is_held():
+    """Without rounding of rates: a pixel of 1 spikes every other step with twice the weight."""
+    network = network_of((1, 2, 2), ("Flatten", {}), ("Linear", {"weight": np.eye(4)}),
+                         lif(0.01, 3.0), ("Linear", {"weight": np.eye(4)}))  # fmt: skip
+    images = np.array([1.0, 0.5, 0.1, 0.0]).reshape(1, 2, 2, 1)
+    shown = Presentation(steps=400, gap=0, readout_start=0, stream_length=1)
+    spec = spec_of_nir(network, STEPPED, ImageSpikes(), shown, images, {})
+    found = answer(spec, images, "fast").scores[0]
+    # a held input of 3 v passes 1 after log(1 - 1 / 3 v) / log(0.9) steps: 4, 11, never
+    np.testing.assert_allclose(found[:2], [1 / 4, 1 / 11], rtol=0.35)
+    assert found[2] == found[3] == 0
+
+
+@pytest.mark.parametrize(("r", "seconds", "told"), [(1.0, 0.02, 1), (50.0, 0.02, 0), (1.0, 1.0, 0)])
+def test_a_step_that_may_be_another_packages_is_told(r, seconds, told):
+    """Norse adds the whole input to IF at each step, and NIR the step times it."""
+    network = network_of(
+        (2, 2, 2), ("Flatten", {}), affine(np.random.default_rng(0), 3, 8),
+        ("IF", {"r": r, "v_threshold": 1.0}),
+    )  # fmt: skip
+    lines = list(notes(network, layers_of(network, seconds), Stepped(seconds, "exact")))
+    assert sum("nir.step=1000" in line for line in lines) == told
+
+
+@pytest.mark.parametrize("make", [small_spec, paper_spec, host_first_spec, events_spec])
+def test_round_trip_through_nir(make, tmp_path):
+    spec = make()
+    write_nir(tmp_path / "network.nir", spec)
+    network = read_nir(tmp_path / "network.nir")
+    back = deployed_network({n.name: n.parameters for n in network.nodes}, network.metadata)
+    assert back == spec
+    for one, other in zip(back.layers, spec.layers, strict=True):
+        np.testing.assert_allclose(one.weights, other.weights, rtol=1e-15)
+        np.testing.assert_array_equal(one.bias, other.bias)
+    static = spec.stimulus.static
+    inputs = random_checks(spec, 3).inputs if static else random_frames(spec, 3, share=0.2)
+    if make is not paper_spec:
+        for target in SIMULATORS:
+            hashes = (answer(s, inputs, target).spike_hashes for s in (spec, back))
+            np.testing.assert_array_equal(*hashes)
+
+
+def test_an_exported_description_that_divides_by_zero_is_refused():
+    spec = small_spec()
+    graph = nir_graph(spec)
+    description = json.loads(graph.metadata["deployed"])
+    description["layers"][-1]["pool"] = 0
+    graph.metadata["deployed"] = json.dumps(description)
+    network = read_nir(graph)
+    with pytest.raises(UserError, match="deployed"):
+        deployed_network({n.name: n.parameters for n in network.nodes}, network.metadata)
+
+
+def test_an_imported_network_survives_the_round_trip(tmp_path):
+    rng = np.random.default_rng(2)
+    frames = frames_of(rng, 3)
+    spec = spec_of_nir(events_network(rng), STEPPED, EventFrames(0.02, 0), FRESH, frames, {})
+    graph = read_nir(nir_graph(spec))
+    back = deployed_network({n.name: n.parameters for n in graph.nodes}, graph.metadata)
+    assert back == replace(spec, provenance={})
+    for target in SIMULATORS:
+        one, other = (answer(s, frames, target) for s in (spec, back))
+        np.testing.assert_array_equal(one.spike_hashes, other.spike_hashes)
+        np.testing.assert_array_equal(one.scores, other.scores)
+    write_nir(tmp_path / "n.nir", spec)
+    changes = settings_of_nir(tmp_path / "n.nir")
+    assert changes["input"] == {"kind": "events", "step": 20.0, "refractory": 0.0}
+    assert changes["presentation"]["stream_length"] == 1
+    with pytest.raises(UserError, match="--step"):
+        settings_of_nir(tmp_path / "n.nir", 10.0)
+
+
+def test_an_exported_network_on_images_has_its_conversion_of_events(tmp_path):
+    spec = replace(small_spec(), provenance={"image": {"normalisation": "sqrt-max"}})
+    write_nir(tmp_path / "n.nir", spec)
+    settings = Settings().with_values(settings_of_nir(tmp_path / "n.nir"), "")
+    assert settings.image.normalisation == "sqrt-max"
+
+
+def test_a_flat_graph_is_given_again_without_its_kind(tmp_path):
+    """216 inputs, of 9 x 12 taxels, are no square: the first time the kind is given."""
+    graph = nir.NIRGraph.from_list(
+        nir.Input({"input": np.array([216])}),
+        nir.Affine(np.ones((4, 216)), np.zeros(4)),
+        nir.LIF(*(np.full(4, x) for x in (0.1, 8.0, 0.0, 1.0))),
+        nir.Output({"output": np.array([4])}),
+    )
+    nir.write(tmp_path / "flat.nir", graph)
+    with pytest.raises(UserError, match="--input"):
+        settings_of_nir(tmp_path / "flat.nir")
+    run = Settings().with_values(settings_of_nir(tmp_path / "flat.nir", 20.0, "events"), "")
+    assert settings_of_nir(tmp_path / "flat.nir", before=run)["input"] == {"kind": "events"}
+
+
+def test_early_decisions_are_chosen_on_every_class():
+    labels = np.repeat(np.arange(10), 500)
+    split = Split(np.arange(5000), np.arange(0), np.arange(0))
+    assert set(labels[decided_on(split, 0)]) == set(range(10))
+
+
+def test_a_confidence_chosen_on_few_samples_is_not_trusted():
+    chosen = Threshold(0.5, 0.9, 0.4)
+    assert trusted(chosen, FEWEST) == chosen
+    assert trusted(chosen, FEWEST - 1).confidence == 1
+
+
+@pytest.mark.slow
+def test_a_run_of_a_graph(tmp_path, capsys):
+    """Convert, ladder, plan; then again, nothing is done anew."""
+    rng = np.random.default_rng(0)
+    graph = nir.NIRGraph.from_list(
+        nir.Input({"input": np.array([2, 10, 10])}),
+        nir.Conv2d((10, 10), rng.normal(0, 1, (4, 2, 4, 4)), 3, 0, 1, 1, np.zeros(4)),
+        nir.LIF(*(np.full((4, 3, 3), x) for x in (0.1, 8.0, 0.0, 1.0))),
+        nir.Flatten({"input": np.array([4, 3, 3])}, 0),
+        nir.Affine(rng.normal(0, 1, (10, 36)), np.zeros(10)),
+        nir.Output({"output": np.array([10])}),
+    )
+    file, run = tmp_path / "some.nir", tmp_path / "run"
+    nir.write(file, graph)
+    few = ["--set", "data.samples_per_digit=8", "--samples", "6", "--step", "20", "--jobs", "1"]
+    assert stmnist("convert", run, "--nir", file, *few) == 0
+    assert missing(capsys.readouterr().err, "nir: ", "--step") == []
+    cost = read_json(run / "snn" / "metrics.json", "")["reset_by_subtraction"]
+    assert cost["samples"] == 64
+    assert cost["spikes"] > 1
+    assert 0 <= cost["agreement"] <= 1
+    nir.write(file, graph_of_ones())  # a later version; the run has its own copy
+    changed = ["--set", "nir.method=euler"]  # for which the graph is read again
+    assert stmnist("ladder", run, "--json", "--jobs", "1", *changed) == 0
+    answered = capsys.readouterr()
+    assert "has changed" in answered.err
+    rows = json.loads(answered.out)["rows"]
+    assert [row["stage"] for row in rows] == ["nir", "nengo", "simreal", "emulator"]
+    assert "nir: " in answered.err
+    assert stmnist("deploy", "plan", run / "bundle") == 0
+    assert stmnist("train", run) == 2
+    assert stmnist("status", run) == 0
+    assert "outdated" not in capsys.readouterr().out
+    assert stmnist("report", run) == 0
+    assert stmnist("deploy", "energy", run / "bundle") == 0
+    assert "emulator" in (run / "report.html").read_text()
+    decides_as_its_check(read_bundle(run / "bundle"))
+    saved = (run / "experiment.toml").read_bytes()
+    other = write_folder(tmp_path / "own", per_class=5)  # of another sensor
+    assert stmnist("ladder", run, "--data", other, "--jobs", "1") == 2
+    assert (run / "experiment.toml").read_bytes() == saved
+    nir.write(run / "snn" / "network.nir", graph_of_ones())
+    assert stmnist("convert", run, "--set", "presentation.gap=3", "--jobs", "1") == 2
+    assert missing(capsys.readouterr().err, "network.nir: ") == []
+
+
+def graph_of_ones():
+    return nir.NIRGraph.from_list(
+        nir.Input({"input": np.array([2, 10, 10])}),
+        nir.Flatten({"input": np.array([2, 10, 10])}, 0),
+        nir.Affine(np.ones((10, 200)), np.zeros(10)),
+        nir.Output({"output": np.array([10])}),
+    )
+
+
+def decides_as_its_check(bundle):
+    """The live page's decisions on whole recordings are those of ``fast``."""
+    recordings = simulated_skin(3, [1] * 10, jobs=1)
+    stimulus, steps = bundle.spec.stimulus, bundle.spec.presentation.steps
+    frames = EventTable.of(recordings).frames(
+        np.arange(10), 1000 * stimulus.seconds, steps, stimulus.rest
+    )
+    expected = answer(bundle.spec, np.moveaxis(frames, 0, 1), "fast")
+    decider = decider_of(bundle, Image(), Sensor())
+    for index in range(10):
+        said = decider.begin().answer(recordings[index], 4.0)
+        np.testing.assert_array_equal(said.scores, expected.scores[index])
+        assert said.decision == expected.predictions[index]
+
+
+BAD = [
+    (["--nir", "missing.nir"], ["missing.nir: ", "No such file"]),
+    (["--nir", "text.nir"], ["text.nir: ", "NIR"]),
+    (["--nir", "small.nir", "--model", "x.keras"], ["--model", "--nir"]),
+    (["--step", "20"], ["--step", "--nir"]),
+    (["--retrain"], ["--retrain", "--nir"]),
+    (["--nir", "small.nir", "--step", "5000"], ["'input.step'"]),
+    (["--nir", "small.nir", "--step", "200"], ["tau", " 0.1 s", " 0.2 s", "--step"]),
+    (["--nir", "small.nir", "--input", "image"], ["2 x 10 x 10"]),
+    (["--nir", "small.nir", "--set", "skin.rows=12", "--set", "skin.columns=12"], ["2 x 12 x 12"]),
+    (["--nir", "nine.nir"], ["nine.nir: ", " 9 values", " 10 "]),
+    (["--nir", "large.nir"], ["large.nir: ", "layer output"]),
+]
+
+
+@pytest.mark.parametrize(("options", "facts"), BAD)
+def test_mistakes_are_one_line(options, facts, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "text.nir").write_text("hello")
+    for name, outputs, weight in (
+        ("small.nir", 10, 1.0),
+        ("nine.nir", 9, 1.0),
+        ("large.nir", 10, 1e7),
+    ):
+        weights = np.full((outputs, 2, 10, 10), weight)
+        nir.write(
+            name,
+            nir.NIRGraph.from_list(
+                nir.Input({"input": np.array([2, 10, 10])}),
+                nir.Conv2d((10, 10), weights, 1, 0, 1, 1, np.zeros(outputs)),
+                nir.LIF(*(np.full((outputs, 1, 1), x) for x in (0.1, 8.0, 0.0, 1.0))),
+                nir.Output({"output": np.array([outputs, 1, 1])}),
+            ),
+        )
+    few = ["--set", "data.samples_per_digit=5", "--samples", "2", "--jobs", "1"]
+    assert stmnist("convert", tmp_path / "run", *options, *few) == 2
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert missing(last, *facts) == []
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_graph_for_another_sensor_leaves_nothing(tmp_path, capsys):
+    """A graph with rows and columns exchanged, on a user's recordings on 9 rows of 12 taxels."""
+    data = write_folder(tmp_path / "own", per_class=5)
+    graph = nir.NIRGraph.from_list(
+        nir.Input({"input": np.array([2, 12, 9])}),
+        nir.Flatten({"input": np.array([2, 12, 9])}, 0),
+        nir.Affine(np.full((4, 216), 0.1), np.zeros(4)),
+        nir.LIF(*(np.full(4, x) for x in (0.1, 8.0, 0.0, 1.0))),
+        nir.Output({"output": np.array([4])}),
+    )
+    nir.write(tmp_path / "some.nir", graph)
+    given = ("--nir", tmp_path / "some.nir", "--step", 20, "--data", data, "--jobs", 1)
+    assert stmnist("convert", tmp_path / "run", *given) == 2
+    assert "2 x 9 x 12" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_graph_that_was_changed_is_refused(tmp_path):
+    with pytest.raises(UserError, match=r"gone\.nir: .*No such file"):
+        settings_of_nir(tmp_path / "gone.nir")

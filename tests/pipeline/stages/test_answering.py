@@ -1,0 +1,105 @@
+"""Several stages at once: their streams shared between processes."""
+
+import fcntl
+import json
+
+import pytest
+
+from deploy.check.results import read_result
+from deploy.check.run import OpenCheck, open_check, run_check
+from deploy.errors import UserError
+from pipeline.run import RunFolder
+from pipeline.settings import Settings
+from pipeline.stages import answer_all
+from tests.deploy.checks import interrupted, partial, same_answers
+from tests.deploy.networks import bundle_at
+
+TARGETS = ["nengo", "emulator", "fast"]
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory):
+    """Seven samples in streams of three."""
+    return bundle_at(tmp_path_factory.mktemp("bundle") / "bundle")
+
+
+def answered(folder, bundle, targets=TARGETS, **given):
+    return answer_all(RunFolder(folder), Settings(), bundle, targets, jobs=2, **given)
+
+
+def check_of(folder, target):
+    return RunFolder(folder).check(target)
+
+
+def test_shared_streams_give_the_answers_of_one_process(bundle, tmp_path):
+    results = answered(tmp_path, bundle)
+    assert [result["target"] for result in results] == TARGETS
+    for result in results:
+        alone = run_check(bundle, result["target"], tmp_path / "alone.json")
+        same_answers(result, alone)
+        assert read_result(check_of(tmp_path, result["target"])) == result
+        assert result["wall_seconds"] > 0
+    assert sorted(path.name for path in (tmp_path / "checks").iterdir()) == sorted(
+        f"{target}.json" for target in TARGETS
+    )
+
+
+def test_what_is_done_is_not_done_again(bundle, tmp_path):
+    interrupted(bundle, check_of(tmp_path, "nengo"), 2, "nengo")
+    saved = partial(check_of(tmp_path, "nengo"))
+    _, first, second = saved.read_text().splitlines()
+    record = json.loads(first)
+    record["samples"][0]["scores"][0] = 123.0
+    saved.write_text("\n".join(["", json.dumps(record), second]) + "\n")
+    # Of the emulator all streams are there, the result is not.
+    interrupted(bundle, check_of(tmp_path, "emulator"), 3, "emulator")
+    nengo, emulator = answered(tmp_path, bundle, ["nengo", "emulator"])
+    assert nengo["samples"][0]["scores"][0] == 123.0
+    whole = run_check(bundle, "emulator", tmp_path / "whole.json")
+    same_answers(emulator, whole)
+
+
+def test_an_interruption_keeps_every_stream_that_was_answered(bundle, tmp_path, monkeypatch):
+    """Wherever it was answered, and before this process had heard of it."""
+
+    def stop(self, record):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(OpenCheck, "take", stop)
+        with pytest.raises(KeyboardInterrupt):
+            answered(tmp_path, bundle, ["nengo", "emulator"])
+    paths = [partial(check_of(tmp_path, target)) for target in ("nengo", "emulator")]
+    assert sum(path.read_text().count('"first": ') for path in paths if path.exists()) >= 1
+    for result in answered(tmp_path, bundle, ["nengo", "emulator"]):
+        alone = run_check(bundle, result["target"], tmp_path / "alone.json")
+        same_answers(result, alone)
+    assert not partial(check_of(tmp_path, "nengo")).exists()
+
+
+def test_streams_are_resumed_in_whatever_order_they_came(bundle, tmp_path):
+    interrupted(bundle, check_of(tmp_path, "emulator"), 3, "emulator")
+    saved = partial(check_of(tmp_path, "emulator"))
+    first, second, third = saved.read_text().splitlines()[1:]
+    cut, other = second[:-9], json.dumps({**json.loads(first), "of": {"bundle": "another"}})
+    saved.write_text("\n".join(["", third, cut, other]))
+    check = check_of(tmp_path, "emulator")
+    with open_check(bundle, "emulator", check) as opened:
+        assert opened.left == [slice(0, 3), slice(3, 6)]
+    (result,) = answered(tmp_path, bundle, ["emulator"])
+    same_answers(result, run_check(bundle, "emulator", check))
+
+
+def test_a_target_that_fails_leaves_the_others_results(bundle, tmp_path):
+    with pytest.raises(UserError, match="NxSDK"):
+        answered(tmp_path, bundle, ["nengo", "loihi"])
+    assert len(read_result(check_of(tmp_path, "nengo"))["samples"]) == 7
+    assert not check_of(tmp_path, "loihi").exists()
+
+
+def test_a_result_that_another_process_writes(bundle, tmp_path):
+    interrupted(bundle, check_of(tmp_path, "nengo"), 1, "nengo")
+    with partial(check_of(tmp_path, "nengo")).open("a") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        with pytest.raises(UserError, match=r"nengo\.json: "):
+            answered(tmp_path, bundle, ["nengo", "emulator"])

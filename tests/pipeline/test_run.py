@@ -1,0 +1,117 @@
+"""A run is begun only where nothing else is, and a command that fails leaves nothing."""
+
+import pytest
+
+from pipeline.run import RunFolder, checks_beside, similar_run
+from pipeline.settings import Settings, write_settings
+from tests.command import call, missing
+
+
+def test_a_bundle_is_no_run(tmp_path, capsys):
+    bundle = tmp_path / "own" / "bundle"
+    bundle.mkdir(parents=True)
+    (bundle / "MANIFEST.json").write_text("{}")
+    (tmp_path / "own" / "experiment.toml").write_text("")
+    assert call("ladder", bundle) == 2
+    assert str(tmp_path / "own") in capsys.readouterr().err
+    assert [entry.name for entry in bundle.iterdir()] == ["MANIFEST.json"]
+
+
+def test_a_run_in_a_bundle_is_refused(tmp_path, capsys):
+    bundle = tmp_path / "own" / "bundle"
+    bundle.mkdir(parents=True)
+    for name in ("MANIFEST.json", "network.json"):
+        (bundle / name).write_text("{}")
+    for verb in ("train", "ladder", "live"):
+        assert call(verb, bundle / "new" / "run") == 2
+        assert str(bundle) in capsys.readouterr().err
+    assert call("sweep", bundle / "sweep") == 2
+    assert sorted(entry.name for entry in bundle.iterdir()) == ["MANIFEST.json", "network.json"]
+
+
+@pytest.mark.parametrize("command", [
+    ("sweep", "RUN"),
+    ("benchmark", "table2", "--out", "RUN"),
+    ("benchmark", "losses", "--out", "RUN"),
+])  # fmt: skip
+def test_a_run_does_not_become_the_folder_of_a_benchmark(tmp_path, capsys, command):
+    """Its settings would be replaced by those of the benchmark, and its results be outdated."""
+    for name in ("experiment.toml", "dataset.json"):
+        (tmp_path / name).write_text("")
+    assert call(*(tmp_path if word == "RUN" else word for word in command)) == 2
+    assert str(tmp_path) in capsys.readouterr().err
+    assert (tmp_path / "experiment.toml").read_text() == ""
+
+
+@pytest.mark.parametrize(
+    "result", ["splits/random-00/cnn.json", "points/0a.json", "networks/cnn/0a/x", "split-07.json"]
+)
+def test_the_folder_of_a_benchmark_does_not_become_a_run(tmp_path, capsys, result):
+    """A benchmark that was interrupted could not continue there."""
+    (tmp_path / result).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / result).write_text("{}")
+    write_settings(tmp_path / "experiment.toml", Settings())
+    for command in ("convert", "train", "status", "report", "check run --target fast", "live"):
+        assert call(*command.split(), tmp_path) == 2
+        said = capsys.readouterr().err
+        assert missing(said, tmp_path, result.split("/")[0], "benchmark") == []
+        assert "stmnist convert" not in said
+    assert not (tmp_path / "dataset.json").exists()
+
+
+def test_the_status_of_a_bundle_names_its_run(tmp_path, capsys):
+    bundle = tmp_path / "own" / "bundle"
+    bundle.mkdir(parents=True)
+    (bundle / "MANIFEST.json").write_text("{}")
+    (tmp_path / "own" / "experiment.toml").write_text("")
+    assert call("status", bundle) == 2
+    assert f"ladder {bundle}" not in capsys.readouterr().err
+
+
+def test_a_folder_of_other_things_is_no_run(tmp_path, capsys):
+    (tmp_path / "thesis.tex").write_text("")
+    assert call("ladder", tmp_path) == 2
+    assert "thesis.tex" in capsys.readouterr().err
+    assert [entry.name for entry in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize("arguments", [
+    ("--data", "nowhere.zip"), ("--set", "cnn.epoch=5"), ("--settings", "nothing.toml"),
+])  # fmt: skip
+def test_a_failed_command_leaves_no_folder(tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    assert call("ladder", tmp_path / "runs" / "new", *arguments) == 2
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "empty").mkdir()
+    assert call("ladder", tmp_path / "empty", *arguments) == 2
+    assert list((tmp_path / "empty").iterdir()) == []
+
+
+def test_a_similar_name(tmp_path):
+    (tmp_path / "default").mkdir()
+    assert similar_run(tmp_path / "defualt") is None
+    (tmp_path / "default" / "experiment.toml").write_text("")
+    assert similar_run(tmp_path / "defualt") == tmp_path / "default"
+    assert similar_run(tmp_path / "default") is None
+    assert similar_run(tmp_path / "gestures") is None
+    assert similar_run(tmp_path / "nowhere" / "default") is None
+
+
+def test_results_of_bundles_side_by_side_do_not_replace_each_other(tmp_path):
+    names = ("bundle", "adapted/7", "adapted/8")
+    folders = [checks_beside(tmp_path / name) for name in names]
+    assert folders[0] == tmp_path / "checks"
+    assert len(set(folders)) == 3
+
+
+def test_steps_that_were_chosen_for_another_input_are_not_kept(tmp_path):
+    run = RunFolder(tmp_path)
+    events = {"input": {"kind": "events"}, "presentation": {"steps": 171}}
+    run.save_settings(Settings().with_values(events, "test"))
+
+    def steps(**changes):
+        return run.resolve_settings(None, changes).presentation.steps
+
+    assert steps() == steps(input={"kind": "events"}) == 171
+    assert steps(input={"kind": "image"}) == steps(input={"step": 20.0}) == 0
+    assert steps(input={"kind": "image"}, presentation={"steps": 60}) == 60
