@@ -258,9 +258,6 @@ class NIR(Section):
     """Integration of the graph's equations: ``exact``, their exact solution; ``euler``, forward
     Euler steps, as Norse and snnTorch train; ``auto``, ``euler`` if snnTorch's exporter wrote the
     graph, otherwise ``exact``."""
-    retrain: bool = False
-    """Whether the graph's network is trained further on the run's events, in the chip's integers;
-    ``convert --nir --retrain`` sets it."""
 
 
 @dataclass(frozen=True)
@@ -452,10 +449,9 @@ class Settings(Section):
 
     @property
     def network(self) -> str:
-        """The origin of the network for the chip: ``"nir"``, ``"retrained"`` (a NIR graph that is
-        trained further), or the kind of the input."""
+        """The origin of the network for the chip: ``"nir"`` or the kind of the input."""
         if self.nir.file:
-            return "retrained" if self.nir.retrain else "nir"
+            return "nir"
         return self.input.kind
 
     def value(self, name: str):

@@ -60,8 +60,7 @@ def convert(
         bool,
         typer.Option(
             "--retrain",
-            help="With --model: continue training with rate-based LIF.  With --nir: on the events, "
-            "in the chip's integers.",
+            help="With --model: continue training with rate-based LIF.",
         ),
     ] = False,
     jobs: options.Jobs = 2,
@@ -71,17 +70,18 @@ def convert(
     With --model: scale that model to the neurons' range, make it spike, write the bundle.
     With --nir: turn the graph's neurons and weights into the chip's integers, write the bundle.
     """
-    if retrain and model is None and nir is None:
-        raise UserError("--retrain: needs a network; give it with --model FILE or --nir FILE")
+    if retrain and model is None:
+        raise UserError("--retrain: needs a Keras model; give it with --model FILE")
     if model is not None and nir is not None:
         raise UserError("--model and --nir: a run has one network; give only one of them")
     if step is not None and nir is None:
         raise UserError("--step: needs a NIR graph; give it with --nir FILE")
     changes = stages.settings_of_model(model, retrain) if model else {}
     if nir is not None:
-        take = stages.settings_of_retrained if retrain else stages.settings_of_nir
         refuse_other_folders(run)
-        changes = take(nir, step, given.input, RunFolder(run).resolve_settings(given.settings, {}))
+        changes = stages.settings_of_nir(
+            nir, step, given.input, RunFolder(run).resolve_settings(given.settings, {})
+        )
     fit = options.fit_recordings(jobs, until="convert")
     with (
         options.opened(run, given, changes, fit) as (folder, resolved),

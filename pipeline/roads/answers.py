@@ -32,7 +32,6 @@ REFERENCES = {
     "image": ("cnn", "rate-lif", "spiking-lif"),
     "events": ("trained",),
     "nir": ("nir",),
-    "retrained": ("nir", "trained"),
 }
 """The reference stages by `Settings.network`."""
 

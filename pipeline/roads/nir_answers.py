@@ -122,10 +122,6 @@ def graph_responses(folder: Path, settings: Settings, bundle: Bundle, advance=No
     """
     network, inputs, spec = graph_in(folder, settings), bundle.checks.inputs, bundle.spec
     outputs, counts = outputs_of(network, Stepped.of(settings, network), inputs, settings, advance)
-    if settings.network == "retrained":  # its estimator was trained with it, not with the graph
-        spec = replace(
-            spec, estimator=None, presentation=replace(spec.presentation, confidence=None)
-        )
     readout = spec.layers[-1]
     if readout.neurons is None:
         outputs = outputs - readout.bias  # which read_output adds

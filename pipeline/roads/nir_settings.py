@@ -67,7 +67,6 @@ def settings_of_nir(
     step: float | None = None,
     kind: str | None = None,
     before: Settings | None = None,
-    retrain: bool = False,
 ) -> dict:
     """Changes of the settings with which a NIR graph replaces the trained network.
 
@@ -82,8 +81,6 @@ def settings_of_nir(
     before : Settings, optional
         The run's present settings.  If they are of the same file, which may have changed, and have
         the same kind of input, their presentation and steps are kept.
-    retrain : bool
-        The graph will be trained further.
 
     Raises
     ------
@@ -92,9 +89,9 @@ def settings_of_nir(
     """
     path, before = Path(path), before or Settings()
     network, sha256 = read_nir(path), sha256_of(path)
-    nir = {"file": str(path.absolute()), "sha256": sha256, "retrain": retrain}
-    is_known = before.nir.sha256 == sha256 and before.nir.retrain == retrain
-    was_graph = is_known or (before.nir.file, before.nir.retrain) == (nir["file"], retrain)
+    nir = {"file": str(path.absolute()), "sha256": sha256}
+    is_known = before.nir.sha256 == sha256
+    was_graph = is_known or before.nir.file == nir["file"]
     if (exported := exported_here(network, path)) is not None:
         if step is not None:
             raise UserError(f"{path}: was exported from a bundle and has its step; omit --step")
@@ -116,8 +113,7 @@ def settings_of_nir(
 
 def give_again(settings: Settings) -> str:
     """The remedy for a graph that has changed since it was imported."""
-    retrain = " --retrain" if settings.nir.retrain else ""
-    return f"give it again with 'stmnist convert RUN --nir FILE{retrain}'"
+    return "give it again with 'stmnist convert RUN --nir FILE'"
 
 
 def graph_in(folder: Path, settings: Settings) -> NirNetwork:

@@ -29,12 +29,11 @@ def rates_origin(settings: Settings, dataset: Origin) -> Origin:
 
 
 def events_origin(settings: Settings, dataset: Origin) -> Origin:
-    """Origin of the network trained on events: from new weights, or from those of a NIR graph.
+    """Origin of the network trained on events.
 
     It does not depend on the presentation.
     """
-    start = nir_origin(settings, dataset) if settings.network == "retrained" else dataset
-    return Origin.of(settings, ["input", "events"], [start])
+    return Origin.of(settings, ["input", "events"], [dataset])
 
 
 def threshold_origin(settings: Settings, dataset: Origin) -> Origin:
@@ -48,7 +47,7 @@ def threshold_origin(settings: Settings, dataset: Origin) -> Origin:
 def nir_origin(settings: Settings, dataset: Origin) -> Origin:
     """Origin of an imported NIR graph, with its accuracy and threshold."""
     presented = ["presentation.steps"] if settings.on_events else ["presentation", "image"]
-    graph = ["nir.sha256", "nir.step", "nir.method", "nir.retrain"]
+    graph = ["nir.sha256", "nir.step", "nir.method"]
     return Origin.of(settings, ["input", *graph, *presented], [dataset])
 
 

@@ -2,7 +2,6 @@
 
 from pipeline.roads.nir_import import refuse_early
 from pipeline.roads.nir_settings import settings_of_nir
-from pipeline.roads.nir_training import settings_of_retrained
 from pipeline.roads.own_model import read_model, settings_of_model
 from pipeline.stages.answering import answer, answer_all
 from pipeline.stages.bars import bars

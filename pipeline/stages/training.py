@@ -15,7 +15,7 @@ from models.architecture import parse
 from pipeline.artifacts import Artifact, Library, Origin
 from pipeline.data.dataset import Dataset
 from pipeline.progress import progress
-from pipeline.roads import nir_import, nir_training
+from pipeline.roads import nir_import
 from pipeline.roads.answers import training_versions
 from pipeline.roads.diagnosis import activity, fastest_rate, training_lines
 from pipeline.roads.event_training import FEWEST, choose, event_samples
@@ -42,7 +42,6 @@ ARTIFACTS = {
     "image": ("cnn", "rate-lif"),
     "events": ("events", "threshold"),
     "nir": ("nir",),
-    "retrained": ("nir", "events", "threshold"),
 }
 """Names of the artifacts from which a bundle is made, in order, by :attr:`Settings.network`."""
 
@@ -65,13 +64,7 @@ def network_artifact(name: str, place: Place, settings: Settings, dataset: Origi
         "rate-lif": (rates_origin, "snn", "metrics.json", "weights.npz"),
         "events": (events_origin, "snn", "training.json", "weights.npz"),
         "threshold": (threshold_origin, "threshold", "metrics.json"),
-        # A graph that is trained further has a folder beside the network that is made from it.
-        "nir": (
-            nir_origin,
-            "snn" if settings.network == "nir" else "nir",
-            "metrics.json",
-            GRAPH,
-        ),
+        "nir": (nir_origin, "snn", "metrics.json", GRAPH),
     }[name]
     origin = make_origin(settings, dataset)
     path = place.folder(folder, origin)
@@ -176,16 +169,11 @@ def _train_on_events(artifact, place, settings, dataset, say):
 
     samples = event_samples(dataset, settings.seed)
     checkpoint = Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
-    start = None
-    if settings.network == "retrained":
-        graph = network_artifact("nir", place, settings, dataset.origin)
-        start, lines = nir_training.start(graph.folder, settings, samples)
-        for line in lines:
-            say(f"nir: {line}")
     recipe, (table, labels, indices, _) = events.EventRecipe.of(settings), samples
     arguments = recipe, table, labels, indices, settings.seed
-    more = {"checkpoint": checkpoint, "start": start}
-    trained, seconds = _timed("events", recipe.epochs, events.train_events, *arguments, **more)
+    trained, seconds = _timed(
+        "events", recipe.epochs, events.train_events, *arguments, checkpoint=checkpoint
+    )
     _write_network(artifact.folder, trained, dataset)
     epochs = len(trained.history)
     return {"epochs": epochs, "seconds": seconds, "versions": training_versions()}
