@@ -54,10 +54,10 @@ check: convert  ## Run the check on TARGET, and compare it with the reference si
 	@$(STMNIST) check compare "$(RUN)/checks/nengo.json" "$(RUN)/checks/$(TARGET).json"
 
 benchmark: setup  ## Measure the paper's Table 2 on ten splits (hours; SLAYER last)
-	@$(STMNIST) benchmark table2 --out "$$(dirname "$(RUN)")/table2" $(DATA_OPTIONS) $(SET_OPTIONS) $(if $(SAMPLES),--set check.samples=$(SAMPLES)) $(if $(STEPS),--set presentation.steps=$(STEPS))
+	@$(BIN)/python -m experiments table2 --out "$$(dirname "$(RUN)")/table2" $(DATA_OPTIONS) $(SET_OPTIONS) $(if $(SAMPLES),--set check.samples=$(SAMPLES)) $(if $(STEPS),--set presentation.steps=$(STEPS))
 
-results: setup  ## Measure the files in results/ again that are out of date (hours; maintainers)
-	@$(BIN)/python -m tools.results --jobs $(JOBS)
+results: setup  ## List what can be measured again for results/, with its time (maintainers)
+	@$(BIN)/python -m experiments
 
 report: loihi-emulate  ## Write the results of RUN as one HTML file, RUN/report.html
 	@$(STMNIST) report "$(RUN)" --jobs $(JOBS)

@@ -284,38 +284,6 @@ class EventTraining(Section):
 
 
 @dataclass(frozen=True)
-class Slayer(Section):
-    """SLAYER training on the events (paper, Section 3.2.3)."""
-
-    architecture: str = "10x10x2-6c2-24c3-10o"
-    """Notation as for the CNN, with a channel for each polarity."""
-    bins: Annotated[int, STEPS] = 200
-    """Time steps that a recording of two seconds is divided into; 10 ms each (paper)."""
-    epochs: Annotated[int, EPOCHS] = 100
-    """Passes over the training samples."""
-    batch_size: Annotated[int, BATCH] = 32
-    """Samples per training step.  Not given in the paper."""
-    learning_rate: Annotated[float, ABOVE_0] = 0.01
-    """Learning rate.  Not given in the paper; like the optimiser, it is from the examples of the
-    SLAYER authors."""
-    true_count: float = 60.0
-    """Desired spikes of the correct digit's output neuron (paper)."""
-    false_count: float = 10.0
-    """Desired spikes of each other output neuron (paper)."""
-    tau_s: Annotated[float, TAU] = 0.1
-    """Time constant in seconds of a neuron's response to a spike.  Not given in the paper; the
-    SLAYER authors' examples have 10 time steps, which are 0.1 s here."""
-    tau_r: Annotated[float, TAU] = 0.01
-    """Time constant in seconds of its refractory response; 1 time step in those examples."""
-    conv_scale: Annotated[float, ABOVE_0] = 100.0
-    """Range of the initial weights of a convolution, in units of 1/sqrt(inputs): that of the
-    SLAYER authors' code, which the paper used unmodified.  10 gives a higher accuracy
-    (results/README.md)."""
-    dense_scale: Annotated[float, ABOVE_0] = 10.0
-    """Range of the initial weights of the output layer, from the same code."""
-
-
-@dataclass(frozen=True)
 class Deployment(Section):
     """Placement of the spiking network on chip and host; see :mod:`deploy.network.spec`."""
 
@@ -389,7 +357,6 @@ class Settings(Section):
     snn: SNN = field(default_factory=SNN)
     nir: NIR = field(default_factory=NIR)
     events: EventTraining = field(default_factory=EventTraining)
-    slayer: Slayer = field(default_factory=Slayer)
     deployment: Deployment = field(default_factory=Deployment)
     presentation: PresentationSettings = field(default_factory=PresentationSettings)
     check: Check = field(default_factory=Check)
@@ -479,11 +446,10 @@ class Settings(Section):
 
     def relevant(self) -> dict:
         """The settings of :meth:`flat` that such a run reads."""
-        unread = ("slayer.",)
         if self.on_events:
-            unread += ("cnn.", "snn.", "image.", "deployment.", "presentation.readout_start")
+            unread = ("cnn.", "snn.", "image.", "deployment.", "presentation.readout_start")
         else:
-            unread += ("events.", "input.step", "input.refractory")
+            unread = ("events.", "input.step", "input.refractory")
         if self.data.source == SIMULATED:
             unread += ("data.skip_bad", "data.time_unit", "data.downsample")
         else:
@@ -757,14 +723,10 @@ def _validate(s: Settings, origin):
     on_events = _parsed(s.events.architecture, "events.architecture", origin)
     need(len(on_events.layers) > 1 and all(layer.kind != "pool" for layer in on_events.layers),
          "events.architecture", "a network with a hidden layer and without pooling")  # fmt: skip
-    of_events = _parsed(s.slayer.architecture, "slayer.architecture", origin)
     architecture = _parsed(s.cnn.architecture, "cnn.architecture", origin)
     if s.data.source == SIMULATED:  # other recordings must be read first to know their sensor
         rows, columns = s.skin.rows or paper.ROWS, s.skin.columns or paper.COLUMNS
         check_fits(s, rows, columns, paper.CLASSES, origin)
-        if (rows, columns) == (paper.ROWS, paper.COLUMNS):  # otherwise this setting may be unused
-            need(of_events.input_shape == (rows, columns, 2), "slayer.architecture",
-                 f"for {rows}x{columns}x2, a channel for each polarity")  # fmt: skip
     n_spiking = len(architecture.spiking)
     need(n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output")
     if s.nir.file:  # the graph's filters are not known here; the plan reports them

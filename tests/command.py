@@ -16,9 +16,10 @@ LEAVE_GARBAGE = "import atexit, gc; gc.disable(); atexit.register(gc.freeze)\n"
 looks through them while it imports and, a second long, as it ends."""
 
 
-def call(*arguments) -> int:
+def call(*arguments, main=None) -> int:
     """Run it in this process and return its exit status; ``capsys`` has what it printed."""
-    from pipeline.commands.main import main
+    if main is None:
+        from pipeline.commands.main import main
 
     try:
         main([str(argument) for argument in arguments])

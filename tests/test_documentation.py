@@ -9,10 +9,10 @@ import subprocess
 import pytest
 
 import stmnist
+from experiments.documentation import FILES, with_parts
 from pipeline.commands.main import with_every_verb
 from pipeline.settings import Settings
 from tests.command import ROOT, missing
-from tools.documentation import FILES, with_parts
 
 README = ROOT / "README.md"
 DOCS = sorted((ROOT / "docs").glob("*.md"))
@@ -92,7 +92,7 @@ def test_a_command_and_its_options_have_help(words):
 @pytest.mark.parametrize("name", FILES)
 def test_what_is_generated_is_the_current_one(name):
     text = (ROOT / name).read_text(encoding="utf-8")
-    assert text == with_parts(text), "run: python -m tools.documentation"
+    assert text == with_parts(text), "run: python -m experiments document"
 
 
 def test_every_command_and_option_is_in_the_reference():
@@ -109,7 +109,7 @@ def test_every_setting_is_in_the_docs():
 
 def test_a_part_without_an_end_is_refused():
     with pytest.raises(ValueError, match="settings"):
-        with_parts("<!-- settings: written by python -m tools.documentation -->\n")
+        with_parts("<!-- settings: written by python -m experiments document -->\n")
 
 
 @pages
@@ -226,12 +226,12 @@ def is_defined(name):
     )
 
 
-@pytest.mark.parametrize("package", ["deploy", "models", "pipeline", "stmnist"])
+@pytest.mark.parametrize("package", ["deploy", "experiments", "models", "pipeline", "stmnist"])
 def test_what_a_docstring_names_is_there(package):
     """In a role, such as :mod:`pipeline.paper`, or as the type of a parameter."""
     for path in (ROOT / package).rglob("*.py"):
         text = path.read_text(encoding="utf-8")
-        ours = r"(?:deploy|models|pipeline|stmnist)(?!\.pyz?\b)(?:\.\w+)+"
+        ours = r"(?:deploy|experiments|models|pipeline|stmnist)(?!\.pyz?\b)(?:\.\w+)+"
         for name in re.findall(rf"(?:`~?| : |of )({ours})", text):
             assert is_defined(name), f"{path}: {name}"
 

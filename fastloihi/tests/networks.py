@@ -6,7 +6,7 @@ import nengo
 import numpy as np
 
 from deploy.network.loihi_import import nengo_loihi
-from pipeline.experiments import network_speed
+from experiments import network_speed
 
 
 def channel(n=40):

@@ -32,7 +32,6 @@ VERBS = {
             "simulate": "data.simulate_",
             "stats": "data.stats",
             "plot": "data.plot",
-            "handwriting": "skin.handwriting",
             "aces": "skin.aces_",
         },
     ),
@@ -67,17 +66,6 @@ VERBS = {
     "deploy": (
         "Plan the placement on the chip, export, estimate the energy.",
         {"plan": "deploy.plan", "export": "deploy.export", "energy": "deploy.energy"},
-    ),
-    "benchmark": (
-        "Measure the paper's Table 2, conversion losses, the value of timing, and speed.",
-        {
-            "table2": "benchmark.table2",
-            "conversion": "benchmark.conversion",
-            "emulator": "benchmark.emulator",
-            "losses": "benchmark.losses",
-            "events": "benchmark.events",
-            "adapt": "benchmark.adapt",
-        },
     ),
     "sweep": (
         "Compare settings by accuracy, synaptic operations, cores and steps, on held-out samples.",
@@ -187,24 +175,20 @@ def with_every_verb() -> TyperGroup:
     return group
 
 
-def run_tool(verb):
-    """Run one of the functions of ``tools/`` as a command, with its options from ``sys.argv``.
-
-    Errors and exit status are those of :func:`main`.
-    """
+def run_alone(verb, name: str, arguments):
+    """Run a function as a command of its own, as :func:`main` runs those of ``stmnist``."""
     made = _typer(None, add_completion=False)
     made.command(cls=_Command)(for_typer(verb))
-    main(command=typer.main.get_command(made))
+    main(arguments, typer.main.get_command(made), name)
 
 
-def main(arguments=None, command=None):
+def main(arguments=None, command=None, name: str = "stmnist"):
     """Run the command.
 
     Exit status 0: done; 1: a check failed; 2: wrong usage or bad input; 130: interrupted.
     """
     prepare()
     try:
-        name = "stmnist" if command is None else None  # None: the name in sys.argv
         status = (command or command_line())(args=arguments, prog_name=name, standalone_mode=False)
         if status == interrupts.STATUS:  # Typer turns an interruption into this status
             raise KeyboardInterrupt

@@ -93,13 +93,13 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
 def _workers(jobs=2, scheduler=None):
-    from pipeline.experiments.study import Workers  # imports all that a run is made with
+    from pipeline.results.study import Workers  # imports all that a run is made with
 
     return Workers(jobs, scheduler)
 
 
 Workers = group(_workers, jobs=Jobs, scheduler=Scheduler)
-"""The :class:`pipeline.experiments.study.Workers` of an experiment."""
+"""The :class:`pipeline.results.study.Workers` of an experiment."""
 
 
 @dataclass(frozen=True)
@@ -315,7 +315,7 @@ def conclude(findings, as_text, as_json: bool):
 
     Parameters
     ----------
-    findings : pipeline.experiments.study.Findings
+    findings : pipeline.results.study.Findings
     as_text, as_json
         As in :func:`tell`.
 

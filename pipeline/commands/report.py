@@ -50,12 +50,8 @@ def animate(
 
 def report(
     run: options.Run,
-    benchmark: Annotated[
-        Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
-        typer.Option(help="Folder of 'stmnist benchmark table2' (default: table2 beside the run)."),
-    ] = None,
     out: Annotated[
-        Optional[Path],  # noqa: UP045
+        Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
         typer.Option(help="The file to write (default: report.html in the run's folder)."),
     ] = None,
     beside: Annotated[
@@ -67,6 +63,6 @@ def report(
     jobs: options.Jobs = 2,
 ):
     """Write the run's results so far as one self-contained HTML file."""
-    path = write_report(run, out, benchmark, beside, jobs, options.say)
+    path = write_report(run, out, beside, jobs)
     options.say(f"report: {path} ({path.stat().st_size // 1024} KiB)")
     options.suggest("live", run)

@@ -8,8 +8,8 @@ from typing import Annotated, Optional
 import typer
 
 from pipeline.commands import options
-from pipeline.experiments.sweep import measure_sweep
-from pipeline.experiments.sweep_text import sweep_text
+from pipeline.results.sweep import measure_sweep
+from pipeline.results.sweep_text import sweep_text
 
 
 def sweep(

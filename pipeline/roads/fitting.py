@@ -27,7 +27,7 @@ from pipeline.paper import CNN_MACS
 from pipeline.roads.chip_fit import chip_problems
 from pipeline.roads.given_networks import is_file
 from pipeline.roads.nir_import import require_fit
-from pipeline.settings import SIMULATED, Settings, Slayer, check_fits
+from pipeline.settings import SIMULATED, Settings, check_fits
 
 LARGEST_MAP = 14
 """Rows and columns of the first convolution's output on images, at most, on average."""
@@ -215,40 +215,6 @@ def _has_outgrown(section, settings, recordings):
     if section.architecture != architecture_for(then, settings.on_events):
         return False
     return now.rows >= rows and now.columns >= columns and len(now.classes) >= len(classes)
-
-
-def with_slayer(settings: Settings, recordings: Recordings) -> Settings:
-    """Choose ``slayer.architecture`` if it has its default and this does not fit the recordings.
-
-    Parameters
-    ----------
-    settings : Settings
-    recordings : Recordings
-
-    Returns
-    -------
-    Settings
-        The same object if nothing was chosen.
-
-    Raises
-    ------
-    UserError
-        The architecture is the user's and does not fit; the message suggests one that does.
-    """
-    sensor, default = recordings.sensor, Slayer().architecture
-    if _is_for(settings.slayer.architecture, sensor, 2):
-        return settings
-    size, classes = f"{sensor.rows}x{sensor.columns}x2", len(sensor.classes)
-    alike = default if default.startswith(size) else architecture_for(sensor, on_events=False)
-    layers = alike.split("-")[1:-1]
-    chosen = "-".join([size, *layers, f"{classes}o"])
-    if settings.slayer.architecture != default:
-        raise UserError(
-            f"{recordings.source.name}: 'slayer.architecture' must be for {size}, a channel for "
-            f"each polarity, and {classes} classes, such as {chosen}, not "
-            f"{settings.slayer.architecture}"
-        )
-    return settings.with_values({"slayer": {"architecture": chosen}}, recordings.source.name)
 
 
 def _is_for(architecture, sensor, channels) -> bool:

@@ -16,7 +16,7 @@ speaker partitioning problem", Odyssey 2010).  The slant and width of a person i
 removed first, and are drawn for each writer.
 
 ``handwriting.npz`` has the parameters of the built-in model and the source of the data;
-:mod:`pipeline.skin.shape_fit` estimates them.
+:mod:`experiments.handwriting` estimates them.
 """
 
 from __future__ import annotations

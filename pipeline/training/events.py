@@ -273,29 +273,6 @@ def train_events(
     return TrainedOnEvents(recipe, {**trainer.weights(), **estimator.arrays()}, history)
 
 
-def tune_events(recipe: EventRecipe, weights: dict, table: EventTable, labels, train, seed: int):
-    """Train all layers of a trained network further.
-
-    Parameters
-    ----------
-    recipe : EventRecipe
-        With the epochs and the learning rate of the further training.
-    weights : dict
-        Of the network to begin with, see :attr:`TrainedOnEvents.weights`.
-    table, labels, train, seed
-        As in :func:`train_events`; a sample whose index occurs several times counts as often.
-
-    Returns
-    -------
-    dict
-        The weights afterwards, without a confidence estimator.
-    """
-    trainer = _Trainer(recipe, table, np.asarray(labels), np.asarray(train), seed, weights)
-    for epoch in range(recipe.epochs):
-        trainer.epoch(epoch)
-    return trainer.weights()
-
-
 def answer_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> Answers:
     """Run a trained network on event frames in the chip's integers, each sample from rest.
 

@@ -133,7 +133,6 @@ DEPENDS = {
     ("check.samples", 50): ("bundle", "bundle"),
     ("input.refractory", 20.0): ("", "events threshold bundle"),
     ("events.epochs", 3): ("", "events threshold bundle"),
-    ("slayer.epochs", 3): ("", ""),
     ("image.aggregation", "signed"): ("cnn rates bundle", "bundle"),
     ("split.test_fraction", 0.3): ("dataset cnn rates bundle", "dataset events threshold bundle"),
     ("data.samples_per_digit", 9): ("dataset cnn rates bundle", "dataset events threshold bundle"),

@@ -31,8 +31,6 @@ def test_a_run_in_a_bundle_is_refused(tmp_path, capsys):
 
 @pytest.mark.parametrize("command", [
     ("sweep", "RUN"),
-    ("benchmark", "table2", "--out", "RUN"),
-    ("benchmark", "losses", "--out", "RUN"),
 ])  # fmt: skip
 def test_a_run_does_not_become_the_folder_of_a_benchmark(tmp_path, capsys, command):
     """Its settings would be replaced by those of the benchmark, and its results be outdated."""

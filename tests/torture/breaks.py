@@ -84,13 +84,6 @@ COMMANDS = (
             "--set", "presentation.readout_start=5", "--set", "check.samples=20",
         ],
     ),
-    Command(
-        "table2",
-        lambda f: [
-            "benchmark", "table2", "--out", f / "table2", "--splits", 2, "--models", "cnn,ann-snn",
-            *_small(f), "--set", "check.samples=20", "--set", "presentation.steps=40",
-        ],
-    ),
 )  # fmt: skip
 """The commands that take long enough to be stopped."""
 

@@ -1,8 +1,6 @@
-"""Gathering the results of a run and of a benchmark for a report."""
+"""Gathering the results of a run for a report."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 
@@ -12,7 +10,6 @@ from deploy.errors import UserError
 from deploy.files import read_json
 from deploy.preflight.plan import make_plan
 from pipeline.data.library import recordings_of
-from pipeline.experiments.table2_splits import WITH_SLAYER, split_file
 from pipeline.progress import progress
 from pipeline.results.elsewhere import FOLDER as OTHERS
 from pipeline.results.ladder import ladder_stages
@@ -21,7 +18,7 @@ from pipeline.results.report.page import Inputs, browsed_samples, choose_samples
 from pipeline.results.report.replay import replay
 from pipeline.results.status import outdated, status_of
 from pipeline.run import RunFolder, refuse_results
-from pipeline.settings import Settings, read_settings
+from pipeline.settings import read_settings
 from pipeline.training.history import read_history
 
 REMEDY = "delete it and make it again"
@@ -33,20 +30,14 @@ FASTEST = 1e6
 """Spikes per second, an upper bound for all neurons."""
 
 
-def gather(
-    folder: RunFolder, benchmark: Path, jobs: int, say, beside: RunFolder | None = None
-) -> Inputs:
-    """Read a run and the benchmark of Table 2, and replay the samples of the report.
+def gather(folder: RunFolder, jobs: int, beside: RunFolder | None = None) -> Inputs:
+    """Read a run, and replay the samples of the report.
 
     Parameters
     ----------
     folder : RunFolder
-    benchmark : Path
-        Folder of the benchmark; it need not exist.
     jobs : int
         Processes for recordings that are not in the cache.
-    say : callable
-        Called with a message about results that are left out.
     beside : RunFolder, optional
         A run on images with the same recordings, to be compared with this run on events.
 
@@ -68,7 +59,6 @@ def gather(
             f"{folder.bundle}: made from other recordings than {settings.data.source} gives now; "
             f"run 'stmnist ladder {folder.path}' again"
         )
-    table, table_settings, answers, curves = _read_benchmark(benchmark, recordings, say)
     # The run may have had another kind of network before, whose files are still there.
     networks = {"snn": folder.snn}
     if settings.network == "image":
@@ -99,10 +89,7 @@ def gather(
             for name, path in networks.items()
             if (path / "metrics.json").exists()
         },
-        histories={**histories, **curves},
-        table2=table,
-        table2_settings=table_settings,
-        answers=answers,
+        histories=histories,
         plan=make_plan(bundle.spec, MANY_CHIPS).to_json(),
         replays=replays,
         over_time=probabilities(bundle, browsed, settings.seed) if browsed else {},
@@ -201,52 +188,3 @@ def _results(folder, bundle, kind):
             f"run 'stmnist ladder {folder.path}' first"
         )
     return list(results.values())
-
-
-def _read_benchmark(folder, recordings, say):
-    """Existing results: table, settings, answers of the random splits, SLAYER's learning curve."""
-    path = folder / "table2.json"
-    if not path.exists():
-        return None, None, {}, {}
-    table = read_json(path, REMEDY)
-    if table.get("source_sha256") != recordings.source.sha256:
-        say(f"report: {path} is for other recordings and left out")
-        return None, None, {}, {}
-    try:
-        given = table.get("settings")  # a table of an earlier version does not have them
-        settings = None if given is None else Settings().with_values(given, str(path))
-        answers, curves, n_others = _of_rows(folder, table["rows"])
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        raise UserError(f"{path}: not a complete table ({error!r}); {REMEDY}") from error
-    if n_others:
-        say(
-            f"report: {folder / 'splits'} has other results than {path}, and {n_others} are left "
-            "out of the confusion matrices and learning curves; repeat the benchmark"
-        )
-    return table, settings, answers, curves
-
-
-def _of_rows(folder, rows):
-    """Answers of the random splits by model, SLAYER's learning curves, number of other results.
-
-    A benchmark that was interrupted has measured results after its last table.
-    """
-    answers, curves, n_others = {}, {}, 0
-    for row in rows:
-        results = {}
-        for seed, *measured in zip(row["indices"], row["per_split"], row["seconds"], strict=True):
-            path = folder / split_file("random", seed, row["model"])
-            result = read_json(path, REMEDY) if path.exists() else {}
-            if [result.get("accuracy"), result.get("seconds")] == measured:
-                results[seed] = result
-            else:
-                n_others += 1
-        if results:
-            answers[row["model"]] = tuple(
-                np.concatenate([result[key] for result in results.values()])
-                for key in ("labels", "predictions")
-            )
-        if row["model"] in WITH_SLAYER and results:
-            seed, result = next(iter(results.items()))
-            curves[f"{row['title']}, split {seed}"] = result["history"]
-    return answers, curves, n_others

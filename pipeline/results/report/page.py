@@ -21,7 +21,6 @@ from pipeline.data.events import Recordings
 from pipeline.data.images import growing, normalise
 from pipeline.data.steps import EventTable
 from pipeline.data.words import are_digits
-from pipeline.experiments.table2_splits import MODELS
 from pipeline.paper import TABLE1
 from pipeline.results.ladder import confusion_matrix, ladder_json, points_text
 from pipeline.results.report import charts
@@ -55,12 +54,6 @@ class Inputs:
         ``metrics.json`` of ``cnn`` and ``snn``.
     histories : dict of str to list of dict
         Rows with one epoch each, for each trained network.
-    table2 : dict or None
-        See :func:`pipeline.experiments.table2.summarise`.
-    table2_settings : Settings or None
-        Settings of the measurement.
-    answers : dict of str to (labels, predictions)
-        Predictions on the benchmark's random splits, for the confusion matrices.
     plan : dict or None
         The plan of the placement, as plain values.
     replays : dict of int to Replay
@@ -86,9 +79,6 @@ class Inputs:
     results: list
     metrics: dict
     histories: dict
-    table2: dict | None
-    table2_settings: Settings | None
-    answers: dict
     plan: dict | None
     replays: dict
     beside: dict | None = None
@@ -131,8 +121,6 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         settings=inputs.settings.flat(),
         relevant=inputs.settings.relevant(),
         defaults=ZERO_MEANS,
-        titles={name: model.title for name, model in MODELS.items()},
-        other_settings=_other_settings(inputs),
         name=inputs.name,
         classes=inputs.recordings.sensor.classes,
         of_digits=_of_digits(inputs.recordings),
@@ -150,9 +138,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         steps=inputs.bundle.spec.presentation.steps,
         metrics=inputs.metrics,
         plan=inputs.plan,
-        table2=inputs.table2,
         ladder=_ladder(inputs),
-        benchmark=_benchmark(inputs.table2),
         table1=_table1(inputs.recordings),
         anytime=_anytime(inputs),
         written=_while_written(inputs),
@@ -329,14 +315,6 @@ def trained_title(settings: Settings) -> str:
     return NETWORKS[REFERENCES[settings.network][:2][-1]][0]
 
 
-def _other_settings(inputs):
-    """Settings that differ between the benchmark and the run."""
-    if inputs.table2_settings is None:
-        return {}
-    ours = inputs.settings.flat()
-    return {k: v for k, v in inputs.table2_settings.flat().items() if v != ours[k]}
-
-
 def _ladder(inputs):
     rows = ladder_json(inputs.results)["rows"]
     for row in rows:
@@ -349,34 +327,6 @@ def _ladder(inputs):
     )
     lost = points_text(100 * (rows[0]["accuracy"] - rows[-1]["accuracy"]))
     return {"rows": rows, "chart": chart, "n": inputs.results[0]["n_samples"], "lost": lost}
-
-
-def _benchmark(table):
-    if table is None:
-        return None
-    run = [row for row in table["rows"] if row["accuracy_mean"] is not None]
-    chart = run and charts.interval_chart(
-        [
-            (row["title"], row["accuracy_mean"], row["accuracy_ci95"], row["paper_mean"])
-            for row in run
-        ],
-        "accuracy, mean over splits with 95 % interval",
-        "Accuracy of the models of Table 2, the paper's marked",
-    )
-    random, writers = (
-        {row["model"]: row for row in table[kind]} for kind in ("rows", "writer_rows")
-    )
-    rows = [
-        {
-            "title": model.title,
-            "paper": model.paper,
-            "random": random.get(name),
-            "writers": writers.get(name),
-        }
-        for name, model in MODELS.items()
-        if model.paper or name in random or name in writers
-    ]
-    return {"rows": rows, "chart": chart}
 
 
 def _table1(recordings):
@@ -529,27 +479,13 @@ def _learning_curves(histories):
 
 
 def _confusions(inputs):
-    wanted = {
-        f"{title}, test samples of all splits": inputs.answers[name]
-        for name, title in (
-            ("cnn", "CNN"),
-            ("ann-snn", "ANN-SNN"),
-            ("slayer", "SNN-SLAYER"),
-            ("slayer-small", "SNN-SLAYER, smaller initial weights"),
-            ("events", "Trained on events"),
-        )
-        if name in inputs.answers
-    }
+    matrices, classes = [], inputs.recordings.sensor.classes
     for result in (inputs.results[0], inputs.results[-1]):
         answers = [[s[key] for s in result["samples"]] for key in ("label", "prediction")]
-        title = _title(result["target"])
-        if not (result["target"] == "cnn" and "cnn" in inputs.answers):
-            wanted[f"{title}, the check's {len(answers[0])} samples"] = answers
-    classes = inputs.recordings.sensor.classes
-    return [
-        {"title": title, **confusion_cells(confusion_matrix(*answers, len(classes)), classes)}
-        for title, answers in wanted.items()
-    ]
+        title = f"{_title(result['target'])}, the check's {len(answers[0])} samples"
+        matrix = confusion_matrix(*answers, len(classes))
+        matrices.append({"title": title, **confusion_cells(matrix, classes)})
+    return matrices
 
 
 def confusion_cells(matrix, classes) -> dict:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from deploy.files import replacing
-from deploy.terminal import remark
 from pipeline.results.report.gather import gather
 from pipeline.results.report.page import render
 from pipeline.run import RunFolder
 
 
-def write_report(run, path=None, benchmark=None, beside=None, jobs: int = 1, say=remark) -> Path:
+def write_report(run, path=None, beside=None, jobs: int = 1) -> Path:
     """Write a run's results so far as one self-contained HTML file.
 
     Parameters
@@ -20,15 +19,10 @@ def write_report(run, path=None, benchmark=None, beside=None, jobs: int = 1, say
         Folder of the run.
     path : path-like, optional
         The file; default: ``report.html`` in the run's folder.
-    benchmark : path-like, optional
-        Folder of the benchmark of Table 2, which need not exist; default: ``table2`` beside the
-        run.
     beside : path-like, optional
         Folder of a run on images to compare with one on events, from the same recordings.
     jobs : int
         Number of processes for recordings that are not in the cache.
-    say : callable
-        Called with a message about results that are left out.
 
     Returns
     -------
@@ -41,8 +35,7 @@ def write_report(run, path=None, benchmark=None, beside=None, jobs: int = 1, say
     """
     run = Path(run)
     other = RunFolder(beside) if beside else None
-    table = Path(benchmark) if benchmark else run.parent / "table2"
-    html = render(gather(RunFolder(run), table, jobs, say, other))
+    html = render(gather(RunFolder(run), jobs, other))
     path = Path(path) if path else run / "report.html"
     with replacing(path, "w") as file:
         file.write(html)

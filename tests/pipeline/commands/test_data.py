@@ -15,10 +15,10 @@ from pipeline.settings import Settings, parse_assignments
 from pipeline.skin import aces, unipen
 from tests.command import call, missing
 from tests.deploy.networks import bundle_at
+from tests.experiments.test_handwriting import people
 from tests.own_sensor import CLASSES, gestures
 from tests.pipeline.handmade import archive as archive_of
 from tests.pipeline.handmade import good_members
-from tests.pipeline.skin.test_shapes import people
 
 SEVENS = """\
 .SEGMENT DIGIT 0 ? "7"

@@ -1,19 +1,18 @@
 """Defaults that fit recordings of one's own, and everything that does not fit told at once."""
 
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from deploy.errors import SeveralErrors, UserError
+from deploy.errors import SeveralErrors
 from deploy.preflight.plan import make_plan
 from models.architecture import parse
 from pipeline.data.events import Sensor
 from pipeline.data.library import load_recordings
 from pipeline.data.own import write_recordings
 from pipeline.roads.chip_fit import chip_problems, untrained
-from pipeline.roads.fitting import architecture_for, fitted, with_slayer
+from pipeline.roads.fitting import architecture_for, fitted
 from pipeline.settings import Settings
 from tests.command import missing
 from tests.deploy.networks import paper_spec
@@ -40,19 +39,6 @@ def test_there_is_an_architecture_for_every_sensor(size, on_events):
 def test_the_paper_s_layers_where_they_fit():
     assert architecture_for(Sensor(), False) == Settings().cnn.architecture
     assert architecture_for(Sensor(9, 12, classes=CLASSES), False) == "9x12-6c4-24c3-4o"
-
-
-def test_an_architecture_for_slayer(own):
-    recordings = load_recordings(str(own))
-    chosen = with_slayer(settings_of(own), recordings)
-    assert chosen.slayer.architecture == "9x12x2-6c4-24c3-4o"
-    assert with_slayer(chosen, recordings) is chosen
-    fewer = replace(recordings, sensor=Sensor(classes=("a", "b")))
-    assert with_slayer(Settings(), fewer).slayer.architecture == "10x10x2-6c2-24c3-2o"
-    assert with_slayer(Settings(), replace(recordings, sensor=Sensor())) == Settings()
-    asked = settings_of(own, slayer={"architecture": "9x12x2-8-5o"})
-    with pytest.raises(UserError, match=r"slayer\.architecture.* such as 9x12x2-6c4-24c3-4o,"):
-        with_slayer(asked, recordings)
 
 
 def settings_of(source, **changes):

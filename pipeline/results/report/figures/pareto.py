@@ -14,7 +14,7 @@ def pareto(sweep: dict) -> Figure:
     Parameters
     ----------
     sweep : dict
-        From :func:`pipeline.experiments.sweep.summarise`, with at least one point.
+        From :func:`pipeline.results.sweep.summarise`, with at least one point.
     """
     points = sweep["points"]
     figure = Figure(figsize=(9, 5.5), layout="constrained")

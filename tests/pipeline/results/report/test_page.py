@@ -13,19 +13,15 @@ import pytest
 
 from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
-from deploy.files import read_json, write_json
 from deploy.preflight.plan import make_plan
 from pipeline.data.library import recordings_of
-from pipeline.experiments import table2_splits as table2
-from pipeline.experiments.table2 import summarise
-from pipeline.jobs import Failure
 from pipeline.results.report import page as report
 from pipeline.results.report.gather import _outdated, gather
 from pipeline.results.report.replay import replay
 from pipeline.run import RunFolder
 from pipeline.settings import read_settings, write_settings
 from pipeline.training.history import read_history
-from tests.command import call, missing
+from tests.command import call
 
 BROWSER = next(filter(shutil.which, ("chromium", "chromium-browser", "google-chrome")), None)
 
@@ -33,44 +29,8 @@ BROWSER = next(filter(shutil.which, ("chromium", "chromium-browser", "google-chr
 @pytest.fixture(scope="module")
 def html(tiny_run, tmp_path_factory):
     out = tmp_path_factory.mktemp("report") / "report.html"
-    assert call("report", tiny_run, "--benchmark", with_benchmark(tiny_run), "--out", out) == 0
+    assert call("report", tiny_run, "--out", out) == 0
     return out
-
-
-def with_benchmark(run):
-    """A benchmark of the run's recordings: the table of results that were made by hand."""
-    folder = run.parent / "table2"
-    settings = read_settings(run / "experiment.toml")
-    settings = replace(settings, seed=settings.seed + 4)
-    source = json.loads((run / "dataset.json").read_text())["sha256"]
-    asked = tuple(name for name in table2.MODELS if name != "loihi")
-    benchmark = table2.Benchmark(settings, source, folder, ("random",), 3, asked)
-    for kind, accuracies in (("random", (0.7, 0.725)), ("writers", (0.6543,))):
-        for name in ("cnn", "slayer"):
-            for seed, accuracy in enumerate(accuracies, settings.seed):
-                store(benchmark.task(kind, seed, name), accuracy)
-    failed = benchmark.task("random", settings.seed + 2, "cnn").name
-    table = summarise(benchmark, {failed: Failure("<oops> & co", "")})
-    write_json(folder / "table2.json", table)
-    return folder
-
-
-def store(task, accuracy):
-    """A result of Table 2 with three answers, whatever its accuracy."""
-    task.artifact.write(
-        {
-            "model": task.subject,
-            "simulated": True,
-            "n_train": 400,
-            "n_test": 100,
-            "accuracy": accuracy,
-            "samples": [3, 4, 5],
-            "labels": [0, 1, 2],
-            "predictions": [0, 1, 7],
-            "history": [{"epoch": e, "accuracy": e / 5, "test_accuracy": e / 6} for e in (1, 2, 3)],
-            "seconds": 1.0,
-        }
-    )
 
 
 class Outline(HTMLParser):
@@ -165,43 +125,10 @@ def test_it_says_what_was_measured(html, tiny_run):
     assert "snn.batch_size 0" in text
     used = make_plan(bundle.spec).cores[0].used
     assert f"core 0 {used['compartments']} {used['input axons']}" in text
-    assert "cnn, random split 6: <oops> & co" in text  # escaped on the way
     assert "estimate" in text
     assert "data.samples_per_digit 60" in text
     metrics = json.loads((tiny_run / "cnn/metrics.json").read_text())
     assert f"{100 * metrics['accuracy']['test']:.1f} %" in text
-
-
-def test_without_a_benchmark_it_says_how_to_get_one(tiny_run, tmp_path, capsys):
-    out = tmp_path / "report.html"
-    assert call("report", tiny_run, "--benchmark", tmp_path, "--out", out) == 0
-    assert "make benchmark" in out.read_text()
-
-
-def test_a_benchmark_of_other_recordings_is_left_out(tiny_run, tmp_path, capsys):
-    (tmp_path / "table2.json").write_text(json.dumps({"source_sha256": "0" * 64}))
-    out = tmp_path / "report.html"
-    assert call("report", tiny_run, "--benchmark", tmp_path, "--out", out) == 0
-    assert str(tmp_path / "table2.json") in capsys.readouterr().err
-    assert "make benchmark" in out.read_text()
-
-
-def test_an_interrupted_benchmark_leaves_its_last_table(tiny_run, tmp_path):
-    """Settings and answers are those of the table, although newer ones are beside it."""
-    folder, said = tmp_path / "table2", []
-    shutil.copytree(with_benchmark(tiny_run), folder)
-    before = gather(RunFolder(tiny_run), folder, 1, said.append)
-    assert said == []
-    settings = before.table2_settings
-    write_settings(folder / "experiment.toml", replace(settings, seed=settings.seed + 1))
-    path = sorted(folder.glob("splits/random-*/cnn.json"))[0]
-    newer = {"seconds": 2.0, "predictions": [0, 0, 0]}
-    write_json(path, {**read_json(path, ""), **newer})
-    after = gather(RunFolder(tiny_run), folder, 1, said.append)
-    assert after.table2_settings == settings
-    assert [len(inputs.answers["cnn"][1]) for inputs in (before, after)] == [6, 3]
-    assert after.answers["cnn"][1].tolist() == [0, 1, 7]
-    assert missing(said[0], "table2.json", "splits", "1") == []
 
 
 def test_a_run_that_is_not_there(tmp_path, capsys):
@@ -291,7 +218,7 @@ def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
 
 def test_an_early_decision_is_told_from_the_final_one(tiny_run):
     """The steps may be chosen by the program: the setting is then 0."""
-    inputs = gather(RunFolder(tiny_run), tiny_run / "table2", 1, print)
+    inputs = gather(RunFolder(tiny_run), 1)
     result, steps = inputs.results[-1], inputs.bundle.spec.presentation.steps
     (early, *others), step = inputs.replays, inputs.bundle.spec.stimulus.step_seconds
     for index, sample in enumerate(result["samples"]):

@@ -1,0 +1,1 @@
+"""What the paper and our documents measure.  It is not installed; ``python -m experiments``."""

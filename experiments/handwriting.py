@@ -1,0 +1,280 @@
+"""Estimating the model of handwriting (:mod:`pipeline.skin.shape_model`) from pen trajectories."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from scipy.cluster.vq import kmeans2
+
+from deploy.errors import UserError
+from deploy.files import sha256_of
+from deploy.terminal import show
+from pipeline.commands import options
+from pipeline.skin import shape_model, unipen
+from pipeline.skin.handwriting import Trace
+from pipeline.skin.shape_model import DIGITS, POINTS, Allograph, ShapeModel, resampled
+
+KNOWN_HANDWRITING = {
+    "a66225d68d7d68591e62944df1ad33b3f5aa608e2df2505844b41f5568a80da4": {
+        "source": "Pen-Based Recognition of Handwritten Digits, training writers; E. Alpaydin and "
+        "F. Alimoglu, 1998",
+        "licence": "CC BY 4.0",
+    }
+}
+"""Source and licence of files from which a model may be estimated, by their hash."""
+
+MOST_ALLOGRAPHS = 10
+"""Initial maximum for each number of strokes; rare allographs are dissolved."""
+
+LEAST_DIGITS, LEAST_WRITERS = 15, 3
+"""Minimum of digits and writers for an allograph: fewer would describe individuals."""
+
+MOST_COMPONENTS = 12
+EXPLAINED = 0.97
+"""Share of the variance that an allograph's components explain, within their maximum number."""
+
+
+def estimate(traces, seed: int = 0, about: dict | None = None) -> ShapeModel:
+    """Estimate the model.
+
+    Parameters
+    ----------
+    traces : sequence of Trace
+        Trajectories of all ten digits, with their writers.
+    seed : int
+        Seed of the start of the search for allographs.
+    about : dict, optional
+        Source of the trajectories.
+
+    Returns
+    -------
+    ShapeModel
+
+    Raises
+    ------
+    ValueError
+        A digit is missing, or no way of writing one is common enough.
+    """
+    traces = [trace for trace in traces if trace.writer >= 0]
+    digits = np.array([trace.digit for trace in traces], int)
+    writers = np.array([trace.writer for trace in traces], int)
+    missing = sorted(set(range(DIGITS)) - set(digits.tolist()))
+    if missing:
+        raise ValueError(f"no known writer wrote a {missing[0]}")
+    slants, widths = _traits(traces, digits, writers)
+    upright = [
+        Trace(t.digit, t.writer, tuple(_without(s, slants[t.writer], widths[t.writer])
+                                       for s in t.strokes))
+        for t in traces
+    ]  # fmt: skip
+    allographs, loyalty = [], []
+    for digit in range(DIGITS):
+        mine = [trace for trace in upright if trace.digit == digit]
+        ways, share = _ways_of(mine, seed)
+        if not ways:
+            raise ValueError(f"too few people wrote a {digit} in any one way")
+        allographs.append(ways)
+        loyalty.append(share)
+    tempo, trial_tempo = _tempo(traces, digits, writers)
+    known = {"writers": len(set(writers.tolist())), "digits": len(traces), **(about or {})}
+    return ShapeModel(
+        tuple(allographs), tuple(loyalty), _spread(slants), _spread(widths), tempo, trial_tempo,
+        known,
+    )  # fmt: skip
+
+
+def _spread(of_writer):
+    return float(np.std(list(of_writer.values()), ddof=1))
+
+
+def slant_of(strokes) -> float:
+    """The slant of a digit: the slope of right against up, by least squares."""
+    points = np.concatenate(strokes)
+    down, right = (points - points.mean(axis=0)).T
+    return float(-(down * right).sum() / max((down**2).sum(), 1e-9))
+
+
+def _traits(traces, digits, writers):
+    """Each writer's slant and logarithm of width, relative to the usual values of the digits."""
+    values = np.array(
+        [
+            (slant_of(t.strokes), np.log(max(np.ptp(np.concatenate(t.strokes)[:, 1]), 0.1)))
+            for t in traces
+        ]
+    )
+    for digit in range(DIGITS):
+        values[digits == digit] -= values[digits == digit].mean(axis=0)
+    means = {int(w): values[writers == w].mean(axis=0) for w in np.unique(writers)}
+    return {w: mean[0] for w, mean in means.items()}, {w: mean[1] for w, mean in means.items()}
+
+
+def _without(stroke, slant, width):
+    """A stroke without its writer's slant and width."""
+    down, right = stroke.T
+    return np.stack([down, (right + slant * down) * np.exp(-width)], 1)
+
+
+def _tempo(traces, digits, writers):
+    """Spreads of the logarithm of the speed between persons and within one.
+
+    A tablet's points are evenly spaced in time.  A digit's mean speed is therefore its length (in
+    heights) divided by their number, independently of the tablet's rate.
+    """
+    speed = np.array(
+        [
+            np.log(
+                sum(np.hypot(*np.diff(s, axis=0).T).sum() for s in t.strokes)
+                / sum(len(s) - 1 for s in t.strokes)
+            )
+            for t in traces
+        ]
+    )
+    for digit in range(DIGITS):
+        speed[digits == digit] -= speed[digits == digit].mean()
+    means = {w: speed[writers == w].mean() for w in np.unique(writers)}
+    left = speed - np.array([means[w] for w in writers])
+    return float(np.std(list(means.values()), ddof=1)), float(left.std())
+
+
+def _ways_of(traces, seed):
+    """The allographs of a digit, and the share of digits in a person's habitual one."""
+    used, ways, usage = 0, [], []
+    writers = sorted({trace.writer for trace in traces})
+    for count in sorted({len(trace.strokes) for trace in traces}):
+        mine = [trace for trace in traces if len(trace.strokes) == count]
+        points = _points_of(mine, count)
+        vectors = np.array([vector(trace, points) for trace in mine])
+        who = np.array([trace.writer for trace in mine])
+        for members in _clusters(vectors, who, seed):
+            ways.append((len(members), points, vectors[members], who[members]))
+            usage.append(
+                np.bincount(np.searchsorted(writers, who[members]), minlength=len(writers))
+            )
+            used += len(members)
+    allographs = tuple(_allograph(n / used, *rest) for n, *rest in ways)
+    return allographs, _loyalty(np.array(usage).T) if ways else 0.0
+
+
+def _points_of(traces, count):
+    """Number of positions of each stroke: proportional to its share of the time, at least four."""
+    shares = np.mean([[len(s) - 1 for s in t.strokes] for t in traces], axis=0)
+    points = np.maximum(np.floor(shares / shares.sum() * POINTS), 4).astype(int)
+    points[points.argmax()] += POINTS - points.sum()
+    return tuple(int(n) for n in points)
+
+
+def vector(trace: Trace, points) -> np.ndarray:
+    """A trajectory as the vector that :class:`pipeline.skin.shape_model.Allograph` describes."""
+    places = [resampled(s, n).ravel() for s, n in zip(trace.strokes, points, strict=True)]
+    last = np.log([len(stroke) - 1 for stroke in trace.strokes])
+    return np.concatenate([*places, last[1:] - last[0]])
+
+
+def _clusters(vectors, writers, seed):
+    """Indices of each allograph's trajectories (k-means), without those of rare allographs.
+
+    An allograph that is too rare is removed, and its trajectories are assigned to the nearest other
+    one, until no allograph is too rare.  If none remains, the trajectories are left out.
+    """
+    if not _common(np.arange(len(vectors)), writers):
+        return []
+    count = min(MOST_ALLOGRAPHS, len(vectors) // LEAST_DIGITS)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # one that becomes empty is dissolved below
+        centres, _ = kmeans2(vectors, count, iter=50, minit="++", seed=seed)
+    while True:
+        nearest = ((vectors[:, None] - centres[None]) ** 2).sum(-1).argmin(1)
+        members = [np.flatnonzero(nearest == number) for number in range(len(centres))]
+        rare = [number for number, mine in enumerate(members) if not _common(mine, writers)]
+        if not rare:
+            return members
+        rarest = min(rare, key=lambda number: len(members[number]))
+        centres = np.delete(centres, rarest, axis=0)
+
+
+def _common(members, writers):
+    return len(members) >= LEAST_DIGITS and len(set(writers[members])) >= LEAST_WRITERS
+
+
+def _allograph(share, points, vectors, writers):
+    mean = vectors.mean(axis=0)
+    _, size, rows = np.linalg.svd(vectors - mean, full_matrices=False)
+    rows = rows * np.sign(rows[np.arange(len(rows)), np.abs(rows).argmax(axis=1)])[:, None]
+    explained = np.cumsum(size**2) / (size**2).sum()
+    count = min(int(np.searchsorted(explained, EXPLAINED)) + 1, MOST_COMPONENTS)
+    components = rows[:count] * (size[:count, None] / np.sqrt(len(vectors)))
+    scores = (vectors - mean) @ rows[:count].T / size[:count] * np.sqrt(len(vectors))
+    between, within = _covariances(scores, writers)
+    return Allograph(share, points, mean, components, _root(between), _root(within))
+
+
+def _covariances(scores, writers):
+    """Covariances between and within persons, by the moments of a one-way analysis of variance."""
+    people, index = np.unique(writers, return_inverse=True)
+    counts = np.bincount(index)
+    means = np.array([scores[index == i].mean(axis=0) for i in range(len(people))])
+    left = scores - means[index]
+    within = left.T @ left / max(len(scores) - len(people), 1)
+    off = (means - scores.mean(axis=0)) * np.sqrt(counts)[:, None]
+    usual = (counts.sum() - (counts**2).sum() / counts.sum()) / (len(people) - 1)
+    between = (off.T @ off / (len(people) - 1) - within) / usual
+    return between, within
+
+
+def _root(covariance):
+    """A square root of a covariance; negative eigenvalues are replaced by 0."""
+    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
+    return vectors * np.sqrt(np.maximum(values, 0))
+
+
+def _loyalty(usage):
+    """Estimate the share of a person's digits that are written in the habitual way.
+
+    Let a share ``q`` of a person's digits be written in one habitual way, which is drawn with the
+    frequencies among people, and let the other digits be drawn independently with the same
+    frequencies.  Two digits of a person then have the same way with the probability ``s + q^2 (1 -
+    s)``, where ``s`` is the probability for two people.
+
+    Parameters
+    ----------
+    usage : ndarray of int, shape (writers, ways)
+    """
+    usage = usage[usage.sum(axis=1) >= 2]
+    n = usage.sum(axis=1)
+    same = (usage * (usage - 1)).sum() / (n * (n - 1)).sum()
+    chance = ((usage.sum(axis=0) / usage.sum()) ** 2).sum()
+    if chance > 1 - 1e-9:
+        return 1.0
+    return float(np.sqrt(np.clip((same - chance) / (1 - chance), 0, 1)))
+
+
+def main(
+    file: Annotated[Path, typer.Argument(help="UNIPEN file of digits, with their writers.")],
+    seed: Annotated[
+        int, typer.Option(help="Seed of the search.", parser=options.between(0, 2**31 - 1))
+    ] = 0,
+    out: Annotated[
+        Path, typer.Option(help="File for the model.", show_default="the one that is read")
+    ] = shape_model.MODEL,
+):
+    """Estimate the model of handwriting from recorded pen trajectories.
+
+    pipeline/skin/shape_model.py describes the model.  The file has its parameters and no
+    trajectory; the simulation reads the file that is written by default.
+    """
+    traces = unipen.read(file)
+    content = sha256_of(file)
+    about = {"sha256": content, **KNOWN_HANDWRITING.get(content, {"source": file.name})}
+    try:
+        model = estimate(traces, seed, about)
+    except ValueError as error:
+        raise UserError(f"{file}: {error}; give digits of more people") from error
+    shape_model.write(out, model)
+    ways = ", ".join(f"{digit}: {len(ways)}" for digit, ways in enumerate(model.allographs))
+    about = model.about
+    show(f"{about['digits']} digits of {about['writers']} writers; ways of writing {ways}")
+    show(f"{out}: {out.stat().st_size} bytes")

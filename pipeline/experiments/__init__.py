@@ -1,1 +1,0 @@
-"""Experiments over seeds, splits and settings."""

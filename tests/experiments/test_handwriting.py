@@ -1,0 +1,179 @@
+"""The model of handwriting: drawn from, stored, and estimated from trajectories."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.errors import UserError
+from deploy.files import sha256_of, write_arrays
+from experiments import handwriting as fit
+from experiments.__main__ import main
+from pipeline.skin import shape_model, unipen
+from pipeline.skin.handwriting import Trace
+from pipeline.skin.shape_model import POINTS, Allograph
+from tests.command import call
+
+BUILT_IN = shape_model.load()
+
+
+def stroke(start, end, points=24):
+    return np.linspace(start, end, points)
+
+
+def people(digits=range(10), writers=6, each=10, seed=0, **how):
+    """Trajectories of people who write each digit as a line, two of three downwards.
+
+    A person's line always ends so far to the right, each digit's a little elsewhere.
+    """
+    rng = np.random.default_rng(seed)
+    traces = []
+    for writer in range(writers):
+        habit = how.get("between", 0.3) * rng.standard_normal()
+        for digit in digits:
+            for _ in range(each):
+                end = habit + how.get("within", 0.1) * rng.standard_normal()
+                line = stroke([-0.5, 0.0], [0.5, end])
+                strokes = shape_model.boxed([line[::-1] if writer % 3 == 2 else line])
+                traces.append(Trace(digit, writer, strokes))
+    return traces
+
+
+def test_it_is_what_people_do():
+    """Ways, their shares, direction, and both variances of a trait of which they are known."""
+    model = fit.estimate(people(writers=60))
+    for ways in model.allographs:
+        downwards = sum(w.share for w in ways if w.mean[0] < w.mean[2 * POINTS - 2])
+        assert downwards == pytest.approx(2 / 3, abs=0.02)
+    # A line's end is the slant here, and the same in all digits of a person: all of it is taken
+    # out as the person's slant.
+    assert model.slant == pytest.approx(0.3, rel=0.25)
+    rng = np.random.default_rng(1)
+    way = max(model.allographs[4], key=lambda way: way.share)
+    drawn = [way.strokes(np.zeros(way.rank), rng.standard_normal(way.rank)) for _ in range(500)]
+    ends = [strokes[0][-1, 1] - strokes[0][0, 1] for strokes in drawn]
+    assert np.std(ends) < 0.15
+
+
+def test_offsets_of_persons_and_what_differs_within_one():
+    rng = np.random.default_rng(0)
+    writers = np.repeat(np.arange(400), rng.integers(2, 12, 400))  # not all write as much
+    between, within = np.array([[1.0, 0.3], [0.3, 0.2]]), np.diag([0.5, 0.9])
+    offsets = rng.multivariate_normal([0, 0], between, 400)
+    scores = offsets[writers] + rng.multivariate_normal([0, 0], within, len(writers))
+    found = fit._covariances(scores, writers)
+    for covariance, true in zip(found, (between, within), strict=True):
+        np.testing.assert_allclose(covariance, true, atol=0.15)
+        root = fit._root(covariance)
+        np.testing.assert_allclose(root @ root.T, covariance, atol=0.05)
+
+
+def test_what_hardly_anybody_does_is_left_out():
+    traces = people(writers=9)
+    odd = [Trace(7, 0, (stroke([0.5, 0], [-0.5, 0]), stroke([0, -1], [0, 1]))) for _ in range(40)]
+    alone, common = (fit.estimate(traces + some) for some in (odd, []))
+    assert len(alone.allographs[7]) == len(common.allographs[7])
+    assert sum(way.share for way in alone.allographs[7]) == pytest.approx(1)
+    shared = [replace(trace, writer=index % 9) for index, trace in enumerate(odd)]
+    assert any(len(w.points) == 2 for w in fit.estimate(traces + shared).allographs[7])
+
+
+def test_too_few_people():
+    with pytest.raises(ValueError, match=r"no .* 4$"):
+        fit.estimate(people(digits=[d for d in range(10) if d != 4]))
+
+
+def test_loyalty_by_hand():
+    # Everybody has one way: loyal.  Everybody has both alike: not at all.
+    assert fit._loyalty(np.array([[10, 0], [0, 10]])) == pytest.approx(1)
+    assert fit._loyalty(np.array([[10, 10], [10, 10]])) == 0
+    # One of ways alone.
+    assert fit._loyalty(np.array([[10], [10]])) == 1
+    # A share q of one's own of two, the rest of either: same way with (1 + q^2) / 2.
+    q = 0.6
+    mine, other = (1 + q) / 2, (1 - q) / 2
+    many = 100_000
+    usage = np.rint(np.array([[mine, other], [other, mine]]) * many).astype(int)
+    assert fit._loyalty(usage) == pytest.approx(q, abs=1e-3)
+
+
+def test_strokes_of_a_mean_are_the_mean():
+    down, across = stroke([-0.5, 0.1], [0.5, -0.2], 20), stroke([0, -0.3], [0, 0.3], 12)
+    mean = np.concatenate([down.ravel(), across.ravel(), [np.log(12 / 20)]])
+    nothing = np.zeros((1, 1))
+    way = Allograph(1.0, (20, 12), mean, np.zeros((1, len(mean))), nothing, nothing)
+    first, second = way.strokes(np.zeros(1), np.zeros(1))
+    assert (len(first), len(second)) == (20, 12)
+    np.testing.assert_allclose(first[[0, -1]], [[-0.5, 0.15], [0.5, -0.15]], atol=0.06)
+    np.testing.assert_allclose(second[:, 0], 0, atol=1e-9)
+
+
+def test_round_trip(tmp_path):
+    path = tmp_path / "model.npz"
+    model = fit.estimate(people(), about={"source": "made up"})
+    shape_model.write(path, model)
+    again = shape_model.read(path)
+    assert again.fingerprint() == model.fingerprint()
+    assert again.about == {"source": "made up", "writers": 6, "digits": 600}
+    assert replace(again, slant=0.5).fingerprint() != model.fingerprint()
+
+
+@pytest.mark.parametrize("name", ["3.mean", "3.rank", "loyalty", "traits", "about"])
+def test_a_damaged_model_is_one_line(tmp_path, name):
+    arrays = BUILT_IN.arrays()
+    for damaged in ({}, {name: np.zeros((2, 2)) * np.nan}):
+        path = tmp_path / "model.npz"
+        write_arrays(path, **{n: a for n, a in arrays.items() if n != name}, **damaged)
+        with pytest.raises(UserError, match=path.name):
+            shape_model.read(path)
+
+
+def test_the_built_in_model_says_where_it_is_from_and_is_small():
+    about = BUILT_IN.about
+    assert (about["licence"], about["writers"], about["digits"]) == ("CC BY 4.0", 30, 7494)
+    assert "Alpaydin" in about["source"]
+    assert shape_model.MODEL.stat().st_size <= 300_000
+
+
+def test_no_way_of_writing_is_a_single_persons():
+    """A mean of at least fifteen digits of at least three people is nobody's trajectory."""
+    assert fit.LEAST_DIGITS >= 15
+    assert fit.LEAST_WRITERS >= 3
+    for ways in BUILT_IN.allographs:
+        for way in ways:
+            assert way.share * BUILT_IN.about["digits"] / 10 >= 0.85 * fit.LEAST_DIGITS
+
+
+def test_the_command_estimates_the_built_in_model(shared_data, tmp_path):
+    file, out = shared_data / "pendigits-train.unipen", tmp_path / "model.npz"
+    assert call("handwriting", file, "--out", out, main=main) == 0
+    again = shape_model.read(out)
+    assert again.about == BUILT_IN.about
+    assert again.about["sha256"] == sha256_of(file)
+    assert [len(ways) for ways in again.allographs] == [len(w) for w in BUILT_IN.allographs]
+    for one, other in zip(again.allographs, BUILT_IN.allographs, strict=True):
+        for way, stored in zip(one, other, strict=True):
+            np.testing.assert_allclose(way.mean, stored.mean, atol=1e-2)
+
+
+def test_the_command_on_what_is_no_handwriting(tmp_path, capsys):
+    few = tmp_path / "few.unipen"
+    few.write_text('.SEGMENT DIGIT 0 ? "3"\n.COMMENT 3 1 1\n.PEN_DOWN\n 1 2\n 1 5\n.PEN_UP\n')
+    out = tmp_path / "model.npz"
+    for file in (few, tmp_path / "none"):
+        assert call("handwriting", file, "--out", out, main=main) == 2
+        assert str(file) in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_real_trajectories_as_vectors(shared_data):
+    """A trajectory through the model's vector and back is where it was."""
+    traces = unipen.read(shared_data / "pendigits-train.unipen")[:200]
+    for trace in traces:
+        points = fit._points_of([trace], len(trace.strokes))
+        vector = fit.vector(trace, points)
+        nothing = np.zeros((1, 1))
+        way = Allograph(1.0, points, vector, np.zeros((1, len(vector))), nothing, nothing)
+        for mine, again in zip(trace.strokes, way.strokes(np.zeros(1), np.zeros(1)), strict=True):
+            there = shape_model.resampled(again, len(mine))
+            assert np.sqrt(((there - mine) ** 2).sum(1)).mean() < 0.05

@@ -1,0 +1,365 @@
+"""The sweep: its grid, its Pareto front, its tables, and a small one from end to end."""
+
+import csv
+import io
+import json
+import shutil
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from matplotlib.image import imread
+
+from deploy.errors import UserError
+from deploy.files import read_json
+from pipeline.data.dataset import Dataset, dataset_origin
+from pipeline.data.library import recordings_of
+from pipeline.jobs import Failure
+from pipeline.results import sweep
+from pipeline.results.sweep_text import short_names, sweep_csv, sweep_text
+from pipeline.roads.origins import threshold_origin
+from pipeline.run import refuse_results
+from pipeline.settings import Settings, read_settings
+from tests.command import call, missing
+from tests.own_sensor import write_folder
+
+SMALL = Settings().with_values(
+    {"data": {"samples_per_digit": 12}, "split": {"validation_fraction": 0.25}}, "test"
+)
+
+
+def points_of(folder, grid, base=SMALL):
+    return sweep.points_of(folder, base, grid, recordings_of(base))
+
+
+def keys(tasks):
+    return {task.origin.key for task in tasks}
+
+
+def changes(points):
+    return [dict(point.changes) for point in points]
+
+
+def test_every_combination_of_the_grid(tmp_path):
+    grid = ["presentation.steps=30, 50", "snn.max_rates=[100,150],[200],120"]
+    points = points_of(tmp_path, grid)
+    assert len(points) == 6
+    assert changes(points)[0] == {"presentation.steps": 30, "snn.max_rates": [100, 150]}
+    assert changes(points)[-1] == {"presentation.steps": 50, "snn.max_rates": [120]}
+    assert points[-1].settings.snn.max_rates == (120.0,)
+    assert points[-1].settings.presentation.steps == 50
+    assert len(keys(point.evaluation for point in points)) == 6
+    assert len({point.evaluation.artifact.record for point in points}) == 6
+
+
+def test_only_what_matters_to_a_training_makes_another_one(tmp_path):
+    grid = ["presentation.steps=30,50", "deployment.synapse=0.005,0.01", "snn.spike_penalty=0,0.1"]
+    points = points_of(tmp_path, grid)
+    assert len(keys(point.trainings[0] for point in points)) == 1
+    free = keys(p.trainings[1] for p in points if not p.settings.snn.spike_penalty)
+    priced = keys(p.trainings[1] for p in points if p.settings.snn.spike_penalty)
+    assert (len(free), len(priced)) == (1, 1)
+    assert not free & priced
+    assert len({point.trainings[1].artifact.record for point in points}) == 2
+
+
+def test_the_threshold_on_events_is_not_shared_by_points_of_other_steps(tmp_path):
+    """Training does not depend on the presentation; the confidence that decides does."""
+    base = SMALL.with_values({"input": {"kind": "events"}})
+    one, two = points_of(tmp_path, ["presentation.steps=40,200"], base)
+    assert [len(point.trainings) for point in (one, two)] == [1, 1]
+    assert one.trainings[0].origin == two.trainings[0].origin
+    dataset = dataset_origin(base, "0")
+    thresholds = [threshold_origin(point.settings, dataset) for point in (one, two)]
+    assert thresholds[0] != thresholds[1]
+
+
+@pytest.mark.parametrize(
+    ("entry", "problem"),
+    [
+        ("presentation.steps", "--grid"),
+        ("presentation.steps=", "--grid"),
+        ("presentation.steps=30,,50", "--grid"),
+        ("presentation.steps=30,many", "'presentation.steps'"),
+        ("presentation.steps=5", "'presentation.readout_start'"),
+        ("seed=0,1", "'seed=0,1'.* --set"),
+        ("split.test_fraction=0.2,0.3", "split.test_fraction with --set"),
+    ],
+)
+def test_a_wrong_grid_is_refused_before_anything_is_trained(tmp_path, entry, problem):
+    with pytest.raises(UserError, match=problem):
+        points_of(tmp_path, [entry])
+
+
+def test_a_setting_given_twice_is_refused(tmp_path):
+    with pytest.raises(UserError, match=r"^--grid"):
+        points_of(tmp_path, ["presentation.steps=30", "presentation.steps=50"])
+
+
+@pytest.mark.parametrize(
+    "grid",
+    [["cnn=5", "cnn.epochs=3"], ["cnn.epochs=3", "cnn=5"], ["cnn.epochs.x=5", "cnn.epochs=3"]],
+)
+def test_a_section_given_a_value_is_refused(tmp_path, grid):
+    with pytest.raises(UserError, match=r"--grid: 'cnn(\.epochs)?' has a value"):
+        points_of(tmp_path, grid)
+
+
+def test_the_default_grid_is_a_grid(tmp_path):
+    points = points_of(tmp_path, sweep.DEFAULT_GRID)
+    assert len(points) == 16
+    assert len(keys(point.trainings[1] for point in points)) == 4
+
+
+def test_there_is_always_a_validation_part_and_never_a_test_part():
+    assert sweep.base_settings(Settings()).split.validation_fraction == sweep.VALIDATION
+    assert sweep.base_settings(SMALL).split.validation_fraction == 0.25
+    whole = Dataset.of(SMALL)
+    dataset = sweep.without_test(whole)
+    assert len(dataset.split.test) == 0
+    assert len(dataset.split.validation) == 24  # of 96 that are not for testing
+    assert not set(dataset.split.train) & set(whole.split.test)
+    assert not set(dataset.split.validation) & set(whole.split.test)
+    assert not set(dataset.split.validation) & set(dataset.split.train)
+
+
+def test_pareto_front_by_hand():
+    costs = [
+        (1, 5),  # on it: the least of the first
+        (2, 3),  # on it
+        (3, 3),  # beaten by (2, 3)
+        (4, 1),  # on it: the least of the second
+        (4, 1),  # its equal is on it too
+        (5, 5),  # beaten by all
+    ]
+    assert sweep.pareto_front(costs).tolist() == [True, True, False, True, True, False]
+    assert sweep.pareto_front([(7, 7, 7)]).tolist() == [True]
+
+
+@given(arrays(int, st.tuples(st.integers(1, 12), st.just(3)), elements=st.integers(0, 4)))
+def test_whatever_is_off_the_front_is_beaten_from_on_it(costs):
+    front = sweep.pareto_front(costs)
+    assert front.any()
+    for cost in costs[~front]:
+        assert any((other <= cost).all() and (other < cost).any() for other in costs[front])
+    for cost in costs[front]:
+        assert not any((other <= cost).all() and (other < cost).any() for other in costs)
+
+
+def test_names_are_short_where_that_says_enough():
+    assert short_names(["snn.epochs", "deployment.synapse"]) == {
+        "snn.epochs": "epochs",
+        "deployment.synapse": "synapse",
+    }
+    assert short_names(["snn.epochs", "cnn.epochs"])["snn.epochs"] == "snn.epochs"
+
+
+def point(steps, synapse):
+    changed = (("presentation.steps", steps), ("deployment.synapse", synapse))
+    return sweep.Point(Settings(), changed, (), None)
+
+
+def result(accuracy, operations, steps, synapse):
+    return {
+        "simulated": True,
+        "n_samples": 100,
+        "steps": steps,
+        "accuracy": accuracy,
+        "accuracy_ci95": [accuracy - 0.1, accuracy + 0.1],
+        "cnn_accuracy": 0.9,
+        "trained_accuracy": 0.91,
+        "operations": operations,
+        "operations_per_mac": operations / 1000,
+        "cores": 2,
+        "decided_at_median": 25.0,
+    }
+
+
+POINTS = [point(30, 0.005), point(50, 0.005), point(30, 0.01), point(50, 0.01)]
+RESULTS = [
+    result(0.7, 800, 30, 0.005),
+    result(0.8, 1500, 50, 0.005),
+    result(0.7, 900, 30, 0.01),  # the first is as good for less
+    Failure("ValueError: no good", ""),
+]
+
+
+def test_the_table():
+    text = sweep_text(sweep.summarise(POINTS, RESULTS))
+    lines = text.splitlines()
+    assert missing(lines[0], "3 points", "100", "simulated", "validation") == []
+    assert " ".join(lines[2].split()) == "* 1 0.800 0.700 to 0.900 1.50 x 2 50 25 0.910"
+    assert lines[3].split()[:3] == ["*", "2", "0.700"]
+    assert lines[4].split()[:2] == ["3", "0.700"]
+    settings = lines.index("") + 1  # the other columns, in a block of their own
+    assert lines[settings].split() == ["#", "cnn", "steps", "synapse"]
+    assert lines[settings + 1].split() == ["*", "1", "0.900", "50", "0.005"]
+    assert lines[settings + 3].endswith("30     0.01")
+    assert max(map(len, lines[:-1])) <= 80
+    failed = "presentation.steps=50", "deployment.synapse=0.01", "ValueError: no good"
+    assert missing(lines[-1], *failed) == []
+
+
+def test_the_csv():
+    summary = sweep.summarise(POINTS, RESULTS)
+    rows = list(csv.DictReader(io.StringIO(sweep_csv(summary))))
+    assert [row["pareto"] for row in rows] == ["True", "True", "False", ""]
+    assert [float(row["operations"]) for row in rows[:3]] == [1500, 800, 900]
+    assert (float(rows[0]["accuracy_low"]), float(rows[0]["accuracy_high"])) == (
+        pytest.approx(0.7),
+        pytest.approx(0.9),
+    )
+    assert rows[3]["error"] == "ValueError: no good"
+    assert rows[3]["presentation.steps"] == "50"
+
+
+def test_a_sweep_in_which_everything_failed():
+    summary = sweep.summarise(POINTS[3:], RESULTS[3:])
+    assert summary["points"] == []
+    assert sweep_text(summary).startswith("failed: ")
+    assert len(sweep_csv(summary).splitlines()) == 2
+
+
+TINY = (
+    *("--set", "data.samples_per_digit=40", "--set", "cnn.epochs=4", "--set", "snn.epochs=2"),
+    *("--set", "presentation.readout_start=10", "--jobs", 1),
+)
+GRID = ("--grid", "presentation.steps=24,40", "--grid", "snn.spike_penalty=0,3")
+
+
+@pytest.fixture(scope="module")
+def tiny_sweep(tmp_path_factory):
+    """Four points from three trainings, on a cluster."""
+    distributed = pytest.importorskip("distributed")
+    folder = tmp_path_factory.mktemp("sweep") / "out"
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        workers = ("--scheduler", cluster.scheduler_address)
+        assert call("sweep", folder, *TINY, *GRID, *workers) == 0
+    return folder
+
+
+def test_a_small_sweep(tiny_sweep):
+    summary = read_json(tiny_sweep / "sweep.json", "")
+    points = summary["points"]
+    assert summary["failed"] == []
+    assert (len(points), len(list((tiny_sweep / "points").iterdir()))) == (4, 4)
+    assert len(list((tiny_sweep / "networks" / "cnn").iterdir())) == 1
+    assert len(list((tiny_sweep / "networks" / "snn").iterdir())) == 2
+    with pytest.raises(UserError, match="not of a run"):
+        refuse_results(tiny_sweep)
+    assert all(p["simulated"] is True for p in points)
+    assert {p["n_samples"] for p in points} == {48}  # 15 % of 320
+    assert any(p["pareto"] for p in points)
+    by_setting = {tuple(p["changes"].values()): p for p in points}
+    # Longer presentations and no price on spikes mean more operations, whatever was learnt.
+    assert by_setting[40, 0]["operations"] > by_setting[24, 0]["operations"]
+    assert by_setting[40, 3]["operations"] < by_setting[40, 0]["operations"]
+    assert by_setting[24, 0]["trained_accuracy"] == by_setting[40, 0]["trained_accuracy"]
+    for p in points:
+        low, high = p["accuracy_ci95"]
+        assert low <= p["accuracy"] <= high
+        assert 1 <= p["decided_at_median"] <= p["steps"]
+    assert len((tiny_sweep / "sweep.csv").read_text().splitlines()) == 5
+    assert imread(tiny_sweep / "pareto.png")[..., :3].std() > 0.05
+
+
+def test_its_networks_were_never_shown_the_test_split(tiny_sweep):
+    for path in tiny_sweep.glob("networks/*nn/*/metrics.json"):
+        metrics = read_json(path, "")
+        assert set(metrics["accuracy"]) == {"train", "validation"}
+        assert metrics["n_validation"] == 48
+        assert "n_test" not in metrics
+    assert read_settings(tiny_sweep / "experiment.toml").split.validation_fraction == 0.15
+
+
+def test_a_sweep_is_resumed(tiny_sweep, tmp_path, capsys):
+    folder = tmp_path / "out"
+    shutil.copytree(tiny_sweep, folder)
+    lost, *kept = sorted((folder / "points").iterdir())
+    expected = read_json(lost, "")
+    lost.unlink()
+    before = {
+        path: path.stat().st_mtime_ns
+        for path in [*kept, *folder.glob("networks/*nn/*/weights.npz")]
+    }
+    assert call("sweep", folder, "--jobs", 1, *GRID, "--json") == 0
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    again = read_json(lost, "")
+    # Made by this process, the others by a cluster's worker.
+    assert {**again, "seconds": 0} == {**expected, "seconds": 0}
+    summary = json.loads(capsys.readouterr().out)
+    assert summary == read_json(folder / "sweep.json", "")
+    resumed, whole = (read_json(f / "sweep.json", "")["points"] for f in (folder, tiny_sweep))
+    np.testing.assert_equal([p["accuracy"] for p in resumed], [p["accuracy"] for p in whole])
+    # The file is the same but for times: its keys are in the same order too.
+    assert [list(point) for point in resumed] == [list(point) for point in whole]
+
+
+def test_a_failed_point_is_reported_and_the_others_stand(tiny_sweep, tmp_path, capsys):
+    """A learning rate that blows the weights up beyond what the chip can hold."""
+    folder = tmp_path / "out"
+    shutil.copytree(tiny_sweep, folder)
+    grid = ("--grid", "snn.learning_rate=0,1000", "--grid", "snn.spike_penalty=0")
+    status = call("sweep", folder, "--jobs", 1, *grid, "--set", "presentation.steps=24")
+    out, err = capsys.readouterr()
+    assert status == 1
+    assert missing(out, "1 point", "snn.learning_rate=1000, snn.spike_penalty=0") == []
+    assert missing(err.strip().splitlines()[-1], "1 of 2") == []
+    summary = read_json(folder / "sweep.json", "")
+    assert (len(summary["points"]), len(summary["failed"])) == (1, 1)
+    assert "NengoLoihi" in summary["failed"][0]["error"]
+
+
+def test_a_sweep_on_events(tmp_path, capsys):
+    folder = tmp_path / "out"
+    tiny = ("--set", "data.samples_per_digit=40", "--set", "events.epochs=1", "--jobs", 1)
+    tiny += ("--set", "input.step=500", "--set", "events.batch_size=96")
+    grid = ("--grid", "events.architecture=10x10x2-4c4s3-16-10o,10x10x2-6c4s3-10o")
+    assert call("sweep", folder, "--input", "events", *tiny, *grid) == 0
+    assert "10x10x2-6c4s3-10o" in capsys.readouterr().out
+    points = read_json(folder / "sweep.json", "")["points"]
+    sizes = {p["changes"]["events.architecture"].count("-"): p for p in points}
+    assert list(sizes[3]["spikes"]) == ["input", "conv1", "dense1"]
+    assert list(sizes[2]["spikes"]) == ["input", "conv1"]
+    assert (sizes[3]["cores"], sizes[2]["cores"]) == (2, 1)
+    for p in points:
+        assert (p["n_samples"], p["cnn_accuracy"]) == (48, None)
+    assert not (folder / "networks" / "cnn").exists()
+    assert imread(folder / "pareto.png")[..., :3].std() > 0.05
+
+
+def test_a_sweep_on_own_recordings_needs_no_architecture(tmp_path, capsys):
+    data = write_folder(tmp_path / "own", per_class=8)
+    few = ("--set", "cnn.epochs=1", "--set", "snn.epochs=1", "--jobs", 1)
+    grid = ("--grid", "presentation.steps=25,50")
+    assert call("sweep", tmp_path / "out", "--data", data, *few, *grid) == 0
+    summary = read_json(tmp_path / "out" / "sweep.json", "")
+    assert sorted(p["changes"]["presentation.steps"] for p in summary["points"]) == [25, 50]
+    assert read_settings(tmp_path / "out" / "experiment.toml").cnn.architecture.startswith("9x12-")
+
+
+def test_architectures_of_another_skin_are_swept(tmp_path):
+    changes = {
+        "skin": {"rows": 8, "columns": 8},
+        "data": {"samples_per_digit": 12},
+        "cnn": {"architecture": "8x8-4c3-10o"},
+    }
+    base = sweep.base_settings(Settings().with_values(changes, "here"))
+    grid = ["cnn.architecture=8x8-4c3-10o,8x8-6c3s2-10o"]
+    with pytest.raises(UserError, match="8x8"):
+        points_of(tmp_path, ["cnn.architecture=10x10-4c3-10o"], base)
+    one, two = points_of(tmp_path, grid, base)
+    assert one.trainings[0].origin != two.trainings[0].origin
+    assert Dataset.of(one.settings).inputs.shape[1:3] == (8, 8)
+
+
+def test_a_wrong_grid_is_one_line_and_leaves_nothing(tmp_path, capsys):
+    folder = tmp_path / "out"
+    grid = ("--grid", "presentation.stops=1", "--set", "data.samples_per_digit=12")
+    assert call("sweep", folder, *grid) == 2
+    assert "presentation.stops" in capsys.readouterr().err
+    assert not folder.exists()
