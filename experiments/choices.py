@@ -86,7 +86,6 @@ def _steps(steps, **more):
 
 
 _NO_SYNAPSE = {"deployment": {"synapse": 0.0}}
-_HOST_LAYER = {"deployment": {"first_layer": "host"}}
 
 CHOICES = (
     Choice("ann-snn", "100 steps, the default", changes=_steps(100)),
@@ -98,14 +97,9 @@ CHOICES = (
     *(Choice("loihi", f"{n} steps", changes=_steps(n)) for n in (50, 40, 30)),
     Choice("loihi", "100 steps, no gap", changes=_steps(100, gap=0)),
     Choice("loihi", "50 steps, no gap", changes=_steps(50, gap=0)),
-    Choice("loihi", "100 Hz, 100 steps, host layer", 100.0, _steps(100) | _HOST_LAYER),
-    Choice(
-        "loihi", "100 Hz, 100 steps, no gap, host layer", 100.0, _steps(100, gap=0) | _HOST_LAYER
-    ),
-    Choice("loihi", "100 Hz, 50 steps, no gap, host layer", 100.0, _steps(50, gap=0) | _HOST_LAYER),
 )
 """``unfiltered``: no synapses between the layers, and the smoothed output decides; the others are
-read in the last four fifths of the steps.  ``host layer``: the first convolution is off the chip.
+read in the last four fifths of the steps.
 """
 
 

@@ -38,7 +38,7 @@ MEANS = ("operations", "spikes_in", "merged", "share", "accuracy_by_itself", "ag
 def result_origin(settings: Settings, dataset: Origin, subject: str) -> Origin:
     """The origin of the result of a variant (``subject``) on a split."""
     trained = trained_origin(settings, _of_variant(dataset, subject))
-    reads = ["deployment.pop_type", "presentation"]
+    reads = ["presentation"]
     return Origin.of(settings, reads, [trained], {"schema": SCHEMA})
 
 

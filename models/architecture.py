@@ -237,20 +237,13 @@ class Folded:
         fan_out = self.layer.fan_out(self.pooled_shape)
         return fan_out if self.pool == 1 else unpooled(fan_out, self.input_shape, self.pool)
 
-    def geometry(self, pop_type: int) -> dict:
-        """The parameters of a :class:`deploy.network.spec.Layer` that the architecture determines.
-
-        Parameters
-        ----------
-        pop_type : int
-            NengoLoihi's population axon type.
-        """
+    def geometry(self) -> dict:
+        """Parameters of a :class:`deploy.network.spec.Layer` that the architecture determines."""
         return dict(
             name=self.name,
             input_shape=self.input_shape,
             shape=self.shape,
             block_shape=None,
-            pop_type=pop_type,
             pool=self.pool,
             **self.layer.deployed,
         )

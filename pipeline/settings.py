@@ -22,7 +22,7 @@ from deploy import limits
 from deploy.errors import UserError
 from deploy.files import open_regular, replacing
 from deploy.network.spec import Presentation
-from deploy.network.stimulus import EventFrames, ImageCurrent, ImageSpikes, Stimulus
+from deploy.network.stimulus import EventFrames, ImageSpikes, Stimulus
 from models.architecture import NotationError, parse
 from pipeline import paper
 
@@ -109,7 +109,6 @@ STEP_OR_NONE = Limit(
     lambda value: value == 0 or 1e-3 <= value <= 1e6, "0, or from 0.001 to 1000000 milliseconds"
 )
 SIDE = between(0, 256)
-POP_TYPE = Limit(lambda value: value in (16, 32), "16 or 32")
 
 
 @dataclass(frozen=True)
@@ -171,8 +170,7 @@ class Image(Section):
     normalisation: Annotated[str, one_of(*NORMALISATIONS)] = "max"
     """Divisor of an image: ``max``, its largest magnitude; ``sum``, the sum of magnitudes;
     ``sqrt-max``, as ``max`` after the square root of each magnitude; ``none``,
-    undivided counts, only for the CNN, ``deployment.first_layer = "host"`` or a low
-    ``deployment.input_rate``."""
+    undivided counts, which need a low ``deployment.input_rate``."""
 
 
 @dataclass(frozen=True)
@@ -287,9 +285,6 @@ class EventTraining(Section):
 class Deployment(Section):
     """Placement of the spiking network on chip and host; see :mod:`deploy.network.spec`."""
 
-    first_layer: Annotated[str, one_of("chip", "host")] = "chip"
-    """``chip``: an input layer on the host converts the image to spikes, all layers of neurons are
-    on the chip; ``host``: the first layer's neurons are on the host, fed with currents."""
     readout: Annotated[str, one_of("chip", "host")] = "host"
     """``host``: output decoded from the spikes of the last layer of neurons; ``chip``: a neuron
     for each class."""
@@ -300,9 +295,6 @@ class Deployment(Section):
     spikes is the expected number, rounded to the nearest with 0.5 and down with 0."""
     synapse: Annotated[float, TAU_OR_NONE] = 0.008
     """Time constant in seconds of the low-pass on every spiking connection; 0 for none."""
-    pop_type: Annotated[int, POP_TYPE] = 32
-    """Type of the convolutions' axons on the chip; 16 halves their number and requires filters in
-    multiples of 4."""
 
 
 @dataclass(frozen=True)
@@ -396,8 +388,6 @@ class Settings(Section):
         """The input of the chip."""
         if self.on_events:
             return EventFrames(self.input.step / 1000, self.input.rest)
-        if self.deployment.first_layer == "host":
-            return ImageCurrent()
         return ImageSpikes(self.deployment.input_rate, self.deployment.input_phase)
 
     @property
@@ -455,8 +445,6 @@ class Settings(Section):
         else:
             unread += ("data.simulation_seed", "data.samples_per_digit")
         values = {k: v for k, v in self.flat().items() if not k.startswith(unread)}
-        if self.on_events:
-            values["deployment.pop_type"] = self.deployment.pop_type
         return values
 
 
@@ -729,14 +717,6 @@ def _validate(s: Settings, origin):
         check_fits(s, rows, columns, paper.CLASSES, origin)
     n_spiking = len(architecture.spiking)
     need(n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output")
-    if s.nir.file:  # the graph's filters are not known here; the plan reports them
-        on_chip = ()
-    elif s.on_events:
-        on_chip = on_events.convs
-    else:
-        on_chip = architecture.convs[1 if s.deployment.first_layer == "host" else 0 :]
-    need(s.deployment.pop_type == 32 or not any(conv.filters % 4 for conv in on_chip),
-         "deployment.pop_type", "32, or 16 if layers have a multiple of 4 filters")  # fmt: skip
     need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3, "snn.max_rates",
          f"1 to {n_spiking} rates above 0, one per layer of neurons")  # fmt: skip
     need(max(s.snn.max_rates) * s.snn.tau_ref < 1, "snn.max_rates",

@@ -43,11 +43,7 @@ from ..interrupts import at_the_end
 from ..network.spec import NetworkSpec
 from ..network.stimulus import Stimulus
 
-NETWORK_SCHEMA = "stmnist-bundle/2"
-"""Schema of the ``network.json`` that is written."""
-READ_SCHEMAS = (NETWORK_SCHEMA, "stmnist-bundle/1")
-"""Schemas that can be read: the first one has an encoder instead of a stimulus, and ``images`` in
-``checks.npz``."""
+NETWORK_SCHEMA = "stmnist-bundle/3"
 MANIFEST_SCHEMA = "stmnist-manifest/1"
 FILES = ("network.json", "weights.npz", "checks.npz", "deploy.pyz")
 RESULTS = "checks"
@@ -297,7 +293,7 @@ def read_bundle(path) -> Bundle:
     if not path.is_dir():
         raise UserError(f"{path}: no such bundle folder; make one with 'stmnist convert RUN'")
     manifest = read_json(path / "MANIFEST.json", "give the folder of a bundle, or " + _REMEDY)
-    _check_schema(path / "MANIFEST.json", manifest.get("schema"), (MANIFEST_SCHEMA,))
+    _check_schema(path / "MANIFEST.json", manifest.get("schema"), MANIFEST_SCHEMA)
     hashes = manifest.get("files")
     if not isinstance(hashes, dict) or sorted(hashes) != sorted(FILES):
         raise UserError(f"{path / 'MANIFEST.json'}: does not list the files of a bundle; {_REMEDY}")
@@ -313,7 +309,7 @@ def read_bundle(path) -> Bundle:
             "move it out of the folder"
         )
     description = read_json(path / "network.json", _REMEDY)
-    _check_schema(path / "network.json", description.get("schema"), READ_SCHEMAS)
+    _check_schema(path / "network.json", description.get("schema"), NETWORK_SCHEMA)
     try:
         spec = NetworkSpec.from_json(description, read_arrays(path / "weights.npz", _REMEDY))
         checks = _read_checks(path / "checks.npz", spec)
@@ -328,7 +324,7 @@ def _read_checks(path, spec):
     wrong = _wrong_with(arrays, spec)
     if wrong is not None:
         raise UserError(f"{path}: does not fit the network: {wrong}; {_REMEDY}")
-    inputs = _inputs_of(arrays)
+    inputs = arrays["inputs"]
     return CheckSet(
         inputs=inputs.astype(float) if spec.stimulus.static else inputs,
         labels=arrays["labels"],
@@ -337,18 +333,12 @@ def _read_checks(path, spec):
     )
 
 
-def _inputs_of(arrays):
-    return arrays["inputs" if "inputs" in arrays else "images"]  # of the first schema
-
-
 def _wrong_with(arrays, spec):
     """The reason why arrays cannot be the samples of a network's check, or None."""
-    if sorted(arrays) not in (["ids", name, "labels", "seed"] for name in ("images", "inputs")):
+    if sorted(arrays) != ["ids", "inputs", "labels", "seed"]:
         names = ", ".join(sorted(arrays)[:10])
         return f"its arrays are {names}, not ids, inputs, labels and seed"
-    inputs, labels, ids, seed = (
-        _inputs_of(arrays), *(arrays[name] for name in ("labels", "ids", "seed"))
-    )  # fmt: skip
+    inputs, labels, ids, seed = (arrays[name] for name in ("inputs", "labels", "ids", "seed"))
     kinds = (array.dtype.kind for array in (labels, ids, seed))
     if not all(kind in known for kind, known in zip(kinds, ("iu", "U", "iu"))):
         return "labels and seed are not whole numbers, or ids not text"
@@ -367,10 +357,10 @@ def _wrong_with(arrays, spec):
     return spec.stimulus.complaint(inputs, spec.input_shape, spec.presentation.steps)
 
 
-def _check_schema(path, found, known):
-    if found not in known:
+def _check_schema(path, schema, known):
+    if schema != known:
         raise UserError(
-            f"{path}: schema {found!r}, but this version reads {' and '.join(map(repr, known))}; "
+            f"{path}: schema {schema!r}, but this version reads {known!r}; "
             "use the version of this package that made the bundle, or make the bundle again"
         )
 

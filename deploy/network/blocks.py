@@ -26,6 +26,9 @@ LIST = 64
 INDEX_BITS = (6, 7, 8, 9, 10, 11, 12)
 """Possible widths of the index of a synapse's target."""
 
+POPULATION_SLOTS = 2
+"""Output axons that one population spike takes (NengoLoihi's axons of 32 bits)."""
+
 OFFSET = 256
 """Maximum offset of the targets of a shared list; a larger one needs a separate list."""
 
@@ -43,8 +46,6 @@ def block_shapes(layers) -> Dict[str, Tuple[int, ...]]:
         if layer.placement == "chip":
             shapes[layer.name] = layer.block_shape or default_block(layer, *after)
             after = layer, shapes[layer.name]
-        else:
-            after = ()  # a layer on the host needs no axons
     return shapes
 
 
@@ -169,11 +170,9 @@ class _Cutting:
     def fits(self, block, receiver) -> bool:
         """True if each block is within the limits of a core, compartments excepted."""
         limits = LOIHI.limits
-        short = self.is_conv and self.layer.pop_type == 16
-        most = LOIHI.population_axons if short else limits["input axons"]
         for parts in itertools.product(*(parts_of(n, b) for n, b in zip(self.layer.shape, block))):
             axons, words = self.needs(parts)
-            if axons > most or words > limits["synapse words"]:
+            if axons > limits["input axons"] or words > limits["synapse words"]:
                 return False
             if receiver is not None and receiver.axons_from(parts) > limits["output axons"]:
                 return False
@@ -239,7 +238,6 @@ class _Receiver:
                 for line, n, b in zip(_lines(layer), layer.shape, block)
             ]
             self.copies = -(-layer.shape[2] // block[2])
-            self.slots = 2 if layer.pop_type == 32 else 1
 
     def axons_from(self, parts) -> int:
         """Number of output axons of a block of the previous layer."""
@@ -249,4 +247,4 @@ class _Receiver:
             sum(int(seen[first:last].sum()) for seen in line)
             for line, (first, last) in zip(self.seen, parts)
         ]
-        return along[0] * along[1] * self.copies * self.slots
+        return along[0] * along[1] * self.copies * POPULATION_SLOTS

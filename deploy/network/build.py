@@ -111,32 +111,29 @@ def build(spec: NetworkSpec, seed: int = 0) -> Built:
     spikes, blocks = {}, block_shapes(spec.layers)
     with nengo.Network(label=spec.architecture, seed=seed) as network:
         nengo_loihi.add_params(network)
-        source = nengo.Node(feed, size_out=feed.blank.size, label="pixels")
-        if spec.stimulus.area is not None:
-            neurons = _input_neurons(spec)
-            network.config[neurons].on_chip = False
-            nengo.Connection(source, neurons.neurons, synapse=None)
-            source = neurons.neurons
-            spikes["input"] = nengo.Probe(source)
+        pixels = nengo.Node(feed, size_out=feed.blank.size, label="pixels")
+        neurons = _input_neurons(spec)
+        network.config[neurons].on_chip = False
+        nengo.Connection(pixels, neurons.neurons, synapse=None)
+        source = neurons.neurons
+        spikes["input"] = nengo.Probe(source)
         for layer in spec.layers:
             if layer.neurons is None:
                 target = nengo.Node(size_in=layer.size, label=layer.name)
             else:
                 ensemble = _ensemble(layer)
-                network.config[ensemble].on_chip = layer.placement == "chip"
-                if layer.placement == "chip":
-                    network.config[ensemble].block_shape = nengo_loihi.BlockShape(
-                        blocks[layer.name], layer.shape
-                    )
+                network.config[ensemble].on_chip = True
+                network.config[ensemble].block_shape = nengo_loihi.BlockShape(
+                    blocks[layer.name], layer.shape
+                )
                 target = ensemble.neurons
             transform, inputs = _transform(layer)
-            connection = nengo.Connection(
+            nengo.Connection(
                 source if inputs is None else source[inputs],
                 target,
                 transform=transform,
                 synapse=layer.synapse,
             )
-            network.config[connection].pop_type = layer.pop_type
             output = nengo.Probe(target)
             if layer.neurons is not None:
                 spikes[layer.name] = output
@@ -157,15 +154,12 @@ def _input_neurons(spec):
 
 def _ensemble(layer: Layer):
     neurons = layer.neurons
-    if neurons.kind == "lif":
-        neuron_type = nengo_loihi.neurons.LoihiLIF(
-            tau_rc=neurons.tau_rc,
-            tau_ref=neurons.tau_ref,
-            min_voltage=neurons.min_voltage,
-            amplitude=neurons.amplitude,
-        )
-    else:
-        neuron_type = nengo_loihi.neurons.LoihiSpikingRectifiedLinear(amplitude=neurons.amplitude)
+    neuron_type = nengo_loihi.neurons.LoihiLIF(
+        tau_rc=neurons.tau_rc,
+        tau_ref=neurons.tau_ref,
+        min_voltage=neurons.min_voltage,
+        amplitude=neurons.amplitude,
+    )
     per_channel = layer.size // layer.bias.size
     bias = np.tile(layer.bias, per_channel)  # channels are the last and fastest dimension
     return _neurons(layer.size, neuron_type, np.ones(layer.size), bias, layer.name)

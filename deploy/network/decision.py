@@ -57,8 +57,8 @@ class Estimator:
         sizes = (features, *HIDDEN, 1)
         shapes = {}
         for index, (before, after) in enumerate(zip(sizes, sizes[1:]), 1):
-            shapes[f"judge.kernel{index}"] = (before, after)
-            shapes[f"judge.bias{index}"] = (after,)
+            shapes[f"estimator.kernel{index}"] = (before, after)
+            shapes[f"estimator.bias{index}"] = (after,)
         return shapes
 
     def arrays(self) -> dict:

@@ -14,8 +14,7 @@ from .loihi_import import nengo_loihi
 
 BUILD_ERRORS = (nengo.exceptions.NengoException, AssertionError, AttributeError, OverflowError)
 """Errors that NengoLoihi raises for a network that it cannot build: some of its limits are
-assertions, and one of their messages is itself mistaken (an AttributeError, if pop_type is 16 and
-the number of filters is not a multiple of 4)."""
+assertions, and one of their messages is itself mistaken (an AttributeError)."""
 
 HOLDS = "weights of 8 bits, a threshold of 17 bits times 64, a bias of 12 bits times up to 128"
 

@@ -55,7 +55,7 @@ def nir_graph(spec: NetworkSpec):
     nir = _nir()
     rows, columns, channels = spec.input_shape
     nodes = {"input": nir.Input({"input": np.array([channels, rows, columns])})}
-    area = 1.0 if spec.stimulus.area is None else spec.stimulus.area / DT
+    area = spec.stimulus.area / DT
     for layer in spec.layers:
         if layer.pool > 1:
             size = np.array([layer.pool, layer.pool])
@@ -108,26 +108,21 @@ def input_spikes(spec: NetworkSpec, samples) -> np.ndarray:
     Returns
     -------
     ndarray, shape (n_samples, gap + steps, channels, rows, columns)
-        Spikes of the input neurons, 0 or 1; without input neurons, the silent gap and the image.
+        Spikes of the input neurons, 0 or 1.
     """
     flat, period = spec.stimulus.flat(samples), spec.presentation.period
     size = flat.shape[-1]
     # the input neurons alone, with a readout of zeros
     nothing = Layer(
         name="nothing", kind="dense", input_shape=spec.input_shape, shape=(1,), placement="host",
-        neurons=None, synapse=None, kernel=0, block_shape=None, pop_type=32,
+        neurons=None, synapse=None, kernel=0, block_shape=None,
         weights=np.zeros((1, size)), bias=np.zeros(1),
     )  # fmt: skip
     spikes = []
     for part in streams_of(len(flat), spec.presentation.stream_length):
-        if spec.stimulus.area is None:
-            shown = np.zeros((part.stop - part.start, period, size))
-            shown[:, spec.presentation.gap :] = flat[part, None]
-        else:
-            built = build(replace(spec, layers=(nothing,)))
-            with nengo.Simulator(built.network, progress_bar=False, optimize=False) as sim:
-                shown = np.array([one.spikes["input"] for one in show(built, sim, flat[part])])
-        spikes.append(shown)
+        built = build(replace(spec, layers=(nothing,)))
+        with nengo.Simulator(built.network, progress_bar=False, optimize=False) as sim:
+            spikes.append([one.spikes["input"] for one in show(built, sim, flat[part])])
     rows, columns, channels = spec.input_shape
     spikes = np.concatenate(spikes).reshape(len(flat), period, rows, columns, channels)
     return np.moveaxis(spikes, -1, 2).astype(np.float32)
@@ -239,7 +234,7 @@ def _neurons(nir, layer):
 
     name, neurons = f"{layer.name}_neurons", layer.neurons
     common = {"r": everywhere(1), "v_threshold": everywhere(1)}
-    if neurons.kind == "lif" and layer.synapse is not None:
+    if layer.synapse is not None:
         yield (
             name,
             nir.CubaLIF(
@@ -251,15 +246,7 @@ def _neurons(nir, layer):
             ),
         )
         return
-    if layer.synapse is not None:
-        yield (
-            f"{layer.name}_filter",
-            nir.LI(tau=everywhere(layer.synapse), r=everywhere(1), v_leak=everywhere(0)),
-        )
-    if neurons.kind == "lif":
-        yield name, nir.LIF(tau=everywhere(neurons.tau_rc), v_leak=everywhere(0), **common)
-    else:
-        yield name, nir.IF(**common)
+    yield name, nir.LIF(tau=everywhere(neurons.tau_rc), v_leak=everywhere(0), **common)
 
 
 def _metadata(spec):
@@ -271,7 +258,7 @@ def _metadata(spec):
         "dt": DT,
         "spike": "a pulse of height 1 that lasts one time step dt",
         DEPLOYED: json.dumps(spec.to_json()),
-        "area": 1.0 if spec.stimulus.area is None else spec.stimulus.area / DT,
+        "area": spec.stimulus.area / DT,
         **({} if spec.estimator is None else spec.estimator.arrays()),
         "steps": shown.steps,
         "gap": shown.gap,

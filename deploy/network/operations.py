@@ -50,14 +50,8 @@ def synaptic_operations(spec: NetworkSpec, spikes: Dict[str, np.ndarray]) -> Dic
     Returns
     -------
     dict of str to ndarray, shape (...)
-        Without an entry for a first layer on the host, which receives currents, not spikes.
     """
-    senders = [
-        "input" if spec.stimulus.area is not None else None,
-        *(layer.name for layer in spec.layers[:-1]),
-    ]
+    senders = ["input", *(layer.name for layer in spec.layers[:-1])]
     return {
-        layer.name: spikes[sender] @ fan_out(layer)
-        for sender, layer in zip(senders, spec.layers)
-        if sender is not None
+        layer.name: spikes[sender] @ fan_out(layer) for sender, layer in zip(senders, spec.layers)
     }

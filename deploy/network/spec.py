@@ -21,7 +21,7 @@ from .chip import LOIHI
 from .decision import Estimator
 from .geometry import convolution_fan_out, convolution_shape, pooled_shape
 from .rehearsal import Rehearsal
-from .stimulus import KINDS, ImageCurrent, ImageSpikes, Stimulus
+from .stimulus import KINDS, Stimulus
 
 DT = LOIHI.dt
 """Time step in seconds, on which NengoLoihi's decays and the firing rates of training depend."""
@@ -29,28 +29,24 @@ DT = LOIHI.dt
 
 @dataclass(frozen=True)
 class Neurons:
-    """A type of spiking neuron.
+    """LIF neurons.
 
     Attributes
     ----------
-    kind : str
-        ``"lif"`` or ``"relu"`` (integrate-and-fire without leak, rate rectified linear).
     amplitude : float
         Area of one spike, in units of the value that the layer represents times seconds.
     tau_rc, tau_ref : float
-        Membrane time constant and refractory period in seconds; LIF only.
+        Membrane time constant and refractory period in seconds.
     min_voltage : float
-        Lower bound of the membrane voltage, in units of the threshold; LIF only.
+        Lower bound of the membrane voltage, in units of the threshold.
     """
 
-    kind: str
     amplitude: float
     tau_rc: float = 0.02
     tau_ref: float = 0.001
     min_voltage: float = 0.0
 
     def __post_init__(self):
-        _require(self.kind in ("lif", "relu"), "neurons", "kind is neither 'lif' nor 'relu'")
         # Conditions state what is allowed, so that NaN, which fails every comparison, is refused.
         _require(1e-9 <= self.amplitude <= limits.MAGNITUDE, "neurons",
                  "amplitude must be positive")  # fmt: skip
@@ -75,7 +71,7 @@ class Layer:
     input_shape, shape : tuple of int
         (rows, columns, channels) before and after; a dense layer's shape is (units,).
     placement : str
-        ``"chip"`` or ``"host"``.
+        ``"chip"``, or ``"host"`` for a linear readout.
     neurons : Neurons or None
         None for a linear readout on the host.
     synapse : float or None
@@ -84,8 +80,6 @@ class Layer:
         Side length of the convolution's filters (0 for dense).
     block_shape : tuple of int or None
         (rows, columns, channels) of the part of the layer on one core; None for the whole layer.
-    pop_type : int
-        NengoLoihi's population axon type, 16 or 32.
     weights : ndarray, shape (kernel, kernel, channels_in, filters) or (units, inputs)
         Weights for the input, after pooling if ``pool`` is above 1.
     bias : ndarray, shape (channels,) or (units,)
@@ -109,7 +103,6 @@ class Layer:
     synapse: Optional[float]
     kernel: int
     block_shape: Optional[Tuple[int, ...]]
-    pop_type: int
     weights: np.ndarray = field(repr=False, compare=False)
     bias: np.ndarray = field(repr=False, compare=False)
     stride: int = 1
@@ -131,9 +124,8 @@ class Layer:
                      f"{name} has a value above {limits.MAGNITUDE:g}")  # fmt: skip
         _require(self.kind in ("conv", "dense"), where, "kind is neither 'conv' nor 'dense'")
         _require(self.placement in ("chip", "host"), where, "placement is not 'chip' or 'host'")
-        _require(self.neurons is not None or self.placement == "host", where,
-                 "a layer on the chip needs neurons")  # fmt: skip
-        _require(self.pop_type in (16, 32), where, "pop_type is neither 16 nor 32")
+        _require((self.neurons is None) == (self.placement == "host"), where,
+                 "a layer on the chip has neurons, one on the host has none")  # fmt: skip
         _require(self.synapse is None or 1e-6 <= self.synapse <= limits.SECONDS, where,
                  f"synapse must be from 1e-6 to {limits.SECONDS:g} seconds")  # fmt: skip
         for name in ("input_shape", "shape"):
@@ -256,7 +248,7 @@ class NetworkSpec:
     estimator : Estimator or None
         Confidence estimator of the outputs; None for their softmax.
     rehearsal : Rehearsal or None
-        Training responses for refitting the readout; None in older bundles.
+        Training responses for refitting the readout.
     """
 
     architecture: str
@@ -285,20 +277,14 @@ class NetworkSpec:
             _require(layer.input_shape == shape, where, f"input_shape should be {shape}")
             last = position == len(self.layers) - 1
             _require(not last or layer.kind == "dense", where, "the last layer is dense")
-            _require(last or layer.neurons is not None, where, "needs neurons")
-            _require(position == 0 or last or layer.placement == "chip", where,
-                     "only the first and the last layer can be on the host")  # fmt: skip
+            _require(last or layer.placement == "chip", where,
+                     "only the last layer can be on the host")  # fmt: skip
             shape = layer.shape
-        on_host = self.layers[0].placement == "host" and len(self.layers) > 1
-        _require((self.stimulus.area is None) == on_host, "network",
-                 "an image goes as a current into a first layer on the host, all else as spikes "
-                 "into one on the chip")  # fmt: skip
 
     @property
     def spiking_layers(self) -> tuple:
         """Names of the layers that spike, the input neurons (``"input"``) first."""
-        names = [] if self.stimulus.area is None else ["input"]
-        return (*names, *(layer.name for layer in self.layers if layer.neurons))
+        return ("input", *(layer.name for layer in self.layers if layer.neurons))
 
     def with_presentation(self, **changes) -> NetworkSpec:
         """The same network with changes of the presentation."""
@@ -374,7 +360,7 @@ class NetworkSpec:
             spec = cls(
                 architecture=str(value["architecture"]),
                 input_shape=value["input_shape"],
-                stimulus=_stimulus(value),
+                stimulus=_stimulus(value["stimulus"]),
                 layers=tuple(layers),
                 presentation=_build(Presentation, value["presentation"]),
                 provenance=dict(value.get("provenance", {})),
@@ -382,8 +368,7 @@ class NetworkSpec:
             )
             inputs, classes = layers[-1].weights.shape[1], layers[-1].size
             spec = replace(spec, rehearsal=Rehearsal.from_arrays(arrays, inputs, classes))
-            fed_in = "stimulus" if "stimulus" in value else "encoder"  # of the first schema
-            _only(value, {"schema", fed_in, *spec.to_json()}, "network")
+            _only(value, {"schema", *spec.to_json()}, "network")
             _only(arrays, spec.arrays(), "weights")
             return spec
         except KeyError as error:
@@ -393,11 +378,7 @@ class NetworkSpec:
 
 
 def _stimulus(value):
-    """The stimulus of a description; in the first schema, an encoder or none."""
-    if "stimulus" not in value:
-        encoder = value["encoder"]
-        return ImageCurrent() if encoder is None else _build(ImageSpikes, encoder, "encoder")
-    values = dict(value["stimulus"])
+    values = dict(value)
     kind = values.pop("kind")
     _require(kind in KINDS, "stimulus", f"kind {kind!r} is not one of {', '.join(KINDS)}")
     return _build(KINDS[kind], values, "stimulus")

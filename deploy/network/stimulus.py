@@ -1,8 +1,8 @@
 """Stimuli: the input of a network as frames over time, and its silent gaps.
 
 A stimulus defines how a sample becomes one frame of values for every step of its presentation, and
-what the host makes of a frame: spikes of input neurons, one neuron per value, or currents into a
-first layer on the host.  In the gap before a sample the frame is zero and nothing spikes.
+the spikes that the host makes of a frame, with one input neuron per value.  In the gap before a
+sample the frame is zero and nothing spikes.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ class Stimulus:
         Name of the class in a bundle.
     static : bool
         True if a sample is one constant frame for all steps; else it has one frame per step.
-    area : float or None
-        Area of one spike of the input neurons; None if there are none.
+    area : float
+        Area of one spike of the input neurons.
     """
 
     kind: ClassVar[str] = ""
     static: ClassVar[bool] = True
 
     @property
-    def area(self) -> Optional[float]:
-        """Area of one spike of the input neurons; None if there are none."""
-        return None
+    def area(self) -> float:
+        """Area of one spike of the input neurons."""
+        raise NotImplementedError
 
     @property
     def step_seconds(self) -> float:
@@ -125,13 +125,6 @@ class ImageSpikes(Stimulus):
 
 
 @dataclass(frozen=True)
-class ImageCurrent(Stimulus):
-    """A tactile image as currents into a first layer on the host; nothing spikes before it."""
-
-    kind: ClassVar[str] = "image-current"
-
-
-@dataclass(frozen=True)
 class EventFrames(Stimulus):
     """Events as spikes: at most one per taxel, polarity and step, with a refractory period.
 
@@ -143,24 +136,24 @@ class EventFrames(Stimulus):
     ----------
     seconds : float
         Time in seconds of the recording that one step represents.
-    rest : int
+    refractory : int
         Refractory period of a taxel and polarity, in steps after a spike.
     """
 
     kind: ClassVar[str] = "events"
     static: ClassVar[bool] = False
     seconds: float = 0.02
-    rest: int = 0
+    refractory: int = 0
 
     def __post_init__(self):
         _require(1e-6 <= self.seconds <= limits.SECONDS, "seconds must be above 0")
-        _require(type(self.rest) is int and 0 <= self.rest <= limits.STEPS,
-                 f"rest must be a whole number from 0 to {limits.STEPS}")  # fmt: skip
+        _require(type(self.refractory) is int and 0 <= self.refractory <= limits.STEPS,
+                 f"refractory must be a whole number from 0 to {limits.STEPS}")  # fmt: skip
 
     @property
     def shortest_interval(self) -> int:
         """Minimum number of steps between two spikes of a taxel and polarity."""
-        return 1 + self.rest
+        return 1 + self.refractory
 
     @property
     def area(self) -> float:
@@ -180,32 +173,32 @@ class EventFrames(Stimulus):
         if not np.isin(samples, (0, 1)).all():
             return "frames of events contain values other than 0 and 1"
         in_time = np.moveaxis(samples, 1, 0)
-        if not np.array_equal(rested(in_time, self.rest), in_time):
-            return f"a taxel spikes again within {self.rest} steps"
+        if not np.array_equal(thinned(in_time, self.refractory), in_time):
+            return f"a taxel spikes again within {self.refractory} steps"
         return None
 
 
-def rested(frames, rest: int) -> np.ndarray:
+def thinned(frames, refractory: int) -> np.ndarray:
     """Spikes that remain with a refractory period.
 
     Parameters
     ----------
     frames : ndarray, shape (steps, ...)
         1 where there is a spike, 0 elsewhere.
-    rest : int
+    refractory : int
         Refractory period in steps.
 
     Returns
     -------
     ndarray of the same shape
     """
-    if rest == 0:
+    if refractory == 0:
         return frames
     frames = np.array(frames)
     ready = np.zeros(frames.shape[1:], int)  # first step in which each may spike again
     for step in range(len(frames)):
         frames[step] *= ready <= step
-        ready[frames[step] != 0] = step + 1 + rest
+        ready[frames[step] != 0] = step + 1 + refractory
     return frames
 
 
@@ -226,7 +219,7 @@ def last_steps(frames) -> np.ndarray:
     return np.where(busy.any(1), frames.shape[1] - 1 - np.argmax(busy[:, ::-1], 1), 0)
 
 
-KINDS = {stimulus.kind: stimulus for stimulus in (ImageSpikes, ImageCurrent, EventFrames)}
+KINDS = {stimulus.kind: stimulus for stimulus in (ImageSpikes, EventFrames)}
 
 
 class Feed:

@@ -9,7 +9,7 @@ much a layer exceeds a limit and what to change.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Dict, List, Optional, Tuple
+from typing import Dict, List, Tuple
 
 from ..errors import UserError
 from ..network.build import build
@@ -36,8 +36,8 @@ COLUMNS = ("compartments", "axons in", "axons out", "AxonCfg", "synapse words")
 REMEDIES = {
     "compartments": "give the layer a block_shape of at most {limit} neurons",
     "input axons": "give the layer fewer inputs, by a larger stride or an averaging before it",
-    "output axons": "use {fewer} in this layer or the next",
-    "AxonCfg registers": "use {fewer} in this layer or the next",
+    "output axons": "use fewer filters or units in this layer or the next",
+    "AxonCfg registers": "use fewer filters or units in this layer or the next",
     "synapse words": "give the layer fewer filters or units, or a larger stride",
 }
 """The remedy for each exceeded limit.
@@ -63,7 +63,7 @@ class CorePlan:
     unshared_axon_cfgs : int
         AxonCfg registers if the members of a population could not share them.
     pop_types : tuple of int
-        Types of the incoming axons: 0 discrete, 16 or 32 population.
+        Types of the incoming axons: 0 discrete, 32 population.
     threshold : int
         Membrane threshold, in the chip's integers.
     worst_input, worst_current : int
@@ -146,8 +146,7 @@ def make_plan(spec: NetworkSpec, chips: int = 1) -> Plan:
     cores = [
         _core_plan(layer, part, *places[block], block, intervals) for layer, part, block in placed
     ]
-    problems = [problem for core in cores for problem in _problems(spec, core)]
-    problems += _pop16_problems(placed)
+    problems = [problem for core in cores for problem in _problems(core)]
     problems += _refractory_problems(blocks)
     if needed > chips:
         problems.append(
@@ -156,7 +155,7 @@ def make_plan(spec: NetworkSpec, chips: int = 1) -> Plan:
         )
     warnings = [
         *_lost_weights(spec, cores),
-        *(line for core in cores for line in _warnings(spec, core)),
+        *(line for core in cores for line in _warnings(core)),
     ]
     return Plan(cores, needed, problems, warnings)
 
@@ -277,76 +276,14 @@ def _shortest_intervals(spec, model):
     return intervals
 
 
-def fewer_axons(spec: NetworkSpec, layer: Optional[str] = None) -> str:
-    """Name the changes that reduce a layer's output axons, as words for an error message.
-
-    Population spikes of 16 bits are named only if the network can use them and does not yet.
-
-    Parameters
-    ----------
-    spec : NetworkSpec
-    layer : str, optional
-        Name of the layer; None if it is not known which one has too many.
-    """
-    pairs = [
-        (before, after)
-        for before, after in zip(spec.layers, spec.layers[1:])
-        if before.placement == after.placement == "chip" and layer in (None, before.name)
-    ]
-    long = any(after.kind == "conv" and after.pop_type == 32 for _, after in pairs)
-    if long and all(map(_can_use_pop16, spec.layers)):
-        return "--set deployment.pop_type=16, or fewer filters or units"
-    return "fewer filters or units"
-
-
-def _can_use_pop16(layer):
-    if layer.kind != "conv" or layer.placement != "chip":
-        return True
-    return layer.shape[-1] % 4 == 0 and layer.input_shape[-1] <= LOIHI.population_channels
-
-
-def _problems(spec, core):
+def _problems(core):
     for resource, limit in LIMITS.items():
         used = core.used[resource]
         if used > limit:
             yield (
                 f"layer {core.layer}, part {core.part}: {used} {resource}, {used - limit} more "
-                f"than the {limit} of a core; {_remedy(spec, core, resource)}"
+                f"than the {limit} of a core; {REMEDIES[resource].format(limit=limit)}"
             )
-
-
-def _remedy(spec, core, resource):
-    return REMEDIES[resource].format(limit=LIMITS[resource], fewer=fewer_axons(spec, core.layer))
-
-
-def _pop16_problems(placed):
-    """Problems with the limits of the 16-bit population spike."""
-    channels, most = LOIHI.population_channels, LOIHI.population_axons
-    for layer, part, block in placed:
-        axons = 0
-        for synapse in block.synapses:
-            axons += synapse.n_axons
-            if synapse.pop_type != 16:
-                continue
-            atoms = max(weights.shape[0] for weights in synapse.weights)
-            if atoms > channels:
-                yield (
-                    f"layer {layer}, part {part}: pop_type 16 with {atoms} channels before it, "
-                    f"{atoms - channels} more than the {channels} that NxSDK supports; "
-                    "use pop_type 32"
-                )
-            if axons > most:
-                yield (
-                    f"layer {layer}, part {part}: pop_type 16 with {axons} input axons, "
-                    f"{axons - most} more than the {most} that it can address; "
-                    "use --set deployment.pop_type=32, or give the layer fewer inputs"
-                )
-            bases = synapse.axon_compartment_bases
-            if bases is not None and any(base % 4 for base in bases if base > 0):
-                yield (
-                    f"layer {layer}, part {part}: pop_type 16 needs a number of filters that is a "
-                    "multiple of 4; use pop_type 32, or other filters"
-                )
 
 
 def _refractory_problems(blocks):
@@ -373,14 +310,14 @@ def _lost_weights(spec, cores):
             )
 
 
-def _warnings(spec, core):
+def _warnings(core):
     where = f"layer {core.layer}, part {core.part}"
     limit = LIMITS["AxonCfg registers"]
     if core.used["AxonCfg registers"] <= limit < core.unshared_axon_cfgs:
         yield (
             f"{where}: {core.unshared_axon_cfgs} AxonCfg registers if populations cannot share "
             f"them, {core.unshared_axon_cfgs - limit} more than the {limit} of a core: a board may "
-            f"refuse it (NengoLoihi issue 326); {_remedy(spec, core, 'AxonCfg registers')}"
+            f"refuse it (NengoLoihi issue 326); {REMEDIES['AxonCfg registers']}"
         )
     if core.worst_input >= INPUT_LIMIT:
         yield f"{where}: one step's input can wrap around ({core.worst_input / INPUT_LIMIT:.1f} x)"

@@ -22,7 +22,8 @@ INPUT_LIMIT = 2**LOIHI.input_bits
 VOLTAGE_LIMIT = 2**LOIHI.voltage_bits - 1
 """Limit at which the membrane voltage is clipped; it should be well above the threshold."""
 
-AXON_CFGS_PER_AXON = {0: 1, 16: 1, 32: 2}
+AXON_CFGS_PER_AXON = {0: 1, 32: 2}
+"""By the type of axon: discrete, or a population's of 32 bits."""
 
 
 def used_by(block) -> Dict[str, int]:

@@ -24,7 +24,7 @@ from ..network.discretisation import BUILD_ERRORS
 from ..network.loihi_import import nengo_loihi
 from ..network.responses import Responses, respond
 from ..network.spec import NetworkSpec
-from ..preflight.plan import fewer_axons, require_fit
+from ..preflight.plan import REMEDIES, require_fit
 
 POWER_BINS = 1024
 """Number of bins of the board's energy probe, spread over the steps of a stream."""
@@ -160,10 +160,10 @@ def _run_stream(spec, samples, seed, options):
             board = sim.sims["loihi"].nxsdk_board
             if options.energy:
                 _probe_energy(board, steps)
-            with _board_errors(spec), _time_limit(options.timeout):
+            with _board_errors(), _time_limit(options.timeout):
                 sim.__enter__()
             connected_at = time.perf_counter()
-            with _board_errors(spec), _time_limit(options.timeout):
+            with _board_errors(), _time_limit(options.timeout):
                 responses = respond(spec, built, sim, samples)
             ended_at = time.perf_counter()
         finally:
@@ -197,7 +197,7 @@ def _simulator(network, options):
 
 
 @contextlib.contextmanager
-def _board_errors(spec):
+def _board_errors():
     """Convert all errors of the board, its driver and its connection to `BoardLost`.
 
     NxSDK has no error class of its own, and NengoLoihi raises AssertionError for missing data.
@@ -208,8 +208,8 @@ def _board_errors(spec):
         text = " ".join(str(error).split()) or type(error).__name__
         if "AxonCfg" in text:
             raise UserError(
-                f"the board refuses the network: {text}; convert or train it again with "
-                f"{fewer_axons(spec)} (see 'stmnist deploy plan')"
+                f"the board refuses the network: {text}; "
+                f"{REMEDIES['AxonCfg registers']} (see 'stmnist deploy plan')"
             ) from error
         raise BoardLost(text) from error
 

@@ -232,8 +232,8 @@ def require_images_fit(images: np.ndarray, settings: Settings):
     problem = settings.stimulus.complaint(images, images.shape[1:], settings.steps)
     if problem is not None:
         raise UserError(
-            f"'image.normalisation' {settings.image.normalisation!r}: {problem}; choose another, a "
-            "lower deployment.input_rate, or deployment.first_layer = 'host'"
+            f"'image.normalisation' {settings.image.normalisation!r}: {problem}; "
+            "choose another, or a lower deployment.input_rate"
         )
 
 
@@ -341,7 +341,7 @@ def inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | None = 
     if isinstance(stimulus, EventFrames):
         table, steps = EventTable.of(recordings), spec.presentation.steps
         step_ms = 1000 * stimulus.step_seconds
-        frames = table.frames(np.arange(len(table)), step_ms, steps, stimulus.rest)
+        frames = table.frames(np.arange(len(table)), step_ms, steps, stimulus.refractory)
         return np.moveaxis(frames, 0, 1)
     if (recorded := spec.provenance.get("image")) is not None:
         image = Settings().with_values({"image": recorded}, "provenance of the bundle").image

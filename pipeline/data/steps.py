@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.network.stimulus import rested
+from deploy.network.stimulus import thinned
 from pipeline.data.events import Recordings
 
 
@@ -133,4 +133,4 @@ def spike_frames(
     step = np.floor(step).astype(np.int64)
     inside = (step >= 0) & (step < steps)
     frames[step[inside], sample[inside], row[inside], column[inside], polarity[inside]] = 1
-    return rested(frames, rest)
+    return thinned(frames, rest)

@@ -285,7 +285,7 @@ class EventDecider(_Fast):
         steps = int(min(max(since, 0), shown.steps))
         if steps <= shown.readout_start:
             return None
-        table, rest = EventTable.of(self._recording(events)), self._spec.stimulus.rest
+        table, rest = EventTable.of(self._recording(events)), self._spec.stimulus.refractory
         frames = table.frames([0], 1e3 * seconds, shown.steps, rest)
         scores, spikes, sums = self._show(np.moveaxis(frames, 0, 1), steps)
         ends = first_s + seconds * np.arange(shown.readout_start + 1, steps + 1)

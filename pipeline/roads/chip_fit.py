@@ -7,7 +7,7 @@ import functools
 import numpy as np
 
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
-from deploy.network.stimulus import EventFrames, ImageCurrent, ImageSpikes
+from deploy.network.stimulus import EventFrames, ImageSpikes
 from models.architecture import parse
 from pipeline.settings import Deployment, Settings
 
@@ -90,29 +90,25 @@ def untrained(text: str, on_events: bool, deployment: Deployment) -> NetworkSpec
     deployment : pipeline.settings.Deployment
     """
     architecture, rng, layers = parse(text), np.random.default_rng(0), []
-    first, *_, output = parts = architecture.folded
-    stimulus = EventFrames() if on_events else ImageSpikes()
-    if not on_events and deployment.first_layer == "host":
-        stimulus = ImageCurrent()
-    for folded in parts:
-        on_host = not on_events and deployment.first_layer == "host" and folded is first
-        on_host |= folded is output and (on_events or deployment.readout == "host")
+    output = architecture.folded[-1]
+    for folded in architecture.folded:
+        on_host = folded is output and (on_events or deployment.readout == "host")
         shape = architecture.weight_shapes[f"{folded.name}.kernel"]
         weights = rng.uniform(0.5, 1.0, shape)
         layers.append(
             Layer(
                 placement="host" if on_host else "chip",
-                neurons=None if folded is output and on_host else Neurons("lif", 0.01),
+                neurons=None if on_host else Neurons(0.01),
                 synapse=None if on_host else deployment.synapse or None,
                 weights=folded.layer.deployed_weights(weights),
                 bias=np.zeros(shape[-1]),
-                **folded.geometry(deployment.pop_type),
+                **folded.geometry(),
             )
         )
     return NetworkSpec(
         architecture=str(architecture),
         input_shape=architecture.input_shape,
-        stimulus=stimulus,
+        stimulus=EventFrames() if on_events else ImageSpikes(),
         layers=tuple(layers),
         presentation=Presentation(),
         provenance={},

@@ -61,23 +61,22 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) 
     snn, deployment = settings.snn, settings.deployment
     architecture = parse(settings.cnn.architecture)
     layers = []
-    on_host = deployment.first_layer == "host"
     *hidden, output = architecture.folded
     for index, folded in enumerate(hidden):
-        name, first = folded.name, on_host and index == 0
+        name = folded.name
         gain = gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
         kernel = gain * weights[f"{name}.kernel"].astype(float)
         bias = 1 + gain * weights[f"{name}.bias"].astype(float)
-        if snn.is_on_chip:  # on the host too, since the network was trained with it
+        if snn.is_on_chip:
             kernel, bias = eight_bits(kernel).numpy(), twelve_bits(bias).numpy()
         layers.append(
             Layer(
-                placement="host" if first else "chip",
-                neurons=Neurons("lif", 1 / snn.max_rate(index), snn.tau_rc, snn.tau_ref),
-                synapse=None if first else deployment.synapse or None,
+                placement="chip",
+                neurons=Neurons(1 / snn.max_rate(index), snn.tau_rc, snn.tau_ref),
+                synapse=deployment.synapse or None,
                 weights=folded.layer.deployed_weights(kernel),
                 bias=bias,
-                **folded.geometry(deployment.pop_type),
+                **folded.geometry(),
             )
         )
     layers.append(_readout(settings, output, weights, range_of))
@@ -92,7 +91,7 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) 
 
 
 def _readout(settings, folded, weights, range_of):
-    common = folded.geometry(settings.deployment.pop_type)
+    common = folded.geometry()
     kernel = weights["output.kernel"].T.astype(float)
     bias = weights["output.bias"].astype(float)
     if settings.deployment.readout == "host":
@@ -108,7 +107,7 @@ def _readout(settings, folded, weights, range_of):
     gain = gain_for(rate, snn.tau_rc, snn.tau_ref) / max(full - threshold, 1e-6)
     return Layer(
         placement="chip",
-        neurons=Neurons("lif", 1 / rate, snn.tau_rc, snn.tau_ref),
+        neurons=Neurons(1 / rate, snn.tau_rc, snn.tau_ref),
         synapse=settings.deployment.synapse or None,
         weights=gain * kernel,
         bias=1 + gain * (bias - threshold),

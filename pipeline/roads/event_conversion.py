@@ -30,11 +30,11 @@ def deployed_on_events(
         Confidence for an early decision.
     """
     recipe, presentation = EventRecipe.of(settings), settings.presented(confidence)
-    return spec_of_events(recipe, weights, presentation, provenance, settings.deployment.pop_type)
+    return spec_of_events(recipe, weights, presentation, provenance)
 
 
 def spec_of_events(
-    recipe: EventRecipe, weights: dict, presentation: Presentation, provenance: dict, pop_type=32
+    recipe: EventRecipe, weights: dict, presentation: Presentation, provenance: dict
 ) -> NetworkSpec:
     """Describe the spiking network with the given weights.
 
@@ -49,8 +49,6 @@ def spec_of_events(
     presentation : Presentation
     provenance : dict
         Stored in the bundle.
-    pop_type : int
-        NengoLoihi's population axon type.
 
     Returns
     -------
@@ -63,9 +61,9 @@ def spec_of_events(
     for folded in hidden:
         chip = on_loihi(integers[folded.name], LOIHI.dt)
         kernel = folded.layer.deployed_weights(chip.weights)
-        layers.append(chip_layer(chip, kernel, folded.geometry(pop_type)))
+        layers.append(chip_layer(chip, kernel, folded.geometry()))
     bias = np.zeros(readout.shape)
-    layers.append(host_readout(weights["output.kernel"].T, bias, readout.geometry(pop_type)))
+    layers.append(host_readout(weights["output.kernel"].T, bias, readout.geometry()))
     return NetworkSpec(
         architecture=str(architecture),
         input_shape=architecture.input_shape,

@@ -21,7 +21,7 @@ def chip_layer(chip: OnLoihi, weights, geometry: dict) -> Layer:
     """
     return Layer(
         placement="chip",
-        neurons=Neurons("lif", LOIHI.dt, chip.tau_rc, 0.0, chip.min_voltage),
+        neurons=Neurons(LOIHI.dt, chip.tau_rc, 0.0, chip.min_voltage),
         synapse=chip.tau_s or None,
         weights=weights,
         bias=chip.bias,

@@ -10,7 +10,7 @@ import numpy as np
 from deploy.errors import UserError
 from deploy.network.chip import LOIHI
 from deploy.network.spec import Layer, NetworkSpec, Presentation
-from deploy.network.stimulus import EventFrames, ImageSpikes, Stimulus
+from deploy.network.stimulus import Stimulus
 from models.architecture import Convolution
 from models.integers import on_loihi
 from models.nir_graph import NirNetwork
@@ -61,7 +61,6 @@ def deployed_nir(
         presentation,
         dataset.inputs[some],
         provenance,
-        settings.deployment.pop_type,
     )
 
 
@@ -72,7 +71,6 @@ def spec_of_nir(
     presentation: Presentation,
     samples,
     provenance: dict,
-    pop_type: int = 32,
 ) -> NetworkSpec:
     """Describe the deployed network of a NIR graph; see :mod:`models.nir_layers` for differences.
 
@@ -80,20 +78,14 @@ def spec_of_nir(
     ----------
     network : NirNetwork
     stepped : Stepped
-    stimulus : EventFrames or ImageSpikes
+    stimulus : Stimulus
     presentation : Presentation
     samples : ndarray
         Training samples in the format of the stimulus, on which the scales of the weights are
         chosen; their shape is that of the input.
     provenance : dict
         Stored in the bundle.
-    pop_type : int
-        NengoLoihi's population axon type.
     """
-    if not isinstance(stimulus, (EventFrames, ImageSpikes)):
-        raise UserError(
-            "'deployment.first_layer' must be chip for a NIR graph, whose neurons are all there"
-        )
     samples = np.asarray(samples)
     shape = samples.shape[-3:]
     layers = layers_of(network, stepped.seconds, stepped.method, shape)
@@ -102,11 +94,11 @@ def spec_of_nir(
     made = []
     for index, layer in enumerate(layers):
         if not layer.spiking:
-            made.append(_readout(layer, presentation, pop_type))
+            made.append(_readout(layer, presentation))
             continue
         factor = height if index == 0 else 1.0
         scaled = replace(layer, weights=layer.weights * factor)
-        made.append(_on_chip(scaled, chosen(scaled, signal), factor, pop_type))
+        made.append(_on_chip(scaled, chosen(scaled, signal), factor))
         signal = fired(scaled, signal)
     return NetworkSpec(
         architecture=notation(shape, layers),
@@ -118,26 +110,26 @@ def spec_of_nir(
     )
 
 
-def _on_chip(layer: NirLayer, integers, height, pop_type) -> Layer:
+def _on_chip(layer: NirLayer, integers, height) -> Layer:
     chip = on_loihi(integers, LOIHI.dt)
     weights = chip.weights * (layer.pool**2 / height)
     weights = weights if layer.kind == "conv" else weights.T
-    return chip_layer(chip, weights, _geometry(layer, pop_type))
+    return chip_layer(chip, weights, _geometry(layer))
 
 
-def _readout(layer: NirLayer, presentation, pop_type) -> Layer:
+def _readout(layer: NirLayer, presentation) -> Layer:
     read = np.arange(presentation.readout_start, presentation.steps) + 1
     # The host's bias is the same at each step: it gets the mean of the graph's.
     bias = layer.bias - layer.fading * np.mean(layer.keep_u**read)
     synapse = float(-LOIHI.dt / np.log(layer.keep_u)) if layer.keep_u > 0 else None
-    return host_readout(layer.weights.T, bias, _geometry(layer, pop_type), synapse)
+    return host_readout(layer.weights.T, bias, _geometry(layer), synapse)
 
 
-def _geometry(layer, pop_type):
+def _geometry(layer):
     same = ("name", "kind", "input_shape", "shape", "stride", "padding", "pool")
     kernel = layer.weights.shape[0] if layer.kind == "conv" else 0
     geometry = {name: getattr(layer, name) for name in same}
-    return {**geometry, "kernel": kernel, "block_shape": None, "pop_type": pop_type}
+    return {**geometry, "kernel": kernel, "block_shape": None}
 
 
 def notation(shape, layers) -> str:

@@ -160,7 +160,7 @@ def refuse_early(settings: Settings):
     stepped, area = Stepped.of(settings, network), settings.stimulus.area
     try:
         first, *others = layers_of(network, stepped.seconds, stepped.method)
-        height = 1.0 if area is None else area / LOIHI.dt
+        height = area / LOIHI.dt
         for layer in (replace(first, weights=first.weights * height), *others):
             if layer.spiking:
                 rounded(layer)

@@ -11,7 +11,7 @@ from deploy.files import sha256_of
 from deploy.network.chip import LOIHI
 from deploy.network.nir import DEPLOYED, deployed_network
 from deploy.network.spec import NetworkSpec
-from deploy.network.stimulus import EventFrames, ImageSpikes
+from deploy.network.stimulus import EventFrames
 from models.nir_graph import SNNTORCH_STEP, NirNetwork, read_nir
 from pipeline.run import DELETE_ITS_FOLDER
 from pipeline.settings import Settings
@@ -153,16 +153,17 @@ def _settings_of_export(spec):
     changes = {"presentation": {name: getattr(presentation, name) for name in names}}
     if isinstance(stimulus, EventFrames):
         step = round(1000 * stimulus.seconds, 9)
-        changes["input"] = {"kind": "events", "step": step, "refractory": stimulus.rest * step}
+        refractory = stimulus.refractory * step
+        changes["input"] = {"kind": "events", "step": step, "refractory": refractory}
         return changes
     changes["input"] = {"kind": "image"}
     if (image := spec.provenance.get("image")) is not None:
         changes["image"] = image
     changes["presentation"]["readout_start"] = presentation.readout_start
-    changes["deployment"] = {"first_layer": "host" if stimulus.area is None else "chip"}
-    if isinstance(stimulus, ImageSpikes):
-        changes["deployment"]["input_rate"] = stimulus.max_rate
-        changes["deployment"]["input_phase"] = stimulus.initial_phase
+    changes["deployment"] = {
+        "input_rate": stimulus.max_rate,
+        "input_phase": stimulus.initial_phase,
+    }
     return changes
 
 

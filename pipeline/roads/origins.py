@@ -68,7 +68,7 @@ def trained_origin(settings: Settings, dataset: Origin) -> Origin:
 def bundle_origin(settings: Settings, dataset: Origin) -> Origin:
     """Origin of the bundle."""
     trained = trained_origin(settings, dataset)
-    placement = ["deployment.pop_type"] if settings.on_events else ["deployment"]
+    placement = [] if settings.on_events else ["deployment"]
     # The image settings matter for events too: the live page displays the image.
     return Origin.of(settings, [*placement, "presentation", "check", "image"], [trained])
 

@@ -11,18 +11,15 @@ from deploy.network.build import build
 from deploy.network.geometry import convolution_shape, pooled_shape
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
-from deploy.network.stimulus import EventFrames, ImageCurrent, ImageSpikes
+from deploy.network.stimulus import EventFrames, ImageSpikes
 from deploy.network.stream import show
 
 LOUD = 300.0
 
 
 def random_neurons(rng):
-    """LIF or rectified linear; refractory 0 to 3 or 200 steps; minimum voltages."""
-    if rng.random() < 0.35:
-        return Neurons("relu", amplitude=rng.choice([0.01, 1.0]))
+    """Refractory periods of 0 to 3 or 200 steps; minimum voltages."""
     return Neurons(
-        "lif",
         amplitude=rng.choice([0.005, 0.01, 0.02]),
         tau_rc=rng.choice([0.002, 0.02, 0.1]),
         tau_ref=rng.choice([0.0, 0.001, 0.002, 0.003, 0.2]),
@@ -35,22 +32,18 @@ def random_spec(seed):
     rng = np.random.default_rng(seed)
     input_shape = shape = (*(int(n) for n in rng.integers(3, 9, 2)), int(rng.integers(1, 3)))
     layers = []
-    host_input = rng.random() < 0.35
     # Weights of every size: silent networks, usual ones, and loud ones, whose integers overflow.
     size = rng.choice([0.0, 0.5, 1.0, 2.0, 3.0, 30.0, LOUD, LOUD])
-    n_convs = rng.integers(2 if host_input else 0, 3)
+    n_convs = rng.integers(0, 3)
     for index in range(n_convs):
-        on_host = host_input and index == 0
-        layers.append(_convolution(rng, f"conv{index + 1}", shape, size, on_host))
+        layers.append(_convolution(rng, f"conv{index + 1}", shape, size))
         shape = layers[-1].shape
     for index in range(rng.integers(0 if n_convs else 1, 3)):
         layers.append(_dense(rng, f"dense{index + 1}", shape, size))
         shape = layers[-1].shape
     layers.append(_output(rng, shape, size))
     steps = 40 if size == LOUD else int(rng.integers(6, 30))
-    if host_input:
-        stimulus = ImageCurrent()
-    elif rng.random() < 0.3:
+    if rng.random() < 0.3:
         stimulus = EventFrames()
     else:
         stimulus = ImageSpikes(rng.choice([200.0, 500.0, 1000.0]), rng.choice([0, 0.5]))
@@ -68,30 +61,26 @@ def random_spec(seed):
     )
 
 
-def _convolution(rng, name, before, size, on_host):
+def _convolution(rng, name, before, size):
     pool = int(rng.choice([1, 1, 2, 3])) if min(before[:2]) >= 3 else 1
     read = pooled_shape(before, pool)
     padding = str(rng.choice(["valid", "valid", "same"]))
     kernel = int(rng.integers(1, (3 if padding == "same" else min(3, *read[:2])) + 1))
     stride = int(rng.choice([1, 1, 2, 3]))
-    pop_type = int(rng.choice([16, 32]))
-    filters = int(rng.choice([4, 8] if pop_type == 16 else [1, 3, 4]))
+    filters = int(rng.choice([1, 3, 4]))
     after = convolution_shape(read, kernel, filters, stride, padding)
     block = [int(rng.integers(1, n + 1)) for n in after]
-    if pop_type == 16:  # NengoLoihi's bases are multiples of 4 then
-        block[2] = 4 * int(rng.integers(1, filters // 4 + 1))
-    weights = _weights(rng, 1.0 if on_host else size, (kernel, kernel, before[2], filters))
+    weights = _weights(rng, size, (kernel, kernel, before[2], filters))
     return Layer(
         name=name,
         kind="conv",
         input_shape=before,
         shape=after,
-        placement="host" if on_host else "chip",
+        placement="chip",
         neurons=random_neurons(rng),
         synapse=rng.choice([0.02, 0.1]) if size == LOUD else rng.choice([None, 0.002, 0.005]),
         kernel=kernel,
         block_shape=tuple(block),
-        pop_type=pop_type,
         weights=weights,
         bias=rng.normal(1.2, 1, filters),
         stride=stride,
@@ -114,7 +103,6 @@ def _dense(rng, name, before, size):
         synapse=rng.choice([0.02, 0.1]) if size == LOUD else rng.choice([None, 0.002, 0.005]),
         kernel=0,
         block_shape=(int(rng.integers(1, units + 1)),),
-        pop_type=32,
         weights=_weights(rng, size, (units, int(np.prod(read)))),
         bias=rng.normal(1.2, 1, units),
         pool=pool,
@@ -129,18 +117,17 @@ def _weights(rng, size, shape):
 
 def _output(rng, before, size):
     classes = int(rng.integers(2, 6))
-    place = rng.choice(["readout", "readout", "host", "chip"])
+    on_chip = rng.random() < 0.25
     return Layer(
         name="output",
         kind="dense",
         input_shape=before,
         shape=(classes,),
-        placement="chip" if place == "chip" else "host",
-        neurons=None if place == "readout" else random_neurons(rng),
+        placement="chip" if on_chip else "host",
+        neurons=random_neurons(rng) if on_chip else None,
         synapse=rng.choice([None, 0.005]),
         kernel=0,
-        block_shape=(int(rng.integers(1, classes + 1)),) if place == "chip" else None,
-        pop_type=32,
+        block_shape=(int(rng.integers(1, classes + 1)),) if on_chip else None,
         weights=_weights(rng, max(size, 1.0), (classes, int(np.prod(before)))),
         bias=rng.normal(0, 0.5, classes),
     )
@@ -149,12 +136,12 @@ def _output(rng, before, size):
 def loud_spec(filters, sign):
     """36 neurons a filter, all spiking at every other step, onto three with one large weight."""
     conv = Layer(
-        "conv1", "conv", (6, 6, 1), (6, 6, filters), "chip", Neurons("relu", amplitude=0.01), None,
-        1, None, 32, np.full((1, 1, 1, filters), 1000.0), np.zeros(filters),
+        "conv1", "conv", (6, 6, 1), (6, 6, filters), "chip", Neurons(amplitude=0.01), None,
+        1, None, np.full((1, 1, 1, filters), 1000.0), np.zeros(filters),
     )  # fmt: skip
     output = Layer(
-        "output", "dense", (6, 6, filters), (3,), "chip", Neurons("lif", amplitude=1.0), 0.1,
-        0, None, 32, np.full((3, 36 * filters), sign * 3.0), np.array([-9.0, 0.0, 9.0]),
+        "output", "dense", (6, 6, filters), (3,), "chip", Neurons(amplitude=1.0), 0.1,
+        0, None, np.full((3, 36 * filters), sign * 3.0), np.array([-9.0, 0.0, 9.0]),
     )  # fmt: skip
     presentation = Presentation(steps=60, gap=3, readout_start=0)
     return NetworkSpec("loud", (6, 6, 1), ImageSpikes(1000.0), (conv, output), presentation)

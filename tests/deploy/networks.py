@@ -1,20 +1,16 @@
 """Small networks with random weights that fire, for tests that need no training."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from deploy.check.bundle import CheckSet, write_bundle
 from deploy.network.geometry import convolution_shape, pooled_shape
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
-from deploy.network.stimulus import EventFrames, ImageCurrent, ImageSpikes
+from deploy.network.stimulus import EventFrames, ImageSpikes
 
-LIF = Neurons("lif", amplitude=0.01)
+LIF = Neurons(amplitude=0.01)
 
 
-def conv(
-    name, input_shape, filters, kernel, rng, pop_type=32, block_shape=None, scale=1.0, **geometry
-):
+def conv(name, input_shape, filters, kernel, rng, block_shape=None, scale=1.0, **geometry):
     """A convolution of LIF neurons on the chip, silent up to an input of about 0.
 
     ``stride``, ``padding`` and ``pool`` as a layer has them.
@@ -32,7 +28,6 @@ def conv(
         synapse=0.005,
         kernel=kernel,
         block_shape=block_shape,
-        pop_type=pop_type,
         weights=scale * 3 * weights / np.sqrt(weights[..., 0].size),
         bias=rng.uniform(0.9, 1.1, filters),
         **geometry,
@@ -44,7 +39,7 @@ def dense(name, input_shape, units, rng, block_shape=None, scale=1.0, pool=1):
     size = int(np.prod(pooled_shape(input_shape, pool) if pool > 1 else input_shape))
     return Layer(
         name=name, kind="dense", input_shape=input_shape, shape=(units,), placement="chip",
-        neurons=LIF, synapse=0.005, kernel=0, block_shape=block_shape, pop_type=32,
+        neurons=LIF, synapse=0.005, kernel=0, block_shape=block_shape,
         weights=scale * 3 * rng.normal(size=(units, size)) / np.sqrt(size),
         bias=rng.uniform(0.9, 1.1, units), pool=pool,
     )  # fmt: skip
@@ -63,7 +58,6 @@ def readout(input_shape, rng, classes=10, on_chip=False):
         synapse=0.005,
         kernel=0,
         block_shape=None,
-        pop_type=32,
         weights=rng.normal(size=(classes, size)) * (3 if on_chip else 1) / np.sqrt(size),
         bias=np.full(classes, 1.0) if on_chip else rng.normal(size=classes),
     )
@@ -83,13 +77,6 @@ def small_spec(seed=0, on_chip_output=False, **presentation):
         presentation=Presentation(**shown),
         provenance={"simulated": True, "weights": "random"},
     )
-
-
-def host_first_spec(seed=0):
-    """The small network with its first convolution on the host, which takes the image itself."""
-    spec = small_spec(seed)
-    first = replace(spec.layers[0], placement="host", synapse=None)
-    return replace(spec, stimulus=ImageCurrent(), layers=(first, *spec.layers[1:]))
 
 
 def mixed_spec(seed=0):
@@ -144,7 +131,7 @@ def events_spec(seed=0, **presentation):
     conv1 = conv("conv1", (6, 6, 2), 4, 4, rng, scale=8.0)
     dense1 = Layer(
         name="dense1", kind="dense", input_shape=conv1.shape, shape=(5,), placement="chip",
-        neurons=LIF, synapse=0.002, kernel=0, block_shape=None, pop_type=32,
+        neurons=LIF, synapse=0.002, kernel=0, block_shape=None,
         weights=rng.normal(size=(5, conv1.size)), bias=np.full(5, 0.9),
     )  # fmt: skip
     return NetworkSpec(

@@ -21,7 +21,7 @@ from deploy.check.run import run_check
 from deploy.files import write_json
 from deploy.network.chip import LOIHI
 from deploy.network.decision import Estimator
-from deploy.network.stimulus import EventFrames, rested
+from deploy.network.stimulus import EventFrames, thinned
 from tests.command import missing
 from tests.deploy.networks import events_spec, random_checks, random_frames, small_spec
 from tests.deploy.standin import STANDIN
@@ -182,10 +182,10 @@ def test_python_38_answers_a_bundle_of_events(tmp_path):
     estimator = {name: 0.3 * rng.normal(size=shape) for name, shape in Estimator.shapes(3).items()}
     spec = replace(
         events_spec(confidence=0.7),
-        stimulus=EventFrames(0.01, rest=1),
+        stimulus=EventFrames(0.01, refractory=1),
         estimator=Estimator.from_arrays(estimator, 3),
     )
-    frames = rested(np.moveaxis(random_frames(spec, 7, share=0.2), 1, 0), 1)
+    frames = thinned(np.moveaxis(random_frames(spec, 7, share=0.2), 1, 0), 1)
     names = tuple(f"random/{i:03d}" for i in range(7))
     checks = CheckSet(np.moveaxis(frames, 0, 1), rng.integers(0, 3, 7), names, 0)
     bundle, expected = at_home(tmp_path / "home", spec, checks)

@@ -81,13 +81,10 @@ BAD = [
     ({"snn": {"max_rates": [0]}}, "1 to 2"),
     ({"snn": {"max_rates": [1000]}}, "snn.tau_ref", 1000),
     ({"snn": {"tau_ref": 0}}, "1e-09"),
-    ({"deployment": {"first_layer": "gpu"}}, "chip", "host"),
     ({"deployment": {"readout": "gpu"}}, "chip", "host"),
     ({"deployment": {"input_rate": 1001}}, 1000),
     ({"deployment": {"input_phase": 1}}, 0),
     ({"deployment": {"synapse": -1}}, 1000),
-    ({"deployment": {"pop_type": 8}}, 16, 32),
-    ({"deployment": {"pop_type": 16}}, "multiple of 4"),
     ({"presentation": {"steps": -1}}, 10000),
     ({"presentation": {"gap": -1}}, 10000),
     ({"presentation": {"gap": 10**22}},),
@@ -117,19 +114,6 @@ def test_a_wrong_setting_is_named(case):
     assert line.startswith("my.toml: ")
     assert len(line.splitlines()) == 1
     assert missing(line, dotted(changes), *facts) == []
-
-
-def test_filters_for_axons_of_type_16_are_those_of_the_network_on_the_chip():
-    on_events = Settings().with_values({"input": {"kind": "events"}})
-    short = {"deployment": {"pop_type": 16}}
-    assert on_events.with_values(short).deployment.pop_type == 16
-    six = {"events": {"architecture": "10x10x2-6c4-64-10o"}, **short}
-    with pytest.raises(UserError, match="pop_type"):
-        on_events.with_values({"cnn": {"architecture": "10x10-8c4-10o"}, **six})
-    # The first layer on the host has no axons of its own; a NIR graph is in no setting.
-    host = {"architecture": "10x10-6c4-24c3-10o"}
-    Settings().with_values({"cnn": host, "deployment": {"pop_type": 16, "first_layer": "host"}})
-    on_events.with_values({"nir": {"file": "graph.nir"}, **six})
 
 
 def test_a_whole_number_will_do_for_a_fraction():

@@ -111,7 +111,6 @@ def test_a_bundle_of_another_version_without_a_number_of_steps_has_the_default(b
     ("change", "fact"),
     [
         (lambda d: d.update(schema="stmnist-bundle/9"), "'stmnist-bundle/9'"),
-        (lambda d: d["layers"][0].update(pop_type=64), "pop_type"),
         (lambda d: d.pop("layers"), "'layers'"),
         (lambda d: d["layers"][0].update(block_shape=[0, 0, 0]), r"block_shape \(0, 0, 0\)"),
         (lambda d: d["layers"][0].update(block_shape=[1, 2]), r"block_shape \(1, 2\)"),

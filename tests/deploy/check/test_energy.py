@@ -5,7 +5,7 @@ import pytest
 from deploy.check.energy import CHIP, MAC, estimate_energy, estimate_text
 from deploy.check.run import run_check
 from deploy.errors import UserError
-from tests.deploy.networks import bundle_at, host_first_spec, paper_spec, small_spec
+from tests.deploy.networks import bundle_at, paper_spec, small_spec
 
 
 def counted(spec, samples=2, **operations):
@@ -48,14 +48,6 @@ def test_from_a_real_check(tmp_path):
     text = estimate_text(value)
     assert text.startswith("ESTIMATE")
     assert value.to_json()["estimate"] is True
-
-
-def test_first_layer_on_the_host_takes_no_part(tmp_path):
-    bundle = bundle_at(tmp_path / "bundle", host_first_spec())
-    result = run_check(bundle, "emulator", tmp_path / "emulator.json")
-    conv1, conv2, _ = estimate_energy(bundle.spec, result).layers
-    assert (conv1.on_chip, conv1.chip_joules) == (False, 0)
-    assert conv2.chip_joules > 0
 
 
 def test_result_without_counts_is_refused():

@@ -12,7 +12,7 @@ from deploy import __version__
 from deploy.check.results import read_result, versions
 from deploy.check.run import answered, open_check, run_check
 from deploy.errors import UserError
-from deploy.network.spec import ImageSpikes
+from deploy.network.stimulus import ImageSpikes
 from tests.deploy.checks import interrupted, partial, same_answers
 from tests.deploy.networks import bundle_at, small_spec
 

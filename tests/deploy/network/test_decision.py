@@ -132,12 +132,12 @@ def test_an_estimators_arrays_there_and_back():
 def test_wrong_arrays_of_an_estimator_are_named(change):
     arrays = estimator_of(10).arrays()
     if change == "missing":
-        del arrays["judge.bias2"]
+        del arrays["estimator.bias2"]
     elif change == "shape":
-        arrays["judge.bias2"] = np.zeros(3)
+        arrays["estimator.bias2"] = np.zeros(3)
     else:
-        arrays["judge.bias2"] = np.full(32, np.nan)
-    with pytest.raises(ValueError, match=r"judge\.bias2"):
+        arrays["estimator.bias2"] = np.full(32, np.nan)
+    with pytest.raises(ValueError, match=r"estimator\.bias2"):
         Estimator.from_arrays(arrays, 10)
 
 

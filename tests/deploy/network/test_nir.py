@@ -17,7 +17,6 @@ from tests.deploy.network.test_build import matrix_by_hand
 from tests.deploy.networks import (
     conv,
     dense,
-    host_first_spec,
     paper_spec,
     random_checks,
     readout,
@@ -59,27 +58,11 @@ def test_readout_is_permuted_to_channels_first():
     np.testing.assert_allclose(weight @ np.moveaxis(values, -1, 0).ravel(), ours)
 
 
-def test_output_neurons_and_rectified_linear_ones():
+def test_output_neurons_and_neurons_without_a_filter():
     spec = small_spec(on_chip_output=True)
     assert type(nir_graph(spec).nodes["output_neurons"]) is nir.CubaLIF
-    relu = replace(spec.layers[0].neurons, kind="relu")
-    layers = (replace(spec.layers[0], neurons=relu), *spec.layers[1:])
-    nodes = nir_graph(replace(spec, layers=layers)).nodes
-    assert type(nodes["conv1_filter"]) is nir.LI
-    assert type(nodes["conv1_neurons"]) is nir.IF
-
-
-def test_first_layer_on_the_host_takes_the_image():
-    spec = host_first_spec()
-    graph = nir_graph(spec)
-    weights = spec.layers[0].weights.transpose(3, 2, 0, 1)
-    np.testing.assert_array_equal(graph.nodes["conv1_weights"].weight, weights)
-    assert type(graph.nodes["conv1_neurons"]) is nir.LIF
-    images = random_checks(spec, 2).inputs
-    fed = input_spikes(spec, images)
-    assert fed.shape == (2, 35, 1, 6, 6)
-    assert not fed[:, :5].any()
-    np.testing.assert_allclose(fed[1, 5, 0], images[1, :, :, 0], rtol=1e-6)
+    layers = (replace(spec.layers[0], synapse=None), *spec.layers[1:])
+    assert type(nir_graph(replace(spec, layers=layers)).nodes["conv1_neurons"]) is nir.LIF
 
 
 def test_input_spikes_are_the_encoders():

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from deploy.errors import UserError
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
-from deploy.network.stimulus import ImageCurrent, ImageSpikes
+from deploy.network.stimulus import ImageSpikes
 from tests.deploy.networks import conv, paper_spec, readout, small_spec
 
 
@@ -24,22 +24,19 @@ def specs(draw):
     rng = np.random.default_rng(draw(st.integers(0, 99)))
     side = draw(st.integers(4, 9))
     shape, layers = (side, side, draw(st.integers(1, 2))), []
-    host_first = draw(st.booleans())
     for index in range(draw(st.integers(1, 3))):
         layer = conv(
             f"conv{index + 1}", shape, draw(st.integers(1, 5)), draw(st.integers(1, 2)), rng
         )
         neurons = Neurons(
-            draw(st.sampled_from(["lif", "relu"])),
             draw(st.floats(1e-4, 1)),
             draw(st.floats(1e-3, 1)),
             draw(st.floats(0, 0.01)),
             -draw(st.floats(0, 2)),
         )
         synapse = draw(st.none() | st.floats(1e-4, 0.1))
-        placement = "host" if host_first and index == 0 else "chip"
         block = draw(st.none() | st.just((1, 1, layer.shape[2])))
-        layer = replace(layer, neurons=neurons, synapse=synapse, placement=placement)
+        layer = replace(layer, neurons=neurons, synapse=synapse)
         layers.append(replace(layer, block_shape=block))
         shape = layer.shape
     layers.append(readout(shape, rng, draw(st.integers(2, 12)), draw(st.booleans())))
@@ -47,9 +44,7 @@ def specs(draw):
     return NetworkSpec(
         architecture=draw(st.text(max_size=9)),
         input_shape=layers[0].input_shape,
-        stimulus=ImageCurrent()
-        if host_first
-        else ImageSpikes(draw(st.floats(1, 1000)), draw(st.floats(0, 0.9))),
+        stimulus=ImageSpikes(draw(st.floats(1, 1000)), draw(st.floats(0, 0.9))),
         layers=tuple(layers),
         presentation=Presentation(
             steps,
@@ -111,12 +106,10 @@ def changed(path, value):
         (("layers", 0, "kind"), "pool", "layer 'conv1': kind.*'conv'.*'dense'"),
         (("layers", 0, "placement"), "gpu", "layer 'conv1': placement.*'chip'.*'host'"),
         (("layers", 0, "neurons"), None, "layer 'conv1': .*neurons"),
-        (("layers", 0, "neurons", "kind"), "izhikevich", "kind.*'lif'.*'relu'"),
         (("layers", 0, "neurons", "amplitude"), 0, "amplitude"),
         (("layers", 0, "neurons", "tau_rc"), 0, "tau_rc.* 1e-6"),
         (("layers", 0, "neurons", "min_voltage"), 1, "min_voltage"),
         (("layers", 0, "neurons", "extra"), 1, "extra"),
-        (("layers", 0, "pop_type"), 8, "pop_type.* 16.* 32"),
         (("layers", 0, "synapse"), 0, "synapse.* 1e-6"),
         (("layers", 0, "shape"), [7, 7, 5], r"weights.*\(4, 4, 1, 6\).*\(4, 4, 1, 5\)"),
         (("layers", 0, "shape"), [8, 7, 6], r"shape.*\(7, 7, 6\)"),
@@ -182,7 +175,5 @@ def test_the_order_of_the_layers():
             NetworkSpec(
                 stimulus=ImageSpikes(), layers=(conv1, replace(conv2, name=name), output), **common
             )
-    with pytest.raises(UserError, match=r"network: .*current.* host"):
-        NetworkSpec(stimulus=ImageCurrent(), layers=(conv1, conv2, output), **common)
     assert isinstance(conv1, Layer)
     assert conv1.size == 64

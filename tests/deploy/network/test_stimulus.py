@@ -12,7 +12,7 @@ from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.operations import synaptic_operations
 from deploy.network.spec import NetworkSpec
-from deploy.network.stimulus import EventFrames, Feed, ImageCurrent, ImageSpikes, last_steps
+from deploy.network.stimulus import EventFrames, Feed, ImageSpikes, last_steps
 from deploy.network.stream import show
 from deploy.preflight.plan import make_plan
 from tests.deploy.check.test_bundle import with_arrays
@@ -111,14 +111,13 @@ def test_a_pixel_spikes_at_most_once_a_step():
         said = stimulus.complaint(images, (6, 6, 1), 30)
         assert f"{1.01 * most:g}" in said
         assert f"{rate:g}" in said
-        assert ImageCurrent().complaint(images, (6, 6, 1), 30) is None
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 2e9, -2e9])
 def test_no_value_is_too_large_or_nan(value):
     images = np.zeros((2, 6, 6, 1))
     images[1, 2, 3] = value
-    assert ImageCurrent().complaint(images, (6, 6, 1), 30) is not None
+    assert ImageSpikes().complaint(images, (6, 6, 1), 30) is not None
 
 
 def test_wrong_samples_are_refused(tmp_path):
@@ -133,12 +132,9 @@ def test_wrong_samples_are_refused(tmp_path):
 
 def test_a_taxel_that_spikes_while_it_rests_is_refused():
     spec = events_spec()
-    resting = replace(spec, stimulus=EventFrames(0.01, rest=2))
+    resting = replace(spec, stimulus=EventFrames(0.01, refractory=2))
     assert resting.stimulus.shortest_interval == 3
     assert NetworkSpec.from_json(resting.to_json(), resting.arrays()) == resting
-    before = spec.to_json()  # as it was written before a taxel could rest
-    del before["stimulus"]["rest"]
-    assert NetworkSpec.from_json(before, spec.arrays()) == spec
     steps = spec.presentation.steps
     frames = np.zeros((1, *spec.stimulus.sample_shape(spec.input_shape, steps)), np.uint8)
     frames[0, [0, 3], 2, 2, 0] = 1
@@ -147,8 +143,8 @@ def test_a_taxel_that_spikes_while_it_rests_is_refused():
     assert spec.stimulus.complaint(frames, spec.input_shape, steps) is None
     assert "2 steps" in resting.stimulus.complaint(frames, spec.input_shape, steps)
     assert "shape" in resting.stimulus.complaint(frames.ravel(), spec.input_shape, steps)
-    with pytest.raises(UserError, match=r"rest.* 0 to 10000"):
-        EventFrames(0.01, rest=-1)
+    with pytest.raises(UserError, match=r"refractory.* 0 to 10000"):
+        EventFrames(0.01, refractory=-1)
 
 
 def test_the_last_event_by_hand():
@@ -161,7 +157,6 @@ def test_the_last_event_by_hand():
 def test_what_each_kind_shows():
     assert ImageSpikes().sample_shape((10, 10, 1), 50) == (10, 10, 1)
     assert EventFrames().sample_shape((10, 10, 2), 50) == (50, 10, 10, 2)
-    assert ImageCurrent().area is None
     assert small_spec().stimulus.step_seconds == 0.001
     assert EventFrames(0.01).step_seconds == 0.01
     with pytest.raises(UserError, match=r"seconds.* 0"):

@@ -11,7 +11,7 @@ from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.spec import NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import ImageSpikes
-from deploy.preflight.plan import fewer_axons, make_plan, plan_text, require_fit
+from deploy.preflight.plan import make_plan, plan_text, require_fit
 from deploy.preflight.resources import LIMITS, synapse_words
 from tests.command import missing
 from tests.deploy.networks import conv, dense, paper_spec, readout, small_spec
@@ -61,10 +61,9 @@ def test_synapse_words_by_hand():
         small_spec(),
         small_spec(on_chip_output=True),
         paper_spec(),
-        spec_of((8, 3), (8, 3), pop_type=16),
         spec_of((4, 3), (24, 3), block_shape=(3, 3, 4)),
     ],
-    ids=["small", "output-on-chip", "paper", "pop16", "split"],
+    ids=["small", "output-on-chip", "paper", "split"],
 )
 def test_counts_are_those_of_the_registers_written(nxsdk, spec):
     """Build the board for real and count what NengoLoihi wrote to it."""
@@ -127,26 +126,9 @@ def test_too_many_chips():
     assert make_plan(spec, chips=2).problems == []
 
 
-@pytest.mark.parametrize(
-    ("layers", "facts"),
-    [
-        (((6, 3), (8, 3)), ["layer conv1", "pop_type 16", "filters", " 4"]),
-        (((36, 3), (4, 3)), ["layer conv2", "pop_type 16", "36 channels", " 4 ", " 32 "]),
-    ],
-)
-def test_pop16_limits(layers, facts):
-    plan = make_plan(spec_of(*layers, pop_type=16, shape=(6, 6, 1)))
-    assert any(not missing(line, *facts) for line in plan.problems)
-
-
-def test_pop16_can_address_fewer_axons():
-    plan = make_plan(spec_of((4, 30), shape=(36, 36, 1), pop_type=16, block_shape=(7, 7, 4)))
-    assert any(not missing(line, "1296 input axons", 1024) for line in plan.problems)
-
-
-def many_registers(first, second, pop_type=32):
+def many_registers(first, second):
     """A network whose first layer needs too many AxonCfg registers if they cannot be shared."""
-    spec = spec_of((first, 3), (second, 3), shape=(10, 10, 1), pop_type=pop_type)
+    spec = spec_of((first, 3), (second, 3), shape=(10, 10, 1))
     split = replace(spec.layers[1], block_shape=(2, 2, second))  # nine parts, up to four a pixel
     return replace(spec, layers=(spec.layers[0], split, spec.layers[2]))
 
@@ -160,13 +142,6 @@ def test_registers_that_may_not_be_shared_are_a_warning():
     assert core.used["AxonCfg registers"] <= LIMITS["AxonCfg registers"] < core.unshared_axon_cfgs
 
 
-def test_short_population_spikes_are_a_remedy_where_they_are_one():
-    (warning,) = make_plan(many_registers(16, 4)).warnings
-    assert "deployment.pop_type=16" in warning
-    plan = make_plan(many_registers(16, 4, pop_type=16))
-    assert plan.problems == plan.warnings == []
-
-
 def dense_receiver():
     rng = np.random.default_rng(0)
     conv1 = conv("conv1", (10, 10, 1), 16, 3, rng, block_shape=(8, 8, 16))
@@ -175,34 +150,15 @@ def dense_receiver():
     return NetworkSpec("10x10-16c3-20-10o", (10, 10, 1), ImageSpikes(), layers, Presentation())
 
 
-@pytest.mark.parametrize(
-    ("spec", "helps"),
-    [
-        (many_registers(16, 4), True),
-        (many_registers(16, 4, pop_type=16), False),
-        (many_registers(15, 4), False),  # no multiple of 4 filters
-        (many_registers(16, 6), False),
-        (many_registers(36, 4), False),  # more channels than 16 bits can address
-        (dense_receiver(), False),  # whose axons are of single neurons
-    ],
-    ids=["possible", "in-use", "filters", "filters-after-it", "channels", "dense"],
-)
-def test_short_population_spikes_are_named_only_where_they_save_axons(spec, helps):
-    assert ("pop_type=16" in fewer_axons(spec)) is helps
-    assert ("pop_type=16" in fewer_axons(spec, "conv1")) is helps
-    assert "pop_type" not in fewer_axons(spec, "conv2")  # only the host receives its spikes
-
-
 def test_a_layer_that_many_parts_of_a_dense_layer_receive():
     (problem,) = (p for p in make_plan(dense_receiver()).problems if "output axons" in p)
     assert missing(problem, "layer conv1", 5 * 1024, 1024) == []
-    assert "pop_type" not in problem
 
 
 @pytest.mark.parametrize(("steps", "fits"), [(62, True), (63, False)])
 def test_the_longest_refractory_period_is_that_of_a_board(nxsdk, steps, fits):
     spec = small_spec()
-    slow = replace(spec.layers[1], neurons=Neurons("lif", amplitude=0.01, tau_ref=steps / 1000))
+    slow = replace(spec.layers[1], neurons=Neurons(amplitude=0.01, tau_ref=steps / 1000))
     spec = replace(spec, layers=(spec.layers[0], slow, spec.layers[2]))
     built = build(spec).network
     with contextlib.nullcontext() if fits else pytest.raises(AssertionError):

@@ -19,7 +19,6 @@ from tests.command import call, missing
 from tests.deploy.networks import (
     bundle_at,
     events_spec,
-    host_first_spec,
     mixed_spec,
     paper_spec,
     random_checks,
@@ -50,11 +49,11 @@ def same_answers(a, b):
     return a["samples"] == b["samples"] and a["spikes"] == b["spikes"]
 
 
-def split(pop_type, *block_shapes):
+def split(*block_shapes):
     """Two layers, in blocks of neurons on a core each, and with spikes of populations."""
     spec = small_spec()
     convolutions = [
-        replace(layer, pop_type=pop_type, block_shape=block)
+        replace(layer, block_shape=block)
         for layer, block in zip(spec.layers[:2], block_shapes, strict=True)
     ]
     return replace(spec, layers=(*convolutions, spec.layers[2]))
@@ -64,12 +63,9 @@ BLOCKS = (4, 3, 4), (2, 2, 8)  # of (4, 4, 4) and (3, 3, 8)
 SPECS = {
     "small": small_spec(),
     "output-on-chip": small_spec(on_chip_output=True),
-    "first-layer-on-host": host_first_spec(),
     "stride-padding-pool-dense": mixed_spec(),
     "events": events_spec(),
-    "populations-of-16": split(16, None, None),
-    "split": split(32, *BLOCKS),
-    "populations-of-16-split": split(16, *BLOCKS),
+    "split": split(*BLOCKS),
     "paper": paper_spec(steps=12, gap=3, readout_start=4),
 }
 
@@ -328,7 +324,7 @@ def test_without_nxsdk(bundle, tmp_path):
 
 def test_axon_cfgs_refused_by_the_board(nxsdk, bundle, tmp_path, monkeypatch):
     monkeypatch.setattr("nxsdk.core.AXON_CFGS", 10)
-    with pytest.raises(UserError, match=r"AxonCfg.*pop_type"):
+    with pytest.raises(UserError, match=r"AxonCfg.*fewer filters"):
         run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
 
 

@@ -24,7 +24,6 @@ from ...lava_reader.result import differing_bits, main, responses_of
 from ..networks import (
     bundle_at,
     events_spec,
-    host_first_spec,
     paper_spec,
     random_checks,
     random_frames,
@@ -86,9 +85,7 @@ def samples_for(spec, count):
     return random_frames(spec, count)
 
 
-@pytest.mark.parametrize(
-    "make", [small_spec, host_first_spec, lambda: paper_spec(steps=40, gap=5), events_spec]
-)
+@pytest.mark.parametrize("make", [small_spec, lambda: paper_spec(steps=40, gap=5), events_spec])
 def test_plain_integers_of_the_file_give_every_spike_of_fast(make):
     spec = make()
     samples = samples_for(spec, 4)
@@ -122,20 +119,7 @@ def test_blocks_of_different_thresholds_become_populations_of_their_own():
     assert found["conv2"][0] == 0
 
 
-def host_output():
-    """The small network with output neurons on the host."""
-    spec = small_spec(on_chip_output=True)
-    output = replace(spec.layers[-1], placement="host")
-    return replace(spec, layers=(*spec.layers[:-1], output))
-
-
-@pytest.mark.parametrize(
-    "make",
-    [
-        *(small_spec, lambda: small_spec(on_chip_output=True), host_output, host_first_spec),
-        events_spec,
-    ],
-)
+@pytest.mark.parametrize("make", [small_spec, lambda: small_spec(on_chip_output=True), events_spec])
 def test_spikes_give_the_answers_of_fast(make):
     spec = make()
     images = samples_for(spec, 7)
@@ -210,7 +194,6 @@ def test_ten_samples_in_lava(tmp_path):
     [
         (blocks_apart, {"conv1": 64, "conv2": 72}),
         (lambda: small_spec(on_chip_output=True), {"conv1": 64, "conv2": 72, "output": 10}),
-        (host_first_spec, {"conv2": 72}),
         (events_spec, {x.name: x.size for x in events_spec().layers if x.placement == "chip"}),
     ],
 )

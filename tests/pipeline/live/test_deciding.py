@@ -74,7 +74,7 @@ def clocked():
     spec = replace(
         small,
         input_shape=(10, 10, 2),
-        stimulus=EventFrames(0.01, rest=1),
+        stimulus=EventFrames(0.01, refractory=1),
         layers=(conv1, networks.readout(conv1.shape, rng, classes=10)),
         presentation=replace(small.presentation, steps=200, confidence=0.7),
     )

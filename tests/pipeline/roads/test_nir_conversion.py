@@ -32,7 +32,6 @@ from tests.command import call as stmnist
 from tests.command import missing
 from tests.deploy.networks import (
     events_spec,
-    host_first_spec,
     paper_spec,
     random_checks,
     random_frames,
@@ -151,7 +150,7 @@ def test_a_step_that_may_be_another_packages_is_told(r, seconds, told):
     assert sum("nir.step=1000" in line for line in lines) == told
 
 
-@pytest.mark.parametrize("make", [small_spec, paper_spec, host_first_spec, events_spec])
+@pytest.mark.parametrize("make", [small_spec, paper_spec, events_spec])
 def test_round_trip_through_nir(make, tmp_path):
     spec = make()
     write_nir(tmp_path / "network.nir", spec)
@@ -293,7 +292,7 @@ def decides_as_its_check(bundle):
     recordings = simulated_skin(3, [1] * 10, jobs=1)
     stimulus, steps = bundle.spec.stimulus, bundle.spec.presentation.steps
     frames = EventTable.of(recordings).frames(
-        np.arange(10), 1000 * stimulus.seconds, steps, stimulus.rest
+        np.arange(10), 1000 * stimulus.seconds, steps, stimulus.refractory
     )
     expected = answer(bundle.spec, np.moveaxis(frames, 0, 1), "fast")
     decider = decider_of(bundle, Image(), Sensor())

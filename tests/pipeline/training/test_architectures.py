@@ -1,7 +1,5 @@
 """Networks unlike the paper's all the way: NengoDL, conversion, targets, training."""
 
-from dataclasses import replace
-
 import nengo
 import numpy as np
 import pytest
@@ -140,16 +138,6 @@ def test_what_is_folded_counts_as_the_architecture_does():
     ours, whole = multiply_accumulates(spec), parse(architecture).multiply_accumulates
     assert sum(ours.values()) == sum(whole.values())
     assert ours["conv1"] == whole["pool1"] + whole["conv1"]
-
-
-def test_a_first_layer_on_the_host_may_be_any():
-    for architecture in ("10x10-2a-16-8-10o", "10x10-2a-4c3s2p-8-10o"):
-        settings = settings_of(architecture, steps=40, readout_start=10)
-        deployment = replace(settings.deployment, first_layer="host")
-        settings = replace(settings, deployment=deployment)
-        spec = to_spec(settings, random_weights(architecture), {})
-        fast, emulator = (answer(spec, images(), target) for target in ("fast", "emulator"))
-        assert fast.spike_hashes.tolist() == emulator.spike_hashes.tolist()
 
 
 def test_training_with_strides_pooling_and_dense_layers():

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from deploy.network.responses import join
-from deploy.network.stimulus import ImageCurrent
 from deploy.targets.registry import answer
 from models.architecture import parse
 from models.keras2 import tf
@@ -122,11 +121,6 @@ def test_where_the_layers_are_is_a_setting(weights):
     settings = settings_of("loihi")
     spec = to_spec(settings, weights, {})
     assert [layer.placement for layer in spec.layers] == ["chip", "chip", "host"]
-    moved = replace(settings, deployment=replace(settings.deployment, first_layer="host"))
-    assert [layer.placement for layer in to_spec(moved, weights, {}).layers] == [
-        *("host", "chip", "host")
-    ]
-    assert to_spec(moved, weights, {}).stimulus == ImageCurrent()
     chip = replace(settings, deployment=replace(settings.deployment, readout="chip"))
     logits = np.random.default_rng(0).normal(size=(20, 10))
     range_of = logits, np.arange(20) % 10
