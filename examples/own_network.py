@@ -12,7 +12,6 @@ from stmnist import (
     Dataset,
     RunFolder,
     Settings,
-    confusion_figure,
     ladder_text,
     measure_ladder,
     stages,
@@ -56,4 +55,3 @@ with run.locked():
     chosen = ("cnn", "rate-lif", "nengo", "fast")  # the last two from the bundle, as a chip would
     ladder = measure_ladder(run, settings, dataset=dataset, asked=chosen)
 print(ladder_text(ladder))
-figure = confusion_figure(ladder)  # Matplotlib's; a notebook shows it, figure.savefig(...) keeps it

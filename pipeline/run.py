@@ -74,7 +74,6 @@ class RunFolder:
     bundle = _inside("bundle", "The folder of the bundle.")
     ladder = _inside("ladder.json", "The file of the loss ladder.")
     whole_ladder = _inside("ladder-whole.json", "The loss ladder on the whole test split.")
-    confusion = _inside("confusion.png", "The stages' confusion matrices on the whole test split.")
 
     def check(self, stage: str, whole: bool = False) -> Path:
         """The file of a stage's result on the check's samples, or on the whole test split."""

@@ -108,28 +108,6 @@ def test_plan_energy_and_report(run_on_events, tmp_path, capsys):
     assert said.replace("%", " %") in text
 
 
-def test_the_report_shows_a_run_of_images_beside_it(run_on_events, tmp_path, capsys):
-    images = tmp_path / "images"
-    fewer = ("--set", "data.samples_per_digit=40", "--samples", "12", "--set", "cnn.epochs=1")
-    assert call("convert", images, *fewer, "--set", "snn.epochs=1") == 0
-    assert call("check", "run", images / "bundle", "--target", "fast") == 0
-    page = tmp_path / "report.html"
-    assert call("report", run_on_events, "--out", page, "--beside", images) == 0
-    assert "on images: " in page.read_text(encoding="utf-8")
-    page.unlink()
-    capsys.readouterr()
-    assert call("report", run_on_events, "--out", page, "--beside", run_on_events) == 2
-    assert run_on_events.name in capsys.readouterr().err
-    assert not page.exists()
-
-
-def test_what_is_beside_is_of_the_same_recordings(run_on_events, tiny_run, tmp_path, capsys):
-    page = tmp_path / "report.html"
-    assert call("report", run_on_events, "--out", page, "--beside", tiny_run) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "recordings" in line
-
-
 def test_another_kind_of_input_makes_another_network(run_on_events, tmp_path, capsys):
     folder = tmp_path / "run"
     shutil.copytree(run_on_events, folder)

@@ -33,10 +33,6 @@ class Format(StrEnum):
 def plan(
     bundle: options.Bundle,
     chips: Annotated[int, typer.Option(help="Largest number of chips to use.", min=1)] = 1,
-    figure: Annotated[
-        Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
-        typer.Option(help="Draw the placement to this file: .png, .svg or .pdf."),
-    ] = None,
     as_json: options.Json = False,
 ):
     """Print the resources that the network needs on each core; exit status 2 if it does not fit."""
@@ -53,11 +49,6 @@ def plan(
         show(plan_text(made))
         if rates:
             show(rates_text(rates, len(images)))
-    if figure is not None:
-        from pipeline.results.report import figures  # imports Matplotlib
-        from pipeline.results.report.figures.placement import placement_figure
-
-        figures.save(placement_figure(made), figure, dpi=150)
     if made.problems:
         raise UserError("the network does not fit: " + made.problems[0])
 

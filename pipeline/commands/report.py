@@ -11,9 +11,7 @@ from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
 from pipeline.commands import options
 from pipeline.progress import progress
-from pipeline.results.report.writing import write_report
-from pipeline.run import RunFolder
-from pipeline.settings import read_settings
+from pipeline.results.report import write_report
 
 
 def animate(
@@ -22,29 +20,19 @@ def animate(
     sample: Annotated[
         str, typer.Option(help="Id of a sample of the check (default: the first one).")
     ] = "",
-    jobs: options.Jobs = 2,
 ):
-    """Write an animation of a sample: events, image, probabilities over time."""
-    from pipeline.data.library import recordings_of
+    """Write an animation of a sample: touch, spikes and probabilities over time."""
     from pipeline.results.report.figures import animation
 
     animation.writer_for(out)  # reports a wrong ending of the name before anything is computed
     bundle = read_bundle(options.bundle_in(run))
     options.warn_if_outdated(options.bundle_in(run))
-    experiment = RunFolder(run).experiment
-    if not experiment.exists():
-        raise UserError(f"{run}: not a run's folder (it has no experiment.toml)")
-    recordings = recordings_of(read_settings(experiment), jobs, options.say)
-    if recordings.source.sha256 != bundle.spec.provenance.get("source_sha256"):
-        raise UserError(
-            f"{run}: its bundle was made from other recordings; run 'stmnist ladder' again"
-        )
     ids = list(bundle.checks.ids)
     if sample and sample not in ids:
         raise UserError(f"{run}: no sample {sample!r} in its check; ids are like {ids[0]!r}")
     index = ids.index(sample) if sample else 0
     with progress("animate", animation.FRAMES + animation.STILL) as advance:
-        animation.animate(out, bundle, recordings, index, advance)
+        animation.animate(out, bundle, index, advance)
     options.say(f"animation: {out}")
 
 
@@ -54,15 +42,9 @@ def report(
         Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
         typer.Option(help="The file to write (default: report.html in the run's folder)."),
     ] = None,
-    beside: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option(
-            help="A run on images to compare with one on events, from the same recordings."
-        ),
-    ] = None,
     jobs: options.Jobs = 2,
 ):
     """Write the run's results so far as one self-contained HTML file."""
-    path = write_report(run, out, beside, jobs)
+    path = write_report(run, out, jobs, options.say)
     options.say(f"report: {path} ({path.stat().st_size // 1024} KiB)")
     options.suggest("live", run)

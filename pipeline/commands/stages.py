@@ -8,7 +8,6 @@ from typing import Annotated, Optional
 import typer
 
 from deploy.errors import UserError
-from deploy.terminal import show
 from pipeline import stages
 from pipeline.commands import options
 from pipeline.progress import stages as numbered
@@ -127,14 +126,7 @@ def ladder(
     fit = options.fit_recordings(jobs, until="ladder")
     with options.opened(run, given, fit=fit) as (folder, resolved):
         table = measure_ladder(folder, resolved, jobs, whole, slow, options.say)
-        if whole:
-            from pipeline.results.report import figures  # imports Matplotlib
-            from pipeline.results.report.figures.confusion import confusion_figure
-
-            figures.save(confusion_figure(table), folder.confusion, dpi=100)
     most = limit if limit is not None else 1.0 if whole else 3.0
     asked = limit is not None
     options.tell(table, lambda ladder: "\n" + ladder_text(ladder, most, asked), as_json)
-    if whole and not as_json:
-        show(f"confusion matrices: {folder.confusion}")
     options.suggest("report", run)

@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 
 from deploy.files import read_json, write_json
@@ -145,21 +144,6 @@ def test_widths_that_no_terminal_has(monkeypatch, capsys, width):
     out = capsys.readouterr().out
     assert "--max-disagreements" in out
     assert len(out) < 10_000
-
-
-def test_names_in_figures(tmp_path, recwarn):
-    """A font lacks most scripts, and two dollars are no formula."""
-    from matplotlib.figure import Figure
-
-    from pipeline.results.report import figures
-    from pipeline.results.report.figures.confusion import confusion_figure
-
-    row = {"stage": "cnn", "accuracy": 0.5, "confusion": np.eye(2, dtype=int).tolist()}
-    ladder = {"rows": [row], "simulated": True, "n_samples": 2}
-    figure = confusion_figure({**ladder, "classes": ["\u4e2d\u6587", r"$\frac$"]})
-    assert isinstance(figure, Figure)
-    figures.save(figure, tmp_path / "a.png", dpi=50)
-    assert [str(w.message) for w in recwarn.list if "Glyph" in str(w.message)] == []
 
 
 def test_nothing_is_printed_past_the_escaping():

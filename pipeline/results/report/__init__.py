@@ -1,1 +1,42 @@
-"""Reports: charts, figures and the page of a run."""
+"""The report of a run: one self-contained HTML file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from deploy.files import replacing
+from deploy.terminal import remark
+from pipeline.run import RunFolder
+
+
+def write_report(run, path=None, jobs: int = 1, say=remark) -> Path:
+    """Write a run's results so far as one self-contained HTML file.
+
+    Parameters
+    ----------
+    run : path-like
+        Folder of the run.
+    path : path-like, optional
+        The file; default: ``report.html`` in the run's folder.
+    jobs : int
+        Number of processes for recordings that are not in the cache.
+    say : callable
+        Called with a message about what is left out.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    UserError
+        See :func:`pipeline.results.report.gather.gather`.
+    """
+    from pipeline.results.report.gather import gather
+    from pipeline.results.report.page import render
+
+    html = render(gather(RunFolder(run), jobs, say))
+    path = Path(path) if path else Path(run) / "report.html"
+    with replacing(path, "w") as file:
+        file.write(html)
+    return path

@@ -1,20 +1,26 @@
 """Charts as SVG text, coloured by the style sheet of the page that contains them.
 
 Every mark has a class (``s1`` to ``s4`` for series, ``grid``, ``axis``, ``on``, ``off``, ...) and
-no colour of its own, so that one chart is used for light, dark and print.  Charts scale with the
-page and are as wide as the screen of a phone, so that their text is never smaller than the page's
-notes.
+no colour of its own, so that one chart is used for light, dark and print.  Values are shown by the
+browser's own tooltips (``<title>``).
 """
 
 from __future__ import annotations
 
+import base64
+import io
 from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup, escape
+from PIL import Image
+
+from pipeline.look import colour
 
 WIDTH, HEIGHT = 360, 250
 LEFT, RIGHT, TOP, BOTTOM = 48, 14, 26, 40
+MOST_TOOLTIPS = 60
+"""Points of a line that have a tooltip of their own."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +32,7 @@ class Series:
     name : str
     x, y : sequence of float
     intervals : sequence of (low, high), optional
-        Interval of each y: a band around the line, or a bar if there is only one point.
+        Interval of each y: a band around the line.
     """
 
     name: str
@@ -35,85 +41,70 @@ class Series:
     intervals: tuple = ()
 
 
-def line_chart(
-    series, x_label: str, y_label: str, y_range=None, description="", mark=None
-) -> Markup:
+@dataclass(frozen=True)
+class Raster:
+    """Events or spikes over time, a panel of :func:`timeline`.
+
+    Attributes
+    ----------
+    title : str
+    groups : sequence of (class, times, units)
+        Marks, each group in one colour.
+    rows : int
+        Number of units.
+    height : int
+    """
+
+    title: str
+    groups: tuple
+    rows: int
+    height: int = 90
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Curves between 0 and 1 over time, a panel of :func:`timeline`."""
+
+    title: str
+    series: tuple
+    height: int = 90
+
+
+def line_chart(series, x_label: str, y_label: str, description: str = "") -> Markup:
     """Lines over a common x axis; the names are in a separate legend, see :func:`legend`.
 
     Parameters
     ----------
     series : sequence of Series
     x_label, y_label : str
-    y_range : tuple of float, optional
     description : str
         Text for screen readers.
-    mark : float, optional
-        Position of a vertical line on the x axis.
     """
     x = np.concatenate([np.asarray(s.x, float) for s in series])
     y = np.concatenate([np.ravel([*s.y, *np.ravel(s.intervals)]) for s in series])
     x_axis = _Axis(x.min(), x.max(), LEFT, WIDTH - RIGHT)
-    low, high = y_range or (y.min(), y.max())
-    y_axis = _Axis(low, high, HEIGHT - BOTTOM, TOP)
+    y_axis = _Axis(y.min(), y.max(), HEIGHT - BOTTOM, TOP)
     marks = [_axes(x_axis, y_axis, x_label, y_label)]
-    if mark is not None:
-        at = x_axis(min(max(mark, x_axis.low), x_axis.high))
-        marks.append(_segment("reference", at, y_axis.start, at, y_axis.end))
     for number, s in enumerate(series, 1):
-        points = _points(x_axis, y_axis, s.x, s.y)
-        if s.intervals and len(s.x) > 1:
+        if s.intervals:
             low, high = zip(*s.intervals, strict=True)
             around = _points(x_axis, y_axis, (*s.x, *s.x[::-1]), (*low, *high[::-1]))
             marks.append(f'<polygon class="band s{number}" points="{around}"/>')
-        elif s.intervals:
-            (low, high), at = s.intervals[0], x_axis(s.x[0])
-            marks.append(_segment(f"line s{number}", at, y_axis(low), at, y_axis(high)))
-        if len(s.x) == 1:
-            at = points.split(",")
-            marks.append(f'<circle class="dot s{number}" cx="{at[0]}" cy="{at[1]}" r="3"/>')
-        marks.append(f'<polyline class="line s{number}" points="{points}"/>')
+        marks.append(_line(x_axis, y_axis, s, number))
     return _svg(WIDTH, HEIGHT, marks, description)
 
 
-def scatter(points, x_label: str, y_label: str, description="") -> Markup:
-    """Pairs of values on two equal axes from 0, with the line on which they would be equal.
+def interval_chart(rows, x_label: str, description: str = "") -> Markup:
+    """A chart with one row per value: a dot with its interval.
 
     Parameters
     ----------
-    points : sequence of (x, y)
-        Not negative.
-    x_label, y_label : str
-    description : str
-    """
-    points = np.asarray(points, float).reshape(-1, 2)
-    high = max(points.max(initial=0), 1e-9)
-    x_axis, y_axis = _Axis(0, high, LEFT, WIDTH - RIGHT), _Axis(0, high, HEIGHT - BOTTOM, TOP)
-    dots = "".join(f"M{x_axis(x):.1f} {y_axis(y):.1f}h0" for x, y in points)
-    marks = [
-        _axes(x_axis, y_axis, x_label, y_label),
-        _segment("axis", x_axis.start, y_axis.start, x_axis.end, y_axis.end),
-        f'<path class="points" d="{dots}"/>',
-    ]
-    return _svg(WIDTH, HEIGHT, marks, description)
-
-
-def _points(x_axis, y_axis, x, y):
-    return " ".join(f"{x_axis(a):.1f},{y_axis(b):.1f}" for a, b in zip(x, y, strict=True))
-
-
-def interval_chart(rows, x_label: str, description="") -> Markup:
-    """A chart with one row per value: a dot with its interval, and an optional reference mark.
-
-    Parameters
-    ----------
-    rows : sequence of (name, value, (low, high) or None, reference or None)
+    rows : sequence of (name, value, (low, high))
         Accuracies, 0 to 1.
     x_label : str
     description : str
     """
-    numbers = [n for _, value, interval, reference in rows
-               for n in (value, *(interval or ()), reference) if n is not None]  # fmt: skip
-    low = max(0.0, np.floor(min(numbers) * 20) / 20)
+    low = max(0.0, np.floor(min(low for _, _, (low, _) in rows) * 20) / 20)
     left, top, step = 22, 12, 40
     height = top + step * len(rows) + BOTTOM
     axis = _Axis(low, 1.0, left, WIDTH - left)
@@ -122,59 +113,84 @@ def interval_chart(rows, x_label: str, description="") -> Markup:
         marks.append(_segment("grid", axis(tick), top, axis(tick), height - BOTTOM))
         marks.append(_text(axis(tick), height - BOTTOM + 18, f"{100 * tick:.0f} %", "middle"))
     marks.append(_text(WIDTH / 2, height - 4, x_label, "middle"))
-    for number, (name, value, interval, reference) in enumerate(rows):
+    for number, (name, value, (low, high)) in enumerate(rows):
         y = top + step * (number + 0.7)
-        marks.append(_text(left, y - 12, name, "start"))
-        if reference is not None:
-            marks.append(_segment("reference", axis(reference), y - 10, axis(reference), y + 10))
-        if interval:
-            marks.append(_segment("line s1", axis(interval[0]), y, axis(interval[1]), y))
-        marks.append(f'<circle class="dot s1" cx="{axis(value):.1f}" cy="{y:.1f}" r="4.5"/>')
+        title = f"{name}: {100 * value:.1f} %, {100 * low:.1f} to {100 * high:.1f} %"
+        marks.append(
+            f"<g>{_title(title)}{_text(left, y - 12, name, 'start')}"
+            f"{_segment('line s1', axis(low), y, axis(high), y)}"
+            f'<circle class="dot s1" cx="{axis(value):.1f}" cy="{y:.1f}" r="4.5"/></g>'
+        )
     return _svg(WIDTH, height, marks, description)
 
 
-def image(values, description="") -> Markup:
-    """A tactile image: one square per taxel, darker with more events; negative values in red."""
-    values = np.asarray(values, float)
-    scale = np.abs(values).max() or 1.0
-    marks = ['<rect class="paper" width="{1}" height="{0}"/>'.format(*values.shape)]
-    for (row, column), value in np.ndenumerate(values / scale):
-        if abs(value) > 0.004:
-            sign = "on" if value > 0 else "off"
-            marks.append(
-                f'<rect class="{sign}" x="{column}" y="{row}" width="1" height="1" '
-                f'fill-opacity="{abs(value):.2f}"/>'
-            )
-    return _svg(values.shape[1], values.shape[0], marks, description, "image")
-
-
-def raster(groups, extent: float, x_label: str, y_label: str, description="", rows=None) -> Markup:
-    """Events or spikes over time.
+def timeline(panels, extent: float, x_label: str, description: str = "", mark=None) -> Markup:
+    """Panels below each other over one time axis.
 
     Parameters
     ----------
-    groups : sequence of (class, times, units)
-        Marks, each group in one colour.
+    panels : sequence of Raster or Lines
     extent : float
         End of the time axis.
-    x_label, y_label : str
-    description : str
-    rows : int, optional
-        Height in units; default: the highest unit.
+    x_label, description : str
+    mark : float, optional
+        Time of a vertical line through all panels.
     """
-    rows = rows or max((int(np.max(units)) + 1 for _, _, units in groups if len(units)), default=1)
-    height = 200
-    x_axis = _Axis(0, extent, LEFT, WIDTH - RIGHT, exact=True)
-    y_axis = _Axis(0, rows, height - BOTTOM, TOP, exact=True)
-    marks = [_axes(x_axis, y_axis, x_label, y_label)]
-    tall = max(1.6, (height - BOTTOM - TOP) / rows)
-    for name, times, units in groups:
-        path = "".join(
-            f"M{x_axis(t):.1f} {y_axis(u + 1):.1f}v{tall:.1f}"
-            for t, u in zip(times, units, strict=True)
-        )
-        marks.append(f'<path class="event {name}" d="{path}"/>')
-    return _svg(WIDTH, height, marks, description)
+    width, gap, top = 2 * WIDTH, 26, 20
+    x_axis = _Axis(0, extent, LEFT, width - RIGHT, exact=True)
+    marks, y = [], top
+    for panel in panels:
+        marks.append(_text(LEFT, y - 6, panel.title, "start"))
+        bottom = y + panel.height
+        marks.append(_segment("axis", LEFT, bottom, width - RIGHT, bottom))
+        if isinstance(panel, Raster):
+            y_axis = _Axis(0, panel.rows, bottom, y, exact=True)
+            marks.append(_text(LEFT - 7, y + 10, str(panel.rows), "end"))
+            marks.append(_text(LEFT - 7, bottom, "1", "end"))
+            tall = max(2.0, panel.height / panel.rows)
+            for name, times, units in panel.groups:
+                path = "".join(
+                    f"M{x_axis(t):.1f} {y_axis(u + 1):.1f}v{tall:.1f}"
+                    for t, u in zip(times, units, strict=True)
+                )
+                marks.append(f'<path class="event {name}" d="{path}"/>')
+        else:
+            y_axis = _Axis(0, 1, bottom, y, exact=True)
+            for tick in (0, 0.5, 1):
+                marks.append(_segment("grid", LEFT, y_axis(tick), width - RIGHT, y_axis(tick)))
+                marks.append(_text(LEFT - 7, y_axis(tick) + 4, f"{tick:g}", "end"))
+            marks += [_line(x_axis, y_axis, s, n) for n, s in enumerate(panel.series, 1)]
+        y = bottom + gap
+    end = y - gap
+    if mark is not None:
+        marks.append(_segment("reference", x_axis(mark), top, x_axis(mark), end))
+    for tick in x_axis.ticks():
+        marks.append(_segment("axis", x_axis(tick), end, x_axis(tick), end + 4))
+        marks.append(_text(x_axis(tick), end + 18, x_axis.label(tick), "middle"))
+    marks.append(_text((LEFT + width) / 2, end + 36, x_label, "middle"))
+    return _svg(width, end + 42, marks, description, "timeline")
+
+
+def thumbnail(values, description: str = "") -> Markup:
+    """A tactile image as a small picture, one pixel for each taxel.
+
+    Parameters
+    ----------
+    values : ndarray, shape (rows, columns)
+        A negative value has the colour of OFF events.
+    description : str
+    """
+    values = np.asarray(values, float)
+    pixels = np.zeros((*values.shape, 4), np.uint8)
+    for sign, name in ((1, "on"), (-1, "off")):
+        pixels[np.sign(values) == sign, :3] = [int(colour(name)[i : i + 2], 16) for i in (1, 3, 5)]
+    pixels[..., 3] = np.rint(255 * np.abs(values) / (np.abs(values).max(initial=0) or 1))
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "PNG", optimize=True)
+    content = base64.b64encode(buffer.getvalue()).decode()
+    return Markup(
+        f'<img class="thumb" alt="{escape(description)}" src="data:image/png;base64,{content}">'
+    )
 
 
 def legend(names) -> Markup:
@@ -193,7 +209,9 @@ class _Axis:
     def __init__(self, low, high, start, end, exact=False):
         if high <= low:
             high = low + (abs(low) or 1.0)
-        self.step = _round_step((high - low) / 5)
+        magnitude = 10.0 ** np.floor(np.log10((high - low) / 5))
+        steps = (m * magnitude for m in (1, 2, 2.5, 5, 10))
+        self.step = next(step for step in steps if step >= (high - low) / 5 * 0.999)
         if not exact:
             low = np.floor(low / self.step + 1e-9) * self.step
             high = np.ceil(high / self.step - 1e-9) * self.step
@@ -211,11 +229,6 @@ class _Axis:
         return f"{value:.6g}"
 
 
-def _round_step(step):
-    magnitude = 10.0 ** np.floor(np.log10(step))
-    return next(m * magnitude for m in (1, 2, 2.5, 5, 10) if m * magnitude >= step * 0.999)
-
-
 def _axes(x_axis, y_axis, x_label, y_label):
     marks = []
     for tick in y_axis.ticks():
@@ -229,6 +242,27 @@ def _axes(x_axis, y_axis, x_label, y_label):
     marks.append(_text(middle, y_axis.start + 35, x_label, "middle"))
     marks.append(_text(0, 12, y_label, "start"))
     return "".join(marks)
+
+
+def _line(x_axis, y_axis, series, number):
+    points = _points(x_axis, y_axis, series.x, series.y)
+    dots = ""
+    if len(series.x) <= MOST_TOOLTIPS:
+        dots = "".join(
+            f'<circle class="hit" cx="{x_axis(x):.1f}" cy="{y_axis(y):.1f}" r="6">'
+            f"{_title(f'{series.name}: {y:.3g} at {x:.4g}')}</circle>"
+            for x, y in zip(series.x, series.y, strict=True)
+        )
+    title = _title(f"{series.name}: {series.y[-1]:.3g} at the end")
+    return f'<g>{title}<polyline class="line s{number}" points="{points}"/>{dots}</g>'
+
+
+def _points(x_axis, y_axis, x, y):
+    return " ".join(f"{x_axis(a):.1f},{y_axis(b):.1f}" for a, b in zip(x, y, strict=True))
+
+
+def _title(text):
+    return f"<title>{escape(text)}</title>"
 
 
 def _segment(name, x1, y1, x2, y2):

@@ -1,8 +1,9 @@
-"""The report of a run: one self-contained HTML file."""
+"""The report of a run as HTML; :mod:`pipeline.results.report.gather` reads what it shows."""
 
 from __future__ import annotations
 
 import datetime
+from collections import defaultdict
 from dataclasses import dataclass, field
 from importlib import resources
 
@@ -11,30 +12,29 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from deploy import __version__
 from deploy.check.bundle import Bundle
-from deploy.check.energy import estimate_energy
+from deploy.check.energy import estimate_energy, estimate_text
 from deploy.check.intervals import wilson_interval
+from deploy.check.results import compare_results
+from deploy.network.operations import multiply_accumulates
 from deploy.network.responses import seconds_per_sample
-from deploy.tables import p_text
+from deploy.tables import SIGNIFICANCE, p_text
 from deploy.targets.registry import TARGETS
-from pipeline.data import table1
+from pipeline import look
 from pipeline.data.events import Recordings
-from pipeline.data.images import growing, normalise
-from pipeline.data.steps import EventTable
-from pipeline.data.words import are_digits
-from pipeline.paper import TABLE1
-from pipeline.results.ladder import confusion_matrix, ladder_json, points_text
+from pipeline.results.ladder import confusion_matrix, ladder_rows
 from pipeline.results.report import charts
-from pipeline.results.report.matrix import confusion_shares
-from pipeline.results.report.over_time import final_probabilities
-from pipeline.roads.answers import NETWORKS, REFERENCES
+from pipeline.results.report.samples import final_probabilities
+from pipeline.roads.answers import NETWORKS
 from pipeline.settings import Settings
 
-ZERO_MEANS = {
-    "data.samples_per_digit": "0: the published numbers",
-    **{f"snn.{name}": "0: the recipe's own" for name in ("epochs", "batch_size", "learning_rate")},
-}
-FRAMES = 6
-"""Number of pictures of the growing tactile image."""
+REFERENCES = ("cnn-matched", "trained", "nir", "rate-lif", "cnn")
+"""The stages that a deployed network is compared with, the first that the ladder has."""
+
+MOST_IN_A_MATRIX = 40
+"""Largest number of classes for which a confusion matrix is drawn."""
+
+SHOWN_CLASSES = 4
+"""Number of classes whose probability is drawn: the most likely at the end, and the right one."""
 
 
 @dataclass(frozen=True)
@@ -46,46 +46,41 @@ class Inputs:
     name : str
         The run's folder.
     settings : Settings
-    recordings : Recordings
     bundle : Bundle
     results : list of dict
         Check results of the bundle, in the order of the ladder.
     metrics : dict of str to dict
-        ``metrics.json`` of ``cnn`` and ``snn``.
+        ``metrics.json`` of the trained networks, by title.
     histories : dict of str to list of dict
-        Rows with one epoch each, for each trained network.
-    plan : dict or None
+        Rows with one epoch each, for each trained network, by title.
+    plan : dict
         The plan of the placement, as plain values.
     replays : dict of int to Replay
-        Spikes of the samples in the report, by their index in the check.
-    beside : dict or None
-        Check result of a run on images with the same recordings.
+        Spikes and probabilities of some samples, by their index in the check.
+    recordings : Recordings or None
+        None if the bundle's recordings are not there; the report then has no pictures of events.
     outdated : dict of str to str
         Outdated artifacts, with the reasons.
-    over_time : dict of int to ndarray
-        Probabilities of the classes at each step of the samples of the browser; see
-        :mod:`pipeline.results.report.over_time`.
     others : list of dict
         Check results of the bundle on other recordings.
-    rates : dict of str to list of (float, float)
-        For each layer rates of neurons in the trained network and on the chip, in spikes per
-        second; see :func:`pipeline.roads.diagnosis.rate_points`.
     """
 
     name: str
     settings: Settings
-    recordings: Recordings
     bundle: Bundle
     results: list
     metrics: dict
     histories: dict
-    plan: dict | None
+    plan: dict
     replays: dict
-    beside: dict | None = None
+    recordings: Recordings | None = None
     outdated: dict = field(default_factory=dict)
-    over_time: dict = field(default_factory=dict)
     others: list = field(default_factory=list)
-    rates: dict = field(default_factory=dict)
+
+    @property
+    def classes(self) -> list:
+        """Names of the classes."""
+        return self.bundle.spec.provenance["classes"]
 
 
 def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
@@ -111,167 +106,321 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
     )
     environment.filters["p"] = p_text
     environment.filters["percent"] = lambda share: f"{100 * share:.1f} %"
+    package = resources.files("pipeline.results.report")
     now = now or datetime.datetime.now(datetime.UTC)
+    provenance = inputs.bundle.spec.provenance
     return environment.get_template("report.html.j2").render(
-        style=resources.files("pipeline.results.report")
-        .joinpath("report.css")
-        .read_text(encoding="utf-8"),
+        style=look.STYLE + package.joinpath("report.css").read_text(encoding="utf-8"),
         made=now.strftime("%Y-%m-%d %H:%M UTC"),
         package=__version__,
-        settings=inputs.settings.flat(),
-        relevant=inputs.settings.relevant(),
-        defaults=ZERO_MEANS,
         name=inputs.name,
-        classes=inputs.recordings.sensor.classes,
-        of_digits=_of_digits(inputs.recordings),
-        what=_word(inputs.recordings),
-        summary=class_summary(inputs.recordings),
-        network=_network(inputs),
-        browser=_browser(inputs),
-        others=inputs.others,
-        rates=_rate_charts(inputs.rates),
-        source=inputs.recordings.source,
-        n_recordings=len(inputs.recordings),
-        n_taxels=len(inputs.recordings.taxels),
-        trained_title=trained_title(inputs.settings),
+        source=provenance["source"],
+        source_sha256=provenance["source_sha256"],
+        simulated=provenance["simulated"],
+        recordings=inputs.recordings,
+        settings=inputs.settings.relevant(),
+        seed=inputs.settings.seed,
+        classes=inputs.classes,
         bundle=inputs.bundle,
-        steps=inputs.bundle.spec.presentation.steps,
-        metrics=inputs.metrics,
-        plan=inputs.plan,
-        ladder=_ladder(inputs),
-        table1=_table1(inputs.recordings),
-        anytime=_anytime(inputs),
-        written=_while_written(inputs),
-        curves=_learning_curves(inputs.histories),
-        matrices=_confusions(inputs),
-        stories=_stories(inputs),
-        energy=_energy(inputs),
         outdated=inputs.outdated,
-        activity=_activity(inputs),
-        versions={k: v for result in inputs.results for k, v in result["versions"].items()},
+        others=inputs.others,
+        metrics=inputs.metrics,
+        verdict=verdict(inputs.results, inputs.bundle, inputs.plan),
+        ladder=_ladder(inputs.results),
+        time=_over_time(inputs),
+        per_class=class_table(inputs),
+        matrix=_matrix(inputs),
+        groups=_groups(inputs),
+        stories=_stories(inputs),
+        curves=_learning_curves(inputs.histories),
+        layers=layer_table(inputs.bundle, inputs.plan, inputs.results[-1]),
+        plan=inputs.plan,
+        energy=_energy(inputs),
+        versions=inputs.results[-1]["versions"],
     )
 
 
-def choose_samples(result: dict, stream_length: int) -> list:
-    """Indices of a sample with a correct answer and of one with a wrong answer, if any.
+def title_of(stage: str) -> str:
+    """The title of a network or target."""
+    return NETWORKS[stage][0] if stage in NETWORKS else TARGETS[stage].title
 
-    Samples early in their streams are preferred, because a replay starts with the stream.
+
+def verdict(results: list, bundle: Bundle, plan: dict) -> dict:
+    """What a run shows: its accuracy, what that is compared with, and what it costs.
+
+    Parameters
+    ----------
+    results : list of dict
+        Check results of the bundle, in the order of the ladder.
+    bundle : Bundle
+    plan : dict
+
+    Returns
+    -------
+    dict
+        ``title``, ``accuracy``, ``interval`` and ``n`` of the deployed network; ``against``, a list
+        of comparisons with ``title``, ``accuracy``, ``change`` (negative for a loss), ``p`` and
+        ``significant``; ``cores``; ``operations`` per sample and their ``ratio`` to the
+        multiply-accumulates of the same network without spikes, or None without counts.
     """
-    chosen = []
-    for right in (True, False):
-        candidates = [
-            index
-            for index, sample in enumerate(result["samples"])
-            if (sample["label"] == sample["prediction"]) == right
-        ]
-        if candidates:
-            chosen.append(min(candidates, key=lambda index: (index % stream_length, index)))
-    return chosen
+    deployed = results[-1]
+    by_stage = {result["target"]: result for result in results[:-1]}
+    wanted = [name for name in REFERENCES if name in by_stage][:1]
+    wanted += [name for name in ("counts",) if name in by_stage]
+    against = []
+    for name in wanted:
+        compared = compare_results(by_stage[name], deployed)
+        against.append(
+            {
+                "title": title_of(name),
+                "accuracy": by_stage[name]["accuracy"],
+                "change": -compared.accuracy_drop,
+                "p": compared.p_value,
+                "significant": compared.p_value < SIGNIFICANCE,
+            }
+        )
+    operations = sum(deployed["synaptic_operations"].values()) / deployed["n_samples"]
+    products = sum(multiply_accumulates(bundle.spec).values())
+    return {
+        "title": title_of(deployed["target"]),
+        "accuracy": deployed["accuracy"],
+        "interval": deployed["accuracy_ci95"],
+        "n": deployed["n_samples"],
+        "against": against,
+        "cores": len(plan["cores"]),
+        "fits": plan["fits"],
+        "operations": operations or None,
+        "ratio": operations / products if operations else None,
+    }
 
 
-def _of_digits(recordings):
-    """True if recordings are written digits in the layout of ST-MNIST, not from a camera."""
-    return are_digits(recordings.sensor.classes) and not recordings.source.time_unit
+def class_table(inputs: Inputs) -> list:
+    """Recall and precision of each class in the deployed network's answers.
 
-
-def _word(recordings):
-    return "writing" if _of_digits(recordings) else "recording"
-
-
-BROWSED_WRONG, BROWSED_RIGHT = 16, 8
-"""Maximum number of samples of the browser."""
-
-
-def browsed_samples(result: dict) -> list:
-    """Indices of samples for the sample browser: wrong answers first, then some right ones."""
-    right = [sample["label"] == sample["prediction"] for sample in result["samples"]]
-    wrong = [index for index, is_right in enumerate(right) if not is_right]
-    others = [index for index, is_right in enumerate(right) if is_right]
-    return wrong[:BROWSED_WRONG] + others[:BROWSED_RIGHT]
-
-
-def class_summary(recordings: Recordings) -> list:
-    """Name, number of recordings, mean events and mean seconds of each class."""
-    events, n = recordings.events, len(recordings)
-    on = np.bincount(recordings.sample_of_event, events.polarity > 0, n)
-    off = np.bincount(recordings.sample_of_event, events.polarity <= 0, n)
-    lasts = EventTable.of(recordings).duration_ms / 1000 if len(events) else np.zeros(n)
+    Recall is the share of a class's samples that are answered with it, and precision the share of
+    the answers with a class that are right; None where there is nothing to divide by.
+    """
+    matrix = _confusion(inputs)
+    shown, answered, right = matrix.sum(1), matrix.sum(0), np.diag(matrix)
     return [
         {
             "name": name,
-            "n": int(mine.sum()),
-            "on": float(on[mine].mean()) if mine.any() else 0.0,
-            "off": float(off[mine].mean()) if mine.any() else 0.0,
-            "seconds": float(lasts[mine].mean()) if mine.any() else 0.0,
+            "n": int(shown[i]),
+            "recall": float(right[i] / shown[i]) if shown[i] else None,
+            "precision": float(right[i] / answered[i]) if answered[i] else None,
         }
-        for label, name in enumerate(recordings.sensor.classes)
-        for mine in [recordings.labels == label]
+        for i, name in enumerate(inputs.classes)
     ]
 
 
-def _network(inputs):
-    """The layers in the order of the data flow: shape, neurons, cores."""
-    spec, plan = inputs.bundle.spec, inputs.plan
-    cores = [core["layer"] for core in plan["cores"]] if plan else []
-    shape = "x".join(map(str, spec.input_shape))
-    boxes = [{"name": "input", "shape": shape, "neurons": int(np.prod(spec.input_shape)),
-              "where": "host"}]  # fmt: skip
+def layer_table(bundle: Bundle, plan: dict, result: dict) -> list:
+    """Each layer: kind, output shape, weights, neurons, place, activity per sample.
+
+    ``rate`` is in spikes per second and neuron; values that do not exist are None.
+    """
+    spec, n = bundle.spec, result["n_samples"]
+    cores = [core["layer"] for core in plan["cores"]]
+    seconds = seconds_per_sample(spec)
+
+    def row(name, kind, shape, weights, neurons):
+        spikes, operations = result["spikes"].get(name), result["synaptic_operations"].get(name)
+        used = cores.count(name)
+        return {
+            "name": name,
+            "kind": kind,
+            "shape": "x".join(map(str, np.atleast_1d(shape))),
+            "weights": weights,
+            "neurons": neurons,
+            "where": f"{used} core{'' if used == 1 else 's'}" if used else "host",
+            "spikes": None if spikes is None else spikes / n,
+            "rate": None if spikes is None else spikes / n / neurons / seconds,
+            "operations": None if operations is None else operations / n,
+        }
+
+    rows = [row("input", "input", spec.input_shape, None, int(np.prod(spec.input_shape)))]
     for layer in spec.layers:
-        n = cores.count(layer.name)
-        where = f"{n} core{'' if n == 1 else 's'}" if n else "host"
-        size = "x".join(map(str, np.atleast_1d(layer.shape)))
-        kind = f"{layer.kernel}x{layer.kernel} convolution" if layer.kind == "conv" else "dense"
-        boxes.append(
-            {"name": f"{layer.name}, {kind}", "shape": size, "where": where,
-             "neurons": layer.size if layer.neurons is not None else None}
-        )  # fmt: skip
-    return boxes
+        kind = "dense"
+        if layer.kind == "conv":
+            kind = f"{layer.kernel}x{layer.kernel} convolution, stride {layer.stride}"
+        neurons = layer.size if layer.neurons is not None else None
+        rows.append(row(layer.name, kind, layer.shape, int(layer.weights.size), neurons))
+    return rows
 
 
-def _browser(inputs):
-    """Samples one by one: image, events over time, probabilities over time, the decision."""
-    if not inputs.over_time:
-        return []
+def _ladder(results):
+    rows = ladder_rows(results)
+    for row in rows:
+        row["title"] = title_of(row["stage"])
+    chart = charts.interval_chart(
+        [(row["title"], row["accuracy"], row["accuracy_ci95"]) for row in rows],
+        "accuracy, with 95 % interval",
+        "Accuracy of each stage",
+    )
+    return {"rows": rows, "chart": chart, "n": results[0]["n_samples"]}
+
+
+def _over_time(inputs):
+    """Accuracy over the recording (events), or over the steps of the presentation (images)."""
     result, spec = inputs.results[-1], inputs.bundle.spec
-    classes, recordings = inputs.recordings.sensor.classes, inputs.recordings
-    position = {name: index for index, name in enumerate(recordings.ids)}
-    step_ms, start = 1000 * spec.stimulus.step_seconds, spec.presentation.readout_start
-    shown = []
-    for index, chances in inputs.over_time.items():
+    name, n = title_of(result["target"]), result["n_samples"]
+    written = result.get("while_written")
+    if written:
+        x, y = [100 * share for share in written["shares"]], written["accuracy"]
+        label = "share of the recording, %"
+    else:
+        start = spec.presentation.readout_start
+        y = result["anytime_accuracy"][start:]
+        x = range(start + 1, start + 1 + len(y))
+        label = f"steps of {1000 * spec.stimulus.step_seconds:g} ms"
+    if len(y) < 2:
+        return None
+    band = tuple(wilson_interval(round(n * a), n) for a in y)
+    series = charts.Series(name, tuple(x), tuple(y), band)
+    early = written and written.get("by_itself")
+    return {
+        "chart": charts.line_chart([series], label, "accuracy", "Accuracy over time"),
+        "name": name,
+        "early": early if early and early["confidence"] < 1 else None,
+        "on_events": bool(written),
+    }
+
+
+def _answers(inputs):
+    samples = inputs.results[-1]["samples"]
+    return [[sample[key] for sample in samples] for key in ("label", "prediction")]
+
+
+def _confusion(inputs):
+    return confusion_matrix(*_answers(inputs), len(inputs.classes))
+
+
+def _matrix(inputs):
+    """Rows of (name, cells): count, shade in percent, and whether it is on the diagonal."""
+    matrix = _confusion(inputs)
+    if len(matrix) > MOST_IN_A_MATRIX:
+        return None
+    shares = matrix / np.maximum(matrix.sum(1, keepdims=True), 1)
+    rows = []
+    for label, name in enumerate(inputs.classes):
+        cells = []
+        for answer, count in enumerate(matrix[label].tolist()):
+            # Errors are few: the square root makes one in a hundred visible.
+            share = shares[label, answer]
+            shade = 55 * share if label == answer else 75 * share**0.5
+            cells.append({"count": count, "shade": round(float(shade)), "right": label == answer})
+        rows.append((name, cells))
+    return rows
+
+
+def _groups(inputs):
+    """Thumbnails of all samples by class and answer, wrong answers first, frequent ones first."""
+    groups = defaultdict(list)
+    images = inputs.bundle.checks.inputs
+    images = images.sum(-1) if images.ndim == 4 else images.sum((1, -1))
+    for index, (label, answer) in enumerate(zip(*_answers(inputs), strict=True)):
+        groups[label, answer].append(index)
+    order = sorted(groups, key=lambda pair: (pair[0] == pair[1], -len(groups[pair]), pair))
+    return [
+        {
+            "key": f"{label}-{answer}",
+            "right": label == answer,
+            "shown": inputs.classes[label],
+            "answered": inputs.classes[answer],
+            "samples": [
+                {
+                    "index": index,
+                    "id": inputs.bundle.checks.ids[index],
+                    "has_story": index in inputs.replays,
+                    "picture": charts.thumbnail(images[index], inputs.bundle.checks.ids[index]),
+                }
+                for index in groups[label, answer]
+            ],
+        }
+        for label, answer in order
+    ]
+
+
+def _stories(inputs):
+    """Samples one by one: events, spikes of the layers and probabilities on one time axis."""
+    result, classes = inputs.results[-1], inputs.classes
+    spec = inputs.bundle.spec
+    step_ms = 1000 * spec.stimulus.step_seconds
+    stories = []
+    for index, replay in inputs.replays.items():
         sample = result["samples"][index]
-        recording = position[sample["id"]]
-        decided = sample["decided_at"]  # the step of an early decision may be of another class
-        top = list(np.argsort(-chances[-1], kind="stable")[:SHOWN_CLASSES])
+        answered = sample["prediction"]
+        top = list(np.argsort(-replay.chances[-1], kind="stable")[:SHOWN_CLASSES])
         if sample["label"] not in top:
             top[-1] = sample["label"]
-        drawn = drawn_steps(len(chances))
-        at_ms = tuple((start + 1 + drawn) * step_ms)
-        series = [
-            charts.Series(classes[label], at_ms, tuple(chances[drawn, label].round(4)))
-            for label in top
+        at_ms = (spec.presentation.readout_start + 1 + np.arange(len(replay.chances))) * step_ms
+        drawn = drawn_steps(len(at_ms))
+        lines = charts.Lines(
+            "probability of the classes",
+            tuple(
+                charts.Series(classes[c], tuple(at_ms[drawn]), tuple(replay.chances[drawn, c]))
+                for c in top
+            ),
+        )
+        layers = [
+            charts.Raster(
+                f"{name}: {size} neurons, {len(steps)} spikes",
+                (("s1", (steps + 0.5) * step_ms, neurons),),
+                size,
+            )
+            for name, size, steps, neurons in replay.layers
         ]
-        shown.append(
+        events = _events(inputs, sample["id"])
+        if events and not spec.stimulus.static:
+            layers.insert(0, events)
+        extent = spec.presentation.steps * step_ms
+        chances = final_probabilities(spec, sample["scores"])
+        stories.append(
             {
+                "index": index,
                 "id": sample["id"],
-                "right": sample["label"] == sample["prediction"],
+                "right": sample["label"] == answered,
                 "shown": classes[sample["label"]],
-                "answered": classes[sample["prediction"]],
-                "probability": float(chances[-1, sample["prediction"]]),
-                "decided_ms": decided * step_ms,
-                "image": _frames(inputs, recording, 1)[0]["chart"],
-                "events": _events_chart(recordings, recording),
-                "chances": charts.line_chart(
-                    series,
+                "answered": classes[answered],
+                "probability": float(chances[answered]),
+                "stopped_ms": _stopped(sample, spec) and sample["stopped_at"] * step_ms,
+                "events": events if events and spec.stimulus.static else None,
+                "chart": charts.timeline(
+                    [*layers, lines],
+                    extent,
                     "milliseconds since the start of the presentation",
-                    "probability",
-                    (0.0, 1.0),
-                    f"Probability of the classes over time, sample {sample['id']}",
-                    mark=decided * step_ms,
+                    f"Spikes and probabilities over time, sample {sample['id']}",
+                    mark=sample["stopped_at"] * step_ms if _stopped(sample, spec) else None,
                 ),
-                "legend": charts.legend([s.name for s in series]),
+                "legend": charts.legend([s.name for s in lines.series]),
             }
         )
-    return shown
+        if stories[-1]["events"]:
+            recorded = float(np.max(events.groups[0][1].max(initial=0)))
+            recorded = max(recorded, float(events.groups[1][1].max(initial=0)), 1.0)
+            stories[-1]["events"] = charts.timeline(
+                [events], recorded, "milliseconds of the recording", f"Events of {sample['id']}"
+            )
+    return stories
+
+
+def _stopped(sample, spec):
+    """True if a sample was decided before the end of its presentation."""
+    return sample.get("stopped_at", spec.presentation.steps) < spec.presentation.steps
+
+
+def _events(inputs, name):
+    """The events of a recording as a panel, in milliseconds from its first event."""
+    recordings = inputs.recordings
+    if recordings is None:
+        return None
+    events = recordings[recordings.ids.index(name)]
+    first = events.time_ns[0] if len(events) else 0
+    groups = tuple(
+        (kind, (events.time_ns[mask] - first) / 1e6, events.taxel[mask])
+        for kind, mask in (("on", events.polarity > 0), ("off", events.polarity <= 0))
+    )
+    n = len(recordings.taxels)
+    return charts.Raster(f"sensor: {n} taxels, {len(events)} events", groups, n, 110)
 
 
 def drawn_steps(n: int) -> np.ndarray:
@@ -280,365 +429,28 @@ def drawn_steps(n: int) -> np.ndarray:
     return np.append(np.arange(0, n - 1, every), n - 1)
 
 
-SHOWN_CLASSES = 4
-"""Number of classes whose probability is drawn: the most likely at the end, and the right one."""
-
-
-def _events_chart(recordings, recording):
-    events = recordings[recording]
-    return charts.raster(
-        [
-            (name, events.time_ns[mask] / 1e9, events.taxel[mask])
-            for name, mask in (("on", events.polarity > 0), ("off", events.polarity < 0))
-        ],
-        max(float(events.time_ns.max(initial=0)) / 1e9, 0.1),
-        "seconds",
-        "taxel",
-        f"Events of the {len(recordings.taxels)} taxels, ON and OFF",
-        len(recordings.taxels),
-    )
-
-
-def _named(stage):
-    """Title and note of a network or target."""
-    if stage in NETWORKS:
-        return NETWORKS[stage]
-    return TARGETS[stage].title, TARGETS[stage].note
-
-
-def _title(stage):
-    return _named(stage)[0]
-
-
-def trained_title(settings: Settings) -> str:
-    """The name of the network that was trained for the chip."""
-    return NETWORKS[REFERENCES[settings.network][:2][-1]][0]
-
-
-def _ladder(inputs):
-    rows = ladder_json(inputs.results)["rows"]
-    for row in rows:
-        row["title"] = _title(row["stage"])
-        row["note"] = _named(row["stage"])[1]
-    chart = charts.interval_chart(
-        [(row["title"], row["accuracy"], row["accuracy_ci95"], None) for row in rows],
-        "accuracy, with 95 % interval",
-        "Accuracy of each stage from CNN to chip",
-    )
-    lost = points_text(100 * (rows[0]["accuracy"] - rows[-1]["accuracy"]))
-    return {"rows": rows, "chart": chart, "n": inputs.results[0]["n_samples"], "lost": lost}
-
-
-def _table1(recordings):
-    """Table 1, with the paper's figures only if they are for the same recordings."""
-    ours = table1.table(recordings)
-    against_paper = table1.is_st_mnist(recordings)
-
-    def row(title, name, places, pair=lambda value: value):
-        cells = [
-            {
-                "ours": pair(mine[name]),
-                "paper": against_paper and pair(TABLE1[digit][name]),
-            }
-            for digit, mine in ours.items()
-        ]
-        return {"title": title, "cells": cells, "places": places}
-
-    return {
-        "classes": [recordings.sensor.classes[digit] for digit in ours],
-        "against_paper": against_paper,
-        "rows": [
-            *(
-                row(table1.LABELS[name], name, 0 if name in ("on", "off") else 2)
-                for name in table1.MEASURES
-            ),
-            row("Sample size", "samples", 0, lambda value: (value, None)),
-        ],
-    }
-
-
-def _step(inputs):
-    """The duration of a step of the presentation, in words."""
-    return f"steps of {1000 * inputs.bundle.spec.stimulus.step_seconds:g} ms"
-
-
-def _anytime(inputs):
-    shown = [r for r in inputs.results if len(r["anytime_accuracy"]) > 1][-4:]
-    if not shown:
-        return None
-    start = inputs.bundle.spec.presentation.readout_start
-    series = [
-        charts.Series(
-            _title(r["target"]),
-            tuple(range(start + 1, len(r["anytime_accuracy"]) + 1)),
-            tuple(r["anytime_accuracy"][start:]),
-        )
-        for r in shown
-    ]
-    return {
-        "chart": charts.line_chart(
-            series,
-            f"{_step(inputs)} since the start of the presentation",
-            "accuracy",
-            description="Accuracy if the decision were taken at each step",
-        ),
-        "legend": charts.legend([s.name for s in series]),
-        "median": shown[-1]["decided_at_median"],
-        "median_ms": 1000
-        * inputs.bundle.spec.stimulus.step_seconds
-        * shown[-1]["decided_at_median"],
-        "target": _title(shown[-1]["target"]),
-    }
-
-
-def _while_written(inputs):
-    """Accuracy against the share of the writing; for networks on events only."""
-    result = inputs.results[-1]
-    while_written = result.get("while_written")
-    if not while_written:
-        return None
-    n, what = result["n_samples"], _word(inputs.recordings)
-    series = [
-        charts.Series(
-            _title(result["target"]),
-            tuple(100 * share for share in while_written["shares"]),
-            tuple(while_written["accuracy"]),
-            tuple(wilson_interval(round(n * a), n) for a in while_written["accuracy"]),
-        )
-    ]
-    if inputs.beside:
-        series.append(
-            charts.Series(
-                f"on images: {_title(inputs.beside['target'])}",
-                (100,),
-                (inputs.beside["accuracy"],),
-                (tuple(inputs.beside["accuracy_ci95"]),),
-            )
-        )
-    return {
-        "chart": charts.line_chart(
-            series,
-            f"share of the {what}, %",
-            "accuracy",
-            description=f"Accuracy after each share of the {what}, with 95 % intervals",
-        ),
-        "legend": charts.legend([s.name for s in series]),
-        "target": _title(result["target"]),
-        "by_itself": _early(while_written.get("by_itself")),
-        "waits": while_written.get("by_itself", {}).get("confidence") == 1,
-        "end": result["accuracy"],
-        "beside": inputs.beside,
-    }
-
-
-def _early(by_itself):
-    """Results of early decisions, unless the network always decides at the end."""
-    return by_itself if by_itself and by_itself["confidence"] < 1 else None
-
-
-def _rate_charts(rates):
-    """Chart for each layer: rates of neurons in the trained network and on the chip."""
-    return [
-        {
-            "title": layer,
-            "n": len(points),
-            "chart": charts.scatter(
-                points,
-                "trained network, spikes per second",
-                "on the chip",
-                f"Rates of {len(points)} neurons of {layer}, trained against on the chip",
-            ),
-        }
-        for layer, points in rates.items()
-        if points
-    ]
-
-
 def _learning_curves(histories):
-    """Accuracy and loss of each network on training and held-out samples."""
+    """Accuracy of each network on training and held-out samples."""
     parts = {"": "training", "val_": "validation", "test_": "test, not used in training"}
     curves = []
     for name, rows in histories.items():
-        for measure in ("accuracy", "loss"):
-            series = [
-                charts.Series(
-                    title,
-                    tuple(row["epoch"] for row in rows),
-                    tuple(row[part + measure] for row in rows),
-                )
-                for part, title in parts.items()
-                if part + measure in rows[0]
-            ]
-            if series:
-                chart = charts.line_chart(
-                    series, "epoch", measure, description=f"Learning curve of {name}, {measure}"
-                )
-                legend = charts.legend([s.name for s in series])
-                curves.append({"title": f"{name}: {measure}", "chart": chart, "legend": legend})
+        series = [
+            charts.Series(
+                title,
+                tuple(row["epoch"] for row in rows),
+                tuple(row[f"{part}accuracy"] for row in rows),
+            )
+            for part, title in parts.items()
+            if f"{part}accuracy" in rows[0]
+        ]
+        if series:
+            chart = charts.line_chart(series, "epoch", "accuracy", f"Learning curve of {name}")
+            legend = charts.legend([s.name for s in series])
+            curves.append({"title": name, "chart": chart, "legend": legend})
     return curves
 
 
-def _confusions(inputs):
-    matrices, classes = [], inputs.recordings.sensor.classes
-    for result in (inputs.results[0], inputs.results[-1]):
-        answers = [[s[key] for s in result["samples"]] for key in ("label", "prediction")]
-        title = f"{_title(result['target'])}, the check's {len(answers[0])} samples"
-        matrix = confusion_matrix(*answers, len(classes))
-        matrices.append({"title": title, **confusion_cells(matrix, classes)})
-    return matrices
-
-
-def confusion_cells(matrix, classes) -> dict:
-    """A confusion matrix for the page: shaded cells, or the most frequent confusions.
-
-    Parameters
-    ----------
-    matrix : ndarray of int, shape (classes, classes)
-    classes : sequence of str
-
-    Returns
-    -------
-    dict
-        ``rows`` of (name, cells), each cell a count, the opacity of its shade in percent and its
-        kind; None if there are more classes than :data:`MOST_IN_A_MATRIX`.  ``common``: (count,
-        class, answer) of the most frequent confusions.
-    """
-    matrix = np.asarray(matrix)
-    shares = confusion_shares(matrix)
-    rows = None
-    if len(classes) <= MOST_IN_A_MATRIX:
-        rows = []
-        for label, name in enumerate(classes):
-            cells = []
-            for answer, count in enumerate(matrix[label].tolist()):
-                # Errors are few: the square root makes one in a hundred visible.
-                share = shares[label, answer]
-                shade = 55 * share if label == answer else 75 * share**0.5
-                kind = "on" if label == answer else "off"
-                cells.append({"count": count, "shade": round(float(shade)), "kind": kind})
-            rows.append((name, cells))
-    wrong = [
-        (int(count), classes[label], classes[answer])
-        for (label, answer), count in np.ndenumerate(matrix)
-        if label != answer and count
-    ]
-    return {"rows": rows, "common": sorted(wrong, key=lambda entry: -entry[0])[:5]}
-
-
-MOST_IN_A_MATRIX = 20
-"""Largest number of classes for which a confusion matrix is drawn."""
-
-
-def _stories(inputs):
-    result, stories, classes = inputs.results[-1], [], inputs.recordings.sensor.classes
-    position = {name: index for index, name in enumerate(inputs.recordings.ids)}
-    for index, replay in inputs.replays.items():
-        sample = result["samples"][index]
-        recording = position[sample["id"]]
-        events = inputs.recordings[recording]
-        rasters = [
-            _layer_raster(layer, steps[steps >= 0], neurons[steps >= 0], replay, _step(inputs))
-            for layer, (steps, neurons) in replay.spikes.items()
-        ]
-        stories.append(
-            {
-                "sample": sample,
-                "shown": classes[sample["label"]],
-                "answered": classes[sample["prediction"]],
-                "right": sample["label"] == sample["prediction"],
-                "frames": _frames(inputs, recording),
-                "events": _events_chart(inputs.recordings, recording),
-                "n_events": len(events),
-                "layers": rasters,
-                "scores": _scores(inputs.bundle.spec, sample, classes),
-                "target": _title(result["target"]),
-            }
-        )
-    return stories
-
-
-def _layer_raster(layer, steps, neurons, replay, step):
-    size = replay.neurons[layer]
-    return {
-        "title": f"{layer}: {size} neurons, {len(steps)} spikes",
-        "chart": charts.raster(
-            [("s1", steps, neurons)],
-            replay.steps,
-            step,
-            "neuron",
-            f"Spikes of {layer}",
-            size,
-        ),
-    }
-
-
-def _frames(inputs, recording, number=FRAMES):
-    """The tactile image as it grows, up to the last event."""
-    recordings, image = inputs.recordings, inputs.settings.image
-    whole = recordings[recording]
-    end = int(whole.time_ns[-1]) + 1 if len(whole) else 1
-    ends = [end * part // number for part in range(1, number + 1)]
-    grown = growing(whole, recordings.taxels, ends, image.aggregation, recordings.sensor)
-    frames = []
-    for until, pixels in zip(ends, normalise(grown, image.normalisation), strict=True):
-        caption = f"{until / 1e9:.2f} s"
-        frames.append(
-            {"chart": charts.image(pixels, f"Tactile image at {caption}"), "caption": caption}
-        )
-    return frames
-
-
-def _scores(spec, sample, classes):
-    """Bars of the classes' probabilities at the end, the highest first."""
-    chances = final_probabilities(spec, sample["scores"])
-    return [
-        {
-            "name": classes[label],
-            "score": float(chances[label]),
-            "width": float(100 * chances[label]),
-            "written": label == sample["label"],
-        }
-        for label in np.argsort(-chances, kind="stable")[:MOST_BARS]
-    ]
-
-
-MOST_BARS = 20
-"""Classes whose probability at the end is drawn as a bar."""
-
-
 def _energy(inputs):
-    counted = [r for r in inputs.results if r["spikes"]]
-    if not counted:
+    if not inputs.results[-1]["spikes"]:
         return None
-    got = estimate_energy(inputs.bundle.spec, counted[-1])
-    chip = [layer for layer in got.layers if layer.on_chip]
-    products = sum(layer.multiply_accumulates for layer in got.layers)
-    return {
-        "operations": sum(layer.synaptic_operations for layer in chip),
-        "updates": sum(layer.neuron_updates for layer in chip),
-        "products": products,
-        "microjoules": {
-            "Loihi, layers on the chip": 1e6 * got.chip_joules,
-            "CNN on a CPU": 1e6 * got.cnn_joules("cpu"),
-            "CNN on a GPU, in large batches": 1e6 * got.cnn_joules("gpu"),
-        },
-    }
-
-
-def _activity(inputs):
-    counted = [r for r in inputs.results if r["spikes"]]
-    if not counted:
-        return None
-    result = counted[-1]
-    sizes = {layer.name: layer.size for layer in inputs.bundle.spec.layers}
-    sizes["input"] = int(np.prod(inputs.bundle.spec.input_shape))
-    seconds = seconds_per_sample(inputs.bundle.spec)
-    return [
-        {
-            "layer": layer,
-            "neurons": sizes[layer],
-            "spikes": spikes / result["n_samples"],
-            "rate": spikes / result["n_samples"] / sizes[layer] / seconds,
-        }
-        for layer, spikes in result["spikes"].items()
-    ]
+    return estimate_text(estimate_energy(inputs.bundle.spec, inputs.results[-1]))

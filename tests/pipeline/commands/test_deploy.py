@@ -35,22 +35,6 @@ def test_plan_as_json(bundle, capsys):
     assert set(value["firing_rates"]) == {"conv1", "conv2"}
 
 
-@pytest.mark.parametrize("kind", ["png", "svg", "pdf"])
-def test_plan_draws_the_placement(bundle, capsys, tmp_path, kind):
-    status, _, _ = run(
-        capsys, "deploy", "plan", bundle.path, "--figure", tmp_path / f"placement.{kind}"
-    )
-    assert status == 0
-    start = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[kind]
-    assert (tmp_path / f"placement.{kind}").read_bytes().startswith(start)
-
-
-def test_plan_draws_no_other_kind(bundle, capsys, tmp_path):
-    status, _, err = run(capsys, "deploy", "plan", bundle.path, "--figure", tmp_path / "x.bmp")
-    assert status == 2
-    assert missing(err, "x.bmp", ".png", ".svg", ".pdf") == []
-
-
 def test_plan_refuses_what_will_not_fit(capsys, tmp_path):
     big = bundle_at(tmp_path / "bundle", spec_of((24, 3), block_shape=(8, 8, 24)), 2)
     status, out, err = run(capsys, "deploy", "plan", big.path)

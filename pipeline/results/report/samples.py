@@ -1,0 +1,102 @@
+"""Some samples of a check again, with every spike and the probabilities at each step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deploy.check.bundle import Bundle
+from deploy.network.responses import running_sums
+from deploy.network.stream import streams_of
+from deploy.targets.fast.emulation import Emulation, compile_spec
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A sample on the chip, as the target ``fast`` computes it.
+
+    Attributes
+    ----------
+    layers : tuple of (str, int, ndarray of int, ndarray of int)
+        Of each spiking layer: its name and number of neurons; the step of each spike, from 0 at the
+        start of the presentation, and its neuron.
+    chances : ndarray of float, shape (steps - readout_start, classes)
+        Probabilities of the classes at each step.
+    """
+
+    layers: tuple
+    chances: np.ndarray
+
+
+def softmax(scores) -> np.ndarray:
+    """Probabilities of the classes from outputs that were trained as logits, over the last axis."""
+    scores = np.asarray(scores, float)
+    powers = np.exp(scores - scores.max(axis=-1, keepdims=True))
+    return powers / powers.sum(axis=-1, keepdims=True)
+
+
+def final_probabilities(spec, scores) -> np.ndarray:
+    """Probabilities at the end of a sample.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    scores : array_like, shape (..., classes)
+        Scores of a check's result: means over the steps.  Training on events uses their sum.
+    """
+    steps = 1 if spec.stimulus.static else spec.presentation.steps - spec.presentation.readout_start
+    return softmax(steps * np.asarray(scores, float))
+
+
+def choose_samples(result: dict, wrong: int = 8, right: int = 2) -> list:
+    """Indices of samples to replay: wrong answers first, then some right ones."""
+    is_right = [sample["label"] == sample["prediction"] for sample in result["samples"]]
+    indices = [[i for i, r in enumerate(is_right) if r == which] for which in (False, True)]
+    return indices[0][:wrong] + indices[1][:right]
+
+
+def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
+    """Run some samples of the check again, each with those before it in its stream.
+
+    The state that previous samples leave matters, so a stream is run from its start.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    indices : sequence of int
+    seed : int
+    advance : callable, optional
+        Called with the number of samples done since the last call.
+
+    Returns
+    -------
+    dict of int to Replay
+        In the order of ``indices``.
+    """
+    spec, wanted, replays = bundle.spec, set(indices), {}
+    emulation, shown = Emulation(compile_spec(spec, seed)), spec.presentation
+    sizes = {"input": int(np.prod(spec.input_shape))}
+    sizes |= {layer.name: layer.size for layer in spec.layers}
+    for part in streams_of(len(bundle.checks), shown.stream_length):
+        here = sorted(wanted & set(range(part.start, part.stop)))
+        if not here:
+            continue
+        packed = []
+        samples = spec.stimulus.flat(bundle.checks.inputs[part.start : here[-1] + 1])
+        samples = np.asarray(samples)[None]
+        output = emulation.run(samples, shown.steps, shown.gap, packed.append).output[0]
+        sums = running_sums(spec, output[:, shown.gap :])
+        if spec.stimulus.static:
+            sums = sums / np.arange(1, sums.shape[1] + 1)[:, None]
+        chances = softmax(sums)
+        for index in here:
+            layers = []
+            for name in spec.spiking_layers:
+                bits = packed[index - part.start][name][0, shown.gap :]
+                steps, neurons = np.nonzero(np.unpackbits(bits, axis=1, count=sizes[name]))
+                layers.append((name, sizes[name], steps, neurons))
+            replays[index] = Replay(tuple(layers), chances[index - part.start])
+            if advance is not None:
+                advance(1)
+    return {index: replays[index] for index in indices}

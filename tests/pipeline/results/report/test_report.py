@@ -1,0 +1,217 @@
+"""The report of the small run: its figures, that it is complete, and that a browser shows it."""
+
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html import escape
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from deploy.check.bundle import read_bundle
+from deploy.check.results import read_result
+from deploy.preflight.plan import make_plan
+from deploy.targets.registry import answer
+from pipeline.results.report import page as report
+from pipeline.results.report.gather import gather
+from pipeline.results.report.samples import choose_samples, replay
+from pipeline.run import RunFolder
+from tests.command import call
+
+BROWSER = next(filter(shutil.which, ("chromium", "chromium-browser", "google-chrome")), None)
+
+
+@pytest.fixture(scope="module")
+def html(tiny_run, tmp_path_factory):
+    out = tmp_path_factory.mktemp("report") / "report.html"
+    assert call("report", tiny_run, "--out", out) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def inputs(tiny_run):
+    return gather(RunFolder(tiny_run), say=print)
+
+
+class Outline(HTMLParser):
+    """Checks that tags close, and collects what a reader and a browser see."""
+
+    VOID = frozenset({"meta", "link", "br", "img", "input"})
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tags, self.text, self.loads = [], [], "", []
+        self.ids, self.links = set(), set()
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        attrs = dict(attrs)
+        self.loads += [attrs[k] for k in ("src", "href", "xlink:href", "data") if k in attrs]
+        self.ids.add(attrs.get("id"))
+        self.links.add(attrs.get("href", ""))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] != "style":
+            self.text += data + " "
+
+
+def test_it_is_complete_and_needs_nothing_else(html, tiny_run):
+    page = html.read_text()
+    outline = Outline(page)
+    assert all(load.startswith(("#", "data:")) for load in outline.loads)
+    assert "script" not in outline.tags
+    assert "@import" not in page
+    assert "url(" not in page
+    text = " ".join(outline.text.split())
+    assert not {"None", "nan", "Undefined"} & set(text.split())
+    assert {link[1:] for link in outline.links if link.startswith("#")} <= outline.ids
+    bundle = read_bundle(tiny_run / "bundle")
+    assert bundle.id in text
+    for stage in ("cnn", "emulator"):
+        assert f"{read_result(tiny_run / f'checks/{stage}.json')['accuracy']:.3f}" in text
+    used = make_plan(bundle.spec).cores[0].used
+    assert f"core 0 {used['compartments']} {used['input axons']}" in text
+    assert page.count('class="thumb"') == len(bundle.checks)
+
+
+def test_the_verdict_compares_the_same_samples(inputs):
+    """Ten samples: eight right, and nine in the reference; one sample differs."""
+    result = inputs.results[-1]
+    samples = [
+        {**sample, "label": 0, "prediction": int(index >= 8)}
+        for index, sample in enumerate(result["samples"][:10])
+    ]
+    deployed = {
+        **result, "n_samples": 10, "accuracy": 0.8, "samples": samples,
+        "synaptic_operations": {"conv1": 1000, "output": 500},
+    }  # fmt: skip
+    better = [{**sample, "prediction": int(n >= 9)} for n, sample in enumerate(samples)]
+    reference = {**deployed, "target": "rate-lif", "accuracy": 0.9, "samples": better}
+    found = report.verdict([reference, deployed], inputs.bundle, inputs.plan)
+    assert found["accuracy"] == 0.8
+    assert found["operations"] == 150
+    (against,) = found["against"]
+    assert against["change"] == pytest.approx(-0.1)
+    assert (against["p"], against["significant"]) == (1.0, False)
+
+
+def test_recall_and_precision_are_those_of_the_answers(inputs):
+    pairs = [(0, 0), (0, 1), (1, 1), (1, 1), (2, 1)]
+    samples = [{"label": label, "prediction": answer} for label, answer in pairs]
+    results = [{**inputs.results[-1], "samples": samples}]
+    rows = report.class_table(replace(inputs, results=results))
+    assert [(r["recall"], r["precision"]) for r in rows[:4]] == [
+        (0.5, 1.0), (1.0, 0.5), (0.0, None), (None, None)
+    ]  # fmt: skip
+
+
+def test_the_layers_have_the_activity_of_one_sample(inputs):
+    rows = {row["name"]: row for row in report.layer_table(inputs.bundle, inputs.plan,
+                                                           inputs.results[-1])}  # fmt: skip
+    result, n = inputs.results[-1], inputs.results[-1]["n_samples"]
+    assert rows["conv1"]["spikes"] == result["spikes"]["conv1"] / n
+    assert rows["output"]["operations"] == result["synaptic_operations"]["output"] / n
+    assert rows["input"]["where"] == rows["output"]["where"] == "host"
+    assert rows["conv1"]["where"].endswith(("core", "cores"))
+    assert rows["output"]["neurons"] is None
+
+
+def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
+    bundle = read_bundle(tiny_run / "bundle")
+    spec = bundle.spec.with_presentation(steps=12, gap=0, readout_start=3, stream_length=2)
+    counted = answer(spec, bundle.checks.inputs[:4], "emulator").spikes
+    played = replay(replace(bundle, spec=spec), [3, 2])
+    assert list(played) == [3, 2]
+    for index, sample in played.items():
+        assert sample.chances.shape == (9, 10)
+        np.testing.assert_allclose(sample.chances.sum(1), 1)
+        for name, size, steps, neurons in sample.layers:
+            assert len(steps) == counted[name][index]
+            assert neurons.max(initial=0) < size
+            assert steps.max(initial=0) < 12
+
+
+def test_wrong_answers_are_shown_first():
+    samples = [{"label": 1, "prediction": p} for p in (1, 1, 0, 1, 0, 1)]
+    assert choose_samples({"samples": samples}, wrong=1, right=2) == [2, 0, 1]
+
+
+@pytest.mark.parametrize("n", [1, 2, 99, 100, 199, 200, 203, 1000])
+def test_a_drawn_curve_ends_with_the_last_step(n):
+    drawn = report.drawn_steps(n)
+    assert (drawn[0], drawn[-1]) == (0, n - 1)
+    assert len(set(drawn.tolist())) == len(drawn) <= min(n, 201)
+
+
+def test_without_its_recordings_a_run_still_has_a_report(run, tmp_path, capsys):
+    settings = run / "experiment.toml"
+    gone = f'source = "{tmp_path / "gone.zip"}"'
+    settings.write_text(re.sub(r'source = "simulated"', gone, settings.read_text()))
+    assert call("report", run) == 0
+    assert "gone.zip" in capsys.readouterr().err
+    page = (run / "report.html").read_text()
+    assert "are not there" in page
+    assert 'class="event on"' not in page
+    assert 'class="timeline"' in page
+
+
+def test_outdated_results_are_marked(run):
+    settings = run / "experiment.toml"
+    settings.write_text(settings.read_text().replace("seed = 0", "seed = 1", 1))
+    assert call("report", run) == 0
+    assert "Outdated results" in (run / "report.html").read_text()
+
+
+def test_a_run_without_results_is_one_line(tmp_path, refused, run):
+    shutil.rmtree(run / "checks")
+    assert "stmnist ladder" in refused("report", run)
+    assert "nowhere" in refused("report", tmp_path / "nowhere")
+
+
+def test_an_animation_ends_with_the_answer(tiny_run, tmp_path, refused):
+    sample = json.loads((tiny_run / "checks/emulator.json").read_text())["samples"][3]["id"]
+    path = tmp_path / "a.gif"
+    assert call("animate", tiny_run, "--out", path, "--sample", sample) == 0
+    with Image.open(path) as film:
+        assert film.n_frames > 20
+        first = np.asarray(film.convert("L")).astype(int)
+        film.seek(film.n_frames - 1)
+        last = np.asarray(film.convert("L")).astype(int)
+    assert np.abs(first - last).max() > 50
+    assert "no sample 'x'" in refused("animate", tiny_run, "--out", path, "--sample", "x")
+    assert ".gif or .mp4" in refused("animate", tiny_run, "--out", tmp_path / "a.png")
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium here (Debian: apt install chromium)")
+@pytest.mark.parametrize("width", [390, 1280, 1920])
+def test_a_browser_shows_it_without_errors(html, tmp_path, width):
+    """There is no console message, and nothing is wider than the page."""
+    wrapper = tmp_path / "wrapper.html"  # the browser's own window is never narrower than 500
+    wrapper.write_text(
+        f'<iframe style="width: {width}px; height: 900px; border: 0" '
+        f'srcdoc="{escape(html.read_text())}" onload="'
+        "const page = this.contentDocument.documentElement;"
+        "document.title = [page.scrollWidth, page.scrollHeight].join(' ')"
+        '"></iframe>'
+    )
+    command = [BROWSER, "--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
+    command += ["--enable-logging=stderr", "--dump-dom", wrapper.as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    content, height = map(int, re.search(r"<title>([\d ]+)</title>", done.stdout)[1].split())
+    assert "CONSOLE" not in done.stderr
+    assert content == width
+    assert height > 3000
