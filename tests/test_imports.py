@@ -61,7 +61,7 @@ def imported(path):
 
 FLOORS = {
     "pipeline": [
-        {"jobs", "paper", "progress", "temporary"},
+        {"jobs", "look", "paper", "progress", "temporary"},
         {"settings"},
         {"artifacts"},
         {"run"},
