@@ -4,7 +4,6 @@ import json
 import re
 import subprocess
 import sys
-from html import escape
 
 import numpy as np
 import pytest
@@ -15,10 +14,6 @@ from deploy.files import read_json
 from pipeline.data.own import write_recordings
 from tests.command import call, missing, users_environment
 from tests.own_sensor import CLASSES, gestures, write_folder
-from tests.pipeline.results.report.test_page import BROWSER, browse
-
-SCHEMES = {"light": "preferredColorScheme=1", "dark": "preferredColorScheme=0"}
-"""Chromium's switch for each."""
 
 QUICK = {
     "image": ("--set", "cnn.epochs=6", "--set", "snn.epochs=2"),
@@ -190,34 +185,6 @@ def test_the_report_has_the_user_s_words(folder):
         assert page.count('<details class="sample"') >= 8
         assert page.index(">wrong</b>") < page.index(">right</b>")
         assert page.count('class="confusion"') == 1
-
-
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium here (Debian: apt install chromium)")
-@pytest.mark.parametrize(("width", "scheme"), [(390, "light"), (1280, "dark"), (1920, "light")])
-def test_a_browser_shows_the_report_at_every_width(folder, tmp_path, width, scheme):
-    """Nothing is wider than the page; the names of the classes are no smaller than 10 pixels."""
-    report = folder / "image" / "report.html"
-    if not report.exists():
-        assert call("report", folder / "image") == 0
-    wrapper = tmp_path / "wrapper.html"
-    wrapper.write_text(
-        f'<iframe style="width: {width}px; height: 900px; border: 0; color-scheme: {scheme}" '
-        f'srcdoc="{escape(report.read_text(encoding="utf-8"))}" onload="'
-        "const page = this.contentDocument.documentElement;"
-        "const names = [...page.querySelectorAll('.confusion tbody th')];"
-        "const size = Math.min(...names.map(n => parseFloat(getComputedStyle(n).fontSize)));"
-        "const cut = names.filter(n => n.scrollWidth > n.clientWidth + 1).length;"
-        "const style = getComputedStyle(page.querySelector('body'));"
-        "document.title = [page.scrollWidth, size, cut, style.backgroundColor].join('|')"
-        '"></iframe>'
-    )
-    page, log = browse(wrapper, "--dump-dom", f"--blink-settings={SCHEMES[scheme]}")
-    content, size, cut, paper = re.search(r"<title>([^<]+)</title>", page)[1].split("|")
-    assert "CONSOLE" not in log
-    assert int(content) == width
-    assert float(size) >= 10
-    assert int(cut) == 0
-    assert (paper == "rgb(255, 255, 255)") == (scheme == "light")
 
 
 def test_runs_are_compared_on_other_recordings_too(folder, capsys):
