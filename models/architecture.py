@@ -25,7 +25,6 @@ from deploy.network.geometry import (
     convolution_fan_out,
     convolution_shape,
     reached,
-    unpooled,
     windows,
 )
 
@@ -98,16 +97,6 @@ class Convolution:
         return convolution_fan_out(
             input_shape, self.kernel, self.filters, self.stride, self.padding
         )
-
-    @property
-    def deployed(self) -> dict:
-        """Parameters of the layer in a bundle, see :class:`deploy.network.spec.Layer`."""
-        geometry = {"stride": self.stride, "padding": self.padding}
-        return {"kind": self.kind, "kernel": self.kernel, **geometry}
-
-    def deployed_weights(self, kernel) -> np.ndarray:
-        """A trained kernel with its axes in the order of a bundle."""
-        return kernel
 
     def __str__(self):
         stride = f"s{self.stride}" if self.stride > 1 else ""
@@ -195,58 +184,8 @@ class Dense:
         """Synapses that leave each input position, int64, of shape ``input_shape``."""
         return np.full(input_shape, self.units, np.int64)
 
-    @property
-    def deployed(self) -> dict:
-        """Parameters of the layer in a bundle, see :class:`deploy.network.spec.Layer`."""
-        return {"kind": "dense", "kernel": 0}
-
-    def deployed_weights(self, kernel) -> np.ndarray:
-        """A trained kernel with its axes in the order of a bundle."""
-        return kernel.T
-
     def __str__(self):
         return f"{self.units}{'o' * self.output}"
-
-
-@dataclass(frozen=True)
-class Folded:
-    """A layer with weights and the pooling before it, which the chip computes as one layer.
-
-    Attributes
-    ----------
-    name : str
-    layer : Convolution or Dense
-    input_shape : tuple of int
-        Output shape of the previous layer with weights, before pooling.
-    pool : int
-        Side length of the pooling windows; 1 without pooling.
-    pooled_shape, shape : tuple of int
-        Input shape (after pooling) and output shape of ``layer``.
-    """
-
-    name: str
-    layer: Convolution | Dense
-    input_shape: tuple
-    pool: int
-    pooled_shape: tuple
-    shape: tuple
-
-    @property
-    def fan_out(self) -> np.ndarray:
-        """Synapses that leave each input position, int64, of shape ``input_shape``."""
-        fan_out = self.layer.fan_out(self.pooled_shape)
-        return fan_out if self.pool == 1 else unpooled(fan_out, self.input_shape, self.pool)
-
-    def geometry(self) -> dict:
-        """Parameters of a :class:`deploy.network.spec.Layer` that the architecture determines."""
-        return dict(
-            name=self.name,
-            input_shape=self.input_shape,
-            shape=self.shape,
-            block_shape=None,
-            pool=self.pool,
-            **self.layer.deployed,
-        )
 
 
 @dataclass(frozen=True)
@@ -314,19 +253,6 @@ class Architecture:
         """The layers with neurons by name, in order: convolutions and hidden dense layers."""
         layers = zip(self.names, self.layers, strict=True)
         return {name: layer for name, layer in layers if layer.kind in ("conv", "dense")}
-
-    @property
-    def folded(self) -> tuple:
-        """The layers with weights, each with the pooling before it: a tuple of `Folded`."""
-        folded, before, pool = [], self.input_shape, 1
-        shapes = zip(self.shapes, self.shapes[1:], strict=False)
-        for name, layer, (read, shape) in zip(self.names, self.layers, shapes, strict=True):
-            if layer.kind == "pool":
-                pool *= layer.size
-                continue
-            folded.append(Folded(name, layer, before, pool, read, shape))
-            before, pool = shape, 1
-        return tuple(folded)
 
     @property
     def outputs(self) -> int:

@@ -1,16 +1,23 @@
-"""A layer in Loihi's integers, and parameters from which NengoLoihi derives exactly these integers.
+"""Layers of neurons in Loihi's integers.
 
 The equations of the chip's step are in :mod:`models.spiking`; the rounding is that of NengoLoihi
-1.1, ``builder/discretize.py``.
+1.1, ``builder/discretize.py``.  Networks on events are trained in integers; the links of other
+networks whose neurons are given by :class:`models.chain.Decays` are rounded by :func:`in_integers`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import itertools
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from deploy.errors import UserError
 from deploy.network.chip import LOIHI
+from deploy.network.geometry import windows
+from deploy.network.spec import Neurons
+from models.chain import Link
 
 WEIGHT_LEVELS = LOIHI.weight_levels
 """Largest magnitude of an 8-bit weight that may have either sign."""
@@ -24,6 +31,27 @@ MAX_THRESHOLD = (2**17 - 2) * THRESHOLD_UNIT
 
 DECAY_UNIT = LOIHI.decay_unit
 BIAS_MANTISSA = 2**LOIHI.bias_bits - 1
+MAX_BIAS = BIAS_MANTISSA * 2**7
+
+LEAST_KEEP_U, LEAST_KEEP_V, MOST_KEEP = 1, 2, DECAY_UNIT - 1
+"""In 4096ths."""
+
+FLOOR = -(2**23) + 1
+"""The chip's lowest voltage, for neurons without a lower bound."""
+
+WEIGHT_EXPONENTS = 8
+
+CLIPS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
+"""Shares of a layer's largest weight that may become 127; larger weights are clipped."""
+
+MOMENTS_EVERY = 4
+"""Interval in steps at which inputs are sampled for the rounding of weights."""
+
+DAMPING = 0.01
+"""Added to the diagonal of the moments, in units of its mean."""
+
+MOST_MOMENTS = 2000
+"""Maximum number of inputs of a neuron for which the rounding of weights is compensated."""
 
 
 @dataclass(frozen=True)
@@ -51,33 +79,8 @@ class Integers:
     exponent: int = 0
 
 
-@dataclass(frozen=True)
-class OnLoihi:
-    """Parameters of a layer in Nengo, from which NengoLoihi derives the original integers.
-
-    Attributes
-    ----------
-    weights : ndarray of float
-        In the kernel's shape; for neurons whose spikes have the area of one step (``amplitude`` of
-        ``dt``) and a gain of 1.
-    bias : ndarray of float, shape (filters,) or (units,)
-    tau_s : float
-        Time constant in seconds of the low-pass on the layer's input; 0 for none.
-    tau_rc : float
-        Membrane time constant in seconds; ``tau_ref`` is 0.
-    min_voltage : float
-        In units of the threshold, which is 1.
-    """
-
-    weights: np.ndarray
-    bias: np.ndarray
-    tau_s: float
-    tau_rc: float
-    min_voltage: float
-
-
-def on_loihi(layer: Integers, dt: float) -> OnLoihi:
-    """Parameters from which NengoLoihi derives these integers.
+def on_loihi(link: Link, layer: Integers, height: float = 1.0) -> Link:
+    """The link with parameters from which NengoLoihi derives these integers.
 
     NengoLoihi makes decays of 12 bits from the time constants.  It scales a block's weights so that
     the largest becomes 127.5, rounded to 127.  It multiplies threshold and bias such that their
@@ -88,23 +91,31 @@ def on_loihi(layer: Integers, dt: float) -> OnLoihi:
 
     Parameters
     ----------
+    link : Link
     layer : Integers
         Its largest weight is 127 or -127, unless all are 0.  The same must hold in each block of a
         layer that is divided by its outputs; otherwise NengoLoihi rounds this block's weights and
         threshold again (:func:`deploy.network.blocks.scaled_by_block`).
-    dt : float
-        Time step in seconds of the Nengo model.
+    height : float
+        Area of an input spike in units of the chip's time step.
+
+    Returns
+    -------
+    Link
+        Its neurons' spikes have the area of one step.
     """
+    dt = LOIHI.dt
     decay_u, decay_v = DECAY_UNIT - 1 - layer.keep_u, DECAY_UNIT - layer.keep_v
     sum_u, sum_v = _sum_of_decays(layer.keep_u), _sum_of_decays(layer.keep_v)
     share_u, share_v = (decay_u + 1) / (DECAY_UNIT - 1), decay_v / (DECAY_UNIT - 1)
     per_unit = 255 / WEIGHT_LEVELS * THRESHOLD_UNIT * sum_u * sum_v / layer.threshold
-    return OnLoihi(
-        weights=layer.weights * (per_unit * 2.0**layer.exponent),
+    tau_rc = float(-dt / np.log1p(-share_v))
+    return replace(
+        link,
+        weights=layer.weights * (per_unit * 2.0**layer.exponent) * (link.pool**2 / height),
         bias=layer.bias * (sum_v / layer.threshold),
-        tau_s=0.0 if share_u == 1 else float(-dt / np.log1p(-share_u)),
-        tau_rc=float(-dt / np.log1p(-share_v)),
-        min_voltage=layer.floor / layer.threshold,
+        neuron=Neurons(dt, tau_rc, 0.0, layer.floor / layer.threshold),
+        tau_syn=None if share_u == 1 else float(-dt / np.log1p(-share_u)),
     )
 
 
@@ -117,3 +128,256 @@ def _sum_of_decays(keep):
     steps = -np.log1p(start * (1 - r) / lost) / np.log(r)
     geometric = (1 - r ** (steps + 1)) / (1 - r)
     return geometric - lost / ((1 - r) * start) * (steps + 1 - geometric)
+
+
+# --- simulation -----------------------------------------------------------------------------------
+
+
+def currents(link: Link, weights, spikes) -> np.ndarray:
+    """Input currents W s at each step.
+
+    Parameters
+    ----------
+    link : Link
+    weights : ndarray
+        Weights in the link's shape, for sums over the squares that it averages.
+    spikes : ndarray, shape (n_samples, steps, inputs)
+
+    Returns
+    -------
+    ndarray, shape (n_samples, steps, neurons)
+    """
+    lead = spikes.shape[:2]
+    if link.kind == "dense":
+        return (spikes.reshape(-1, spikes.shape[-1]) @ weights).reshape(*lead, -1)
+    return np.tensordot(_seen(link, spikes), weights, ((3, 4, 5), (2, 0, 1))).reshape(*lead, -1)
+
+
+def _seen(link, spikes):
+    """Windows (frames, rows, columns, channels, kernel's rows, columns) of sums over squares."""
+    frames = spikes.reshape(-1, *link.input_shape)
+    if link.pool > 1:
+        rows, columns = (n // link.pool for n in link.input_shape[:2])
+        channels = link.input_shape[2]
+        cut = frames[:, : rows * link.pool, : columns * link.pool]
+        frames = cut.reshape(-1, rows, link.pool, columns, link.pool, channels).sum((2, 4))
+    side = link.weights.shape[0]
+    pads = [windows(n, side, link.stride, link.padding)[1:] for n in frames.shape[1:3]]
+    frames = np.pad(frames, ((0, 0), *pads, (0, 0)))
+    seen = np.lib.stride_tricks.sliding_window_view(frames, (side, side), (1, 2))
+    return seen[:, :: link.stride, :: link.stride]
+
+
+def fired(link: Link, spikes, integers: Integers | None = None) -> np.ndarray:
+    """Spikes of a link's neurons, from rest.
+
+    Parameters
+    ----------
+    link : Link
+        Neurons are given by their `Decays`, unless there are integers.
+    spikes : ndarray, shape (n_samples, steps, inputs)
+        In the chip's order.
+    integers : Integers, optional
+        The chip's integers; default: the link's real numbers.
+
+    Returns
+    -------
+    ndarray of bool, shape (n_samples, steps, neurons)
+        In the same step as the input; on the chip, one step later for each layer.
+    """
+    spikes = np.asarray(spikes, float)
+    if integers is None:
+        added, bias = currents(link, link.weights / link.pool**2, spikes), link.bias
+        keep_u, keep_v = link.neuron.keep_u, link.neuron.keep_v
+        threshold, floor = 1.0, -np.inf
+    else:
+        added, bias = currents(link, integers.weights.astype(float), spikes), integers.bias
+        added = added * (WEIGHT_UNIT * 2.0**integers.exponent)
+        keep_u, keep_v = integers.keep_u / DECAY_UNIT, integers.keep_v / DECAY_UNIT
+        threshold, floor = integers.threshold, integers.floor
+    cut = (lambda x: x) if integers is None else np.trunc
+    bias = np.tile(bias, added.shape[2] // bias.size)
+    u, v = np.zeros((2, len(added), added.shape[2]))
+    result = np.empty(added.shape, bool)
+    for t in range(added.shape[1]):
+        u = cut(u * keep_u) + added[:, t]
+        v = np.maximum(cut(v * keep_v) + u + bias, floor)
+        result[:, t] = v > threshold
+        v = np.where(result[:, t], 0.0, v)
+    return result
+
+
+# --- rounding -------------------------------------------------------------------------------------
+
+
+def in_integers(chain, spikes, height: float = 1.0) -> tuple:
+    """A chain whose neurons are given by their decays, with the chip's integers.
+
+    Parameters
+    ----------
+    chain : sequence of Link
+    spikes : ndarray, shape (n_samples, steps, inputs)
+        Input on training samples, on which the scales of the weights are chosen.
+    height : float
+        Area of an input spike in units of the chip's time step.
+
+    Returns
+    -------
+    tuple of Link
+
+    Raises
+    ------
+    UserError
+        As :func:`rounded`.
+    """
+    made = []
+    for index, link in enumerate(chain):
+        if link.neuron is None:
+            made.append(link)
+            continue
+        factor = height if index == 0 else 1.0
+        scaled = replace(link, weights=link.weights * factor)
+        made.append(on_loihi(link, chosen(scaled, spikes), factor))
+        spikes = fired(scaled, spikes)
+    return tuple(made)
+
+
+def chosen(link: Link, spikes) -> Integers:
+    """The link's integers, with the scale and rounding of weights that change the spikes least.
+
+    Parameters
+    ----------
+    link : Link
+    spikes : ndarray
+        Input on training samples, as for :func:`fired`.
+    """
+    wanted = fired(link, spikes).sum(1, dtype=float)
+    tried = []
+    ways = [None]
+    if math.prod(link.weights.shape[:-1]) <= MOST_MOMENTS:
+        ways.append(moments_of(link, spikes))
+    for clip, moments in itertools.product(CLIPS, ways):
+        integers = rounded(link, clip, moments)
+        error = fired(link, spikes, integers).sum(1, dtype=float) - wanted
+        tried.append((float(np.square(error).mean()), -clip, integers))
+    return min(tried, key=lambda entry: entry[:2])[2]
+
+
+def rounded(link: Link, clip: float = 1.0, moments=None) -> Integers:
+    """Round a link of neurons to the chip's integers.
+
+    Parameters
+    ----------
+    link : Link
+    clip : float
+        Share of the largest weight that becomes 127.
+    moments : ndarray, shape (inputs, inputs), optional
+        From :func:`moments_of`: the rounding error of a weight is then compensated by the
+        following weights, if their inputs are active together.
+
+    Returns
+    -------
+    Integers
+
+    Raises
+    ------
+    UserError
+        Threshold and bias do not fit with any exponent of the weights.
+    """
+    decays = link.neuron.keep_u, link.neuron.keep_v
+    real = link.weights / link.pool**2  # the link's weights are those of averages
+    if not all(np.isfinite(part).all() for part in (real, link.bias, *decays)):
+        raise UserError(
+            f"{link}: its weights or biases become infinite when divided by its threshold; "
+            "scale the threshold to about 1 in training"
+        )
+    largest = float(np.abs(real).max()) * clip
+    if largest == 0:
+        raise UserError(f"{link}: all its weights are 0; train it, or leave it out")
+    # The threshold, a whole number of units, is rounded up: only the largest weights are clipped.
+    with np.errstate(over="ignore"):
+        units = np.ceil(WEIGHT_UNIT / THRESHOLD_UNIT * WEIGHT_LEVELS / largest - 1e-9)
+    units = min(units, 2.0**1000)  # weights of 1e-310 are too small, as the loop below finds
+    scale = WEIGHT_UNIT / THRESHOLD_UNIT / max(units, 1)
+    if moments is None:
+        weights = np.clip(np.rint(real / scale), -WEIGHT_LEVELS, WEIGHT_LEVELS)
+    else:
+        weights = _compensated(real / scale, moments)
+    keep_u, keep_v = (
+        int(np.clip(np.rint(DECAY_UNIT * keep), least, MOST_KEEP))
+        for keep, least in zip(decays, (LEAST_KEEP_U, LEAST_KEEP_V), strict=True)
+    )
+    if largest > 1.5 * WEIGHT_LEVELS * scale:
+        raise UserError(
+            f"{link}: its weights are too large beside its threshold for the chip's integers, "
+            f"{largest:.3g} of it; scale the weights or the threshold in training"
+        )
+    for lowered in range(WEIGHT_EXPONENTS):
+        per_threshold = WEIGHT_UNIT * 2.0**-lowered / scale
+        threshold = THRESHOLD_UNIT * round(per_threshold / THRESHOLD_UNIT)
+        bias = link.bias * threshold
+        if 0 < threshold <= MAX_THRESHOLD and np.abs(bias).max() <= MAX_BIAS:
+            break
+    else:
+        raise UserError(
+            f"{link}: its weights are too small beside its threshold for the chip's integers, or "
+            "its biases too large; scale weights and threshold in training, or use shorter time "
+            "constants"
+        )
+    return Integers(
+        weights.astype(np.int32), _twelve_bits(bias), threshold, FLOOR, keep_u, keep_v, -lowered
+    )
+
+
+def _compensated(real, moments) -> np.ndarray:
+    """Whole numbers near ``real``, such that the error of weighted sums is small.
+
+    The inputs are rounded one after the other, and the remaining ones compensate the error by least
+    squares (Frantar et al., "GPTQ", ICLR 2023, with the Cholesky factor of the inverse).  The input
+    with the largest weight is the first, so that this weight does not change.
+    """
+    flat = real.reshape(len(moments), -1)
+    order = np.argsort(-np.abs(flat).max(1), kind="stable")
+    left, moments = flat[order], moments[np.ix_(order, order)]
+    upper = np.linalg.cholesky(np.linalg.inv(moments)).T
+    for i in range(len(left)):
+        whole = np.clip(np.rint(left[i]), -WEIGHT_LEVELS, WEIGHT_LEVELS)
+        error = (left[i] - whole) / upper[i, i]
+        left[i] = whole
+        left[i + 1 :] -= np.outer(upper[i, i + 1 :], error)
+    return left[np.argsort(order)].reshape(real.shape)
+
+
+def moments_of(link: Link, spikes) -> np.ndarray:
+    """Second moments of the inputs' contributions to the voltage, with a small diagonal added.
+
+    Parameters
+    ----------
+    link : Link
+    spikes : ndarray, shape (n_samples, steps, inputs)
+
+    Returns
+    -------
+    ndarray, shape (inputs, inputs) or (rows * columns * channels,) twice
+        In the order of the weights.
+    """
+    left, u, v = [], 0.0, 0.0
+    for t in range(spikes.shape[1]):
+        u = link.neuron.keep_u * u + spikes[:, t]
+        v = link.neuron.keep_v * v + u
+        if t % MOMENTS_EVERY == 0:
+            left.append(v)
+    seen = np.stack(left, 1)
+    if link.kind == "conv":
+        seen = np.moveaxis(_seen(link, seen), 3, 5)  # channels last, as in the weights
+    inputs = math.prod(link.weights.shape[:-1])
+    seen = seen.reshape(-1, inputs)
+    moments = seen.T @ seen / len(seen)
+    return moments + np.eye(inputs) * max(DAMPING * np.trace(moments) / inputs, 1e-12)
+
+
+def _twelve_bits(bias):
+    """Round to 12 bits times a power of two, as NengoLoihi does."""
+    share = np.maximum(np.abs(np.rint(bias)) / BIAS_MANTISSA, 1)
+    unit = 2.0 ** np.ceil(np.log2(share))
+    return (np.rint(np.rint(bias) / unit) * unit).astype(np.int32)

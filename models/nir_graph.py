@@ -95,6 +95,17 @@ class NirNetwork:
         return math.prod(self.nodes[-1].shape)
 
     @property
+    def step(self) -> float | None:
+        """Seconds of the graph's time in a step, if the graph says so; None otherwise.
+
+        Graphs that this project exports have it in their metadata, as ``dt``.
+        """
+        if self.written_by_snntorch:
+            return SNNTORCH_STEP
+        step = np.asarray(self.metadata.get("dt"))
+        return float(step) if step.dtype.kind == "f" and step.size == 1 and step > 0 else None
+
+    @property
     def written_by_snntorch(self) -> bool:
         """True if the neurons' parameters have the form that snnTorch's exporter writes.
 

@@ -13,19 +13,15 @@ its full value after a few ``tau_syn``.  The leak voltage is zero, because reade
 other values differently.
 
 The input neurons are not in the graph: its inputs are their spikes, which :func:`input_spikes`
-returns.  Scores are the mean of the output from the readout's start on.
-
-The graph's metadata has, as text, the properties that NIR cannot represent.  From these and from
-the weights and biases of the graph's nodes, :func:`deployed_network` reconstructs the deployed
-network.
+returns, or what these stand for: frames of events, or an image that is held.  Scores are the mean
+of the output from the readout's start on.  The graph's metadata has, as text, the properties that
+NIR cannot represent.
 """
 
 from __future__ import annotations
 
 import io
-import json
 from dataclasses import replace
-from typing import Optional
 
 import nengo
 import numpy as np
@@ -34,7 +30,6 @@ from .. import __version__
 from ..errors import UserError
 from ..files import replacing
 from .build import build
-from .decision import Estimator
 from .geometry import windows
 from .spec import DT, Layer, NetworkSpec
 from .stream import show, streams_of
@@ -55,7 +50,7 @@ def nir_graph(spec: NetworkSpec):
     nir = _nir()
     rows, columns, channels = spec.input_shape
     nodes = {"input": nir.Input({"input": np.array([channels, rows, columns])})}
-    area = spec.stimulus.area / DT
+    area = 1.0
     for layer in spec.layers:
         if layer.pool > 1:
             size = np.array([layer.pool, layer.pool])
@@ -108,7 +103,8 @@ def input_spikes(spec: NetworkSpec, samples) -> np.ndarray:
     Returns
     -------
     ndarray, shape (n_samples, gap + steps, channels, rows, columns)
-        Spikes of the input neurons, 0 or 1.
+        Spikes of the input neurons with a height of their area over ``dt``; the mean of an image's
+        spikes is the image.
     """
     flat, period = spec.stimulus.flat(samples), spec.presentation.period
     size = flat.shape[-1]
@@ -125,70 +121,7 @@ def input_spikes(spec: NetworkSpec, samples) -> np.ndarray:
             spikes.append([one.spikes["input"] for one in show(built, sim, flat[part])])
     rows, columns, channels = spec.input_shape
     spikes = np.concatenate(spikes).reshape(len(flat), period, rows, columns, channels)
-    return np.moveaxis(spikes, -1, 2).astype(np.float32)
-
-
-DEPLOYED = "deployed"
-"""Entry of the metadata: the network's description as JSON, without its arrays."""
-
-
-def deployed_network(nodes: dict, metadata: dict) -> Optional[NetworkSpec]:
-    """The network from which :func:`nir_graph` made a graph: the inverse of that function.
-
-    Parameters
-    ----------
-    nodes : dict of str to mapping
-        Values of each node, by NIR's names.
-    metadata : dict
-        Metadata of the graph.
-
-    Returns
-    -------
-    NetworkSpec or None
-        None for a graph that was not exported by this project, or by an early version of it.
-
-    Raises
-    ------
-    UserError
-        The metadata is of this project, but does not fit the graph's nodes.
-    """
-    if not isinstance(metadata.get(DEPLOYED), str):
-        return None
-    try:
-        value = json.loads(metadata[DEPLOYED])
-        area = float(metadata["area"])
-        arrays = {
-            name: np.asarray(array)
-            for name, array in metadata.items()
-            if name in Estimator.shapes(2)
-        }
-        for plain in value["layers"]:
-            node = nodes[f"{plain['name']}_weights"]
-            weights = np.asarray(node["weight"], float) / area
-            arrays[f"{plain['name']}.weights"] = _channels_last(weights, plain)
-            arrays[f"{plain['name']}.bias"] = np.asarray(node["bias"], float)
-            if plain["neurons"] is not None:
-                area = plain["neurons"]["amplitude"] / DT
-        return NetworkSpec.from_json(value, arrays)
-    except (
-        *(KeyError, TypeError, ValueError, IndexError, AttributeError),
-        *(ArithmeticError, RecursionError),
-    ) as error:
-        raise UserError(f"its metadata {DEPLOYED!r} does not fit its nodes ({error}); export the "
-                        "bundle again, or remove that entry") from error  # fmt: skip
-
-
-def _channels_last(weights, plain):
-    """Weights in the order of :class:`deploy.network.spec.Layer`, without added padding."""
-    if plain["kind"] == "conv":
-        side = plain["kernel"]
-        return weights.transpose(2, 3, 1, 0)[-side:, -side:]
-    shape, pool = plain["input_shape"], plain["pool"]
-    if len(shape) == 3:
-        shape = (shape[0] // pool, shape[1] // pool, shape[2])
-        by_channel = weights.reshape(len(weights), shape[2], shape[0], shape[1])
-        weights = np.moveaxis(by_channel, 1, -1).reshape(len(weights), -1)
-    return weights
+    return np.moveaxis(spikes, -1, 2).astype(np.float32) * np.float32(spec.stimulus.area / DT)
 
 
 def _nir():
@@ -257,9 +190,6 @@ def _metadata(spec):
         "architecture": spec.architecture,
         "dt": DT,
         "spike": "a pulse of height 1 that lasts one time step dt",
-        DEPLOYED: json.dumps(spec.to_json()),
-        "area": spec.stimulus.area / DT,
-        **({} if spec.estimator is None else spec.estimator.arrays()),
         "steps": shown.steps,
         "gap": shown.gap,
         "readout_start": shown.readout_start,

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 
-from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.spec import NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes
 from models.architecture import parse
+from models.chain import deployed, links_of
 from pipeline.settings import Deployment, Settings
 
 
@@ -89,27 +91,15 @@ def untrained(text: str, on_events: bool, deployment: Deployment) -> NetworkSpec
         Whether its input is events, not images.
     deployment : pipeline.settings.Deployment
     """
-    architecture, rng, layers = parse(text), np.random.default_rng(0), []
-    output = architecture.folded[-1]
-    for folded in architecture.folded:
-        on_host = folded is output and (on_events or deployment.readout == "host")
-        shape = architecture.weight_shapes[f"{folded.name}.kernel"]
-        weights = rng.uniform(0.5, 1.0, shape)
-        layers.append(
-            Layer(
-                placement="host" if on_host else "chip",
-                neurons=None if on_host else Neurons(0.01),
-                synapse=None if on_host else deployment.synapse or None,
-                weights=folded.layer.deployed_weights(weights),
-                bias=np.zeros(shape[-1]),
-                **folded.geometry(),
-            )
+    rng, links = np.random.default_rng(0), links_of(parse(text))
+    on_host = on_events or deployment.readout == "host"
+    chain = [
+        replace(
+            link,
+            weights=rng.uniform(0.5, 1.0, link.weights.shape),
+            neuron=None if on_host and link is links[-1] else Neurons(0.01),
+            tau_syn=deployment.synapse or None,
         )
-    return NetworkSpec(
-        architecture=str(architecture),
-        input_shape=architecture.input_shape,
-        stimulus=EventFrames() if on_events else ImageSpikes(),
-        layers=tuple(layers),
-        presentation=Presentation(),
-        provenance={},
-    )
+        for link in links
+    ]
+    return deployed(chain, EventFrames() if on_events else ImageSpikes(), Presentation())

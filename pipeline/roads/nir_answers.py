@@ -9,9 +9,8 @@ import numpy as np
 
 from deploy.check.bundle import Bundle
 from deploy.network.chip import LOIHI
-from deploy.network.nir import DEPLOYED
 from deploy.network.responses import Responses, read_output
-from deploy.network.stimulus import EventFrames, ImageSpikes
+from deploy.network.stimulus import EventFrames
 from models.nir_graph import NirNetwork
 from models.nir_simulator import AT_ONCE, simulate
 from pipeline.roads.nir_settings import Stepped, graph_in
@@ -45,12 +44,7 @@ def outputs_of(network, stepped, inputs, settings, advance=None, reset="value"):
     outputs, counts = [], []
     for start in range(0, len(inputs), AT_ONCE):
         part = inputs[start : start + AT_ONCE]
-        if DEPLOYED in network.metadata and isinstance(settings.stimulus, ImageSpikes):
-            # exported from a bundle, whose graph is for the input neurons' spikes
-            spikes = input_spikes(settings.stimulus, part, settings.steps)
-            presented = graph_inputs(network, spikes.reshape(*spikes.shape[:2], *part.shape[1:]), 0)
-        else:
-            presented = graph_inputs(network, part, settings.steps)
+        presented = graph_inputs(network, part, settings.steps)
         found = simulate(network, presented, stepped.seconds, stepped.method, reset)
         outputs.append(found.outputs.reshape(*found.outputs.shape[:2], -1))
         counts.append({n: _in_places(s.sum(1, dtype=np.int64)) for n, s in found.spikes.items()})

@@ -17,8 +17,9 @@ from deploy.files import copy_file
 from deploy.network.chip import LOIHI
 from deploy.network.decision import choose_threshold, delayed
 from deploy.network.stimulus import last_steps
-from models.nir_graph import NirError, NirNetwork, read_nir
-from models.nir_layers import layers_of, rounded
+from models.integers import rounded
+from models.nir_chain import from_nir
+from models.nir_graph import NirNetwork, read_nir
 from pipeline import paper
 from pipeline.data.dataset import Dataset
 from pipeline.data.splits import Split
@@ -26,7 +27,7 @@ from pipeline.progress import progress
 from pipeline.roads.event_training import trusted
 from pipeline.roads.given_networks import imported_file, is_file
 from pipeline.roads.nir_answers import NUMPY, outputs_of, predictions_of
-from pipeline.roads.nir_settings import GRAPH, Stepped, exported_here, give_again
+from pipeline.roads.nir_settings import GRAPH, Stepped, give_again
 from pipeline.settings import SIMULATED, Settings
 
 DECIDED_ON = 300
@@ -62,17 +63,12 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     begun = time.perf_counter()
     source, network = graph_for(folder, settings, dataset)
     stepped = Stepped.of(settings, network)
-    exported, cost = exported_here(network, source), None
-    if exported is None:
-        layers = layers_of(network, stepped.seconds, stepped.method, _fed_shape(dataset))
-        for line in notes(network, layers, stepped):
-            say(f"nir: {line}")
-        if any(node.kind in RESETTING for node in network.nodes):
-            cost = reset_cost(network, stepped, settings, dataset)
-            say(f"nir: {_reset_text(cost)}")
-    else:
-        layers = exported.layers
-        say("nir: exported from a bundle; what NIR leaves out is taken from the file's metadata")
+    layers, cost = from_nir(network, stepped.seconds, stepped.method, _fed_shape(dataset)), None
+    for line in notes(network, layers, stepped):
+        say(f"nir: {line}")
+    if any(node.kind in RESETTING for node in network.nodes):
+        cost = reset_cost(network, stepped, settings, dataset)
+        say(f"nir: {_reset_text(cost)}")
     part = "test" if len(dataset.split.test) else "validation"
     index = getattr(dataset.split, part)
     with progress("simulate nir", len(index)) as advance:
@@ -152,19 +148,17 @@ def refuse_early(settings: Settings):
     """
     source = settings.nir.file
     network = read_nir(source)
-    if exported_here(network, source) is not None:
-        return
     if settings.data.source == SIMULATED:
         skin = settings.skin.rows or paper.ROWS, settings.skin.columns or paper.COLUMNS
         require_fit(network, (*skin, 2 if settings.on_events else 1), paper.CLASSES, source)
     stepped, area = Stepped.of(settings, network), settings.stimulus.area
     try:
-        first, *others = layers_of(network, stepped.seconds, stepped.method)
+        first, *others = from_nir(network, stepped.seconds, stepped.method)
         height = area / LOIHI.dt
         for layer in (replace(first, weights=first.weights * height), *others):
-            if layer.spiking:
+            if layer.neuron is not None:
                 rounded(layer)
-    except NirError as error:
+    except UserError as error:
         raise UserError(f"{source}: {error}") from error
 
 
@@ -209,15 +203,20 @@ def notes(network: NirNetwork, layers: tuple, stepped: Stepped):
     Parameters
     ----------
     network : NirNetwork
-    layers : tuple of NirLayer
-        As :func:`models.nir_layers.layers_of` gives them.
+    layers : tuple of Link
+        As :func:`models.nir_chain.from_nir` gives them.
     stepped : Stepped
     """
     by_snntorch = network.written_by_snntorch
     yield str(stepped) + (", as snnTorch's exporter writes it" if by_snntorch else "")
     for layer in layers:
-        windows = [n for n in network.nodes if n.name in layer.nodes and "Conv" in n.kind]
-        if layer.spiking and layer.kind == "dense" and windows and len(windows[0].input_shape) > 1:
+        windows = [n for n in network.nodes if n.name in layer.sources and "Conv" in n.kind]
+        if (
+            layer.neuron is not None
+            and layer.kind == "dense"
+            and windows
+            and len(windows[0].input_shape) > 1
+        ):
             yield (
                 f"{layer}: takes the memory of a dense layer, since its windows are not the chip's "
                 "(square kernels, equal strides, no padding or 'same') or its neurons' parameters "
@@ -249,9 +248,8 @@ def reset_cost(network: NirNetwork, stepped: Stepped, settings, dataset) -> dict
     """
     rng = np.random.default_rng([settings.seed, 0x5EB])
     some = np.sort(rng.permutation(dataset.split.train)[:RESET_ON])
-    late = "subtract-late" if network.written_by_snntorch else "subtract"
     predictions, spikes = {}, {}
-    for reset in ("value", late):
+    for reset in ("value", "subtract"):
         outputs, counts = outputs_of(network, stepped, dataset.inputs[some], settings, reset=reset)
         predictions[reset] = predictions_of(outputs, settings)
         spikes[reset] = sum(int(count.sum()) for count in counts.values())
@@ -259,9 +257,9 @@ def reset_cost(network: NirNetwork, stepped: Stepped, settings, dataset) -> dict
     return {
         "samples": len(some),
         "accuracy": float((predictions["value"] == labels).mean()),
-        "accuracy_subtracting": float((predictions[late] == labels).mean()),
-        "agreement": float((predictions["value"] == predictions[late]).mean()),
-        "spikes": spikes[late] / max(spikes["value"], 1),
+        "accuracy_subtracting": float((predictions["subtract"] == labels).mean()),
+        "agreement": float((predictions["value"] == predictions["subtract"]).mean()),
+        "spikes": spikes["subtract"] / max(spikes["value"], 1),
     }
 
 

@@ -9,10 +9,7 @@ from pathlib import Path
 from deploy.errors import UserError
 from deploy.files import sha256_of
 from deploy.network.chip import LOIHI
-from deploy.network.nir import DEPLOYED, deployed_network
-from deploy.network.spec import NetworkSpec
-from deploy.network.stimulus import EventFrames
-from models.nir_graph import SNNTORCH_STEP, NirNetwork, read_nir
+from models.nir_graph import NirNetwork, read_nir
 from pipeline.run import DELETE_ITS_FOLDER
 from pipeline.settings import Settings
 
@@ -48,10 +45,8 @@ class Stepped:
         seconds = settings.input.step / 1000 if settings.on_events else LOIHI.dt
         if nir.step:
             seconds = nir.step / 1000
-        elif by_snntorch:
-            seconds = SNNTORCH_STEP
-        elif DEPLOYED in network.metadata:
-            seconds = LOIHI.dt
+        elif network.step is not None:
+            seconds = network.step
         method = nir.method
         if method == "auto":
             method = "euler" if by_snntorch else "exact"
@@ -92,13 +87,6 @@ def settings_of_nir(
     nir = {"file": str(path.absolute()), "sha256": sha256}
     is_known = before.nir.sha256 == sha256
     was_graph = is_known or before.nir.file == nir["file"]
-    if (exported := exported_here(network, path)) is not None:
-        if step is not None:
-            raise UserError(f"{path}: was exported from a bundle and has its step; omit --step")
-        nir["step"] = 0.0
-        if is_known:
-            return {"input": {"kind": before.input.kind}, "nir": nir}
-        return {**_settings_of_export(exported), "nir": nir}
     if kind is None:
         is_known = is_known or (was_graph and len(network.input_shape) == 1)
         kind = before.input.kind if is_known else _kind_of(path, network.input_shape)
@@ -129,42 +117,6 @@ def graph_in(folder: Path, settings: Settings) -> NirNetwork:
     if sha256_of(path) != settings.nir.sha256:
         raise UserError(f"{path}: has changed since it was imported; {DELETE_ITS_FOLDER}")
     return network
-
-
-def exported_here(network: NirNetwork, source="") -> NetworkSpec | None:
-    """The deployed network from which a graph was exported, or None for other graphs.
-
-    Raises
-    ------
-    UserError
-        The graph was exported by this project, but its parts do not fit each other.
-    """
-    try:
-        nodes = {node.name: node.parameters for node in network.nodes}
-        return deployed_network(nodes, network.metadata)
-    except UserError as error:
-        raise UserError(f"{source}: {error}") from error
-
-
-def _settings_of_export(spec):
-    """Settings with which an exported network gets the same input as before the export."""
-    stimulus, presentation = spec.stimulus, spec.presentation
-    names = ("steps", "gap", "stream_length")
-    changes = {"presentation": {name: getattr(presentation, name) for name in names}}
-    if isinstance(stimulus, EventFrames):
-        step = round(1000 * stimulus.seconds, 9)
-        refractory = stimulus.refractory * step
-        changes["input"] = {"kind": "events", "step": step, "refractory": refractory}
-        return changes
-    changes["input"] = {"kind": "image"}
-    if (image := spec.provenance.get("image")) is not None:
-        changes["image"] = image
-    changes["presentation"]["readout_start"] = presentation.readout_start
-    changes["deployment"] = {
-        "input_rate": stimulus.max_rate,
-        "input_phase": stimulus.initial_phase,
-    }
-    return changes
 
 
 def _kind_of(path, shape):

@@ -13,7 +13,7 @@ from deploy.terminal import WARNING
 from pipeline.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.data.dataset import Dataset
 from pipeline.data.splits import draw_check_samples
-from pipeline.roads.nir_conversion import deployed_nir
+from pipeline.roads.conversion import deployed, deployed_nir, deployed_on_events
 from pipeline.roads.origins import bundle_origin
 from pipeline.run import RunFolder
 from pipeline.settings import SIMULATED, Settings
@@ -124,13 +124,9 @@ def spec_of(place: Place, settings: Settings, dataset: Dataset, provenance: dict
         graph = network_artifact("nir", *source)
         return deployed_nir(graph.folder, _confidence(graph), settings, dataset, provenance)
     if settings.on_events:
-        from pipeline.roads.event_conversion import deployed_on_events
-
         confidence = _confidence(network_artifact("threshold", *source))
         weights = weights_of("events", *source)
         return deployed_on_events(settings, weights, confidence, provenance)
-    from pipeline.roads.conversion import deployed
-
     weights = weights_of("rate-lif", *source)
     return deployed(settings, weights, provenance, dataset.part("train"))
 

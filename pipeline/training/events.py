@@ -324,7 +324,7 @@ def arriving(outputs, recipe: EventRecipe) -> np.ndarray:
     -------
     ndarray of the same shape
     """
-    return delayed(outputs, len(parse(recipe.architecture).folded))
+    return delayed(outputs, len(parse(recipe.architecture).spiking) + 1)
 
 
 def _neuron(recipe):

@@ -10,6 +10,7 @@ import numpy as np
 
 from deploy.errors import UserError
 from models.architecture import parse
+from models.chain import links_of
 from models.cnn import (
     activations,
     build_cnn,
@@ -198,7 +199,7 @@ def build_rate_network(settings: Settings) -> tf.keras.Model:
 
 def _spike_costs(settings, architecture):
     """For each layer the penalty for a neuron that fires at ``max_rate`` for `PRICED_STEPS`."""
-    synapses = [layer.fan_out for layer in architecture.folded]
+    synapses = [link.fan_out for link in links_of(architecture)]
     operations = sum(int(layer.sum()) for layer in synapses)
     seconds = PRICED_STEPS * DT
     return [

@@ -4,6 +4,7 @@ import nengo
 import numpy as np
 
 from deploy.network.loihi_import import nengo_loihi
+from models.chain import links_of
 from models.integers import on_loihi
 
 DT = 0.001
@@ -34,6 +35,7 @@ def emulate(architecture, integers, frames, gap=0):
     def show(t):
         return shown[min(round(t / DT) - 1, len(shown) - 1)].reshape(-1)
 
+    links = {link.name: on_loihi(link, integers[link.name]) for link in links_of(architecture)[:-1]}
     with nengo.Network(seed=0) as model:
         nengo_loihi.add_params(model)
         size = int(np.prod(frames.shape[1:]))
@@ -46,11 +48,14 @@ def emulate(architecture, integers, frames, gap=0):
         nengo.Connection(events, relay.neurons, synapse=None)
         sender, shape, probes = relay, frames.shape[1:], []
         for name, layer in zip(architecture.names, architecture.layers[:-1], strict=False):
-            chip = on_loihi(integers[name], DT)
+            chip = links[name]
             after = layer.shape(shape)
             n = int(np.prod(after))
             neurons = nengo_loihi.neurons.LoihiLIF(
-                tau_rc=chip.tau_rc, tau_ref=0, min_voltage=chip.min_voltage, amplitude=DT
+                tau_rc=chip.neuron.tau_rc,
+                tau_ref=0,
+                min_voltage=chip.neuron.min_voltage,
+                amplitude=DT,
             )
             bias = np.tile(chip.bias, n // len(chip.bias))
             ensemble = nengo.Ensemble(n, 1, neuron_type=neurons, gain=np.ones(n), bias=bias)
@@ -61,7 +66,7 @@ def emulate(architecture, integers, frames, gap=0):
                     layer.filters, shape, strides=(layer.stride,) * 2,
                     kernel_size=(layer.kernel,) * 2, padding=layer.padding, init=chip.weights,
                 )  # fmt: skip
-            synapse = nengo.Lowpass(chip.tau_s) if chip.tau_s else None
+            synapse = nengo.Lowpass(chip.tau_syn) if chip.tau_syn else None
             nengo.Connection(sender.neurons, ensemble.neurons, transform=transform, synapse=synapse)
             probes.append(nengo.Probe(ensemble.neurons))
             sender, shape = ensemble, after

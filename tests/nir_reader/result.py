@@ -25,7 +25,7 @@ def responses_of(spec, given, answered):
     given, answered : dict of str to ndarray
         What went into ``run_norse.py`` and what came out.
     """
-    spikes = {"input": given["spikes"].sum(1)} if spec.stimulus else {}
+    spikes = {"input": (given["spikes"] > 0).sum(1)}
     for layer in spec.layers:
         if layer.neurons is not None:
             spikes[layer.name] = answered[f"spikes.{layer.name}_neurons"]

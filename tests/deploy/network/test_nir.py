@@ -41,8 +41,8 @@ def test_file_is_read_back_whole(tmp_path):
         path.append(type(graph.nodes[place]).__name__)
     assert path == ["Conv2d", "CubaLIF", "Conv2d", "CubaLIF", "Flatten", "Affine", "Output"]
     conv1 = graph.nodes["conv1_weights"]
-    # filter 2, channel 0, row 1, column 2; a spike of the input lasts 1 ms and has area 1 / 500
-    assert conv1.weight[2, 0, 1, 2] == spec.layers[0].weights[1, 2, 0, 2] / 500 / 0.001
+    # filter 2, channel 0, row 1, column 2
+    assert conv1.weight[2, 0, 1, 2] == spec.layers[0].weights[1, 2, 0, 2]
     np.testing.assert_array_equal(conv1.bias, spec.layers[0].bias)
     assert graph.nodes["conv1_neurons"].tau_syn.shape == (4, 4, 4)
     assert graph.metadata["dt"] == DT
@@ -69,9 +69,9 @@ def test_input_spikes_are_the_encoders():
     spec = small_spec()
     images = random_checks(spec, 7).inputs
     spikes = input_spikes(spec, images)
-    assert set(np.unique(spikes)) == {0, 1}
+    assert set(np.unique(spikes)) == {0, 2}  # 1 ms of an area of 1 / 500
     counted = answer(spec, images, "nengo").spikes["input"]
-    np.testing.assert_array_equal(spikes.sum((1, 2, 3, 4)), counted)
+    np.testing.assert_array_equal(spikes.sum((1, 2, 3, 4)) / 2, counted)
 
 
 def test_without_the_package(monkeypatch, tmp_path):
@@ -161,6 +161,6 @@ def test_strides_padding_and_averaging_are_the_networks():
             for i in range(0, padded.shape[1] - rows + 1, step)
         ]
     )
-    expected = matrix_by_hand(layer) @ image.ravel() / 500 / 0.001
+    expected = matrix_by_hand(layer) @ image.ravel()
     np.testing.assert_allclose(got.reshape(-1), expected)
     assert graph.output_type["output"].tolist() == [3, 2, 2]

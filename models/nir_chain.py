@@ -1,4 +1,4 @@
-"""Conversion of a NIR graph to layers of the chip, each with one linear map and one type of neuron.
+"""A NIR graph as a chain of links, each with one linear map and one type of neuron.
 
 A step of the chip's neuron, in units of its threshold (:mod:`models.spiking` has it in integers):
 
@@ -38,106 +38,24 @@ maps become a matrix, which takes more of a core's memory and is otherwise equiv
 
 from __future__ import annotations
 
-import itertools
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from deploy import limits
+from deploy.network.chip import LOIHI
 from deploy.network.geometry import windows
-from models.integers import (
-    BIAS_MANTISSA,
-    DECAY_UNIT,
-    MAX_THRESHOLD,
-    THRESHOLD_UNIT,
-    WEIGHT_LEVELS,
-    WEIGHT_UNIT,
-    Integers,
-)
+from models.chain import Decays, Link
+from models.integers import DECAY_UNIT
 from models.nir_graph import FILTERS, SPIKING, NirError, NirNetwork
 from models.nir_simulator import apply, check_step, decay
 
-LEAST_KEEP_U, LEAST_KEEP_V, MOST_KEEP = 1, 2, DECAY_UNIT - 1
-"""In 4096ths."""
 
-FLOOR = -(2**23) + 1
-"""The chip's lowest voltage, since NIR has none."""
-
-CLIPS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
-"""Shares of a layer's largest weight that may become 127; larger weights are clipped."""
-
-MOMENTS_EVERY = 4
-"""Interval in steps at which inputs are sampled for the rounding of weights."""
-
-DAMPING = 0.01
-"""Added to the diagonal of the moments, in units of its mean."""
-
-MOST_MOMENTS = 2000
-"""Maximum number of inputs of a neuron for which the rounding of weights is compensated."""
-
-MAX_BIAS = BIAS_MANTISSA * 2**7
-WEIGHT_EXPONENTS = 8
-
-
-@dataclass(frozen=True)
-class NirLayer:
-    """A layer of neurons, or the readout, with real numbers.
-
-    Attributes
-    ----------
-    name : str
-        ``"conv1"``, ``"dense1"``, ..., ``"output"``.
-    nodes : tuple of str
-        Names of the graph's nodes that the layer represents.
-    spiking : bool
-        False for a readout on the host.
-    kind : str
-        ``"conv"`` or ``"dense"``.
-    input_shape, shape : tuple of int
-        (rows, columns, channels), or (values,).
-    weights : ndarray
-        (rows, columns, channels in, filters), or (inputs, units): contribution of a spike to the
-        current, in units of the threshold; for a readout, to the output.
-    bias : ndarray, shape (filters,) or (units,)
-        Added to the voltage at each step; for a readout, to the output.
-    keep_u, keep_v : float
-        Shares of current and voltage that remain after a step; for a readout keep_u is that of its
-        low-pass.
-    stride, pool : int
-    padding : str
-        As in :class:`deploy.network.spec.Layer`.
-    fading : ndarray or float
-        For a readout with a filter: the part of the bias that passes the filter.  t steps after a
-        sample's start the output includes ``bias - fading * keep_u**t``.
-    """
-
-    name: str
-    nodes: tuple
-    spiking: bool
-    kind: str
-    input_shape: tuple
-    shape: tuple
-    weights: np.ndarray = field(repr=False)
-    bias: np.ndarray = field(repr=False)
-    keep_u: float = 0.0
-    keep_v: float = 0.0
-    stride: int = 1
-    pool: int = 1
-    padding: str = "valid"
-    fading: np.ndarray = field(default=0.0, repr=False)
-
-    def __str__(self):
-        return f"layer {self.name} (nodes {', '.join(self.nodes)})"
-
-    @property
-    def size(self) -> int:
-        """Number of neurons or outputs."""
-        return math.prod(self.shape)
-
-
-def layers_of(network: NirNetwork, step: float, method: str = "exact", input_shape=None) -> tuple:
-    """Convert a graph to layers.
+def from_nir(
+    network: NirNetwork, step: float, method: str = "exact", input_shape=None, read=None
+) -> tuple:
+    """Convert a graph to a chain.
 
     Parameters
     ----------
@@ -149,11 +67,16 @@ def layers_of(network: NirNetwork, step: float, method: str = "exact", input_sha
     input_shape : tuple of int, optional
         (rows, columns, channels) of the chip's input, if the graph's input is flat (channels first,
         then rows, then columns).
+    read : range, optional
+        Steps of a sample in which the readout is averaged.  A readout behind a filter has the
+        graph's mean bias in these steps, since that of the host is the same at each step; by
+        default it has the bias that the graph reaches.
 
     Returns
     -------
-    tuple of NirLayer
-        The last one is called ``"output"``.
+    tuple of Link
+        Their neurons are given by :class:`models.chain.Decays`; the last one is called
+        ``"output"``.
 
     Raises
     ------
@@ -182,7 +105,7 @@ def layers_of(network: NirNetwork, step: float, method: str = "exact", input_sha
     layers, counts = [], {"conv": 0, "dense": 0}
     for index, nodes in enumerate(groups):
         last = index == len(groups) - 1
-        layer = _layer(nodes, step, method, before, place, is_image, last)
+        layer = _link(nodes, step, method, before, place, is_image, last, read)
         counts[layer.kind] += 1
         layers.append(
             replace(layer, name="output" if last else f"{layer.kind}{counts[layer.kind]}")
@@ -192,8 +115,8 @@ def layers_of(network: NirNetwork, step: float, method: str = "exact", input_sha
     return tuple(layers)
 
 
-def _layer(nodes, step, method, before, place, is_image, last) -> NirLayer:
-    """One layer; ``before`` is the graph's shape of its input and ``place`` the chip's."""
+def _link(nodes, step, method, before, place, is_image, last, read) -> Link:
+    """One link; ``before`` is the graph's shape of its input and ``place`` the chip's."""
     neuron = nodes[-1] if nodes[-1].kind in SPIKING else None
     between = nodes[:-1] if neuron is not None else nodes
     keeps = []  # (share that remains per step, node) of each filter
@@ -224,18 +147,25 @@ def _layer(nodes, step, method, before, place, is_image, last) -> NirLayer:
     zero = np.zeros((1, *before))
     offset = _through(settled, zero)[0]
     bias = (bias + _constant_gain(neuron, shape, step, method) * offset).ravel()
-    common = {"name": "", "nodes": tuple(n.name for n in nodes), "spiking": neuron is not None,
-              "keep_u": keep_u, "keep_v": keep_v}  # fmt: skip
-    if neuron is None and keeps:
+    common = {
+        "name": "",
+        "neuron": None if neuron is None else Decays(keep_u, keep_v),
+        "sources": tuple(node.name for node in nodes),
+    }
+    if neuron is None and keep_u > 0:
+        common["tau_syn"] = float(-LOIHI.dt / np.log(keep_u))
+    if neuron is None and keeps and read is not None:
+        # t steps after a sample's start the output includes bias - fading keep_u^t
         last_filter = between.index(keeps[-1][1])
         at_start = np.broadcast_to(keeps[-1][1]["v_leak"], (1, *keeps[-1][1].shape))
-        common["fading"] = bias - _through(settled[last_filter + 1 :], at_start)[0].ravel()
+        fading = bias - _through(settled[last_filter + 1 :], at_start)[0].ravel()
+        bias = bias - fading * np.mean(keep_u ** (np.array(read) + 1))
     dense = last or not is_image or len(shape) != 3
     window = None if dense else _window(between, before)
     if window is not None:
         fitted = _fitted(window, gain, bias.reshape(shape), before, shape)
         if fitted is not None:
-            return NirLayer(kind="conv", input_shape=place, **fitted, **common)
+            return Link(kind="conv", input_shape=place, **fitted, **common)
     outputs, inputs = math.prod(shape), math.prod(before)
     if outputs * inputs > limits.WEIGHTS:
         raise NirError(
@@ -248,8 +178,9 @@ def _layer(nodes, step, method, before, place, is_image, last) -> NirLayer:
     if not last:
         neurons = _to_places(shape)
         matrix, bias = matrix[:, neurons], bias[neurons]
-    return NirLayer(kind="dense", input_shape=place, shape=(outputs,), weights=matrix, bias=bias,
-                    **common)  # fmt: skip
+    return Link(
+        kind="dense", input_shape=place, shape=(outputs,), weights=matrix, bias=bias, **common
+    )
 
 
 def _neuron(neuron, shape, step, method):
@@ -428,7 +359,7 @@ def _pooled(window, size, stride, share):
 
 
 def _fitted(window, gain, bias, before, shape):
-    """Parameters of a :class:`NirLayer` of windows, or None if the chip has other windows."""
+    """Parameters of a link of windows, or None if the chip has other windows."""
     flat_gain, flat_bias = (a.reshape(shape[0], -1) for a in (gain, bias))
     if (flat_gain != flat_gain[:, :1]).any() or not np.allclose(
         flat_bias, flat_bias[:, :1], rtol=1e-12, atol=1e-15
@@ -464,222 +395,3 @@ def _square(kernel, sizes, counts, stride, before):
                 pads = zip(front, back, strict=True)
                 return np.pad(kernel, ((0, 0), (0, 0), *pads)), padding
     return None
-
-
-# --- integers -------------------------------------------------------------------------------------
-
-
-def rounded(layer: NirLayer, clip: float = 1.0, moments=None) -> Integers:
-    """Round a layer of neurons to the chip's integers.
-
-    Parameters
-    ----------
-    layer : NirLayer
-    clip : float
-        Share of the largest weight that becomes 127.
-    moments : ndarray, shape (inputs, inputs), optional
-        From :func:`moments_of`: the rounding error of a weight is then compensated by the
-        following weights, if their inputs are active together.
-
-    Returns
-    -------
-    Integers
-
-    Raises
-    ------
-    NirError
-        Threshold and bias do not fit with any exponent of the weights.
-    """
-    real = layer.weights / layer.pool**2  # the layer's weights are those of averages
-    if not all(np.isfinite(part).all() for part in (real, layer.bias, layer.keep_u, layer.keep_v)):
-        raise NirError(
-            f"{layer}: its weights or biases become infinite when divided by its threshold; "
-            "scale the threshold to about 1 in training"
-        )
-    largest = float(np.abs(real).max()) * clip
-    if largest == 0:
-        raise NirError(f"{layer}: all its weights are 0; train it, or leave it out")
-    # The threshold, a whole number of units, is rounded up: only the largest weights are clipped.
-    with np.errstate(over="ignore"):
-        units = np.ceil(WEIGHT_UNIT / THRESHOLD_UNIT * WEIGHT_LEVELS / largest - 1e-9)
-    units = min(units, 2.0**1000)  # weights of 1e-310 are too small, as the loop below finds
-    scale = WEIGHT_UNIT / THRESHOLD_UNIT / max(units, 1)
-    if moments is None:
-        weights = np.clip(np.rint(real / scale), -WEIGHT_LEVELS, WEIGHT_LEVELS)
-    else:
-        weights = _compensated(real / scale, moments)
-    keep_u, keep_v = (
-        int(np.clip(np.rint(DECAY_UNIT * keep), least, MOST_KEEP))
-        for keep, least in ((layer.keep_u, LEAST_KEEP_U), (layer.keep_v, LEAST_KEEP_V))
-    )
-    if largest > 1.5 * WEIGHT_LEVELS * scale:
-        raise NirError(
-            f"{layer}: its weights are too large beside its threshold for the chip's integers, "
-            f"{largest:.3g} of it; scale the weights or the threshold in training"
-        )
-    for lowered in range(WEIGHT_EXPONENTS):
-        per_threshold = WEIGHT_UNIT * 2.0**-lowered / scale
-        threshold = THRESHOLD_UNIT * round(per_threshold / THRESHOLD_UNIT)
-        bias = layer.bias * threshold
-        if 0 < threshold <= MAX_THRESHOLD and np.abs(bias).max() <= MAX_BIAS:
-            break
-    else:
-        raise NirError(
-            f"{layer}: its weights are too small beside its threshold for the chip's integers, or "
-            "its biases too large; scale weights and threshold in training, or use shorter time "
-            "constants"
-        )
-    return Integers(
-        weights.astype(np.int32), _twelve_bits(bias), threshold, FLOOR, keep_u, keep_v, -lowered
-    )
-
-
-def _compensated(real, moments) -> np.ndarray:
-    """Whole numbers near ``real``, such that the error of weighted sums is small.
-
-    The inputs are rounded one after the other, and the remaining ones compensate the error by least
-    squares (Frantar et al., "GPTQ", ICLR 2023, with the Cholesky factor of the inverse).  The input
-    with the largest weight is the first, so that this weight does not change.
-    """
-    flat = real.reshape(len(moments), -1)
-    order = np.argsort(-np.abs(flat).max(1), kind="stable")
-    left, moments = flat[order], moments[np.ix_(order, order)]
-    upper = np.linalg.cholesky(np.linalg.inv(moments)).T
-    for i in range(len(left)):
-        found = np.clip(np.rint(left[i]), -WEIGHT_LEVELS, WEIGHT_LEVELS)
-        error = (left[i] - found) / upper[i, i]
-        left[i] = found
-        left[i + 1 :] -= np.outer(upper[i, i + 1 :], error)
-    return left[np.argsort(order)].reshape(real.shape)
-
-
-def moments_of(layer: NirLayer, spikes) -> np.ndarray:
-    """Second moments of the inputs' contributions to the voltage, with a small diagonal added.
-
-    Parameters
-    ----------
-    layer : NirLayer
-    spikes : ndarray, shape (n_samples, steps, inputs)
-
-    Returns
-    -------
-    ndarray, shape (inputs, inputs) or (rows * columns * channels,) twice
-        In the order of the weights.
-    """
-    left, u, v = [], 0.0, 0.0
-    for t in range(spikes.shape[1]):
-        u = layer.keep_u * u + spikes[:, t]
-        v = layer.keep_v * v + u
-        if t % MOMENTS_EVERY == 0:
-            left.append(v)
-    seen = _seen(layer, np.stack(left, 1)) if layer.kind == "conv" else np.stack(left, 1)
-    if layer.kind == "conv":
-        seen = np.moveaxis(seen, 3, 5)  # channels last, as in the weights
-    inputs = math.prod(layer.weights.shape[:-1])
-    seen = seen.reshape(-1, inputs)
-    moments = seen.T @ seen / len(seen)
-    return moments + np.eye(inputs) * max(DAMPING * np.trace(moments) / inputs, 1e-12)
-
-
-def _twelve_bits(bias):
-    """Round to 12 bits times a power of two, as NengoLoihi does."""
-    share = np.maximum(np.abs(np.rint(bias)) / BIAS_MANTISSA, 1)
-    unit = 2.0 ** np.ceil(np.log2(share))
-    return (np.rint(np.rint(bias) / unit) * unit).astype(np.int32)
-
-
-def currents(layer: NirLayer, weights, spikes) -> np.ndarray:
-    """Input currents W s at each step.
-
-    Parameters
-    ----------
-    layer : NirLayer
-    weights : ndarray
-        Weights in the layer's shape, for sums over the squares that it averages.
-    spikes : ndarray, shape (n_samples, steps, inputs)
-
-    Returns
-    -------
-    ndarray, shape (n_samples, steps, neurons)
-    """
-    lead = spikes.shape[:2]
-    if layer.kind == "dense":
-        return (spikes.reshape(-1, spikes.shape[-1]) @ weights).reshape(*lead, -1)
-    return np.tensordot(_seen(layer, spikes), weights, ((3, 4, 5), (2, 0, 1))).reshape(*lead, -1)
-
-
-def _seen(layer, spikes):
-    """Windows (frames, rows, columns, channels, kernel's rows, columns) of sums over squares."""
-    frames = spikes.reshape(-1, *layer.input_shape)
-    if layer.pool > 1:
-        rows, columns = (n // layer.pool for n in layer.input_shape[:2])
-        channels = layer.input_shape[2]
-        cut = frames[:, : rows * layer.pool, : columns * layer.pool]
-        frames = cut.reshape(-1, rows, layer.pool, columns, layer.pool, channels).sum((2, 4))
-    side = layer.weights.shape[0]
-    pads = [windows(n, side, layer.stride, layer.padding)[1:] for n in frames.shape[1:3]]
-    frames = np.pad(frames, ((0, 0), *pads, (0, 0)))
-    seen = np.lib.stride_tricks.sliding_window_view(frames, (side, side), (1, 2))
-    return seen[:, :: layer.stride, :: layer.stride]
-
-
-def fired(layer: NirLayer, spikes, integers: Integers | None = None) -> np.ndarray:
-    """Spikes of a layer of neurons, from rest.
-
-    Parameters
-    ----------
-    layer : NirLayer
-    spikes : ndarray, shape (n_samples, steps, inputs)
-        In the chip's order.
-    integers : Integers, optional
-        The chip's integers; default: the layer's real numbers.
-
-    Returns
-    -------
-    ndarray of bool, shape (n_samples, steps, neurons)
-        In the same step as the input; on the chip, one step later for each layer.
-    """
-    exact = integers is None
-    weights = layer.weights / layer.pool**2 if exact else integers.weights.astype(float)
-    added = currents(layer, weights, np.asarray(spikes, float))
-    bias = layer.bias if exact else integers.bias
-    bias = np.tile(bias, added.shape[2] // bias.size)
-    keep_u, keep_v = layer.keep_u, layer.keep_v
-    threshold, floor = 1.0, -np.inf
-    if not exact:
-        added = added * (WEIGHT_UNIT * 2.0**integers.exponent)
-        keep_u, keep_v = integers.keep_u / DECAY_UNIT, integers.keep_v / DECAY_UNIT
-        threshold, floor = integers.threshold, integers.floor
-    cut = (lambda x: x) if exact else np.trunc
-    u, v = np.zeros((2, len(added), added.shape[2]))
-    result = np.empty(added.shape, bool)
-    for t in range(added.shape[1]):
-        u = cut(u * keep_u) + added[:, t]
-        v = np.maximum(cut(v * keep_v) + u + bias, floor)
-        result[:, t] = v > threshold
-        v = np.where(result[:, t], 0.0, v)
-    return result
-
-
-def chosen(layer: NirLayer, spikes=None) -> Integers:
-    """The layer's integers, with the scale and rounding of weights that change the spikes least.
-
-    Parameters
-    ----------
-    layer : NirLayer
-    spikes : ndarray, optional
-        Input on training samples, as for :func:`fired`.  Without them the largest weight becomes
-        127.
-    """
-    if spikes is None:
-        return rounded(layer)
-    wanted = fired(layer, spikes).sum(1, dtype=float)
-    found = []
-    ways = [None]
-    if math.prod(layer.weights.shape[:-1]) <= MOST_MOMENTS:
-        ways.append(moments_of(layer, spikes))
-    for clip, moments in itertools.product(CLIPS, ways):
-        integers = rounded(layer, clip, moments)
-        error = fired(layer, spikes, integers).sum(1, dtype=float) - wanted
-        found.append((float(np.square(error).mean()), -clip, integers))
-    return min(found, key=lambda entry: entry[:2])[2]

@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deploy.errors import UserError
+from models.integers import chosen, currents, fired, moments_of, rounded
+from models.nir_chain import from_nir
 from models.nir_graph import NirError
-from models.nir_layers import chosen, currents, fired, layers_of, moments_of, rounded
 from models.nir_simulator import METHODS, simulate
 from tests.models.nir_graphs import affine, conv, cuba_lif, lif, network_of, spikes
 
@@ -22,14 +24,15 @@ def in_places(values):
 def by_layers(network, inputs, step, method):
     """Spikes of each layer of neurons and the readout's output, in real numbers."""
     signal, found = in_places(inputs), []
-    for layer in layers_of(network, step, method):
-        if layer.spiking:
+    for layer in from_nir(network, step, method):
+        if layer.neuron is not None:
             signal = fired(layer, signal)
         else:
             added, signal = signal @ layer.weights, np.zeros((*signal.shape[:2], layer.size))
             state = np.zeros(layer.size)
+            keep = 0.0 if layer.tau_syn is None else np.exp(-0.001 / layer.tau_syn)
             for t in range(added.shape[1]):
-                state = layer.keep_u * state + (1 - layer.keep_u) * added[:, t]
+                state = keep * state + (1 - keep) * added[:, t]
                 signal[:, t] = state
             signal = signal + layer.bias
         found.append(signal)
@@ -43,7 +46,7 @@ def compare(network, inputs, step=0.001, method="exact"):
     got = by_layers(network, inputs, step, method)
     n = len(wanted)
     assert sum(int(w.sum()) for w in wanted) > 0
-    for layer, one, other in zip(layers_of(network, step, method), got, wanted, strict=False):
+    for layer, one, other in zip(from_nir(network, step, method), got, wanted, strict=False):
         assert one.shape == other.shape
         # a voltage within rounding of the threshold is what 64 bits cannot tell
         np.testing.assert_array_equal(one, other, err_msg=str(layer))
@@ -86,7 +89,7 @@ def test_filters_before_neurons_and_at_the_end(method):
     li = ("LI", {"tau": 0.008, "r": 2.0, "v_leak": 0.0})
     end = ("LI", {"tau": 0.05, "r": 3.0, "v_leak": 0.0})
     network = network_of((10,), li, affine(rng, 8, 10), lif(0.02, 5.0), affine(rng, 3, 8), end)
-    layers = layers_of(network, 0.001, method)
+    layers = from_nir(network, 0.001, method)
     assert [layer.name for layer in layers] == ["dense1", "output"]
     compare(network, spikes(rng, 2, 200, (10,)), method=method)
 
@@ -147,7 +150,7 @@ def test_windows(name):
     after = [conv(rng, 3, channels, 2), lif(0.01, 8.0), ("Flatten", {"start_dim": 0})]
     size = 3 * (rows - 1) * (columns - 1)
     network = network_of((2, 7, 8), *maps, lif(0.02, 12.0), *after, affine(rng, 4, size))
-    layers = layers_of(network, 0.001)
+    layers = from_nir(network, 0.001)
     kind = "conv" if name in WINDOWS else "dense"
     assert [layer.kind for layer in layers] == [kind, kind, "dense"]
     compare(network, spikes(rng, 2, 60, (2, 7, 8), 0.2))
@@ -169,7 +172,7 @@ def test_many_inputs_take_no_memory_for_their_number_squared():
     network = network_of((n,), before, lif(0.01, 8.0), after)
     tracemalloc.start()
     try:
-        first = layers_of(network, 0.001)[0]
+        first = from_nir(network, 0.001)[0]
         assert tracemalloc.get_traced_memory()[1] < 8 * n**2 / 2
     finally:
         tracemalloc.stop()
@@ -226,7 +229,7 @@ def test_integers_by_hand():
     network = network_of(
         (2,), ("Linear", {"weight": np.array([[1.0, -0.5]])}), ("Threshold", {"threshold": 1.0})
     )
-    (layer,) = layers_of(network, 0.001)
+    (layer,) = from_nir(network, 0.001)
     found = rounded(layer)
     assert found.weights.T.tolist() == [[127, -64]]
     assert (found.threshold, found.keep_u, found.keep_v, found.exponent) == (64 * 254, 1, 2, 0)
@@ -239,7 +242,7 @@ def test_the_scale_is_chosen_on_samples():
     weight = rng.normal(0, 0.02, (6, 20))
     weight[0, 0] = 20.0
     network = network_of((20,), ("Linear", {"weight": weight}), lif(0.05, 40.0))
-    (layer,) = layers_of(network, 0.001)
+    (layer,) = from_nir(network, 0.001)
     inputs = spikes(rng, 8, 200, (20,), 0.3)
     inputs[:, :, 0] = 0
     assert np.abs(rounded(layer).weights[1:]).max() < 5
@@ -258,7 +261,7 @@ def test_rounding_is_made_up_for_where_inputs_are_active_together():
         ("Linear", {"weight": np.array([[0.4 / 127, 1.0, 0.4 / 127]])}),
         ("Threshold", {"threshold": 1.0}),
     )
-    (layer,) = layers_of(network, 0.001)
+    (layer,) = from_nir(network, 0.001)
     inputs = np.zeros((1, 80, 3))
     inputs[0, ::8] = [1, 0, 1]
     inputs[0, 4::8] = [0, 1, 0]
@@ -281,7 +284,7 @@ def test_compensated_weights_add_up_better_and_keep_the_largest(seed):
         lif(0.02, 8.0),
     )
     signal = in_places(spikes(rng, 4, 100, (2, 8, 8), 0.2))
-    for layer in layers_of(network, 0.001):
+    for layer in from_nir(network, 0.001):
         near, made_up = rounded(layer), rounded(layer, 1.0, moments_of(layer, signal))
         unit = layer.pool**2 * 128 * 2.0**near.exponent / near.threshold
         real = currents(layer, layer.weights / layer.pool**2, signal)
@@ -299,18 +302,18 @@ def test_what_cannot_be_on_the_chip_is_named():
     rng = np.random.default_rng(0)
     two = lif(np.array([0.01, 0.02]), 1.0)
     with pytest.raises(NirError, match=r"'n1' \(LIF\).* membrane .* 3706 to 3896 "):
-        layers_of(network_of((3,), affine(rng, 2, 3), two), 0.001)
+        from_nir(network_of((3,), affine(rng, 2, 3), two), 0.001)
     li = ("LI", {"tau": 0.01, "r": 1.0, "v_leak": 0.0})
     with pytest.raises(NirError, match=r"'n0' \(LI\).*filter"):
-        layers_of(network_of((3,), li, affine(rng, 2, 3), cuba_lif()), 0.001)
+        from_nir(network_of((3,), li, affine(rng, 2, 3), cuba_lif()), 0.001)
     with pytest.raises(NirError, match=r"'n1' \(LIF\).* 0.0005 s .* 0.001 s"):
-        layers_of(network_of((3,), affine(rng, 2, 3), lif(0.0005)), 0.001)
+        from_nir(network_of((3,), affine(rng, 2, 3), lif(0.0005)), 0.001)
     nothing = ("Linear", {"weight": np.zeros((2, 3))})
-    with pytest.raises(NirError, match=r"n0, n1.* 0[;,.]"):
-        rounded(layers_of(network_of((3,), nothing, lif()), 0.001)[0])
+    with pytest.raises(UserError, match=r"n0, n1.* 0[;,.]"):
+        rounded(from_nir(network_of((3,), nothing, lif()), 0.001)[0])
     huge = ("Linear", {"weight": np.full((2, 3), 1e6)})
-    with pytest.raises(NirError, match=r"n0, n1.* 4\.88e\+04 "):
-        rounded(layers_of(network_of((3,), huge, lif()), 0.001)[0])
+    with pytest.raises(UserError, match=r"n0, n1.* 4\.88e\+04 "):
+        rounded(from_nir(network_of((3,), huge, lif()), 0.001)[0])
 
 
 @pytest.mark.parametrize(
@@ -327,5 +330,5 @@ def test_numbers_past_all_integers_are_refused(weight, threshold, bias, told):
     """Divided by a threshold of nearly 0, or beside a threshold that would round to 0."""
     dense = ("Affine", {"weight": np.full((2, 3), weight), "bias": np.full(2, bias)})
     network = network_of((3,), dense, ("Threshold", {"threshold": threshold}))
-    with np.errstate(all="ignore"), pytest.raises(NirError, match=f"n0, n1.*{told}"):
-        rounded(layers_of(network, 0.001)[0])
+    with np.errstate(all="ignore"), pytest.raises(UserError, match=f"n0, n1.*{told}"):
+        rounded(from_nir(network, 0.001)[0])

@@ -1,0 +1,296 @@
+"""A chain of links: what every trained or imported network becomes before it is deployed.
+
+A link is one linear map and the neurons after it, which the chip computes as one layer; averaging
+before the map is part of the link.  These functions make chains, and :func:`deployed` makes the
+deployed network of any of them:
+
+===================================  =============================================================
+:func:`from_rates`                   a network trained on images with rate-based neurons
+:func:`from_integers`                a network trained on events in the chip's integers
+:func:`models.nir_chain.from_nir`    a NIR graph; :func:`models.integers.in_integers` rounds it
+===================================  =============================================================
+
+A user's Keras model becomes an architecture and weights (:mod:`models.keras_model`), from which
+rate-based neurons are made.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from deploy.network.geometry import convolution_fan_out, pooled_shape, unpooled
+from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.stimulus import Stimulus
+from models.architecture import Architecture, Convolution, Dense, Pooling
+
+
+@dataclass(frozen=True)
+class Decays:
+    """Neurons by what remains after a step: u <- keep_u u + W s, v <- keep_v v + u + bias.
+
+    A neuron spikes where v exceeds 1, and v is 0 there.
+
+    Attributes
+    ----------
+    keep_u, keep_v : float
+        Shares of the current u and of the voltage v, from 0 to 1.
+    """
+
+    keep_u: float
+    keep_v: float
+
+
+@dataclass(frozen=True)
+class Link:
+    """A linear map and the neurons after it, or the readout.
+
+    Attributes
+    ----------
+    name : str
+        ``"conv1"``, ``"dense1"``, ..., ``"output"``.
+    kind : str
+        ``"conv"`` or ``"dense"``.
+    input_shape, shape : tuple of int
+        (rows, columns, channels), or (values,); ``input_shape`` is that before averaging.
+    weights : ndarray, shape (rows, columns, channels in, filters) or (inputs, units)
+        Of sums over averages; for neurons in units of their threshold.
+    bias : ndarray, shape (filters,) or (units,)
+    neuron : Neurons, Decays or None
+        Neurons as they are deployed, in seconds; neurons by what remains after a step, before they
+        are rounded to integers; None for a linear readout on the host.
+    tau_syn : float or None
+        Time constant in seconds of the low-pass on the input; None for none.
+    stride : int
+    padding : str
+        ``"valid"`` or ``"same"``.
+    pool : int
+        Side length of the windows that are averaged before the map; 1 for none.
+    sources : tuple of str
+        Names of the nodes of an imported graph that the link represents, for messages.
+    """
+
+    name: str
+    kind: str
+    input_shape: tuple
+    shape: tuple
+    weights: np.ndarray = field(repr=False)
+    bias: np.ndarray = field(repr=False)
+    neuron: Neurons | Decays | None = None
+    tau_syn: float | None = None
+    stride: int = 1
+    padding: str = "valid"
+    pool: int = 1
+    sources: tuple = ()
+
+    def __str__(self):
+        nodes = f" (nodes {', '.join(self.sources)})" if self.sources else ""
+        return f"layer {self.name}{nodes}"
+
+    @property
+    def size(self) -> int:
+        """Number of neurons or outputs."""
+        return math.prod(self.shape)
+
+    @property
+    def fan_out(self) -> np.ndarray:
+        """Synapses that leave each input position, int64, of shape ``input_shape``."""
+        read = self.input_shape if self.pool == 1 else pooled_shape(self.input_shape, self.pool)
+        if self.kind == "dense":
+            reached = np.full(read, self.size, np.int64)
+        else:
+            windows = len(self.weights), self.shape[-1], self.stride, self.padding
+            reached = convolution_fan_out(read, *windows)
+        return reached if self.pool == 1 else unpooled(reached, self.input_shape, self.pool)
+
+
+def links_of(architecture: Architecture, weights: dict | None = None) -> tuple:
+    """The links of an architecture, as yet without neurons.
+
+    Parameters
+    ----------
+    architecture : Architecture
+    weights : dict of str to ndarray, optional
+        ``"conv1.kernel"``, ``"conv1.bias"``, ...; without it, and for missing biases, zeros.
+
+    Returns
+    -------
+    tuple of Link
+        One for each convolution and dense layer, with the averaging before it.
+    """
+    links, before, pool = [], architecture.input_shape, 1
+    shapes = zip(architecture.shapes, architecture.shapes[1:], strict=False)
+    weights = weights or {}
+    for name, layer, (read, shape) in zip(
+        architecture.names, architecture.layers, shapes, strict=True
+    ):
+        if layer.kind == "pool":
+            pool *= layer.size
+            continue
+        arrays = {}
+        for array, sizes in layer.weight_shapes(read).items():
+            value = weights.get(f"{name}.{array}")
+            arrays[array] = np.broadcast_to(0.0, sizes) if value is None else value.astype(float)
+        geometry = {}
+        if layer.kind == "conv":
+            geometry = {"stride": layer.stride, "padding": layer.padding}
+        links.append(
+            Link(
+                name,
+                "conv" if layer.kind == "conv" else "dense",
+                before,
+                shape,
+                arrays["kernel"],
+                arrays["bias"],
+                pool=pool,
+                **geometry,
+            )
+        )
+        before, pool = shape, 1
+    return tuple(links)
+
+
+def from_rates(
+    architecture: Architecture, weights: dict, snn, synapse: float | None, range_of=None
+) -> tuple:
+    """The chain of a network trained with rate-based LIF neurons.
+
+    With an activation ``z`` at which the trained network's neurons receive ``J = 1 + gain * z``,
+    a link has weights ``gain * W`` and bias currents ``1 + gain * b``, and a spike has the area
+    ``1 / max_rate``.
+
+    Parameters
+    ----------
+    architecture : Architecture
+    weights : dict
+        Weights of the rate-based network.
+    snn : pipeline.settings.SNN
+        Rates and time constants of the neurons, and whether weights are rounded as on the chip.
+    synapse : float or None
+        Time constant in seconds of the low-pass on spikes between layers; None for none.
+    range_of : (logits, labels), optional
+        Arrays of shapes (n_samples, outputs) and (n_samples,) of training samples, for an output of
+        neurons whose range covers them.  Default: a linear readout on the host.
+
+    Returns
+    -------
+    tuple of Link
+    """
+    from models.lif import gain_for  # imports TensorFlow
+    from models.quantised import eight_bits, twelve_bits
+
+    def spiking(link, rate, weights, bias):
+        neuron = Neurons(1 / rate, snn.tau_rc, snn.tau_ref)
+        return replace(link, weights=weights, bias=bias, neuron=neuron, tau_syn=synapse or None)
+
+    *hidden, output = links_of(architecture, weights)
+    chain = []
+    for index, link in enumerate(hidden):
+        rate = snn.max_rate(index)
+        gain = gain_for(rate, snn.tau_rc, snn.tau_ref)
+        kernel, bias = gain * link.weights, 1 + gain * link.bias
+        if snn.is_on_chip:
+            kernel, bias = eight_bits(kernel).numpy(), twelve_bits(bias).numpy()
+        chain.append(spiking(link, rate, kernel, bias))
+    if range_of is not None:
+        # One LIF neuron per class: the median of the largest wrong logit maps to the threshold, and
+        # the largest right logits to the full rate, so that the range covers what decides.
+        logits, labels = np.array(range_of[0], float), np.asarray(range_of[1])
+        right = logits[np.arange(len(labels)), labels]
+        logits[np.arange(len(labels)), labels] = -np.inf
+        threshold, full = np.median(logits.max(axis=1)), np.percentile(right, 99)
+        rate = snn.max_rates[-1]
+        gain = gain_for(rate, snn.tau_rc, snn.tau_ref) / max(full - threshold, 1e-6)
+        bias = 1 + gain * (output.bias - threshold)
+        output = spiking(output, rate, gain * output.weights, bias)
+    return (*chain, output)
+
+
+def from_integers(architecture: Architecture, weights: dict, integers: dict) -> tuple:
+    """The chain of a network trained in the chip's integers, with a linear readout.
+
+    Parameters
+    ----------
+    architecture : Architecture
+    weights : dict
+        With ``"output.kernel"``; the output has no bias.
+    integers : dict of str to models.integers.Integers
+        The integers of each layer of neurons, by its name.
+
+    Returns
+    -------
+    tuple of Link
+    """
+    from models.integers import on_loihi
+
+    *hidden, output = links_of(architecture, {"output.kernel": weights["output.kernel"]})
+    return (*(on_loihi(link, integers[link.name]) for link in hidden), output)
+
+
+def deployed(
+    chain: tuple,
+    stimulus: Stimulus,
+    presentation: Presentation,
+    provenance: dict | None = None,
+    estimator=None,
+) -> NetworkSpec:
+    """The deployed network of a chain.
+
+    Parameters
+    ----------
+    chain : sequence of Link
+        Neurons are in seconds; see :func:`models.integers.in_integers` for others.
+    stimulus : Stimulus
+    presentation : Presentation
+    provenance : dict, optional
+        Stored in the bundle.
+    estimator : deploy.network.decision.Estimator, optional
+        Confidence estimator of the outputs.
+    """
+    return NetworkSpec(
+        architecture=notation(chain),
+        input_shape=chain[0].input_shape,
+        stimulus=stimulus,
+        layers=tuple(_layer(link) for link in chain),
+        presentation=presentation,
+        provenance=provenance or {},
+        estimator=estimator,
+    )
+
+
+def _layer(link):
+    is_conv = link.kind == "conv"
+    return Layer(
+        name=link.name,
+        kind=link.kind,
+        input_shape=link.input_shape,
+        shape=link.shape,
+        placement="host" if link.neuron is None else "chip",
+        neurons=link.neuron,
+        synapse=link.tau_syn,
+        kernel=len(link.weights) if is_conv else 0,
+        block_shape=None,
+        weights=link.weights if is_conv else link.weights.T,
+        bias=link.bias,
+        stride=link.stride,
+        padding=link.padding,
+        pool=link.pool,
+    )
+
+
+def notation(chain) -> str:
+    """A chain in the notation of architectures, such as ``10x10x2-12c4s2-64-10o``."""
+    return str(Architecture(chain[0].input_shape, tuple(_notation(chain))))
+
+
+def _notation(chain) -> Iterator:
+    for link in chain:
+        if link.pool > 1:
+            yield Pooling(link.pool)
+        if link.kind == "conv":
+            yield Convolution(link.shape[-1], len(link.weights), link.stride, link.padding)
+        else:
+            yield Dense(link.size, output=link is chain[-1])
