@@ -91,8 +91,8 @@ def measure(task: Task) -> dict:
             stage: float(sum(n.mean() for n in responses.operations.values()) / cnn_operations)
             for stage, responses in chips.items()
         },
-        "decided_at_median": {
-            stage: float(np.median(responses.decided_at)) for stage, responses in chips.items()
+        "stable_after_median": {
+            stage: responses.stable_after_median for stage, responses in chips.items()
         },
         "seconds": time.perf_counter() - begun,
     }
@@ -185,7 +185,7 @@ def summarise(results, simulated: bool) -> dict:
         },
         "disagreements": over_seeds("disagreements"),
         "operations": over_seeds("operations"),
-        "decided_at_median": over_seeds("decided_at_median"),
+        "stable_after_median": over_seeds("stable_after_median"),
     }
 
 
@@ -220,8 +220,8 @@ def losses_text(summary: dict) -> str:
         *table(summary["disagreements"]),
         "synaptic operations per inference, in multiples of the CNN's multiply-accumulates",
         *table(summary["operations"], 1),
-        "step from which half of the decisions are final",
-        *table(summary["decided_at_median"], 1, 0),
+        "median step after which the answer did not change",
+        *table(summary["stable_after_median"], 1, 0),
     ]
     return "\n".join(lines)
 

@@ -1,21 +1,26 @@
 """An estimate of energy per inference, from published energies per operation.
 
-For a layer on the chip, with the spikes counted in a check::
+For each layer, with the spikes counted in a check::
 
     E = synaptic operations * (23.6 + 3.5) pJ + neuron updates * 81 pJ
 
-The energies are from Davies et al. 2018 (IEEE Micro 38(1), Table 2): 23.6 pJ per synaptic
-operation, 3.5 pJ per hop between tiles (the mean of 3.0 and 4.0 pJ in its two directions) and 81 pJ
-per update of an active neuron; keras-spiking's ``ModelEnergy`` uses them in the same way.  A neuron
-is updated at every step, including the gap between samples.  For the CNN of the same architecture::
+The energies are those of Davies et al. 2018 (IEEE Micro 38(1), Table 2), which come from
+simulations of the circuits before the chip was made: 23.6 pJ is the least energy of a synaptic
+operation, 3.5 pJ that of a spike to the next tile (the mean of 3.0 and 4.0 pJ in its two
+directions), and 81 pJ that of an update of an active neuron (52 pJ of an inactive one, which is not
+distinguished here).  keras-spiking uses them in the same way.  A neuron is updated
+at every step, including the gap between samples.  For the CNN of the same architecture::
 
     E = (multiply-accumulates + neurons) * 8.6 nJ on a CPU, or 0.3 nJ on a GPU
 
 after Degnan et al. 2016 (IEEE Trans. VLSI 24(1)): an Intel i7-4960X, and an Nvidia GTX Titan Black
 with large batches.
 
-These are estimates, not measurements.  They do not include idle power, the host (with the encoder
-and a linear readout), spikes onto the chip and off it, and memory traffic.
+Both sides have the same layers.  A readout on the host is counted as if it were a layer of neurons
+on the chip, as the output layer of the CNN is part of the CNN.
+
+These are estimates, not measurements.  They do not include idle power, the host with the input
+neurons, spikes onto the chip and off it, and memory traffic.
 """
 
 from __future__ import annotations
@@ -47,11 +52,9 @@ class LayerEstimate:
     ----------
     layer : str
     on_chip : bool
-        A layer on the host is not part of the chip's estimate.
+        False for a readout on the host, which is estimated as if it were on the chip.
     synaptic_operations, neuron_updates : float
-        Mean over the check's samples.
-    chip_joules : float
-        0 for a layer on the host.
+        Mean over the check's samples; see :mod:`deploy.network.operations`.
     multiply_accumulates, neurons : int
         Numbers of the same layer of the CNN.
     """
@@ -60,9 +63,16 @@ class LayerEstimate:
     on_chip: bool
     synaptic_operations: float
     neuron_updates: float
-    chip_joules: float
     multiply_accumulates: int
     neurons: int
+
+    @property
+    def chip_joules(self) -> float:
+        """Energy of the layer on the chip."""
+        return (
+            self.synaptic_operations * CHIP["synaptic operation"]
+            + self.neuron_updates * CHIP["neuron update"]
+        )
 
     def cnn_joules(self, device: str) -> float:
         """Energy of the CNN's layer on ``"cpu"`` or ``"gpu"``."""
@@ -71,28 +81,37 @@ class LayerEstimate:
 
 @dataclass(frozen=True)
 class EnergyEstimate:
-    """Estimated energy and latency of one inference.
+    """Estimated energy of one inference, of all layers, the output layer included.
 
     Attributes
     ----------
     layers : list of LayerEstimate
-    latency_seconds : float
+    presentation_seconds : float
         Duration of a sample's presentation.
-    decided_seconds : float
-        Median time after which the decision does not change.
-    step_seconds : float
-        Duration of one time step.
     """
 
     layers: List[LayerEstimate]
-    latency_seconds: float
-    decided_seconds: float
-    step_seconds: float
+    presentation_seconds: float
+
+    @property
+    def synaptic_operations(self) -> float:
+        """Synaptic operations of all layers."""
+        return sum(layer.synaptic_operations for layer in self.layers)
+
+    @property
+    def neuron_updates(self) -> float:
+        """Neuron updates of all layers."""
+        return sum(layer.neuron_updates for layer in self.layers)
 
     @property
     def chip_joules(self) -> float:
         """Energy of all layers on the chip."""
         return sum(layer.chip_joules for layer in self.layers)
+
+    @property
+    def share_of_updates(self) -> float:
+        """Share of the chip's energy for neuron updates; the others are synaptic operations."""
+        return self.neuron_updates * CHIP["neuron update"] / self.chip_joules
 
     def cnn_joules(self, device: str) -> float:
         """Energy of the whole CNN."""
@@ -101,7 +120,7 @@ class EnergyEstimate:
     def to_json(self) -> dict:
         """The estimate as plain values."""
         return {
-            "schema": "stmnist-energy-estimate/1",
+            "schema": "stmnist-energy-estimate/2",
             "estimate": True,
             "joules_per_inference": {
                 "loihi": self.chip_joules,
@@ -111,11 +130,19 @@ class EnergyEstimate:
                 "loihi": CHIP,
                 **{f"cnn_{device}": value for device, value in MAC.items()},
             },
-            "latency_seconds": self.latency_seconds,
-            "decided_seconds": self.decided_seconds,
+            "operations_per_inference": {
+                "synaptic operation": self.synaptic_operations,
+                "neuron update": self.neuron_updates,
+            },
+            "shares": {
+                "synaptic operation": 1 - self.share_of_updates,
+                "neuron update": self.share_of_updates,
+            },
+            "presentation_seconds": self.presentation_seconds,
             "layers": [
                 {
                     **asdict(layer),
+                    "chip_joules": layer.chip_joules,
                     **{f"cnn_{device}_joules": layer.cnn_joules(device) for device in MAC},
                 }
                 for layer in self.layers
@@ -135,77 +162,62 @@ def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
     Raises
     ------
     UserError
-        The result has no counts of this network's layers, or no decision times.
+        The result has no counts of this network's layers.
     """
-    counted = result.get("synaptic_operations")
-    receiving = {layer.name for layer in spec.layers if layer.placement == "chip"}
-    if not isinstance(counted, dict) or not receiving <= set(counted):
+    counted, shown = result.get("synaptic_operations", {}), spec.presentation
+    if not {layer.name for layer in spec.layers} <= set(counted):
         raise UserError(
-            "the result has no synaptic operations of this network; run the check again"
+            "the result has no synaptic operations of this network; "
+            "run 'stmnist check run' with --target emulator or fast"
         )
-    if "decided_at_median" not in result:  # it is optional for comparisons
-        raise UserError("the result has no decision times; run the check again")
-    samples, shown = result["n_samples"], spec.presentation
     macs = multiply_accumulates(spec)
-    layers = []
-    for layer in spec.layers:
-        on_chip = layer.placement == "chip"
-        operations = counted.get(layer.name, 0) / samples
-        updates = layer.size * shown.period if layer.neurons is not None else 0
-        layers.append(
-            LayerEstimate(
-                layer=layer.name,
-                on_chip=on_chip,
-                synaptic_operations=operations,
-                neuron_updates=updates,
-                chip_joules=on_chip
-                * (operations * CHIP["synaptic operation"] + updates * CHIP["neuron update"]),
-                multiply_accumulates=macs[layer.name],
-                neurons=layer.size,
-            )
+    layers = [
+        LayerEstimate(
+            layer=layer.name,
+            on_chip=layer.placement == "chip",
+            synaptic_operations=counted[layer.name] / result["n_samples"],
+            neuron_updates=layer.size * shown.period,
+            multiply_accumulates=macs[layer.name],
+            neurons=layer.size,
         )
-    step = spec.stimulus.step_seconds
-    times = shown.steps * step, result["decided_at_median"] * step
-    return EnergyEstimate(layers, *times, step)
+        for layer in spec.layers
+    ]
+    return EnergyEstimate(layers, shown.steps * spec.stimulus.step_seconds)
 
 
 def estimate_text(value: EnergyEstimate) -> str:
     """Format an estimate as a table and a few lines."""
-    heads = [
-        "layer",
-        "where",
-        "synaptic operations",
-        "neuron updates",
-        "Loihi",
-        "CNN CPU",
-        "CNN GPU",
-    ]
-    rows = [heads]
-    for layer in value.layers:
+    heads = ["layer", "where", "synaptic operations", "neuron updates", "Loihi"]
+    rows = [[*heads, "CNN CPU", "CNN GPU"]]
+    for layer in (*value.layers, value):
+        total = layer is value
         rows.append(
             [
-                layer.layer,
-                "chip" if layer.on_chip else "host",
+                "total" if total else layer.layer,
+                "" if total else "chip" if layer.on_chip else "host*",
                 f"{layer.synaptic_operations:.0f}",
                 f"{layer.neuron_updates:.0f}",
-                _joules(layer.chip_joules) if layer.on_chip else "-",
+                _joules(layer.chip_joules),
                 *(_joules(layer.cnn_joules(device)) for device in MAC),
             ]
         )
-    total = [_joules(value.chip_joules), *(_joules(value.cnn_joules(device)) for device in MAC)]
-    rows.append(["total", "", "", "", *total])
+    lines = [
+        "ESTIMATE of the energy of one inference, from published energies per operation",
+        *aligned(rows, left=2),
+        f"of Loihi's energy {value.share_of_updates:.0%} are neuron updates, "
+        f"{1 - value.share_of_updates:.0%} synaptic operations",
+        "Loihi: synaptic operations x 27.1 pJ + neuron updates x 81 pJ",
+        "  (Davies et al. 2018: simulations of the circuits before the chip was made)",
+        "CNN: (multiply-accumulates + neurons) x 8.6 nJ on a CPU, 0.3 nJ on a GPU",
+        "  (Degnan et al. 2016)",
+    ]
+    if not all(layer.on_chip for layer in value.layers):
+        lines.append("*: computed on the host, estimated as if it were on the chip")
     return "\n".join(
         [
-            "ESTIMATE of the energy of one inference, from published energies per operation",
-            *aligned(rows, left=2),
-            "Loihi: synaptic operations x 27.1 pJ + neuron updates x 81 pJ",
-            "  (Davies et al. 2018)",
-            "CNN: (multiply-accumulates + neurons) x 8.6 nJ on a CPU, 0.3 nJ on a GPU",
-            "  (Degnan et al. 2016)",
+            *lines,
             "left out: idle power, host, spikes to and from the chip, memory traffic",
-            f"latency: presented for {value.latency_seconds * 1000:.0f} ms, decided after "
-            f"{value.decided_seconds * 1000:.0f} ms (median), "
-            f"at {value.step_seconds * 1000:g} ms a step",
+            f"a sample is presented for {value.presentation_seconds * 1000:.0f} ms",
         ]
     )
 

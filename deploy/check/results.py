@@ -21,7 +21,7 @@ from .intervals import mcnemar, wilson_interval
 
 SCHEMA = "stmnist-check/1"
 
-PUBLISHED = ("id", "label", "prediction", "scores", "decided_at", "stopped_at", "spike_hash")
+PUBLISHED = ("id", "label", "prediction", "scores", "stable_after", "stopped_at", "spike_hash")
 """Fields of a sample in a result.  The last two only exist with a confidence for early decisions,
 and for targets that record single spikes."""
 
@@ -50,8 +50,8 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
     seed : int
     samples : list of dict
         One dict per sample of the bundle's check, in order: ``id``, ``label``, ``prediction``,
-        ``scores``, ``decided_at``, ``decisions`` (at each step), ``spikes`` and ``operations`` (of
-        each layer).
+        ``scores``, ``stable_after`` (None without a decision), ``decisions`` (at each step),
+        ``spikes`` and ``operations`` (of each layer).
     wall_seconds : float
         Time spent on the samples, over all sessions.
     extra : dict, optional
@@ -65,8 +65,10 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
     presentation = bundle.spec.presentation
     labels = np.array([sample["label"] for sample in samples])
     decisions = np.array([sample["decisions"] for sample in samples])
+    decisions[:, -1] = [sample["prediction"] for sample in samples]  # also of an empty output
     right = decisions == labels[:, None]
     correct = int(right[:, -1].sum())
+    stable = [sample["stable_after"] for sample in samples if sample["stable_after"] is not None]
     extra = dict(extra or {})
 
     def total(name):
@@ -82,7 +84,7 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
         "n_samples": len(samples),
         "accuracy": correct / len(samples),
         "accuracy_ci95": list(wilson_interval(correct, len(samples))),
-        "decided_at_median": float(np.median([sample["decided_at"] for sample in samples])),
+        "stable_after_median": float(np.median(stable)) if stable else None,
         "anytime_accuracy": [float(share) for share in right.mean(0)],
         **_while_written(bundle, decisions, labels, samples),
         "samples": [{key: sample[key] for key in PUBLISHED if key in sample} for sample in samples],
@@ -97,6 +99,8 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
 
 def _while_written(bundle, decisions, labels, samples) -> dict:
     """Accuracy while a sample is still being written; for event frames only.
+
+    A step without a decision counts as a wrong answer.
 
     Writing ends with the sample's last event; steps after the end count as the last step.
     """
@@ -243,7 +247,7 @@ _FIELDS = {
     "samples": lambda v: isinstance(v, list) and len(v) >= 1,
     "accuracy": _is_number,
     "accuracy_ci95": lambda v: _are_numbers(v) and len(v) == 2,
-    "decided_at_median": _is_number,
+    "stable_after_median": lambda v: v is None or _is_number(v),
     "anytime_accuracy": _are_numbers,
     "steps_per_sample": _is_count,
     "simulated": lambda v: v is None or isinstance(v, bool),
@@ -270,7 +274,7 @@ _FIELDS = {
 """Fields that are read from a result, with their validation."""
 
 _OPTIONAL = {
-    "decided_at_median", "anytime_accuracy", "synaptic_operations", "versions", "while_written",
+    "stable_after_median", "anytime_accuracy", "synaptic_operations", "versions", "while_written",
     "data", "classes", "confusion", "per_class", "per_writer",
 }  # fmt: skip
 """Fields that a comparison does not need."""
@@ -284,7 +288,7 @@ def _is_sample(value):
         _is_text(value.get("id"))
         and _is_count(value.get("label"), classes)
         and _is_count(value.get("prediction"), classes)
-        and _is_count(value.get("decided_at"))
+        and (value.get("stable_after") is None or _is_count(value["stable_after"]))
         and ("stopped_at" not in value or _is_count(value["stopped_at"]))
         and ("spike_hash" not in value or _is_text(value["spike_hash"]))
     )

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Iterator, Optional
 
+import numpy as np
+
 from ..errors import UserError
 from ..files import is_at, locked, make_folder, open_own, write_json
 from ..interrupts import at_the_end
@@ -20,7 +22,7 @@ from ..targets.registry import answer, refuse_unfit, target_named
 from .bundle import Bundle, CheckSet
 from .results import result_of, versions
 
-KEYS = {"id", "label", "prediction", "scores", "decided_at", "decisions", "spikes", "operations"}
+KEYS = {"id", "label", "prediction", "scores", "stable_after", "decisions", "spikes", "operations"}
 """Fields of each sample in the partial file."""
 
 
@@ -259,14 +261,14 @@ def _remove_empty(file, path):
 
 def records_of(checks: CheckSet, responses: Responses) -> list:
     """The saved fields of each sample."""
-    hashes, stops = responses.spike_hashes, responses.stopped_at
+    hashes, stops, stable = responses.spike_hashes, responses.stopped_at, responses.stable_after
     return [
         {
             "id": checks.ids[i],
             "label": int(checks.labels[i]),
             "prediction": int(responses.predictions[i]),
             "scores": [float(score) for score in responses.scores[i]],
-            "decided_at": int(responses.decided_at[i]),
+            "stable_after": None if np.isnan(stable[i]) else int(stable[i]),
             "decisions": [int(decision) for decision in responses.decisions[i]],
             "spikes": {name: int(counts[i]) for name, counts in responses.spikes.items()},
             "operations": {name: int(counts[i]) for name, counts in responses.operations.items()},

@@ -164,12 +164,13 @@ class Threshold(NamedTuple):
 
 
 def confidence(outputs, estimator: Optional[Estimator] = None, first: int = 0) -> np.ndarray:
-    """Confidence in the outputs at each step, from 0 to `SUREST`.
+    """Confidence in the outputs at each step, from 0 to `SUREST`; 0 where the outputs are all zero.
 
     Parameters
     ----------
     outputs : ndarray, shape (..., steps, classes)
-        Accumulated readout from a sample's start.
+        Accumulated readout from a sample's start.  Before a spike has reached the readout they are
+        zero, which is no answer.
     estimator : Estimator, optional
         Default: the largest share of the softmax.
     first : int
@@ -179,10 +180,12 @@ def confidence(outputs, estimator: Optional[Estimator] = None, first: int = 0) -
     -------
     ndarray, shape (..., steps)
     """
-    if estimator is not None:
-        return np.minimum(estimator(outputs, first), SUREST)
     outputs = np.asarray(outputs, float)
-    return np.minimum(1 / np.exp(outputs - outputs.max(-1, keepdims=True)).sum(-1), SUREST)
+    if estimator is not None:
+        sure = estimator(outputs, first)
+    else:
+        sure = 1 / np.exp(outputs - outputs.max(-1, keepdims=True)).sum(-1)
+    return np.where(outputs.any(-1), np.minimum(sure, SUREST), 0.0)
 
 
 def decide(outputs, threshold: float, estimator: Optional[Estimator] = None, first: int = 0):

@@ -1,7 +1,12 @@
 """Costs of an inference: synaptic operations of the spiking network, multiplications of the CNN.
 
-A synaptic operation is one spike arriving at one synapse.  It is the counterpart of one
-multiply-accumulate of the CNN (Davies et al. 2018).
+The synaptic operations of a layer are the spikes that arrive at it times their fan-out: each spike
+of a neuron of the previous layer (for the first layer, of the input neurons) counts once for every
+synapse of that neuron.  A network's synaptic operations are those of all its layers, including the
+output layer, wherever that is computed.  The gap before a sample is included.  An operation is the
+counterpart of a multiply-accumulate of the CNN of the same architecture, whose number includes the
+output layer too (Davies et al. 2018).  Report, comparison, sweep and energy estimate use this
+count.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 A run of a target over samples gives, for each sample, the output at each of its steps.  The score
 of a class at a step is the mean of its output from ``readout_start`` up to that step (plus the
-readout's bias); the decision at a step is the class with the highest score.
+readout's bias); the decision at a step is the class with the highest score.  As long as no spike
+has reached the readout, its output is empty and there is no decision.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ class Responses:
     scores : ndarray, shape (n_samples, n_classes)
         Scores at the last step.
     decisions : ndarray of int, shape (n_samples, steps)
-        Decision at each step; -1 before the readout starts.
+        Decision at each step; -1 before the readout starts and while its output is empty.
     spikes : dict of str to ndarray of int, shape (n_samples,)
         Number of spikes of each layer during the sample and the gap before it.
     operations : dict of str to ndarray of int, shape (n_samples,)
@@ -53,15 +54,30 @@ class Responses:
 
     @property
     def predictions(self) -> np.ndarray:
-        """Decision at the last step, shape (n_samples,)."""
-        return self.decisions[:, -1]
+        """Class with the highest score at the last step, shape (n_samples,).
+
+        A network has to answer at the end: for an empty output this is the class with the largest
+        bias, or the first class.
+        """
+        last = self.decisions[:, -1]
+        return np.where(last < 0, self.scores.argmax(1), last)
 
     @property
-    def decided_at(self) -> np.ndarray:
-        """Step (from 1) from which each sample's decision no longer changes, shape (n_samples,)."""
+    def stable_after(self) -> np.ndarray:
+        """Step (from 1) after which each sample's decision did not change, shape (n_samples,).
+
+        NaN if there was never a decision.  This is known only in hindsight: it is no latency.
+        """
         differs = self.decisions != self.decisions[:, -1:]
         steps = self.decisions.shape[1]
-        return np.where(differs.any(1), steps + 1 - np.argmax(differs[:, ::-1], 1), 1)
+        after = np.where(differs.any(1), steps + 1 - np.argmax(differs[:, ::-1], 1), 1)
+        return np.where(self.decisions[:, -1] < 0, np.nan, after)
+
+    @property
+    def stable_after_median(self) -> Optional[float]:
+        """Median of `stable_after` over the samples with a decision; None if there are none."""
+        after = self.stable_after[~np.isnan(self.stable_after)]
+        return float(np.median(after)) if len(after) else None
 
 
 def respond(spec: NetworkSpec, built, sim, samples) -> Responses:
@@ -125,7 +141,9 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
     start, limit = spec.presentation.readout_start, spec.presentation.confidence
     scores = _running_means(spec, output)
     decisions = np.full(output.shape[:2], -1)
-    decisions[:, start:] = np.argmax(settled(scores, score_unit(spec)), axis=2)
+    best = np.argmax(settled(scores, score_unit(spec)), axis=2)
+    empty = ~np.logical_or.accumulate((output[:, start:] != 0).any(2), axis=1)
+    decisions[:, start:] = np.where(empty, -1, best)
     stopped = None
     if limit is not None:
         stopped = start + 1 + decide(_sums(spec, scores), limit, spec.estimator, start)[0]

@@ -95,9 +95,10 @@ def energy(
     """Estimate the energy of an inference from the spikes that a check counted."""
     opened = _opened(bundle)
     path = result or checks_beside(opened.path) / "emulator.json"
-    counted = read_result(path)
+    remedy = f"run 'stmnist check run {bundle} --target emulator'"
+    counted = read_result(path, remedy if result is None else "give the result of a check")
     if counted["bundle"] != opened.id:
-        raise UserError(f"{path}: belongs to another bundle than {bundle}; run the check again")
+        raise UserError(f"{path}: belongs to another bundle than {bundle}; {remedy}")
     value = estimate_energy(opened.spec, counted)
     options.tell(value.to_json(), lambda _: estimate_text(value), as_json)
 

@@ -238,7 +238,6 @@ def inference(run: Run) -> dict:
     result = run.results.get(stage, {})
     counted = result.get("synaptic_operations", {})
     operations = sum(counted.values()) / result["n_samples"] if stage else None
-    median = result.get("decided_at_median")
     step_ms = 1000 * spec.stimulus.step_seconds
     early = result.get("while_written", {}).get("by_itself")
     return {
@@ -255,8 +254,7 @@ def inference(run: Run) -> dict:
         "operations_per_mac": operations / CNN_MACS if stage else None,
         "steps": spec.presentation.steps,
         "step_ms": step_ms,
-        "decided_at_median": median,
-        "decided_after_ms": None if median is None else median * step_ms,
+        "stable_after_median": result.get("stable_after_median"),
         "writing": early
         and {
             "share": early["share_of_writing_mean"],
@@ -435,18 +433,16 @@ def _inference_lines(runs, letters, width):
         row("synaptic operations", "synaptic_operations", "{:,.0f}"),
         *([row("times the CNN's", "operations_per_mac", "{:.2f}")] if of_digits else []),
         row("steps of presentation", "steps"),
-        row("decided at step", "decided_at_median", "{:g}"),
-        row("decided after, ms", "decided_after_ms", "{:,.0f}"),
+        row("answer stable after step", "stable_after_median", "{:g}"),
         row("early decision after", "share", "{:.0%} of recording", early),
         row("its accuracy", "accuracy", "{:.3f}", early),
     ]
     lines = _fitted([cells for cells in rows if any(cells[1:])], width)
     if of_digits:
         lines.append(f"times the CNN's: the {CNN_MACS:,} multiply-accumulates of the paper's")
-    if any(run["decided_at_median"] is not None for run in runs):
-        lines.append("decided: step or time from which half of the decisions are final")
-    if len({run["input"] for run in runs}) > 1:
-        lines.append("ms: from the end of the recording for an image, from its start for events")
+    if any(run["stable_after_median"] is not None for run in runs):
+        lines.append("answer stable after: median step after which the answer did not change;")
+        lines.append("known only in hindsight")
     return lines
 
 

@@ -234,7 +234,7 @@ def evaluate(task: SweepTask) -> dict:
     dict
         ``accuracy`` with its interval; the mean synaptic ``operations`` per inference, also
         as ``operations_per_mac`` relative to the multiply-accumulates of the paper's CNN, and
-        ``spikes`` by layer; ``cores``; ``decided_at_median``; the accuracies of the CNN (None on
+        ``spikes`` by layer; ``cores``; ``stable_after_median``; the accuracies of the CNN (None on
         events) and of the trained network on the same samples.
     """
     begun = time.perf_counter()
@@ -263,7 +263,7 @@ def evaluate(task: SweepTask) -> dict:
         "operations_per_mac": operations / CNN_MACS,
         "cores": len(make_plan(spec).to_json()["cores"]),
         "spikes": {name: float(counts.mean()) for name, counts in responses.spikes.items()},
-        "decided_at_median": float(np.median(responses.decided_at)),
+        "stable_after_median": responses.stable_after_median,
         "seconds": time.perf_counter() - begun,
     }
 

@@ -30,7 +30,7 @@ def sweep_text(sweep: dict) -> str:
     short, points, lines = short_names(sweep["names"]), sweep["points"], []
     if points:
         kind = "simulated validation samples" if points[0]["simulated"] else "validation samples"
-        figures = ["accuracy", "95 % interval", "operations", "cores", "presented", "decided"]
+        figures = ["accuracy", "95 % interval", "operations", "cores", "presented", "stable"]
         figures += ["trained", "cnn"]
         rows = [["", "#", *figures, *(short[name] for name in sweep["names"])]]
         for number, point in enumerate(points, 1):
@@ -44,7 +44,7 @@ def sweep_text(sweep: dict) -> str:
                     f"{point['operations_per_mac']:.2f} x",
                     str(point["cores"]),
                     str(point["steps"]),
-                    f"{point['decided_at_median']:.0f}",
+                    "" if (stable := point["stable_after_median"]) is None else f"{stable:.0f}",
                     f"{point['trained_accuracy']:.3f}",
                     "" if point["cnn_accuracy"] is None else f"{point['cnn_accuracy']:.3f}",
                     *(_value(point["changes"][name]) for name in sweep["names"]),
@@ -57,7 +57,7 @@ def sweep_text(sweep: dict) -> str:
             "operations, cores and steps and better in one of them",
             f"operations: synaptic, per inference, in multiples of the paper's CNN's {CNN_MACS:,}",
             "presented: steps per sample",
-            "decided: step from which half of the decisions are final",
+            "stable: median step after which the answer did not change",
         ]
     for point in sweep["failed"]:
         what = ", ".join(f"{k}={_value(v)}" for k, v in point["changes"].items())
@@ -69,7 +69,7 @@ def sweep_csv(sweep: dict) -> str:
     """A table with one row per point, settings first; a failed point has no other values."""
     figures = [
         *("pareto", "accuracy", "accuracy_low", "accuracy_high", "operations"),
-        *("operations_per_mac", "cores", "steps", "decided_at_median"),
+        *("operations_per_mac", "cores", "steps", "stable_after_median"),
         *("trained_accuracy", "cnn_accuracy"),
         *("n_samples", "simulated"),
     ]

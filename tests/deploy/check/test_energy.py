@@ -4,7 +4,10 @@ import pytest
 
 from deploy.check.energy import CHIP, MAC, estimate_energy, estimate_text
 from deploy.check.run import run_check
+from deploy.check.text import summary
 from deploy.errors import UserError
+from deploy.targets.registry import answer
+from tests.command import call
 from tests.deploy.networks import bundle_at, paper_spec, small_spec
 
 
@@ -12,7 +15,6 @@ def counted(spec, samples=2, **operations):
     return {
         "n_samples": samples,
         "synaptic_operations": {layer.name: 0 for layer in spec.layers} | operations,
-        "decided_at_median": 12.0,
     }
 
 
@@ -20,47 +22,56 @@ def test_small_network_by_hand():
     # conv1 has 64 neurons and 36 inputs; a sample lasts 30 + 5 steps
     spec = small_spec()
     value = estimate_energy(spec, counted(spec, conv1=2000))
-    conv1, conv2, output = value.layers
+    conv1, conv2, _ = value.layers
     assert conv1.synaptic_operations == 1000
     assert conv1.neuron_updates == 64 * 35
     assert conv1.chip_joules == pytest.approx(1000 * 27.1e-12 + 64 * 35 * 81e-12)
     assert conv2.chip_joules == pytest.approx(72 * 35 * 81e-12)
-    assert (output.on_chip, output.chip_joules) == (False, 0)
-    assert value.chip_joules == pytest.approx(conv1.chip_joules + conv2.chip_joules)
     # 4 x 4 positions of 4 filters of 3 x 3; 3 x 3 of 8 of 2 x 2 x 4; 72 x 10
     macs = [16 * 4 * 9, 9 * 8 * 16, 720]
     assert [layer.multiply_accumulates for layer in value.layers] == macs
     assert value.cnn_joules("cpu") == pytest.approx((sum(macs) + 64 + 72 + 10) * 8.6e-9)
-    assert (value.latency_seconds, value.decided_seconds) == (0.03, 0.012)
+    assert value.presentation_seconds == 0.03
 
 
-def test_output_neurons_on_the_chip_count():
-    spec = small_spec(on_chip_output=True)
-    value = estimate_energy(spec, counted(spec, output=400))
-    assert value.layers[-1].chip_joules == pytest.approx(200 * 27.1e-12 + 10 * 35 * 81e-12)
+@pytest.mark.parametrize("on_chip", [True, False])
+def test_both_sides_have_the_output_layer_wherever_it_is(on_chip):
+    spec = small_spec(on_chip_output=on_chip)
+    value = estimate_energy(spec, counted(spec, conv1=2000, output=400))
+    output = value.layers[-1]
+    assert output.on_chip is on_chip
+    assert output.chip_joules == pytest.approx(200 * 27.1e-12 + 10 * 35 * 81e-12)
+    assert value.synaptic_operations == 1200
+    updates = (64 + 72 + 10) * 35 * 81e-12
+    assert value.chip_joules == pytest.approx(updates + 1200 * 27.1e-12)
+    assert value.share_of_updates == pytest.approx(updates / value.chip_joules)
+    assert value.to_json()["shares"]["neuron update"] == value.share_of_updates
 
 
-def test_from_a_real_check(tmp_path):
+def test_one_definition_of_synaptic_operations(tmp_path):
+    """A result's, the summary's and the estimate's are the spikes times their fan-out."""
     bundle = bundle_at(tmp_path / "bundle")
     result = run_check(bundle, "emulator", tmp_path / "emulator.json")
     value = estimate_energy(bundle.spec, result)
-    assert value.layers[0].synaptic_operations > 0
-    text = estimate_text(value)
-    assert text.startswith("ESTIMATE")
-    assert value.to_json()["estimate"] is True
+    found = answer(bundle.spec, bundle.checks.inputs, "emulator")
+    output = 10 * found.spikes["conv2"].sum()  # each of its spikes reaches ten outputs
+    assert result["synaptic_operations"]["output"] == output > 0
+    total = sum(result["synaptic_operations"].values()) / len(bundle.checks)
+    assert value.synaptic_operations == pytest.approx(total)
+    assert f"operations a sample: {total:.0f}," in summary(result)
+    assert estimate_text(value).startswith("ESTIMATE")
 
 
 def test_result_without_counts_is_refused():
-    with pytest.raises(UserError, match="synaptic operations"):
+    with pytest.raises(UserError, match=r"synaptic operations.*--target emulator"):
         estimate_energy(small_spec(), {"n_samples": 1})
 
 
-def test_result_without_the_time_of_its_decisions_is_refused():
-    spec = small_spec()
-    incomplete = counted(spec)
-    del incomplete["decided_at_median"]
-    with pytest.raises(UserError, match="decision"):
-        estimate_energy(spec, incomplete)
+def test_energy_of_a_bundle_that_never_ran_names_the_target_to_run(tmp_path, capsys):
+    bundle = bundle_at(tmp_path / "bundle")
+    assert call("deploy", "energy", bundle.path) == 2
+    said = f"stmnist check run {bundle.path} --target emulator"
+    assert said in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.slow

@@ -16,12 +16,13 @@ from deploy.network.decision import (
 def outputs_of(*samples):
     """Outputs of two classes from what the first one is ahead by at each step."""
     ahead = np.array(samples, float)
-    return np.stack([ahead, np.zeros_like(ahead)], -1)
+    return np.stack([1 + ahead, np.ones_like(ahead)], -1)
 
 
 def test_confidence_by_hand():
-    assert confidence([[0, 0], [np.log(3), 0]]).tolist() == pytest.approx([0.5, 0.75])
-    assert confidence(np.zeros(10)) == pytest.approx(0.1)
+    assert confidence([[1, 1], [np.log(3), 0]]).tolist() == pytest.approx([0.5, 0.75])
+    assert confidence(np.ones(10)) == pytest.approx(0.1)
+    assert confidence(np.zeros((3, 10))).tolist() == [0, 0, 0]  # no spike has arrived
     assert 1 - 1e-15 < confidence([1000.0, 0.0, -1000.0]) < 1
 
 
@@ -106,11 +107,11 @@ def test_an_estimator_of_one_unit_by_hand():
     kernels[1][3, 0], kernels[2][0, 0], biases[2][0] = 2.0, 0.5, -1.0
     simple = Estimator(tuple(kernels), tuple(biases))
     expected = 1 / (1 + np.exp(-(np.maximum(np.arange(6) - 2, 0) - 1)))
-    np.testing.assert_allclose(confidence(np.zeros((3, 6, 2)), simple), [expected] * 3)
-    np.testing.assert_allclose(confidence(np.zeros((2, 2)), simple, first=4), expected[4:])
-    steps, classes = decide(np.zeros((1, 6, 2)), 0.6, simple)
+    np.testing.assert_allclose(confidence(np.ones((3, 6, 2)), simple), [expected] * 3)
+    np.testing.assert_allclose(confidence(np.ones((2, 2)), simple, first=4), expected[4:])
+    steps, classes = decide(np.ones((1, 6, 2)), 0.6, simple)
     assert (steps.tolist(), classes.tolist()) == ([4], [0])
-    assert decide(np.zeros((1, 3, 2)), 0.6, simple, first=3)[0].tolist() == [1]
+    assert decide(np.ones((1, 3, 2)), 0.6, simple, first=3)[0].tolist() == [1]
 
 
 def test_an_estimator_that_is_very_sure_says_so_without_a_warning():

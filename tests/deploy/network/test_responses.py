@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.network.responses import read_output, seconds_per_sample
+from deploy.network.responses import Responses, read_output, seconds_per_sample
 from deploy.network.stimulus import Feed
 from deploy.network.stream import streams_of
-from tests.deploy.networks import small_spec
+from tests.deploy.networks import events_spec, small_spec
 
 
 @given(st.integers(0, 300), st.integers(1, 50))
@@ -47,13 +47,39 @@ def test_the_readout_on_the_chip_has_no_bias_to_add():
 
 
 @pytest.mark.parametrize(
-    ("decisions", "at"), [([-1, 3, 3], 2), ([3, 3, 3], 1), ([-1, 3, 4], 3), ([-1, 4, 3, 3], 3)]
+    ("decisions", "step"),
+    [([-1, 3, 3], 2), ([3, 3, 3], 1), ([-1, 3, 4], 3), ([-1, 4, 3, 3], 3), ([-1, -1, -1], None)],
 )
-def test_decided_at(decisions, at):
-    from deploy.network.responses import Responses
+def test_an_answer_is_stable_after_its_last_change(decisions, step):
+    responses = Responses(np.eye(10)[[7]], np.array([decisions]), {}, {})
+    np.testing.assert_array_equal(responses.stable_after, [np.nan if step is None else step])
+    assert responses.stable_after_median == step
+    assert responses.predictions.tolist() == [7 if step is None else decisions[-1]]
 
-    responses = Responses(np.zeros((1, 10)), np.array([decisions]), {}, {})
-    assert responses.decided_at.tolist() == [at]
+
+def unbiased(spec):
+    readout = spec.layers[-1]
+    return replace(spec, layers=(*spec.layers[:-1], replace(readout, bias=0 * readout.bias)))
+
+
+def test_an_empty_output_is_not_the_answer_class_0():
+    """The first spike reaches the readout in step 3, for class 0; in the second sample, none."""
+    spec = unbiased(events_spec(steps=4))
+    output = np.zeros((3, 4, 3))
+    output[0, 2] = [1, 0, 0]
+    output[2, 0] = [0, 0, 2]
+    responses = read_output(spec, output, spikes_of(spec, 3))
+    assert responses.decisions.tolist() == [[-1, -1, 0, 0], [-1] * 4, [2] * 4]
+    np.testing.assert_array_equal(responses.stable_after, [3, np.nan, 1])
+    assert responses.stable_after_median == 2
+
+
+def test_no_early_decision_on_an_empty_output():
+    """A softmax of three zeros is 1/3, which is above a threshold of 0.3."""
+    spec = unbiased(events_spec(steps=4, confidence=0.3))
+    output = np.zeros((1, 4, 3))
+    output[0, 2] = [9, 0, 0]
+    assert read_output(spec, output, spikes_of(spec, 1)).stopped_at.tolist() == [3]
 
 
 def test_equal_scores_tie_alike_whatever_the_order_of_adding():

@@ -173,7 +173,7 @@ def result(accuracy, operations, steps, synapse):
         "operations": operations,
         "operations_per_mac": operations / 1000,
         "cores": 2,
-        "decided_at_median": 25.0,
+        "stable_after_median": 25.0,
     }
 
 
@@ -262,7 +262,7 @@ def test_a_small_sweep(tiny_sweep):
     for p in points:
         low, high = p["accuracy_ci95"]
         assert low <= p["accuracy"] <= high
-        assert 1 <= p["decided_at_median"] <= p["steps"]
+        assert 1 <= p["stable_after_median"] <= p["steps"]
     assert len((tiny_sweep / "sweep.csv").read_text().splitlines()) == 5
     assert imread(tiny_sweep / "pareto.png")[..., :3].std() > 0.05
 
