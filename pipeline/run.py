@@ -70,6 +70,7 @@ class RunFolder:
     dataset = _inside("dataset.json", "The description of the recordings.")
     cnn = _inside("cnn", "The folder of the CNN: weights, history and metrics.")
     snn = _inside("snn", "The folder of the network that becomes the bundle, as that of the CNN.")
+    counts = _inside("counts", "The folder of the classifier of event counts: scores, metrics.")
     nir = _inside("nir", "The folder of a NIR graph that was trained further, and its metrics.")
     bundle = _inside("bundle", "The folder of the bundle.")
     ladder = _inside("ladder.json", "The file of the loss ladder.")
@@ -81,12 +82,12 @@ class RunFolder:
         return (folder / "whole" if whole else folder) / f"{stage}.json"
 
     def folder(self, name: str, origin: Origin) -> Path:
-        """The folder of a network, ``"cnn"``, ``"nir"`` or ``"snn"``, or of its ``"threshold"``.
+        """The folder of a network or classifier, or of a network's ``"threshold"``.
 
         A run has only one of each, independently of the origin, unlike a
         :class:`pipeline.artifacts.Library`.
         """
-        return {"cnn": self.cnn, "nir": self.nir}.get(name, self.snn)
+        return {"cnn": self.cnn, "counts": self.counts, "nir": self.nir}.get(name, self.snn)
 
     def resolve_settings(self, base: Path | None, changes: dict) -> Settings:
         """Settings of this run, from its folder or from a file, with changes.

@@ -12,7 +12,7 @@ from pipeline import stages
 from pipeline.commands import options
 from pipeline.progress import stages as numbered
 from pipeline.results.ladder import ladder_text, measure_ladder
-from pipeline.roads.answers import REFERENCES
+from pipeline.roads.answers import LADDER_ONLY, REFERENCES
 from pipeline.run import RunFolder, refuse_other_folders
 
 
@@ -94,6 +94,8 @@ def convert(
             stages.refuse_early(resolved)
         _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
         for stage in REFERENCES[resolved.network]:
+            if stage in LADDER_ONLY:
+                continue
             stages.answer(folder, resolved, bundle, stage, options.say)
     options.suggest("ladder", run)
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.data.events import Events, Recordings, Sensor, TaxelMap, collect
+from pipeline.data.steps import EventTable
 from pipeline.settings import AGGREGATIONS, NORMALISATIONS
 
 
@@ -132,3 +133,33 @@ def growing(
     n = len(parts)
     grown = collect(parts, [0] * n, ["part"] * n, [-1] * n, None, taxels, sensor)
     return aggregate(grown, aggregation)
+
+
+def sliced_counts(recordings: Recordings, slices: int, duration_ms: float) -> np.ndarray:
+    """Count the events of each taxel and polarity in equal slices of time.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    slices : int
+    duration_ms : float
+        Time from a recording's first event that is divided into slices.  Later events are counted
+        in the last one.
+
+    Returns
+    -------
+    ndarray of float32, shape (n_samples, slices, rows, columns, 2)
+        First ON, then OFF.
+    """
+    table = EventTable.of(recordings)
+    sample = np.repeat(np.arange(len(table)), np.diff(table.offsets))
+    part = np.minimum((table.time_ms * np.float32(slices / duration_ms)).astype(int), slices - 1)
+    shape = (len(table), slices, *table.size, 2)
+    cell = np.ravel_multi_index((sample, part, table.row, table.column, table.polarity), shape)
+    return np.bincount(cell, minlength=np.prod(shape)).astype(np.float32).reshape(shape)
+
+
+def typical_duration_ms(recordings: Recordings) -> float:
+    """The time that nine recordings in ten do not exceed, in ms; at least 1."""
+    durations = EventTable.of(recordings).duration_ms
+    return max(float(np.quantile(durations, 0.9)), 1.0) if len(durations) else 1.0

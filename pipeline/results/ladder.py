@@ -17,7 +17,7 @@ from pipeline import stages
 from pipeline.artifacts import DELETE_IT, Artifact
 from pipeline.progress import progress
 from pipeline.progress import stages as numbered
-from pipeline.roads.answers import REFERENCES, event_rates
+from pipeline.roads.answers import LADDER_ONLY, REFERENCES, compared_with, event_rates
 from pipeline.roads.diagnosis import layers_json, layers_text, least_faithful, rate_points
 from pipeline.roads.fitting import fitted
 from pipeline.roads.origins import ladder_origin
@@ -87,6 +87,8 @@ def measure_ladder(
             bundle = stages.on_test_split(settings, dataset, bundle)
         asked = asked or ladder_stages(settings.network, whole)
         asked = [stage for stage in asked if stage not in (*left_out, *BOARDS)]
+        for stage in (stage for stage in asked if stage in LADDER_ONLY):
+            stages.train(stage, run, settings, dataset, say)
         results = stages.answer_all(run, settings, bundle, asked, jobs, say, whole)
         # A board's result is included if it exists and belongs to this bundle.
         for board in () if whole else map(run.check, BOARDS):
@@ -144,7 +146,7 @@ def ladder_rows(results) -> list:
     -------
     list of dict
         The ladder's rows: ``stage``, ``accuracy``, ``accuracy_ci95`` (Wilson's interval);
-        compared with the stage above, and None in the first row: ``drop`` of the accuracy, number
+        compared with the stage above, and None in the first row: ``change`` of the accuracy, number
         of ``disagreements`` of the predictions, and ``mcnemar_p`` of the exact test;
         ``confusion``, the numbers of samples by label (row) and prediction (column).
 
@@ -163,7 +165,7 @@ def ladder_rows(results) -> list:
                 "stage": result["target"],
                 "accuracy": result["accuracy"],
                 "accuracy_ci95": list(result["accuracy_ci95"]),
-                "drop": against and against.accuracy_drop,
+                "change": against and 0.0 - against.accuracy_drop,
                 "disagreements": against and len(against.disagreements),
                 "mcnemar_p": against and against.p_value,
                 "confusion": confusion_matrix(*answers, len(samples[0]["scores"])).tolist(),
@@ -206,7 +208,10 @@ def ladder_json(results, layers=None, left_out=(), classes=None) -> dict:
     first = results[0]
     if classes is None:
         classes = map(str, range(len(first["samples"][0]["scores"])))
+    by_stage = {result["target"]: result for result in results}
     trained = next((result for result in results if result["target"] in TRAINED), None)
+    reference = by_stage[compared_with(by_stage)]
+    after = list(by_stage).index(reference["target"]) + 1
     return {
         "schema": "stmnist-ladder/1",
         "bundle": first["bundle"],
@@ -216,11 +221,20 @@ def ladder_json(results, layers=None, left_out=(), classes=None) -> dict:
         "rows": ladder_rows(results),
         "left_out": list(left_out),
         "last_against_trained_p": trained and compare_results(trained, results[-1]).p_value,
+        "against_counts": _against(by_stage.get("counts"), results[-1]),
         "while_written": results[-1].get("while_written"),
         "layers": layers,
         "least_faithful_layer": layers and least_faithful(layers),
-        "losses": [text for result in results[1:] if (text := loss_text(first, result))],
+        "losses": [text for result in results[after:] if (text := loss_text(reference, result))],
     }
+
+
+def _against(counts, last):
+    """Comparison of the last stage with the classifier of event counts; None without it."""
+    if counts is None or counts is last:
+        return None
+    compared = compare_results(counts, last)
+    return {"difference": 0.0 - compared.accuracy_drop, "mcnemar_p": compared.p_value}
 
 
 def early_text(value: dict, row: dict) -> str:
@@ -240,7 +254,7 @@ def early_text(value: dict, row: dict) -> str:
         f"{row['stage']}: early decision at a confidence of {early['confidence']:.4f}, after "
         f"{early['share_of_writing_mean']:.0%} of the recording on average: "
         f"accuracy {early['accuracy']:.3f}, "
-        + points_text(100 * (row["accuracy"] - early["accuracy"]))
+        + points_text(100 * (early["accuracy"] - row["accuracy"]))
     )
 
 
@@ -285,21 +299,27 @@ def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> st
     for row in ladder["rows"]:
         low, high = row["accuracy_ci95"]
         cells = [row["stage"], f"{row['accuracy']:.3f}", f"{low:.3f} to {high:.3f}", *[""] * 4]
-        if row["drop"] is not None:
+        if row["change"] is not None:
             cells[3:] = [
-                f"{0.0 - round(row['drop'], 3):+.3f}",  # a loss is negative, and nothing is +0.000
+                f"{round(row['change'], 3) + 0.0:+.3f}",  # no change is +0.000
                 str(row["disagreements"]),
                 p_text(row["mcnemar_p"]),
                 star(row["mcnemar_p"]),
             ]
         table.append(cells)
-    first, last = ladder["rows"][0], ladder["rows"][-1]
+    by_stage, last = {row["stage"]: row for row in ladder["rows"]}, ladder["rows"][-1]
+    first = by_stage[compared_with(by_stage)]
     lines = [
         f"Loss ladder, {ladder['n_samples']} {what}, the same for each stage",
         *aligned(table),
         f"from {first['stage']} to {last['stage']}: "
-        + points_text(100 * (first["accuracy"] - last["accuracy"])),
+        + points_text(100 * (last["accuracy"] - first["accuracy"])),
     ]
+    if (simplest := ladder.get("against_counts")) is not None:
+        lines.append(
+            f"from counts to {last['stage']}: {points_text(100 * simplest['difference'])}, "
+            f"p {p_text(simplest['mcnemar_p'])}"
+        )
     if any(cells[-1] for cells in table):
         lines.append(f"*: p below {SIGNIFICANCE:g}, more than chance explains")
     for stage in (row["stage"] for row in ladder["rows"]):
@@ -315,9 +335,14 @@ def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> st
         lines.append(f"{WARNING}{b} loses {points:.1f} points on {a}, more than {limit:g}")
     if losing and ladder["layers"]:
         lines += ["", layers_text(ladder["layers"])]
+    if simplest and simplest["difference"] < 0 and simplest["mcnemar_p"] < SIGNIFICANCE:
+        lines.append(
+            f"{WARNING}{last['stage']} is less accurate than the logistic regression on event "
+            "counts; try the other --input, a wider architecture or more epochs"
+        )
     return "\n".join(lines)
 
 
 def points_text(points: float) -> str:
-    """Format a loss in points; a negative one as points gained."""
-    return f"{abs(points):.1f} points {'lost' if points > -0.05 else 'gained'}"
+    """Format a difference of accuracies in points; a loss is negative."""
+    return f"{round(points, 1) + 0.0:+.1f} points"

@@ -1,5 +1,5 @@
-"""Check results of the networks before the bundle: CNN, rate-based LIF, NengoDL's spiking LIF, and
-the network trained on events."""
+"""Check results of the stages before the bundle: the classifier of event counts, the CNN,
+rate-based LIF, NengoDL's spiking LIF, and the network trained on events."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from pipeline.roads.nir_answers import NUMPY, graph_responses
 from pipeline.settings import Settings
 
 NETWORKS = {
+    "counts": ("Event counts", "logistic regression on event counts, the simplest classifier"),
     "cnn": ("CNN", "the convolutional network, no spikes"),
     "rate-lif": ("Rate LIF", "LIF neurons with firing rates instead of spikes"),
     "spiking-lif": ("Spiking LIF, NengoDL", "the same weights with spiking neurons"),
@@ -29,11 +30,26 @@ NETWORKS = {
 """Title and note of each network before the bundle; later stages are targets."""
 
 REFERENCES = {
-    "image": ("cnn", "rate-lif", "spiking-lif"),
-    "events": ("trained",),
-    "nir": ("nir",),
+    "image": ("counts", "cnn", "rate-lif", "spiking-lif"),
+    "events": ("counts", "trained"),
+    "nir": ("counts", "nir"),
 }
 """The reference stages by `Settings.network`."""
+
+LADDER_ONLY = ("counts",)
+"""Reference stages with an artifact of their own, which only the ladder needs."""
+
+
+def compared_with(stages) -> str:
+    """The reference stage that the stages after it are compared with: the first that is trained as
+    a network.
+
+    Parameters
+    ----------
+    stages : sequence of str
+        Stages in the order of the ladder.
+    """
+    return next(stage for stage in stages if stage != "counts")
 
 
 def reference_result(
@@ -48,7 +64,7 @@ def reference_result(
     settings : Settings
     network : dict or Path
         Weights: the CNN's for ``"cnn"``, otherwise those from which the bundle was made; for
-        ``"nir"`` the folder of the graph.
+        ``"nir"`` the folder of the graph; for ``"counts"`` the ``scores`` of samples by ``ids``.
     bundle : Bundle
     advance : callable, optional
         Called with the number of samples done since the last call.
@@ -59,8 +75,14 @@ def reference_result(
         See :func:`deploy.check.results.result_of`.
     """
     begun = time.perf_counter()
-    if stage == "nir":
+    versions = training_versions()
+    if stage == "counts":
+        scores = dict(zip(network["ids"].tolist(), network["scores"], strict=True))
+        logits = np.stack([scores[name] for name in bundle.checks.ids])[:, None]
+        responses, versions = responses_of(logits, settings.presentation), BASELINE
+    elif stage == "nir":
         responses = graph_responses(network, settings, bundle, advance)
+        versions = NUMPY
     elif stage == "trained":
         responses = _on_events(settings, network, bundle, advance)
     else:
@@ -68,8 +90,7 @@ def reference_result(
         responses = responses_of(logits, settings.presentation)
     seconds = time.perf_counter() - begun
     samples = records_of(bundle.checks, responses)
-    extra = {"versions": NUMPY if stage == "nir" else training_versions()}
-    return result_of(bundle, stage, settings.seed, samples, seconds, extra)
+    return result_of(bundle, stage, settings.seed, samples, seconds, {"versions": versions})
 
 
 def responses_of(logits: np.ndarray, presentation) -> Responses:
@@ -88,6 +109,10 @@ def responses_of(logits: np.ndarray, presentation) -> Responses:
     decisions = np.full(logits.shape[:2], -1)
     decisions[:, start:] = np.argmax(scores, axis=2)
     return Responses(scores[:, -1], decisions, {}, {})
+
+
+BASELINE = {"scikit_learn": importlib.metadata.version("scikit-learn")}
+"""Version of the package that the classifier of event counts needs."""
 
 
 def training_versions() -> dict:

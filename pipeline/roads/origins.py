@@ -23,6 +23,11 @@ def cnn_origin(settings: Settings, dataset: Origin) -> Origin:
     return Origin.of(settings, reads, [dataset])
 
 
+def counts_origin(settings: Settings, dataset: Origin) -> Origin:
+    """Origin of the classifier of event counts, which has no settings of its own."""
+    return Origin.of(settings, uses=[dataset])
+
+
 def rates_origin(settings: Settings, dataset: Origin) -> Origin:
     """Origin of the network with rate-based LIF neurons, which starts from the CNN."""
     return Origin.of(settings, ["snn"], [cnn_origin(settings, dataset)])

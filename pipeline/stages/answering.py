@@ -8,14 +8,14 @@ from functools import partial
 from deploy.check.bundle import Bundle
 from deploy.check.results import read_result
 from deploy.check.run import answered, open_check, run_check
-from deploy.files import write_json
+from deploy.files import read_arrays, write_json
 from deploy.targets.registry import TARGETS
 from pipeline.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import hidden, progress
-from pipeline.roads.answers import REFERENCES, reference_result
+from pipeline.roads.answers import reference_result
 from pipeline.roads.origins import check_origin, recorded_in_check
-from pipeline.run import RunFolder
+from pipeline.run import DELETE_ITS_FOLDER, RunFolder
 from pipeline.settings import Settings
 from pipeline.stages.training import read_weights
 
@@ -31,7 +31,8 @@ def answer(
     bundle : Bundle
         The run's own bundle, or :func:`on_test_split` of it.
     stage : str
-        One of :data:`pipeline.roads.answers.REFERENCES`, or a target.
+        One of :data:`pipeline.roads.answers.REFERENCES`, or a target.  Those that only the ladder
+        needs were made before.
     say : callable
     whole : bool
         Use the samples of :func:`on_test_split`.
@@ -44,11 +45,13 @@ def answer(
     if (line := state.announcement("answering")) is not None:
         say(line)
     with progress(f"check {stage}", len(bundle.checks)) as advance:
-        if stage not in REFERENCES[settings.network]:
+        if stage in TARGETS:
             return run_check(bundle, stage, path, settings.seed, advance, say=say)
         # A result may depend on the settings that the bundle was made from.
         view = settings.only(bundle.spec.provenance["made_from"]["settings"])
-        if stage == "nir":
+        if stage == "counts":
+            network = read_arrays(run.counts / "scores.npz", DELETE_ITS_FOLDER)
+        elif stage == "nir":
             network = run.snn if view.network == "nir" else run.nir
         else:
             network = read_weights(run.cnn if stage == "cnn" else run.snn, view)
@@ -88,12 +91,11 @@ def answer_all(
     UserError
         A target failed; the results of the others are saved.
     """
-    networks = REFERENCES[settings.network]
     origin = check_origin(settings, bundle.id)
     artifacts = {stage: check_artifact(run, stage, origin, whole) for stage in asked}
     states = {stage: _state(artifact) for stage, artifact in artifacts.items()}
     results = {}
-    targets = [s for s in asked if s not in networks and not states[s].is_current]
+    targets = [s for s in asked if s in TARGETS and not states[s].is_current]
     if jobs > 1 and any(TARGETS[name].slow for name in targets):
         here = [stage for stage in asked if stage not in targets]
         with progress("check", len(asked) * len(bundle.checks)) as advance:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pipeline.roads.answers import REFERENCES
+from pipeline.roads.answers import LADDER_ONLY, REFERENCES
 from pipeline.settings import SIMULATED, Settings
 from pipeline.stages.training import ARTIFACTS
 
@@ -24,7 +24,7 @@ def bars(settings: Settings, until: str) -> list:
     kind = settings.network
     recordings = ["simulate" if settings.data.source == SIMULATED else "import"]
     checks = {
-        "convert": [f"check {stage}" for stage in REFERENCES[kind]],
+        "convert": [f"check {stage}" for stage in REFERENCES[kind] if stage not in LADDER_ONLY],
         "ladder": ["check", *([] if kind == "nir" else ["compare layers"])],
     }
     training = [

@@ -14,15 +14,17 @@ from deploy.network.decision import Estimator
 from models.architecture import parse
 from pipeline.artifacts import Artifact, Library, Origin
 from pipeline.data.dataset import Dataset
+from pipeline.data.images import sliced_counts, typical_duration_ms
 from pipeline.progress import progress
 from pipeline.roads import nir_import
-from pipeline.roads.answers import training_versions
+from pipeline.roads.answers import BASELINE, training_versions
 from pipeline.roads.diagnosis import activity, fastest_rate, training_lines
 from pipeline.roads.event_training import FEWEST, choose, event_samples
 from pipeline.roads.given_networks import split_note
 from pipeline.roads.nir_settings import GRAPH
 from pipeline.roads.origins import (
     cnn_origin,
+    counts_origin,
     events_origin,
     nir_origin,
     rates_origin,
@@ -43,14 +45,15 @@ ARTIFACTS = {
     "events": ("events", "threshold"),
     "nir": ("nir",),
 }
-"""Names of the artifacts from which a bundle is made, in order, by :attr:`Settings.network`."""
+"""Names of the artifacts from which a bundle is made, in order, by :attr:`Settings.network`.  The
+ladder also needs those of :data:`pipeline.roads.answers.LADDER_ONLY`."""
 
 CHECKPOINT = "checkpoint.npz"
 """State of a training on events that is not complete."""
 
 
 def network_artifact(name: str, place: Place, settings: Settings, dataset: Origin) -> Artifact:
-    """One of :data:`ARTIFACTS`.
+    """One of :data:`ARTIFACTS`, or of those that only the ladder needs.
 
     Parameters
     ----------
@@ -60,6 +63,7 @@ def network_artifact(name: str, place: Place, settings: Settings, dataset: Origi
     dataset : Origin
     """
     make_origin, folder, record, *files = {
+        "counts": (counts_origin, "counts", "metrics.json", "scores.npz"),
         "cnn": (cnn_origin, "cnn", "metrics.json", "weights.npz"),
         "rate-lif": (rates_origin, "snn", "metrics.json", "weights.npz"),
         "events": (events_origin, "snn", "training.json", "weights.npz"),
@@ -79,7 +83,7 @@ def train_all(place: Place, settings: Settings, dataset: Dataset, say=print) -> 
 
 
 def train(name: str, place: Place, settings: Settings, dataset: Dataset, say=print) -> dict:
-    """Make one of :data:`ARTIFACTS`, unless it is current.
+    """Make an artifact of :func:`network_artifact`, unless it is current.
 
     Parameters
     ----------
@@ -95,6 +99,7 @@ def train(name: str, place: Place, settings: Settings, dataset: Dataset, say=pri
         epochs and the seconds.
     """
     make, action = {
+        "counts": (_fit_counts, "fitting"),
         "cnn": (_train_cnn, "training"),
         "rate-lif": (_train_rates, "training"),
         "events": (_train_on_events, "training"),
@@ -118,6 +123,39 @@ def train(name: str, place: Place, settings: Settings, dataset: Dataset, say=pri
     if name == "events":
         (artifact.folder / CHECKPOINT).unlink(missing_ok=True)  # the training is complete
     return record
+
+
+def _fit_counts(artifact, place, settings, dataset, say):
+    """Fit the classifier of event counts; keep its scores of the test samples."""
+    from pipeline.training.baseline import SLICES, fit_baseline
+
+    recordings, split = dataset.recordings, dataset.split
+    begun = time.perf_counter()
+    if dataset.is_of_arrays:  # there are no events: the pixels take their place
+        counts = dataset.inputs[:, None]
+    else:
+        duration = typical_duration_ms(recordings.part(split.train))
+        n = max(SLICES) if _features(recordings) * max(SLICES) <= MOST_FEATURES else 1
+        counts = sliced_counts(recordings, n, duration)
+    classes = len(recordings.sensor.classes)
+    fitted = fit_baseline(counts, dataset.labels, split.train, classes, settings.seed)
+    seconds = time.perf_counter() - begun
+    ids = np.array([recordings.ids[index] for index in split.test], dtype=str)
+    write_arrays(artifact.folder / "scores.npz", ids=ids, scores=fitted.scores[split.test])
+    metrics = {
+        **_accuracies(fitted.scores, dataset),
+        "slices": fitted.slices,
+        "strength": fitted.strength,
+        "cross_validated_accuracy": fitted.cross_validated,
+        "seconds": seconds,
+        "versions": BASELINE,
+    }
+    _say_accuracy("counts", metrics, say)
+    return metrics
+
+
+def _features(recordings):
+    return 2 * recordings.sensor.rows * recordings.sensor.columns
 
 
 def _read_graph(artifact, place, settings, dataset, say):
@@ -248,6 +286,9 @@ def read_weights(folder: Path, settings: Settings) -> dict:
     return weights
 
 
+MOST_FEATURES = 20_000
+"""Event counts of a sample, at most; a sensor with more has them in one slice of time."""
+
 MOST_WATCHED = 500
 """Maximum number of test samples for the learning curve."""
 
@@ -276,8 +317,18 @@ def _write_network(folder, trained, dataset):
 
 
 def _metrics(trained, dataset, seconds):
-    """Accuracy of a network on each part of the split."""
-    right = np.argmax(trained.logits(dataset.inputs), axis=1) == dataset.labels
+    """Accuracy of a network on each part of the split, and its training."""
+    return {
+        **_accuracies(trained.logits(dataset.inputs), dataset),
+        "epochs": len(trained.history),
+        "seconds": seconds,
+        "versions": training_versions(),
+    }
+
+
+def _accuracies(scores, dataset):
+    """Accuracy of the scores of all samples on each part of the split."""
+    right = np.argmax(scores, axis=1) == dataset.labels
     parts = {part: getattr(dataset.split, part) for part in ("train", "validation", "test")}
     accuracy = {part: float(right[index].mean()) for part, index in parts.items() if len(index)}
     part = list(accuracy)[-1]  # the validation samples if there is no test split, as in a sweep
@@ -287,9 +338,6 @@ def _metrics(trained, dataset, seconds):
         "accuracy": accuracy,
         f"{part}_accuracy_ci95": list(wilson_interval(int(right[parts[part]].sum()), n_samples)),
         f"n_{part}": n_samples,
-        "epochs": len(trained.history),
-        "seconds": seconds,
-        "versions": training_versions(),
     }
 
 

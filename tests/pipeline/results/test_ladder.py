@@ -39,11 +39,11 @@ EMULATOR = result("emulator", [0, 1, 2, 3, 4, 5, 0, 0, 8, 1])  # 7 right, 1 diff
 def test_the_ladder_by_hand():
     first, second, third = ladder_rows([CNN, RATE, EMULATOR])
     assert (first["stage"], first["accuracy"]) == ("cnn", 0.9)
-    assert (first["drop"], first["disagreements"], first["mcnemar_p"]) == (None, None, None)
-    assert second["drop"] == pytest.approx(0.3)
+    assert (first["change"], first["disagreements"], first["mcnemar_p"]) == (None, None, None)
+    assert second["change"] == pytest.approx(-0.3)
     assert second["disagreements"] == 4
     assert second["mcnemar_p"] == pytest.approx(2 * 0.5**3)
-    assert third["drop"] == pytest.approx(-0.1)
+    assert third["change"] == pytest.approx(0.1)
     assert third["disagreements"] == 1
     assert second["confusion"][5] == [1, 0, 0, 0, 0, 0, 0, 0, 0, 0]  # the 5 is taken for a 0
     assert sum(map(sum, second["confusion"])) == 10
@@ -60,14 +60,14 @@ def test_the_table():
         "rate-lif 0.600 0.100 to 0.900 -0.300 4 0.250",
         "emulator 0.700 0.100 to 0.900 +0.100 1 1.000",
     ]
-    assert missing(last, "cnn", "emulator", "20.0 points lost") == []
+    assert missing(last, "cnn", "emulator", "-20.0 points") == []
 
 
-def test_points_won_are_called_gained():
+def test_a_loss_is_negative():
     text = ladder_text(ladder_json([RATE, EMULATOR]))
-    assert missing(text.splitlines()[-1], "rate-lif", "emulator", "10.0 points gained") == []
-    assert points_text(-0.04) == "0.0 points lost"
-    assert points_text(0.5) == "0.5 points lost"
+    assert missing(text.splitlines()[-1], "rate-lif", "emulator", "+10.0 points") == []
+    assert points_text(-0.04) == "+0.0 points"
+    assert points_text(-0.5) == "-0.5 points"
 
 
 def test_only_simulated_samples_are_called_so():
@@ -126,3 +126,31 @@ def test_small_losses_that_add_up_are_too_much_together():
 
 def test_what_the_cnn_loses_is_no_matter_of_firing_rates():
     assert losing_stages(ladder_json([CNN, RATE]), 1) == []
+
+
+def of_eighty(target, right):
+    """A result with the first samples right."""
+    samples = [
+        {"id": str(i), "label": 1, "prediction": int(i < right), "scores": [0.0, 0.0]}
+        for i in range(80)
+    ]
+    return {
+        **{"target": target, "bundle": "b" * 64, "simulated": False, "samples": samples},
+        **{"n_samples": 80, "accuracy": right / 80, "accuracy_ci95": [0.0, 1.0]},
+    }
+
+
+def test_the_deployed_network_is_compared_with_the_simplest_classifier():
+    cnn, worse, better = of_eighty("cnn", 70), of_eighty("emulator", 54), of_eighty("emulator", 70)
+    ladder = ladder_json([of_eighty("counts", 60), cnn, worse])
+    assert ladder["against_counts"]["difference"] == pytest.approx(-6 / 80)
+    assert ladder["against_counts"]["mcnemar_p"] == pytest.approx(2 * 0.5**6)
+    lines = ladder_text(ladder).splitlines()
+    assert missing(lines[-1], "emulator", "event counts", "try") == []
+    assert any("from cnn to emulator: -20.0 points" in line for line in lines)
+    text = ladder_text(ladder_json([of_eighty("counts", 60), cnn, better]))
+    assert "try" not in text
+    assert "from counts to emulator: +12.5 points" in text
+    chance = ladder_json([of_eighty("counts", 58), cnn, worse])
+    assert "try" not in ladder_text(chance)  # four samples are no evidence
+    assert ladder_json([cnn, worse])["against_counts"] is None
