@@ -36,7 +36,7 @@ def run_on_events(tmp_path_factory):
 def test_the_ladder_begins_with_what_was_trained(run_on_events):
     ladder = read_json(run_on_events / "ladder.json", "")
     stages = [row["stage"] for row in ladder["rows"]]
-    assert stages == ["trained", "nengo", "simreal", "emulator"]
+    assert stages == ["counts", "trained", "nengo", "simreal", "emulator"]
     assert ladder["n_samples"] == 12
 
 

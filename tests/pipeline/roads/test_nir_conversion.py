@@ -231,7 +231,7 @@ def test_a_run_of_a_graph(tmp_path, capsys):
     answered = capsys.readouterr()
     assert "has changed" in answered.err
     rows = json.loads(answered.out)["rows"]
-    assert [row["stage"] for row in rows] == ["nir", "nengo", "simreal", "emulator"]
+    assert [row["stage"] for row in rows] == ["counts", "nir", "nengo", "simreal", "emulator"]
     assert "nir: " in answered.err
     assert stmnist("deploy", "plan", run / "bundle") == 0
     assert stmnist("train", run) == 2
