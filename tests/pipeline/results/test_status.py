@@ -15,7 +15,10 @@ from tests.command import call, missing
 
 ON_IMAGES = [
     *("dataset", "cnn", "rate-lif", "bundle"),
-    *(f"checks/{s}" for s in ("counts", "cnn", "rate-lif", "spiking-lif", "nengo", "simreal", "emulator")),
+    *(
+        f"checks/{s}"
+        for s in ("counts", "cnn", "rate-lif", "spiking-lif", "nengo", "simreal", "emulator")
+    ),
     "ladder",
 ]
 CHANGED = r"cnn\.epochs\b.* 3 .* 1\b"
