@@ -90,8 +90,8 @@ def test_the_ladder_agrees_with_the_results(tiny_run):
     rows = read_json(tiny_run / "ladder.json", "")["rows"]
     accuracies = [read_result(tiny_run / "checks" / f"{s}.json")["accuracy"] for s in STAGES]
     assert [row["accuracy"] for row in rows] == accuracies
-    drops = [row["change"] for row in rows[1:]]
-    np.testing.assert_allclose(drops, -np.diff(accuracies), atol=1e-12)
+    changes = [row["change"] for row in rows[1:]]
+    np.testing.assert_allclose(changes, np.diff(accuracies), atol=1e-12)
 
 
 def test_the_same_seed_trains_the_same_weights(tiny_run, tmp_path):
