@@ -39,7 +39,7 @@ from deploy.tables import aligned
 from deploy.terminal import show
 from pipeline.commands import options
 from pipeline.commands.data import SimulationSeed
-from pipeline.data import table1
+from pipeline.data import statistics
 from pipeline.paper import SAMPLES_PER_DIGIT, TABLE1
 from pipeline.progress import progress
 from pipeline.skin.parameters import CALIBRATION, Form, Parameters, load
@@ -82,7 +82,7 @@ class Cell:
     ----------
     digit : int
     measure : str
-        One of :data:`pipeline.data.table1.MEASURES`.
+        One of :data:`pipeline.data.statistics.MEASURES`.
     part : str
         ``"mean"`` or ``"sd"``.
     simulated, paper : float
@@ -142,7 +142,7 @@ def step(form: Form, row, paper, damping) -> Form:
     ----------
     form : Form
     row, paper : dict
-        Values of this digit, as in :func:`pipeline.data.table1.table`.
+        Values of this digit, as in :func:`pipeline.data.statistics.table`.
     damping : float
         Part of the step to take.
     """
@@ -199,7 +199,7 @@ def calibrate(parameters: Parameters, rounds=12, seed=0, jobs=2, counts=None, ad
     for number in range(rounds):
         parameters = replace(parameters, forms=tuple(map(rounded, parameters.forms)))
         recordings = simulate(seed, counts, jobs, advance, parameters)
-        table = table1.table(recordings)
+        table = statistics.table(recordings)
         worst = cells(table)[0]
         if best is None or worst.strain < best[1].strain:
             best = parameters, worst
@@ -258,7 +258,7 @@ def main(
         write_calibration(out, fitted, about)
     with progress("simulate", sum(SAMPLES_PER_DIGIT)) as advance:
         recordings = simulate(seed, jobs=jobs, advance=advance, parameters=fitted)
-    found = cells(table1.table(recordings))
+    found = cells(statistics.table(recordings))
     past = [cell for cell in found if cell.strain > 1]
     show(cells_text(found[:8]))
     show(f"seed {seed}: {len(found) - len(past)} of {len(found)} cells within their limits")

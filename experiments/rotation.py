@@ -20,9 +20,10 @@ from deploy.files import sha256_of
 from experiments.adaptation import METHODS, Plan, Subjects, methods_text, summary_of
 from pipeline import stages
 from pipeline.artifacts import Origin
-from pipeline.data.dataset import Dataset, dataset_origin, split_of
+from pipeline.data.dataset import Dataset, dataset_origin
 from pipeline.data.events import Recordings, Source
 from pipeline.data.library import simulated
+from pipeline.data.splits import split_of
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.results.study import Findings, Task, Workers, concluded, study, successful
 from pipeline.roads.origins import bundle_origin

@@ -21,9 +21,9 @@ from experiments.table2_splits import (
     measure,
     split_file,
 )
-from pipeline.data.dataset import KINDS, event_warnings, require_recordings_fit, split_of
+from pipeline.data.dataset import event_warnings, require_recordings_fit
 from pipeline.data.library import recordings_of
-from pipeline.data.splits import draw_check_samples
+from pipeline.data.splits import RANDOM, WRITERS, draw_check_samples, split_of
 from pipeline.jobs import Failure
 from pipeline.results.resampling import estimate
 from pipeline.results.study import (
@@ -53,6 +53,9 @@ COMPARISONS = (
 )
 """Pairs of models whose difference is printed."""
 
+KINDS = (RANDOM, WRITERS)
+"""Kinds of splits."""
+
 
 def measure_table(
     folder: RunFolder,
@@ -74,7 +77,7 @@ def measure_table(
     models : tuple of str
         Keys of :data:`experiments.table2_splits.MODELS`.
     kind : str
-        One of :data:`pipeline.data.dataset.KINDS`, ``"both"``, or empty for both where the
+        One of :data:`KINDS`, ``"both"``, or empty for both where the
         writers are known.
     splits : int
         Number of splits of each kind.

@@ -175,7 +175,12 @@ class Image(Section):
 
 @dataclass(frozen=True)
 class SplitShares(Section):
-    """The shares of test and validation samples."""
+    """The test and validation samples."""
+
+    kind: Annotated[str, one_of("auto", "random", "published", "writers")] = "auto"
+    """``published``, the split of a source with the folders ``train`` and ``test``; ``random``,
+    over all samples, as in the paper; ``writers``, people with test samples have no training
+    samples; ``auto``, the published one if there is one, otherwise random."""
 
     test_fraction: Annotated[float, INSIDE_0_1] = paper.TEST_FRACTION
     """Share of all samples that is used for testing (paper: 80-20 splits)."""

@@ -41,7 +41,7 @@ _PLACES = {
     "pipeline.data.splits": ("draw_check_samples",),
     "pipeline.live.serving": ("live",),
     "pipeline.progress": ("progress",),
-    "pipeline.data.own": ("write_recordings",),
+    "pipeline.data.eventfiles": ("write_recordings",),
     "pipeline.results.report": ("write_report",),
     "pipeline": ("stages",),
     "pipeline.results.compare": ("compare_runs", "read_runs", "runs_text"),

@@ -10,8 +10,8 @@ import pytest
 from deploy.check.bundle import read_bundle, write_bundle
 from deploy.errors import UserError
 from deploy.files import read_json
-from pipeline.data.archive import write_zip
 from pipeline.data.events import Recordings
+from pipeline.data.source import write_zip
 from pipeline.live.network import SHIPPED
 from pipeline.results.elsewhere import recordings_for
 from pipeline.settings import Settings, write_settings

@@ -14,7 +14,7 @@ import pytest
 from deploy.errors import UserError
 from deploy.files import read_json, write_json
 from pipeline.artifacts import Artifact, Origin
-from pipeline.data import cache
+from pipeline.data.library import cache_folder
 from pipeline.run import RunFolder
 from pipeline.settings import read_settings
 from pipeline.stages.bundling import _confidence
@@ -221,11 +221,11 @@ def test_a_file_that_is_not_there_does_not_become_a_run(refused, tmp_path, verb)
 def test_an_empty_name_of_the_cache_is_none(monkeypatch, tmp_path):
     monkeypatch.setenv("STMNIST_CACHE", "")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert cache.folder() == tmp_path / "stmnist"
+    assert cache_folder() == tmp_path / "stmnist"
 
 
 def test_a_file_larger_than_any_of_its_kind(refused, tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.data.mat5.LARGEST", 10_000)
+    monkeypatch.setattr("pipeline.data.matfile.LARGEST", 10_000)
     monkeypatch.setattr("deploy.limits.TEXT_BYTES", 10_000)
     path = tmp_path / "large"
     path.touch()

@@ -13,12 +13,18 @@ from deploy.errors import UserError
 from deploy.terminal import show
 from pipeline.commands import options, signatures
 from pipeline.commands.completion import data_sets
-from pipeline.data.archive import export_zip, refuse_to_replace, write_zip
 from pipeline.data.events import GRID
-from pipeline.data.facts import facts_of_file, facts_with_events, file_text, recordings_text
 from pipeline.data.library import load_recordings
-from pipeline.data.sensors import Reading
-from pipeline.data.table1 import table1_json, table1_text
+from pipeline.data.sensor import Reading
+from pipeline.data.source import export_zip, refuse_to_replace, write_zip
+from pipeline.data.statistics import (
+    facts_of_file,
+    facts_with_events,
+    file_text,
+    recordings_text,
+    table1_json,
+    table1_text,
+)
 from pipeline.progress import progress
 from pipeline.settings import MOST_DOWNSAMPLED, SIMULATED, Settings
 from pipeline.skin import unipen
@@ -232,7 +238,7 @@ def stats(
     options.tell(value, lambda _: table1_text(recordings, against_paper), as_json)
 
 
-FIGURES = ("recording", "events", "layout", "sheet")
+FIGURES = ("recording", "sheet")
 
 
 def plot(
@@ -258,10 +264,6 @@ def plot(
 
     recording: the tactile image as it grows, above a raster of its events.
 
-    events: each taxel's events, at its place on the array.
-
-    layout: taxel addresses and their (X, Y).
-
     sheet: tactile images of random samples of each class.
     """
     from pipeline.results.report import figures  # Matplotlib takes a second to import
@@ -273,13 +275,10 @@ def plot(
     recordings = load_recordings(
         data, seed, skip_bad=skip_bad, jobs=jobs, warn=options.say, reading=reading
     )
-    if what == "layout":
-        figure = drawn.layout(recordings.taxels, drawn.is_as_in_paper(recordings))
-    elif what == "sheet":
+    if what == "sheet":
         figure = drawn.sheet(recordings, per_digit, seed)
     else:
-        draw = drawn.recording if what == "recording" else drawn.events_by_taxel
-        figure = draw(recordings, _index_of(recordings, sample))
+        figure = drawn.recording(recordings, _index_of(recordings, sample))
     figures.save(figure, out)
     show(out)
 

@@ -32,7 +32,6 @@ VERBS = {
             "simulate": "data.simulate_",
             "stats": "data.stats",
             "plot": "data.plot",
-            "aces": "skin.aces_",
         },
     ),
     "train": (

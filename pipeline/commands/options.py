@@ -217,7 +217,7 @@ def fit_recordings(jobs: int, until: str):
     def fit(folder, settings):
         from pipeline.data.library import recordings_of
         from pipeline.progress import stages
-        from pipeline.roads.fitting import chosen_text, fitted, new_run_text
+        from pipeline.roads.fitting import chosen_text, fitted, new_run_text, split_text
         from pipeline.stages import bars
 
         if settings.data.source == SIMULATED:
@@ -236,7 +236,9 @@ def fit_recordings(jobs: int, until: str):
             remedy = "; nothing was kept: name the data (--data) in the next command too"
             raise SeveralErrors([*error.lines[:-1], error.lines[-1] + remedy]) from error
         if is_new:
-            say(new_run_text(folder.path, recordings))
+            say(new_run_text(folder.path, recordings, settings))
+        elif text := split_text(recordings, settings):
+            say(f"{folder.path}: {text}")
         for line in chosen_text(settings, chosen, recordings):
             say(line)
         return chosen

@@ -15,13 +15,9 @@ from pipeline.artifacts import Origin
 from pipeline.data.events import Events, Recordings, Sensor, Source, TaxelMap
 from pipeline.data.images import tactile_images
 from pipeline.data.library import recordings_of
-from pipeline.data.sensors import too_small
-from pipeline.data.splits import Split, random_split, writer_split
+from pipeline.data.splits import Split, split_of, split_problem
 from pipeline.data.steps import EventTable
 from pipeline.settings import SIMULATED, Image, Settings, check_fits
-
-KINDS = ("random", "writers")
-"""Kinds of splits: over samples, as in the paper, or over writers (none in both parts)."""
 
 AT_ONCE = 500
 """Recordings whose frames of events are made at once, which bounds the memory."""
@@ -38,10 +34,10 @@ ARRAYS = "arrays"
 TOO_SMALL = "ask for fewer (SAMPLES, or check.samples) or give more data"
 """Remedy for too few samples for the check."""
 
-NO_SPLIT = "give more data, or another split.test_fraction"
+NO_SPLIT = "give more data, or another split.test_fraction or split.kind"
 """Remedy for too few samples for the split."""
 
-READING = "2"
+READING = "3"
 """Version of the rules by which files become recordings; to be raised if they change, because files
 that are read differently have the same hash."""
 
@@ -67,7 +63,7 @@ class Dataset:
     _made: dict = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
-    def of(cls, settings: Settings, jobs: int = 1, warn=None, kind: str = "random") -> Dataset:
+    def of(cls, settings: Settings, jobs: int = 1, warn=None, kind: str = "") -> Dataset:
         """The recordings named in the settings, split with the seed of the settings.
 
         Parameters
@@ -78,7 +74,7 @@ class Dataset:
         warn : callable, optional
             Called with one line for each file that was left out.
         kind : str
-            Kind of the split, one of :data:`KINDS`.
+            Kind of the split instead of setting ``split.kind``.
 
         Raises
         ------
@@ -88,7 +84,7 @@ class Dataset:
         """
         recordings = recordings_of(settings, jobs, warn)
         split = _checked_split(recordings, settings, kind)
-        origin = dataset_origin(settings, recordings.source.sha256, kind)
+        origin = dataset_origin(settings, recordings.source.sha256, split.kind)
         return cls(recordings, split, origin, settings)
 
     @classmethod
@@ -194,18 +190,16 @@ def dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "rand
     recordings_sha256 : str
         Hash of the recordings' content.
     kind : str
-        Kind of the split, one of :data:`KINDS`.
+        Kind of the split, see :class:`pipeline.data.splits.Split`.
     """
     reads = [*SPLIT_READS, "data.skip_bad", "skin"]
     if settings.data.source == SIMULATED:
         reads += ["data.simulation_seed", "data.samples_per_digit"]
     else:
         reads += ["data.time_unit", "data.downsample"]
-    contents = {"recordings": recordings_sha256}
+    contents = {"recordings": recordings_sha256, "split": kind}
     if settings.data.source != SIMULATED:
         contents["rules of reading files"] = READING
-    if kind != "random":
-        contents["split"] = kind
     return Origin.of(settings, reads, contents=contents)
 
 
@@ -250,16 +244,15 @@ def require_recordings_fit(recordings: Recordings, settings: Settings):
     check_fits(settings, sensor.rows, sensor.columns, classes, settings.data.source)
 
 
-def _checked_split(recordings, settings, kind="random"):
+def _checked_split(recordings, settings, kind=""):
     """The split of recordings as in the settings, after checking their number."""
     source, parts = settings.data.source, settings.split
     try:
-        split = split_of(
-            recordings, settings.seed, parts.test_fraction, parts.validation_fraction, kind
-        )
+        shares = parts.test_fraction, parts.validation_fraction
+        split = split_of(recordings, settings.seed, *shares, kind or parts.kind)
     except ValueError as error:
         raise UserError(f"{source}: {error}; {NO_SPLIT}") from error
-    if problem := too_small(recordings):
+    if problem := split_problem(recordings, split.kind):
         raise UserError(f"{source}: {problem}")
     return split
 
@@ -384,31 +377,3 @@ def event_warnings(settings: Settings, recordings: Recordings) -> list:
             f"{step:g} ms, and their ends are not presented; choose more presentation.steps"
         )
     return lines
-
-
-def split_of(
-    recordings: Recordings,
-    seed: int,
-    test_fraction: float,
-    validation_fraction: float = 0.0,
-    kind: str = "random",
-) -> Split:
-    """Split recordings into training, validation and test samples.
-
-    Parameters
-    ----------
-    recordings : Recordings
-    seed : int
-    test_fraction, validation_fraction : float
-        See :func:`pipeline.data.splits.random_split`; splits by writers have no validation part.
-    kind : str
-        One of :data:`KINDS`.
-
-    Raises
-    ------
-    ValueError
-        There are too few samples, or the writers are not known.
-    """
-    if kind == "writers":
-        return writer_split(recordings.writers, seed, test_fraction)
-    return random_split(len(recordings), seed, test_fraction, validation_fraction)

@@ -7,6 +7,7 @@ number of columns with each event; :func:`expand_bursts` is its inverse.
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -130,10 +131,14 @@ class TaxelMap:
         Row of the tactile image, from the top.  X in the paper is this plus one.
     column : ndarray of int, shape (n_taxels,)
         Column of the tactile image, from the left.  Y in the paper is this plus one.
+    positions : ndarray of float, shape (n_taxels, 2), or None
+        x (to the right) and y (downwards) of each taxel on the sensor in any unit, for drawing, if
+        the source has them (``taxels.csv``).
     """
 
     row: np.ndarray = field(default_factory=lambda: np.arange(N_TAXELS) % GRID)
     column: np.ndarray = field(default_factory=lambda: np.arange(N_TAXELS) // GRID)
+    positions: np.ndarray | None = None
 
     @classmethod
     def grid(cls, rows: int, columns: int) -> TaxelMap:
@@ -165,6 +170,9 @@ class Recordings:
     source : Source
     taxels : TaxelMap
     sensor : Sensor
+    parts : tuple of str
+        ``"train"`` or ``"test"`` for each recording of a source with a published split; otherwise
+        all are empty.
     """
 
     events: Events
@@ -175,6 +183,11 @@ class Recordings:
     source: Source
     taxels: TaxelMap = field(default_factory=TaxelMap)
     sensor: Sensor = field(default_factory=Sensor)
+    parts: tuple = ()
+
+    def __post_init__(self):
+        if not self.parts:
+            object.__setattr__(self, "parts", ("",) * len(self.labels))
 
     def __len__(self):
         return len(self.labels)
@@ -196,7 +209,36 @@ class Recordings:
             labels=self.labels[indices],
             ids=tuple(self.ids[index] for index in indices),
             writers=self.writers[indices],
+            parts=tuple(self.parts[index] for index in indices),
         )
+
+    @property
+    def is_split(self) -> bool:
+        """True if the source has a published split."""
+        return any(self.parts)
+
+    def hashes(self) -> tuple:
+        """A hash of the events of each recording, to recognise it in another source.
+
+        Times are relative to the first event, and taxels are given by their places, so that the
+        hash depends neither on the format of the file nor on the other recordings.
+
+        Returns
+        -------
+        tuple of str
+            16 hexadecimal digits for each recording.
+        """
+        events, taxels = self.events, self.taxels
+        places = np.stack(
+            [taxels.row[events.taxel], taxels.column[events.taxel], events.polarity]
+        ).astype("<i8")
+        hashes = []
+        for start, end in zip(self.offsets[:-1], self.offsets[1:], strict=True):
+            time = events.time_ns[start:end]
+            content = np.vstack([time - time[:1], places[:, start:end]]).astype("<i8")
+            order = np.lexsort(content[::-1])  # events at the same time have no order
+            hashes.append(hashlib.sha256(content[:, order].tobytes()).hexdigest()[:16])
+        return tuple(hashes)
 
     @property
     def sample_of_event(self) -> np.ndarray:
@@ -213,27 +255,32 @@ def joined(parts) -> Events:
     return Events(*columns)
 
 
-def collect(parts, labels, ids, writers, source, taxels=None, sensor=None) -> Recordings:
+def collect(
+    samples, labels, ids, writers, source, taxels=None, sensor=None, parts=()
+) -> Recordings:
     """Join the events of single recordings.
 
     Parameters
     ----------
-    parts : sequence of Events
+    samples : sequence of Events
     labels, ids, writers : sequences
         One entry per recording.
     source : Source
     taxels : TaxelMap, optional
     sensor : Sensor, optional
+    parts : sequence of str, optional
+        Part of the published split of each recording.
     """
     return Recordings(
-        events=joined(parts),
-        offsets=np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.int64),
+        events=joined(samples),
+        offsets=np.concatenate([[0], np.cumsum([len(each) for each in samples])]).astype(np.int64),
         labels=np.asarray(labels, np.int64),
         ids=tuple(ids),
         writers=np.asarray(writers, np.int64),
         source=source,
         taxels=taxels or TaxelMap(),
         sensor=sensor or Sensor(),
+        parts=tuple(parts),
     )
 
 

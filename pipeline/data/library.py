@@ -1,17 +1,37 @@
-"""Loading recordings by the name of their source: simulated or imported, and cached."""
+"""Loading recordings by the name of their source: simulated or imported on first use, and cached.
+
+The cache has one file for each set of recordings, which is keyed by the source's content.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
+import os
+import re
 from dataclasses import astuple, replace
 from pathlib import Path
 
-from pipeline.data import archive, cache
-from pipeline.data.events import GRID, Recordings
-from pipeline.data.sensors import AS_FOUND, Reading
+import numpy as np
+
+from deploy.errors import UserError
+from deploy.files import read_arrays, read_json, write_arrays, write_json
+from pipeline.data import source as sources
+from pipeline.data.events import EVENT_DTYPES, GRID, Events, Recordings, Sensor, Source, TaxelMap
+from pipeline.data.sensor import AS_FOUND, Reading
+from pipeline.data.splits import PUBLISHED, RANDOM
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import progress
 from pipeline.settings import SIMULATED, Settings
 from pipeline.skin.simulate import simulate, source_of
+
+FORMAT = 6
+"""Version of the cache; increase it with any change of the stored data or of the reading."""
+
+LARGEST_CACHE = 1 << 34
+"""Maximum number of bytes of a set of recordings, a hundred times that of the published one."""
+
+DELETE = "delete it and run the command again to make it again"
 
 
 def load_recordings(
@@ -40,7 +60,7 @@ def load_recordings(
         Processes.
     warn : callable, optional
         Called with one line for each file that was left out.
-    reading : pipeline.data.sensors.Reading
+    reading : pipeline.data.sensor.Reading
         Rows and columns of the skin (0: ten for the simulated skin), and options for reading files.
     traces : sequence of pipeline.skin.handwriting.Trace, optional
         Recorded handwriting to press on the simulated skin instead of simulated writers.
@@ -75,26 +95,31 @@ def recordings_of(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
     )
 
 
-def content_of(settings: Settings) -> str:
-    """The hash of the recordings named in the settings, without loading them.
+def identity_of(settings: Settings) -> tuple:
+    """The hash of the recordings named in the settings and their split, without loading them.
 
     Returns
     -------
-    str
+    sha256 : str
         ``source.sha256`` of :func:`recordings_of`.
+    kind : str
+        Kind of the split, see :class:`pipeline.data.splits.Split`.
 
     Raises
     ------
     UserError
         The source does not exist or cannot be read.
     """
-    data, skin = settings.data, settings.skin
+    data, skin, kind = settings.data, settings.skin, settings.split.kind
     if data.source == SIMULATED:
         size = (skin.rows or GRID, skin.columns or GRID)
         counts = _counts(data.samples_per_digit)
-        return source_of(data.simulation_seed, counts, size=size).sha256
-    archive.list_source(data.source)
-    return _hash_of(Path(data.source))
+        sha256 = source_of(data.simulation_seed, counts, size=size).sha256
+        return sha256, RANDOM if kind == "auto" else kind
+    listing = sources.list_source(data.source)
+    if kind == "auto":
+        kind = PUBLISHED if listing.entries[0].part else RANDOM
+    return _hash_of(listing), kind
 
 
 def _counts(samples_per_digit):
@@ -114,38 +139,143 @@ def simulated(seed: int, counts, jobs: int, **how) -> Recordings:
     **how
         ``parameters``, ``traces`` and ``size`` of :func:`pipeline.skin.simulate.simulate`.
     """
-    key = cache.key_of("simulated", source_of(seed, counts, **how).sha256)
-    recordings = cache.load(key)
+    path = _path("simulated", source_of(seed, counts, **how).sha256)
+    recordings = load(path)
     if recordings is None:
         with progress("simulate", sum(counts)) as advance:
             recordings = simulate(seed, counts, jobs, advance, **how)
-        cache.store(key, recordings)
+        store(path, recordings)
     return recordings
 
 
-def _imported(path, skip_bad, jobs, warn, reading):
-    listing = archive.list_source(path)  # reports a wrong path or damaged zip before the hash
-    sha256 = _hash_of(path)
-    # An import without the bad files must not be used as a complete import later.
-    key = ["imported", path.name, sha256, skip_bad, *astuple(reading)]
-    if left_out := (*listing.refused, *listing.noted):  # such as empty folders, not in the hash
-        key += map(list, left_out)
-    key = cache.key_of(*key)
-    recordings = cache.load(key)
+def _imported(source, skip_bad, jobs, warn, reading):
+    listing = sources.list_source(source)
+    # An import without the bad files must not be used as a complete import later, and refused
+    # files are not in the hash.
+    refused = [list(entry) for entry in listing.refused]
+    how = (skip_bad, *astuple(reading), refused)
+    path = _path("imported", source.name, _hash_of(listing), *how)
+    recordings = load(path)
     if recordings is None:
-        recordings = archive.read_source(path, jobs, skip_bad, progress, reading)
-        cache.store(key, recordings)
+        recordings = sources.read_source(source, jobs, skip_bad, progress, reading)
+        store(path, recordings)
     if warn is not None:
-        for line in archive.left_out_lines(path, recordings):
+        for line in sources.left_out_lines(source, recordings):
             warn(line)
     return recordings
 
 
-def _hash_of(path):
+def _hash_of(listing):
     """The content hash of a source, which is read again only if its files have changed."""
-    fingerprint = archive.fingerprint(path)
-    sha256 = cache.recall(fingerprint)
-    if sha256 is None:
-        sha256 = archive.content_hash(path)
-        cache.remember(fingerprint, sha256)
+    path = cache_folder() / f"source-{sources.fingerprint(listing)[:24]}.json"
+    if path.exists():
+        sha256 = read_json(path, DELETE).get("sha256")
+        if isinstance(sha256, str) and re.fullmatch("[0-9a-f]{64}", sha256):
+            return sha256
+    sha256 = sources.content_hash(listing)
+    write_json(path, {"sha256": sha256})
     return sha256
+
+
+# The cache.
+
+
+def cache_folder() -> Path:
+    """The folder of the cache: ``$STMNIST_CACHE``, or ``stmnist`` in the user's cache folder."""
+    if os.environ.get("STMNIST_CACHE"):  # if empty, it is not set
+        return Path(os.environ["STMNIST_CACHE"])
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stmnist"
+
+
+def _path(*key):
+    """The file for recordings that are determined by some plain values."""
+    name = hashlib.sha256(json.dumps([FORMAT, *key]).encode()).hexdigest()[:24]
+    return cache_folder() / f"recordings-{name}.npz"
+
+
+def store(path, recordings: Recordings):
+    """Save recordings."""
+    source, sensor, taxels = recordings.source, recordings.sensor, recordings.taxels
+    positions = np.empty((0, 2)) if taxels.positions is None else taxels.positions
+    write_arrays(
+        path,
+        compress=False,  # loads faster than compressed arrays
+        **{name: getattr(recordings.events, name) for name in EVENT_DTYPES},
+        offsets=recordings.offsets,
+        labels=recordings.labels,
+        ids=np.array(recordings.ids, dtype=str),
+        writers=recordings.writers,
+        parts=np.array(recordings.parts, dtype=str),
+        row=taxels.row,
+        column=taxels.column,
+        positions=positions,
+        source=np.array([source.name, source.sha256, source.time_unit]),
+        simulated=np.array(source.simulated),
+        written=np.array(source.written),
+        left_out=np.array(source.left_out, dtype=str),
+        size=np.array([sensor.rows, sensor.columns, sensor.polarities]),
+        duration_s=np.array(sensor.duration_s),
+        classes=np.array(sensor.classes, dtype=str),
+    )
+
+
+def load(path) -> Recordings | None:
+    """Load recordings, or return None if the file does not exist.
+
+    Raises
+    ------
+    UserError
+        The file exists but is damaged.
+    """
+    if not path.exists():
+        return None
+    arrays = read_arrays(path, DELETE, LARGEST_CACHE)
+    try:
+        name, sha256, time_unit = (str(text) for text in arrays["source"])
+        flags = bool(arrays["simulated"]), bool(arrays["written"])
+        positions = arrays["positions"]
+        recordings = Recordings(
+            events=Events(*(arrays[column] for column in EVENT_DTYPES)),
+            offsets=arrays["offsets"],
+            labels=arrays["labels"],
+            ids=tuple(arrays["ids"].tolist()),
+            writers=arrays["writers"],
+            source=Source(name, sha256, *flags, tuple(arrays["left_out"].tolist()), time_unit),
+            taxels=TaxelMap(arrays["row"], arrays["column"], positions if len(positions) else None),
+            sensor=Sensor(
+                *(int(n) for n in arrays["size"]),
+                float(arrays["duration_s"]),
+                tuple(arrays["classes"].tolist()),
+            ),
+            parts=tuple(arrays["parts"].tolist()),
+        )
+        _require_sound(recordings)
+    except (KeyError, ValueError, TypeError, IndexError) as error:
+        raise UserError(f"{path}: damaged cache ({error}); {DELETE}") from error
+    return recordings
+
+
+def _require_sound(recordings):
+    """Raise a ValueError for indices outside their ranges, which would read other memory."""
+    events, n, offsets = recordings.events, len(recordings), recordings.offsets
+    lengths = {
+        len(recordings.ids),
+        len(recordings.writers),
+        len(recordings.parts),
+        len(offsets) - 1,
+    }
+    if (
+        lengths != {n}
+        or offsets[0] != 0
+        or offsets[-1] != len(events)
+        or (np.diff(offsets) < 0).any()
+    ):
+        raise ValueError("arrays of different lengths")
+    for name, values, most in (
+        ("labels", recordings.labels, len(recordings.sensor.classes)),
+        ("taxels", events.taxel, len(recordings.taxels)),
+        ("rows", recordings.taxels.row, recordings.sensor.rows),
+        ("columns", recordings.taxels.column, recordings.sensor.columns),
+    ):
+        if len(values) and not 0 <= values.min() <= values.max() < most:
+            raise ValueError(f"{name} out of range")

@@ -2,22 +2,20 @@
 
 Rows 0 to 99 have 1 (ON), -1 (OFF) or 0 for the taxels, row 100 the time of each column in seconds.
 For other arrays there are as many rows as taxels, and the time is in the next row.
-MATLAB 5 files are read by :mod:`pipeline.data.mat5`, 7.3 files (HDF5) with h5py; nothing in
-them is executed, and nothing larger than a recording can be is read.
+MATLAB 5 files are read with SciPy, 7.3 files (HDF5) with h5py; nothing in them is executed, and
+nothing that declares to be larger than a recording can be is read.
 """
 
 from __future__ import annotations
 
 import io
 import math
-import zlib
 from dataclasses import dataclass, field
 
 import numpy as np
 import scipy
 
-from models.hdf5 import h5py, unusual_filters
-from pipeline.data import mat5
+from models.hdf5 import h5py
 from pipeline.data.events import (
     N_TAXELS,
     Events,
@@ -32,6 +30,18 @@ _WRITTEN = ("source", "time", "handedness", "seed", "pen")
 LATEST_S = 60.0
 """A recording lasts 2 s, of other sensors perhaps longer; a time past this is taken for
 milliseconds."""
+
+LARGEST = 170_000_000
+"""Bytes of one variable, and of a file: 101 rows of 200,000 columns in double precision, which is a
+hundred taxels that each report an event every 5 ms for 2 s, in five columns each."""
+
+HEADER = b"MATLAB 5.0 MAT-file"
+
+ITEM_SIZES = {
+    **{f"{sign}int{bits}": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)},
+    **{"double": 8, "single": 4, "logical": 1, "char": 4},
+}
+"""Bytes of an element of each MATLAB class that a recording may have."""
 
 MAX_TAXELS = 65536
 """Largest number of taxels of any array, since events cannot address more."""
@@ -91,6 +101,9 @@ class MatRecording:
     written: Written | None = None
     n_taxels: int = N_TAXELS
 
+    def __len__(self):
+        return len(self.events)
+
 
 def read_recording(content: bytes, n_taxels: int | None = N_TAXELS) -> MatRecording:
     """Read a recording.
@@ -111,20 +124,13 @@ def read_recording(content: bytes, n_taxels: int | None = N_TAXELS) -> MatRecord
     BadRecording
         Not a MAT file, or not a recording; see :func:`events_of`.
     """
-    variables = read_variables(content, (VARIABLE, "simulated", "writer", *_WRITTEN))
+    wanted = (VARIABLE, "simulated", "writer", *_WRITTEN)
+    variables = read_variables(content, lambda name, shape: name in wanted)
     if VARIABLE not in variables:
         raise BadRecording(f"has no variable {VARIABLE!r}")
     simulated, writer = (_number(variables.get(name)) for name in ("simulated", "writer"))
     spiketrain = np.asarray(variables[VARIABLE])
-    try:
-        events = events_of(spiketrain, n_taxels)
-    except BadRecording as error:
-        rows = spiketrain.shape[0] if spiketrain.ndim == 2 else N_TAXELS + 1
-        if n_taxels is None and rows != N_TAXELS + 1:  # which may be the only problem
-            raise BadRecording(
-                f"{VARIABLE!r} has {rows} rows; read as {rows - 1} taxels it {error}"
-            ) from error
-        raise
+    events = events_of(spiketrain, n_taxels)
     return MatRecording(
         events=events,
         simulated=bool(simulated),
@@ -213,21 +219,20 @@ def events_of(spiketrain, n_taxels: int | None = N_TAXELS) -> Events:
     return events
 
 
-def read_variables(content: bytes, names=None, fits=None) -> dict:
-    """Read those of the named variables that a MATLAB 5 or 7.3 file has.
+def read_variables(content: bytes, fits) -> dict:
+    """Read some variables of a MATLAB 5 or 7.3 file.
 
     Parameters
     ----------
     content : bytes
-    names : sequence of str, optional
-        Default: all variables of numbers.
-    fits : callable, optional
-        ``fits(shape)``: only the first variable whose declared shape fits is read.
+    fits : callable
+        ``fits(name, shape)`` is True for a variable to read, of which only its name, its shape and
+        its size are known.
 
     Returns
     -------
-    dict of str to ndarray, str or None
-        None for a named variable that is neither real numbers nor a short text.
+    dict of str to ndarray or str
+        Arrays of numbers, and short texts.
 
     Raises
     ------
@@ -236,63 +241,66 @@ def read_variables(content: bytes, names=None, fits=None) -> dict:
     """
     if not content:
         raise BadRecording("is an empty file")
-    if len(content) > mat5.LARGEST:
+    if len(content) > LARGEST:
         raise BadRecording(f"is larger than a recording of {DURATION_S:g} s can be")
     try:
         if content[512:520] == b"\x89HDF\r\n\x1a\n":
-            with h5py.File(io.BytesIO(content), "r") as file:
-                return _datasets(file, list(file) if names is None else names, fits)
-        if not content.startswith(mat5.HEADER):
+            return _read_hdf5(content, fits)
+        if not content.startswith(HEADER):
             raise BadRecording("is not a MAT file")
-        return mat5.read(content, names, fits)
-    except mat5.TooLarge as error:
-        raise BadRecording(
-            f"{error}, more than a recording of {DURATION_S:g} s can have"
-        ) from error
-    except BadRecording:
+        return _read_mat5(content, fits)
+    except (BadRecording, MemoryError):
         raise
-    except MemoryError:
-        raise
-    except (ValueError, TypeError, KeyError, OSError, EOFError, IndexError, zlib.error) as error:
-        raise BadRecording("is a damaged MAT file") from error
-    except Exception as error:  # h5py fails in many ways on damaged files
+    except Exception as error:  # SciPy and h5py fail in many ways on damaged files
         raise BadRecording(f"is a damaged MAT file ({type(error).__name__})") from error
 
 
-def _datasets(file, names, fits):
+def _read_mat5(content, fits):
+    file = io.BytesIO(content)
+    names = []
+    for name, shape, kind in scipy.io.whosmat(file):
+        if kind in ITEM_SIZES and fits(name, shape):
+            _refuse_too_large(name, shape, ITEM_SIZES[kind])
+            names.append(name)
+    variables = scipy.io.loadmat(file, variable_names=names, chars_as_strings=True)
+    arrays = {name: variables[name] for name in names}
+    return {
+        name: str(array[0]) if array.dtype.kind == "U" and array.size == 1 else array
+        for name, array in arrays.items()
+    }
+
+
+def _read_hdf5(content, fits):
     """The arrays of numbers of an HDF5 file; nothing outside it is opened."""
-    found = {}
-    if len(names) > mat5.MOST_VARIABLES:
-        raise BadRecording(f"has {len(names)} variables")
-    for name in names:
-        if not isinstance(file.get(name, getlink=True), h5py.HardLink):
-            continue
-        dataset = file[name]
-        numbers = isinstance(dataset, h5py.Dataset) and dataset.dtype.kind in "fiub"
-        if fits is not None and not (numbers and dataset.shape and fits(dataset.shape[::-1])):
-            continue
-        found[name] = None
-        if not numbers:
-            continue
-        if dataset.external or dataset.is_virtual or dataset.shape is None:
-            raise BadRecording(f"has {name!r} in another file")
-        if unusual_filters(dataset):
-            raise BadRecording(f"has {name!r} in a form that MATLAB does not write")
-        held = max(math.prod(map(int, shape)) for shape in (dataset.shape, dataset.chunks or ()))
-        if held * dataset.dtype.itemsize > mat5.LARGEST:
-            raise mat5.TooLarge(
-                f"declares {' x '.join(map(str, dataset.shape))} values of {name!r}"
-            )
-        # MATLAB stores columns first, so that HDF5 sees each matrix transposed.
-        found[name] = dataset[()].T
-        if fits is not None:
-            break
-    return found
+    variables = {}
+    with h5py.File(io.BytesIO(content), "r") as file:
+        for name in file:
+            is_inside = isinstance(file.get(name, getlink=True), h5py.HardLink)
+            dataset = file[name] if is_inside else None
+            if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiub":
+                continue
+            # MATLAB stores columns first, so that HDF5 sees each matrix transposed.
+            if not dataset.shape or not fits(name, dataset.shape[::-1]):
+                continue
+            if dataset.external or dataset.is_virtual:
+                raise BadRecording(f"has {name!r} in another file")
+            for shape in (dataset.shape, dataset.chunks or ()):
+                _refuse_too_large(name, shape, dataset.dtype.itemsize)
+            variables[name] = dataset[()].T
+    return variables
+
+
+def _refuse_too_large(name, shape, item_size):
+    if math.prod(map(int, shape)) * item_size > LARGEST:
+        raise BadRecording(
+            f"declares {' x '.join(map(str, shape))} values of {name!r}, more than a recording of "
+            f"{DURATION_S:g} s can have"
+        )
 
 
 def read_limited(file) -> bytes:
     """The content of an open file, read at most up to the point at which it is too large."""
-    return file.read(mat5.LARGEST + 1)
+    return file.read(LARGEST + 1)
 
 
 def spiketrain_of(events: Events, n_taxels: int = N_TAXELS) -> np.ndarray:
@@ -332,8 +340,9 @@ def read_lookup_table(content: bytes) -> TaxelMap:
     BadRecording
         No variable has that form, or its entries are not positions of different taxels.
     """
-    table = next(iter(read_variables(content, fits=_is_table).values()), None)
-    if not isinstance(table, np.ndarray):
+    tables = [v for v in read_variables(content, _is_table).values() if isinstance(v, np.ndarray)]
+    table = next((v for v in tables if v.dtype.kind in "fiub"), None)
+    if table is None:
         raise BadRecording("has no table of rows with X and Y, or address, X and Y, one per taxel")
     n = len(table)
     if table.shape[1] == 3:
@@ -348,7 +357,7 @@ def read_lookup_table(content: bytes) -> TaxelMap:
     return TaxelMap(x, y)
 
 
-def _is_table(shape):
+def _is_table(_, shape):
     """True for a shape that a look-up table may have, of which nothing is read yet."""
     if len(shape) != 2 or shape[1] not in (2, 3) or not shape[0]:
         return False

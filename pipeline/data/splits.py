@@ -6,6 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.data.events import Recordings
+
+RANDOM, PUBLISHED, WRITERS = "random", "published", "writers"
+"""Kinds of splits: over samples, as in the paper; of the source; over writers, of whom none has
+samples in both parts."""
+
 HELD_OUT = 0.1
 """Share of the training samples that is held out if there are no validation samples."""
 
@@ -22,11 +28,14 @@ class Split:
         In random order: recordings are sorted by digit, and a network whose state is not reset
         between samples has a higher accuracy if both have the same label.  Settings are chosen
         on ``validation``, never on ``test``.
+    kind : str
+        ``"random"``, ``"published"`` or ``"writers"``.
     """
 
     train: np.ndarray
     validation: np.ndarray
     test: np.ndarray
+    kind: str = RANDOM
 
     def held_out(self, seed: int) -> tuple:
         """Samples to train on, and held-out samples: for validation or else of the training.
@@ -39,6 +48,125 @@ class Split:
         if len(self.validation):
             return self.train, self.validation
         return hold_out(self.train, seed)
+
+    def check_samples(self, n_samples: int, seed: int) -> np.ndarray:
+        """Draw the samples of the check; see :func:`draw_check_samples`.
+
+        Those of a published split are the same for every seed, which changes the training only.
+        """
+        return draw_check_samples(self.test, n_samples, 0 if self.kind == PUBLISHED else seed)
+
+
+def kind_of(kind: str, recordings: Recordings) -> str:
+    """The kind of the split: that of the settings, or for ``"auto"`` the published one if any."""
+    if kind != "auto":
+        return kind
+    return PUBLISHED if recordings.is_split else RANDOM
+
+
+def split_of(
+    recordings: Recordings,
+    seed: int,
+    test_fraction: float,
+    validation_fraction: float = 0.0,
+    kind: str = RANDOM,
+) -> Split:
+    """Split recordings into training, validation and test samples.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    seed : int
+    test_fraction, validation_fraction : float
+        See :func:`random_split`; splits by writers have no validation part.
+    kind : str
+        ``"auto"`` or a kind of split, see :class:`Split`.
+
+    Raises
+    ------
+    ValueError
+        There are too few samples, the writers are not known, or the source has no published split.
+    """
+    kind = kind_of(kind, recordings)
+    if kind == WRITERS:
+        return writer_split(recordings.writers, seed, test_fraction)
+    if kind == PUBLISHED:
+        return published_split(recordings.parts, seed, validation_fraction)
+    return random_split(len(recordings), seed, test_fraction, validation_fraction)
+
+
+def split_problem(recordings: Recordings, kind: str = "auto") -> str | None:
+    """Find a class with too few recordings for a training.
+
+    A class with one recording can be used for training or for testing, but not for both.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    kind : str
+        Kind of the split.
+    """
+    classes, labels = recordings.sensor.classes, recordings.labels
+    counts = np.bincount(labels, minlength=len(classes))
+    if np.count_nonzero(counts) < 2:
+        return "recordings of one class only; at least two are needed"
+    if kind_of(kind, recordings) != PUBLISHED:
+        if single := [classes[i] for i in np.flatnonzero(counts == 1)]:
+            return f"only one recording of {_listed(single)}; record more, or take the folder away"
+        return None
+    remedy = "add some, or use --set split.kind=random"
+    for part, least in (("train", 2), ("test", 1)):
+        in_part = np.array([each == part for each in recordings.parts])
+        counts_in_part = np.bincount(labels[in_part], minlength=len(classes))
+        few = [classes[i] for i in np.flatnonzero((counts_in_part < least) & (counts > 0))]
+        if few:
+            number = "no recording" if least == 1 else "fewer than two recordings"
+            return f"{number} of {_listed(few)} in its folder {part}; {remedy}"
+    return None
+
+
+def in_both_parts(recordings: Recordings) -> list:
+    """Recordings of the training part that are also in the test part.
+
+    Returns
+    -------
+    list of (str, str)
+        Ids of a training and a test recording with the same events.
+    """
+    hashes = list(zip(recordings.parts, recordings.hashes(), recordings.ids, strict=True))
+    train = {content: name for part, content, name in reversed(hashes) if part == "train"}
+    return [(train[c], name) for part, c, name in hashes if part == "test" and c in train]
+
+
+def _listed(names):
+    return ", ".join(map(repr, names[:5])) + (", ..." if len(names) > 5 else "")
+
+
+def published_split(parts, seed: int, validation_fraction: float = 0.0) -> Split:
+    """The split of the source; validation samples are drawn from its training part.
+
+    Parameters
+    ----------
+    parts : sequence of str
+        ``"train"`` or ``"test"`` for each recording.
+    seed : int
+        Seed of the draw of validation samples.
+    validation_fraction : float
+        Share of the training part that is used for validation.
+
+    Raises
+    ------
+    ValueError
+        The source has no published split.
+    """
+    parts = np.array(parts, dtype=str)
+    train, test = (np.flatnonzero(parts == part) for part in ("train", "test"))
+    if not len(train) or not len(test):
+        raise ValueError("has no published split, which is in folders train and test")
+    order = np.random.default_rng([seed, 0x9B71]).permutation(train)
+    n_validation = round(len(train) * validation_fraction)
+    test = np.random.default_rng(0x7E57).permutation(test)
+    return Split(np.sort(order[n_validation:]), order[:n_validation], test, PUBLISHED)
 
 
 def random_split(
@@ -114,7 +242,7 @@ def writer_split(writers: np.ndarray, seed: int, test_fraction: float = 0.2) -> 
             size += sizes[index]
     in_test = np.isin(writers, chosen)
     test = rng.permutation(np.flatnonzero(in_test))
-    return Split(np.flatnonzero(~in_test), np.empty(0, np.int64), test)
+    return Split(np.flatnonzero(~in_test), np.empty(0, np.int64), test, WRITERS)
 
 
 def hold_out(train: np.ndarray, seed: int):

@@ -76,7 +76,7 @@ def sensor_of(bundle: Bundle, facts: dict) -> Sensor:
     ----------
     bundle : Bundle
     facts : dict
-        Facts about its run's recordings (:func:`pipeline.data.facts.facts_of`); empty without
+        Facts about its run's recordings (:func:`pipeline.data.statistics.facts_of`); empty without
         a run.
 
     Raises

@@ -12,11 +12,11 @@ from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.terminal import WARNING
 from pipeline.data.dataset import classes_of, inputs_for, require_sensor_fits
+from pipeline.data.eventfiles import UNITS
 from pipeline.data.events import Recordings
 from pipeline.data.library import load_recordings
-from pipeline.data.sensors import Reading
+from pipeline.data.sensor import Reading
 from pipeline.data.splits import draw_check_samples
-from pipeline.data.timeunits import UNITS
 from pipeline.data.words import listed
 from pipeline.paper import CHECK_SAMPLES
 from pipeline.results.ladder import confusion_matrix

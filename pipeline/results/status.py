@@ -16,7 +16,8 @@ from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
 from pipeline.artifacts import DELETE_IT, MISSING, OUTDATED, Change, Origin, State
 from pipeline.data.dataset import ARRAYS, SPLIT_READS, dataset_origin
-from pipeline.data.library import content_of
+from pipeline.data.library import identity_of
+from pipeline.data.splits import RANDOM
 from pipeline.results.ladder import BOARDS, SLOW, ladder_artifact, ladder_stages
 from pipeline.roads.origins import check_origin
 from pipeline.run import RunFolder, refuse_other_folders, refuse_results, run_around
@@ -210,12 +211,12 @@ def _dataset_origin(run, settings):
     if ARRAYS in contents:
         return Origin.of(settings, SPLIT_READS, contents={ARRAYS: contents[ARRAYS]})
     try:
-        content = content_of(settings)
+        content, kind = identity_of(settings)
     except UserError:
         if "recordings" not in contents:
             raise
-        content = contents["recordings"]
-    return dataset_origin(settings, content)
+        content, kind = contents["recordings"], contents.get("split", RANDOM)
+    return dataset_origin(settings, content, kind)
 
 
 def _networks(run, settings, dataset):

@@ -78,7 +78,7 @@ class Task:
     networks : Library
         Library of its trained networks.
     split : str
-        Kind of its split, see :data:`pipeline.data.dataset.KINDS`.
+        Kind of its split, see :class:`pipeline.data.splits.Split`.
     subject : str
         Subject of the measurement, such as the name of a model; empty if there is only one.
     """

@@ -17,11 +17,11 @@ from deploy.errors import SeveralErrors, UserError
 from models.architecture import NotationError, parse
 from models.nir_graph import read_nir
 from pipeline.data.altering import augmentation_for
-from pipeline.data.dataset import NO_SPLIT, TOO_SMALL, split_of
+from pipeline.data.dataset import NO_SPLIT, TOO_SMALL
 from pipeline.data.events import Recordings, Sensor
-from pipeline.data.facts import reading_text, size_text
 from pipeline.data.library import recordings_of
-from pipeline.data.sensors import too_small
+from pipeline.data.splits import PUBLISHED, WRITERS, kind_of, split_of, split_problem
+from pipeline.data.statistics import reading_text, size_text
 from pipeline.data.steps import EventTable
 from pipeline.paper import CNN_MACS
 from pipeline.roads.chip_fit import chip_problems
@@ -89,7 +89,7 @@ def fitted(
         recordings = recordings_of(settings, jobs, say)
     problems, changes = [], {}
     if len(recordings.sensor.classes) < 2:  # there is no network to choose
-        raise SeveralErrors([f"{settings.data.source}: {too_small(recordings)}"])
+        raise SeveralErrors([f"{settings.data.source}: {split_problem(recordings)}"])
     _architecture(settings, recordings, rechoose, changes, problems)
     if settings.on_events:
         _presentation(settings, recordings, changes)
@@ -100,7 +100,7 @@ def fitted(
         problems.append(
             f"{settings.check.samples} samples requested, the test split has {n_test}; {TOO_SMALL}"
         )
-    if problem := too_small(recordings):
+    if problem := split_problem(recordings, settings.split.kind):
         problems.append(problem)
     result = settings.with_values(changes, settings.data.source) if changes else settings
     problems += _unfit(result, recordings)
@@ -142,9 +142,21 @@ def chosen_text(before: Settings, after: Settings, recordings: Recordings) -> li
     return lines
 
 
-def new_run_text(path, recordings: Recordings) -> str:
-    """The first message of a new run: source and properties of its recordings."""
-    return f"{path}: a new run, on {recordings.source.name}: {reading_text(recordings)}"
+def new_run_text(path, recordings: Recordings, settings: Settings) -> str:
+    """The first message of a new run: source and properties of its recordings, and their split."""
+    parts = [reading_text(recordings), split_text(recordings, settings)]
+    text = ", ".join(filter(None, parts))
+    return f"{path}: a new run, on {recordings.source.name}: {text}"
+
+
+def split_text(recordings: Recordings, settings: Settings) -> str:
+    """The kind of the split in a few words, unless it is the usual one."""
+    kind, parts = kind_of(settings.split.kind, recordings), recordings.parts
+    if kind == PUBLISHED:
+        return f"published split: {parts.count('train')} train, {parts.count('test')} test"
+    if kind == WRITERS:
+        return "split by writers"
+    return "random split instead of the published one" if recordings.is_split else ""
 
 
 def architecture_for(sensor: Sensor, on_events: bool) -> str:
@@ -255,9 +267,8 @@ def _test_samples(settings, recordings, problems):
     """Number of samples in the test split; 0, with a problem, if there can be no split."""
     shares = settings.split
     try:
-        split = split_of(
-            recordings, settings.seed, shares.test_fraction, shares.validation_fraction
-        )
+        fractions = shares.test_fraction, shares.validation_fraction
+        split = split_of(recordings, settings.seed, *fractions, shares.kind)
     except ValueError as error:
         problems.append(f"{error}; {NO_SPLIT}")
         return 0

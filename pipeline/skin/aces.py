@@ -16,11 +16,9 @@ the grid.
 from __future__ import annotations
 
 import functools
-import itertools
 
 import numpy as np
 
-from deploy.tables import aligned
 from pipeline.data.events import N_TAXELS, TICK_NS, Events
 
 SIGNATURE_SEED = 2020
@@ -214,108 +212,3 @@ def decode(wire, p, start_ns) -> Events:
     begin, taxel, length = (np.concatenate(column) for column in zip(*found, strict=True))
     polarity = np.where(length * TICK_NS > (p.on_ns + p.off_ns) / 2, 1, -1)
     return in_turn(begin + start_ns // TICK_NS, taxel, polarity, length)
-
-
-def round_trip(at_once, noise, trials, rng, p) -> dict:
-    """Measure errors of the wire when many taxels fire within the length of one signature.
-
-    Parameters
-    ----------
-    at_once : int
-        Number of taxels that fire within the same ``p.signature_s``; at most 100.
-    noise : float
-        Standard deviation of a sample of the wire, in heights of a pulse.
-    trials : int
-    rng : numpy.random.Generator
-    p : pipeline.skin.parameters.Aces
-
-    Returns
-    -------
-    dict
-        ``found``: share of events that were reported for the right taxel within a burst's length of
-        the right time; ``polarity``: share of those with the right polarity; ``false``: other
-        events reported, for each event sent; ``timing_ns``: root mean square of the time error of
-        those found; ``sent``: events sent.
-    """
-    length_ns = p.signature_s * 1e9
-    n_ticks = int(3 * length_ns / TICK_NS)
-    found = right = false = sent = 0
-    errors = []
-    for _ in range(trials):
-        taxel = rng.permutation(N_TAXELS)[:at_once]
-        time_ns = length_ns * (0.5 + rng.random(at_once))
-        polarity = rng.choice([-1, 1], at_once)
-        wire = encode(time_ns, taxel, polarity, p, 0, n_ticks)
-        wire += noise * rng.standard_normal(n_ticks, np.float32)
-        events = decode(wire, p, 0)
-        sent += at_once
-        late = events.time_ns[:, None] - time_ns
-        match = (events.taxel[:, None] == taxel) & (np.abs(late) <= LONGEST_BURST * TICK_NS)
-        report, event = np.nonzero(match)
-        _, once = np.unique(event, return_index=True)
-        report, event = report[once], event[once]
-        found += len(event)
-        false += len(events) - len(event)
-        right += int((events.polarity[report] == polarity[event]).sum())
-        errors.append(late[report, event])
-    errors = np.concatenate(errors)
-    return {
-        "found": found / sent,
-        "polarity": right / max(found, 1),
-        "false": false / sent,
-        "timing_ns": float(np.sqrt(np.mean(errors**2))) if found else float("nan"),
-        "sent": sent,
-    }
-
-
-NOISES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
-AT_ONCE = (1, 10, 30, 100)
-
-
-def wire_losses(trials: int, seed: int, p, advance=None) -> list:
-    """:func:`round_trip` for each noise of :data:`NOISES` and number of events of :data:`AT_ONCE`.
-
-    Parameters
-    ----------
-    trials : int
-        Number of trials of each condition.
-    seed : int
-    p : pipeline.skin.parameters.Aces
-        Parameters, as for :func:`round_trip`.
-    advance : callable, optional
-        ``advance(1)`` after each condition.
-
-    Returns
-    -------
-    list of dict
-        The result of each condition, with ``noise`` and ``at_once``.
-    """
-    rows = []
-    for index, (noise, at_once) in enumerate(itertools.product(NOISES, AT_ONCE)):
-        rng = np.random.default_rng([seed, index])
-        rows.append(
-            {"noise": noise, "at_once": at_once, **round_trip(at_once, noise, trials, rng, p)}
-        )
-        if advance is not None:
-            advance(1)
-    return rows
-
-
-def wire_losses_text(rows: list) -> str:
-    """The conditions as a table, with an explanation of its columns."""
-    table = [["noise", "taxels", "found", "polarity", "false/event", "timing (ns)", "sent"]]
-    table += [
-        [
-            f"{row['noise']:.2f}",
-            str(row["at_once"]),
-            *(f"{row[name]:.4f}" for name in ("found", "polarity", "false")),
-            f"{row['timing_ns']:.1f}",
-            str(row["sent"]),
-        ]
-        for row in rows
-    ]
-    notes = (
-        "noise: SD, in heights of a pulse; taxels: number that fire within one signature",
-        "found, polarity: shares of correct events; false/event: false events for each one sent",
-    )
-    return "\n".join([*aligned(table, left=0), *notes])

@@ -12,7 +12,6 @@ from deploy.network.spec import NetworkSpec
 from deploy.terminal import WARNING
 from pipeline.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.data.dataset import Dataset
-from pipeline.data.splits import draw_check_samples
 from pipeline.roads.conversion import deployed, deployed_nir, deployed_on_events
 from pipeline.roads.origins import bundle_origin
 from pipeline.run import RunFolder
@@ -67,7 +66,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         # A damaged CNN is found now, not when its answers are compared.
         read_weights(run.cnn, view)
     test = seen.split.test
-    chosen = draw_check_samples(test, view.check.drawn(len(test)), view.seed)
+    chosen = seen.split.check_samples(view.check.drawn(len(test)), view.seed)
     source = seen.recordings.source
     provenance = {
         "made_from": origin.to_json(),
@@ -142,7 +141,7 @@ def _confidence(artifact):
 
 def on_test_split(settings: Settings, dataset: Dataset, bundle: Bundle) -> Bundle:
     """The bundle with the whole test split as its check, in random order like the check's."""
-    everything = draw_check_samples(dataset.split.test, len(dataset.split.test), settings.seed)
+    everything = dataset.split.check_samples(len(dataset.split.test), settings.seed)
     return replace(bundle, checks=_check_set(settings, dataset, everything))
 
 

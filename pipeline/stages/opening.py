@@ -13,8 +13,8 @@ from pipeline.data.dataset import (
     require_images_fit,
     require_recordings_fit,
 )
-from pipeline.data.facts import facts_of
-from pipeline.data.splits import draw_check_samples
+from pipeline.data.splits import PUBLISHED, in_both_parts
+from pipeline.data.statistics import facts_of
 from pipeline.roads.given_networks import changed_note
 from pipeline.roads.nir_import import graph_for
 from pipeline.roads.own_model import take_over
@@ -69,7 +69,7 @@ def open_dataset(
         require_replaceable(run.bundle)
         try:
             n_check = settings.check.drawn(len(split.test))
-            draw_check_samples(split.test, n_check, settings.seed)
+            split.check_samples(n_check, settings.seed)
         except ValueError as error:
             remedy = TOO_SMALL
             if settings.data != run.resolve_settings(None, {}).data:
@@ -83,13 +83,16 @@ def open_dataset(
             require_images_fit(dataset.inputs, settings)
     _refuse_useless_network(run, settings, dataset)
     if warn is not None:
-        for line in _notes(run, settings, recordings):
+        for line in _notes(run, settings, dataset):
             warn(line)
     run.save_settings(settings)
     artifact = dataset_artifact(run, dataset.origin)
     if not artifact.state().is_current:
         sizes = {part: len(getattr(split, part)) for part in ("train", "validation", "test")}
-        artifact.write({**facts_of(recordings), **sizes})
+        hashes = recordings.hashes()
+        trained_on = [hashes[i] for i in (*split.train, *split.validation)]
+        record = {**facts_of(recordings), **sizes, "split": split.kind}
+        artifact.write({**record, "training_recordings": sorted(trained_on)})
     return dataset
 
 
@@ -112,8 +115,9 @@ def dataset_artifact(run: RunFolder, origin: Origin) -> Artifact:
     return Artifact("dataset", run.dataset, origin)
 
 
-def _notes(run, settings, recordings):
+def _notes(run, settings, dataset):
     """Warnings, for example about simulated data that the user did not ask for."""
+    recordings = dataset.recordings
     if settings.on_events:
         yield from event_warnings(settings, recordings)
     if (note := changed_note(settings)) is not None:
@@ -126,9 +130,27 @@ def _notes(run, settings, recordings):
             f"{WARNING}{run.path}: was a run of input.kind {before!r}; its network and bundle are "
             "replaced (name another folder to keep both)"
         )
+    if dataset.split.kind == PUBLISHED:
+        yield from _notes_on_published(settings, recordings, len(dataset.split.test))
     classes = recordings.sensor.classes
     missing = sorted(set(range(len(classes))) - set(recordings.labels.tolist()))
     if missing:
         names = ", ".join(classes[label] for label in missing)
         problem = f"no recordings of {names}; their outputs learn nothing"
         yield f"{WARNING}{settings.data.source}: {problem}"
+
+
+def _notes_on_published(settings, recordings, n_test):
+    """Lines on a published split whose parts are not independent, or which is small."""
+    source = settings.data.source
+    if pairs := in_both_parts(recordings):
+        train, test = pairs[0]
+        yield (
+            f"{WARNING}{source}: {len(pairs)} recordings of the test part are also in the training "
+            f"part, such as {test} ({train}); the accuracy on them says little about others"
+        )
+    if n_test < settings.check.samples:
+        yield (
+            f"{source}: the test part has {n_test} recordings, fewer than the "
+            f"{settings.check.samples} of a check; the check uses all of them"
+        )

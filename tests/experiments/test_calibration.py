@@ -11,7 +11,7 @@ from deploy.files import read_json
 from experiments import calibration
 from experiments.calibration import BOUNDS, LEFT_OUT, calibrate, cells, step
 from experiments.difficulty import AIM, RECORD
-from pipeline.data import table1
+from pipeline.data import statistics
 from pipeline.paper import TABLE1
 from pipeline.skin import parameters
 from pipeline.skin.simulate import simulate, source_of
@@ -32,7 +32,7 @@ def test_sample_counts_are_the_papers():
 @pytest.mark.slow
 @pytest.mark.parametrize("digit", range(10))
 def test_table_1_comes_out(built_in, digit):
-    simulated, paper = table1.table(built_in)[digit], TABLE1[digit]
+    simulated, paper = statistics.table(built_in)[digit], TABLE1[digit]
     for events in ("on", "off"):
         assert simulated[events][0] == pytest.approx(paper[events][0], rel=0.10)
         if (digit, events) != (3, "off"):  # the work of a recording that went wrong
@@ -114,7 +114,7 @@ def test_a_fit_gets_better():
     p = parameters.load()
     off = replace(p, forms=tuple(replace(f, force=f.force + 0.8, down=4.0) for f in p.forms))
     counts = [12] * 10
-    before = cells(table1.table(simulate(0, counts, 1, None, off)))
+    before = cells(statistics.table(simulate(0, counts, 1, None, off)))
     _, worst = calibrate(off, rounds=2, jobs=1, counts=counts)
     assert worst.strain < 0.7 * before[0].strain
 

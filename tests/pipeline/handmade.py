@@ -19,11 +19,10 @@ def events(rows=GOOD):
     return Events(*np.array(rows, np.int64).reshape(-1, 4).T)
 
 
-def recordings(*samples, labels=None, taxels=None):
-    parts = [events(rows) for rows in samples]
-    n = len(parts)
-    labels = labels or [0] * n
-    return collect(parts, labels, [f"0/{i}" for i in range(n)], [-1] * n, SOURCE, taxels)
+def recordings(*samples, labels=None, taxels=None, parts=()):
+    each, n = [events(rows) for rows in samples], len(samples)
+    ids, labels = [f"0/{i}" for i in range(n)], labels or [0] * n
+    return collect(each, labels, ids, [-1] * n, SOURCE, taxels, parts=parts)
 
 
 def spiketrain(n=6):
@@ -95,6 +94,7 @@ def assert_same(a, b, source=True):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
     np.testing.assert_array_equal(a.taxels.row, b.taxels.row)
     np.testing.assert_array_equal(a.taxels.column, b.taxels.column)
-    assert a.ids == b.ids
+    np.testing.assert_array_equal(a.taxels.positions, b.taxels.positions)
+    assert (a.ids, a.parts) == (b.ids, b.parts)
     if source:
         assert a.source == b.source

@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 
 from deploy.files import read_json
-from pipeline.data.archive import read_source
-from pipeline.data.own import write_recordings
+from pipeline.data.eventfiles import write_recordings
+from pipeline.data.source import read_source
 from pipeline.settings import Settings, parse_assignments
-from pipeline.skin import aces, unipen
 from tests.command import call, missing
 from tests.deploy.networks import bundle_at
-from tests.experiments.test_handwriting import people
 from tests.own_sensor import CLASSES, gestures
 from tests.pipeline.handmade import archive as archive_of
 from tests.pipeline.handmade import good_members
@@ -96,7 +94,7 @@ def test_stats_against_the_paper(archive, capsys):
     assert "OFF" in text
 
 
-@pytest.mark.parametrize("what", ["recording", "events", "layout", "sheet"])
+@pytest.mark.parametrize("what", ["recording", "sheet"])
 def test_plot(what, archive, tmp_path):
     out = tmp_path / f"{what}.png"
     arguments = ["--data", archive, "--sample", "2/0001", "--per-digit", 2, "--jobs", 1]
@@ -107,7 +105,7 @@ def test_plot(what, archive, tmp_path):
 def test_plot_mistakes(archive, tmp_path, capsys):
     out = tmp_path / "x.png"
     assert call("data", "plot", "pie", "--out", out) == 2
-    assert "layout" in capsys.readouterr().err
+    assert "sheet" in capsys.readouterr().err
     assert call("data", "plot", "sheet", "--out", tmp_path / "x.doc") == 2
     assert "x.doc" in capsys.readouterr().err
     assert (
@@ -168,35 +166,16 @@ def test_recordings_that_were_not_simulated_are_not_replaced(archive, tmp_path, 
     ("arguments", "result"),
     [
         ("data simulate --out OUT --samples-per-digit 1 --jobs 1", Path.read_bytes),
-        ("data handwriting PEN --out OUT", Path.read_bytes),
-        ("data aces --trials 1 --json", None),  # is printed
         ("check run BUNDLE --target emulator --out OUT", lambda out: read_json(out, "")["seed"]),
     ],
-    ids=["simulate", "handwriting", "aces", "check"],
+    ids=["simulate", "check"],
 )
-def test_another_seed_gives_another_result(arguments, result, tmp_path, capsys, monkeypatch):
-    places = {name: tmp_path / f"{name.lower()}.zip" for name in ("OUT", "PEN", "BUNDLE")}
-    places["PEN"].touch()
-    monkeypatch.setattr(unipen, "read", lambda path: people(writers=9))
+def test_another_seed_gives_another_result(arguments, result, tmp_path):
+    places = {name: tmp_path / f"{name.lower()}.zip" for name in ("OUT", "BUNDLE")}
     bundle_at(places["BUNDLE"], count=1)
 
     def of(seed):
         assert call(*(places.get(word, word) for word in arguments.split()), "--seed", seed) == 0
-        printed = capsys.readouterr().out
-        return printed if result is None else result(places["OUT"])
+        return result(places["OUT"])
 
     assert of(1) == of(1) != of(2)
-
-
-def test_aces(capsys, monkeypatch):
-    monkeypatch.setattr(aces, "NOISES", (0.0, 0.2))
-    monkeypatch.setattr(aces, "AT_ONCE", (1, 100))
-    assert call("data", "aces", "--trials", 1, "--json") == 0
-    rows = json.loads(capsys.readouterr().out)
-    assert [(row["noise"], row["at_once"]) for row in rows] == [
-        (0, 1),
-        (0, 100),
-        (0.2, 1),
-        (0.2, 100),
-    ]
-    assert all(row["found"] == 1 and row["false"] == 0 for row in rows)

@@ -6,10 +6,10 @@ import pytest
 from deploy import limits
 from deploy.check.bundle import HEADERS
 from deploy.errors import UserError
-from pipeline.data.dataset import Dataset, dataset_origin, split_of
+from pipeline.data.dataset import Dataset, dataset_origin
 from pipeline.data.images import tactile_images
-from pipeline.data.library import content_of, recordings_of
-from pipeline.data.splits import random_split, writer_split
+from pipeline.data.library import identity_of, recordings_of
+from pipeline.data.splits import random_split, split_of, writer_split
 from pipeline.run import RunFolder
 from pipeline.settings import SIMULATED, Settings, UndeclaredSetting
 from pipeline.stages import open_dataset
@@ -30,7 +30,7 @@ def dataset():
 def test_the_settings_of_an_experiment_suffice_to_read_the_recordings(tmp_path, own):
     source = str(write_folder(tmp_path / "own", per_class=5)) if own else SIMULATED
     settings = SMALL.with_values({"data": {"source": source}}, "test")
-    seen = dataset_origin(settings, content_of(settings)).view(settings)
+    seen = dataset_origin(settings, *identity_of(settings)).view(settings)
     assert len(recordings_of(seen)) == (20 if own else 60)
 
 

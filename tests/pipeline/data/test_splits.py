@@ -1,85 +1,133 @@
+"""Splits of samples: at random, by writers, and as published."""
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.data.splits import draw_check_samples, hold_out, random_split, writer_split
-
-
-@given(
-    n=st.integers(10, 500),
-    seed=st.integers(0, 2**31 - 1),
-    test=st.floats(0.1, 0.5),
-    validation=st.floats(0, 0.5),
+from pipeline.data.events import Events
+from pipeline.data.splits import (
+    draw_check_samples,
+    hold_out,
+    in_both_parts,
+    random_split,
+    split_of,
+    split_problem,
+    writer_split,
 )
-def test_the_parts_are_disjoint_and_together_everything(n, seed, test, validation):
-    split = random_split(n, seed, test, validation)
+from tests.pipeline.handmade import recordings
+
+
+def published(parts="rrrrtt", labels=(0, 0, 1, 1, 0, 1), **more):
+    """Recordings of one event each, at another time for each; r is training, t test."""
+    samples = [[(0, i, 1, 1), (1000 * (i + 1), 1, 1, 1)] for i in range(len(parts))]
+    names = {"r": "train", "t": "test", " ": ""}
+    return recordings(*samples, labels=list(labels), parts=[names[p] for p in parts], **more)
+
+
+@given(st.integers(10, 300), st.integers(0, 2**31 - 1), st.floats(0, 0.5))
+def test_a_random_split_is_a_partition(n, seed, fraction):
+    split = random_split(n, seed, 0.2, fraction)
     together = np.concatenate([split.train, split.validation, split.test])
-    assert sorted(together.tolist()) == list(range(n))
-    assert len(split.test) == round(n * test)
-    assert (np.diff(split.train) > 0).all()
-    again = random_split(n, seed, test, validation)
-    for part, same in zip(vars(split).values(), vars(again).values(), strict=True):
-        np.testing.assert_array_equal(part, same)
+    np.testing.assert_array_equal(np.sort(together), np.arange(n))
+    assert len(split.test) == round(0.2 * n)
+    np.testing.assert_array_equal(split.test, random_split(n, seed).test)
 
 
-def test_a_tenth_of_the_training_samples_is_held_out():
-    train = np.arange(5, 505, 5)
-    learn, held = hold_out(train, seed=1)
-    assert len(held) == 10
-    np.testing.assert_array_equal(np.sort([*learn, *held]), train)
-    np.testing.assert_array_equal(held, hold_out(train, seed=1)[1])
-    assert held.tolist() != hold_out(train, seed=2)[1].tolist()
-    assert len(hold_out(train[:3], seed=1)[1]) == 1
-
-
-@pytest.mark.parametrize("kind", ["random", "writers"])
-def test_what_is_shown_is_not_in_the_order_of_the_labels(kind):
-    """A stream of one digit's samples would flatter a network that remembers the last one."""
-    labels, writers = np.repeat(np.arange(10), 500), np.arange(5000) % 20
-    for seed in range(5):
-        if kind == "random":
-            split = random_split(5000, seed, validation_fraction=0.2)
-        else:
-            split = writer_split(writers, seed)
-        for part in (split.validation, split.test):
-            if len(part):
-                shown = labels[part]
-                assert np.mean(shown[1:] == shown[:-1]) == pytest.approx(0.1, abs=0.04)
-
-
-def test_a_validation_part_does_not_change_the_test_part():
-    plain, watched = random_split(1000, 5), random_split(1000, 5, validation_fraction=0.1)
-    np.testing.assert_array_equal(plain.test, watched.test)
-    assert (len(plain.train), len(plain.test)) == (800, 200)
-    assert len(watched.validation) == 80
-
-
-def test_another_seed_gives_another_split_and_another_draw():
-    assert (random_split(1000, 0).test != random_split(1000, 1).test).any()
-    test = random_split(1000, 0).test
-    assert (draw_check_samples(test, 50, 0) != draw_check_samples(test, 50, 1)).any()
-
-
-def test_the_split_is_the_same_on_every_machine():
-    # Written down once: results of the same seed must stay comparable between releases.
-    assert random_split(20, 0).test.tolist() == [6, 12, 3, 7]
-    assert draw_check_samples(np.arange(100), 5, 0).tolist() == [54, 14, 85, 23, 86]
-
-
-@given(seed=st.integers(0, 1000), wanted=st.integers(1, 40))
-def test_check_samples_are_different_ones_of_the_test_part(seed, wanted):
-    test = random_split(200, 3).test
-    drawn = draw_check_samples(test, wanted, seed)
-    assert len(set(drawn.tolist())) == wanted
-    assert set(drawn.tolist()) <= set(test.tolist())
-    np.testing.assert_array_equal(drawn, draw_check_samples(test, wanted, seed))
-
-
-def test_too_few_samples():
-    with pytest.raises(ValueError, match=r"\b41\b.* 40\b"):
-        draw_check_samples(random_split(200, 3).test, 41, 0)
-    with pytest.raises(ValueError, match=r"^2 .* 0.2 "):
+def test_the_seed_changes_a_random_split():
+    assert not np.array_equal(random_split(100, 0).test, random_split(100, 1).test)
+    with pytest.raises(ValueError, match="2 samples"):
         random_split(2, 0)
-    with pytest.raises(ValueError, match=r"^4 .* 0.99 "):
-        random_split(4, 0, test_fraction=0.99)
+
+
+@given(st.lists(st.integers(1, 40), min_size=2, max_size=25), st.integers(0, 1000))
+def test_no_writer_is_in_both_parts(sizes, seed):
+    writers = np.repeat(np.arange(len(sizes)), sizes)
+    split = writer_split(writers, seed, 0.2)
+    assert not set(writers[split.train]) & set(writers[split.test])
+    assert len(split.train)
+    assert len(split.test)
+    assert len(split.train) + len(split.test) == len(writers)
+
+
+def test_a_split_by_writers_needs_their_names():
+    for writers in ([-1, 0, 1], [3, 3]):
+        with pytest.raises(ValueError, match="writer"):
+            writer_split(np.array(writers), 0)
+
+
+def test_a_published_split_is_used():
+    """Every seed has the same test part and check; validation samples are of the training."""
+    read = published("rrrrrrtt", (0, 0, 0, 1, 1, 1, 0, 1))
+    splits = [split_of(read, seed, 0.5, 0.5, "auto") for seed in range(5)]
+    for split in splits:
+        assert split.kind == "published"
+        assert sorted(split.test) == [6, 7]
+        assert sorted([*split.train, *split.validation]) == [0, 1, 2, 3, 4, 5]
+        assert len(split.validation) == 3
+        np.testing.assert_array_equal(split.check_samples(2, 9), splits[0].check_samples(2, 1))
+    assert len({tuple(split.train) for split in splits}) > 1
+    assert split_of(read, 0, 0.5, kind="random").kind == "random"
+    assert split_of(published("      "), 0, 0.5, kind="auto").kind == "random"
+    with pytest.raises(ValueError, match="train and test"):
+        split_of(published("      "), 0, 0.5, kind="published")
+
+
+@pytest.mark.parametrize(
+    ("parts", "labels", "fact"),
+    [
+        ("rrrrtt", (0, 0, 1, 1, 0, 1), None),
+        ("rrrrrt", (0, 0, 0, 1, 1, 0), "no recording of '1' in its folder test"),
+        ("rrrrtt", (0, 0, 0, 1, 0, 1), "fewer than two recordings of '1' in its folder train"),
+        ("rrrrtt", (0, 0, 1, 1, 0, 2), "'2' in its folder train"),
+        ("rrrrtt", (0, 0, 0, 0, 0, 0), "one class"),
+        ("      ", (0, 0, 0, 1, 1, 2), "only one recording of '2'"),
+    ],
+)
+def test_too_few_recordings_of_a_class(parts, labels, fact):
+    problem = split_problem(published(parts, labels))
+    assert problem is None if fact is None else fact in problem
+
+
+def test_the_same_recording_in_both_parts():
+    read = published()
+    assert in_both_parts(read) == []
+    again = [(5_000, 0, 1, 3), (6_000, 1, 1, 1)]  # the first one, later and in other columns
+    doubled = recordings(
+        *([(0, 0, 1, 1), (1000, 1, 1, 1)], [(0, 0, -1, 1), (1000, 1, 1, 1)], again),
+        parts=["train", "train", "test"],
+    )
+    assert in_both_parts(doubled) == [("0/0", "0/2")]
+
+
+@given(st.permutations(range(6)))
+def test_the_hash_of_a_recording_is_that_of_its_events(order):
+    """The order of events at the same time does not count, all else does."""
+    rows = [(0, 3, 1, 1), (0, 4, -1, 2), (0, 5, 1, 1), (7, 3, 1, 1), (7, 4, 1, 1), (7, 5, 1, 1)]
+    mixed = sorted([rows[i] for i in order], key=lambda row: row[0])
+    (content,) = recordings(rows).hashes()
+    assert recordings(mixed).hashes() == (content,)
+    changed = [(0, 3, 1, 1), (0, 4, 1, 2), *rows[2:]]
+    assert recordings(changed).hashes() != (content,)
+    assert recordings([]).hashes() != (content,)
+
+
+def test_part_of_recordings_keeps_the_parts():
+    some = published().part([5, 0])
+    assert some.parts == ("test", "train")
+    assert isinstance(some[0], Events)
+
+
+def test_hold_out():
+    train, held_out = hold_out(np.arange(50), 3)
+    assert len(held_out) == 5
+    np.testing.assert_array_equal(np.sort([*train, *held_out]), np.arange(50))
+    assert len(hold_out(np.arange(2), 0)[1]) == 1
+
+
+def test_samples_of_the_check():
+    chosen = draw_check_samples(np.arange(100, 140), 20, 1)
+    assert len(set(chosen)) == 20
+    assert set(chosen) <= set(range(100, 140))
+    with pytest.raises(ValueError, match=r"41 .* 40"):
+        draw_check_samples(np.arange(40), 41, 1)

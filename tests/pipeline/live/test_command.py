@@ -16,7 +16,7 @@ import pytest
 
 from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
-from pipeline.data.archive import read_source
+from pipeline.data.source import read_source
 from pipeline.live.network import SHIPPED
 from tests.command import call, environment, missing
 from tests.pipeline.live.conftest import stroke

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from pipeline.data.archive import read_source
 from pipeline.data.events import Events, Sensor
 from pipeline.data.matfile import MatRecording, Written, read_recording
+from pipeline.data.source import read_source
 from pipeline.live.keeping import Keeper, asked_next
 
 

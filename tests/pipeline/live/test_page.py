@@ -16,10 +16,10 @@ import pytest
 from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
 from deploy.targets.registry import answer as answers_of
-from pipeline.data.archive import read_source, write_zip
 from pipeline.data.events import Events, Sensor
 from pipeline.data.images import tactile_images
 from pipeline.data.matfile import read_recording
+from pipeline.data.source import read_source, write_zip
 from pipeline.settings import Image
 from pipeline.skin import handwriting, parameters, simulate, unipen
 from tests.command import call

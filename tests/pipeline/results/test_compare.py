@@ -8,7 +8,7 @@ import pytest
 
 from deploy.check.intervals import fisher, wilson_interval
 from deploy.errors import UserError
-from pipeline.data.archive import write_zip
+from pipeline.data.source import write_zip
 from pipeline.results.compare import ORDER, Run, compare_runs, difference, read_runs, runs_text
 from pipeline.settings import Settings
 from pipeline.skin.simulate import simulate

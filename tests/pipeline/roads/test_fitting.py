@@ -8,9 +8,9 @@ import pytest
 from deploy.errors import SeveralErrors
 from deploy.preflight.plan import make_plan
 from models.architecture import parse
+from pipeline.data.eventfiles import write_recordings
 from pipeline.data.events import Sensor
 from pipeline.data.library import load_recordings
-from pipeline.data.own import write_recordings
 from pipeline.roads.chip_fit import chip_problems, untrained
 from pipeline.roads.fitting import architecture_for, fitted
 from pipeline.settings import Settings

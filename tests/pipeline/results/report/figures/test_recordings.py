@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from pipeline.data.events import Events, Source, TaxelMap, collect
+from pipeline.data.events import Events, Source, collect
 from pipeline.results.report.figures import recordings as data_figures
 
 
@@ -47,24 +47,10 @@ def test_recording(recordings):
     assert drawn(figure).startswith(b"\x89PNG")
 
 
-def test_events_by_taxel(recordings):
-    (axes,) = data_figures.events_by_taxel(recordings, 0).get_axes()
-    on, off = ({tuple(map(tuple, line)) for line in lines.get_segments()} for lines in
-               axes.collections[:2])  # fmt: skip
-    # From the middle of the cell upwards for ON (the axis points down), downwards for OFF.
-    expected = {((-0.45, 3.0), (-0.45, 2.6)), ((7.25, 0.0), (7.25, -0.4))}
-    assert {rounded(line) for line in on} == expected
-    assert {rounded(line) for line in off} == {((6.6, 0.0), (6.6, 0.4))}
-    assert axes.yaxis_inverted()
-
-
 def test_a_recording_longer_than_two_seconds(recordings):
-    """In the published layout, as written on the page: its last event is in its taxel's cell."""
+    """In the published layout, as written on the page."""
     late = Events([1e9, 4e9], [3, 3], [1, 1], [4, 4])
     long = collect([late], [4], ["4/0000"], [0], Source("written", "", True))
-    (axes,) = data_figures.events_by_taxel(long, 0).get_axes()
-    on = {rounded(map(tuple, line)) for line in axes.collections[0].get_segments()}
-    assert on == {((-0.25, 3.0), (-0.25, 2.6)), ((0.5, 3.0), (0.5, 2.6))}
     *frames, raster = data_figures.recording(long, 0).get_axes()
     assert raster.get_xlim() == pytest.approx((0, 4))
     assert np.asarray(frames[-1].images[0].get_array())[3, 0] == 1
@@ -72,24 +58,6 @@ def test_a_recording_longer_than_two_seconds(recordings):
 
 def rounded(line):
     return tuple((round(x, 6), round(y, 6)) for x, y in line)
-
-
-def test_layout_names_every_taxel():
-    figure = data_figures.layout(TaxelMap())
-    (axes,) = figure.get_axes()
-    texts = [text.get_text() for text in axes.texts]
-    assert {str(n) for n in range(1, 101)} <= set(texts)
-    assert texts[texts.index("12") + 1] == "(2,2)"
-    assert texts[texts.index("71") + 1] == "(1,8)"
-    assert axes.yaxis_inverted()
-
-
-def test_axes_of_another_sensor_have_no_names_of_the_paper(recordings):
-    own = dataclasses.replace(recordings.sensor, classes=tuple("abcdefghij"))
-    other = dataclasses.replace(recordings, sensor=own)
-    for drawn_of, names in ((recordings, ("X", "Y")), (other, ("row", "column"))):
-        (axes,) = data_figures.events_by_taxel(drawn_of, 0).get_axes()
-        assert (axes.get_ylabel(), axes.get_xlabel()) == names
 
 
 def test_long_names_of_classes_are_beside_the_images_of_a_sheet(recordings):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from pipeline.data import table1
+from pipeline.data import statistics
 from pipeline.data.events import Events, Source, TaxelMap, collect
 from pipeline.data.matfile import read_recording
 from pipeline.paper import SAMPLES_PER_DIGIT, TABLE1
@@ -24,7 +24,7 @@ def by_hand():
 
 
 def test_by_hand():
-    row = table1.table(by_hand())[4]
+    row = statistics.table(by_hand())[4]
     assert row["samples"] == 2
     assert row["on"] == pytest.approx((4.5, np.sqrt(0.5)))
     assert row["off"] == pytest.approx((1.0, np.sqrt(2)))
@@ -38,7 +38,7 @@ def test_by_hand():
 
 
 def test_a_recording_without_events_counts_but_has_no_place():
-    row = table1.table(by_hand())[7]
+    row = statistics.table(by_hand())[7]
     assert row["on"][0] == 0
     assert np.isnan(row["x_mean"][0])
     assert row["samples"] == 1
@@ -46,8 +46,8 @@ def test_a_recording_without_events_counts_but_has_no_place():
 
 def test_another_lookup_table():
     turned = TaxelMap(row=TaxelMap().column, column=TaxelMap().row)
-    straight = table1.table(by_hand())[4]
-    row = table1.table(replace(by_hand(), taxels=turned))[4]
+    straight = statistics.table(by_hand())[4]
+    row = statistics.table(replace(by_hand(), taxels=turned))[4]
     assert row["x_mean"] == straight["y_mean"]
     assert row["y_range"] == straight["x_range"]
 
@@ -55,7 +55,7 @@ def test_another_lookup_table():
 def test_the_one_real_recording(real_recording):
     recording = read_recording(real_recording.read_bytes())
     recordings = collect([recording.events], [0], ["real"], [-1], SOURCE)
-    measures = {name: values[0] for name, values in table1.per_sample(recordings).items()}
+    measures = {name: values[0] for name, values in statistics.per_sample(recordings).items()}
     assert (measures["on"], measures["off"]) == (1601, 745)
     assert (measures["on_physical"], measures["off_physical"]) == (359, 306)
     # From the array itself, without merging bursts.
@@ -69,18 +69,18 @@ def test_the_one_real_recording(real_recording):
 def test_st_mnist_is_recorded_and_has_as_many_of_each_digit_as_published():
     labels = np.repeat(np.arange(10), SAMPLES_PER_DIGIT)
     simulated = Source("simulated", "", True)
-    assert table1.is_st_mnist(SimpleNamespace(labels=labels, source=SOURCE))
-    assert not table1.is_st_mnist(SimpleNamespace(labels=labels[1:], source=SOURCE))
-    assert not table1.is_st_mnist(SimpleNamespace(labels=labels, source=simulated))
+    assert statistics.is_st_mnist(SimpleNamespace(labels=labels, source=SOURCE))
+    assert not statistics.is_st_mnist(SimpleNamespace(labels=labels[1:], source=SOURCE))
+    assert not statistics.is_st_mnist(SimpleNamespace(labels=labels, source=simulated))
 
 
 def test_the_paper_beside_others_is_said_to_be_of_st_mnist():
-    text = table1.table1_text(by_hand(), against_paper=True)
+    text = statistics.table1_text(by_hand(), against_paper=True)
     assert "ST-MNIST" in text.splitlines()[-1]
-    assert "1399" not in table1.table1_text(by_hand())
+    assert "1399" not in statistics.table1_text(by_hand())
 
 
 def test_the_papers_table():
     assert sum(row["samples"] for row in TABLE1.values()) == 6953
     assert TABLE1[2]["x_mean"] == (6.57, 0.70)
-    assert all(set(row) == {*table1.MEASURES, "samples"} for row in TABLE1.values())
+    assert all(set(row) == {*statistics.MEASURES, "samples"} for row in TABLE1.values())

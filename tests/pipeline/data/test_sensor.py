@@ -1,0 +1,265 @@
+"""The sensor of recordings: rows, columns, classes, and the unit of time."""
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from deploy.errors import UserError
+from pipeline.data.events import Sensor, TaxelMap
+from pipeline.data.images import aggregate
+from pipeline.data.library import load_recordings
+from pipeline.data.matfile import lookup_table_bytes
+from pipeline.data.sensor import Reading, class_order
+from pipeline.data.source import export_zip, read_source
+from pipeline.data.statistics import reading_text
+from tests.command import missing
+from tests.own_sensor import CLASSES, COLUMNS, ROWS, gestures
+from tests.pipeline.handmade import archive, assert_same, mat5, npz
+
+
+def own(per_class=4, scale=1e6, kind=np.int64, **instead):
+    """Members of an archive of gestures, times in microseconds unless told otherwise."""
+    members = {}
+    for index, ((x, y, t, p), label) in enumerate(gestures(per_class)):
+        arrays = {
+            "x": x,
+            "y": y,
+            "t": np.rint(t * scale).astype(kind) if kind else t * scale,
+            "p": p,
+        }
+        changed = {name: change(arrays[name]) for name, change in instead.items()}
+        members[f"{CLASSES[label]}/{index:03d}.npz"] = npz(**{**arrays, **changed})
+    return members
+
+
+def refused(tmp_path, members, reading=None) -> list:
+    """The lines of the error that reading an archive ends with."""
+    archive(tmp_path / "own.zip", members)
+    with pytest.raises(UserError) as caught:
+        read_source(tmp_path / "own.zip", jobs=1, reading=reading or Reading())
+    return list(getattr(caught.value, "lines", [str(caught.value)]))
+
+
+def array_of(n_taxels, n=6):
+    """A ``spiketrain`` of another array: taxels 0, 1, ..., an event each, 10 ms apart."""
+    array = np.zeros((n_taxels + 1, n))
+    array[np.arange(n) % n_taxels, np.arange(n)] = np.where(np.arange(n) % 2, -1, 1)
+    array[-1] = 0.25 + 0.01 * np.arange(n)
+    return array
+
+
+@pytest.mark.parametrize(("scale", "kind", "unit"), [
+    (1, None, "seconds"), (1e3, np.int64, "milliseconds"), (1e3, None, "milliseconds"),
+    (1e6, np.int64, "microseconds"), (1e6, float, "microseconds"), (1e9, np.int64, "nanoseconds"),
+])  # fmt: skip
+def test_the_unit_of_time_is_recognised_and_said(tmp_path, scale, kind, unit):
+    archive(tmp_path / "own.zip", own(scale=scale, kind=kind))
+    read = read_source(tmp_path / "own.zip", jobs=1)
+    expected = np.concatenate([t for (_, _, t, _), _ in gestures(4)])
+    np.testing.assert_allclose(read.events.time_ns * 1e-9, expected, atol=6e-4)
+    text = reading_text(read)
+    facts = ("16 recordings", f"{ROWS} rows", f"{COLUMNS} columns", "4 classes", f" {unit}")
+    assert missing(text, *facts) == []
+
+
+def test_the_unit_that_is_given_counts(tmp_path):
+    archive(tmp_path / "own.zip", own(scale=1e6))
+    read = read_source(tmp_path / "own.zip", jobs=1, reading=Reading(time_unit="ns"))
+    assert read.events.time_ns.max() < 2_100_000
+    with pytest.raises(UserError, match=r"16 of 16 .*milliseconds.*time"):
+        read_source(tmp_path / "own.zip", jobs=1, reading=Reading(time_unit="ms"))
+
+
+def test_a_clock_that_runs_since_1970(tmp_path):
+    """A camera's clock: recordings begin with their first event."""
+    archive(tmp_path / "own.zip", own(t=lambda t: t + 1_700_000_000_000_000))
+    read = read_source(tmp_path / "own.zip", jobs=1)
+    assert (read.events.time_ns[read.offsets[:-1]] == 0).all()
+    assert read.sensor.duration_s < 2
+
+
+def test_a_clock_that_began_with_the_first_recording(tmp_path):
+    """Recordings of up to 1.9 s, one every 10 s; those of the first minute are no exception."""
+    members = {}
+    for index, ((x, y, t, p), label) in enumerate(gestures(4)):
+        members[f"{CLASSES[label]}/{index:03d}.npz"] = npz(x=x, y=y, t_s=t + 10 * index, p=p)
+    for number in (16, 5):  # until 150 s, and until 40 s
+        archive(tmp_path / "own.zip", dict(list(members.items())[:number]))
+        read = read_source(tmp_path / "own.zip", jobs=1)
+        assert (read.events.time_ns[read.offsets[:-1]] == 0).all()
+        assert read.sensor.duration_s < 2
+
+
+def test_mixed_units(tmp_path):
+    members = own()
+    name = min(members)
+    x, y, t, p = gestures(1)[0][0]
+    (line,) = refused(tmp_path, {**members, name: npz(x=x, y=y, t=t, p=p)})
+    assert missing(line, "1 of 16 ", name, "time") == []
+
+
+def test_coordinates_from_1(tmp_path):
+    (line,) = refused(tmp_path, own(x=lambda x: x + 1, y=lambda y: y + 1))
+    assert missing(line, "x = 0", "y = 0", "skin.rows") == []
+    taken = read_source(tmp_path / "own.zip", jobs=1, reading=Reading(ROWS + 1, COLUMNS + 1))
+    assert aggregate(taken)[:, 0].sum() == 0
+
+
+def test_sensors_of_different_sizes(tmp_path):
+    members, (x, y, t, p) = own(), gestures(1)[0][0]
+    other = {f"{CLASSES[0]}/other{i}.npz": npz(x=3 * x, y=3 * y, t=t * 1e6, p=p) for i in (0, 1)}
+    (line,) = refused(tmp_path, {**members, **other})
+    assert missing(line, "2 of 18 ", "other0.npz", "--rows") == []
+    assert len(read_source(tmp_path / "own.zip", jobs=1, reading=Reading(27, 36))) == 18
+
+
+def test_as_many_recordings_of_a_larger_sensor(tmp_path):
+    filled = {"t": np.arange(4) / 10, "p": [1, 0, 1, 0]}
+    small = npz(x=[0, 11, 0, 11], y=[0, 8, 8, 0], **filled)
+    large = npz(x=[0, 23, 0, 23], y=[0, 17, 17, 0], **filled)
+    members = {f"{name}/{i}.npz": c for name in "ab" for i, c in enumerate([small, large] * 4)}
+    (line,) = refused(tmp_path, members)
+    assert missing(line, "8 of 16 ", "--rows") == []
+    partly = npz(x=[0, 4, 0, 4], y=[0, 8, 8, 0], **filled)  # a short touch on the large sensor
+    archive(tmp_path / "one.zip", {**members, "a/0.npz": partly})
+    assert len(read_source(tmp_path / "one.zip", jobs=1)) == 16
+
+
+def test_a_sensor_with_too_many_pixels_is_downsampled(tmp_path):
+    members = own(x=lambda x: 100 * x, y=lambda y: 40 * y)
+    (line,) = refused(tmp_path, members)
+    assert "data.downsample=5" in line
+    read = read_source(tmp_path / "own.zip", jobs=1, reading=Reading(downsample=40))
+    assert (read.sensor.rows, read.sensor.columns) == (ROWS, 28)
+
+
+def test_coordinates_come_out_where_they_went_in(tmp_path):
+    content = npz(x=[1, 4, 1], y=[3, 0, 3], t=[0.5, 0.1, 0.2], p=[1, -1, 1])
+    archive(tmp_path / "g.zip", {"a/0.npz": content, "b/0.npz": content})
+    read = read_source(tmp_path / "g.zip", jobs=1)
+    np.testing.assert_array_equal(read[0].time_ns, [100_000_000, 200_000_000, 500_000_000])
+    np.testing.assert_array_equal(read[0].polarity, [-1, 1, 1])
+    image = aggregate(read)[0]
+    assert image.shape == (4, 5)
+    expected = np.zeros((4, 5))
+    expected[3, 1], expected[0, 4] = 2, 1
+    np.testing.assert_array_equal(image, expected)
+
+
+def test_the_published_layout_with_another_number_of_taxels(tmp_path):
+    members = {f"{name}/{i}.mat": mat5(spiketrain=array_of(36, 5 + i))
+               for name in ("soft", "hard") for i in range(3)}  # fmt: skip
+    archive(tmp_path / "s.zip", members)
+    read = read_source(tmp_path / "s.zip", jobs=1)
+    assert read.sensor == Sensor(6, 6, 2, pytest.approx(0.4), ("hard", "soft"))
+    assert (read.taxels.row[7], read.taxels.column[7]) == (1, 1)
+    given = read_source(tmp_path / "s.zip", jobs=1, reading=Reading(4, 9))
+    assert (given.sensor.rows, given.sensor.columns) == (4, 9)
+    assert (given.taxels.row[7], given.taxels.column[7]) == (3, 1)
+    assert read_source(tmp_path / "s.zip", jobs=1, reading=Reading(columns=9)).sensor.rows == 4
+
+
+@pytest.mark.parametrize("table", [None, TaxelMap.grid(4, 16)])
+def test_an_export_of_another_number_of_taxels(tmp_path, table):
+    """It has a look-up table if the source has one."""
+    members = {f"{name}/{i}.mat": mat5(spiketrain=array_of(64)) for name in "ab" for i in (0, 1)}
+    if table is not None:
+        members["LUT.mat"] = lookup_table_bytes(table)
+    archive(tmp_path / "s.zip", members)
+    assert export_zip(tmp_path / "out.zip", tmp_path / "s.zip") == 4
+    read, again = (read_source(tmp_path / f"{name}.zip", jobs=1) for name in ("s", "out"))
+    assert again.sensor == read.sensor
+    assert_same(again, read, source=False)
+
+
+def test_a_lookup_table_with_gaps(tmp_path):
+    """Five taxels as the five of a die, on three by three places."""
+    places = TaxelMap(np.array([0, 0, 1, 2, 2]), np.array([0, 2, 1, 0, 2]))
+    members = {f"{name}/{i}.mat": mat5(spiketrain=array_of(5)) for name in "ab" for i in (0, 1)}
+    archive(tmp_path / "s.zip", {**members, "LUT.mat": lookup_table_bytes(places)})
+    read = read_source(tmp_path / "s.zip", jobs=1)
+    assert (read.sensor.rows, read.sensor.columns) == (3, 3)
+    image = aggregate(read)[0]
+    np.testing.assert_array_equal(image, [[2, 0, 1], [0, 1, 0], [1, 0, 1]])
+    wider = read_source(tmp_path / "s.zip", jobs=1, reading=Reading(5, 5))
+    assert aggregate(wider).shape == (4, 5, 5)
+    with pytest.raises(UserError, match=r"LUT\.mat has 3 rows .* not 2 "):
+        read_source(tmp_path / "s.zip", jobs=1, reading=Reading(2))
+
+
+def test_another_number_of_taxels_than_the_others(tmp_path):
+    members = {f"{name}/{i}.mat": mat5(spiketrain=array_of(16)) for name in "ab" for i in range(3)}
+    archive(tmp_path / "s.zip", {**members, "a/odd.mat": mat5(spiketrain=array_of(25))})
+    with pytest.raises(UserError, match=r"1 of 7 .*a/odd\.mat .* 26 .* 17 "):
+        read_source(tmp_path / "s.zip", jobs=1)
+    read = read_source(tmp_path / "s.zip", jobs=1, skip_bad=True)
+    assert (len(read), len(read.source.left_out)) == (6, 1)
+
+
+@example(["²", "2", "٣"])
+@given(st.lists(st.text(max_size=8)))
+def test_names_have_one_order(names):
+    assert sorted(sorted(names, key=class_order, reverse=True), key=class_order) == sorted(
+        names, key=class_order
+    )
+    assert sorted(["b10", "b9", "a", "10", "9"], key=class_order) == ["9", "10", "a", "b9", "b10"]
+
+
+def test_a_simulated_skin_of_another_size():
+    small, large = (
+        load_recordings(samples_per_digit=2, jobs=1, reading=Reading(rows, columns))
+        for rows, columns in ((10, 10), (16, 14))
+    )
+    assert (large.sensor.rows, large.sensor.columns) == (16, 14)
+    assert len(large.taxels) == 16 * 14
+    assert "16x14 taxels" in large.source.name
+    assert large.source.sha256 != small.source.sha256
+    assert large.events.taxel.max() < 16 * 14
+    # A digit covers as much of the larger skin, in both directions.
+    for skin, size in ((small, 10), (large, 14)):
+        images = aggregate(skin) > 0
+        high, wide = (np.ptp(np.nonzero(images.any(axis=(0, axis)))[0]) for axis in (2, 1))
+        assert high >= 0.7 * size
+        assert wide >= 0.6 * size
+
+
+def test_the_unit_of_the_training_is_that_of_a_person_whose_files_have_none(tmp_path):
+    """Taps of 55 ms fit milliseconds as well, as recordings of 55 s."""
+    t = np.arange(0, 55_000, 5_000)
+    members = {
+        f"{name}/{i}.npz": npz(x=t % 3, y=t % 2, t=t, p=np.ones(len(t)))
+        for name in "ab"
+        for i in range(3)
+    }
+    archive(tmp_path / "fifth.zip", members)
+
+    def unit(**given):
+        read = read_source(tmp_path / "fifth.zip", jobs=1, reading=Reading(**given))
+        return read.source.time_unit
+
+    assert unit() == "ms"
+    assert unit(usual_unit="us") == "us"
+    assert unit(time_unit="ms", usual_unit="us") == "ms"
+
+
+def test_taxels_in_no_square_are_a_strip(tmp_path):
+    members = {f"{name}/{i}.mat": mat5(spiketrain=array_of(39)) for name in "ab" for i in (0, 1)}
+    archive(tmp_path / "s.zip", members)
+    read = read_source(tmp_path / "s.zip", jobs=1)
+    assert (read.sensor.rows, read.sensor.columns) == (1, 39)
+    with pytest.raises(UserError, match=r"39 taxels, not of 9 rows of 12.*LUT\.mat"):
+        read_source(tmp_path / "s.zip", jobs=1, reading=Reading(9, 12))
+
+
+def test_recordings_of_a_larger_sensor_are_one_line_about_the_sensor(tmp_path):
+    (line,) = refused(tmp_path, own(), Reading(4, 5))
+    assert "a sensor of 9 x 12 taxels, larger than 4 x 5" in line
+    one = {f"{CLASSES[0]}/far.npz": npz(x=[30, 1], y=[1, 1], t=[0, 900_000], p=[0, 1])}
+    (line,) = refused(tmp_path, {**own(), **one}, Reading(ROWS, COLUMNS))
+    assert missing(line, "1 of 17 ", "far.npz", "x = 30") == []
+
+
+def test_no_unit_fits(tmp_path):
+    (line,) = refused(tmp_path, own(scale=1e12))
+    assert "--time-unit" in line
