@@ -154,10 +154,10 @@ def emulator(
     if networks:
         if bundle is not None or samples is not None:
             raise UserError("--networks measures networks of its own: leave out BUNDLE, --samples")
-        from experiments import network_speed  # imports Nengo
+        from fastloihi import speed
 
-        result = network_speed.measure_networks()
-        options.tell(result, network_speed.networks_text, as_json)
+        result = speed.measure()
+        options.tell(result, speed.text_of, as_json)
         if not result["identical"]:
             raise CheckFailed("FastSimulator and NengoLoihi's Simulator differ")
         return

@@ -222,10 +222,11 @@ def _table2_output(name, command):
 
 
 def _speed_output(part, options):
-    from experiments import emulator_speed, network_speed  # both import Nengo
+    from experiments import emulator_speed  # imports NengoLoihi, without TensorFlow
+    from fastloihi import speed  # isort: skip
 
     content = result("speed")
-    text_of = network_speed.networks_text if part == "networks" else emulator_speed.speed_text
+    text_of = speed.text_of if part == "networks" else emulator_speed.speed_text
     return _output(f"python -m experiments speed {options}", text_of(content[part]), content)
 
 

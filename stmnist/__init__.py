@@ -55,7 +55,7 @@ _PLACES = {
 """Public names by the module that has them; ``stages`` is itself a module, in a package."""
 
 _BEFORE = {"fastloihi": "deploy.network.loihi_import"}
-"""Modules to import before others: NengoLoihi 1.1 needs substitutions on NumPy 2."""
+"""Modules to import before others: NengoLoihi is imported without TensorFlow."""
 
 _MODULE_OF = {name: module for module, names in _PLACES.items() for name in names}
 

@@ -35,7 +35,8 @@ def missing(text: str, *facts) -> list:
 
 def environment(**more) -> dict:
     """For a process of its own that imports this repository's packages."""
-    return {**os.environ, "PYTHONPATH": str(ROOT), **more}
+    path = os.pathsep.join(map(str, (ROOT, ROOT / "fastloihi" / "src")))
+    return {**os.environ, "PYTHONPATH": path, **more}
 
 
 def users_environment() -> dict:

@@ -33,7 +33,7 @@ sys.meta_path.insert(0, Barred())
 sys.modules.pop("numba", None)
 """
 OPTIONAL = {"numba", "nir", "nxsdk"}  # imported where they are used, and said if they are missing
-OF_DEPLOY = {"numpy", "scipy", "nengo", "nengo_loihi", "deploy", *OPTIONAL}
+OF_DEPLOY = {"numpy", "scipy", "nengo", "nengo_loihi", "fastloihi", "deploy", *OPTIONAL}
 ALLOWED = {
     "models": {"models", "deploy"},
     "deploy": {"deploy"},

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deploy.network.loihi_import import nengo_loihi
-from deploy.network.numpy1 import NumPy1
+from fastloihi.numpy1 import NumPy1
 from tests.command import LEAVE_GARBAGE, ROOT
 from tests.models.test_hdf5 import READ, REFUSED, asking
 

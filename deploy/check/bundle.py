@@ -4,7 +4,7 @@
 ``network.json``          schema, layers, neurons, time step, presentation, placement
 ``weights.npz``           weights and biases of each layer
 ``checks.npz``            inputs, labels and sample ids of the check, and its seed
-``deploy.pyz``            this package as a zipapp
+``deploy.pyz``            this package and fastloihi as a zipapp
 ``MANIFEST.json``         SHA-256 of each file; its own SHA-256 is the bundle's id
 ``checks/``               not part of the bundle: the folder for results of ``deploy.pyz``
 ========================  ==================================================================
@@ -22,6 +22,7 @@ import os
 import shutil
 import zipfile
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -366,14 +367,14 @@ def _check_schema(path, schema, known):
 
 
 def zipapp_bytes() -> bytes:
-    """This package as a zipapp; the bytes are the same for the same source files."""
-    package = Path(__file__).resolve().parent.parent
+    """This package and fastloihi as a zipapp; the bytes are the same for the same source files."""
     main = 'import runpy\n\nrunpy.run_module("deploy", run_name="__main__")\n'
     members = {"__main__.py": main.encode()}
-    for source in sorted(package.rglob("*.py")):
-        if "fastloihi" in source.relative_to(package).parts:
-            continue  # no target uses it
-        members[source.relative_to(package.parent).as_posix()] = source.read_bytes()
+    # Found and not imported, because `network.loihi_import` imports it without TensorFlow.
+    init_files = Path(__file__).parent.parent / "__init__.py", find_spec("fastloihi").origin
+    for package in (Path(file).resolve().parent for file in init_files):
+        for source in sorted(package.rglob("*.py")):
+            members[source.relative_to(package.parent).as_posix()] = source.read_bytes()
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for name, content in members.items():

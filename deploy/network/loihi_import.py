@@ -10,8 +10,6 @@ import warnings
 
 import nengo
 
-from .numpy1 import put_back, put_back_for_nengo
-
 # None in sys.modules makes an import of that name raise ImportError.
 _PROBED = ("tensorflow", "nengo_dl", "keras", "numba", "scipy.cluster")
 _hidden = [name for name in _PROBED if name not in sys.modules]
@@ -24,8 +22,7 @@ finally:
     for _name in _hidden:
         del sys.modules[_name]
 
-put_back("nengo_loihi.block", "nengo_loihi.neurons", "nengo_loihi.dvs")
-put_back_for_nengo()
+import fastloihi  # noqa: E402, F401  (its import lets NengoLoihi run on NumPy 2)
 
 # The networks here have no decoders to cache, and parallel processes would wait for its lock.
 nengo.rc["decoder_cache"]["enabled"] = "False"

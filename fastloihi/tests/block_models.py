@@ -4,14 +4,11 @@ does, such as overflows, scattered and repeated indices, and noise anywhere."""
 from __future__ import annotations
 
 import numpy as np
-
-from deploy.network.loihi_import import nengo_loihi  # noqa: F401  (the substitutions come first)
-
-from nengo_loihi.block import Axon, LoihiBlock, Synapse  # isort: skip
-from nengo_loihi.builder import Model  # isort: skip
-from nengo_loihi.builder.discretize import discretize_model  # isort: skip
-from nengo_loihi.inputs import SpikeInput  # isort: skip
-from nengo_loihi.probe import LoihiProbe  # isort: skip
+from nengo_loihi.block import Axon, LoihiBlock, Synapse
+from nengo_loihi.builder import Model
+from nengo_loihi.builder.discretize import discretize_model
+from nengo_loihi.inputs import SpikeInput
+from nengo_loihi.probe import LoihiProbe
 
 
 def random_model(seed) -> Model:
@@ -176,7 +173,7 @@ def feed(emulator, spikes, errors, t):
     learning = emulator.synapses.pes_errors
     emulator.host2chip(
         [(emulator.inputs[number], time, chosen) for number, time, chosen in spikes],
-        [(synapse, t, error) for synapse, error in zip(learning, errors, strict=True)],
+        [(synapse, t, error) for synapse, error in zip(learning, errors)],
     )
     for number, time, _ in spikes:
         if time % 5 == 0:  # as those that NengoLoihi's builder adds, from a file of events

@@ -7,12 +7,11 @@ import warnings
 from typing import ClassVar
 
 import numpy as np
+from nengo_loihi.emulator.interface import EmulatorInterface
 
-from deploy.network.loihi_import import nengo_loihi  # noqa: F401  (the substitutions come first)
+from fastloihi import FastEmulator
 
-from fastloihi import FastEmulator  # isort: skip
-from nengo_loihi.emulator.interface import EmulatorInterface  # isort: skip
-
+NUMPY_1 = np.__version__.startswith("1.")  # on which learning in floating point is not compiled
 STATE = ("current", "voltage", "input", "spiked", "ref_count", "spike_count", "bias", "vth")
 
 
@@ -94,7 +93,7 @@ class Both(EmulatorInterface):
         self._give(plain)
 
     def _give(self, weights):
-        for synapse, own in zip(self.synapses.traces, weights, strict=True):
+        for synapse, own in zip(self.synapses.traces, weights):
             synapse.weights[:] = own
 
     def host2chip(self, spikes, errors):
@@ -117,7 +116,7 @@ class Both(EmulatorInterface):
         state = state_of(self.fast)
         self._fast_weights = [list(synapse.weights) for synapse in self.synapses.traces]
         self._give(plain)
-        for item, before in zip(self.inputs, spikes, strict=True):
+        for item, before in zip(self.inputs, spikes):
             item.spikes = before
         count = int(self.compartment.spike_count.sum())
         expected = Outcome.of(lambda: [EmulatorInterface.step(self) for _ in range(steps)])

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import nengo
+import nengo_loihi
 import numpy as np
 
-from deploy.network.loihi_import import nengo_loihi
-from experiments import network_speed
+from fastloihi import speed
 
 
 def channel(n=40):
@@ -40,7 +40,7 @@ def recurrent(n=40):
 
 def learning(n=40):
     """PES on the chip: the error is worked out on the host at every step."""
-    network, probe = network_speed.learning(n)
+    network, probe = speed.learning(n)
     return network, [probe]
 
 

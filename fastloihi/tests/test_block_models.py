@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import warnings
+from pathlib import Path
 
 import nengo
 import numpy as np
 import pytest
+from block_models import feed, random_calls, random_model
+from comparison import NUMPY_1, Outcome, assert_same, state_of
+from fastloihi.emulator import hand_over, take_over
+from fastloihi.link import LOG
 from hypothesis import HealthCheck, Phase, event, example, given, reject, settings
 from hypothesis import strategies as st
-
-pytest.importorskip("numba")
-from deploy.network.loihi_import import nengo_loihi  # noqa: F401, I001  (the substitutions first)
-from fastloihi import FastEmulator
-from fastloihi.link import LOG
 from nengo_loihi.emulator.interface import EmulatorInterface
 
-from tests.command import environment, printed_by
-from block_models import feed, random_calls, random_model
-from comparison import Outcome, assert_same, state_of
+import fastloihi
+from fastloihi import FastEmulator
 
 SEEDS = st.integers(0, 2**32 - 1)
 PROFILE = {
     "phases": [Phase.explicit, Phase.reuse, Phase.generate],  # a seed's model has no simpler one
     "suppress_health_check": [HealthCheck.too_slow],
     "deadline": None,
+    "derandomize": True,
 }
 
 
@@ -38,8 +41,10 @@ def two_emulators(seed):
             return None
         plain, fast = (
             kind(model, seed=seed % 2**31)
-            for kind, model in zip((EmulatorInterface, FastEmulator), models, strict=True)
+            for kind, model in zip((EmulatorInterface, FastEmulator), models)
         )
+    if NUMPY_1 and plain.compartment.dtype == np.float32 and plain.synapses.traces:
+        return None
     assert type(fast) is FastEmulator
     return plain, fast
 
@@ -60,7 +65,7 @@ def run_both(plain, fast, seed, each_step, n_calls=3):
             said |= {message for message, *_ in expected.warnings}
             if expected.error is not None:
                 return True, said
-    probes = zip(plain.probes.probes, fast.probes.probes, strict=True)
+    probes = zip(plain.probes.probes, fast.probes.probes)
     for mine, its in probes:
         expected, found = plain.collect_probe_output(mine), fast.collect_probe_output(its)
         assert expected.dtype == found.dtype
@@ -175,9 +180,7 @@ def test_a_call_is_cut_where_it_would_take_too_much_memory(monkeypatch):
 
 @pytest.mark.parametrize("seed", [2, 3, 5, 8, 11, 19, 20, 24, 27, 40, 48, 55])
 def test_an_emulator_can_be_taken_over_and_handed_back_between_steps(seed):
-    from fastloihi.emulator import hand_over, take_over
-
-    plain, fast = two_emulators(seed)
+    plain, fast = two_emulators(seed) or pytest.skip("learning in floating point on NumPy 1")
     calls = list(random_calls(plain, seed, n_calls=6, longest=9))
     for number, (spikes, errors, steps) in enumerate(calls):
         with warnings.catch_warnings():
@@ -197,9 +200,12 @@ def test_an_emulator_can_be_taken_over_and_handed_back_between_steps(seed):
         assert_same(state_of(plain), state_of(fast), f"after call {number}")
 
 
+@pytest.mark.skipif(NUMPY_1, reason="NumPy 1 makes floats of uint64 and int")
 def test_no_place_outside_of_an_array_is_used():
     """The kernel as plain Python, where NumPy refuses what compiled code would not notice."""
     code = """
+import sys
+sys.modules.update(dict.fromkeys(("tensorflow", "nengo_dl", "keras")))
 import numpy as np
 from test_block_models import run_both, two_emulators
 from fastloihi import link
@@ -208,4 +214,7 @@ np.seterr(all="ignore")  # Python tells of integers that wrap
 for seed in (3, 5, 19, 27, 48, 55):
     run_both(*two_emulators(seed), seed, each_step=False, n_calls=1)
 """
-    printed_by(code, env=environment(NUMBA_DISABLE_JIT="1"))
+    paths = Path(__file__).parent, Path(fastloihi.__file__).parent.parent
+    env = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(map(str, paths))}
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

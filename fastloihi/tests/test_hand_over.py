@@ -3,245 +3,74 @@
 from __future__ import annotations
 
 import itertools
-import warnings
-from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Callable, NamedTuple
 
 import numpy as np
 import pytest
 import scipy.sparse
-
-pytest.importorskip("numba")
-from deploy.network.loihi_import import nengo_loihi  # noqa: F401, I001  (the substitutions first)
-from fastloihi import FastEmulator, NotAccelerated, emulator
-from nengo_loihi.block import Axon, LoihiBlock, Synapse
-from nengo_loihi.builder import Model
-from nengo_loihi.builder.discretize import discretize_model
+from comparison import NUMPY_1, Outcome, assert_same, state_of
 from nengo_loihi.emulator.interface import EmulatorInterface
-from nengo_loihi.inputs import SpikeInput
-from nengo_loihi.probe import LoihiProbe
+from parts import (
+    Doubled,
+    N,
+    Shifted,
+    Twice,
+    after,
+    as_it_is,
+    each,
+    floating,
+    given,
+    learning_with,
+    learns,
+    made,
+    mapped,
+    noise,
+    odd_block_that_learns,
+    one_weight,
+    pair,
+    probed,
+    together,
+    weights_of_other_shapes,
+)
 
-from comparison import Outcome, assert_same, state_of
-
-N = 6
-
-
-class Parts:
-    """An input of as many neurons as a block, a synapse between them, and a probe."""
-
-    def __init__(self):
-        rng = np.random.RandomState(0)
-        self.model, self.block, self.input = Model(), LoihiBlock(N), SpikeInput(N)
-        self.block.compartment.configure_lif(tau_ref=0.001)
-        self.synapse, self.axon = Synapse(N), Axon(N)
-        self.synapse.set_weights(rng.uniform(0.5, 2, size=(N, N)))
-        self.axon.target = self.synapse
-        self.block.add_synapse(self.synapse)
-        self.input.add_axon(self.axon)
-        self.probe = LoihiProbe(target=[self.block], key="voltage")
-        self.discretized, self.spikes = True, [[0, 1], [2, 5], [5], [], [1, 3, 4], [0]]
-
-    @property
-    def compartment(self):
-        return self.block.compartment
-
-    def emulator(self, kind):
-        self.model.add_block(self.block)
-        self.model.add_input(self.input)
-        self.model.add_probe(self.probe)
-        if self.discretized:
-            discretize_model(self.model)
-        self.finish()
-        for t, spikes in enumerate(self.spikes):
-            self.input.add_spikes(t + 1, np.array(spikes, int))
-        return kind(self.model, seed=1)
-
-    def finish(self):
-        """What is changed after discretising."""
-
-
-def after(change):
-    """A change that is made after discretising."""
-    return lambda parts: setattr(parts, "finish", lambda: change(parts))
-
-
-def as_it_is(part):
-    """No change."""
-
-
-def together(*changes):
-    """Several changes, one after the other."""
-
-    def change(parts):
-        for one in changes:
-            one(parts)
-
-    return change
-
-
-def given(part, **values):
-    """Other attributes of a part."""
-
-    def change(parts):
-        for name, value in values.items():
-            setattr(getattr(parts, part), name, value)
-
-    return change
-
-
-def mapped(axons, atoms=None):
-    """Other axons and atoms of the neurons."""
-    return lambda parts: parts.axon.set_compartment_axon_map(axons, atoms=atoms)
-
-
-def each(name, change):
-    """Other arrays of weights or indices, each made from what it was."""
-
-    def changed(parts):
-        arrays = getattr(parts.synapse, name)
-        arrays[:] = map(change, arrays)
-
-    return after(changed)
-
-
-def noisy(parts):
-    parts.compartment.enable_noise[:] = True
-
-
-def noise(**values):
-    return after(together(noisy, given("compartment", **values)))
-
-
-def floating(parts):
-    parts.discretized = False
-
-
-def learns(parts):
-    parts.synapse.set_learning(tracing_mag=20.0)
-
-
-def learning_with(**values):
-    return together(learns, after(given("synapse", **values)))
-
-
-def probed(**what):
-    def change(parts):
-        parts.probe = LoihiProbe(target=[parts.block], **what)
-
-    return change
-
-
-def odd_block_that_learns(parts):
-    parts.block = LoihiBlock(N + 1)
-    parts.block.compartment.configure_lif()
-    parts.synapse.set_weights(np.ones((N, N + 1)))
-    parts.block.add_synapse(parts.synapse)
-    probed(key="voltage")(parts)
-    learns(parts)
-
-
-def weights_of_other_shapes(parts):
-    first, second = parts.synapse.weights[:2]
-    parts.synapse.weights[:2] = [first[:, :-1], np.hstack([second, second[:, :1]])]
-
-
-def rows_with_atoms_of_their_own(parts):
-    for arrays in (parts.synapse.weights, parts.synapse.indices):
-        counts = (2, 1, 3, 2, 2, 2)
-        arrays[:] = [np.vstack([a] * n) for a, n in zip(arrays, counts, strict=True)]
-
-
-def one_weight(parts):
-    parts.synapse.weights[5] = parts.synapse.weights[5][:, :1]
-
-
-def one_dimension(parts):
-    for arrays in (parts.synapse.weights, parts.synapse.indices):
-        arrays[:] = [a[0] for a in arrays]
-
-
-class Twice(Axon):
-    def map_spikes(self, spikes):
-        return 2 * super().map_spikes(spikes)
-
-
-class Shifted(Synapse):
-    def axon_weights_indices(self, axon, atom=0):
-        weights, indices = super().axon_weights_indices(axon, atom)
-        return weights, indices[::-1]
-
-
-class Doubled(SpikeInput):
-    def spike_idxs(self, ti):
-        return np.repeat(super().spike_idxs(ti), 2)
-
+from fastloihi import FastEmulator, NotAccelerated, emulator
 
 ONE_TO_ONE = np.arange(N)
 AT_ONCE = {
     "axon beyond its synapse": mapped(np.array([0, 1, 2, 3, 4, 9])),
     "weights beyond the list": given("synapse", axon_to_weight_map={i: i for i in range(N - 1)}),
-    "negative number of weights": given("synapse", axon_to_weight_map={i: i - 1 for i in range(N)}),
     "atom that is not there": mapped(ONE_TO_ONE, np.array([0, 1, 0, 0, 0, 0])),
-    "map that is too short": mapped(np.arange(3)),
     "compartment that is not there": after(lambda p: p.synapse.indices[5].__iadd__(1)),
-    "base beyond the block": given("synapse", axon_compartment_bases=[0, 0, 1, 0, 0, 0]),
     "sparse weights that learn": together(
         lambda p: p.synapse.set_weights(scipy.sparse.csr_matrix(np.eye(N))), learns
     ),
     "odd block that learns": odd_block_that_learns,
     "shifts beyond 32 bits": together(learns, after(lambda p: p.synapse.format(weight_exp=-20))),
     "weights of 64 bits": each("weights", np.int64),
-    "weights of double precision": together(floating, each("weights", np.float64)),
     "lowest voltage of 32 bits": after(
         together(given("compartment", vmin=-(2**31)), lambda p: p.compartment.bias.fill(-(2**23)))
     ),
     "decay beyond 12 bits": after(lambda p: p.compartment.decay_v.__iadd__(4096)),
-    "negative decay": after(lambda p: p.compartment.decay_v.__imul__(-1)),
     "learning rate beyond 32 bits": learning_with(_lr_int=2**31),
-    "trace beyond 32 bits": learning_with(tracing_mag=2**30),
     # It has no weights, and so only the trace would notice.
     "trace of an axon that is not there": together(
         given("synapse", axon_compartment_bases=[0] * N + [-1]),
         learns,
         mapped(np.array([0, 1, 2, 3, 4, N])),
     ),
-    "row of weights that is missing": learning_with(n_axons=N + 1),
-    "bases that are too few": given("synapse", axon_compartment_bases=[0] * (N - 1)),
     "one weight for several compartments": after(one_weight),
     "axon of another class": given("axon", __class__=Twice),
     "synapse of another class": given("synapse", __class__=Shifted),
-    "negative compartment": after(lambda p: p.synapse.indices[5].__isub__(1)),
-    "negative atom": mapped(ONE_TO_ONE, np.array([0, 0, 0, 0, 0, -1])),
     "noise beyond 32 bits": noise(noise_exp=23, noise_offset=3000),
     "probe of something else": probed(key="spike_count"),
-    "probe of nothing": probed(key="refractory_time"),
     "probe of one number": probed(key="voltage", slice=[2]),
     "input of another class": given("input", __class__=Doubled),
     "map that is a list": mapped(list(range(N))),
-    "axon without a target": given("axon", target=None),
-    "bases in floating point": given("synapse", axon_compartment_bases=[0.0] * N),
-    "rows in floating point": given("synapse", axon_to_weight_map={i: float(i) for i in range(N)}),
-    "indices in floating point": each("indices", np.float64),
     "indices of 8 bits": each("indices", np.uint8),  # to which a base is added in 8 bits
-    "indices that are missing": after(lambda p: p.synapse.indices.pop()),
-    # As many in all.
     "weights of other shapes than their indices": after(weights_of_other_shapes),
-    # As many in all as if each had those of the first.
-    "rows with numbers of atoms of their own": after(rows_with_atoms_of_their_own),
-    "learning without a rate": together(learns, after(lambda p: delattr(p.synapse, "_lr_int"))),
-    "weights of one dimension": after(one_dimension),
-    "noise whose sum is beyond 32 bits": noise(noise_exp=-10, noise_offset=2**25 - 1),
-    "training in no step": learning_with(train_epoch=0),
-    "learning in no step": learning_with(learn_epoch=0),
-    "learning in negative steps": learning_with(learn_epoch=-4),
-    "learning in half steps": learning_with(learn_epoch=2.5),
-    "learning beyond 64 bits": learning_with(learn_epoch=2**70),
     "trace of no time": learning_with(tracing_tau=0),
-    "trace of a negative time": learning_with(tracing_tau=-1),
-    "learning rate in floating point": learning_with(_lr_int=1.5),
     "learning rate of 64 bits": learning_with(_lr_int=np.int64(2**28)),
-    "learning rate's exponent of 64 bits": learning_with(_lr_exp=np.int64(3)),
     "learning in floating point with a rate for each weight": together(
         floating, learning_with(learning_rate=np.ones(N, np.float32))
     ),
@@ -272,20 +101,6 @@ IN_A_STEP = {
 }
 
 
-def made(kind, change):
-    parts = Parts()
-    change(parts)
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
-        made = parts.emulator(kind)
-    return made, sum(issubclass(w.category, NotAccelerated) for w in said)
-
-
-def pair(change=as_it_is):
-    """NengoLoihi's emulator of a changed model, and the fast one."""
-    return [made(kind, change)[0] for kind in (EmulatorInterface, FastEmulator)]
-
-
 CALLS = [[1] * 10, [10], [4, 6]]
 
 
@@ -293,9 +108,7 @@ CALLS = [[1] * 10, [10], [4, 6]]
     ("what", "calls"),
     [*((what, [4, 6]) for what in AT_ONCE), *itertools.product(IN_A_STEP, CALLS)],
 )
-def test_the_answer_is_nengo_loihis(what, calls, monkeypatch):
-    monkeypatch.setattr(EmulatorInterface, "strict", False)
-    monkeypatch.setattr(emulator, "_said", set())
+def test_the_answer_is_nengo_loihis(what, calls):
     change = {**AT_ONCE, **IN_A_STEP}[what]
     plain, _ = made(EmulatorInterface, change)
     fast, said = made(FastEmulator, change)
@@ -311,13 +124,6 @@ def test_the_answer_is_nengo_loihis(what, calls, monkeypatch):
             break
     assert type(fast) is EmulatorInterface
     assert said == 1
-
-
-def test_without_a_change_the_kernel_runs():
-    fast, said = made(FastEmulator, as_it_is)
-    fast.run_steps(10)
-    assert type(fast) is FastEmulator
-    assert said == 0
 
 
 def sends(*spikes):
@@ -396,8 +202,7 @@ TAKEN = {
 
 
 @pytest.mark.parametrize("what", TAKEN)
-def test_the_kernel_gives_nengo_loihis_answer(what, monkeypatch):
-    monkeypatch.setattr(EmulatorInterface, "strict", False)
+def test_the_kernel_gives_nengo_loihis_answer(what):
     case = TAKEN[what]
     plain, fast = pair(case.change)
     for chip in (plain, fast):
@@ -454,23 +259,8 @@ def test_a_voltage_at_the_threshold_does_not_fire(tau_ref):
     assert type(fast) is FastEmulator
 
 
-def test_random_numbers_of_another_kind_are_left_to_nengo_loihi(monkeypatch):
-    monkeypatch.setattr(emulator, "_said", set())
-    plain, fast = pair()
-    plain.step()
-    fast.step()
-    plain.rng = np.random.RandomState(np.random.PCG64(1))
-    with pytest.warns(NotAccelerated):
-        fast.rng = np.random.RandomState(np.random.PCG64(1))
-    assert type(fast) is EmulatorInterface
-    for chip in (plain, fast):
-        chip.run_steps(5)
-    assert plain.rng.randint(1000) == fast.rng.randint(1000)
-
-
 @pytest.mark.parametrize("name", ["compartment", "synapses", "probes"])
-def test_a_state_of_a_class_of_somebody_elses_is_left_as_it_is(name, monkeypatch):
-    monkeypatch.setattr(emulator, "_said", set())
+def test_a_state_of_a_class_of_somebody_elses_is_left_as_it_is(name):
     plain, _ = made(EmulatorInterface, as_it_is)
     part = getattr(plain, name)
     part.__class__ = type("Own", (type(part),), {})
@@ -479,26 +269,16 @@ def test_a_state_of_a_class_of_somebody_elses_is_left_as_it_is(name, monkeypatch
     assert type(plain) is EmulatorInterface
 
 
-def test_what_is_handed_over_can_be_written_to():
-    fast, _ = made(FastEmulator, as_it_is)
-    arrays = [fast.compartment.vmin, next(iter(fast.synapses.slices)).weights[0]]
-    assert not any(array.flags.writeable for array in arrays)
-    emulator.hand_over(fast, "a test")
-    assert all(array.flags.writeable for array in arrays)
-
-
 def test_floating_point_that_learns_is_left_to_nengo_loihi_on_numpy_1(monkeypatch):
     change = together(floating, learns)
-    assert type(made(FastEmulator, change)[0]) is FastEmulator
-    monkeypatch.setattr(emulator, "_said", set())
+    assert NUMPY_1 or type(made(FastEmulator, change)[0]) is FastEmulator
     monkeypatch.setattr(np, "__version__", "1.26.4")
     chip, said = made(FastEmulator, change)
     assert (type(chip), said) == (EmulatorInterface, 1)
 
 
 @pytest.mark.parametrize("name", ["voltage", "current"])
-def test_a_value_without_a_positive_counterpart_is_left_to_nengo_loihi(name, monkeypatch):
-    monkeypatch.setattr(emulator, "_said", set())
+def test_a_value_without_a_positive_counterpart_is_left_to_nengo_loihi(name):
     plain, fast = pair()
     for chip in (plain, fast):
         getattr(chip.compartment, name)[1] = -(2**31)

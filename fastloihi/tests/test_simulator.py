@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import warnings
+import subprocess
+import sys
+from pathlib import Path
 
 import nengo
+import nengo_loihi
 import numpy as np
 import pytest
+from comparison import NUMPY_1, Both, Outcome, assert_same, state_of
 from nengo.exceptions import SimulatorClosed, ValidationError
-
-from deploy.network.build import build
-from deploy.network.loihi_import import nengo_loihi
-from deploy.network.stream import show
-from stmnist import FastSimulator, accelerate
-
-pytest.importorskip("numba")
-from comparison import Both, Outcome, assert_same, state_of
 from nengo_loihi.emulator.interface import EmulatorInterface
 from networks import (
     NETWORKS,
@@ -26,19 +22,8 @@ from networks import (
     passthrough,
 )
 
-from fastloihi import FastEmulator, NotAccelerated, emulator
-from tests.command import printed_by
-from tests.deploy.fast_networks import images_for, random_spec
-
-
-@pytest.fixture(autouse=True)
-def quiet(monkeypatch):
-    """NengoLoihi warns of much that is no concern here; each test hears what is said once."""
-    monkeypatch.setattr(emulator, "_said", set())
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        warnings.simplefilter("error", NotAccelerated)
-        yield
+import fastloihi
+from fastloihi import FastEmulator, FastSimulator, NotAccelerated, accelerate, speed
 
 
 def run(kind, make, calls=(30, 1, 50), target="sim", after_first=None, **options):
@@ -53,7 +38,7 @@ def run(kind, make, calls=(30, 1, 50), target="sim", after_first=None, **options
 
 
 def assert_same_run(expected, found):
-    for one, other in zip(expected[0], found[0], strict=True):
+    for one, other in zip(expected[0], found[0]):
         assert one.dtype == other.dtype
         assert np.array_equal(one, other)
     assert_same(expected[1], found[1])
@@ -62,23 +47,12 @@ def assert_same_run(expected, found):
 @pytest.mark.parametrize("target", ["sim", "simreal"])
 @pytest.mark.parametrize("name", NETWORKS)
 def test_a_network_gives_the_same_in_every_bit(name, target):
+    if NUMPY_1 and target == "simreal" and name in ("learning", "two rules"):
+        pytest.skip("learning in floating point is not compiled on NumPy 1")
     expected = run(nengo_loihi.Simulator, NETWORKS[name], target=target)
     found = run(FastSimulator, NETWORKS[name], target=target)
     assert any(np.any(values) for values in expected[0])
     assert_same_run(expected, found)
-
-
-@pytest.mark.parametrize("seed", [0, 1, 2, 3, 5, 6, 7])
-def test_the_networks_on_which_the_target_fast_is_tried(seed):
-    spec, runs = random_spec(seed), []
-    for convert in (lambda simulator: simulator, accelerate):
-        built = build(spec)
-        with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as simulator:
-            chip = convert(simulator).sims["emulator"]
-            shown = [s.output for s in show(built, simulator, images_for(spec, 2))]
-            runs.append((shown, state_of(chip)))
-    assert type(chip) is FastEmulator
-    assert_same_run(*runs)
 
 
 def clear(simulator):
@@ -185,19 +159,10 @@ def test_a_node_on_the_host_sees_the_state_of_every_step():
         assert seen[-1][0].any()
         return seen
 
-    states = zip(look(nengo_loihi.Simulator), look(FastSimulator), strict=True)
+    states = zip(look(nengo_loihi.Simulator), look(FastSimulator))
     for one, other in states:
-        for expected, found in zip(one, other, strict=True):
+        for expected, found in zip(one, other):
             assert np.array_equal(expected, found)
-
-
-def test_what_is_compiled_in_cannot_be_changed_unnoticed():
-    with FastSimulator(channel()[0]) as simulator:
-        chip = simulator.sims["emulator"]
-        with pytest.raises(ValueError, match="read-only"):
-            chip.compartment.decay_u[0] = 1
-        with pytest.raises(ValueError, match="read-only"):
-            next(s for s in chip.synapses.slices if not s.learning).weights[0][0, 0] = 1
 
 
 def test_a_closed_one_refuses_as_ever():
@@ -227,35 +192,6 @@ def test_a_simulator_on_a_board_has_no_emulator_to_accelerate():
         simulator.sims["emulator"] = chip
 
 
-def test_without_numba_nengo_loihi_runs_and_one_warning_says_so(monkeypatch):
-    expected = run(nengo_loihi.Simulator, channel)
-    monkeypatch.setattr(emulator, "find_kernel", lambda: emulator.say_once("no Numba"))
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always", NotAccelerated)
-        found = run(FastSimulator, channel), run(FastSimulator, channel)
-    assert [w.category for w in said if w.category is NotAccelerated] == [NotAccelerated]
-    for one in found:
-        assert_same_run(expected, one)
-
-
-def test_numba_that_is_missing_is_found_out():
-    code = """
-import sys, warnings
-sys.modules["numba"] = None
-from stmnist import FastSimulator
-import nengo
-with nengo.Network(seed=1) as network:
-    nengo.Ensemble(10, 1)
-with warnings.catch_warnings(record=True) as said:
-    warnings.simplefilter("always")
-    for _ in range(2):
-        with FastSimulator(network) as simulator:
-            simulator.run(0.01)
-print(type(simulator.sims["emulator"]).__name__, sum("Numba" in str(w.message) for w in said))
-"""
-    assert printed_by(code).split() == ["EmulatorInterface", "1"]
-
-
 def test_a_class_of_somebody_elses_is_left_as_it_is():
     class Own(EmulatorInterface):
         pass
@@ -267,17 +203,31 @@ def test_a_class_of_somebody_elses_is_left_as_it_is():
         assert type(simulator.sims["emulator"]) is Own
 
 
-def test_the_package_needs_nothing_else_of_the_project():
+def test_it_runs_without_the_other_packages_of_this_repository():
     code = """
-import sys, warnings
-warnings.simplefilter("ignore")
+import sys
 sys.modules.update(dict.fromkeys(("tensorflow", "nengo_dl", "keras")))
-import nengo_loihi
-before = set(sys.modules)
-import fastloihi
-import fastloihi.kernel_numba
-ours = {"deploy", "models", "pipeline", "stmnist"}
-print(*sorted(name for name in set(sys.modules) - before if name.split(".")[0] in ours))
+import nengo
+from fastloihi import FastSimulator
+with nengo.Network(seed=1) as network:
+    nengo.Ensemble(10, 1)
+with FastSimulator(network) as simulator:
+    simulator.run(0.01)
+kind = type(simulator.sims["emulator"]).__name__
+ours = {"deploy", "models", "pipeline", "stmnist"}.intersection(sys.modules)
+print(kind, len(ours))
 """
-    names = printed_by(code).split()
-    assert all(n == "deploy" or n.startswith("fastloihi") for n in names)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={"PYTHONPATH": str(Path(fastloihi.__file__).parent.parent)},
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.stdout.split() == ["FastEmulator", "0"], done.stderr
+
+
+def test_the_speed_is_measured_on_identical_results():
+    cases = [("a channel", lambda: speed.channel(20), 8)]
+    result = speed.measure(cases, turns=2)
+    assert result["identical"]
+    assert result["rows"][0]["steps"] == 8
+    assert "a channel" in speed.text_of(result)

@@ -18,7 +18,7 @@ import warnings
 import nengo
 import numpy as np
 
-from deploy.network.numpy1 import put_back_for_nengo
+from fastloihi.numpy1 import put_back_for_nengo
 from models.architecture import parse
 from models.cnn import build_cnn, set_weights
 from models.keras2 import tf

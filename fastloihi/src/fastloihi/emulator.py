@@ -48,16 +48,6 @@ def say_once(message):
         warnings.warn(message, NotAccelerated, stacklevel=3)
 
 
-def find_kernel():
-    """The module with the kernel; None, after a warning, if Numba is missing."""
-    try:
-        from . import kernel_numba
-    except ImportError as error:
-        say_once(f"NengoLoihi's own emulator is used: Numba is missing ({error})")
-        return None
-    return kernel_numba
-
-
 class FastEmulator(EmulatorInterface):
     """NengoLoihi's `EmulatorInterface` with a compiled kernel, for any of its models.
 
@@ -276,8 +266,8 @@ def _joined(parts):
 def take_over(emulator, kind=FastEmulator):
     """Let an emulator of NengoLoihi continue with the kernel, after any number of steps.
 
-    The emulator is not changed, and one warning is given, if Numba is missing or its network has a
-    feature that the kernel does not support.
+    The emulator is not changed, and one warning is given, if its network has a feature that the
+    kernel does not support.
 
     Parameters
     ----------
@@ -286,15 +276,11 @@ def take_over(emulator, kind=FastEmulator):
         `FastEmulator` or a class derived from it.
     """
     emulator.__dict__["_link"] = emulator.__dict__["_random"] = None
-    kernel = find_kernel()
     try:
-        if kernel is None:
-            raise Unsupported
-        link = Link(emulator, kernel)
+        link = Link(emulator)
     except Unsupported as reason:
         emulator.__class__ = EmulatorInterface
-        if kernel is not None:
-            say_once(f"NengoLoihi's own emulator is used, because of {reason}")
+        say_once(f"NengoLoihi's own emulator is used, because of {reason}")
         return
     emulator.__class__ = kind
     _connect(emulator, link)

@@ -87,7 +87,9 @@ class Link:
     random : Random
     """
 
-    def __init__(self, emulator, kernel):
+    def __init__(self, emulator):
+        from . import kernel  # Numba takes long to import, and not everyone runs a network
+
         state, synapses = emulator.compartment, emulator.synapses
         kinds = {state: CompartmentState, state.noise: NoiseState, synapses: SynapseState,
                  emulator.probes: ProbeState}  # fmt: skip
@@ -97,7 +99,6 @@ class Link:
         self.layout = layout = make_layout(emulator)
         n, dtype = emulator.block_info.n_compartments, state.dtype
         integers = dtype == np.int32
-        self._kernel = kernel
         self._advance = kernel.advance_integers if integers else kernel.advance_floats
         skip = (kernel.skip_samples, n) if integers else (kernel.skip_words, 2 * n)
         self.random = Random(vars(emulator)["rng"], *skip)

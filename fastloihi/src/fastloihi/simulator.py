@@ -22,7 +22,6 @@ class FastSimulator(nengo_loihi.Simulator):
     Notes
     -----
     The first step on a machine takes about five seconds more, because the kernel is compiled.
-    Without Numba, NengoLoihi's own emulator runs, with one warning.
     """
 
     def __init__(self, network, *args, **kwargs):

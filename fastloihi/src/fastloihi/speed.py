@@ -1,4 +1,4 @@
-"""The speed of `FastSimulator` relative to NengoLoihi's `Simulator`, on networks of its users.
+"""The speed of `FastSimulator` relative to NengoLoihi's `Simulator`: ``python -m fastloihi.speed``.
 
 Both run alternately in one process, and each turn gives one ratio of processor time, because other
 work on the machine slows down both.  Building and compiling are not included.
@@ -6,24 +6,23 @@ work on the machine slows down both.  Building and compiling are not included.
 
 from __future__ import annotations
 
+import argparse
+import json
+import sys
 import time
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import nengo
+import nengo_loihi
 import numpy as np
 
-from deploy.network.loihi_import import nengo_loihi
-from deploy.tables import aligned
-from fastloihi import FastSimulator
-from pipeline.progress import progress
+from .simulator import FastSimulator
 
 TURNS = 4
 SEED = 5
 
 
-def channel(n: int = 1000):
+def channel(n=1000):
     """Two ensembles of n neurons; the first is connected to the second."""
     with nengo.Network(seed=1) as network:
         wave = nengo.Node(lambda t: np.sin(2 * np.pi * t))
@@ -33,7 +32,7 @@ def channel(n: int = 1000):
         return network, nengo.Probe(second, synapse=0.01)
 
 
-def integrator(n: int = 1000):
+def integrator(n=1000):
     """An ensemble of n neurons that is connected to itself."""
     with nengo.Network(seed=1) as network:
         pulse = nengo.Node(lambda t: float(t < 0.1))
@@ -43,7 +42,7 @@ def integrator(n: int = 1000):
         return network, nengo.Probe(ensemble, synapse=0.01)
 
 
-def recurrent(n: int = 1000):
+def recurrent(n=1000):
     """n neurons with all-to-all connections."""
     weights = np.random.RandomState(3).normal(size=(n, n), scale=1e-3)
     with nengo.Network(seed=1) as network:
@@ -57,7 +56,7 @@ def recurrent(n: int = 1000):
         return network, nengo.Probe(neurons)
 
 
-def learning(n: int = 1000):
+def learning(n=1000):
     """PES on the chip from n neurons; the host computes the error at every step."""
     with nengo.Network(seed=1) as network:
         wave = nengo.Node(lambda t: np.sin(2 * np.pi * t))
@@ -73,7 +72,7 @@ def learning(n: int = 1000):
         return network, nengo.Probe(result, synapse=0.02)
 
 
-def convolutions(size: int = 28):
+def convolutions(size=28):
     """Three convolutions on the chip, 3,488 compartments, after one on the host."""
     image = np.random.RandomState(0).uniform(-1, 1, size=size * size)
     with nengo.Network(seed=1) as network:
@@ -101,23 +100,15 @@ def convolutions(size: int = 28):
         return network, nengo.Probe(source)
 
 
-@dataclass(frozen=True)
-class Case:
-    """A network to measure: its title, the function that makes it, and the steps to run."""
-
-    title: str
-    make: Callable
-    steps: int
-
-
 CASES = (
-    Case("channel, 2 ensembles of 1,000", channel, 4000),
-    Case("integrator of 1,000", integrator, 4000),
-    Case("recurrent, 1,000 x 1,000", recurrent, 1000),
-    Case("PES, 1,000 neurons", learning, 400),
-    Case("PES, 100 neurons", lambda: learning(100), 1000),
-    Case("3 convolutions, 3,488 neurons", convolutions, 400),
+    ("channel, 2 ensembles of 1,000", channel, 4000),
+    ("integrator of 1,000", integrator, 4000),
+    ("recurrent, 1,000 x 1,000", recurrent, 1000),
+    ("PES, 1,000 neurons", learning, 400),
+    ("PES, 100 neurons", lambda: learning(100), 1000),
+    ("3 convolutions, 3,488 neurons", convolutions, 400),
 )
+"""Title, function that makes the network and its probe, and steps of each network to measure."""
 
 
 class _Timed:
@@ -126,7 +117,7 @@ class _Timed:
     def __init__(self, kind, make):
         network, self.probe = make()
         self.simulator = kind(network, target="sim", seed=SEED)
-        self.emulator = self.host = self.whole = 0.0
+        self.emulator = self.host = 0.0
         for name, part in self.simulator.sims.items():
             # As NengoLoihi calls them: one step after the other if the chip needs the host.
             alone = self.simulator.precompute or set(self.simulator.sims) == {"emulator"}
@@ -162,80 +153,83 @@ class _Timed:
         return [compartments.voltage, compartments.current, compartments.spike_count]
 
 
-def measure_networks(cases=CASES, turns: int = TURNS) -> dict:
+def measure(cases=CASES, turns=TURNS) -> dict:
     """Run NengoLoihi's simulator and the fast one alternately on some networks.
 
     Parameters
     ----------
-    cases : sequence of Case
+    cases : sequence of (str, callable, int)
+        As `CASES`.
     turns : int
         Number of parts into which the steps of a case are divided; ratios are medians over them.
 
     Returns
     -------
     dict
-        Ready for JSON: ``identical``, and a row for each network.
+        Ready for JSON: ``identical``, ``turns``, and a row for each network.
     """
-    rows = []
-    with progress("networks", len(cases)) as advance, warnings.catch_warnings():
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        for case in cases:
-            rows.append(_measure(case, turns))
-            advance()
+        rows = [_measure(*case, turns) for case in cases]
     return {"identical": all(row["identical"] for row in rows), "turns": turns, "rows": rows}
 
 
-def _measure(case, turns):
-    pair = [_Timed(kind, case.make) for kind in (nengo_loihi.Simulator, FastSimulator)]
+def _measure(title, make, steps, turns):
+    pair = [_Timed(kind, make) for kind in (nengo_loihi.Simulator, FastSimulator)]
     seconds, identical = [], True
     for simulator in pair:
         simulator.run(20)  # compiles, and fills caches
     for _ in range(turns):
-        (plain, expected), (fast, found) = (one.run(case.steps // turns) for one in pair)
+        (plain, expected), (fast, found) = (one.run(steps // turns) for one in pair)
         identical &= np.array_equal(expected, found)
         seconds.append((plain, fast))
     states = [one.state() for one in pair]
-    identical &= all(np.array_equal(a, b) for a, b in zip(*states, strict=True))
-    compartments = len(states[0][0])
+    identical &= all(np.array_equal(a, b) for a, b in zip(*states))
     for one in pair:
         one.simulator.close()
     plain, fast = np.moveaxis(np.array(seconds), 1, 0)
     emulator, host, whole = np.median(fast, axis=0)
     return {
-        "network": case.title,
-        "compartments": compartments,
-        "steps": case.steps // turns * turns,
+        "network": title,
+        "compartments": len(states[0][0]),
+        "steps": steps // turns * turns,
         "identical": bool(identical),
         "ratio_emulator": float(np.median(plain[:, 0] / fast[:, 0])),
         "ratio_whole": float(np.median(plain[:, 2] / fast[:, 2])),
-        "microseconds_a_step": float(1e6 * emulator * turns / case.steps),
+        "microseconds_a_step": float(1e6 * emulator * turns / steps),
         "share_of_host": float(host / whole),
         "share_of_emulator": float(emulator / whole),
     }
 
 
-def networks_text(result: dict) -> str:
-    """The result as a table."""
-    rows = [["network", "steps", "emulator", "run", "us/step", "host", "emulator"]]
-    rows += [
-        [
-            row["network"],
-            str(row["steps"]),
-            f"{row['ratio_emulator']:.0f}x",
-            f"{row['ratio_whole']:.1f}x",
-            f"{row['microseconds_a_step']:.1f}",
-            f"{row['share_of_host']:.0%}",
-            f"{row['share_of_emulator']:.0%}",
-        ]
+def text_of(result: dict) -> str:
+    """The result of `measure` as a table."""
+    lines = [
+        "FastSimulator beside NengoLoihi's Simulator: how many times as fast, in",
+        f"processor time of one thread, medians of {result['turns']} turns",
+        "identical: "
+        + ("every voltage, current and spike" if result["identical"] else "NO: they differ"),
+        f"{'network':30}{'steps':>6}{'emulator':>10}{'run':>8}{'us/step':>9}{'host':>6}"
+        f"{'emulator':>10}",
+    ]
+    lines += [
+        f"{row['network']:30}{row['steps']:6}{row['ratio_emulator']:9.0f}x"
+        f"{row['ratio_whole']:7.1f}x{row['microseconds_a_step']:9.1f}"
+        f"{row['share_of_host']:6.0%}{row['share_of_emulator']:10.0%}"
         for row in result["rows"]
     ]
-    verdict = "every voltage, current and spike" if result["identical"] else "NO: they differ"
-    return "\n".join(
-        [
-            "FastSimulator beside NengoLoihi's Simulator: how many times as fast, in",
-            f"processor time of one thread, medians of {result['turns']} turns",
-            f"identical: {verdict}",
-            *aligned(rows),
-            "host is Nengo's; the last two: shares of the whole run with FastSimulator",
-        ]
-    )
+    return "\n".join([*lines, "host is Nengo's; the last two: shares of the whole run"])
+
+
+def main():
+    """Measure, print, and exit with status 1 if a result differs from NengoLoihi's."""
+    parser = argparse.ArgumentParser(prog="python -m fastloihi.speed", description=__doc__)
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    options = parser.parse_args()
+    result = measure()
+    print(json.dumps(result, indent=2) if options.json else text_of(result))
+    sys.exit(not result["identical"])
+
+
+if __name__ == "__main__":
+    main()

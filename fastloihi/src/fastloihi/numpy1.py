@@ -55,3 +55,9 @@ def put_back_for_nengo():
     """Apply :func:`put_back` to the matrix exponential of Nengo 4."""
     folder = "nengo._vendor.scipy.sparse"
     put_back(*(f"{folder}.linalg_{part}" for part in ("expm", "interface", "onenormest")))
+
+
+def put_back_for_nengo_loihi():
+    """Apply :func:`put_back` to NengoLoihi 1.1, and to Nengo, which it calls."""
+    put_back("nengo_loihi.block", "nengo_loihi.neurons", "nengo_loihi.dvs")
+    put_back_for_nengo()

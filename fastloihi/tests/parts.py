@@ -1,0 +1,170 @@
+"""A model of one input and one block, and changes of it that NengoLoihi's users could make."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+from nengo_loihi.block import Axon, LoihiBlock, Synapse
+from nengo_loihi.builder import Model
+from nengo_loihi.builder.discretize import discretize_model
+from nengo_loihi.emulator.interface import EmulatorInterface
+from nengo_loihi.inputs import SpikeInput
+from nengo_loihi.probe import LoihiProbe
+
+from fastloihi import FastEmulator, NotAccelerated
+
+N = 6
+
+
+class Parts:
+    """An input of as many neurons as a block, a synapse between them, and a probe."""
+
+    def __init__(self):
+        rng = np.random.RandomState(0)
+        self.model, self.block, self.input = Model(), LoihiBlock(N), SpikeInput(N)
+        self.block.compartment.configure_lif(tau_ref=0.001)
+        self.synapse, self.axon = Synapse(N), Axon(N)
+        self.synapse.set_weights(rng.uniform(0.5, 2, size=(N, N)))
+        self.axon.target = self.synapse
+        self.block.add_synapse(self.synapse)
+        self.input.add_axon(self.axon)
+        self.probe = LoihiProbe(target=[self.block], key="voltage")
+        self.discretized, self.spikes = True, [[0, 1], [2, 5], [5], [], [1, 3, 4], [0]]
+
+    @property
+    def compartment(self):
+        return self.block.compartment
+
+    def emulator(self, kind):
+        self.model.add_block(self.block)
+        self.model.add_input(self.input)
+        self.model.add_probe(self.probe)
+        if self.discretized:
+            discretize_model(self.model)
+        self.finish()
+        for t, spikes in enumerate(self.spikes):
+            self.input.add_spikes(t + 1, np.array(spikes, int))
+        return kind(self.model, seed=1)
+
+    def finish(self):
+        """What is changed after discretising."""
+
+
+def after(change):
+    """A change that is made after discretising."""
+    return lambda parts: setattr(parts, "finish", lambda: change(parts))
+
+
+def as_it_is(part):
+    """No change."""
+
+
+def together(*changes):
+    """Several changes, one after the other."""
+
+    def change(parts):
+        for one in changes:
+            one(parts)
+
+    return change
+
+
+def given(part, **values):
+    """Other attributes of a part."""
+
+    def change(parts):
+        for name, value in values.items():
+            setattr(getattr(parts, part), name, value)
+
+    return change
+
+
+def mapped(axons, atoms=None):
+    """Other axons and atoms of the neurons."""
+    return lambda parts: parts.axon.set_compartment_axon_map(axons, atoms=atoms)
+
+
+def each(name, change):
+    """Other arrays of weights or indices, each made from what it was."""
+
+    def changed(parts):
+        arrays = getattr(parts.synapse, name)
+        arrays[:] = map(change, arrays)
+
+    return after(changed)
+
+
+def noisy(parts):
+    parts.compartment.enable_noise[:] = True
+
+
+def noise(**values):
+    return after(together(noisy, given("compartment", **values)))
+
+
+def floating(parts):
+    parts.discretized = False
+
+
+def learns(parts):
+    parts.synapse.set_learning(tracing_mag=20.0)
+
+
+def learning_with(**values):
+    return together(learns, after(given("synapse", **values)))
+
+
+def probed(**what):
+    def change(parts):
+        parts.probe = LoihiProbe(target=[parts.block], **what)
+
+    return change
+
+
+def odd_block_that_learns(parts):
+    parts.block = LoihiBlock(N + 1)
+    parts.block.compartment.configure_lif()
+    parts.synapse.set_weights(np.ones((N, N + 1)))
+    parts.block.add_synapse(parts.synapse)
+    probed(key="voltage")(parts)
+    learns(parts)
+
+
+def weights_of_other_shapes(parts):
+    first, second = parts.synapse.weights[:2]
+    parts.synapse.weights[:2] = [first[:, :-1], np.hstack([second, second[:, :1]])]
+
+
+def one_weight(parts):
+    parts.synapse.weights[5] = parts.synapse.weights[5][:, :1]
+
+
+class Twice(Axon):
+    def map_spikes(self, spikes):
+        return 2 * super().map_spikes(spikes)
+
+
+class Shifted(Synapse):
+    def axon_weights_indices(self, axon, atom=0):
+        weights, indices = super().axon_weights_indices(axon, atom)
+        return weights, indices[::-1]
+
+
+class Doubled(SpikeInput):
+    def spike_idxs(self, ti):
+        return np.repeat(super().spike_idxs(ti), 2)
+
+
+def made(kind, change):
+    parts = Parts()
+    change(parts)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        made = parts.emulator(kind)
+    return made, sum(issubclass(w.category, NotAccelerated) for w in said)
+
+
+def pair(change=as_it_is):
+    """NengoLoihi's emulator of a changed model, and the fast one."""
+    return [made(kind, change)[0] for kind in (EmulatorInterface, FastEmulator)]
