@@ -6,9 +6,9 @@ import sys
 
 import numpy as np
 import pytest
+from fastloihi.numpy1 import NumPy1
 
 from deploy.network.loihi_import import nengo_loihi
-from fastloihi.numpy1 import NumPy1
 from tests.command import LEAVE_GARBAGE, ROOT
 from tests.models.test_hdf5 import READ, REFUSED, asking
 

@@ -18,7 +18,7 @@ import warnings
 import nengo
 import numpy as np
 
-from fastloihi.numpy1 import put_back_for_nengo
+import deploy.network.loihi_import  # noqa: F401  (puts back what Nengo needs of NumPy 1)
 from models.architecture import parse
 from models.cnn import build_cnn, set_weights
 from models.keras2 import tf
@@ -66,7 +66,6 @@ with warnings.catch_warnings(), keras_of_its_time():
     warnings.simplefilter("ignore")
     import nengo_dl
 
-put_back_for_nengo()
 _build_filters = nengo_dl.process_builders.LinearFilterBuilder.build_pre
 
 
