@@ -84,6 +84,9 @@ def from_nir(
         A node cannot be on the chip; the message names it and an alternative.
     """
     check_step(network, step)
+    for node in network.nodes:
+        if node.loop is not None:
+            raise NirError(f"{node}: is connected to itself; no target runs recurrent layers")
     groups, run = [], []
     for node in network.nodes:
         run.append(node)

@@ -5,21 +5,24 @@ interoperable brain-inspired computing", Nature Communications 15, 8122 (2024), 
 equations, which are repeated in :mod:`models.nir_simulator`.  Shapes are those of NIR and
 PyTorch: channels first.
 
-A graph can be used if it is a chain from one input to one output.  Subgraphs are replaced by their
-nodes.  Parameters of neurons may be one value, or one value for each neuron.
+A graph can be used if it is a chain from one input to one output.  A layer of neurons may also be
+connected to itself, through one ``Linear`` or ``Affine``.  Subgraphs are replaced by their nodes.
+Parameters of neurons may be one value, or one value for each neuron.
 """
 
 from __future__ import annotations
 
+import functools
+import io
+import itertools
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
 from deploy import limits
-from models.nir_file import NirError, read_nir_file, shown
-
-__all__ = ["NirError", "NirNetwork", "Node", "read_nir"]
+from deploy.errors import UserError
 
 SPIKING = ("IF", "LIF", "CubaLIF", "Threshold")
 """Nodes whose output is spikes."""
@@ -27,18 +30,22 @@ SPIKING = ("IF", "LIF", "CubaLIF", "Threshold")
 FILTERS = ("LI", "CubaLI")
 """Nodes with a state whose output is not spikes."""
 
-MAX_NODES = 500
-"""Maximum number of nodes of a graph, including subgraphs."""
-
-MAX_EDGES = 10_000
-"""Edges of a graph; a chain has one fewer than nodes."""
-
 MAX_DIMENSIONS = 7
 """Maximum number of dimensions of an input that are read; more than 4 cannot be used."""
 
 SNNTORCH_STEP = 1e-4
 """Time step in seconds for which snnTorch's exporter writes time constants, independently of the
 training."""
+
+
+class NirError(UserError):
+    """A file or graph is not NIR, or has parts that cannot be used; the message is one line."""
+
+
+def shown(text) -> str:
+    """Text from a file for a message: quoted, on one line, and shortened."""
+    text = repr(str(text)[:60])
+    return text if len(text) <= 80 else text[:77] + "...'"
 
 
 @dataclass(frozen=True)
@@ -56,6 +63,8 @@ class Node:
         By NIR's names.  Those of neurons are arrays of the node's shape.  Weights and biases are
         arrays as in NIR (a missing bias is zero).  ``padding`` is a pair (before, after) for each
         dimension, ``stride``, ``dilation`` and ``kernel_size`` a number for each.
+    loop : Node or None
+        The ``Linear`` or ``Affine`` through which the node is connected to itself.
     """
 
     name: str
@@ -63,6 +72,7 @@ class Node:
     input_shape: tuple
     shape: tuple
     parameters: dict = field(repr=False)
+    loop: Node | None = None
 
     def __str__(self):
         return f"node {shown(self.name)} ({self.kind})"
@@ -122,7 +132,7 @@ class NirNetwork:
 
 
 def read_nir(source) -> NirNetwork:
-    """Read a NIR graph; nothing in it is executed.
+    """Read a NIR graph.
 
     Parameters
     ----------
@@ -139,37 +149,51 @@ def read_nir(source) -> NirNetwork:
         The source is not a NIR graph, or cannot be used: it is not a chain, or has unknown nodes,
         or shapes or values that do not fit.  The message names the file, the node and a remedy.
     """
-    if hasattr(source, "to_dict") and hasattr(source, "nodes"):
+    if hasattr(source, "to_dict"):
         return _network(source.to_dict())
-    tree = read_nir_file(source)
     try:
-        return _network(tree)
+        content = Path(source).read_bytes()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise NirError(f"{str(source)!r}: cannot read ({reason}); check the path") from error
+    try:
+        return _parsed(content)
     except NirError as error:
         raise NirError(f"{source}: {error}") from error
 
 
+@functools.lru_cache(maxsize=2)
+def _parsed(content: bytes) -> NirNetwork:
+    """The network of a file's content, which a command parses once though it is asked for often."""
+    import nir  # imports h5py
+
+    try:
+        tree = nir.read(io.BytesIO(content), type_check=False).to_dict()
+    except Exception as error:  # nir and h5py fail in many ways on other files and invalid nodes
+        reason = " ".join(str(error).split())[:200]
+        raise NirError(
+            f"not a NIR graph, or a damaged one ({reason}); write it with nir.write(path, graph)"
+        ) from error
+    return _network(tree)
+
+
 def _network(tree) -> NirNetwork:
-    nodes, edges = _opened(tree)
+    nodes, edges = _flat(tree)
+    loops = _loops(nodes, edges)
     first, order = _chain(nodes, edges)
     input_shape = shape = _input_shape(first, nodes[first], [nodes[name] for name in order])
     chain = []
     for name in order:
-        kind = _kind(nodes[name])
-        handler = _HANDLERS.get(kind)
-        if handler is None:
-            raise NirError(
-                f"node {shown(name)}: {shown(kind)} cannot be used; "
-                + _INSTEAD.get(kind, "use " + ", ".join(_HANDLERS))
-            )
-        reader = _Values(f"node {shown(name)} ({kind})", nodes[name])
-        after, parameters = handler(reader, shape)
-        if math.prod(after) > limits.NEURONS or math.prod(after) < 1:
-            reader.refuse(
-                f"puts out {math.prod(after)} values, and a layer can have 1 to {limits.NEURONS}; "
-                "use strides, averaging or fewer filters"
-            )
-        chain.append(Node(name, kind, shape, after, parameters))
-        shape = after
+        node = _node(name, nodes[name], shape)
+        if name in loops:
+            if node.kind not in SPIKING:
+                raise NirError(f"{node}: is connected to itself; only layers of neurons can be")
+            loop = _node(*loops[name], (math.prod(node.shape),))
+            if loop.shape != loop.input_shape:
+                raise NirError(f"{loop}: puts out {loop.shape[0]} values to {loop.input_shape[0]}")
+            node = replace(node, loop=loop)
+        chain.append(node)
+        shape = node.shape
     if not any(node.kind in SPIKING for node in chain):
         raise NirError(
             "has no neurons that spike, which is what the chip has; put a LIF, CubaLIF or IF "
@@ -179,70 +203,56 @@ def _network(tree) -> NirNetwork:
     return NirNetwork(input_shape, tuple(chain), metadata if isinstance(metadata, dict) else {})
 
 
+def _node(name, values, shape) -> Node:
+    """A node for an input of a shape."""
+    kind = _kind(values)
+    handler = _HANDLERS.get(kind)
+    if handler is None:
+        raise NirError(
+            f"node {shown(name)}: {shown(kind)} cannot be used; "
+            + _INSTEAD.get(kind, "use " + ", ".join(_HANDLERS))
+        )
+    reader = _Values(f"node {shown(name)} ({kind})", values)
+    after, parameters = handler(reader, shape)
+    if math.prod(after) > limits.NEURONS or math.prod(after) < 1:
+        reader.refuse(
+            f"puts out {math.prod(after)} values, and a layer can have 1 to {limits.NEURONS}; "
+            "use strides, averaging or fewer filters"
+        )
+    return Node(name, kind, shape, after, parameters)
+
+
 # --- the graph ------------------------------------------------------------------------------------
 
 
-def _opened(tree, prefix="", depth=0) -> tuple:
+def _flat(tree, prefix="") -> tuple:
     """Nodes by name, and edges, with subgraphs replaced by their nodes and edges."""
-    if depth > 5:
-        raise NirError("has graphs more than five deep; write it as one graph")
-    nodes, edges = tree.get("nodes"), tree.get("edges")
-    if not isinstance(nodes, dict) or not all(isinstance(n, dict) for n in nodes.values()):
-        raise NirError("is not a NIR graph: it has no nodes; write a nir.NIRGraph")
-    if len(nodes) > MAX_NODES:
-        raise NirError(f"has {len(nodes)} nodes, more than the {MAX_NODES} that can be read")
-    edges = [] if edges is None else edges
-    if np.size(edges) > 2 * MAX_EDGES:
-        raise NirError(f"has more than the {MAX_EDGES} edges that can be read")
-    edges = np.asarray(edges, object)
-    if edges.size and edges.shape[1:] != (2,):
-        raise NirError("is not a NIR graph: its edges are not pairs; write a nir.NIRGraph")
-    pairs = {(_text(a), _text(b)) for a, b in edges.reshape(-1, 2)}
-    for name in {name for pair in pairs for name in pair} - nodes.keys():
-        raise NirError(f"an edge to {shown(prefix + name)}, which does not exist; write it again")
-    found, inside = {}, {}
-    for name, node in nodes.items():
+    nodes, inside = {}, {}
+    edges = {(prefix + _text(a), prefix + _text(b)) for a, b in tree["edges"]}
+    for name, node in ((prefix + name, node) for name, node in tree["nodes"].items()):
         if _kind(node) != "NIRGraph":
-            found[prefix + name] = node
+            nodes[name] = node
             continue
-        own, own_pairs = _opened(node, f"{prefix}{name}.", depth + 1)
-        ends = {}
-        for kind in ("Input", "Output"):
-            (ends[kind],) = _ends(own, kind, f"graph {shown(prefix + name)}: ")
-        inside[name] = ends
-        found |= own
-        if len(found) > MAX_NODES:
-            raise NirError(f"has more than the {MAX_NODES} nodes that can be read")
-        pairs |= {("", pair) for pair in own_pairs}
-    resolved = set()
-    for a, b in pairs:
-        if a == "":
-            resolved.add(b)
-            continue
-        a = inside[a]["Output"] if a in inside else prefix + a
-        b = inside[b]["Input"] if b in inside else prefix + b
-        resolved.add((a, b))
-    for ends in inside.values():  # remove nodes that only pass values on
-        for end in ends.values():
-            before = [a for a, b in resolved if b == end]
-            after = [b for a, b in resolved if a == end]
-            if end in after:
-                raise NirError(
-                    f"graph {shown(end.rpartition('.')[0])} is connected to itself and has no "
-                    "nodes; a chain of nodes from input to output can be used"
-                )
-            if len(before) * len(after) > MAX_NODES:
-                raise NirError(
-                    f"node {shown(end)} has {len(before)} nodes before and {len(after)} after it; "
-                    "a chain of nodes without branches can be used"
-                )
-            resolved = {pair for pair in resolved if end not in pair}
-            resolved |= {(a, b) for a in before for b in after}
-            del found[end]
-    return found, resolved
+        own, own_edges = _flat(node, f"{name}.")
+        inside[name] = [_end(own, kind, f"graph {shown(name)}: ") for kind in ("Input", "Output")]
+        nodes |= own
+        edges |= own_edges
+    edges = {
+        (inside[a][1] if a in inside else a, inside[b][0] if b in inside else b) for a, b in edges
+    }
+    for name in {name for pair in edges for name in pair} - nodes.keys():
+        raise NirError(f"an edge to {shown(name)}, which does not exist; write it again")
+    for end in itertools.chain(*inside.values()):  # remove nodes that only pass values on
+        before = [a for a, b in edges if b == end]
+        after = [b for a, b in edges if a == end]
+        edges = {pair for pair in edges if end not in pair}
+        edges |= set(itertools.product(before, after))
+        del nodes[end]
+    return nodes, edges
 
 
-def _ends(nodes, kind, where=""):
+def _end(nodes, kind, where="") -> str:
+    """Name of the only node of a kind."""
     names = [name for name, node in nodes.items() if _kind(node) == kind]
     if len(names) != 1:
         listed = f" ({', '.join(map(shown, names[:5]))})" if names else ""
@@ -250,14 +260,36 @@ def _ends(nodes, kind, where=""):
             f"{where}has {len(names)} nodes of kind {kind}{listed}; a chain from one Input to one "
             "Output can be used"
         )
-    return names
+    return names[0]
+
+
+def _loops(nodes, edges) -> dict:
+    """(name, values) of the node between each recurrent layer and itself, by the layer's name.
+
+    These nodes and their edges are removed.
+    """
+    loops = {}
+    for name in list(nodes):
+        before = {a for a, b in edges if b == name}
+        after = {b for a, b in edges if a == name}
+        if _kind(nodes[name]) not in ("Linear", "Affine") or before != after or len(before) != 1:
+            continue
+        (layer,) = before
+        if layer in loops:
+            raise NirError(
+                f"node {shown(layer)}: is connected to itself twice, through "
+                f"{shown(loops[layer][0])} and {shown(name)}; add their weights in one node"
+            )
+        loops[layer] = name, nodes.pop(name)
+        edges -= {(layer, name), (name, layer)}
+    return loops
 
 
 def _chain(nodes, edges) -> tuple:
     """Name of the input node, and names of the nodes between input and output, in order."""
-    (first,), (last,) = _ends(nodes, "Input"), _ends(nodes, "Output")
+    first, last = _end(nodes, "Input"), _end(nodes, "Output")
     after = {name: sorted(b for a, b in edges if a == name) for name in nodes}
-    _refuse_recurrence(nodes, after)
+    _refuse_cycles(nodes, after)
     order, name = [], first
     while name != last:
         if len(after[name]) != 1:
@@ -280,7 +312,7 @@ def _chain(nodes, edges) -> tuple:
     return first, order
 
 
-def _refuse_recurrence(nodes, after):
+def _refuse_cycles(nodes, after):
     """Refuse a graph with a cycle, naming a layer of neurons in it."""
     reach = {}
     for name in nodes:
@@ -293,13 +325,13 @@ def _refuse_recurrence(nodes, after):
         reach[name] = seen
     inside = sorted(name for name in nodes if name in reach[name])
     if inside:
-        kinds = {name: _kind(nodes[name]) for name in inside}
-        named = next((name for name in inside if kinds[name] in SPIKING), inside[0])
+        neurons = [name for name in inside if _kind(nodes[name]) in SPIKING]
+        name = (neurons or inside)[0]
+        others = ", ".join(shown(n) for n in inside if n != name) or "nothing"
         raise NirError(
-            f"node {shown(named)} ({kinds[named]}) is connected to itself"
-            + (f" through {shown(next(n for n in inside if n != named))}" if inside[1:] else "")
-            + "; no target runs recurrent layers: train a feed-forward network (in snnTorch Leaky "
-            "or Synaptic in the place of RLeaky or RSynaptic)"
+            f"node {shown(name)} ({_kind(nodes[name])}) is connected to itself through {others}; "
+            "a layer of neurons can be connected to itself through one Linear or Affine, without "
+            "delays, convolutions or other layers"
         )
 
 

@@ -129,7 +129,7 @@ def _nir():
         import nir
     except ImportError:
         raise UserError(
-            "export to NIR needs the package nir: pip install 'stmnist-loihi[nir]', or nir alone"
+            "export to NIR needs the package nir: pip install nir"
         ) from None
     return nir
 

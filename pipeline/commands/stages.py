@@ -44,12 +44,12 @@ def convert(
     model: Annotated[
         Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
         typer.Option(
-            help="Your Keras model (.keras or .h5), which replaces the CNN; read, not executed."
+            help="Your Keras model (.keras or .h5), which replaces the CNN; only one you trust."
         ),
     ] = None,
     nir: Annotated[
         Optional[Path],  # noqa: UP045
-        typer.Option(help="A NIR graph, such as one exported from PyTorch; read, not executed."),
+        typer.Option(help="A NIR graph, such as one exported from PyTorch."),
     ] = None,
     step: Annotated[
         Optional[float],  # noqa: UP045

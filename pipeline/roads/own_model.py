@@ -9,7 +9,7 @@ import numpy as np
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.files import sha256_of
-from models.own import ModelFileError, read_own_model
+from models.keras_model import read_keras
 from pipeline.data.dataset import Dataset
 from pipeline.roads.given_networks import GIVE_MODEL_AGAIN, imported_file
 from pipeline.settings import Settings
@@ -21,24 +21,6 @@ networks of three layers with Keras's initial weights had 0.06 by chance, on ten
 
 SPREAD = (1e-3, 1e4)
 """Limits of the difference between the largest and smallest logit of a sample."""
-
-
-def read_model(path: Path) -> tuple:
-    """A user's Keras model, and the SHA-256 of its file.
-
-    Returns
-    -------
-    OwnModel, str
-
-    Raises
-    ------
-    UserError
-        The file cannot be read, is not a Keras model, or does not fit any chip.
-    """
-    try:
-        return read_own_model(path), sha256_of(path)
-    except ModelFileError as error:
-        raise UserError(str(error)) from error
 
 
 def settings_of_model(path: Path, retrain: bool = False) -> dict:
@@ -53,10 +35,10 @@ def settings_of_model(path: Path, retrain: bool = False) -> dict:
     Raises
     ------
     UserError
-        As :func:`read_model`.
+        The file cannot be read, is not a Keras model, or does not fit any chip.
     """
     path = Path(path)
-    model, sha256 = read_model(path)
+    model, sha256 = read_keras(path), sha256_of(path)
     rates = Settings().snn.max_rates[: max(len(model.architecture.spiking), 1)]
     return {
         "input": {"kind": "image"},
@@ -102,8 +84,9 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
     """
     copy = copy_of_model(folder, settings)
     path = imported_file(settings.cnn.model, settings.cnn.model_sha256, copy)
-    model, sha256 = read_model(path)
-    if sha256 != settings.cnn.model_sha256 or str(model.architecture) != settings.cnn.architecture:
+    model = read_keras(path)
+    imported = settings.cnn.model_sha256, settings.cnn.architecture
+    if (sha256_of(path), str(model.architecture)) != imported:
         raise UserError(f"{path}: has changed; {GIVE_MODEL_AGAIN}")
     from pipeline.training.networks import TrainedCNN
 

@@ -2,7 +2,7 @@
 
 from pipeline.roads.nir_import import refuse_early
 from pipeline.roads.nir_settings import settings_of_nir
-from pipeline.roads.own_model import read_model, settings_of_model
+from pipeline.roads.own_model import settings_of_model
 from pipeline.stages.answering import answer, answer_all
 from pipeline.stages.bars import bars
 from pipeline.stages.bundling import convert, make_bundle, on_test_split, spec_of

@@ -189,11 +189,6 @@ def bad(keras):
     shared = layers.Dense(16, "relu", name="twice")
     signal = shared(shared(layers.Flatten()(inputs)))
     models["shared"] = keras.Model(inputs, layers.Dense(3)(signal))
-    inputs = keras.Input((4, 4, 1))
-    signal = layers.Dropout(0.5, name="always")(layers.Flatten()(inputs), training=True)
-    models["dropout_always"] = keras.Model(inputs, layers.Dense(3)(signal))
-
-    models["never_trained"] = chain(conv(), layers.BatchNormalization())
     models["not_a_number"] = chain(conv())
     models["infinite_variance"] = chain(conv(), layers.BatchNormalization(name="norm"))
     return models

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 
-from models.nir_graph import _network
+from models.nir_graph import read_nir
 
 
 class Graph:
@@ -29,7 +29,7 @@ def tree_of(shape, *nodes, output=None):
 
 def network_of(shape, *nodes):
     """The chain read and checked."""
-    return _network(tree_of(shape, *nodes))
+    return read_nir(Graph(tree_of(shape, *nodes)))
 
 
 def affine(rng, outputs, inputs, spread=1.0, bias=0.0):

@@ -1,15 +1,11 @@
 """NIR files and graphs are read as data, and what cannot be used is refused by name."""
 
-import io
+import itertools
 
 import h5py
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from models import apart
-from models.nir_file import read_nir_file
 from models.nir_graph import NirError, read_nir
 from tests.command import missing
 from tests.models.nir_graphs import (
@@ -95,9 +91,19 @@ def put(node, **values):
     return lambda nodes, edges, tree: nodes[node].update(values)
 
 
-def recurrent(nodes, edges, tree):
-    nodes["back"] = {"type": "Linear", "weight": np.eye(3)}
-    edges += [("n1", "back"), ("back", "n1")]
+def loop_over(*between):
+    """The neurons' connection to themselves through these nodes."""
+
+    def change(nodes, edges, tree):
+        names = [f"back{n}" for n in range(len(between))]
+        nodes.update(zip(names, between, strict=True))
+        edges += itertools.pairwise(["n1", *names, "n1"])
+
+    return change
+
+
+CONV_BACK = {"type": "Conv2d", "weight": np.ones((3, 3, 3, 3)), "padding": 1}
+WEIGHTS_BACK = {"type": "Linear", "weight": np.eye(27)}
 
 
 def second_input(nodes, edges, tree):
@@ -122,7 +128,13 @@ def without(node, name):
 
 
 BAD = {
-    "recurrence": (recurrent, "'n1' (LIF)", "'back'"),
+    "a loop with a convolution": (loop_over(CONV_BACK), "'n1' (LIF)", "'back0'", "Linear"),
+    "a loop with a delay": (
+        loop_over(WEIGHTS_BACK, {"type": "Delay", "delay": 1.0}),
+        *("'n1' (LIF)", "'back0'", "'back1'"),
+    ),
+    "a loop of another size": (loop_over({"type": "Linear", "weight": np.eye(3)}), "'back0'", "27"),
+    "a loop over two layers": (lambda n, e, t: e.append(("n3", "n1")), "'n1' (LIF)", "'n3'"),
     "itself": (lambda n, e, t: e.append(("n1", "n1")), "'n1' (LIF)", "itself"),
     "two inputs": (second_input, "2 nodes", "Input"),
     "no output": (put("output", type="Scale"), "0 nodes", "Output"),
@@ -144,8 +156,6 @@ BAD = {
     "text": (put("n0", weight="a lot"), "node 'n0' (Conv2d): ", "weight", "array"),
     "missing": (without("n1", "tau"), "node 'n1' (LIF): ", "tau"),
     "input's shape": (put("input", shape=np.array([0, 5, 5])), "node 'input' (Input): ", "shape"),
-    "no nodes": (lambda n, e, t: t.update(nodes={"a": 1}), "nir.NIRGraph", "nodes"),
-    "wild edges": (lambda n, e, t: t.update(edges=["ab", 3]), "nir.NIRGraph", "edges"),
 }
 
 
@@ -165,140 +175,65 @@ def test_files_that_are_no_nir(tmp_path, path):
             read_nir(tmp_path / name)
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["x"] = 1
-    for name, fact in (("other.h5", "'node'"), ("missing", "path"), (".", "folder")):
-        with pytest.raises(NirError, match=f"^{tmp_path / name}: .*{fact}"):
+    for name, fact in (("other.h5", "'?node"), ("missing", "path"), (".", "directory")):
+        with pytest.raises(NirError, match=f"{tmp_path / name}'?: .*{fact}"):
             read_nir(tmp_path / name)
     with pytest.raises(NirError, match=r"'a\\x00b'"):
         read_nir("a\0b")
 
 
-def test_links_out_of_the_file_and_plugins_are_refused(tmp_path, path):
-    secret = tmp_path / "secret.h5"
-    with h5py.File(secret, "w") as file:
-        file["weight"] = np.ones((5, 48))
-
-    def with_weight(name, add):
-        copy = tmp_path / name
-        copy.write_bytes(path.read_bytes())
-        with h5py.File(copy, "r+") as file:
-            group = next(g for g in file["node/nodes"].values() if g["type"][()] == b"Affine")
-            del group["weight"]
-            add(group)
-        return copy
-
-    raw = tmp_path / "raw"
-    raw.write_bytes(b"\0" * 8 * 240)
-    layout = h5py.VirtualLayout((5, 48), float)
-    layout[:] = h5py.VirtualSource(secret, "weight", (5, 48))
-    ways = {
-        "external link": lambda g: g.__setitem__("weight", h5py.ExternalLink(secret, "weight")),
-        "soft link": lambda g: g.__setitem__("weight", h5py.SoftLink("/version")),
-        "external storage": lambda g: g.create_dataset(
-            "weight", (5, 48), float, external=[(raw, 0, 8 * 240)]
-        ),
-        "virtual": lambda g: g.create_virtual_dataset("weight", layout),
-        "filter": lambda g: g.create_dataset("weight", data=np.ones((5, 48)), compression="lzf"),
-    }
-    for name, add in ways.items():
-        with pytest.raises(NirError, match=r"node 'affine': .*'weight'"):
-            read_nir(with_weight(name, add))
+def test_a_file_is_parsed_once(path, monkeypatch, tmp_path):
+    parsed = []
+    read = nir.read
+    monkeypatch.setattr(nir, "read", lambda *a, **k: parsed.append(1) or read(*a, **k))
+    copy = tmp_path / "copy.nir"
+    copy.write_bytes(path.read_bytes() + b"not yet parsed")
+    assert read_nir(copy) is read_nir(copy)
+    (tmp_path / "again.nir").write_bytes(copy.read_bytes())
+    assert read_nir(tmp_path / "again.nir") is read_nir(copy)
+    assert len(parsed) == 1
 
 
-def test_a_node_that_is_a_link_is_named(path):
-    with h5py.File(path, "r+") as file:
-        del file["node/nodes/lif"]
-        file["node/nodes/lif"] = h5py.SoftLink("/node/nodes/affine")
-    with pytest.raises(NirError, match="node 'lif'"):
-        read_nir(path)
+def recurrent_tree(kind="Affine", times=1):
+    rng = np.random.default_rng(0)
+    tree = tree_of((6,), affine(rng, 4, 6), lif(), affine(rng, 3, 4))
+    for number in range(times):
+        name, values = f"n1.w_rec{number}", affine(rng, 4, 4, bias=1.0)[1]
+        tree["nodes"][name] = {"type": kind, **values}
+        tree["edges"] += [("n1", name), (name, "n1")]
+    return tree
 
 
-def test_a_group_within_itself_ends(path):
-    with h5py.File(path, "r+") as file:
-        file["node/nodes/again"] = file["node"]
-    with pytest.raises(NirError, match=" 12 "):
-        read_nir(path)
+@pytest.mark.parametrize("kind", ["Linear", "Affine"])
+def test_a_layer_connected_to_itself(kind):
+    tree = recurrent_tree(kind)
+    network = read_nir(Graph(tree))
+    assert [node.name for node in network.nodes] == ["n0", "n1", "n2"]
+    loop = network.nodes[1].loop
+    assert (loop.name, loop.kind, loop.shape) == ("n1.w_rec0", kind, (4,))
+    np.testing.assert_array_equal(loop["weight"], tree["nodes"]["n1.w_rec0"]["weight"])
 
 
-def test_huge_arrays_are_not_made(path):
-    with h5py.File(path, "r+") as file:
-        file.create_dataset("node/nodes/huge", (10**6, 10**6), float, chunks=(10, 10))
-    with pytest.raises(NirError, match=r"node 'huge' .* 30000000 "):
-        read_nir(path)
-
-
-@pytest.mark.parametrize(("count", "kind"), [(10**6, h5py.string_dtype()), (500, "S1000000")])
-def test_texts_without_end_are_not_read(path, count, kind):
-    """A few bytes that say so are a million texts, or 500 MB."""
-    with h5py.File(path, "r+") as file:
-        file.create_dataset("node/nodes/texts", (count,), kind, chunks=(1,))
-    with pytest.raises(NirError, match="node 'texts'"):
-        read_nir(path)
-
-
-def passing_graphs(count):
-    """Graphs of nothing but an input and an output, each connected to all of them."""
-    tree = tree_of((4,), *[("NIRGraph", tree_of((4,)))] * count)
-    names = list(tree["nodes"])
-    return {**tree, "edges": [(a, b) for a in names for b in names]}
-
-
-LONG = tree_of((4,), *[("Scale", {"scale": 1.0})] * 300)
+def test_a_layer_connected_to_itself_in_a_subgraph():
+    rng = np.random.default_rng(0)
+    inner = tree_of((4,), lif())
+    inner["nodes"]["w_rec"] = {"type": "Linear", "weight": np.eye(4)}
+    inner["edges"] += [("n0", "w_rec"), ("w_rec", "n0")]
+    network = read_nir(Graph(tree_of((6,), affine(rng, 4, 6), ("NIRGraph", inner))))
+    assert [node.name for node in network.nodes] == ["n0", "n1.n0"]
+    assert network.nodes[1].loop.name == "n1.w_rec"
 
 
 @pytest.mark.parametrize(
     ("tree", "told"),
     [
-        (passing_graphs(20), "'n0'.* itself"),
-        (tree_of((4,), ("NIRGraph", LONG), ("NIRGraph", LONG)), "500 nodes"),
-        ({**tree_of((4,), lif()), "edges": 5.0}, "edges"),
-        ({**tree_of((4,), lif()), "edges": np.zeros((2, 2, 2))}, "edges"),
-        ({**tree_of((4,), lif()), "edges": np.zeros((20_000, 2))}, "10000 edges"),
+        (recurrent_tree(times=2), "'n1': .*twice.*w_rec0.*w_rec1"),
         (tree_of((np.inf,), lif()), "Input"),
         (tree_of((4,), ("Flatten", {"start_dim": [0, 0]}), lif()), "start_dim"),
         (tree_of((4,), ("Flatten", {"start_dim": 0.5}), lif()), "start_dim"),
     ],
-    ids=range(8),
+    ids=range(4),
 )
 def test_graphs_of_odd_parts_are_refused(tree, told):
     with pytest.raises(NirError, match=told):
         read_nir(Graph(tree))
-
-
-def test_nodes_of_nodes_that_all_lead_to_each_other_do_not_multiply():
-    """Each graph that only passes on is replaced by edges from all before it to all after it."""
-    tree = tree_of((4,), *[lif()] * 60, ("NIRGraph", tree_of((4,))), *[lif()] * 60)
-    names = list(tree["nodes"])
-    tree["edges"] = [(a, "n60") for a in names[1:61]] + [("n60", b) for b in names[62:-1]]
-    with pytest.raises(NirError, match=r"60 .* 60 "):
-        read_nir(Graph(tree))
-
-
-def test_a_crash_of_the_reading_process_is_a_line(path, monkeypatch, tmp_path):
-    package = tmp_path / "models"
-    package.mkdir()
-    (package / "__init__.py").touch()
-    (package / "nir_file.py").write_text("import os\nos.abort()\n")
-    monkeypatch.setattr(apart, "__file__", str(package / "apart.py"))
-    with pytest.raises(NirError, match=f"^{path}: "):
-        read_nir(path)
-
-
-@given(st.data())
-@settings(max_examples=15, deadline=None)
-def test_damaged_files_are_read_or_refused(tmp_path_factory, data):
-    buffer = io.BytesIO()
-    nir.write(buffer, small_graph())
-    content = bytearray(buffer.getvalue())
-    for _ in range(data.draw(st.integers(1, 20))):
-        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-    path = tmp_path_factory.mktemp("damaged") / "graph.nir"
-    path.write_bytes(content)
-    try:
-        read_nir(path)
-    except NirError as error:  # not because reading it did not begin, or did not end
-        assert "could not be read in" not in str(error)  # noqa: PT017
-
-
-def test_reading_needs_no_package_nir(path, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "nir", None)
-    assert len(read_nir_file(path)["nodes"]) == 7

@@ -21,13 +21,12 @@ from deploy.files import read_arrays, read_json
 
 from ..deploy.fast_networks import random_spec
 from . import damage
-from .graphs import graph
 from .records import record
 
 SHARES = {
     "mat5": 0.15, "mat73": 0.095, "zip": 0.09, "bundle": 0.18, "settings": 0.1, "result": 0.05,
     "run": 0.03, "links": 0.03, "network": 0.05, "cache": 0.03, "pipe": 0.03, "source": 0.005,
-    "graph": 0.06, "record": 0.07, "person": 0.03,
+    "record": 0.07, "person": 0.03,
 }  # fmt: skip
 """Of each kind in a campaign."""
 
@@ -519,5 +518,5 @@ KINDS = {
     "mat5": mat5, "mat73": mat73, "zip": zipped, "bundle": bundle, "settings": settings,
     "result": result, "run": run_folder, "links": links,
     "network": network, "cache": cache, "pipe": pipe, "source": source,
-    "graph": graph, "record": record, "person": person,
+    "record": record, "person": person,
 }  # fmt: skip
