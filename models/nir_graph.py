@@ -153,9 +153,8 @@ def read_nir(source) -> NirNetwork:
         return _network(source.to_dict())
     try:
         content = Path(source).read_bytes()
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise NirError(f"{str(source)!r}: cannot read ({reason}); check the path") from error
+    except OSError as error:
+        raise NirError(f"{source}: cannot read ({error.strerror}); check the path") from error
     try:
         return _parsed(content)
     except NirError as error:

@@ -176,10 +176,8 @@ def test_files_that_are_no_nir(tmp_path, path):
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["x"] = 1
     for name, fact in (("other.h5", "'?node"), ("missing", "path"), (".", "directory")):
-        with pytest.raises(NirError, match=f"{tmp_path / name}'?: .*{fact}"):
+        with pytest.raises(NirError, match=f"^{tmp_path / name}: .*{fact}"):
             read_nir(tmp_path / name)
-    with pytest.raises(NirError, match=r"'a\\x00b'"):
-        read_nir("a\0b")
 
 
 def test_a_file_is_parsed_once(path, monkeypatch, tmp_path):

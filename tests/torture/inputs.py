@@ -24,7 +24,7 @@ from . import damage
 from .records import record
 
 SHARES = {
-    "mat5": 0.15, "mat73": 0.095, "zip": 0.09, "bundle": 0.18, "settings": 0.1, "result": 0.05,
+    "mat5": 0.21, "mat73": 0.095, "zip": 0.09, "bundle": 0.18, "settings": 0.1, "result": 0.05,
     "run": 0.03, "links": 0.03, "network": 0.05, "cache": 0.03, "pipe": 0.03, "source": 0.005,
     "record": 0.07, "person": 0.03,
 }  # fmt: skip
