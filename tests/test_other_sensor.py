@@ -1,10 +1,14 @@
 """Five gestures on a skin of 16 by 12, from event files to the report."""
 
+import io
+import zipfile
+
 import numpy as np
 import pytest
 
 from deploy.check.bundle import read_bundle
 from deploy.files import read_json
+from pipeline.data.library import load_recordings
 from tests.command import call
 from tests.pipeline.handmade import archive, npz
 
@@ -69,3 +73,55 @@ def test_names_in_the_report(run):
         assert f"</b> {name}</th>" in page  # beside the confusion matrix
         assert f"<td>{name}</td>" in page
     assert "digit" not in page
+
+
+def part_of(run, folder, names=NAMES[:2], count=4, change=None):
+    """Some recordings of the run's source in a new folder, perhaps changed."""
+    with zipfile.ZipFile(run.parent / "gestures.zip") as file:
+        for name in names:
+            for i in range(count):
+                content = file.read(f"{name}/{i:02d}.npz")
+                if change is not None:
+                    with np.load(io.BytesIO(content)) as arrays:
+                        content = npz(**change(dict(arrays)))
+                (folder / name).mkdir(parents=True, exist_ok=True)
+                (folder / name / f"copy{i}.npz").write_bytes(content)
+    return folder
+
+
+def checked(run, folder, capsys):
+    """The result of a check on other recordings, and what was said."""
+    out = folder.parent / "out.json"
+    command = ("check", "run", run, "--target", "fast", "--data", folder, "--out", out)
+    status = call(*command)
+    return status, read_json(out, "") if status == 0 else None, capsys.readouterr()
+
+
+def test_recordings_of_the_training_are_recognised_by_their_content(run, tmp_path, capsys):
+    """Copies of single recordings with other names, in another folder and format."""
+    trained = read_json(run / "dataset.json", "")["training_recordings"]
+    assert len(trained) == len(set(trained)) == 120
+    same = load_recordings(str(part_of(run, tmp_path / "same")), jobs=1)
+    expected = sum(content in trained for content in same.hashes())
+    assert 0 < expected < 8
+    _, result, printed = checked(run, tmp_path / "same", capsys)
+    assert result["data"]["trained_on"] == expected
+    assert f"{expected} of 8 recordings were used to make the network" in printed.err
+    assert f"{expected} of them were used" in printed.out
+    later = part_of(run, tmp_path / "new", change=lambda a: {**a, "t": 1.01 * a["t"]})
+    _, result, printed = checked(run, later, capsys)
+    assert result["data"]["trained_on"] == 0
+    assert "used to make" not in printed.err
+
+
+def test_recordings_of_another_sensor_are_one_line_about_it(run, tmp_path, capsys):
+    larger = part_of(run, tmp_path / "larger", change=lambda a: {**a, "x": 2 * a["x"]})
+    status, _, printed = checked(run, larger, capsys)
+    assert (status, len(printed.err.splitlines())) == (2, 1)
+    assert "taxels, larger than 16 x 12" in printed.err
+    smaller = part_of(run, tmp_path / "smaller", change=lambda a: {**a, "x": a["x"] // 3})
+    status, _, printed = checked(run, smaller, capsys)
+    assert (status, "of 12 columns; if these are" in printed.err) == (0, True)
+    inside = tmp_path / "larger" / NAMES[0]
+    status, _, printed = checked(run, inside, capsys)
+    assert (status, "give the folder above" in printed.err) == (2, True)

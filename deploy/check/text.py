@@ -41,6 +41,7 @@ def others_text(result: dict) -> str:
     lines = [
         f"on {result['n_samples']} of {result['data']['recordings']} recordings in "
         f"{result['data']['source']}",
+        *_trained_on(result),
         summary(result),
     ]
     tables = [
@@ -66,6 +67,12 @@ def others_text(result: dict) -> str:
     for count, label, prediction in sorted(wrong, key=lambda entry: -entry[0])[:5]:
         lines.append(f"{short[label]} classified as {short[prediction]}: {count}")
     return "\n".join(lines)
+
+
+def _trained_on(result):
+    """A line if samples were used to make the network."""
+    number = result["data"].get("trained_on", 0)
+    return [f"{number} of them were used to make the network"] if number else []
 
 
 def _hardware(result):

@@ -166,7 +166,7 @@ def _on_others(bundle, target, others, seed, out, check):
         bundle, recordings, others.samples, seed, settings.image
     )
     path = out or elsewhere.result_path(bundle, recordings, len(indices), target)
-    result = elsewhere.with_accuracies(check(presented, path), recordings, indices)
+    result = elsewhere.with_accuracies(check(presented, path), bundle, recordings, indices)
     write_json(path, result)
     return result, path
 

@@ -356,7 +356,6 @@ def event_warnings(settings: Settings, recordings: Recordings) -> list:
         raise UserError(
             f"{recordings.source.name}: no recording has an event; use other recordings"
         )
-    long = int(np.sum(table.duration_ms >= step * steps))
     shared, lost = table.lost(step), table.lost(step, settings.input.rest)
     lines = [
         f"events: {shared:.1%} are merged into one spike with another event of their taxel and "
@@ -371,9 +370,17 @@ def event_warnings(settings: Settings, recordings: Recordings) -> list:
         )
     if empty:
         lines.append(f"{WARNING}{empty} of {len(recordings)} recordings have no events")
-    if long:
-        lines.append(
-            f"{WARNING}{long} of {len(recordings)} recordings are longer than {steps} steps of "
-            f"{step:g} ms, and their ends are not presented; choose more presentation.steps"
-        )
+    if line := cut_text(table, step, steps):
+        lines.append(f"{WARNING}{line}; choose more presentation.steps")
     return lines
+
+
+def cut_text(table: EventTable, step_ms: float, steps: int) -> str:
+    """A note on recordings that are longer than their presentation; empty if there are none."""
+    number = int(np.sum(table.duration_ms >= step_ms * steps))
+    if not number:
+        return ""
+    return (
+        f"{number} of {len(table)} recordings are longer than {steps} steps of {step_ms:g} ms, and "
+        "their ends are not presented"
+    )

@@ -218,8 +218,11 @@ def _different_settings(runs):
     """Settings that at least two runs read and that differ; None for runs that do not read them."""
     # A run whose steps are the default, 0, may have as many as one with a number.
     read = [{**run.settings.relevant(), "presentation.steps": run.settings.steps} for run in runs]
+    contents = {run.spec.provenance.get("source_sha256") for run in runs}
     different = []
     for name in runs[0].settings.flat():
+        if name == "data.source" and len(contents) == 1 and None not in contents:
+            continue  # the same recordings in another place
         values = [settings.get(name) for settings in read]
         if len({repr(value) for value in values if value is not None}) > 1:
             different.append({"name": name, "values": values})

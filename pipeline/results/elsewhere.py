@@ -10,13 +10,16 @@ import numpy as np
 from deploy.check.bundle import Bundle, CheckSet
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
+from deploy.files import read_json
+from deploy.network.stimulus import EventFrames
 from deploy.terminal import WARNING
-from pipeline.data.dataset import classes_of, inputs_for, require_sensor_fits
+from pipeline.data.dataset import classes_of, cut_text, inputs_for, require_sensor_fits
 from pipeline.data.eventfiles import UNITS
 from pipeline.data.events import Recordings
 from pipeline.data.library import load_recordings
 from pipeline.data.sensor import Reading
 from pipeline.data.splits import draw_check_samples
+from pipeline.data.steps import EventTable
 from pipeline.data.words import listed
 from pipeline.paper import CHECK_SAMPLES
 from pipeline.results.ladder import confusion_matrix
@@ -25,6 +28,9 @@ from pipeline.settings import MOST_DOWNSAMPLED, Image, Settings, read_settings
 
 FOLDER = "other"
 """Name of the folder in a run's results."""
+
+REACHED = 0.8
+"""Share of a sensor's rows and columns that its recordings have events in, at least."""
 
 
 def settings_around(bundle: Bundle, skip_bad: bool = False) -> Settings:
@@ -85,12 +91,12 @@ def recordings_for(
     )
     sensor, known, taxels = recordings.sensor, classes_of(bundle.spec), recordings.taxels
     # The size that was requested may be larger than a look-up table's, of a smaller sensor.
-    found = replace(
+    actual = replace(
         sensor,
         rows=settings.skin.rows or int(taxels.row.max()) + 1,
         columns=settings.skin.columns or int(taxels.column.max()) + 1,
     )
-    require_sensor_fits(bundle.spec, replace(recordings, sensor=found))
+    require_sensor_fits(bundle.spec, replace(recordings, sensor=actual))
     present = [sensor.classes[label] for label in np.unique(recordings.labels)]
     unknown = [name for name in present if name not in known]
     if unknown:
@@ -100,21 +106,55 @@ def recordings_for(
         )
     number = {name: index for index, name in enumerate(known)}
     labels = np.array([number.get(name, -1) for name in sensor.classes])[recordings.labels]
-    adapted = bundle.spec.provenance.get("adapted")
-    fitted_to = adapted.get("source_sha256") if isinstance(adapted, dict) else None
     if warn is not None:
-        says_little = "its accuracy on them says little about others"
-        if recordings.source.sha256 in (recorded.get("source_sha256"), fitted_to):
-            warn(
-                f"{WARNING}{source}: the network was made from a part of these recordings; "
-                f"{says_little}"
-            )
-        elif recordings.source.name == recorded.get("source"):  # it may have grown since
-            warn(
-                f"{WARNING}{source}: the network was made from recordings of the same name; if "
-                f"they are among these, {says_little}"
-            )
+        for line in _warnings(bundle, recordings):
+            warn(f"{WARNING}{source}: {line}")
     return replace(recordings, labels=labels, sensor=replace(sensor, classes=known))
+
+
+def trained_on(bundle: Bundle, recordings: Recordings) -> np.ndarray:
+    """The recordings that were used to make a network, which are recognised by their content.
+
+    The run around the bundle has hashes of its training recordings, and an adapted bundle of those
+    it was fitted to.  A bundle without its run only has the hash of the whole source.
+
+    Returns
+    -------
+    ndarray of bool, shape (n_samples,)
+    """
+    run, recorded = run_around(bundle.path), bundle.spec.provenance
+    adapted = recorded.get("adapted")
+    adapted = adapted if isinstance(adapted, dict) else {}
+    used = set(map(str, adapted.get("recordings", ())))
+    if run is not None and (run / "dataset.json").is_file():
+        record = read_json(run / "dataset.json", "run 'stmnist train' again")
+        used |= set(map(str, record.get("training_recordings", ())))
+    elif recordings.source.sha256 == recorded.get("source_sha256"):
+        return np.ones(len(recordings), bool)
+    return np.isin(recordings.hashes(), list(used))
+
+
+def _warnings(bundle, recordings):
+    """What limits the meaning of the network's accuracy on other recordings."""
+    spec, events, taxels = bundle.spec, recordings.events, recordings.taxels
+    if number := int(trained_on(bundle, recordings).sum()):
+        yield (
+            f"{number} of {len(recordings)} recordings were used to make the network; its accuracy "
+            "on them says little about others"
+        )
+    rows, columns = spec.input_shape[:2]
+    reached = [int(axis[events.taxel].max(initial=0)) + 1 for axis in (taxels.row, taxels.column)]
+    if reached[0] < REACHED * rows or reached[1] < REACHED * columns:
+        yield (
+            f"the events are in {reached[0]} of {rows} rows and {reached[1]} of {columns} columns; "
+            "if these are recordings of a smaller sensor, the network is not for them"
+        )
+    if spec.provenance.get("polarities") == 1 and (events.polarity < 0).any():
+        yield "there are OFF events, and the recordings of the training had none"
+    if isinstance(spec.stimulus, EventFrames):
+        step_ms, steps = 1000 * spec.stimulus.step_seconds, spec.presentation.steps
+        if line := cut_text(EventTable.of(recordings), step_ms, steps):
+            yield line
 
 
 def with_recordings(
@@ -154,16 +194,20 @@ def with_recordings(
     return replace(bundle, checks=CheckSet(inputs, drawn.labels, drawn.ids, seed)), chosen
 
 
-def with_accuracies(result: dict, recordings: Recordings, chosen: np.ndarray) -> dict:
+def with_accuracies(
+    result: dict, bundle: Bundle, recordings: Recordings, chosen: np.ndarray
+) -> dict:
     """A check result with further entries for other recordings than the bundle's.
 
-    ``data`` identifies the recordings.  ``classes``, ``confusion`` (rows: labels, columns:
+    ``data`` identifies the recordings, and has the number of samples that were used to make the
+    network.  ``classes``, ``confusion`` (rows: labels, columns:
     predictions), ``per_class`` and, if the writers are known, ``per_writer`` have the accuracies.
 
     Parameters
     ----------
     result : dict
         See :func:`deploy.check.results.result_of`.
+    bundle : Bundle
     recordings : Recordings
     chosen : ndarray of int
         Indices of the presented samples, in the order of the result's samples.
@@ -181,7 +225,12 @@ def with_accuracies(result: dict, recordings: Recordings, chosen: np.ndarray) ->
     return {
         **result,
         "simulated": source.simulated,
-        "data": {"source": source.name, "sha256": source.sha256, "recordings": len(recordings)},
+        "data": {
+            "source": source.name,
+            "sha256": source.sha256,
+            "recordings": len(recordings),
+            "trained_on": int(trained_on(bundle, recordings)[chosen].sum()),
+        },
         "classes": list(classes),
         "confusion": confusion_matrix(labels, predictions, len(classes)).tolist(),
         "per_class": [

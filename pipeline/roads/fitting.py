@@ -194,7 +194,7 @@ def _architecture(settings, recordings, rechoose, changes, problems):
     before = getattr(settings, section)
     is_default = before.architecture == getattr(Settings(), section).architecture
     is_given = settings.nir.file or (section == "cnn" and before.model)
-    if is_given or not (is_default or (rechoose and _has_outgrown(before, settings, recordings))):
+    if is_given or not (is_default or (rechoose and _was_chosen(before, settings))):
         return
     sensor = recordings.sensor
     if _is_for(before.architecture, sensor, 2 if settings.on_events else 1):
@@ -215,18 +215,13 @@ def _architecture(settings, recordings, rechoose, changes, problems):
         changes["snn"] = {"max_rates": rates[:layers]}  # other problems can still be found
 
 
-def _has_outgrown(section, settings, recordings):
-    """True if recordings have more classes or taxels than those an architecture was chosen for.
-
-    It was probably chosen if it is what is chosen for its size and number of classes.
-    """
-    parsed, now = parse(section.architecture), recordings.sensor
+def _was_chosen(section, settings):
+    """True if an architecture is what is chosen for its own size and number of classes."""
+    parsed = parse(section.architecture)
     rows, columns, _ = parsed.input_shape
     classes = tuple(map(str, range(parsed.outputs)))
-    then = Sensor(rows=rows, columns=columns, classes=classes)
-    if section.architecture != architecture_for(then, settings.on_events):
-        return False
-    return now.rows >= rows and now.columns >= columns and len(now.classes) >= len(classes)
+    sensor = Sensor(rows=rows, columns=columns, classes=classes)
+    return section.architecture == architecture_for(sensor, settings.on_events)
 
 
 def _is_for(architecture, sensor, channels) -> bool:

@@ -74,6 +74,7 @@ def convert(run: RunFolder, settings: Settings, dataset: Dataset, say=print) -> 
         "source_sha256": source.sha256,
         "simulated": source.simulated,
         "classes": list(seen.recordings.sensor.classes),
+        "polarities": seen.recordings.sensor.polarities,
         "seed": view.seed,
         "recipe": view.snn.recipe if view.network == "image" else view.network,
         "image": asdict(view.image),

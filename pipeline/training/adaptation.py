@@ -217,6 +217,7 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
         "source": recordings.source.name,
         "source_sha256": recordings.source.sha256,
         "samples": len(recordings),
+        "recordings": sorted(recordings.hashes()),
         "pull": fit.pull,
         "rehearsal": fit.rehearsal,
     }

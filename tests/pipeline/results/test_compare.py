@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 
 import pytest
 
@@ -185,6 +186,21 @@ def test_simulated_and_other_samples_are_told_apart():
     assert "simulated" not in runs_text(compare_runs([runs[1], runs[1]]))
 
 
+def of_recordings(sha256):
+    spec = paper_spec()
+    return replace(spec, provenance={**spec.provenance, "source_sha256": sha256})
+
+
+def test_the_same_recordings_in_another_place_are_no_difference():
+    """Their content is compared."""
+    for sha256, names in (("0", []), ("1", ["data.source"])):
+        runs = [
+            run("a", [], spec=of_recordings("0"), changes={"data": {"source": "here.zip"}}),
+            run("b", [], spec=of_recordings(sha256), changes={"data": {"source": "there.zip"}}),
+        ]
+        assert [setting["name"] for setting in compare_runs(runs)["settings"]] == names
+
+
 @pytest.mark.parametrize("n", [2, 3, 4])
 def test_the_text_fits_80_columns(n):
     long = {
@@ -193,7 +209,7 @@ def test_the_text_fits_80_columns(n):
     counts = {"operations": {"conv1": 10**9}, "stable_after_median": 99.5}
     runs = [
         run(f"runs/{i}", [result("spiking-lif", FIVE_RIGHT), result("nengo", ALL, **counts)],
-            spec=paper_spec(), changes={**long, "seed": i} if i else {})
+            spec=of_recordings(str(i)), changes={**long, "seed": i} if i else {})
         for i in range(n)
     ]  # fmt: skip
     compared = compare_runs(runs)
