@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import scipy.linalg.cython_blas  # noqa: F401  (Numba's products call it; its threads are limited)
@@ -10,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from experiments.slayer_network import SlayerNetwork, SpikeResponse
 from models.architecture import parse
+from pipeline.data.frames import bin_events
 from pipeline.paper import DURATION_S
 from pipeline.training.checkpoint import Checkpoint, train_epochs
 
@@ -219,3 +222,43 @@ class Adam:
             square += (gradient**2 - square) * np.float32(1 - self.BETA_2)
             np.maximum(largest, square, out=largest)
             array -= np.float32(rate) * mean / (np.sqrt(largest) + np.float32(self.EPSILON))
+
+
+def predictions_of(dataset, index, seed: int, conv_scale: float, checkpoint: Path) -> tuple:
+    """Train on the events of a data set, and predict the classes of some of its samples.
+
+    Parameters
+    ----------
+    dataset : pipeline.data.dataset.Dataset
+    index : ndarray of int
+        Samples to predict.
+    seed : int
+    conv_scale : float
+        See :class:`Slayer`.
+    checkpoint : Path
+        File for the state after each epoch, from which an interrupted training goes on.
+
+    Returns
+    -------
+    predictions : ndarray of int, shape (n,)
+    history : list of dict
+        See :class:`TrainedSlayer`.
+    """
+    recordings, sensor = dataset.recordings, dataset.recordings.sensor
+    layers = Slayer().architecture.split("-")[1:-1]
+    size = f"{sensor.rows}x{sensor.columns}x2"
+    architecture = "-".join([size, *layers, f"{len(sensor.classes)}o"])
+    recipe = Slayer(architecture=architecture, conv_scale=conv_scale)
+    frames = bin_events(recordings, recipe.bins)
+    made_from = f"{recipe} {seed} {dataset.origin.key}"
+    trained = train_slayer(
+        recipe,
+        frames,
+        recordings.labels,
+        dataset.split.train,
+        index,
+        seed,
+        Checkpoint(checkpoint, hashlib.sha256(made_from.encode()).hexdigest()),
+        duration_s=sensor.duration_s,
+    )
+    return trained.counts.argmax(1), trained.history

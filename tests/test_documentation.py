@@ -9,7 +9,7 @@ import subprocess
 import pytest
 
 import stmnist
-from experiments.documentation import FILES, with_parts
+from experiments.document import FILES, with_parts
 from pipeline.commands.main import with_every_verb
 from pipeline.settings import Settings
 from tests.command import ROOT, missing

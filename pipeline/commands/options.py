@@ -312,20 +312,22 @@ def tell(value, as_text, as_json: bool):
     show(json.dumps(value, indent=2) if as_json else as_text(value))
 
 
-def conclude(findings, as_text, as_json: bool):
-    """Print the result of an experiment.
+def conclude(summary: dict, failed: str, as_text, as_json: bool):
+    """Print the result of many measurements.
 
     Parameters
     ----------
-    findings : pipeline.results.study.Findings
+    summary : dict
+    failed : str
+        The failed parts, in one line; empty if nothing failed.
     as_text, as_json
         As in :func:`tell`.
 
     Raises
     ------
     CheckFailed
-        A part of the experiment failed.
+        A part failed.
     """
-    tell(findings.summary, as_text, as_json)
-    if findings.failed:
-        raise CheckFailed(findings.failed)
+    tell(summary, as_text, as_json)
+    if failed:
+        raise CheckFailed(f"{failed}; the same command tries again")

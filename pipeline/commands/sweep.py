@@ -8,8 +8,7 @@ from typing import Annotated, Optional
 import typer
 
 from pipeline.commands import options
-from pipeline.results.sweep import measure_sweep
-from pipeline.results.sweep_text import sweep_text
+from pipeline.results.sweep import measure_sweep, sweep_text
 
 
 def sweep(
@@ -33,10 +32,10 @@ def sweep(
     Writes sweep.json, sweep.csv and pareto.png.  Existing points are not computed again.
     """
     with options.opened(out, given) as (folder, resolved):
-        found = measure_sweep(folder, resolved, grid, workers, options.say)
-        if found.summary["points"]:
+        summary, failed = measure_sweep(folder, resolved, grid, workers, options.say)
+        if summary["points"]:
             from pipeline.results.report import figures  # imports Matplotlib
             from pipeline.results.report.figures.pareto import pareto
 
-            figures.save(pareto(found.summary), out / "pareto.png")
-    options.conclude(found, sweep_text, as_json)
+            figures.save(pareto(summary), out / "pareto.png")
+    options.conclude(summary, failed, sweep_text, as_json)

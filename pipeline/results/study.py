@@ -1,13 +1,21 @@
-"""Experiments: many results of the same kind, each measured once and saved.
+"""Studies: cases that are measured once each, and tables of them over splits.
 
-A :class:`Task` is one result that is to be measured: an artifact with its origin.  Tasks that train
-the same networks go into one group, which one process does in order; groups are shared among
-processes of this machine or workers of a Dask cluster.  Each result is written as soon as it is
-measured, so that an interrupted experiment continues with the remaining tasks.
+A :class:`Case` is one result to measure: a stage of a network that is trained with some settings on
+one split.  :func:`study` measures the cases that a folder does not have yet, in processes of this
+machine or on a Dask cluster, and writes each row as soon as it is measured, so that an interrupted
+study goes on.  :func:`table` summarises rows over splits, and compares rows on the same samples.
+
+The splits of a study share most of their training samples, so that their accuracies are not
+independent and the usual t interval is too narrow.  Nadeau and Bengio (2003, "Inference for the
+generalization error", Section 3.3) widen the variance of the mean from s^2/J to (1/J + n_test /
+n_train) s^2.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,31 +24,41 @@ from pathlib import Path
 import numpy as np
 
 from deploy import __version__
+from deploy.check.intervals import mcnemar, wilson_interval
 from deploy.errors import CheckFailed, UserError
-from deploy.files import write_json
+from deploy.files import read_json, write_json
+from deploy.network.decision import share_of_time
+from deploy.network.operations import multiply_accumulates
+from deploy.network.stimulus import last_steps
+from deploy.preflight.plan import make_plan
+from deploy.tables import p_text
+from deploy.targets.registry import TARGETS
+from deploy.targets.registry import answer as answer_on_target
 from pipeline import stages
-from pipeline.artifacts import Artifact, Library, Origin
-from pipeline.data.dataset import Dataset, dataset_origin, require_recordings_fit
-from pipeline.data.events import Recordings
-from pipeline.data.library import recordings_of
+from pipeline.artifacts import DELETE_IT, Library, Origin
+from pipeline.data.dataset import Dataset
+from pipeline.data.variants import durations_ns, vary
 from pipeline.jobs import Failure, attempt, run_jobs
+from pipeline.paper import CNN_MACS
 from pipeline.progress import hidden, progress
 from pipeline.roads.fitting import fitted
-from pipeline.run import RunFolder
 from pipeline.settings import SIMULATED, Settings
+
+SCHEMA = "stmnist-row/1"
+FEWEST = 3
+"""Minimum number of splits for an interval over them; with two it would be 12.7 standard errors."""
 
 
 @dataclass(frozen=True)
 class Workers:
-    """The processes that perform the tasks.
+    """The processes that measure the cases.
 
     Attributes
     ----------
     processes : int
         Number of processes on this machine.
     scheduler : str or None
-        Address of a Dask scheduler, such as ``tcp://host:8786``, whose workers perform the tasks
-        instead.
+        Address of a Dask scheduler, such as ``tcp://host:8786``, whose workers measure instead.
     """
 
     processes: int = 2
@@ -48,278 +66,435 @@ class Workers:
 
 
 @dataclass(frozen=True)
-class Findings:
-    """The result of an experiment.
-
-    Attributes
-    ----------
-    summary : dict
-        Plain values.
-    failed : str
-        The failed parts, in one line; empty if nothing failed.
-    """
-
-    summary: dict
-    failed: str = ""
-
-
-@dataclass(frozen=True)
-class Task:
+class Case:
     """One result to measure.
 
     Attributes
     ----------
-    artifact : Artifact
-        Artifact of the result.
+    name : str
+        Name of the row.
     settings : Settings
-        Only the settings that the origin declares.
-    recordings : str
-        SHA-256 of the recordings.
-    networks : Library
-        Library of its trained networks.
+        All settings of the network, its training and its presentation.
+    stage : str
+        A reference stage of the ladder, or a target.
+    seed : int
+        Seed of the split and of the training.
     split : str
-        Kind of its split, see :class:`pipeline.data.splits.Split`.
-    subject : str
-        Subject of the measurement, such as the name of a model; empty if there is only one.
+        Kind of the split, see :class:`pipeline.data.splits.Split`.
+    part : str
+        ``"test"``, or ``"validation"``; then the test samples are not used at all.
+    alter : str
+        Change of the recordings, one of :data:`pipeline.data.variants.VARIANTS`.
     """
 
-    artifact: Artifact
+    name: str
     settings: Settings
-    recordings: str
-    networks: Library
+    stage: str
+    seed: int = 0
     split: str = "random"
-    subject: str = ""
-
-    @classmethod
-    def of(cls, folder: Path, file: str, name: str, origin: Origin, settings, recordings, **more):
-        """A task whose result is a file in an experiment's folder, beside its trained networks.
-
-        Parameters
-        ----------
-        folder : Path
-            Made absolute: a worker may have been started in another folder.
-        file : str
-            Path below the folder.
-        name : str
-            Name of the result.
-        origin : Origin
-            Origin of the result.
-        settings : Settings
-        recordings, **more
-            Other attributes.
-        """
-        folder = folder.absolute()
-        artifact = Artifact(name, folder / file, origin)
-        networks = Library(folder / "networks")
-        return cls(artifact, origin.view(settings), recordings, networks, **more)
+    part: str = "test"
+    alter: str = "as-is"
 
     @property
-    def name(self) -> str:
-        """The artifact's name."""
-        return self.artifact.name
+    def resolved(self) -> Settings:
+        """The settings with the seed and the split of the case."""
+        split = replace(self.settings.split, kind=self.split)
+        return replace(self.settings, seed=self.seed, split=split)
+
+    def key(self, recordings: str) -> str:
+        """SHA-256 of all that the row depends on, given the hash of the recordings."""
+        what = [SCHEMA, __version__, recordings, self.stage, self.part, self.alter]
+        text = json.dumps([*what, self.resolved.flat()], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
 
     @property
-    def origin(self) -> Origin:
-        """The artifact's origin."""
-        return self.artifact.origin
-
-    @property
-    def seed(self) -> int:
-        """Seed of the split and of the trainings on it."""
-        return self.settings.seed
-
-    def dataset(self) -> Dataset:
-        """The samples with the task's split.
-
-        Raises
-        ------
-        UserError
-            The recordings here are not those that the experiment was begun with.
-        """
-        return _dataset_of(self.settings, self.recordings, self.split)
-
-    def trained(self, dataset: Dataset) -> dict:
-        """Train the networks from which a run would make its bundle, unless they are up to date.
-
-        Returns
-        -------
-        dict
-            Metrics of the network that is deployed.
-        """
-        with hidden():
-            return stages.train_all(self.networks, self.settings, dataset, silent)
-
-    def weights(self, name: str, dataset: Dataset) -> dict:
-        """Weights of a trained network, one of :data:`pipeline.stages.training.ARTIFACTS`."""
-        return stages.weights_of(name, self.networks, self.settings, dataset.origin)
+    def trained(self) -> str:
+        """Hash of what the trained networks depend on, which cases of a group share."""
+        values = {
+            name: value
+            for name, value in self.resolved.flat().items()
+            if not name.startswith(("deployment.", "presentation.", "check."))
+        }
+        text = json.dumps([self.part, self.alter, values], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
 
 
-def study(label: str, measure: Callable, groups, workers: Workers, say: Callable) -> dict:
-    """Measure missing or outdated results; a task that fails does not stop the others.
+def study(
+    cases, folder: Path, recordings: str, workers: Workers, say: Callable, measured_by=None
+) -> tuple:
+    """Measure the cases whose rows are missing; one that fails does not stop the others.
 
     Parameters
     ----------
-    label : str
-        Label of the progress bar.
-    measure : callable
-        Function of a module, from a :class:`Task` to its result, a dict.
-    groups : sequence of sequence of Task
-        The tasks of a group are measured one after the other in one process.
+    cases : sequence of Case
+        Those with the same trained networks are measured one after the other in one process.
+    folder : Path
+        Folder of the rows and networks; on a cluster, if possible, one that all workers can access.
+    recordings : str
+        SHA-256 of the recordings that the settings name.
     workers : Workers
     say : callable
-        Called with the details of each failure, with the reason for waiting, and with the reason
-        why results are measured again.
+        Called with the details of each failure, and with the reason for waiting.
+    measured_by : callable, optional
+        ``measured_by(case, networks) -> dict``, a function of a module; default: :func:`measure`.
 
     Returns
     -------
-    dict
-        By task name, in the order of the groups: its result, or a :class:`pipeline.jobs.Failure`.
+    rows : list of dict
+        In the order of the cases, without those that failed.
+    failed : dict of Case to str
+        The error of each failed case, in one line.
 
     Raises
     ------
     UserError
         There is no scheduler at the address, or Dask is not installed.
+    CheckFailed
+        Every case failed.
     """
-    results, left, reasons = {}, [], {}
-    for group in groups:
-        todo = []
-        for task in group:
-            state = task.artifact.state()
-            if state.is_current:
-                results[task.name] = state.record
-                continue
-            todo.append(task)
-            if state.because:
-                reasons.setdefault(state.reasons(), []).append(task.name)
-        if todo:
-            left.append(tuple(todo))
-    for reason, names in reasons.items():
-        say(f"{label}: measuring {_listed(names)} again: {reason}")
-    with progress(label, sum(map(len, left))) as advance:
-        work = partial(_work, measure, __version__)
-        for group, found in run_jobs(work, left, workers.processes, workers.scheduler, say):
-            if isinstance(found, Failure):  # an error of the process, not of a task
-                found = [found] * len(group)
-            for task, result in zip(group, found, strict=True):
-                if not isinstance(result, Failure):
-                    result = _kept(task, result)
-                elif result.mistake is None:
-                    say(result.details)
-                results[task.name] = result
+    folder = folder.absolute()  # a worker may have been started in another folder
+    rows, groups = {}, {}
+    for case in cases:
+        path = _row_file(folder, case, recordings)
+        if path.exists():
+            rows[case] = read_json(path, DELETE_IT)
+        else:
+            groups.setdefault(case.trained, []).append(case)
+    failures = {}
+    work = partial(_measure_group, measured_by or measure, folder, recordings)
+    with progress("measure", sum(map(len, groups.values()))) as advance:
+        jobs = run_jobs(work, list(groups.values()), workers.processes, workers.scheduler, say)
+        for group, results in jobs:
+            if isinstance(results, Failure):  # an error of the process, not of a case
+                results = [results] * len(group)
+            for case, result in zip(group, results, strict=True):
+                if isinstance(result, Failure):
+                    failures[case] = result
+                else:
+                    rows[case] = _kept(folder, case, recordings, result)
             advance(len(group))
-    failures = [result for result in results.values() if isinstance(result, Failure)]
-    for mistake in sorted({f.details for f in failures if f.mistake is not None}):
-        say(mistake)
-    return {task.name: results[task.name] for group in groups for task in group}
+    for details in dict.fromkeys(failure.details for failure in failures.values()):
+        say(details)
+    if failures and not rows:
+        raise CheckFailed("every measurement failed; see above")
+    failed = {case: failure.error for case, failure in failures.items()}
+    return [{**rows[case], "name": case.name} for case in cases if case in rows], failed
 
 
-def successful(results: dict) -> tuple:
-    """The results of :func:`study` that are no failures, and the names of the others, in one line.
+def _measure_group(measured_by, folder, recordings, group):
+    """Rows and failures of cases that share trained networks, in a worker."""
+    networks, results = Library(folder / "networks"), []
+    for case in group:
+        result = attempt(partial(_measure_one, measured_by, networks, recordings), case)
+        if not isinstance(result, Failure):
+            _kept(folder, case, recordings, result)
+        results.append(result)
+    return results
+
+
+def _measure_one(measured_by, networks, recordings, case):
+    begun = time.perf_counter()
+    row = measured_by(case, networks)
+    if row["recordings"] != recordings:
+        raise UserError(f"{case.settings.data.source}: this worker has other recordings there")
+    return {**row, "seconds": time.perf_counter() - begun}
+
+
+def _row_file(folder, case, recordings):
+    """The file of a row; its name says what it is, to people."""
+    key = case.key(recordings)[:16]
+    return folder / "rows" / f"{case.name}-{case.split}-{case.seed:02d}-{key}.json"
+
+
+def _kept(folder, case, recordings, row):
+    """Write a row, unless a worker with access to the folder has written it; return it."""
+    path = _row_file(folder, case, recordings)
+    if not path.exists():
+        write_json(path, row, indent=None)  # thousands of numbers
+    return row
+
+
+def measure(case: Case, networks: Library) -> dict:
+    """Train what a case needs, unless a library has it, and test it.
+
+    Parameters
+    ----------
+    case : Case
+    networks : Library
+
+    Returns
+    -------
+    dict
+        See :func:`row_of`; of a target also its ``costs``, see :func:`costs_of`.
+    """
+    dataset = dataset_of(case)
+    inputs, _ = dataset.part(case.part)
+    index = getattr(dataset.split, case.part)
+    with hidden():
+        if case.stage not in TARGETS:
+            return row_of(case, dataset, index, reference(case, dataset, networks, inputs))
+        stages.train_all(networks, case.resolved, dataset, _silent)
+        spec = stages.spec_of(networks, case.resolved, dataset, {})
+    found = answer_on_target(spec, inputs, case.stage, case.seed)
+    costs = costs_of(spec, found)
+    if found.stopped_at is not None:
+        share = share_of_time(found.stopped_at - 1, last_steps(inputs))
+        costs["share"] = float(share.mean())
+        early = found.decisions[np.arange(len(index)), found.stopped_at - 1]
+        costs["early"] = float(np.mean(early == dataset.labels[index]))
+    return row_of(case, dataset, index, found.predictions, costs=costs)
+
+
+def reference(case: Case, dataset: Dataset, networks: Library, inputs) -> np.ndarray:
+    """Predictions of a stage before the chip, shape (n_samples,)."""
+    settings = case.resolved
+    if case.stage == "cnn":
+        from pipeline.training.networks import TrainedCNN  # TensorFlow, where it is needed
+
+        stages.train("cnn", networks, settings, dataset, _silent)
+        weights = stages.weights_of("cnn", networks, settings, dataset.origin)
+        return TrainedCNN(settings, weights).logits(inputs).argmax(1)
+    stages.train_all(networks, settings, dataset, _silent)
+    name = "events" if settings.on_events else "rate-lif"
+    weights = stages.weights_of(name, networks, settings, dataset.origin)
+    if settings.on_events:
+        from pipeline.training.events import TrainedOnEvents
+
+        return TrainedOnEvents.of(settings, weights).logits(inputs).argmax(1)
+    if case.stage == "rate-lif":
+        from pipeline.training.networks import TrainedRates
+
+        return TrainedRates(settings, weights).logits(inputs).argmax(1)
+    from pipeline.training import nengodl
+
+    return nengodl.predict(settings, weights, inputs, settings.steps)
+
+
+def dataset_of(case: Case) -> Dataset:
+    """The samples of a case, with its split and changed events.
 
     Raises
     ------
-    CheckFailed
-        Every measurement failed.
+    UserError
+        There are too few samples for the part.
     """
-    failed = [name for name, result in results.items() if isinstance(result, Failure)]
-    if len(failed) == len(results):
-        raise CheckFailed("every measurement failed; see above")
-    return [result for name, result in results.items() if name not in failed], ", ".join(failed)
+    dataset = Dataset.of(case.resolved)
+    if case.alter != "as-is":
+        # Recordings that are reduced to counts last as long as the median training sample.
+        lasts = float(np.median(durations_ns(dataset.recordings)[dataset.split.train]))
+        varied = vary(dataset.recordings, case.alter, case.seed, lasts)
+        origin = _with(dataset.origin, "variant", case.alter)
+        dataset = Dataset(varied, dataset.split, origin, dataset.settings)
+    if case.part == "validation":
+        if not len(dataset.split.validation):
+            raise UserError(
+                f"{case.settings.data.source}: too few samples for a validation part; give more"
+            )
+        split = replace(dataset.split, test=dataset.split.test[:0])
+        origin = _with(dataset.origin, "samples", "without the test split")
+        dataset = replace(dataset, split=split, origin=origin)
+    return dataset
 
 
-def concluded(folder: RunFolder, name: str, summary: dict, failed: str) -> Findings:
-    """Write the summary of an experiment; ``failed`` says what has failed, or is empty."""
-    write_json(folder.path / f"{name}.json", summary)
-    return Findings(summary, failed and f"{failed} failed; the same command tries again")
+def _with(origin, name, value) -> Origin:
+    return replace(origin, contents={**origin.contents, name: value})
 
 
-def _work(measure, version, group):
-    """Measure the tasks of a group in a worker; return results and failures."""
-    if version != __version__:
-        raise UserError(f"the worker has version {__version__} of this package, not {version}")
-    found = []
-    for task in group:
-        result = attempt(measure, task)
-        if not isinstance(result, Failure):
-            _kept(task, result)
-        found.append(result)
-    return found
+def row_of(case: Case, dataset: Dataset, index, predictions, **more) -> dict:
+    """The row of a case, ready for JSON.
 
-
-def _kept(task, result):
-    """Write a result, unless a worker with access to the folder has written it; return it."""
-    state = task.artifact.state()
-    return state.record if state.is_current else task.artifact.write(result)
-
-
-def _listed(names):
-    return names[0] if len(names) == 1 else f"{len(names)} results"
-
-
-_LOADED = {}
-
-
-def _dataset_of(settings, recordings, split):
-    """The data set that the tasks of a group share."""
-    key = dataset_origin(settings, recordings, split).key
-    if key not in _LOADED:
-        _LOADED.clear()
-        dataset = Dataset.of(settings, kind=split)
-        if dataset.recordings.source.sha256 != recordings:
-            raise UserError(f"{settings.data.source}: the worker has other recordings there")
-        _LOADED[key] = dataset
-    return _LOADED[key].seen_by(settings)
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """A measurement that is repeated on several splits.
-
-    Attributes
+    Parameters
     ----------
-    name : str
-        Name of the summary's file.
-    measure : callable
-        From a :class:`Task` to a dict with the items of :func:`counted`.
-    summarise : callable
-        From those dicts and whether the recordings are simulated to a dict.
-    origin : callable
-        ``origin(settings, dataset_origin, subject) -> Origin`` of a result.
-    text : callable
-        From what ``summarise`` returns to the text that is printed.
-    subjects : tuple of str
-        Subjects that are measured on each split.
-    refuse : callable
-        Called with the settings; raises UserError if nothing can be measured with them.
-    other_inputs : tuple of str
-        Kinds of input of networks that are trained in addition to those of the settings.
+    case : Case
+    dataset : Dataset
+    index : ndarray of int, shape (n,)
+        The evaluated samples.
+    predictions : ndarray of int, shape (n,)
+    **more
+        Further entries.
     """
-
-    name: str
-    measure: Callable
-    summarise: Callable
-    origin: Callable
-    text: Callable
-    subjects: tuple = ("",)
-    refuse: Callable = lambda settings: None
-    other_inputs: tuple = ()
-
-    def inputs(self, settings: Settings) -> tuple:
-        """Kinds of input of the networks that are trained with the settings."""
-        return tuple(dict.fromkeys((settings.input.kind, *self.other_inputs)))
-
-
-CNN_SETTINGS = ("image", "cnn.architecture", "cnn.epochs", "cnn.batch_size", "cnn.learning_rate")
-"""Settings that affect every network with the CNN's recipe of training."""
+    labels, split, source = dataset.labels[index], dataset.split, dataset.recordings.source
+    return {
+        "schema": SCHEMA,
+        **{key: getattr(case, key) for key in ("stage", "seed", "split", "part", "alter")},
+        "simulated": source.simulated,
+        "recordings": source.sha256,
+        "n_train": len(split.train),
+        "n_test": len(index),
+        "accuracy": float(np.mean(predictions == labels)),
+        "samples": [int(i) for i in index],
+        "predictions": [int(p) for p in predictions],
+        "right": [int(r) for r in predictions == labels],
+        **more,
+    }
 
 
-def on_split(settings: Settings, seed: int) -> Settings:
-    """The settings of an experiment's split: a separate seed, no validation part."""
-    split = replace(settings.split, validation_fraction=0.0)
-    return replace(settings, seed=seed, split=split)
+def costs_of(spec, found) -> dict:
+    """Means over samples, for one inference.
+
+    Returns
+    -------
+    dict
+        ``operations``: synaptic, readout included; ``per_cnn`` and ``per_dense``: the same relative
+        to the multiply-accumulates of the paper's CNN and of the dense form of this network;
+        ``updates`` of neurons on the chip; ``cores``; ``steps`` of a presentation; median
+        step after which the answer was ``stable``; ``spikes`` by layer.
+    """
+    operations = float(sum(counts.mean() for counts in found.operations.values()))
+    neurons = sum(layer.size for layer in spec.layers if layer.neurons)
+    return {
+        "operations": operations,
+        "per_cnn": operations / CNN_MACS,
+        "per_dense": operations / sum(multiply_accumulates(spec).values()),
+        "updates": neurons * spec.presentation.period,
+        "cores": len(make_plan(spec).to_json()["cores"]),
+        "steps": spec.presentation.steps,
+        "stable": found.stable_after_median,
+        "spikes": {name: float(counts.mean()) for name, counts in found.spikes.items()},
+    }
 
 
-def fitted_to_inputs(settings: Settings, kinds, recordings: Recordings, say: Callable) -> dict:
+def table(rows, by=("split", "name"), against=()) -> dict:
+    """Means over splits, and differences on the same samples of the same splits.
+
+    Parameters
+    ----------
+    rows : sequence of dict
+        From :func:`study`.
+    by : sequence of str
+        Rows with equal entries of these names are averaged; the last one names the row.
+    against : sequence of (str, str)
+        Pairs of names that are compared, the first one minus the second: a loss is negative.
+
+    Returns
+    -------
+    dict
+        ``rows``: the entries of ``by``, the ``seeds``, the ``values`` of the splits, their ``mean``
+        and :func:`estimate`, and means of ``costs``.  ``comparisons``: ``a``, ``b``, difference
+        (``mean``, ``ci95``), ``agreement`` of the predictions, ``p`` and ``p_holm``, corrected for
+        the number of comparisons.
+    """
+    groups = {}
+    for row in rows:
+        groups.setdefault(tuple(row[name] for name in by), {})[row["seed"]] = row
+    entries = []
+    for key, of_seed in groups.items():
+        runs = list(of_seed.values())
+        values = [row["accuracy"] for row in runs]
+        entry = {**dict(zip(by, key, strict=True)), "seeds": list(of_seed), "values": values}
+        entry |= {size: _mean(runs, size) for size in ("n_train", "n_test")}
+        entry |= estimate(values, entry["n_train"], entry["n_test"], runs[0]["split"])
+        if len(runs) == 1:
+            right = runs[0]["right"]
+            entry["ci95"] = list(wilson_interval(sum(right), len(right)))
+        costs = [row["costs"] for row in runs if "costs" in row]
+        if len(costs) == len(runs):
+            names = [name for name, value in costs[0].items() if not isinstance(value, dict)]
+            entry["costs"] = {name: _mean(costs, name) for name in names}
+        entries.append(entry)
+    comparisons = [
+        {**dict(zip(by, key, strict=True)), "a": key[-1], "b": b, **found}
+        for a, b in against
+        for key in groups
+        if key[-1] == a and (found := _compared(groups[key], groups.get((*key[:-1], b), {})))
+    ]
+    for comparison, p in zip(comparisons, holm([c["p"] for c in comparisons]), strict=True):
+        comparison["p_holm"] = p
+    return {
+        "simulated": any(row["simulated"] for row in rows),
+        "recordings": sorted({row["recordings"] for row in rows}),
+        "rows": entries,
+        "comparisons": comparisons,
+    }
+
+
+def _mean(rows, name):
+    return float(np.mean([row[name] for row in rows]))
+
+
+def _compared(ones, others):
+    """Accuracy of one row minus another's, over their common seeds and samples."""
+    seeds = [seed for seed in ones if seed in others]
+    if not seeds:
+        return None
+    pairs = [(ones[seed], others[seed]) for seed in seeds]
+    differences = [float(np.subtract(*_common(*pair)).mean()) for pair in pairs]
+    shares = [_mean([one for one, _ in pairs], size) for size in ("n_train", "n_test")]
+    found = estimate(differences, *shares, pairs[0][0]["split"])
+    if len(pairs) == 1:
+        found["p"] = mcnemar(*_common(*pairs[0]))
+    agree = [np.mean(np.equal(*_common(*pair, "predictions"))) for pair in pairs]
+    return {**found, "values": differences, "agreement": float(np.mean(agree))}
+
+
+def _common(one, other, what="right"):
+    """An entry of two rows for each sample that both have."""
+    values = [dict(zip(row["samples"], row[what], strict=True)) for row in (one, other)]
+    shared = sorted(values[0].keys() & values[1].keys())
+    return [np.array([of[sample] for sample in shared]) for of in values]
+
+
+def estimate(values, n_train: float, n_test: float, split: str = "random") -> dict:
+    """Mean over splits, with the corrected resampled t statistic.
+
+    Parameters
+    ----------
+    values : array_like, shape (n_splits,)
+        An accuracy, or a difference of two accuracies, of each split.
+    n_train, n_test : float
+        Samples of each split, or their mean where splits differ: the shares of the split itself,
+        whatever part of the test samples was evaluated.
+    split : str
+        Kind of the split.  With ``"published"`` only the training differs between seeds: there is
+        no correction, and the interval is of the mean over trainings on this one split.
+
+    Returns
+    -------
+    dict
+        ``mean``; ``sd`` over the splits, 95 % interval ``ci95`` of the mean and two-sided ``p`` of
+        a mean of zero, which are None for fewer splits than :data:`FEWEST`.
+    """
+    from scipy import stats
+
+    values = np.asarray(values, float)
+    n, mean = len(values), float(values.mean())
+    if n < FEWEST:
+        return {"mean": mean, "sd": None, "ci95": None, "p": None}
+    sd = float(values.std(ddof=1))
+    overlap = 0.0 if split == "published" else n_test / n_train
+    error = sd * np.sqrt(1 / n + overlap)
+    reach = float(stats.t.ppf(0.975, n - 1) * error)
+    p = float(2 * stats.t.sf(abs(mean) / error, n - 1)) if error else float(mean == 0)
+    return {"mean": mean, "sd": sd, "ci95": [mean - reach, mean + reach], "p": p}
+
+
+def holm(p_values) -> list:
+    """p values corrected for their number (Holm 1979); None stays None and is not counted."""
+    order = sorted((p, index) for index, p in enumerate(p_values) if p is not None)
+    corrected, largest = [None] * len(p_values), 0.0
+    for rank, (p, index) in enumerate(order):
+        largest = max(largest, min(1.0, (len(order) - rank) * p))
+        corrected[index] = largest
+    return corrected
+
+
+def interval_text(ci95, scale: float = 1.0, digits: int = 3, sign: str = "") -> str:
+    """An interval as "0.870 to 0.912"; empty without one."""
+    return " to ".join(f"{scale * bound:{sign}.{digits}f}" for bound in ci95 or ())
+
+
+def comparisons_cells(found: dict) -> list:
+    """The comparisons of a table as lists of text, in points; a loss is negative."""
+    rows = []
+    for entry in found["comparisons"]:
+        p = "" if entry["p_holm"] is None else p_text(entry["p_holm"])
+        title = f"{entry['a']} minus {entry['b']}, {entry['split']} splits"
+        interval = interval_text(entry["ci95"], 100, 2, "+")
+        rows.append([title, f"{100 * entry['mean']:+.2f}", interval, p])
+    return rows
+
+
+def fitted_to_inputs(settings: Settings, kinds, recordings, say: Callable) -> dict:
     """Adapt settings to recordings that are not simulated, for each kind of input.
 
     Parameters
@@ -335,131 +510,14 @@ def fitted_to_inputs(settings: Settings, kinds, recordings: Recordings, say: Cal
     Returns
     -------
     dict of str to Settings
-        By kind.  Each has the architectures of all kinds, and the presentation of its own.
-
-    Raises
-    ------
-    SeveralErrors
-        With a line for each reason why the settings do not fit the recordings.
     """
-    found = {kind: on_input(settings, kind) for kind in kinds}
+    kinds = {kind: replace(settings, input=replace(settings.input, kind=kind)) for kind in kinds}
     if settings.data.source == SIMULATED:
-        return found
-    found = {
-        kind: fitted(of_kind, say=say, recordings=recordings) for kind, of_kind in found.items()
-    }
-    sections = {"image": "cnn", "events": "events"}
-    trained = {sections[kind]: getattr(of, sections[kind]) for kind, of in found.items()}
-    return {kind: replace(of_kind, **trained) for kind, of_kind in found.items()}
-
-
-def on_input(settings: Settings, kind: str) -> Settings:
-    """The settings with another ``input.kind``."""
-    return replace(settings, input=replace(settings.input, kind=kind))
-
-
-def begin(folder: RunFolder, settings: Settings, say: Callable):
-    """Save the settings in the folder of an experiment; of a new one, say what it measures.
-
-    Parameters
-    ----------
-    folder : RunFolder
-        Folder of the results, locked.
-    settings : Settings
-    say : callable
-        Called with the source of the recordings: hours later it would be too late.
-    """
-    if not folder.experiment.exists():
-        source = settings.data.source
-        what = "simulated recordings (others: --data)" if source == SIMULATED else source
-        say(f"{folder.path}: new results, on {what}")
-    folder.save_settings(settings)
-
-
-def measure_splits(
-    experiment: Experiment,
-    folder: RunFolder,
-    settings: Settings,
-    splits: int,
-    workers: Workers,
-    say: Callable,
-) -> Findings:
-    """Measure an experiment on random splits, and write the summary of all.
-
-    Parameters
-    ----------
-    experiment : Experiment
-    folder : RunFolder
-        Folder of the results, locked.
-    settings : Settings
-    splits : int
-        Number of splits, with the seeds from the settings' own on.
-    workers, say
-        As in :func:`study`.
-
-    Raises
-    ------
-    UserError
-        The recordings cannot be read or do not fit, or the experiment refuses the settings.
-    CheckFailed
-        Every measurement failed.
-    """
-    experiment.refuse(settings)
-    recordings = recordings_of(settings, workers.processes, say)
-    fits = fitted_to_inputs(settings, experiment.inputs(settings), recordings, say)
-    for of_kind in fits.values():
-        require_recordings_fit(recordings, of_kind)
-    settings = fits[settings.input.kind]
-    begin(folder, settings, say)
-    sha256, groups = recordings.source.sha256, []
-    for seed in range(settings.seed, settings.seed + splits):
-        split = on_split(settings, seed)
-        dataset = dataset_origin(split, sha256)
-        for subject in experiment.subjects:
-            name = f"{subject} of seed {seed}" if subject else f"split {seed}"
-            file = f"{subject or 'split'}-{seed:02d}.json"
-            origin = experiment.origin(split, dataset, subject)
-            task = Task.of(folder.path, file, name, origin, split, sha256, subject=subject)
-            groups.append([task])
-    results = study(experiment.name, experiment.measure, groups, workers, say)
-    whole, failed = successful(results)
-    summary = experiment.summarise(whole, recordings.source.simulated)
-    summary["source_sha256"] = sha256
-    return concluded(folder, experiment.name, summary, failed)
-
-
-def counted(task: Task, dataset: Dataset) -> dict:
-    """The seed of a task, and the numbers of training and test samples."""
-    split = dataset.split
-    return {"seed": task.seed, "n_train": len(split.train), "n_test": len(split.test)}
-
-
-def accuracies(predictions: dict, labels) -> dict:
-    """The share of correct predictions of each network or stage, by its name."""
-    return {name: float(np.mean(found == labels)) for name, found in predictions.items()}
-
-
-def summary_of_splits(results, simulated: bool) -> dict:
-    """The part of a summary that describes its splits.
-
-    Parameters
-    ----------
-    results : sequence of dict
-        One dict per split, with the items of :func:`counted`.
-    simulated : bool
-
-    Returns
-    -------
-    dict
-        ``simulated``, ``seeds``, and the numbers of training and test samples.
-    """
+        return kinds
     return {
-        "simulated": simulated,
-        "seeds": [result["seed"] for result in results],
-        "n_train": results[0]["n_train"],
-        "n_test": results[0]["n_test"],
+        kind: fitted(of_kind, say=say, recordings=recordings) for kind, of_kind in kinds.items()
     }
 
 
-def silent(line):
+def _silent(line):
     """Print nothing: for many trainings at a time the progress bar suffices."""

@@ -1,54 +1,32 @@
 """A sweep: every combination of some settings, tested on validation samples by the fast emulator.
 
 A sweep selects settings, so it does not use the test split: networks are trained on the training
-samples without a held-out validation part, and tested on that part.  Points that differ only in
-deployment or presentation share one training.
+samples without a held-out validation part, and tested on that part.
 """
 
 from __future__ import annotations
 
+import csv
 import functools
+import io
 import itertools
 import re
-import time
-from dataclasses import dataclass, replace
-from pathlib import Path
+import textwrap
 
 import numpy as np
 
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
-from deploy.files import replacing
-from deploy.preflight.plan import make_plan
-from deploy.targets.registry import answer
-from pipeline import stages
-from pipeline.artifacts import Library, Origin
-from pipeline.data.dataset import Dataset, dataset_origin, require_recordings_fit
-from pipeline.data.events import Recordings
+from deploy.files import replacing, write_json
+from deploy.tables import in_blocks
+from pipeline.data.dataset import require_recordings_fit
 from pipeline.data.library import recordings_of
-from pipeline.jobs import Failure
 from pipeline.paper import CNN_MACS
-from pipeline.progress import hidden
-from pipeline.results.study import (
-    Findings,
-    Task,
-    Workers,
-    begin,
-    concluded,
-    fitted_to_inputs,
-    silent,
-    study,
-)
-from pipeline.results.sweep_text import sweep_csv
-from pipeline.roads.origins import bundle_origin
+from pipeline.results.study import Case, Workers, fitted_to_inputs, study
 from pipeline.run import RunFolder
 from pipeline.settings import Settings, parse_assignments, put
 
-TARGET = "fast"
-"""The target on which points are evaluated; bit-identical to NengoLoihi's emulator."""
-
-POINT_SCHEMA = "stmnist-sweep-point/3"
-SCHEMA = "stmnist-sweep/2"
+SCHEMA = "stmnist-sweep/3"
 VALIDATION = 0.15
 """Share of the training samples held out for the evaluation, if the settings have none."""
 
@@ -63,64 +41,27 @@ DEFAULT_GRID = (
 EVENTS_GRID = ("events.budget=0.6,0.9", "events.early=0.3,1")
 """Four points from four trainings, on events."""
 
+STAGES = ("rate-lif", "trained", "fast")
+"""Stages of a point: the trained network of either input, and the chip's integers."""
+
 SAMPLES_APART = ("seed", "data", "split", "check")
 """Settings that change which samples there are; points on different ones cannot be compared."""
 
 
-@dataclass(frozen=True)
-class SweepTask(Task):
-    """A training or a point of a sweep; its samples have no test split."""
-
-    def dataset(self) -> Dataset:
-        """The samples, without the test split."""
-        return without_test(super().dataset())
-
-
-@dataclass(frozen=True)
-class Point:
-    """A combination of settings.
-
-    Attributes
-    ----------
-    settings : Settings
-    changes : tuple of (str, value)
-        The values of the settings in the grid.
-    trainings : tuple of SweepTask
-        Trainings of its CNN and of the network for the chip; on events only of the latter.
-    evaluation : SweepTask
-        Evaluation of the network on the validation samples.
-    """
-
-    settings: Settings
-    changes: tuple
-    trainings: tuple
-    evaluation: SweepTask
-
-
-def base_settings(settings: Settings) -> Settings:
-    """The settings with a validation part."""
-    fraction = settings.split.validation_fraction or VALIDATION
-    return settings.with_values({"split": {"validation_fraction": fraction}}, "sweep")
-
-
-def points_of(folder: Path, base: Settings, grid, recordings: Recordings) -> list:
+def points_of(base: Settings, grid) -> list:
     """Every combination of the grid's values.
 
     Parameters
     ----------
-    folder : Path
-        Folder of the sweep.
     base : Settings
-        From :func:`base_settings`.
     grid : sequence of str
         Such as ``"presentation.steps=50,100"`` or ``"snn.max_rates=[100,150],[150,150]"``; a single
         number is taken as a list of one.
-    recordings : Recordings
-        Recordings that the settings name.
 
     Returns
     -------
-    list of Point
+    list of (dict, Settings)
+        The changed values, and the settings with them.
 
     Raises
     ------
@@ -142,33 +83,8 @@ def points_of(folder: Path, base: Settings, grid, recordings: Recordings) -> lis
         values: dict = {}
         for name, value in combination:
             put(values, name, value, "--grid")
-        settings = base.with_values(values, "--grid")
-        require_recordings_fit(recordings, settings)
-        points.append(_point(folder, settings, combination, recordings.source.sha256))
+        points.append((dict(combination), base.with_values(values, "--grid")))
     return points
-
-
-def _point(folder, settings, changes, recordings):
-    """A point with its tasks: its networks, which other points may share, and its result."""
-    dataset = _without_test_origin(dataset_origin(settings, recordings))
-    networks, trainings = Library(folder / "networks"), []
-    for name in ("events",) if settings.on_events else ("cnn", "rate-lif"):
-        artifact = stages.network_artifact(name, networks, settings, dataset)
-        view = artifact.origin.view(settings)
-        unique = replace(artifact, name=f"{name} {artifact.origin.key[:16]}")
-        trainings.append(SweepTask(unique, view, recordings, networks, subject=name))
-    origin = result_origin(settings, dataset)
-    key = origin.key[:16]
-    evaluation = SweepTask.of(
-        folder, f"points/{key}.json", f"point {key}", origin, settings, recordings
-    )
-    return Point(settings, tuple(changes), tuple(trainings), evaluation)
-
-
-def result_origin(settings: Settings, dataset: Origin) -> Origin:
-    """The origin of a point's result."""
-    contents = {"schema": POINT_SCHEMA, "target": TARGET}
-    return Origin.of(settings, uses=[bundle_origin(settings, dataset)], contents=contents)
 
 
 def _axis(entry, base):
@@ -194,78 +110,56 @@ def _axis(entry, base):
     return axis
 
 
-def without_test(dataset: Dataset) -> Dataset:
-    """A data set without its test split.
+def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers, say) -> tuple:
+    """Train and test the missing points of a sweep; write ``sweep.json`` and ``sweep.csv``.
+
+    Parameters
+    ----------
+    folder : RunFolder
+        Folder of the sweep, locked.
+    settings : Settings
+    grid : sequence of str or None
+        As in :func:`points_of`; None for the default of the kind of input.
+    workers, say
+        As in :func:`pipeline.results.study.study`.
+
+    Returns
+    -------
+    summary : dict
+        See :func:`summarise`.
+    failed : str
+        The failed points, in one line; empty if nothing failed.
 
     Raises
     ------
     UserError
-        There are too few samples for a validation part.
+        As in :func:`points_of`, or the recordings cannot be read or are too few.
     """
-    if not len(dataset.split.validation):
-        raise UserError(
-            f"{dataset.settings.data.source}: too few samples for a validation part; give more data"
-        )
-    split = replace(dataset.split, test=dataset.split.test[:0])
-    return replace(dataset, split=split, origin=_without_test_origin(dataset.origin))
-
-
-def _without_test_origin(dataset):
-    return replace(dataset, contents={**dataset.contents, "samples": "without the test split"})
-
-
-def train_network(task: SweepTask) -> dict:
-    """Train a network that points share; return the record of its artifact.
-
-    A worker without access to the folder also trains the network from which this one starts.
-    """
-    dataset = task.dataset()
-    with hidden():
-        for name in ("cnn", task.subject) if task.subject == "rate-lif" else (task.subject,):
-            record = stages.train(name, task.networks, task.settings, dataset, silent)
-    return record
-
-
-def evaluate(task: SweepTask) -> dict:
-    """Run a point's network on the validation samples on the fast emulator.
-
-    Returns
-    -------
-    dict
-        ``accuracy`` with its interval; the mean synaptic ``operations`` per inference, also
-        as ``operations_per_mac`` relative to the multiply-accumulates of the paper's CNN, and
-        ``spikes`` by layer; ``cores``; ``stable_after_median``; the accuracies of the CNN (None on
-        events) and of the trained network on the same samples.
-    """
-    begun = time.perf_counter()
-    settings, dataset = task.settings, task.dataset()
-    trained = task.trained(dataset)
-    cnn_accuracy = None
-    if not settings.on_events:
-        cnn = stages.network_artifact("cnn", task.networks, settings, dataset.origin)
-        cnn_accuracy = cnn.state().record["accuracy"]["validation"]
-    inputs, labels = dataset.part("validation")
-    spec = stages.spec_of(task.networks, settings, dataset, {})
-    responses = answer(spec, inputs, TARGET, settings.seed)
-    right = responses.predictions == labels
-    operations = float(sum(counts.mean() for counts in responses.operations.values()))
-    return {
-        "schema": POINT_SCHEMA,
-        "simulated": dataset.recordings.source.simulated,
-        "target": TARGET,
-        "n_samples": len(labels),
-        "steps": settings.steps,
-        "accuracy": float(right.mean()),
-        "accuracy_ci95": list(wilson_interval(int(right.sum()), len(labels))),
-        "cnn_accuracy": cnn_accuracy,
-        "trained_accuracy": trained["accuracy"]["validation"],
-        "operations": operations,
-        "operations_per_mac": operations / CNN_MACS,
-        "cores": len(make_plan(spec).to_json()["cores"]),
-        "spikes": {name: float(counts.mean()) for name, counts in responses.spikes.items()},
-        "stable_after_median": responses.stable_after_median,
-        "seconds": time.perf_counter() - begun,
-    }
+    recordings, kind = recordings_of(settings, workers.processes, say), settings.input.kind
+    fraction = settings.split.validation_fraction or VALIDATION
+    settings = fitted_to_inputs(settings, (kind,), recordings, say)[kind]
+    base = settings.with_values({"split": {"validation_fraction": fraction}}, "sweep")
+    points = points_of(base, grid or (EVENTS_GRID if base.on_events else DEFAULT_GRID))
+    stages = STAGES[1:] if base.on_events else (STAGES[0], STAGES[2])
+    cases = []
+    for number, (_, of_point) in enumerate(points):
+        require_recordings_fit(recordings, of_point)
+        for stage in stages:
+            name = f"point-{number}-{stage}"
+            cases.append(Case(name, of_point, stage, base.seed, part="validation"))
+    folder.save_settings(base)
+    rows, failed = study(cases, folder.path, recordings.source.sha256, workers, say)
+    summary = summarise([changes for changes, _ in points], rows)
+    summary["failed"] = [
+        {"changes": changes, "error": errors[0]}
+        for number, (changes, _) in enumerate(points)
+        if (errors := [e for c, e in failed.items() if c.name.startswith(f"point-{number}-")])
+    ]
+    write_json(folder.path / "sweep.json", summary)
+    with replacing(folder.path / "sweep.csv", "w") as file:
+        file.write(sweep_csv(summary))
+    n_failed = len(summary["failed"])
+    return summary, f"{n_failed} of {len(points)} points failed" if n_failed else ""
 
 
 def pareto_front(costs) -> np.ndarray:
@@ -286,93 +180,101 @@ def pareto_front(costs) -> np.ndarray:
     return ~np.any(no_worse & better, axis=0)
 
 
-def summarise(points, results) -> dict:
-    """Combine the points in one summary, the most accurate first, the failed ones last.
+def summarise(changes, rows) -> dict:
+    """Combine the points in one summary, the most accurate first.
 
     Parameters
     ----------
-    points : list of Point
-    results : list of dict or Failure
-        From :func:`evaluate`, one per point.
+    changes : list of dict
+        The changed settings of each point.
+    rows : list of dict
+        From :func:`pipeline.results.study.study`, those of failed points left out.
     """
-    both = list(zip(points, results, strict=True))
-    done = [
-        {
-            # Results that were read from a file have their entries in another order.
-            **{key: result[key] for key in sorted(result) if key != "made_from"},
-            "changes": dict(point.changes),
-        }
-        for point, result in both
-        if not isinstance(result, Failure)
-    ]
-    costs = [(-r["accuracy"], r["operations"], r["cores"], r["steps"]) for r in done]
-    for result, on_front in zip(done, pareto_front(costs) if done else (), strict=True):
-        result["pareto"] = bool(on_front)
-    done.sort(key=lambda r: (-r["accuracy"], r["operations"], r["steps"]))
-    return {
-        "schema": SCHEMA,
-        "target": "fast",
-        "part": "validation",
-        "names": [name for name, _ in points[0].changes],
-        "points": done,
-        "failed": [
-            {"changes": dict(point.changes), "error": result.error}
-            for point, result in both
-            if isinstance(result, Failure)
-        ],
-    }
+    by_name = {row["name"]: row for row in rows}
+    points = []
+    for number, values in enumerate(changes):
+        stages = {stage: by_name.get(f"point-{number}-{stage}") for stage in STAGES}
+        chip, trained = stages.pop("fast"), next(filter(None, stages.values()), None)
+        if chip is None:
+            continue
+        right = chip["right"]
+        points.append(
+            {
+                "changes": values,
+                "accuracy": chip["accuracy"],
+                "accuracy_ci95": list(wilson_interval(sum(right), len(right))),
+                "trained_accuracy": trained and trained["accuracy"],
+                "n_samples": len(right),
+                "simulated": chip["simulated"],
+                **chip["costs"],
+            }
+        )
+    costs = [(-p["accuracy"], p["operations"], p["cores"], p["steps"]) for p in points]
+    for point, on_front in zip(points, pareto_front(costs) if points else (), strict=True):
+        point["pareto"] = bool(on_front)
+    points.sort(key=lambda p: (-p["accuracy"], p["operations"], p["steps"]))
+    return {"schema": SCHEMA, "part": "validation", "names": list(changes[0]), "points": points}
 
 
-def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers, say) -> Findings:
-    """Train and test the missing points of a sweep, and write the summary.
+FIGURES = ("pareto", "accuracy", "accuracy_low", "accuracy_high", "operations", "per_cnn", "cores",
+           "steps", "stable", "trained_accuracy", "n_samples", "simulated")  # fmt: skip
+"""Columns of ``sweep.csv`` after the settings."""
 
-    Parameters
-    ----------
-    folder : RunFolder
-        Folder of the sweep, locked.  Workers of a cluster without access to it train separately.
-    settings : Settings
-    grid : sequence of str or None
-        As in :func:`points_of`; None for the default of the kind of input.
-    workers, say
-        As in :func:`pipeline.results.study.study`.
 
-    Raises
-    ------
-    UserError
-        As in :func:`points_of`, or the recordings cannot be read or are too few.
-    """
-    recordings, kind = recordings_of(settings, workers.processes, say), settings.input.kind
-    base = base_settings(fitted_to_inputs(settings, (kind,), recordings, say)[kind])
-    dataset = without_test(Dataset.of(base, workers.processes))
-    grid = grid or (EVENTS_GRID if settings.on_events else DEFAULT_GRID)
-    points = points_of(folder.path.absolute(), base, grid, dataset.recordings)
-    begin(folder, base, say)
-    results = _measure(points, workers, say)
-    failed = sum(isinstance(result, Failure) for result in results)
-    summary = summarise(points, results)
-    with replacing(folder.path / "sweep.csv", "w") as file:
-        file.write(sweep_csv(summary))
-    return concluded(
-        folder, "sweep", summary, f"{failed} of {len(points)} points" if failed else ""
+def sweep_csv(sweep: dict) -> str:
+    """A table with one row per point, settings first."""
+    text = io.StringIO()
+    columns = [*sweep["names"], *FIGURES]
+    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    for point in sweep["points"]:
+        low, high = point["accuracy_ci95"]
+        changes = {name: _value(value) for name, value in point["changes"].items()}
+        writer.writerow({**point, **changes, "accuracy_low": low, "accuracy_high": high})
+    return text.getvalue()
+
+
+def sweep_text(sweep: dict) -> str:
+    """The points as a table, those of the Pareto front marked."""
+    points, lines = sweep["points"], []
+    for point in sweep["failed"]:
+        changed = ", ".join(f"{k}={_value(v)}" for k, v in point["changes"].items())
+        lines.append(f"failed: {changed}: {textwrap.shorten(point['error'], 120)}")
+    if not points:
+        return "\n".join(lines)
+    kind = "simulated validation samples" if points[0]["simulated"] else "validation samples"
+    heads = ["accuracy", "95 % interval", "operations", "cores", "presented", "trained"]
+    rows = [["", "#", *heads, *(_short(name, sweep["names"]) for name in sweep["names"])]]
+    for number, point in enumerate(points, 1):
+        low, high = point["accuracy_ci95"]
+        trained = point["trained_accuracy"]
+        rows.append(
+            [
+                *("*" if point["pareto"] else "", str(number), f"{point['accuracy']:.3f}"),
+                *(f"{low:.3f} to {high:.3f}", f"{point['per_cnn']:.2f} x"),
+                *(str(point["cores"]), str(point["steps"])),
+                "" if trained is None else f"{trained:.3f}",
+                *(_value(point["changes"][name]) for name in sweep["names"]),
+            ]
+        )
+    return "\n".join(
+        [
+            f"{len(points)} points, each on the same {points[0]['n_samples']} {kind}",
+            *in_blocks(rows, left=2),
+            "* on the Pareto front: no other point is at least as good in accuracy,",
+            "operations, cores and steps and better in one of them",
+            f"operations: synaptic, per inference, in multiples of the paper's CNN's {CNN_MACS:,}",
+            "presented: steps per sample; trained: accuracy of the network before the chip",
+            *lines,
+        ]
     )
 
 
-def _measure(points, workers, say):
-    """Results or failures of the points, after the trainings that they share."""
-    left = [point for point in points if not point.evaluation.artifact.state().is_current]
-    trained = {}
-    for label, tasks in (
-        ("train cnn", [task for point in left for task in point.trainings[:-1]]),
-        ("train for the chip", [point.trainings[-1] for point in left]),
-    ):
-        shared = {task.name: [task] for task in tasks}
-        trained |= study(label, train_network, shared.values(), workers, say)
-    failed = {
-        point.evaluation.name: trained[task.name]
-        for point in points
-        for task in point.trainings
-        if isinstance(trained.get(task.name), Failure)
-    }
-    whole = [[point.evaluation] for point in points if point.evaluation.name not in failed]
-    found = study("evaluate", evaluate, whole, workers, say) | failed
-    return [found[point.evaluation.name] for point in points]
+def _short(name, names):
+    """The last word of a setting's name, or the whole name if the last word is not unique."""
+    word = name.rpartition(".")[2]
+    return word if [n.rpartition(".")[2] for n in names].count(word) == 1 else name
+
+
+def _value(value):
+    return ",".join(map(_value, value)) if isinstance(value, (list, tuple)) else f"{value}"

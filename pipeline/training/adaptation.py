@@ -20,7 +20,7 @@ from pipeline.data.dataset import classes_of, inputs_for, require_sensor_fits
 from pipeline.data.events import Recordings
 from pipeline.data.words import listed
 from pipeline.settings import Image
-from pipeline.training.readout import Person, Refit, refit
+from pipeline.training.readout import PULLS, REHEARSALS, Person, Refit, refit
 
 KEPT = 500
 """Number of training samples whose responses are in a bundle."""
@@ -284,8 +284,9 @@ def text_of(adapted: Adapted, place) -> str:
         Folder of the new bundle.
     """
     fit, lines = adapted.fit, []
+    chosen = f" (best of {len(PULLS) * len(REHEARSALS)} settings, so optimistic)"
     for who, before, after in (
-        ("this person, cross-validated", fit.before, fit.after),
+        (f"this person, cross-validated{chosen}", fit.before, fit.after),
         ("the bundle's own check", adapted.others_before, adapted.others_after),
     ):
         lines.append(f"{who}: {_share(before)} before, {_share(after)} after")

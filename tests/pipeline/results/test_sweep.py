@@ -14,12 +14,7 @@ from matplotlib.image import imread
 
 from deploy.errors import UserError
 from deploy.files import read_json
-from pipeline.data.dataset import Dataset, dataset_origin
-from pipeline.data.library import recordings_of
-from pipeline.jobs import Failure
 from pipeline.results import sweep
-from pipeline.results.sweep_text import short_names, sweep_csv, sweep_text
-from pipeline.roads.origins import threshold_origin
 from pipeline.run import refuse_results
 from pipeline.settings import Settings, read_settings
 from tests.command import call, missing
@@ -30,50 +25,14 @@ SMALL = Settings().with_values(
 )
 
 
-def points_of(folder, grid, base=SMALL):
-    return sweep.points_of(folder, base, grid, recordings_of(base))
-
-
-def keys(tasks):
-    return {task.origin.key for task in tasks}
-
-
-def changes(points):
-    return [dict(point.changes) for point in points]
-
-
-def test_every_combination_of_the_grid(tmp_path):
+def test_every_combination_of_the_grid():
     grid = ["presentation.steps=30, 50", "snn.max_rates=[100,150],[200],120"]
-    points = points_of(tmp_path, grid)
+    points = sweep.points_of(SMALL, grid)
     assert len(points) == 6
-    assert changes(points)[0] == {"presentation.steps": 30, "snn.max_rates": [100, 150]}
-    assert changes(points)[-1] == {"presentation.steps": 50, "snn.max_rates": [120]}
-    assert points[-1].settings.snn.max_rates == (120.0,)
-    assert points[-1].settings.presentation.steps == 50
-    assert len(keys(point.evaluation for point in points)) == 6
-    assert len({point.evaluation.artifact.record for point in points}) == 6
-
-
-def test_only_what_matters_to_a_training_makes_another_one(tmp_path):
-    grid = ["presentation.steps=30,50", "deployment.synapse=0.005,0.01", "snn.spike_penalty=0,0.1"]
-    points = points_of(tmp_path, grid)
-    assert len(keys(point.trainings[0] for point in points)) == 1
-    free = keys(p.trainings[1] for p in points if not p.settings.snn.spike_penalty)
-    priced = keys(p.trainings[1] for p in points if p.settings.snn.spike_penalty)
-    assert (len(free), len(priced)) == (1, 1)
-    assert not free & priced
-    assert len({point.trainings[1].artifact.record for point in points}) == 2
-
-
-def test_the_threshold_on_events_is_not_shared_by_points_of_other_steps(tmp_path):
-    """Training does not depend on the presentation; the confidence that decides does."""
-    base = SMALL.with_values({"input": {"kind": "events"}})
-    one, two = points_of(tmp_path, ["presentation.steps=40,200"], base)
-    assert [len(point.trainings) for point in (one, two)] == [1, 1]
-    assert one.trainings[0].origin == two.trainings[0].origin
-    dataset = dataset_origin(base, "0")
-    thresholds = [threshold_origin(point.settings, dataset) for point in (one, two)]
-    assert thresholds[0] != thresholds[1]
+    assert points[0][0] == {"presentation.steps": 30, "snn.max_rates": [100, 150]}
+    assert points[-1][0] == {"presentation.steps": 50, "snn.max_rates": [120]}
+    assert points[-1][1].snn.max_rates == (120.0,)
+    assert points[-1][1].presentation.steps == 50
 
 
 @pytest.mark.parametrize(
@@ -88,41 +47,28 @@ def test_the_threshold_on_events_is_not_shared_by_points_of_other_steps(tmp_path
         ("split.test_fraction=0.2,0.3", "split.test_fraction with --set"),
     ],
 )
-def test_a_wrong_grid_is_refused_before_anything_is_trained(tmp_path, entry, problem):
+def test_a_wrong_grid_is_refused_before_anything_is_trained(entry, problem):
     with pytest.raises(UserError, match=problem):
-        points_of(tmp_path, [entry])
+        sweep.points_of(SMALL, [entry])
 
 
-def test_a_setting_given_twice_is_refused(tmp_path):
+def test_a_setting_given_twice_is_refused():
     with pytest.raises(UserError, match=r"^--grid"):
-        points_of(tmp_path, ["presentation.steps=30", "presentation.steps=50"])
+        sweep.points_of(SMALL, ["presentation.steps=30", "presentation.steps=50"])
 
 
 @pytest.mark.parametrize(
     "grid",
     [["cnn=5", "cnn.epochs=3"], ["cnn.epochs=3", "cnn=5"], ["cnn.epochs.x=5", "cnn.epochs=3"]],
 )
-def test_a_section_given_a_value_is_refused(tmp_path, grid):
+def test_a_section_given_a_value_is_refused(grid):
     with pytest.raises(UserError, match=r"--grid: 'cnn(\.epochs)?' has a value"):
-        points_of(tmp_path, grid)
+        sweep.points_of(SMALL, grid)
 
 
-def test_the_default_grid_is_a_grid(tmp_path):
-    points = points_of(tmp_path, sweep.DEFAULT_GRID)
-    assert len(points) == 16
-    assert len(keys(point.trainings[1] for point in points)) == 4
-
-
-def test_there_is_always_a_validation_part_and_never_a_test_part():
-    assert sweep.base_settings(Settings()).split.validation_fraction == sweep.VALIDATION
-    assert sweep.base_settings(SMALL).split.validation_fraction == 0.25
-    whole = Dataset.of(SMALL)
-    dataset = sweep.without_test(whole)
-    assert len(dataset.split.test) == 0
-    assert len(dataset.split.validation) == 24  # of 96 that are not for testing
-    assert not set(dataset.split.train) & set(whole.split.test)
-    assert not set(dataset.split.validation) & set(whole.split.test)
-    assert not set(dataset.split.validation) & set(dataset.split.train)
+def test_the_default_grids_are_grids():
+    assert len(sweep.points_of(SMALL, sweep.DEFAULT_GRID)) == 16
+    assert len(sweep.points_of(SMALL, sweep.EVENTS_GRID)) == 4
 
 
 def test_pareto_front_by_hand():
@@ -148,78 +94,50 @@ def test_whatever_is_off_the_front_is_beaten_from_on_it(costs):
         assert not any((other <= cost).all() and (other < cost).any() for other in costs)
 
 
-def test_names_are_short_where_that_says_enough():
-    assert short_names(["snn.epochs", "deployment.synapse"]) == {
-        "snn.epochs": "epochs",
-        "deployment.synapse": "synapse",
-    }
-    assert short_names(["snn.epochs", "cnn.epochs"])["snn.epochs"] == "snn.epochs"
-
-
-def point(steps, synapse):
-    changed = (("presentation.steps", steps), ("deployment.synapse", synapse))
-    return sweep.Point(Settings(), changed, (), None)
-
-
-def result(accuracy, operations, steps, synapse):
-    return {
-        "simulated": True,
-        "n_samples": 100,
-        "steps": steps,
-        "accuracy": accuracy,
-        "accuracy_ci95": [accuracy - 0.1, accuracy + 0.1],
-        "cnn_accuracy": 0.9,
-        "trained_accuracy": 0.91,
-        "operations": operations,
-        "operations_per_mac": operations / 1000,
-        "cores": 2,
-        "stable_after_median": 25.0,
-    }
-
-
-POINTS = [point(30, 0.005), point(50, 0.005), point(30, 0.01), point(50, 0.01)]
-RESULTS = [
-    result(0.7, 800, 30, 0.005),
-    result(0.8, 1500, 50, 0.005),
-    result(0.7, 900, 30, 0.01),  # the first is as good for less
-    Failure("ValueError: no good", ""),
+CHANGES = [
+    {"presentation.steps": steps, "deployment.synapse": synapse}
+    for steps, synapse in ((30, 0.005), (50, 0.005), (30, 0.01), (50, 0.01))
 ]
 
 
+def rows():
+    """Rows of three points; the fourth has failed."""
+    found = []
+    for number, (right, operations, steps) in enumerate(
+        [(7, 800.0, 30), (8, 1500.0, 50), (7, 900.0, 30)]
+    ):
+        costs = {"operations": operations, "per_cnn": operations / 1000, "cores": 2, "steps": steps}
+        shared = {"right": [1] * right + [0] * (10 - right), "simulated": True}
+        chip = {"name": f"point-{number}-fast", "accuracy": right / 10, "costs": costs}
+        trained = {"name": f"point-{number}-rate-lif", "accuracy": 0.91}
+        found += [{**trained, **shared}, {**chip, **shared}]
+    return found
+
+
+def summary():
+    failed = [{"changes": CHANGES[3], "error": "ValueError: no good"}]
+    return {**sweep.summarise(CHANGES, rows()), "failed": failed}
+
+
 def test_the_table():
-    text = sweep_text(sweep.summarise(POINTS, RESULTS))
-    lines = text.splitlines()
-    assert missing(lines[0], "3 points", "100", "simulated", "validation") == []
-    assert " ".join(lines[2].split()) == "* 1 0.800 0.700 to 0.900 1.50 x 2 50 25 0.910"
+    lines = sweep.sweep_text(summary()).splitlines()
+    assert missing(lines[0], "3 points", "10", "simulated", "validation") == []
+    assert lines[2].split()[:3] == ["*", "1", "0.800"]
+    assert missing(lines[2], "1.50 x", "50", "0.910") == []
+    assert missing(lines[6], "#", "synapse") == []  # the other columns are in a block of their own
     assert lines[3].split()[:3] == ["*", "2", "0.700"]
-    assert lines[4].split()[:2] == ["3", "0.700"]
-    settings = lines.index("") + 1  # the other columns, in a block of their own
-    assert lines[settings].split() == ["#", "cnn", "steps", "synapse"]
-    assert lines[settings + 1].split() == ["*", "1", "0.900", "50", "0.005"]
-    assert lines[settings + 3].endswith("30     0.01")
-    assert max(map(len, lines[:-1])) <= 80
+    assert lines[4].split()[:2] == ["3", "0.700"]  # the first is as good for less
     failed = "presentation.steps=50", "deployment.synapse=0.01", "ValueError: no good"
     assert missing(lines[-1], *failed) == []
 
 
 def test_the_csv():
-    summary = sweep.summarise(POINTS, RESULTS)
-    rows = list(csv.DictReader(io.StringIO(sweep_csv(summary))))
-    assert [row["pareto"] for row in rows] == ["True", "True", "False", ""]
-    assert [float(row["operations"]) for row in rows[:3]] == [1500, 800, 900]
-    assert (float(rows[0]["accuracy_low"]), float(rows[0]["accuracy_high"])) == (
-        pytest.approx(0.7),
-        pytest.approx(0.9),
-    )
-    assert rows[3]["error"] == "ValueError: no good"
-    assert rows[3]["presentation.steps"] == "50"
-
-
-def test_a_sweep_in_which_everything_failed():
-    summary = sweep.summarise(POINTS[3:], RESULTS[3:])
-    assert summary["points"] == []
-    assert sweep_text(summary).startswith("failed: ")
-    assert len(sweep_csv(summary).splitlines()) == 2
+    found = list(csv.DictReader(io.StringIO(sweep.sweep_csv(summary()))))
+    assert [row["pareto"] for row in found] == ["True", "True", "False"]
+    assert [float(row["operations"]) for row in found] == [1500, 800, 900]
+    low, high = (float(found[0][name]) for name in ("accuracy_low", "accuracy_high"))
+    assert low < 0.8 < high
+    assert found[2]["deployment.synapse"] == "0.01"
 
 
 TINY = (
@@ -246,7 +164,7 @@ def test_a_small_sweep(tiny_sweep):
     summary = read_json(tiny_sweep / "sweep.json", "")
     points = summary["points"]
     assert summary["failed"] == []
-    assert (len(points), len(list((tiny_sweep / "points").iterdir()))) == (4, 4)
+    assert (len(points), len(list((tiny_sweep / "rows").iterdir()))) == (4, 8)
     assert len(list((tiny_sweep / "networks" / "cnn").iterdir())) == 1
     assert len(list((tiny_sweep / "networks" / "snn").iterdir())) == 2
     with pytest.raises(UserError, match="not of a run"):
@@ -262,7 +180,7 @@ def test_a_small_sweep(tiny_sweep):
     for p in points:
         low, high = p["accuracy_ci95"]
         assert low <= p["accuracy"] <= high
-        assert 1 <= p["stable_after_median"] <= p["steps"]
+        assert 1 <= p["stable"] <= p["steps"]
     assert len((tiny_sweep / "sweep.csv").read_text().splitlines()) == 5
     assert imread(tiny_sweep / "pareto.png")[..., :3].std() > 0.05
 
@@ -279,7 +197,7 @@ def test_its_networks_were_never_shown_the_test_split(tiny_sweep):
 def test_a_sweep_is_resumed(tiny_sweep, tmp_path, capsys):
     folder = tmp_path / "out"
     shutil.copytree(tiny_sweep, folder)
-    lost, *kept = sorted((folder / "points").iterdir())
+    lost, *kept = sorted((folder / "rows").iterdir())
     expected = read_json(lost, "")
     lost.unlink()
     before = {
@@ -327,7 +245,7 @@ def test_a_sweep_on_events(tmp_path, capsys):
     assert list(sizes[2]["spikes"]) == ["input", "conv1"]
     assert (sizes[3]["cores"], sizes[2]["cores"]) == (2, 1)
     for p in points:
-        assert (p["n_samples"], p["cnn_accuracy"]) == (48, None)
+        assert p["n_samples"] == 48
     assert not (folder / "networks" / "cnn").exists()
     assert imread(folder / "pareto.png")[..., :3].std() > 0.05
 
@@ -340,21 +258,6 @@ def test_a_sweep_on_own_recordings_needs_no_architecture(tmp_path, capsys):
     summary = read_json(tmp_path / "out" / "sweep.json", "")
     assert sorted(p["changes"]["presentation.steps"] for p in summary["points"]) == [25, 50]
     assert read_settings(tmp_path / "out" / "experiment.toml").cnn.architecture.startswith("9x12-")
-
-
-def test_architectures_of_another_skin_are_swept(tmp_path):
-    changes = {
-        "skin": {"rows": 8, "columns": 8},
-        "data": {"samples_per_digit": 12},
-        "cnn": {"architecture": "8x8-4c3-10o"},
-    }
-    base = sweep.base_settings(Settings().with_values(changes, "here"))
-    grid = ["cnn.architecture=8x8-4c3-10o,8x8-6c3s2-10o"]
-    with pytest.raises(UserError, match="8x8"):
-        points_of(tmp_path, ["cnn.architecture=10x10-4c3-10o"], base)
-    one, two = points_of(tmp_path, grid, base)
-    assert one.trainings[0].origin != two.trainings[0].origin
-    assert Dataset.of(one.settings).inputs.shape[1:3] == (8, 8)
 
 
 def test_a_wrong_grid_is_one_line_and_leaves_nothing(tmp_path, capsys):

@@ -25,27 +25,21 @@ def pareto(sweep: dict) -> Figure:
         mine = [point for point in points if point["steps"] == steps]
         for point in mine:
             _point(axes, point, shade)
-        front = sorted((p["operations_per_mac"], p["accuracy"]) for p in mine if p["pareto"])
+        front = sorted((p["per_cnn"], p["accuracy"]) for p in mine if p["pareto"])
         axes.plot(*zip(*front, strict=True) if front else ((), ()), "-", color=shade, alpha=0.6)
         axes.plot([], [], "o", color=shade, label=f"{steps} steps")
     for number, point in enumerate(points, 1):
         if point["pareto"]:
             axes.annotate(
                 str(number),
-                (point["operations_per_mac"], point["accuracy"]),
+                (point["per_cnn"], point["accuracy"]),
                 xytext=(6, 5),
                 textcoords="offset points",
                 fontsize=9,
             )
-    for accuracy in sorted({point["cnn_accuracy"] for point in points} - {None}):
-        axes.axhline(accuracy, color="0.4", linestyle="--", linewidth=1)
-        axes.annotate(
-            "CNN", (1, accuracy), xycoords=("axes fraction", "data"), xytext=(-4, 3),
-            textcoords="offset points", ha="right", fontsize=9, color="0.3",
-        )  # fmt: skip
-    if min(point["operations_per_mac"] for point in points) > 0:
+    if min(point["per_cnn"] for point in points) > 0:
         axes.set_xscale("log")
-    _plain_ticks(axes, [point["operations_per_mac"] for point in points])
+    _plain_ticks(axes, [point["per_cnn"] for point in points])
     axes.yaxis.set_major_formatter(PercentFormatter(1, decimals=None))
     kind = "simulated validation samples" if points[0]["simulated"] else "validation samples"
     axes.set(
@@ -62,7 +56,7 @@ def pareto(sweep: dict) -> Figure:
 def _point(axes, point, shade):
     low, high = point["accuracy_ci95"]
     axes.errorbar(
-        point["operations_per_mac"],
+        point["per_cnn"],
         point["accuracy"],
         yerr=[[point["accuracy"] - low], [high - point["accuracy"]]],
         fmt="o",

@@ -1,0 +1,237 @@
+"""The gain of fitting a network to a person nobody trained on, over real pen trajectories.
+
+The people of a UNIPEN file are divided into folds.  For each fold the model of handwriting is
+estimated from all other people, a network is trained on recordings simulated with it, and the
+fold's own trajectories are pressed on the same simulated skin.  Of each person, some recordings of
+each class are used to fit the readout, as ``stmnist adapt`` does it, and all others to test it.
+Several draws of a person are averaged, and intervals are over people.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from scipy import stats as statistics
+
+from deploy.errors import UserError
+from deploy.files import sha256_of, write_json
+from deploy.tables import aligned
+from experiments import handwriting
+from experiments.studies import RESULTS, Store
+from pipeline import stages
+from pipeline.commands import options
+from pipeline.data.dataset import Dataset, dataset_origin, split_of
+from pipeline.data.library import simulated
+from pipeline.paper import SAMPLES_PER_DIGIT
+from pipeline.progress import hidden
+from pipeline.results.study import Case, interval_text, study
+from pipeline.settings import SIMULATED
+from pipeline.skin import parameters, unipen
+from pipeline.training.adaptation import Responder, require_fit, with_rehearsal
+from pipeline.training.readout import Person, refit
+
+FOLDS = 3
+EACH = (1, 2, 5)
+"""Numbers of recordings of each class to which a network is fitted."""
+
+MEASURES = ("before", "after", "others_before", "others_after", "used")
+
+
+@dataclass(frozen=True)
+class People:
+    """The trajectories of a fold's people, and the parameters of the simulation for the others."""
+
+    traces: tuple
+    parameters: parameters.Parameters
+
+
+def people_of(pen: Path, fold: int) -> People:
+    """Every third person of a file.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, or too few people remain to estimate the model from.
+    """
+    traces = unipen.read(pen)
+    people = set(sorted({trace.writer for trace in traces if trace.writer >= 0})[fold::FOLDS])
+    try:
+        shapes = handwriting.estimate([t for t in traces if t.writer not in people])
+    except ValueError as error:
+        raise UserError(f"{pen}: {error}, without fold {fold}; give more people") from error
+    own = tuple(trace for trace in traces if trace.writer in people)
+    return People(own, replace(parameters.load(), shapes=shapes))
+
+
+def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:
+    """Train the network of a fold and fit it to each of the fold's people; for :func:`study`."""
+    people, settings = people_of(pen, int(case.alter.partition(" ")[2])), case.resolved
+    seed, each = settings.data.simulation_seed, settings.data.samples_per_digit
+    counts = [each] * 10 if each else list(SAMPLES_PER_DIGIT)
+    training = simulated(seed, counts, 1, parameters=people.parameters)
+    shares = settings.split.test_fraction, settings.split.validation_fraction
+    split = split_of(training, case.seed, *shares)
+    dataset = Dataset(training, split, dataset_origin(settings, training.source.sha256), settings)
+    with hidden():
+        stages.train_all(networks, settings, dataset, lambda line: None)
+    spec = stages.spec_of(networks, settings, dataset, {})
+    spec = with_rehearsal(spec, dataset.inputs, dataset.labels, split.train, case.seed)
+    counts = np.bincount([trace.digit for trace in people.traces], minlength=10)
+    own = simulated(seed, counts, 1, parameters=people.parameters, traces=people.traces)
+    cases = list(fitted_to_people(spec, dataset.part("test"), own, draws, case.seed))
+    return {"recordings": sha256_of(pen), "simulated": True, "people": cases}
+
+
+def fitted_to_people(spec, others, recordings, draws: int, seed: int):
+    """Fit a network's readout to each person, some of whose recordings it is tested on.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+        With its rehearsal.
+    others : (inputs, labels)
+        Samples of other people.
+    recordings : Recordings
+        Recordings of known writers; those with too few of a class are left out.
+    draws, seed : int
+
+    Yields
+    ------
+    dict
+        For each person and number of recordings, ``who``, ``each`` and means over the draws of
+        :data:`MEASURES`: accuracies before and after on the person and on others, and the share of
+        draws in which the network was changed.
+    """
+    require_fit(spec, recordings)
+    responder, readout, kept = Responder(spec, seed), spec.layers[-1], spec.rehearsal
+    elsewhere = responder.responses(others[0]), others[1]
+    for who in np.unique(recordings.writers[recordings.writers >= 0]):
+        mine = recordings.part(np.flatnonzero(recordings.writers == who))
+        classes = len(recordings.sensor.classes)
+        if np.bincount(mine.labels, minlength=classes).min() <= max(EACH):
+            continue
+        responses = responder.responses_to(mine)
+        copies = responder.copies(mine, [seed, int(who)])
+        results = {each: [] for each in EACH}
+        for draw in range(draws):
+            first, rest = drawn(mine.labels, [seed, int(who), draw])
+            for each in EACH:
+                some = first[:, :each].ravel()
+                person = Person(responses[some], mine.labels[some], copies[some])
+                fit = refit(readout.weights, readout.bias, person, kept, draw, responder.scale)
+                new = fit.weights if fit.helps else readout.weights
+                tested = responses[rest], mine.labels[rest]
+                results[each].append(
+                    [
+                        *(_accuracy(readout, w, tested) for w in (readout.weights, new)),
+                        *(_accuracy(readout, w, elsewhere) for w in (readout.weights, new)),
+                        float(fit.helps),
+                    ]
+                )
+        for each, values in results.items():
+            means = map(float, np.mean(values, axis=0))
+            yield {"who": int(who), "each": each, **dict(zip(MEASURES, means, strict=True))}
+
+
+def drawn(labels, seed) -> tuple:
+    """Indices of the recordings to fit to, shape (classes, max(EACH)), and of all others."""
+    rng = np.random.default_rng(seed)
+    order = [rng.permutation(np.flatnonzero(labels == label)) for label in np.unique(labels)]
+    first = np.array([of_class[: max(EACH)] for of_class in order])
+    return first, np.concatenate([of_class[max(EACH) :] for of_class in order])
+
+
+def _accuracy(readout, weights, samples):
+    responses, labels = samples
+    return float(np.mean((responses @ weights.T + readout.bias).argmax(1) == labels))
+
+
+def summarise(people) -> list:
+    """Means over people, a row for each number of recordings.
+
+    Parameters
+    ----------
+    people : sequence of dict
+        From :func:`fitted_to_people`.
+
+    Returns
+    -------
+    list of dict
+        ``each``, number of ``people``, the means of :data:`MEASURES`, the ``gain`` with its 95 %
+        interval over people, the ``worst`` person's gain, ``lowest`` and ``highest`` person before.
+    """
+    rows = []
+    for each in sorted({person["each"] for person in people}):
+        some = [person for person in people if person["each"] == each]
+        table = {name: np.array([person[name] for person in some]) for name in MEASURES}
+        gain = table["after"] - table["before"]
+        row = {"each": each, "people": len(some), **{k: float(v.mean()) for k, v in table.items()}}
+        error = gain.std(ddof=1) / np.sqrt(len(gain)) if len(gain) > 1 else np.nan
+        reach = float(statistics.t.ppf(0.975, len(gain) - 1) * error) if len(gain) > 2 else None
+        middle = float(gain.mean())
+        row |= {"gain": middle, "worst": float(gain.min())}
+        row["ci95"] = None if reach is None else [middle - reach, middle + reach]
+        row |= {"lowest": float(table["before"].min()), "highest": float(table["before"].max())}
+        rows.append(row)
+    return rows
+
+
+def cells(found: dict) -> list:
+    """The rows of a result as lists of text, the heads first."""
+    heads = ["of each digit", "people", "before", "after", "gain, points", "95 % over people"]
+    lines = [[*heads, "worst person", "on others", "changed"]]
+    for row in found["rows"]:
+        points = (f"{100 * row[key]:+.1f}" for key in ("gain", "worst"))
+        gain, worst = points
+        lost = 100 * (row["others_after"] - row["others_before"])
+        lines.append(
+            [
+                *(str(row["each"]), str(row["people"])),
+                *(f"{row[key]:.3f}" for key in ("before", "after")),
+                *(gain, interval_text(row["ci95"], 100, 1, "+"), worst),
+                *(f"{lost:+z.1f}", f"{row['used']:.0%}"),
+            ]
+        )
+    return lines
+
+
+def main(
+    pen: Annotated[Path, typer.Argument(help="UNIPEN file of digits of several people.")],
+    out: Annotated[Path, typer.Option(help="Folder of the folds, which are kept.")] = Path(
+        "runs/adapt"
+    ),
+    draws: Annotated[int, typer.Option(help="Random draws for each person.", min=1)] = 5,
+    *,
+    given: options.WithoutDataGiven,
+    store: Store = "",
+    workers: options.Workers,
+    as_json: options.Json = False,
+):
+    """Measure the gain of fitting a network to one person, as a mean over people."""
+    with options.opened(out, given) as (folder, settings):
+        if settings.data.source != SIMULATED:
+            raise UserError("the networks are trained on simulated recordings; omit data.source")
+        pen, name = pen.absolute(), f"adapt-{settings.input.kind}"
+        people_of(pen, 0)  # a wrong file is reported now
+        folder.save_settings(settings)
+        cases = [
+            Case(name, settings, "adapted", settings.seed, alter=f"fold {fold}")
+            for fold in range(FOLDS)
+        ]
+        by = partial(measure_fold, pen, draws)
+        rows, failed = study(cases, folder.path, sha256_of(pen), workers, options.say, by)
+    people = [person for row in rows for person in row["people"]]
+    found = {"experiment": name, "simulated": True, "pen": sha256_of(pen), "draws": draws}
+    found["rows"] = summarise(people)
+    write_json(out / f"{name}.json", found)
+    if store and not failed:
+        write_json(RESULTS / f"{store}.json", found)
+    title = "real pen trajectories pressed on the simulated skin, people nobody trained on"
+    errors = "; ".join(f"{case.alter}: {error}" for case, error in failed.items())
+    text = "\n".join([title, *aligned(cells(found))])
+    options.conclude(found, errors, lambda value: text, as_json)

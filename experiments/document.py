@@ -1,0 +1,186 @@
+"""The generated parts of the documents: every command, every setting, tables and single figures.
+
+``python -m experiments document`` writes them between their marks; a test checks that they are
+current.  Tables and figures come from the files in ``results/``:
+
+- ``<!-- NAME: written by python -m experiments document -->`` begins a table of ``results/NAME``,
+  or ``commands``, or ``settings``; ``<!-- end of NAME -->`` ends it;
+- ``<!-- figure: FILE PATH FORMAT -->0.891<!-- /figure -->`` has one value of a file: each word of
+  the path is a key of an object, or the name of an entry of a list (``name``, ``a``, ``network``);
+  the format is Python's, with ``100*`` before it for points.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import re
+from itertools import groupby
+from pathlib import Path
+from typing import Annotated, Optional
+
+import typer
+
+from deploy.errors import UserError
+from deploy.files import read_json, replacing
+from experiments import adapt, speed, studies
+from pipeline.results import study
+from pipeline.results.sweep import sweep_text
+from pipeline.settings import Settings, describe
+
+ROOT = Path(__file__).resolve().parent.parent
+FILES = ("README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")))
+"""The documents, relative to the root of the repository."""
+
+
+def result(name: str) -> dict:
+    """The content of a file in ``results/``, by its name without ``.json``."""
+    return read_json(studies.RESULTS / f"{name}.json", "it is a file of the repository: restore it")
+
+
+def commands() -> str:
+    """Every command with its arguments and options, as Markdown."""
+    from pipeline.commands.main import with_every_verb
+
+    return "\n".join(_sections(with_every_verb(), "stmnist", 2))
+
+
+def settings() -> str:
+    """Every setting with its default and meaning, as Markdown, a heading for each section."""
+    lines = []
+    for section, rows in groupby(describe(Settings()), lambda row: row["name"].rpartition(".")[0]):
+        about = getattr(Settings(), section) if section else Settings()
+        lines += [f"\n## {section or 'The experiment'}\n", f"{_plain(inspect.getdoc(about))}\n"]
+        for row in rows:
+            default = json.dumps(row["default"], ensure_ascii=False)
+            lines.append(f"- `{row['name']}`, by default `{default}`: {row['meaning']}")
+    return "\n".join(lines)
+
+
+def part(name: str) -> str:
+    """The content between the marks of a name, as Markdown.
+
+    Raises
+    ------
+    UserError
+        There is no such result.
+    """
+    if name in ("commands", "settings"):
+        return globals()[name]()
+    content = result(name)
+    kind = content.get("experiment", "sweep")
+    if kind == "sweep":
+        return f"```\n{sweep_text(content).partition(chr(10) + '* on')[0]}\n```"
+    if kind.startswith("adapt"):
+        return markdown(adapt.cells(content))
+    if kind == "speed":
+        return markdown(speed.cells(content))
+    experiment = next(one for one in studies.EXPERIMENTS if one.name == kind)
+    splits = dict.fromkeys(row["split"] for row in content["rows"])
+    parts = [markdown(studies.cells(experiment, content, split)) for split in splits]
+    if content["comparisons"]:
+        compared = [["difference, points", "", "95 % interval", "p, Holm"]]
+        compared += study.comparisons_cells(content)
+        parts.append(markdown(compared))
+    return "\n\n".join([*parts, experiment.note])
+
+
+def markdown(cells) -> str:
+    """A table of text, the heads first."""
+    heads, *rows = cells
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def with_parts(text: str) -> str:
+    """A document with updated parts and figures between their marks.
+
+    Raises
+    ------
+    ValueError
+        A part has a mark at its beginning but not at its end, or a figure does not exist.
+    """
+    mark = "written by python -m experiments document -->"
+    for name in re.findall(rf"^<!-- ([\w-]+): {mark}$", text, re.MULTILINE):
+        begin, end = f"<!-- {name}: {mark}", f"<!-- end of {name} -->"
+        before, _, rest = text.partition(begin)
+        _, closed, after = rest.partition(end)
+        if not closed:
+            raise ValueError(f"no mark {end!r} in the text")
+        text = f"{before}{begin}\n{part(name)}\n{end}{after}"
+
+    def write(found):
+        return f"<!-- figure: {found[1]} -->{figure(found[1])}<!-- /figure -->"
+
+    return re.sub(r"<!-- figure: ([^>]*?) -->.*?<!-- /figure -->", write, text, flags=re.DOTALL)
+
+
+def figure(address: str) -> str:
+    """One value, as text.
+
+    Parameters
+    ----------
+    address : str
+        File, path and format, such as ``losses rows cnn mean .3f``.
+
+    Raises
+    ------
+    ValueError
+        The result has no such value.
+    """
+    name, *path, layout = address.split()
+    try:
+        value = result(name)
+        for word in path:
+            value = _entry(value, word)
+        points = layout.startswith("100*")
+        return format(100 * value if points else value, layout.removeprefix("100*"))
+    except (KeyError, IndexError, StopIteration, TypeError, ValueError, UserError) as error:
+        raise ValueError(f"figure {address!r}: {error!r}") from error
+
+
+def _entry(value, word):
+    if isinstance(value, dict):
+        return value[word]
+    if word.isdigit():
+        return value[int(word)]
+    return next(e for e in value if word in (e.get("name"), e.get("a"), e.get("network")))
+
+
+def _sections(command, words, depth):
+    summary = _plain(command.help)
+    if hasattr(command, "commands"):
+        if depth > 2:  # the top command has its own title
+            yield f"\n{'#' * (depth - 1)} {words}\n\n{summary}"
+        for name, below in command.commands.items():
+            yield from _sections(below, f"{words} {name}", depth + 1)
+        return
+    arguments = [p for p in command.params if p.param_type_name == "argument"]
+    usage = " ".join([words, *(p.name.upper() for p in arguments)])
+    yield f"\n{'#' * (depth - 1)} {words}\n\n`{usage}`\n\n{summary}\n"
+    for parameter in command.params:
+        if parameter.param_type_name == "argument":
+            name = parameter.name.upper()
+        else:
+            name = ", ".join([*parameter.opts, *parameter.secondary_opts])
+        yield f"- `{name}`: {' '.join((parameter.help or '').split())}"
+
+
+def _plain(text):
+    """The text of a docstring in one line, without markup."""
+    return re.sub(r":\w+:`~?([^`]*)`", r"`\1`", " ".join(text.split())).replace("``", "`")
+
+
+def main(
+    files: Annotated[
+        Optional[list[Path]],  # noqa: UP045 - Typer reads the annotation at run time
+        typer.Argument(help="Documents (default: all)."),
+    ] = None,
+):
+    """Write commands, settings and the figures of results/ into README and docs."""
+    for path in files or [ROOT / name for name in FILES]:
+        current = path.read_text(encoding="utf-8")
+        updated = with_parts(current)
+        if updated != current:
+            with replacing(path, "w") as file:
+                file.write(updated)

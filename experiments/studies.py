@@ -1,0 +1,436 @@
+"""Experiments that are lists of cases and a table; see :mod:`pipeline.results.study`.
+
+A :class:`Line` is a row of the table: a stage of a network with some changed settings.  It is
+measured on each split of each seed.
+"""
+
+from __future__ import annotations
+
+import datetime
+import os
+import platform
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deploy.errors import UserError
+from deploy.files import write_json
+from deploy.tables import aligned
+from pipeline.artifacts import Library
+from pipeline.commands import options
+from pipeline.data.library import recordings_of
+from pipeline.data.variants import VARIANTS
+from pipeline.paper import TABLE2
+from pipeline.results import study
+from pipeline.results.study import Case
+
+RESULTS = Path(__file__).resolve().parent.parent / "results"
+"""Stored results, from which the documents take their figures."""
+
+PAPER, OWN = {"snn": {"recipe": "paper"}}, {"snn": {"recipe": "loihi"}}
+READOUT_ON_CHIP = {"deployment": {"readout": "chip"}}
+
+
+@dataclass(frozen=True)
+class Line:
+    """A row of an experiment's table.
+
+    Attributes
+    ----------
+    name, title : str
+    stage : str
+        See :class:`pipeline.results.study.Case`, or one of :func:`measure`.
+    changes : dict
+        Changed settings, nested by section.
+    input : str
+        ``input.kind`` of its network.
+    alter : str
+        One of :data:`pipeline.data.variants.VARIANTS`.
+    on_request : bool
+        True if the row is only measured if ``--only`` names it.
+    """
+
+    name: str
+    title: str
+    stage: str
+    changes: dict = field(default_factory=dict)
+    input: str = "image"
+    alter: str = "as-is"
+    on_request: bool = False
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A list of lines, and how they are compared.
+
+    Attributes
+    ----------
+    name, title, time : str
+        ``time`` is the expected duration on two idle cores.
+    lines : tuple of Line
+    pairs : tuple of (str, str)
+        Names of lines that are compared, the first minus the second.
+    seeds : int
+        Default number of seeds, each with its own split.
+    writers : bool
+        True to measure also on splits with new writers, where the writers are known.
+    validation : float
+        Share of validation samples on which the lines are tested, instead of the test samples, if
+        the experiment chooses something; otherwise 0.
+    note : str
+        What a reader must know.
+    """
+
+    name: str
+    title: str
+    time: str
+    lines: tuple
+    pairs: tuple = ()
+    seeds: int = 10
+    writers: bool = False
+    validation: float = 0.0
+    note: str = ""
+
+
+INPUT_NOTE = (
+    "The variation between simulated writers was set so that the paper's CNN has an accuracy near "
+    "the paper's 0.89 (results/difficulty.json): on simulated recordings this row is an input."
+)
+EMULATED_NOTE = (
+    "Emulated Loihi: the target fast, bit-identical to NengoLoihi's emulator; nothing ran on a "
+    "chip. Input spikes are made on the host."
+)
+
+
+def _chip(name, title, changes=None, **more):
+    """A network on the emulated chip, with the readout on the host and on the chip."""
+    changes = changes or {}
+    return (
+        Line(name, f"{title}, emulated Loihi, readout on host", "fast", changes, **more),
+        Line(f"{name}-chip", f"{title}, emulated Loihi, readout on chip", "fast",
+             {**changes, **READOUT_ON_CHIP}, **more),
+    )  # fmt: skip
+
+
+def _presented(name, stage, steps, rate=150.0, **sections):
+    """The paper's network with choices that the paper leaves open."""
+    title = f"{'NengoDL' if stage == 'spiking-lif' else 'emulated Loihi'}, {name}"
+    shown = {"steps": steps, "readout_start": steps // 5, **sections.pop("presentation", {})}
+    snn = {"recipe": "paper", "max_rates": [rate]}
+    changes = {"snn": snn, "presentation": shown, **sections}
+    return Line(f"{stage} {name}", title, stage, changes)
+
+
+CHOICES = (
+    Line("rate-lif", "rate-based network, 150 Hz", "rate-lif", PAPER),
+    *(_presented(f"{n} steps", "spiking-lif", n) for n in (100, 50, 40, 30, 20)),
+    _presented("100 steps at 100 Hz", "spiking-lif", 100, 100.0),
+    _presented("100 steps, no synapse", "spiking-lif", 100, deployment={"synapse": 0.0}),
+    *(_presented(f"{n} steps", "fast", n) for n in (100, 50, 40, 30)),
+    *(_presented(f"{n} steps, no gap", "fast", n, presentation={"gap": 0}) for n in (100, 50)),
+)
+
+ARCHITECTURES = (
+    *("10x10-6c4-24c3-10o", "10x10-12c4s2-64-10o", "10x10-12c3-2a-48-10o"),
+    *("10x10-8c3s2p-24c3p-10o", "10x10-16c3s2p-32-10o", "10x10-8c4s2-32c3-10o"),
+    *("10x10-12c4s3-48-10o", "10x10-6c4-16c3s2-10o"),
+)
+
+ON_EVENTS = {"input": "events"}
+
+EXPERIMENTS = (
+    Experiment(
+        "table2",
+        "The paper's Table 2",
+        "40 min; SLAYER 5 h, events 80 min",
+        (
+            Line("cnn", "CNN, the paper's recipe", "cnn"),
+            Line("ann-snn", "ANN-SNN (NengoDL)", "spiking-lif", PAPER),
+            *_chip("loihi", "ANN-SNN", PAPER),
+            Line("slayer", "SNN-SLAYER", "slayer", on_request=True),
+            Line(
+                "slayer-small",
+                "SNN-SLAYER, a tenth of the initial weights",
+                "slayer-small",
+                on_request=True,
+            ),
+            Line("cnn-matched", "CNN, own training", "cnn-matched"),
+            Line("own-ann-snn", "ANN-SNN (NengoDL), own training", "spiking-lif", OWN),
+            *_chip("own-loihi", "ANN-SNN, own training", OWN),
+            Line("events", "SNN on events", "trained", on_request=True, **ON_EVENTS),
+            Line(
+                "events-loihi",
+                "SNN on events, emulated Loihi, readout on host",
+                "fast",
+                on_request=True,
+                **ON_EVENTS,
+            ),
+        ),
+        (
+            *(("ann-snn", "cnn"), ("loihi", "cnn"), ("loihi", "ann-snn"), ("slayer", "cnn")),
+            *(("cnn-matched", "cnn"), ("own-ann-snn", "cnn-matched"), ("own-loihi", "cnn-matched")),
+            *(("own-loihi-chip", "own-loihi"), ("events-loihi", "events")),
+            ("events-loihi", "cnn-matched"),
+        ),
+        writers=True,
+        note=f"{INPUT_NOTE} {EMULATED_NOTE}",
+    ),
+    Experiment(
+        "losses",
+        "What conversion and chip cost, against the CNN with the same training",
+        "15 min; events 80 min",
+        (
+            Line("cnn", "CNN, the paper's recipe", "cnn"),
+            Line("cnn-matched", "CNN, own training", "cnn-matched"),
+            Line("rate-lif", "rate-based LIF", "rate-lif"),
+            Line("spiking-lif", "spiking LIF, NengoDL", "spiking-lif"),
+            *(
+                line
+                for n in (100, 50)
+                for line in _chip(f"chip-{n}", f"{n} steps", {"presentation": {"steps": n}})
+            ),
+            Line("trained", "SNN on events", "trained", on_request=True, **ON_EVENTS),
+            Line(
+                "events-chip",
+                "SNN on events, emulated Loihi, readout on host",
+                "fast",
+                on_request=True,
+                **ON_EVENTS,
+            ),
+        ),
+        (
+            *((name, "cnn-matched") for name in ("cnn", "rate-lif", "spiking-lif")),
+            *((f"chip-{n}{on}", "cnn-matched") for n in (100, 50) for on in ("", "-chip")),
+            *(("trained", "cnn-matched"), ("events-chip", "trained")),
+        ),
+        note=f"{INPUT_NOTE} {EMULATED_NOTE}",
+    ),
+    Experiment(
+        "choices",
+        "The paper's networks with presentations and rates that it leaves open",
+        "15 min",
+        CHOICES,
+        tuple((line.name, "rate-lif") for line in CHOICES[1:]),
+        note=EMULATED_NOTE,
+    ),
+    Experiment(
+        "events",
+        "The value of timing: networks trained and tested on reduced events",
+        "20 min a seed",
+        tuple(Line(name, text, "fast", alter=name, **ON_EVENTS) for name, text in VARIANTS.items()),
+        tuple((name, "as-is") for name in VARIANTS if name != "as-is"),
+        seeds=1,
+        note=EMULATED_NOTE,
+    ),
+    Experiment(
+        "architectures",
+        "Architectures of the network on images, on validation samples",
+        "10 min a seed",
+        tuple(Line(text, text, "fast", {"cnn": {"architecture": text}}) for text in ARCHITECTURES),
+        tuple((text, ARCHITECTURES[0]) for text in ARCHITECTURES[1:]),
+        seeds=1,
+        validation=0.15,
+        note=EMULATED_NOTE,
+    ),
+    Experiment(
+        "difficulty",
+        "The paper's CNN with the paper's protocol",
+        "5 min",
+        (Line("cnn", "CNN, the paper's recipe", "cnn"),),
+        note=INPUT_NOTE,
+    ),
+)
+"""The experiments, by which ``python -m experiments`` finds them."""
+
+
+def measure(case: Case, networks: Library) -> dict:
+    """As :func:`pipeline.results.study.measure`, also for stages that only experiments have."""
+    if case.stage not in ("cnn-matched", "slayer", "slayer-small"):
+        return study.measure(case, networks)
+    dataset, settings = study.dataset_of(case), case.resolved
+    index = getattr(dataset.split, case.part)
+    if case.stage == "cnn-matched":
+        from pipeline.training import networks as training  # TensorFlow, where it is needed
+
+        recipe = training.RECIPES["loihi"]
+        trained = training.train_cnn(settings, dataset.part("train"), case.seed, recipe=recipe)
+        predictions = trained.logits(dataset.inputs[index]).argmax(1)
+        return study.row_of(case, dataset, index, predictions)
+    from experiments.slayer import predictions_of
+
+    scale = 10.0 if case.stage == "slayer-small" else 100.0
+    checkpoint = networks.path / case.stage / f"{case.split}-{case.seed:02d}.npz"
+    predictions, history = predictions_of(dataset, index, case.seed, scale, checkpoint)
+    return study.row_of(case, dataset, index, predictions, history=history)
+
+
+def cases_of(experiment: Experiment, lines, by_input: dict, seeds, splits) -> list:
+    """The cases of an experiment.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    lines : sequence of Line
+    by_input : dict of str to Settings
+        The settings of each ``input.kind``.
+    seeds, splits : iterable
+        Seeds, and kinds of splits.
+    """
+    part = "validation" if experiment.validation else "test"
+    always = {"split": {"validation_fraction": experiment.validation}}
+    settings = {
+        line.name: by_input[line.input].with_values({**always, **line.changes}, line.name)
+        for line in lines
+    }
+    return [
+        Case(line.name, settings[line.name], line.stage, seed, split, part, line.alter)
+        for split in splits
+        for seed in seeds
+        for line in lines
+    ]
+
+
+def run(experiment: Experiment, folder, settings, seeds: int, only: str, workers, say) -> tuple:
+    """Measure an experiment's missing rows, and make its table.
+
+    Returns
+    -------
+    dict, str
+        The table, and the failed cases in one line.
+
+    Raises
+    ------
+    UserError
+        There is no such row, or the recordings cannot be read or do not fit.
+    """
+    lines = chosen(experiment, only)
+    recordings = recordings_of(settings, workers.processes, say)
+    inputs = dict.fromkeys(line.input for line in lines)
+    by_input = study.fitted_to_inputs(settings, inputs, recordings, say)
+    splits = splits_of(experiment, settings, recordings)
+    folder.save_settings(settings)
+    cases = cases_of(
+        experiment, lines, by_input, range(settings.seed, settings.seed + seeds), splits
+    )
+    sha256 = recordings.source.sha256
+    rows, failed = study.study(cases, folder.path, sha256, workers, say, measure)
+    result = {"experiment": experiment.name, **study.table(rows, against=experiment.pairs)}
+    result["measured"] = {
+        "processor": processor(),
+        "python": platform.python_version(),
+        "packages": {name: version(name) for name in ("tensorflow", "numpy", "nengo-loihi")},
+        "ended": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+    }
+    write_json(folder.path / f"{experiment.name}.json", result)
+    return result, "; ".join(f"{c.name}, {c.split} {c.seed}: {e}" for c, e in failed.items())
+
+
+def splits_of(experiment: Experiment, settings, recordings) -> tuple:
+    """The kinds of splits: those of the settings, or random and, where it is asked, by writer."""
+    if settings.split.kind != "auto":
+        return (settings.split.kind,)
+    if recordings.is_split:
+        return ("published",)
+    known = experiment.writers and recordings.writers.min(initial=0) >= 0
+    return ("random", "writers") if known else ("random",)
+
+
+def chosen(experiment: Experiment, only: str) -> list:
+    """The lines that ``--only`` names, or all that are not on request.
+
+    Raises
+    ------
+    UserError
+    """
+    names = [name.strip() for name in only.split(",") if name.strip()]
+    known = [line.name for line in experiment.lines]
+    if unknown := [name for name in names if name not in known]:
+        raise UserError(f"--only: no row {unknown[0]!r}; the rows are {', '.join(known)}")
+    return [
+        line for line in experiment.lines if (line.name in names if names else not line.on_request)
+    ]
+
+
+def cells(experiment: Experiment, found: dict, split: str) -> list:
+    """The rows of a table as lists of text, the heads first; the paper's only on random splits."""
+    titles = {line.name: line.title for line in experiment.lines}
+    paper = experiment.name == "table2" and split == "random"
+    heads = ["accuracy (SD)", "95 % interval", "splits", "operations / CNN", "/ dense", "updates"]
+    lines = [[f"{split} splits", *heads, *(["paper, real data"] if paper else [])]]
+    for row in found["rows"]:
+        if row["split"] != split:
+            continue
+        sd = "" if row["sd"] is None else f" ({row['sd']:.3f})"
+        costs = row.get("costs", {})
+        ratios = [f"{costs[key]:.2f}" if key in costs else "" for key in ("per_cnn", "per_dense")]
+        cost = [*ratios, f"{costs['updates']:,.0f}" if "updates" in costs else ""]
+        interval = study.interval_text([min(max(b, 0.0), 1.0) for b in row["ci95"] or ()])
+        line = [titles[row["name"]], f"{row['mean']:.3f}{sd}", interval, str(len(row["seeds"]))]
+        lines.append([*line, *cost])
+        if paper:
+            known = TABLE2.get(row["name"])
+            lines[-1].append("{:.2f} ({:.2f})".format(*known) if known else "")
+    return lines
+
+
+def text(experiment: Experiment, found: dict) -> str:
+    """A result as tables."""
+    what = "simulated recordings" if found["simulated"] else "recordings"
+    lines = [f"{experiment.title}, on {what}: means over splits"]
+    for split in dict.fromkeys(row["split"] for row in found["rows"]):
+        lines += ["", *aligned(cells(experiment, found, split))]
+        if split == "published":
+            lines.append("the intervals are over trainings on this one split")
+    if comparisons := study.comparisons_cells(found):
+        heads = ["differences on the same samples", "points", "95 % interval", "p, Holm"]
+        lines += ["", *aligned([heads, *comparisons])]
+    lines += ["", *filter(None, [experiment.note])]
+    lines.append(
+        "operations: synaptic, readout included, relative to the multiply-accumulates of the "
+        "paper's CNN and of the dense form of the network itself; updates: of neurons, per "
+        "inference"
+    )
+    return "\n".join(lines)
+
+
+def processor() -> str:
+    """Name of this machine's processor, and its number of cores."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        name = next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        name = platform.processor()
+    return f"{name}, {os.cpu_count()} cores"
+
+
+Out = Annotated[Path, typer.Option(help="Folder of the rows, which are not measured again.")]
+Store = Annotated[str, typer.Option(help="Name of a file in results/ for the result.")]
+
+
+def command_of(experiment: Experiment) -> Callable:
+    """The command of an experiment."""
+
+    def command(
+        out: Out = Path("runs") / experiment.name,
+        seeds: Annotated[
+            int, typer.Option(help="Number of seeds, from that of the settings on.", min=1)
+        ] = experiment.seeds,
+        only: Annotated[str, typer.Option(help="Rows, separated by commas.")] = "",
+        *,
+        given: options.SeededGiven,
+        store: Store = "",
+        workers: options.Workers,
+        as_json: options.Json = False,
+    ):
+        with options.opened(out, given) as (folder, settings):
+            found, failed = run(experiment, folder, settings, seeds, only, workers, options.say)
+        if store and not failed:
+            write_json(RESULTS / f"{store}.json", found)
+        options.conclude(found, failed, lambda value: text(experiment, value), as_json)
+
+    command.__doc__ = f"{experiment.title}: {experiment.time}."
+    return command

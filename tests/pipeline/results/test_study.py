@@ -1,0 +1,197 @@
+"""Studies: rows are measured once and kept, a failure is said, and the statistics are right."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from deploy.errors import CheckFailed, UserError
+from pipeline.data.dataset import Dataset
+from pipeline.data.library import recordings_of
+from pipeline.results import study
+from pipeline.results.study import Case, Workers, estimate, holm, table
+from pipeline.settings import Settings
+
+SMALL = Settings().with_values(
+    {"data": {"samples_per_digit": 12}, "split": {"validation_fraction": 0.25}}, "test"
+)
+ONE = Workers(1)
+
+
+def row(name, seed, right, split="random", n_train=80, n_test=None, **more):
+    right = [int(r) for r in right]
+    return {
+        "name": name,
+        "seed": seed,
+        "split": split,
+        "n_train": n_train,
+        "n_test": n_test or len(right),
+        "accuracy": float(np.mean(right)),
+        "samples": list(range(len(right))),
+        "right": right,
+        "predictions": right,
+        "simulated": True,
+        "recordings": "0",
+        **more,
+    }
+
+
+def test_the_interval_is_that_of_overlapping_splits():
+    """Worked by hand: s = 0.01, 1/3 + 1/4 = 7/12, t of 2 degrees of freedom."""
+    found = estimate([0.89, 0.90, 0.91], n_train=80, n_test=20)
+    reach = 4.302652729911275 * 0.01 * (7 / 12) ** 0.5
+    assert found["mean"] == pytest.approx(0.9)
+    assert found["sd"] == pytest.approx(0.01)
+    np.testing.assert_allclose(found["ci95"], [0.9 - reach, 0.9 + reach])
+
+
+def test_a_published_split_has_the_interval_of_its_trainings():
+    values = [0.89, 0.90, 0.91]
+    found = estimate(values, 80, 20, "published")
+    expected = stats.t.interval(0.95, 2, np.mean(values), stats.sem(values))
+    np.testing.assert_allclose(found["ci95"], expected)
+
+
+@pytest.mark.parametrize("values", [[0.9], [0.2, 0.8]])
+def test_there_is_no_interval_of_fewer_than_three_splits(values):
+    found = estimate(values, 80, 20)
+    assert (found["ci95"], found["p"], found["sd"]) == (None, None, None)
+
+
+def test_p_of_no_difference_and_of_a_constant_one():
+    assert estimate([0.0, 0.0, 0.0], 80, 20)["p"] == 1
+    assert estimate([0.5, 0.5, 0.5], 80, 20)["p"] == 0
+
+
+def test_holm_by_hand():
+    assert holm([0.01, 0.04, None, 0.03]) == pytest.approx([0.03, 0.06, None, 0.06])
+    assert holm([0.9, 0.8]) == [1.0, 1.0]
+    assert holm([]) == []
+
+
+def test_the_shares_are_those_of_the_split_whatever_was_evaluated():
+    """Ten of 100 test samples say as little about other splits as all of them (issue: 200)."""
+    rows = [row("chip", seed, [1] * (7 + seed) + [0] * (3 - seed), n_test=100) for seed in range(3)]
+    (entry,) = table(rows)["rows"]
+    assert entry["n_test"] == 100
+    expected = estimate([0.7, 0.8, 0.9], 80, 100)["ci95"]
+    np.testing.assert_allclose(entry["ci95"], expected)
+
+
+def test_differences_are_paired_on_the_samples_that_both_have():
+    ones = [row("a", seed, [1, 1, 0, 0]) for seed in range(3)]
+    others = [row("b", seed, [1, 0]) for seed in range(3)]
+    (found,) = table([*ones, *others], against=[("b", "a")])["comparisons"]
+    assert (found["a"], found["b"], found["split"]) == ("b", "a", "random")
+    assert found["mean"] == -0.5  # on samples 0 and 1; a loss is negative
+    assert found["agreement"] == 0.5
+    assert len(found["values"]) == 3
+
+
+def test_a_single_split_has_wilson_and_mcnemar():
+    rows = [row("a", 0, [1] * 9 + [0]), row("b", 0, [0] * 10)]
+    found = table(rows, against=[("a", "b"), ("a", "missing")])
+    np.testing.assert_allclose(found["rows"][0]["ci95"], [0.5958, 0.9821], atol=1e-4)
+    (compared,) = found["comparisons"]
+    assert compared["p"] == pytest.approx(2 / 2**9)
+    assert compared["ci95"] is None
+
+
+def test_splits_of_other_kinds_are_apart():
+    rows = [row("a", 0, [1, 0], "random"), row("a", 0, [1, 1], "writers")]
+    means = {entry["split"]: entry["mean"] for entry in table(rows)["rows"]}
+    assert means == {"random": 0.5, "writers": 1.0}
+
+
+def test_costs_are_averaged():
+    costs = [{"operations": n, "spikes": {"input": n}} for n in (1.0, 3.0)]
+    rows = [row("a", seed, [1], costs=cost) for seed, cost in enumerate(costs)]
+    assert table(rows)["rows"][0]["costs"] == {"operations": 2.0}
+
+
+def counting(case, networks):
+    """A measurement that leaves a mark, and fails for the seed 3."""
+    if case.seed == 3:
+        raise UserError("seed 3 is not measured")
+    with open(networks.path.parent / "calls", "a") as file:
+        file.write(f"{case.name} {case.seed}\n")
+    return {"recordings": "0", "seed": case.seed}
+
+
+def test_rows_are_measured_once_and_what_is_missing_later(tmp_path):
+    cases = [Case("a", SMALL, "cnn", seed) for seed in range(2)]
+    more = [*cases, Case("a", SMALL, "cnn", 2)]
+    for some in (cases, more, more):
+        rows, failed = study.study(some, tmp_path, "0", ONE, print, counting)
+        assert [r["seed"] for r in rows] == [case.seed for case in some]
+        assert failed == {}
+    assert (tmp_path / "calls").read_text().split() == ["a", "0", "a", "1", "a", "2"]
+
+
+def test_a_failure_is_said_and_the_others_stand(tmp_path):
+    cases = [Case("a", SMALL, "cnn", seed) for seed in (2, 3)]
+    said = []
+    rows, failed = study.study(cases, tmp_path, "0", ONE, said.append, counting)
+    assert [r["seed"] for r in rows] == [2]
+    assert "seed 3 is not measured" in failed[cases[1]]
+    assert said == ["seed 3 is not measured"]
+    with pytest.raises(CheckFailed):
+        study.study(cases[1:], tmp_path, "0", ONE, said.append, counting)
+
+
+def test_a_worker_with_other_recordings_is_refused(tmp_path):
+    with pytest.raises(CheckFailed):
+        study.study([Case("a", SMALL, "cnn")], tmp_path, "1", ONE, print, counting)
+
+
+def test_the_key_of_a_case_is_of_all_that_it_depends_on():
+    case = Case("a", SMALL, "cnn")
+    others = [
+        replace(case, seed=1),
+        replace(case, split="writers"),
+        replace(case, part="validation"),
+        replace(case, alter="even"),
+        replace(case, stage="fast"),
+        replace(case, settings=SMALL.with_values({"cnn": {"epochs": 7}}, "")),
+    ]
+    keys = {one.key("0") for one in (case, *others)} | {case.key("1")}
+    assert len(keys) == 8
+    assert replace(case, name="b").key("0") == case.key("0")
+
+
+def test_cases_that_differ_in_deployment_share_networks():
+    one, two, three = (
+        Case("a", SMALL.with_values(changes, ""), "fast")
+        for changes in ({}, {"presentation": {"steps": 50}}, {"snn": {"spike_penalty": 0.1}})
+    )
+    assert one.trained == two.trained != three.trained
+
+
+def test_validation_samples_are_never_test_samples():
+    whole = Dataset.of(SMALL)
+    dataset = study.dataset_of(Case("a", SMALL, "fast", part="validation"))
+    assert len(dataset.split.test) == 0
+    assert len(dataset.split.validation) == 24  # of 96 that are not for testing
+    assert not {*dataset.split.train, *dataset.split.validation} & {*whole.split.test}
+    assert dataset.origin.key != whole.origin.key
+
+
+@pytest.mark.slow
+def test_a_small_study_of_a_network(tmp_path):
+    tiny = {"data": {"samples_per_digit": 20}, "cnn": {"epochs": 2}, "snn": {"epochs": 1}}
+    settings = Settings().with_values({**tiny, "presentation": {"steps": 30}}, "test")
+    stages = ("cnn", "rate-lif", "spiking-lif", "fast")
+    cases = [Case(stage, settings, stage) for stage in stages]
+    sha256 = recordings_of(settings).source.sha256
+    rows, failed = study.study(cases, tmp_path, sha256, ONE, print)
+    assert failed == {}
+    assert json.loads(json.dumps(rows)) == rows
+    for found in rows:
+        assert (found["n_train"], found["n_test"]) == (160, 40)
+        assert found["accuracy"] == np.mean(found["right"])
+    costs = rows[-1]["costs"]
+    assert costs["per_cnn"] == costs["per_dense"] > 0  # it has the architecture of the paper's CNN
+    assert costs["updates"] == 894 * 50
+    assert len(list((tmp_path / "rows").iterdir())) == 4
