@@ -67,6 +67,8 @@ def part(name: str) -> str:
     """
     if name in ("commands", "settings"):
         return globals()[name]()
+    if name.endswith("-brief"):
+        return brief(result(name.removesuffix("-brief")))
     content = result(name)
     kind = content.get("experiment", "sweep")
     if kind == "sweep":
@@ -83,6 +85,19 @@ def part(name: str) -> str:
         compared += study.comparisons_cells(content)
         parts.append(markdown(compared))
     return "\n\n".join([*parts, experiment.note])
+
+
+def brief(content: dict) -> str:
+    """A study's accuracies: a row for each line, a column for each kind of split."""
+    experiment = next(one for one in studies.EXPERIMENTS if one.name == content["experiment"])
+    splits = list(dict.fromkeys(row["split"] for row in content["rows"]))
+    rows = {(row["split"], row["name"]): row for row in content["rows"]}
+    lines = [["accuracy, mean (SD) over splits", *(f"{split} splits" for split in splits)]]
+    for line in experiment.lines:
+        found = [rows.get((split, line.name)) for split in splits]
+        texts = [f"{r['mean']:.3f} ({r['sd']:.3f})" if r else "" for r in found]
+        lines += [[line.title, *texts]] if any(texts) else []
+    return f"{markdown(lines)}\n\n{experiment.note}"
 
 
 def markdown(cells) -> str:

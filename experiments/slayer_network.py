@@ -45,7 +45,7 @@ import numpy as np
 
 from deploy.network.geometry import unpooled
 from experiments import slayer_kernels as kernels
-from models.architecture import Architecture
+from models.architecture import Architecture, Convolution, Dense
 
 PART = 100
 """Time steps that all layers process in turn; their arrays then stay in a core's cache."""
@@ -128,6 +128,42 @@ class SpikeResponse:
         return np.cumsum(kernel)[::-1].astype(np.float32)
 
 
+@dataclass(frozen=True)
+class Folded:
+    """A layer with weights and the pooling before it.
+
+    Attributes
+    ----------
+    layer : Convolution or Dense
+    input_shape : tuple of int
+        Output shape of the previous layer with weights, before pooling.
+    pool : int
+        Side length of the pooling windows; 1 without pooling.
+    pooled_shape, shape : tuple of int
+        Input shape (after pooling) and output shape of ``layer``.
+    """
+
+    layer: Convolution | Dense
+    input_shape: tuple
+    pool: int
+    pooled_shape: tuple
+    shape: tuple
+
+
+def folded_layers(architecture: Architecture) -> tuple:
+    """The layers with weights, each with the pooling before it, as :class:`Folded`."""
+    layers, before, pool = [], architecture.input_shape, 1
+    for layer, read, shape in zip(
+        architecture.layers, architecture.shapes[:-1], architecture.shapes[1:], strict=True
+    ):
+        if layer.kind == "pool":
+            pool *= layer.size
+        else:
+            layers.append(Folded(layer, before, pool, read, shape))
+            before, pool = shape, 1
+    return tuple(layers)
+
+
 class SlayerNetwork:
     """A network of convolutions and dense layers with spike response neurons.
 
@@ -161,7 +197,7 @@ class SlayerNetwork:
         self.architecture, self.neuron = architecture, neuron or SpikeResponse()
         rng = np.random.default_rng(seed)
         self.kernels, self._layers = [], []
-        for folded in architecture.folded:
+        for folded in folded_layers(architecture):
             is_conv = folded.layer.kind == "conv"
             shape = folded.layer.weight_shapes(folded.pooled_shape)["kernel"]
             reach = (conv_scale if is_conv else dense_scale) / np.sqrt(np.prod(shape[:-1]))
@@ -189,7 +225,7 @@ class SlayerNetwork:
         """
         self._load()
         self._run(sample)
-        shapes = [(len(sample), *folded.shape) for folded in self.architecture.folded]
+        shapes = [(len(sample), *folded.shape) for folded in folded_layers(self.architecture)]
         return [
             (layer.potential.reshape(shape).copy(), layer.spikes.reshape(shape).copy())
             for layer, shape in zip(self._layers, shapes, strict=True)

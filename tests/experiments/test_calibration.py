@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from deploy.errors import CheckFailed
-from deploy.files import read_json
 from experiments import calibration
 from experiments.calibration import BOUNDS, LEFT_OUT, calibrate, cells, step
 from experiments.document import result

@@ -173,7 +173,9 @@ def forward(reference, network, kernels, sample, smooth_around=None):
     plus the change of the smooth spike, whose derivative there is rho.
     """
     response, held, potentials, spikes = convolve(reference.eps, sample.astype(float)), [], [], []
-    for i, (folded, kernel) in enumerate(zip(network.architecture.folded, kernels, strict=True)):
+    for i, (folded, kernel) in enumerate(
+        zip(slayer.folded_layers(network.architecture), kernels, strict=True)
+    ):
         current = weigh(pooled(response, folded.pool), kernel, folded)
         if smooth_around is None:
             fired, potential = reference.fire(current)
