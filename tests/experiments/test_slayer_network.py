@@ -173,9 +173,8 @@ def forward(reference, network, kernels, sample, smooth_around=None):
     plus the change of the smooth spike, whose derivative there is rho.
     """
     response, held, potentials, spikes = convolve(reference.eps, sample.astype(float)), [], [], []
-    for i, (folded, kernel) in enumerate(
-        zip(slayer.folded_layers(network.architecture), kernels, strict=True)
-    ):
+    folded_layers = slayer.folded_layers(network.architecture)
+    for i, (folded, kernel) in enumerate(zip(folded_layers, kernels, strict=True)):
         current = weigh(pooled(response, folded.pool), kernel, folded)
         if smooth_around is None:
             fired, potential = reference.fire(current)
