@@ -10,9 +10,9 @@ import numpy as np
 import scipy.linalg.cython_blas  # noqa: F401  (Numba's products call it; its threads are limited)
 from threadpoolctl import threadpool_limits
 
+from experiments.frames import bin_events
 from experiments.slayer_network import SlayerNetwork, SpikeResponse
 from models.architecture import parse
-from pipeline.data.frames import bin_events
 from pipeline.paper import DURATION_S
 from pipeline.training.checkpoint import Checkpoint, train_epochs
 
@@ -101,7 +101,7 @@ def train_slayer(
     ----------
     settings : Slayer
     frames : ndarray of uint8, shape (n_samples, bins, rows, columns, 2)
-        See :func:`pipeline.data.frames.bin_events`.
+        See :func:`experiments.frames.bin_events`.
     labels : ndarray of int, shape (n_samples,)
     train, test : ndarray of int
         Indices of samples.

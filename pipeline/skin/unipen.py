@@ -3,7 +3,8 @@
 Only the parts for isolated, labelled symbols are read: ``.COORD`` (the order of a point's values),
 ``.SEGMENT`` (its components and its label), ``.PEN_DOWN``, ``.PEN_UP`` and the points under them
 (I. Guyon et al., "UNIPEN project of on-line data exchange and recognizer benchmarks", ICPR 1994).
-Each digit's strokes must follow its ``.SEGMENT``, with the numbers that it names.
+Each digit's strokes must follow its ``.SEGMENT``, as many as it names: in a part of a file their
+numbers need not start at 0.
 """
 
 from __future__ import annotations
@@ -51,13 +52,13 @@ def read(path) -> tuple:
             f"{path}: cannot read ({error.strerror or error}); give a UNIPEN file"
         ) from error
     traces, segment, strokes, pen_down = [], None, [], False
-    begin, before, x_y = 1, 0, (0, 1)  # line of the segment, strokes before it, places of x and y
+    begin, x_y = 1, (0, 1)  # line of the segment, places of x and y
 
     def finish():
         if segment is None:
             return
-        label, writer, components = segment
-        if re.fullmatch("[0-9]", label) and components != (before, before + len(strokes) - 1):
+        label, writer, n_strokes = segment
+        if re.fullmatch("[0-9]", label) and n_strokes != len(strokes):
             raise UserError(
                 f"{path}: line {begin}: the strokes below it are not those that the segment names; "
                 "give a UNIPEN file in which each digit's strokes follow its .SEGMENT"
@@ -71,8 +72,8 @@ def read(path) -> tuple:
             if keyword == ".SEGMENT":
                 finish()
                 match = _SEGMENT.match(line)
-                segment = (match[2], -1, _components(match[1])) if match else None
-                begin, before, strokes = number, before + len(strokes), []
+                segment = (match[2], -1, _strokes_of(match[1])) if match else None
+                begin, strokes = number, []
             elif keyword == ".COMMENT" and segment is not None and not strokes:
                 segment = segment[0], _writer(line, segment[0]), segment[2]
             elif keyword == ".COORD":
@@ -104,10 +105,10 @@ def read(path) -> tuple:
     return tuple(traces)
 
 
-def _components(text):
-    """First and last number of the components in ``3`` or ``3-5``; None for another form."""
-    match = _COMPONENTS.fullmatch(text)
-    return (int(match[1]), int(match[2] or match[1])) if match else None
+def _strokes_of(components):
+    """Number of the components in ``3`` or ``3-5``; None for another form."""
+    match = _COMPONENTS.fullmatch(components)
+    return int(match[2] or match[1]) - int(match[1]) + 1 if match else None
 
 
 def _writer(comment, label):

@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-from dataclasses import replace
 
 import pytest
 
@@ -186,17 +185,12 @@ def test_simulated_and_other_samples_are_told_apart():
     assert "simulated" not in runs_text(compare_runs([runs[1], runs[1]]))
 
 
-def of_recordings(sha256):
-    spec = paper_spec()
-    return replace(spec, provenance={**spec.provenance, "source_sha256": sha256})
-
-
 def test_the_same_recordings_in_another_place_are_no_difference():
     """Their content is compared."""
     for sha256, names in (("0", []), ("1", ["data.source"])):
         runs = [
-            run("a", [], spec=of_recordings("0"), changes={"data": {"source": "here.zip"}}),
-            run("b", [], spec=of_recordings(sha256), changes={"data": {"source": "there.zip"}}),
+            run("a", [], source="0", changes={"data": {"source": "here.zip"}}),
+            run("b", [], source=sha256, changes={"data": {"source": "there.zip"}}),
         ]
         assert [setting["name"] for setting in compare_runs(runs)["settings"]] == names
 
@@ -209,7 +203,7 @@ def test_the_text_fits_80_columns(n):
     counts = {"operations": {"conv1": 10**9}, "stable_after_median": 99.5}
     runs = [
         run(f"runs/{i}", [result("spiking-lif", FIVE_RIGHT), result("nengo", ALL, **counts)],
-            spec=of_recordings(str(i)), changes={**long, "seed": i} if i else {})
+            spec=paper_spec(), source=str(i), changes={**long, "seed": i} if i else {})
         for i in range(n)
     ]  # fmt: skip
     compared = compare_runs(runs)

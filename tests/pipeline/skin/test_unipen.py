@@ -84,7 +84,6 @@ def test_written_on_the_skin(tmp_path):
             for point in ("nan 1", "1 -inf", "1e400 1", "1 -1e308")
         ),
         ('.SEGMENT DIGIT 0-1 ? "3"\n.PEN_DOWN\n 1 2\n 1 3\n.PEN_UP\n', "line 1:"),
-        ('.SEGMENT DIGIT 1 ? "3"\n.PEN_DOWN\n 1 2\n 1 3\n.PEN_UP\n', "line 1:"),
         ('.SEGMENT DIGIT 0:0-0:5 ? "3"\n.PEN_DOWN\n 1 2\n 1 3\n.PEN_UP\n', "line 1:"),
         (
             '.SEGMENT DIGIT 0 ? "3"\n.SEGMENT DIGIT 1 ? "4"\n'
@@ -103,6 +102,16 @@ def test_bad_files(tmp_path, text, problem):
     with pytest.raises(UserError, match=problem) as raised:
         unipen.read(path)
     assert str(path) in str(raised.value)
+
+
+def test_a_part_of_a_file_for_one_writer(tmp_path):
+    """The numbers of its strokes do not start at 0, and those of other writers are missing."""
+    strokes = ".PEN_DOWN\n 1 2\n 1 3\n.PEN_UP\n"
+    path = tmp_path / "one.unipen"
+    path.write_text(
+        f'.SEGMENT DIGIT 12 ? "3"\n{strokes}.SEGMENT DIGIT 40-41 ? "4"\n{strokes}{strokes}'
+    )
+    assert [(t.digit, len(t.strokes)) for t in unipen.read(path)] == [(3, 1), (4, 2)]
 
 
 def test_missing_file(tmp_path):

@@ -16,12 +16,21 @@ ON, OFF = "red", "black"
 FRAMES = 8
 """Tactile images above the raster."""
 
+BINS = 40
+"""Intervals of time of a recording of a strip on a sheet."""
+
+TILE = 43.0
+"""Width of a recording on a sheet in points."""
+
 NAME, CHARACTER = 24, 0.085
 """Largest number of characters of a class on a sheet, and the width of one in inches."""
 
 
 def recording(recordings: Recordings, index: int) -> Figure:
     """The tactile image as it grows, above a raster of all taxels (paper, Figure 4).
+
+    A sensor with known positions of its taxels is drawn as it is; without them, taxels in one row
+    are drawn as a column beside the raster's axis.
 
     Parameters
     ----------
@@ -38,14 +47,17 @@ def recording(recordings: Recordings, index: int) -> Figure:
     grown = growing(events, recordings.taxels, ends * 1e9, sensor=sensor)
     grown = grown / max(grown[-1].max(), 1)
     for axes, end, image in zip(frames.subplots(1, FRAMES), ends, grown, strict=True):
-        _show(axes, image)
+        _show(axes, recordings.taxels, image, 2 * TILE)
         axes.set_title(f"to {end:.2f} s", fontsize=9)
     axes = raster.subplots()
     seconds = events.time_ns * 1e-9
     for polarity, colour, label in ((1, ON, "ON"), (-1, OFF, "OFF")):
-        mine = events.polarity == polarity
+        chosen = events.polarity == polarity
         axes.scatter(
-            seconds[mine], events.taxel[mine] + 1, 4, colour, marker="|", linewidths=1, label=label
+            *(seconds[chosen], events.taxel[chosen] + 1, 4, colour),
+            marker="|",
+            linewidths=1,
+            label=label,
         )
     axes.set(xlim=(0, duration_s), ylim=(0.5, len(recordings.taxels) + 0.5))
     axes.set_xlabel("time (s)")
@@ -56,6 +68,9 @@ def recording(recordings: Recordings, index: int) -> Figure:
 
 def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
     """Tactile images of samples drawn at random, a row for each class.
+
+    Without known positions, recordings of taxels in one row are drawn as taxels (down) over time
+    (to the right).
 
     Parameters
     ----------
@@ -71,10 +86,11 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
     names = dict(zip(digits, shortened_apart([classes[d] for d in digits], NAME), strict=True))
     margin = max(0.3, 0.2 + CHARACTER * max(map(len, names.values())))
     width = 0.6 * per_digit + 0.1 + margin
-    figure = Figure(figsize=(width, 0.6 * len(digits) + 0.5))
+    height = 0.6 * len(digits) + 0.5
+    figure = Figure(figsize=(width, height))
     figure.suptitle(_source(recordings))
     panels = figure.subplots(len(digits), per_digit, squeeze=False)
-    figure.subplots_adjust(margin / width, 0.01, 0.99, 0.94, 0.06, 0.06)
+    figure.subplots_adjust(margin / width, 0.01, 0.99, 1 - 0.4 / height, 0.06, 0.06)
     for row, digit in zip(panels, digits, strict=True):
         pool = np.flatnonzero(recordings.labels == digit)
         chosen = np.sort(rng.choice(pool, min(per_digit, len(pool)), replace=False))
@@ -82,7 +98,10 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
         for axes in row[len(chosen) :]:
             axes.set_visible(False)
         for axes, index in zip(row, chosen, strict=False):
-            _show(axes, images[index])
+            if _is_strip(recordings.taxels):
+                _show_over_time(axes, recordings, index)
+            else:
+                _show(axes, recordings.taxels, images[index], TILE)
     return figure
 
 
@@ -91,8 +110,35 @@ def _duration_s(recordings, events):
     return max(recordings.sensor.duration_s, (int(events.time_ns.max(initial=0)) + 1) * 1e-9)
 
 
-def _show(axes, image):
-    axes.imshow(image, cmap="gray_r", vmin=0, vmax=1)
+def _is_strip(taxels):
+    """True if taxels are in one row or column, and their positions are not known."""
+    return taxels.positions is None and 1 in (np.ptp(taxels.row) + 1, np.ptp(taxels.column) + 1)
+
+
+def _show(axes, taxels, image, width):
+    """A tactile image, [row, column], whose axes are some points wide."""
+    grey = {"cmap": "gray_r", "vmin": 0, "vmax": 1}
+    if taxels.positions is not None:
+        size = (width / (2 * np.sqrt(len(taxels)))) ** 2
+        values = image[taxels.row, taxels.column]
+        axes.scatter(*taxels.positions.T, size, values, edgecolors="0.7", linewidths=0.3, **grey)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.invert_yaxis()
+        axes.margins(0.1)
+    elif _is_strip(taxels):
+        axes.imshow(image.reshape(-1, 1), aspect="auto", origin="lower", **grey)
+    else:
+        axes.imshow(image, **grey)
+    axes.set(xticks=[], yticks=[])
+
+
+def _show_over_time(axes, recordings, index):
+    """Number of events of each taxel in each interval of time, as shades of its square root."""
+    events, n = recordings[index], len(recordings.taxels)
+    duration_ns = 1e9 * _duration_s(recordings, events)
+    ranges = ((0, n), (0, duration_ns))
+    counts, _, _ = np.histogram2d(events.taxel, events.time_ns, (n, BINS), ranges)
+    axes.imshow(np.sqrt(counts), aspect="auto", origin="lower", cmap="gray_r", vmin=0)
     axes.set(xticks=[], yticks=[])
 
 

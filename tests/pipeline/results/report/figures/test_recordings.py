@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from pipeline.data.events import Events, Source, collect
+from pipeline.data.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.results.report.figures import recordings as data_figures
 
 
@@ -83,3 +83,23 @@ def test_sheet_has_a_row_for_each_digit(recordings):
     assert image[9, 9] == 1
     assert image.sum() == 1
     assert "simulated" in figure.get_suptitle()
+
+
+@pytest.mark.parametrize("positions", [None, [[0.0, 0.0], [1.0, 2.0], [5.0, -1.0]]])
+def test_taxels_in_one_row_are_drawn_where_they_are_or_over_time(positions):
+    taxels = TaxelMap(np.zeros(3, int), np.arange(3), positions and np.array(positions))
+    samples = [Events([0, 9e8], [0, 2], [1, -1], [1, 1]), Events([5e8], [1], [1], [1])]
+    strip = collect(samples, [0, 1], ["a/0", "b/0"], [-1, -1], Source("strip", "", False), taxels,
+                    Sensor(1, 3, duration_s=1.0, classes=("a", "b")))  # fmt: skip
+    first, second = data_figures.sheet(strip, per_digit=1).get_axes()
+    *_, last, _ = data_figures.recording(strip, 0).get_axes()
+    if positions:
+        for axes, expected in ((first, [1, 0, 1]), (second, [0, 1, 0]), (last, [1, 0, 1])):
+            (points,) = axes.collections
+            np.testing.assert_array_equal(points.get_offsets(), positions)
+            np.testing.assert_array_equal(points.get_array(), expected)
+            assert axes.yaxis_inverted()
+    else:
+        image = np.asarray(first.images[0].get_array())
+        assert [list(place) for place in np.argwhere(image)] == [[0, 0], [2, 36]]
+        np.testing.assert_array_equal(last.images[0].get_array(), [[1], [0], [1]])

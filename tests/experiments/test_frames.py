@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from experiments.frames import bin_events
 from pipeline.data.events import Events, Source, TaxelMap, collect, expand_bursts
-from pipeline.data.frames import after_the_bins, bin_events
 
 SOURCE = Source("made by hand", "0" * 64, simulated=True)
 
@@ -50,8 +50,6 @@ def test_the_lookup_table_decides_where_a_taxel_is():
 def test_events_outside_the_two_seconds_are_left_out():
     late = recordings([[2_000_000_000, 5, 1, 1], [3 * 10**9, 5, 1, 1]])
     assert not bin_events(late).any()
-    assert after_the_bins(late) == 2
-    assert after_the_bins(recordings([[1_999_999_999, 5, 1, 1]])) == 0
 
 
 def test_a_recording_without_events_is_silent():

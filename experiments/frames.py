@@ -42,14 +42,6 @@ def bin_events(recordings: Recordings, bins: int = 200) -> np.ndarray:
     return frames
 
 
-def after_the_bins(recordings: Recordings) -> int:
-    """Number of events after the duration, which :func:`bin_events` leaves out.
-
-    The duration of recordings in the published layout is 2 s, whatever their events are.
-    """
-    return int(np.sum(_bin_of_event(recordings, 1) > 0))
-
-
 def _bin_of_event(recordings, bins):
     duration_ns = recordings.sensor.duration_s * 1e9
     return (recordings.events.time_ns * bins / duration_ns).astype(np.int64)
