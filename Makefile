@@ -24,7 +24,7 @@ BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $
 ON_ALL_CORES := --numprocesses logical --maxprocesses 4 --dist worksteal
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
 
-.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark results report live shipped-bundle test test-pythons torture lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava setup-peers test-peers audit clean help
+.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark results report live shipped-bundle test test-pythons lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava setup-peers test-peers audit clean help
 .DEFAULT_GOAL := help
 
 setup:  ## Install the versions pinned in constraints.txt into .venv (2.6 GB)
@@ -78,9 +78,6 @@ test-pythons:  ## Run the tests on each of Python 3.11 to 3.13 that this machine
 	  sh setup.sh .venv-$$version "$$python" && echo "Python $$version:" && \
 	  .venv-$$version/bin/python -m pytest $(ON_ALL_CORES) $(TESTS) || exit; \
 	done
-
-torture: setup  ## Damaged input, kills, orphans, full disks, attacks: an hour (TORTURE: options)
-	@$(BIN)/python -m tests.torture $(TORTURE)
 
 lint: setup  ## Check style
 	@$(BIN)/ruff check .

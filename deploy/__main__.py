@@ -2,17 +2,17 @@
 
 import sys
 
-from .interrupts import end_at_once
 from .requirements import complaint
-from .terminal import prepare, remark
+from .terminal import INTERRUPTED, INTERRUPTION, remark
 
 if __name__ == "__main__":
-    end_at_once("deploy")
-    prepare()
     problem = complaint()
     if problem is not None:
         remark("deploy: " + problem)
         sys.exit(2)
-    from .cli import main
-
+    try:
+        from .cli import main
+    except KeyboardInterrupt:
+        remark("deploy: " + INTERRUPTION)
+        sys.exit(INTERRUPTED)
     sys.exit(main())

@@ -7,7 +7,7 @@ import json
 import sys
 from pathlib import Path
 
-from . import __version__, interrupts
+from . import __version__
 from .check.bundle import read_bundle, result_beside
 from .check.results import compare_results, enforce, read_result, require_limits
 from .check.run import run_check
@@ -16,7 +16,7 @@ from .errors import CheckFailed, UserError, line_of, one_line
 from .preflight.plan import make_plan, plan_text
 from .targets.board import BoardOptions, nxsdk_version
 from .targets.registry import TARGETS, options_for
-from .terminal import drop_unwritable, prepare, remark, show
+from .terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare, remark, show
 
 
 def main(arguments=None) -> int:
@@ -36,13 +36,12 @@ def main(arguments=None) -> int:
     except CheckFailed as error:
         return _say(line_of(error), 1)
     except BrokenPipeError:  # the reader, such as head, has closed the pipe
+        drop_output()
         return 0
     except (UserError, MemoryError, OSError) as error:
         return _say(line_of(error), 2)
     except KeyboardInterrupt:
-        return _say(interrupts.LINE, interrupts.STATUS)
-    finally:
-        drop_unwritable()
+        return _say(INTERRUPTION, INTERRUPTED)
 
 
 def _say(message, status):
@@ -115,7 +114,7 @@ def _check(options):
         if sys.stderr.isatty():
             print(f"\r{options.target}: {done} of {total} samples", end="", file=sys.stderr)
 
-    result = run_check(bundle, options.target, out, options.seed, advance, chosen, remark)
+    result = run_check(bundle, options.target, out, options.seed, advance, chosen)
     if sys.stderr.isatty():
         print(file=sys.stderr)
     show(summary(result))

@@ -1,4 +1,8 @@
-"""Files: written completely or not at all, hashed, and never executed on reading."""
+"""Files: written completely or not at all, hashed, and never executed on reading.
+
+A file is written under a temporary name beside its place, ``.<name>.<random>.tmp``, and renamed.
+A process that is killed can leave such a file, which :func:`remove_leftovers` removes.
+"""
 
 import contextlib
 import errno
@@ -6,7 +10,6 @@ import fcntl
 import hashlib
 import json
 import os
-import re
 import shutil
 import stat
 import tempfile
@@ -17,7 +20,9 @@ import numpy as np
 
 from . import limits
 from .errors import UserError
-from .interrupts import at_the_end
+
+TEMPORARY = ".tmp"
+"""End of the names of temporary files and folders, which begin with a dot."""
 
 
 @contextlib.contextmanager
@@ -44,58 +49,19 @@ def replacing(path, mode="wb"):
     UserError
         The folder or file cannot be written.
     """
-    path = Path(path)
+    path, temporary = Path(path), None
     if path.exists() and not path.is_file():  # would replace /dev/null
         raise UserError(f"{path}: cannot write (not a file); choose another name")
-    with _written_beside(path, "." + path.name + ".", mode, os.replace) as file:
-        yield file
-
-
-@contextlib.contextmanager
-def creating(path, prefix):
-    """Open a temporary file beside ``path`` that gets this name unless the name is taken.
-
-    Parameters
-    ----------
-    path : path-like
-        The file to write.  Missing parent folders are made.
-    prefix : str
-        Start of the temporary file's name; the next call removes the files of killed processes.
-
-    Yields
-    ------
-    file object
-        Open for writing bytes.  On any exception it is removed.
-
-    Raises
-    ------
-    FileExistsError
-        Something is at ``path``; it does not change.
-    UserError
-        The folder or file cannot be written.
-    """
-    with _written_beside(Path(path), prefix, "wb", _name_exclusively) as file:
-        yield file
-
-
-@contextlib.contextmanager
-def _written_beside(path, prefix, mode, rename):
-    """A temporary file, to which ``rename(temporary, path)`` is applied when the block succeeds."""
-    temporary = None
     try:
-        make_folder(path.parent)
-        handle, temporary = temporary_file(path.parent, prefix)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(TEMPORARY, f".{path.name}.", str(path.parent))
         options = {} if "b" in mode else {"encoding": "utf-8", "newline": "\n"}
         with os.fdopen(handle, mode, **options) as file:
-            with at_the_end(os.unlink, temporary):
-                yield file
+            yield file
             file.flush()
-            # mkstemp makes files that only their owner can read.
-            os.fchmod(handle, 0o666 & ~_umask())
-            rename(temporary, str(path))  # before it is closed, so that it is always locked
-            temporary = None
-    except _NameTaken as error:
-        raise FileExistsError(errno.EEXIST, "something has this name", str(path)) from error
+            os.fchmod(handle, 0o666 & ~_umask())  # mkstemp's files are for their owner only
+        os.replace(temporary, str(path))
+        temporary = None
     except OSError as error:
         raise UserError(
             f"{path}: cannot write ({error.strerror or error}); "
@@ -107,120 +73,26 @@ def _written_beside(path, prefix, mode, rename):
                 os.unlink(temporary)
 
 
-class _NameTaken(Exception):
-    """A file cannot be created, because its name is taken."""
-
-
-def _name_exclusively(temporary, path):
-    """Rename a file, but never replace another one, which :func:`os.rename` would do."""
-    try:
-        try:
-            os.link(temporary, path, follow_symlinks=False)
-        except FileExistsError:
-            raise
-        except OSError:  # no links in this file system: an empty file reserves the name
-            os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW))
-            os.replace(temporary, path)
-            return
-    except FileExistsError as error:
-        raise _NameTaken from error
-    os.unlink(temporary)
-
-
-def temporary_file(folder, prefix):
-    """Create a temporary file and lock it; see :func:`temporary_folder`."""
-    return _locked_from_the_start(tempfile.mkstemp, folder, prefix)
-
-
-def temporary_folder(folder, prefix):
-    """Create a temporary folder and lock it; first remove those of killed processes.
-
-    Parameters
-    ----------
-    folder : path-like
-        Where it is created.
-    prefix : str
-        Start of the name; users do not choose such a name, since abandoned files are removed.
-
-    Returns
-    -------
-    handle : int
-        Locks the folder until it is closed: :func:`remove_abandoned` leaves it alone.
-    path : str
-
-    Raises
-    ------
-    OSError
-        Nothing can be created in ``folder``.
-    """
-
-    def make(**where):
-        while True:
-            path = tempfile.mkdtemp(**where)
-            with contextlib.suppress(FileNotFoundError):  # another process has removed it
-                return os.open(path, os.O_RDONLY), path
-
-    return _locked_from_the_start(make, folder, prefix)
-
-
-def _locked_from_the_start(make, folder, prefix):
-    """Make something that no other process has removed in the moment before it was locked."""
-    remove_abandoned(folder, prefix)
-    while True:
-        handle, path = make(dir=str(folder), prefix=prefix)
-        try:
-            _take(handle)
-        except BlockingIOError:  # another process is about to remove it
-            os.close(handle)
-            continue
-        except OSError:  # a file system without locks, where nothing is removed
-            return handle, path
-        if os.path.lexists(path):
-            return handle, path
-        os.close(handle)
-
-
-def _take(handle):
-    """Lock an open file until it is closed.
-
-    Raises
-    ------
-    BlockingIOError
-        Another process has locked it.
-    OSError
-        Its file system has no locks.
-    """
-    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def remove_abandoned(folder, prefix):
-    """Remove temporary files and folders whose process was killed.
-
-    Parameters
-    ----------
-    folder : path-like
-    prefix : str
-        Start of the names; `tempfile` adds the rest.
-    """
-    name = re.compile(re.escape(prefix) + "[a-z0-9_]{8}")
-    with contextlib.suppress(OSError), os.scandir(str(folder)) as entries:
-        for entry in [entry for entry in entries if name.fullmatch(entry.name)]:
-            with contextlib.suppress(OSError):
-                handle = os.open(entry.path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-                try:
-                    _take(handle)  # fails while the owner is running
-                    if entry.is_dir(follow_symlinks=False):
-                        shutil.rmtree(entry.path)
-                    else:
-                        os.unlink(entry.path)
-                finally:
-                    os.close(handle)
-
-
 def _umask():
     mask = os.umask(0)
     os.umask(mask)
     return mask
+
+
+def remove_leftovers(folder):
+    """Remove the temporary files and folders that killed processes have left, at any depth.
+
+    Parameters
+    ----------
+    folder : path-like
+        Locked by this process, so that nobody else is writing there.
+    """
+    for path in list(Path(folder).rglob(f".*{TEMPORARY}")):
+        with contextlib.suppress(OSError):
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
 
 
 def open_regular(path, mode="rb", **options):
@@ -237,177 +109,51 @@ def open_regular(path, mode="rb", **options):
     OSError
         The file cannot be opened, or is a pipe or a device.
     """
-
-    def opener(name, flags):
-        handle = os.open(name, flags | os.O_NONBLOCK | os.O_NOCTTY)
-        kind = os.fstat(handle).st_mode
-        if not (stat.S_ISREG(kind) or stat.S_ISDIR(kind)):  # Python refuses a directory itself
-            os.close(handle)
-            raise OSError(errno.EINVAL, "a pipe or a device, not a file", name)
-        return handle
-
-    return open(str(path), mode, opener=opener, **options)
-
-
-def open_own(path):
-    """Open a file of this program for reading and appending; create it if it does not exist.
-
-    Parameters
-    ----------
-    path : path-like
-
-    Returns
-    -------
-    file object
-        Binary and without a buffer.  Its content does not change.
-
-    Raises
-    ------
-    OSError
-        The file cannot be opened.  A symbolic link is not followed, and a file with a second name,
-        a pipe or a device is refused: it could belong to another program.
-    """
-    flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-    try:
-        handle = os.open(str(path), flags, 0o666)
-    except OSError as error:
-        if error.errno == errno.ELOOP:
-            message = "a symbolic link, which is not followed"
-            raise OSError(errno.ELOOP, message, str(path)) from error
-        raise
-    about = os.fstat(handle)
-    if not stat.S_ISREG(about.st_mode) or about.st_nlink > 1:
-        os.close(handle)
-        raise OSError(errno.EPERM, "not a regular file with a single name", str(path))
-    return os.fdopen(handle, "a+b", buffering=0)
+    kind = os.stat(str(path)).st_mode
+    if not (stat.S_ISREG(kind) or stat.S_ISDIR(kind)):  # Python refuses a folder itself
+        raise OSError(errno.EINVAL, "a pipe or a device, not a file", str(path))
+    return open(str(path), mode, **options)
 
 
 @contextlib.contextmanager
 def locked(path, taken: str):
     """Lock a file of this program against other processes while the block runs.
 
-    A file system without locks does not stop the program: there, it cannot notice another process.
-
     Parameters
     ----------
     path : path-like
-        Created if it does not exist; see :func:`open_own`.
+        Created if it does not exist.  A symbolic link is not followed.
     taken : str
         Message of the error if another process holds the lock.
 
     Yields
     ------
     file object
+        Open for reading and appending bytes.
 
     Raises
     ------
     UserError
-        Another process holds the lock.
-    OSError
-        The file cannot be opened.
+        Another process holds the lock, or the file cannot be opened.
     """
-    while True:
-        with open_own(path) as file:
-            try:
-                _take(file)
-            except BlockingIOError:
-                raise UserError(taken) from None
-            except OSError:  # a file system without locks, where nothing can hold one
-                pass
-            # Its last owner may have removed the file between the two calls above.
-            if is_at(file, path):
-                yield file
-                return
-
-
-def is_at(file, path) -> bool:
-    """True if an open file is still the one at ``path``: a lock on a deleted file is void."""
     try:
-        there = os.stat(str(path), follow_symlinks=False)
-    except OSError:
-        return False
-    return os.path.samestat(os.fstat(file.fileno()), there)
-
-
-@contextlib.contextmanager
-def locked_folder(folder, taken: str):
-    """Lock a folder through its file ``.lock``, which exists while the block runs.
-
-    Parameters
-    ----------
-    folder : path-like
-        Created if it does not exist.  At the end it is removed, with the parent folders that were
-        created for it, if it is empty.
-    taken : str
-        As for :func:`locked`.
-
-    Yields
-    ------
-    file object
-        The lock file, for :func:`is_at`.
-
-    Raises
-    ------
-    UserError
-        Another process holds the lock.
-    OSError
-        The folder or its ``.lock`` cannot be created.
-    """
-    folder = Path(folder)
-    made = [each for each in (folder, *folder.parents) if not each.exists()]
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / ".lock"
-    with locked(path, taken) as file:
-        _LOCKED.append((folder.absolute(), file))
-
-        def leave():
-            with contextlib.suppress(OSError):
-                if is_at(file, path):
-                    path.unlink()
-                    for each in made:
-                        each.rmdir()  # fails if the folder is not empty, as intended
-
+        handle = os.open(str(path), os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW, 0o666)
+    except OSError as error:
+        raise UserError(
+            f"{path}: cannot write ({error.strerror}); choose another folder"
+        ) from error
+    with os.fdopen(handle, "a+b", buffering=0) as file:
         try:
-            with at_the_end(leave):
-                yield file
-        finally:
-            _LOCKED.remove((folder.absolute(), file))
-            leave()
-
-
-_LOCKED = []
-"""The folders that this process has locked, each with the file of its lock."""
-
-
-def make_folder(folder):
-    """Create a folder for results, with its missing parents.
-
-    Parameters
-    ----------
-    folder : path-like
-
-    Raises
-    ------
-    UserError
-        The folder is in another one that this process has locked and that was deleted since:
-        results written now would be incomplete.
-    OSError
-        The folder cannot be created.
-    """
-    folder = Path(folder)
-    for held in {held for held, _ in _LOCKED} & {folder.absolute(), *folder.absolute().parents}:
-        if not any(is_at(lock, held / ".lock") for path, lock in _LOCKED if path == held):
-            raise UserError(
-                f"{held}: was deleted or moved while this command worked in it; "
-                "run the command again"
-            )
-    folder.mkdir(parents=True, exist_ok=True)
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise UserError(taken) from None
+        except OSError:  # a file system without locks
+            pass
+        yield file
 
 
 def refuse_linked_folder(folder):
-    """Refuse a folder that is a symbolic link.
-
-    Files would be written elsewhere, and could replace files that are not of this program.
+    """Refuse a folder that is a symbolic link: files would be written elsewhere.
 
     Raises
     ------
@@ -471,28 +217,11 @@ def read_json(path, remedy):
         raise UserError(f"{path}: not valid JSON ({error}); {remedy}") from error
     if not isinstance(value, dict):
         raise UserError(f"{path}: not a JSON object; {remedy}")
-    if _is_deeper(value, limits.NESTED):
-        raise UserError(f"{path}: nested more than {limits.NESTED} deep; {remedy}")
     return value
 
 
 def _no_number(name):
     raise ValueError(f"{name} is not a JSON number")
-
-
-def _is_deeper(value, most):
-    """Whether a JSON value is nested deeper than ``most``, found without recursion."""
-    level = [value]
-    for _ in range(most):
-        level = [
-            inner
-            for outer in level
-            for inner in (outer.values() if isinstance(outer, dict) else outer)
-            if isinstance(inner, (dict, list))
-        ]
-        if not level:
-            return False
-    return True
 
 
 @contextlib.contextmanager
@@ -555,10 +284,8 @@ def read_arrays(path, remedy, most=limits.ARRAY_BYTES):
         raise
     except OSError as error:
         raise UserError(f"{path}: cannot read ({error.strerror or error}); {remedy}") from error
-    except (ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+    except Exception as error:  # NumPy, zipfile and zlib have many errors for damaged archives
         raise UserError(f"{path}: damaged or not an .npz of plain arrays; {remedy}") from error
-    except Exception as error:  # zlib.error and other errors of damaged archives
-        raise UserError(f"{path}: damaged ({type(error).__name__}); {remedy}") from error
     if not all(isinstance(array, np.ndarray) for array in arrays.values()):
         raise UserError(f"{path}: damaged or not an .npz of plain arrays; {remedy}")
     return arrays

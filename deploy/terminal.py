@@ -1,7 +1,7 @@
-"""Printing that is safe for terminals and does not make a command fail.
+"""Printing that is safe for terminals, and the exit status of a command.
 
 Names from files may contain control sequences of terminals, or characters that the terminal's
-encoding cannot represent; standard output and standard error may be closed or full.
+encoding cannot represent.
 """
 
 from __future__ import annotations
@@ -11,9 +11,11 @@ import io
 import os
 import sys
 
-COLUMNS = (20, 1000)
-"""Accepted widths of a terminal.  At a width of 0 a help text is empty, and at 10^9 it
-takes 20 s."""
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
+
+INTERRUPTION = "interrupted; the same command continues where it stopped"
+"""The line that is printed after Ctrl-C."""
 
 
 def printable(text) -> str:
@@ -49,10 +51,8 @@ def has_colours(stream) -> bool:
 
     ``NO_COLOR`` (https://no-color.org) and ``TERM=dumb`` disable them.
     """
-    with contextlib.suppress(AttributeError, ValueError, OSError):
-        wanted = not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
-        return wanted and stream.isatty()
-    return False
+    wanted = not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+    return wanted and stream.isatty()
 
 
 def _lines(text, stream):
@@ -70,68 +70,15 @@ def _coloured(line):
 
 
 def prepare():
-    """Prepare the standard streams for printing; called before anything else.
-
-    A closed stream is redirected to the null device.  Otherwise the next file that is opened would
-    get its number, and messages would be written into it.
-    """
-    for number in range(3):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, which is this one
-    if sys.stdout is None:
-        sys.stdout = sys.__stdout__ = open(1, "w", closefd=False)  # noqa: SIM115
-    if sys.stderr is None or (
-        type(sys.stderr) is io.TextIOWrapper and sys.stderr is sys.__stderr__
-    ):
-        encoding = getattr(sys.stderr, "encoding", None)
-        buffer = open(2, "wb", closefd=False)  # noqa: SIM115
-        sys.stderr = sys.__stderr__ = _StandardError(buffer, encoding)
+    """Print characters that the terminal's encoding cannot represent as escapes."""
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(AttributeError, io.UnsupportedOperation):
             stream.reconfigure(errors="backslashreplace")
-    width = os.environ.get("COLUMNS", "")
-    if width and not (
-        width.isascii() and width.isdigit() and COLUMNS[0] <= int(width[:9]) <= COLUMNS[1]
-    ):
-        del os.environ["COLUMNS"]
 
 
-def drop_unwritable():
-    """Discard printed text that cannot be written: its reader has ended or the disk is full.
+def drop_output():
+    """Discard what is printed from now on, after the reader, such as ``head``, has ended.
 
     Otherwise Python would try to write it when it ends, and print an error.
     """
-    try:
-        sys.stdout.flush()
-    except OSError:
-        _to_nowhere(sys.stdout.fileno())
-
-
-class _StandardError(io.TextIOWrapper):
-    """Standard error that discards text that cannot be written."""
-
-    def __init__(self, buffer, encoding):
-        super().__init__(buffer, encoding, errors="backslashreplace", line_buffering=True)
-
-    def write(self, text):
-        try:
-            return super().write(text)
-        except OSError:
-            _to_nowhere(self.fileno())
-            return len(text)
-
-    def flush(self):
-        try:
-            super().flush()
-        except OSError:
-            _to_nowhere(self.fileno())
-            super().flush()
-
-
-def _to_nowhere(number):
-    """Redirect the number of an open file to the null device."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, number)
-    os.close(nowhere)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-import multiprocessing.resource_tracker
-import os
 import signal
 import sys
 import traceback
@@ -13,10 +11,8 @@ from contextlib import closing
 from dataclasses import dataclass
 
 from joblib import Parallel, delayed
-from joblib.externals.loky.backend import resource_tracker
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-from deploy.children import end_with
 from deploy.errors import UserError
 
 MESSAGE_LENGTH = 160
@@ -125,8 +121,7 @@ def run_jobs(
 def results_of(calls, processes: int, in_order: bool = True):
     """Make calls in processes of this machine, and yield each result when it is available.
 
-    A terminal sends Ctrl-C to all processes.  The workers ignore it, because between two calls
-    joblib's workers would print a traceback.  This process ends them when it is interrupted.
+    A terminal sends Ctrl-C to all processes.  The workers ignore it: this process ends them.
 
     Parameters
     ----------
@@ -139,14 +134,7 @@ def results_of(calls, processes: int, in_order: bool = True):
     """
     order = "generator" if in_order else "generator_unordered"
     parallel = Parallel(processes, return_as=order, **(_beginning() if processes != 1 else {}))
-    if processes != 1:
-        for tracker in (resource_tracker, multiprocessing.resource_tracker):
-            tracker.ensure_running()  # if started later, it would unblock the signal
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        return parallel(calls)  # starts the processes, which inherit the blocked signal
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return parallel(calls)
 
 
 def _in_processes(function, jobs, processes, meanwhile):
@@ -164,12 +152,17 @@ def _in_processes(function, jobs, processes, meanwhile):
 
 
 def _beginning():
-    """Options for joblib that let its workers end when this process ends.
+    """Options for joblib that let its workers ignore Ctrl-C.
 
     In a process that uses ``stmnist``, workers bind its packages first.
     """
-    begin = sys.modules["stmnist"]._begin_worker if "stmnist" in sys.modules else end_with
-    return {"initializer": begin, "initargs": (os.getpid(),)}
+    begin = sys.modules["stmnist"]._begin_worker if "stmnist" in sys.modules else ignore_ctrl_c
+    return {"initializer": begin}
+
+
+def ignore_ctrl_c():
+    """Ignore Ctrl-C in this process, which another one ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _alone(function, job):

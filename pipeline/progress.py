@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
-import os
 
 from rich.console import Console
 from rich.progress import (
@@ -16,11 +15,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from deploy.interrupts import at_the_end
-
 console = Console(stderr=True)
-SHOW_CURSOR = b"\x1b[?25h\n"
-"""Written after a bar on a terminal: show the cursor again (ECMA-48, DECTCEM), new line."""
 
 _hidden = False
 _stages: tuple = ()
@@ -86,7 +81,7 @@ def progress(label: str, total: int):
     )
     label = stage_of(label) + label
     drawn = not _hidden and can_draw()
-    with at_the_end(_leave, drawn), Progress(*columns, console=console, disable=not drawn) as bar:
+    with Progress(*columns, console=console, disable=not drawn) as bar:
         task = bar.add_task(label, total=total)
 
         def advance(n=1, note=None):
@@ -94,11 +89,6 @@ def progress(label: str, total: int):
             bar.update(task, advance=n, description=description)
 
         yield advance
-
-
-def _leave(drawn):
-    if drawn and console.is_terminal:
-        os.write(2, SHOW_CURSOR)
 
 
 def can_draw() -> bool:

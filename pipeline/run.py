@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deploy.errors import UserError
-from deploy.files import locked_folder, refuse_linked_folder, refuse_linked_folders
-from deploy.interrupts import at_the_end
+from deploy.files import locked, refuse_linked_folder, refuse_linked_folders, remove_leftovers
 from pipeline.artifacts import Origin
 from pipeline.settings import Settings, read_settings, write_settings
 
@@ -152,15 +151,15 @@ class RunFolder:
             f"{self.path}: another process is working in this run; "
             "wait for it or choose another RUN"
         )
-        with contextlib.ExitStack() as stack:
-            try:
-                stack.enter_context(locked_folder(self.path, taken))
-            except OSError as error:
-                raise UserError(
-                    f"{error.filename or self.path / '.lock'}: cannot write ({error.strerror}); "
-                    "choose another RUN"
-                ) from error
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UserError(
+                f"{error.filename}: cannot write ({error.strerror}); choose another RUN"
+            ) from error
+        with locked(self.path / LOCK, taken):
             refuse_linked_folders(self.path)
+            remove_leftovers(self.path)
             yield
 
 
@@ -249,18 +248,14 @@ def nothing_left_of_a_failure(path: Path):
     made = [folder for folder in (path, *path.parents) if not folder.exists()]
     had_lock = (path / LOCK).exists()
 
-    def leave():
+    try:
+        yield
+    except BaseException:
         with contextlib.suppress(OSError):
             if {entry.name for entry in path.iterdir()} <= {LOCK} and not had_lock:
                 (path / LOCK).unlink(missing_ok=True)
             for folder in made:
                 folder.rmdir()  # an OSError if something is in it
-
-    try:
-        with at_the_end(leave):
-            yield
-    except BaseException:
-        leave()
         raise
 
 

@@ -91,10 +91,10 @@ def bind():
             spec.loader.exec_module(module)
 
 
-def _begin_worker(parent):
+def _begin_worker():
     """Initialise a worker of a process that uses this package."""
     bind()
-    importlib.import_module("deploy.children").end_with(parent)
+    importlib.import_module("pipeline.jobs").ignore_ctrl_c()
 
 
 def _is(module, file):

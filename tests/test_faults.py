@@ -272,6 +272,27 @@ def test_ctrl_c_in_training(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_training_that_was_killed_goes_on_and_ends_alike(tmp_path):
+    """Killed after some epochs; the weights are those of a training that was not disturbed."""
+    options = (*TINY, "--set", "cnn.epochs=12")
+    weights = []
+    for name, kill in (("whole", False), ("killed", True)):
+        folder = RunFolder(tmp_path / name)
+        if kill:
+            with started("train", folder.path, *options) as process:
+                wait_until_said(process, r"train cnn accuracy \d")
+                os.killpg(process.pid, signal.SIGKILL)
+                process.communicate(timeout=300)
+            assert not (folder.cnn / "metrics.json").exists()
+        assert call("train", folder.path, *options) == 0
+        assert not temporaries(folder.path)
+        with np.load(folder.cnn / "weights.npz") as file:
+            weights.append(dict(file))
+    for name, array in weights[0].items():
+        np.testing.assert_array_equal(array, weights[1][name])
+
+
+@pytest.mark.slow
 def test_ctrl_c_in_the_simulation_of_recordings(own_cache, tmp_path):
     before = set(own_cache.iterdir())
     with started("train", tmp_path / "run", "--set", "data.samples_per_digit=4000") as process:

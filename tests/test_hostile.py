@@ -1,4 +1,4 @@
-"""What campaigns of damaged and hostile input found, one small case each; see tests/torture."""
+"""Damaged and hostile input: one small case each."""
 
 import io
 import json
@@ -67,7 +67,6 @@ def change_result(name, value):
         ("snn/history.csv", lambda path: path.write_text("epoch,loss\n1,nan\n")),
         ("snn/history.csv", lambda path: path.write_text("")),
         ("snn/history.csv", lambda path: path.write_text("epoch,loss,accurac\n1,0.1,0.5\n")),
-        ("cnn/metrics.json", lambda path: write_json(path, {"n_test": 3})),
         ("cnn/metrics.json", lambda path: write_json(path, {"n_test": 3, "accuracy": 0.5})),
         ("checks/emulator.json", change_result(["samples", 0, "scores"], None)),
         ("checks/emulator.json", change_result(["samples", 0, "scores"], ["1"] * 10)),
@@ -87,11 +86,6 @@ def test_a_report_of_a_run_with_a_broken_file(refused, run, file, change):
     assert str(run / file) in refused("report", run)
 
 
-NESTED = {"a": 1}
-for _ in range(900):  # within what Python's reader takes, past what other code can walk
-    NESTED = {"a": NESTED}
-
-
 @pytest.mark.parametrize(
     ("file", "name", "value"),
     [
@@ -100,7 +94,6 @@ for _ in range(900):  # within what Python's reader takes, past what other code 
         ("snn/metrics.json", ["accuracy", "test"], 10**400),
         ("cnn/metrics.json", ["seconds"], [1]),
         ("cnn/metrics.json", ["seconds"], True),
-        ("cnn/metrics.json", ["made_from", "settings"], NESTED),
         ("ladder.json", ["rows"], 5),
         ("ladder.json", ["rows", 0], "cnn"),
         ("ladder.json", ["rows"], None),

@@ -61,7 +61,7 @@ def imported(path):
 
 FLOORS = {
     "pipeline": [
-        {"jobs", "look", "paper", "progress", "temporary"},
+        {"jobs", "look", "paper", "progress"},
         {"settings"},
         {"artifacts"},
         {"run"},
@@ -75,8 +75,8 @@ FLOORS = {
         {"__main__"},
     ],
     "deploy": [
-        {"children", "terminal"},
-        {"errors", "interrupts", "limits", "tables", "requirements"},
+        {"terminal"},
+        {"errors", "limits", "tables", "requirements"},
         {"files"},
         {"network"},
         {"preflight"},

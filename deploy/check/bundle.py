@@ -19,7 +19,7 @@ import io
 import json
 import math
 import os
-import shutil
+import tempfile
 import zipfile
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -30,17 +30,15 @@ import numpy as np
 from .. import limits
 from ..errors import UserError
 from ..files import (
-    make_folder,
+    TEMPORARY,
     read_arrays,
     read_json,
     refuse_linked_folder,
     replacing,
     sha256_of,
-    temporary_folder,
     write_arrays,
     write_json,
 )
-from ..interrupts import at_the_end
 from ..network.spec import NetworkSpec
 from ..network.stimulus import Stimulus
 
@@ -142,32 +140,24 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
     _require_room(sum(array.nbytes for array in samples.values()), len(checks), spec.stimulus)
     try:
         require_replaceable(path)
-        make_folder(path.parent)
-        handle, temporary = temporary_folder(path.parent, ".bundle.")
-        temporary = Path(temporary)
-    except OSError as error:
-        raise UserError(
-            f"{path}: cannot write ({error.strerror}); choose another folder"
-        ) from error
-    try:
-        with at_the_end(shutil.rmtree, str(temporary)):
-            temporary.chmod(0o755)
-            write_json(temporary / "network.json", {"schema": NETWORK_SCHEMA, **spec.to_json()})
-            write_arrays(temporary / "weights.npz", **spec.arrays())
-            write_arrays(temporary / "checks.npz", **samples)
-            with replacing(temporary / "deploy.pyz") as file:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(TEMPORARY, ".bundle.", str(path.parent)) as temporary:
+            made = Path(temporary) / "new"
+            made.mkdir()
+            write_json(made / "network.json", {"schema": NETWORK_SCHEMA, **spec.to_json()})
+            write_arrays(made / "weights.npz", **spec.arrays())
+            write_arrays(made / "checks.npz", **samples)
+            with replacing(made / "deploy.pyz") as file:
                 file.write(zipapp_bytes())
-            hashes = {name: sha256_of(temporary / name) for name in FILES}
-            write_json(temporary / "MANIFEST.json", {"schema": MANIFEST_SCHEMA, "files": hashes})
-            read_bundle(temporary)
-            _exchange(temporary, path)
+            hashes = {name: sha256_of(made / name) for name in FILES}
+            write_json(made / "MANIFEST.json", {"schema": MANIFEST_SCHEMA, "files": hashes})
+            read_bundle(made)
+            _exchange(made, path, Path(temporary) / "old")
     except OSError as error:
         raise UserError(
-            f"{path}: cannot write ({error.strerror or error}); check the free space"
+            f"{path}: cannot write ({error.strerror or error}); "
+            "check the folder's permissions and the free space"
         ) from error
-    finally:
-        os.close(handle)
-        shutil.rmtree(str(temporary), ignore_errors=True)
     return read_bundle(path)
 
 
@@ -251,34 +241,17 @@ def result_beside(folder, target: str) -> Path:
     return path
 
 
-def _exchange(new, path):
-    """Replace a folder by another one, never leaving a partial folder, and keep the results in it.
-
-    This takes two renames; if the second does not happen, the previous folder is restored.
-    """
-    if not path.exists():
-        os.replace(str(new), str(path))
-        return
-    handle, aside = temporary_folder(path.parent, ".bundle.")
-    earlier = Path(aside) / path.name
-
-    def settle():
-        if not path.exists():
-            os.replace(str(earlier), str(path))
-        elif (earlier / RESULTS).exists():
-            os.replace(str(earlier / RESULTS), str(path / RESULTS))
-
+def _exchange(new, path, old):
+    """Put a new bundle in the place of another one, which becomes ``old``, and keep its results."""
     try:
-        with at_the_end(settle), at_the_end(shutil.rmtree, aside):
-            os.replace(str(path), str(earlier))
-            os.replace(str(new), str(path))
-            settle()
-    except BaseException:
-        settle()
-        raise
+        if path.exists():
+            os.replace(str(path), str(old))
+        os.replace(str(new), str(path))
     finally:
-        os.close(handle)
-        shutil.rmtree(aside, ignore_errors=True)
+        if not path.exists() and old.exists():
+            os.replace(str(old), str(path))
+        elif (old / RESULTS).exists():
+            os.replace(str(old / RESULTS), str(path / RESULTS))
 
 
 def read_bundle(path) -> Bundle:

@@ -273,11 +273,8 @@ _FIELDS = {
 }
 """Fields that are read from a result, with their validation."""
 
-_OPTIONAL = {
-    "stable_after_median", "anytime_accuracy", "synaptic_operations", "versions", "while_written",
-    "data", "classes", "confusion", "per_class", "per_writer",
-}  # fmt: skip
-"""Fields that a comparison does not need."""
+_OPTIONAL = {"while_written", "data", "classes", "confusion", "per_class", "per_writer"}
+"""Fields that exist for networks on events, or for results on other recordings."""
 
 
 def _is_sample(value):

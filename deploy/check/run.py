@@ -13,8 +13,7 @@ from typing import Iterator, Optional
 import numpy as np
 
 from ..errors import UserError
-from ..files import is_at, locked, make_folder, open_own, write_json
-from ..interrupts import at_the_end
+from ..files import locked, write_json
 from ..network.responses import Responses
 from ..network.spec import NetworkSpec
 from ..network.stream import streams_of
@@ -33,7 +32,6 @@ def run_check(
     seed: Optional[int] = None,
     advance=None,
     options: Optional[object] = None,
-    say=None,
 ) -> dict:
     """Run a target on the bundle's samples and write the result.
 
@@ -53,8 +51,6 @@ def run_check(
         Called with the number of samples done since the last call, including resumed ones.
     options : object, optional
         Options of the target's own class, see :func:`deploy.targets.registry.options_for`.
-    say : callable, optional
-        Called with :attr:`OpenCheck.note`, if there is one.
 
     Returns
     -------
@@ -68,8 +64,6 @@ def run_check(
         The target is unknown, the result cannot be written, or another process is writing it.
     """
     with open_check(bundle, target, out, seed, advance, options) as check:
-        if check.note and say is not None:
-            say(check.note)
         for record in answered(check.work(check.left)):
             check.take(record)
         return check.finish()
@@ -129,8 +123,15 @@ def answered(work: Work) -> Iterator[dict]:
         if responses.notes:
             record["notes"] = responses.notes
         begun = now
-        with _disk_errors(work.saved), open_own(work.saved) as file:
-            _write_now(file, "\n" + json.dumps(record))
+        try:
+            with open(str(work.saved), "ab", buffering=0) as file:
+                file.write(b"\n" + json.dumps(record).encode())
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise UserError(
+                f"{work.saved}: cannot write ({error.strerror}); the previous streams are saved: "
+                "free some space and run the same command again"
+            ) from error
         yield record
 
 
@@ -140,17 +141,12 @@ class OpenCheck:
     Attributes
     ----------
     target : deploy.targets.registry.Target
-    note : str or None
-        A message for the user if the partial file has responses from another check of the bundle,
-        such as one with another version of Python.  They are not used, and remain in the file until
-        this check is complete, so that the other one can still be resumed.
     """
 
-    def __init__(self, bundle, check, out, saved, done, note, advance, options):
+    def __init__(self, bundle, check, out, saved, done, advance, options):
         self.target = target_named(check["target"])
         self._bundle, self._check, self._out = bundle, check, out
         self._saved, self._done, self._options = saved, done, options
-        self.note = note
         self._advance = advance or (lambda n: None)
         for record in done.values():
             self._advance(len(record["samples"]))
@@ -236,27 +232,17 @@ def open_check(
     # Other recordings may have been put in the place of the bundle's, also with the same ids.
     check["samples"] = bundle.checks.sha256
     taken = f"{out}: another process is writing this result; wait for it or use another --out"
-    with contextlib.ExitStack() as stack:
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{out}: cannot write ({error.strerror}); choose another --out") from error
+    with locked(saved, taken) as file:
         try:
-            make_folder(out.parent)
-            file = stack.enter_context(locked(saved, taken))
-        except OSError as error:
-            raise UserError(
-                f"{out}: cannot write ({saved.name}: {error.strerror}); choose another --out"
-            ) from error
-        stack.callback(_remove_empty, file, saved)
-        stack.enter_context(at_the_end(_remove_empty, file, saved))
-        with _disk_errors(saved):
-            done, others = _resume(file, check, _streams(bundle))
-        note = _note_on_others(saved, others, check)
-        yield OpenCheck(bundle, check, out, saved, done, note, advance, options)
-
-
-def _remove_empty(file, path):
-    """Remove a partial file without a response, such as that of a refused check."""
-    with contextlib.suppress(OSError):
-        if is_at(file, path) and not os.fstat(file.fileno()).st_size:
-            os.unlink(str(path))
+            done = _resume(file, check, _streams(bundle))
+            yield OpenCheck(bundle, check, out, saved, done, advance, options)
+        finally:
+            if os.path.exists(str(saved)) and not os.path.getsize(str(saved)):
+                os.unlink(str(saved))
 
 
 def records_of(checks: CheckSet, responses: Responses) -> list:
@@ -279,34 +265,16 @@ def records_of(checks: CheckSet, responses: Responses) -> list:
     ]
 
 
-@contextlib.contextmanager
-def _disk_errors(path):
-    try:
-        yield
-    except OSError as error:
-        raise UserError(
-            f"{path}: cannot write ({error.strerror}); the previous streams are saved: "
-            "free some space and run the same command again"
-        ) from error
-
-
-def _write_now(file, text):
-    """Append without a buffer, since a file on a full disk would fail again when it is closed."""
-    rest = text.encode()
-    while rest:
-        rest = rest[os.write(file.fileno(), rest) :]
-    os.fsync(file.fileno())
-
-
 def _resume(file, check, streams):
-    """The records of a check in a partial file, by their first sample, and others of its bundle.
+    """The records of a check in a partial file, by their first sample.
 
-    A damaged line is ignored; one that is not UTF-8 is damaged.  A file without any record of the
-    bundle is emptied.
+    A damaged line is ignored, and so is a record of another check, such as one with another version
+    of NumPy, which remains for that check until this one is complete.  A file without any record is
+    emptied.
     """
     lengths = {part.start: part.stop - part.start for part in streams}
     file.seek(0)
-    done, others = {}, []
+    done, others = {}, False
     for line in file.read().decode("utf-8", "replace").split("\n"):
         try:
             record = json.loads(line)
@@ -315,44 +283,12 @@ def _resume(file, check, streams):
         if not _is_record(record):
             continue
         if record["of"] != check:
-            others.append(record)
+            others = others or record["of"].get("bundle") == check["bundle"]
         elif lengths.get(record["first"]) == len(record["samples"]):
             done[record["first"]] = record
-    same = ("bundle", "target")
-    others = [record for record in others if all(record["of"].get(k) == check[k] for k in same)]
     if not done and not others:
         file.truncate(0)
-    return done, others
-
-
-def _note_on_others(saved, others, check):
-    """The text of :attr:`OpenCheck.note`."""
-    if not others:
-        return None
-    last = others[-1]["of"]
-    n = sum({r["first"]: len(r["samples"]) for r in others if r["of"] == last}.values())
-    before = _parts(last)
-    now = _parts(check)
-    changed = [
-        f"{name} ({before.get(name)}, now {now[name]})"
-        for name in now
-        if before.get(name) != now[name]
-    ]
-    return (
-        f"{saved}: has responses to {n} samples from a check with another {', '.join(changed)}, "
-        "which cannot be continued here; they are kept until this check is complete"
-    )
-
-
-def _parts(check):
-    """What identifies the check of a bundle, by a name for the user."""
-    versions = check.get("versions")
-    named = versions if isinstance(versions, dict) else {}
-    return {
-        "seed": check.get("seed"),
-        "set of samples": str(check.get("samples"))[:12],
-        **{f"version of {name}": version for name, version in named.items()},
-    }
+    return done
 
 
 def _is_record(value):

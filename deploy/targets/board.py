@@ -18,7 +18,6 @@ from typing import Iterator, Optional
 import numpy as np
 
 from ..errors import UserError, one_line
-from ..interrupts import orderly
 from ..network.build import build
 from ..network.discretisation import BUILD_ERRORS
 from ..network.loihi_import import nengo_loihi
@@ -153,7 +152,7 @@ def _run_stream(spec, samples, seed, options):
     built = build(spec, seed)
     steps = built.feed.period * len(samples)
     begun = time.perf_counter()
-    with _environment(options), orderly():  # an interrupted process disconnects from the board
+    with _environment(options):
         sim = _simulator(built.network, options)
         built_at = time.perf_counter()
         try:

@@ -143,7 +143,7 @@ def run(
 
 def _checked(bundle, path, target, seed, chosen):
     with progress(f"check {target}", len(bundle.checks)) as advance:
-        return run_check(bundle, target, path, seed, advance, chosen, options.say)
+        return run_check(bundle, target, path, seed, advance, chosen)
 
 
 def _loss(bundle, result):

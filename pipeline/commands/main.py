@@ -12,9 +12,9 @@ import typer
 import typer.main
 from typer.core import TyperCommand, TyperGroup
 
-from deploy import __version__, interrupts
+from deploy import __version__
 from deploy.errors import CheckFailed, SeveralErrors, UserError, line_of, one_line
-from deploy.terminal import drop_unwritable, prepare, remark, show
+from deploy.terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare, remark, show
 from models.architecture import NotationError
 from pipeline.commands.signatures import for_typer
 
@@ -189,11 +189,11 @@ def main(arguments=None, command=None, name: str = "stmnist"):
     prepare()
     try:
         status = (command or command_line())(args=arguments, prog_name=name, standalone_mode=False)
-        if status == interrupts.STATUS:  # Typer turns an interruption into this status
+        if status == INTERRUPTED:  # Typer turns an interruption into this status
             raise KeyboardInterrupt
         sys.stdout.flush()  # errors could not be reported when Python exits
     except (KeyboardInterrupt, typer.Abort):
-        status = _say(interrupts.LINE, interrupts.STATUS)
+        status = _say(INTERRUPTION, INTERRUPTED)
     except UsageError as error:
         context = error.ctx.command_path if error.ctx else "stmnist"
         problem = plain(error.format_message()).rstrip(".") or "a command is missing"
@@ -212,10 +212,10 @@ def main(arguments=None, command=None, name: str = "stmnist"):
         # The reader, such as head, has closed the pipe.  Typer then ends with status 1.
         if isinstance(end, SystemExit) and not isinstance(end.__context__, BrokenPipeError):
             raise
+        drop_output()
         status = 0
     except (MemoryError, OSError) as error:  # not handled by any module
         status = _say(line_of(error), 2)
-    drop_unwritable()
     sys.exit(status or 0)
 
 

@@ -21,12 +21,11 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import (
-    creating,
-    is_at,
-    locked_folder,
+    locked,
     open_regular,
     refuse_linked_folders,
-    remove_abandoned,
+    remove_leftovers,
+    replacing,
 )
 from pipeline.data.events import Events, Sensor, TaxelMap
 from pipeline.data.matfile import (
@@ -48,14 +47,11 @@ FIRST_WRITER = 1
 TABLE = "LUT.mat"
 """Place of each taxel, beside the classes' folders."""
 
-TEMPORARY = ".recording."
-"""Start of the name of a recording that is being written.  It is the same for all of them, so that
-the files of killed processes are found."""
+LOCK = ".lock"
 
 LONGEST_NAME = 255
 """Bytes of a folder's name, at most, on the usual file systems."""
 
-_EARLIER = re.compile(r"\.w[0-9]+-[0-9]+\.mat\.")
 _NAME = re.compile(r"w([0-9]{3})-([0-9]{4,9})\.mat")
 
 
@@ -129,11 +125,10 @@ class Keeper:
         # because a page that has lost its connection comes back with its number.
         self._given = {FIRST_WRITER}
         self._held = contextlib.ExitStack()
-        self._lock, self._closed = None, False
+        self._is_held, self._closed = False, False
         self._hold()
         try:
             self._refuse_another_sensor()
-            self._remove_abandoned()
             self.look()
         except BaseException:
             self.close()
@@ -153,40 +148,31 @@ class Keeper:
                 f"{self.sensor.rows}x{self.sensor.columns}; choose another folder with --record"
             )
 
-    def _remove_abandoned(self):
-        """Remove temporary files of killed processes, also of an earlier version."""
-        for place in self._places:
-            prefixes = {TEMPORARY}
-            with contextlib.suppress(OSError):
-                names = os.listdir(self.folder / place)
-                prefixes |= {found[0] for name in names if (found := _EARLIER.match(name))}
-            for prefix in prefixes:
-                remove_abandoned(self.folder / place, prefix)
-
     def _hold(self):
-        """Hold the folder's lock, which may have been deleted together with the folder."""
+        """Lock the folder, which is created if it does not exist."""
         if self._closed:
             raise UserError(
                 f"{self.folder}: nothing is saved any more, because 'stmnist live' is ending"
             )
-        if self._lock is not None and is_at(self._lock, self.folder / ".lock"):
+        if (self.folder / LOCK).exists() and self._is_held:
             return
-        self._lock = None
+        self._is_held = False
         self._held.close()
         taken = (
             f"{self.folder}: another 'stmnist live' saves recordings there; "
             "end it, or choose another folder with --record"
         )
-        with contextlib.ExitStack() as stack:
-            try:
-                lock = stack.enter_context(locked_folder(self.folder, taken))
-            except OSError as error:
-                raise UserError(
-                    f"{self.folder}: cannot save recordings there ({error.strerror}); "
-                    "choose another folder with --record"
-                ) from error
-            refuse_linked_folders(self.folder)
-            self._held, self._lock = stack.pop_all(), lock
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UserError(
+                f"{self.folder}: cannot save recordings there ({error.strerror}); "
+                "choose another folder with --record"
+            ) from error
+        self._held.enter_context(locked(self.folder / LOCK, taken))
+        refuse_linked_folders(self.folder)
+        remove_leftovers(self.folder)
+        self._is_held = True
 
     def look(self):
         """Read which recordings are in the folder.
@@ -207,7 +193,7 @@ class Keeper:
     def close(self):
         """Wait until nothing is being saved, then release the folder for other processes."""
         with self._guard:
-            self._closed, self._lock = True, None
+            self._closed, self._is_held = True, False
             self._held.close()
 
     def __len__(self):
@@ -395,7 +381,7 @@ def _list(folder, places):
 
 
 def _create(path, content):
-    """Write a new file, and wait until it is on the disk with its name.
+    """Write a new file, and wait until it is on the disk.
 
     Raises
     ------
@@ -404,19 +390,9 @@ def _create(path, content):
     UserError
         The file could not be written; it does not exist.
     """
-    with creating(path, TEMPORARY) as file:
+    if os.path.lexists(path):
+        raise FileExistsError(path)
+    with replacing(path) as file:
         file.write(content)
         file.flush()
         os.fsync(file.fileno())
-    try:
-        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(folder)  # syncs the new name too
-        finally:
-            os.close(folder)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            path.unlink()
-        raise UserError(
-            f"{path}: cannot write ({error.strerror}); check the disk and label it again"
-        ) from error

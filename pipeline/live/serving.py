@@ -10,7 +10,6 @@ from contextlib import closing
 from pathlib import Path
 
 from deploy.errors import UserError
-from deploy.interrupts import orderly
 from deploy.terminal import remark, show
 from pipeline.live.network import (
     about,
@@ -131,8 +130,7 @@ def serve(
             make_decider, keeper, parameters.load(), told,
             make_learner=make_learner, make_tests=make_tests,
         )  # fmt: skip
-        with orderly():
-            try:
-                Server(page, listening, when_listening, host).run()
-            finally:
-                say(f"live: ended; {len(keeper)} recordings are saved in {record}")
+        try:
+            Server(page, listening, when_listening, host).run()
+        finally:
+            say(f"live: ended; {len(keeper)} recordings are saved in {record}")

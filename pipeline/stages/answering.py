@@ -46,7 +46,7 @@ def answer(
         say(line)
     with progress(f"check {stage}", len(bundle.checks)) as advance:
         if stage in TARGETS:
-            return run_check(bundle, stage, path, settings.seed, advance, say=say)
+            return run_check(bundle, stage, path, settings.seed, advance)
         # A result may depend on the settings that the bundle was made from.
         view = settings.only(bundle.spec.provenance["made_from"]["settings"])
         if stage == "counts":
@@ -124,8 +124,6 @@ def _shared(bundle, paths, seed, jobs, advance, meanwhile, say):
         for name, path in paths.items():
             report = partial(advance, note=name)
             checks[name] = opened.enter_context(open_check(bundle, name, path, seed, report))
-            if checks[name].note:
-                say(checks[name].note)
         work = [job for check in checks.values() for job in _work(check)]
         for job, records in run_jobs(_answered, work, jobs, meanwhile=meanwhile):
             if isinstance(records, Failure):

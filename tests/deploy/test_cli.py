@@ -1,6 +1,5 @@
 """The command of a copied bundle ends in one line, whatever happens to its files and its output."""
 
-import errno
 import json
 import os
 import subprocess
@@ -80,13 +79,3 @@ def test_a_reader_that_has_seen_enough_ends_the_command_without_a_word(bundle, u
         assert plan(bundle, writer, PYTHONUNBUFFERED=unbuffered) == (0, "")
     finally:
         os.close(writer)
-
-
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
-@pytest.mark.parametrize("unbuffered", ["", "1"])
-def test_an_output_on_a_full_disk_is_one_line(bundle, unbuffered):
-    with open("/dev/full", "w") as full:
-        status, said = plan(bundle, full, PYTHONUNBUFFERED=unbuffered)
-    assert status == 2
-    assert said.startswith(f"deploy: {os.strerror(errno.ENOSPC)}")
-    assert said.count("\n") == 1

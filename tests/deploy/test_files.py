@@ -1,31 +1,24 @@
-import contextlib
-import errno
-import fcntl
 import os
-import shutil
-import tempfile
+import struct
+import subprocess
+import sys
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from deploy.check.bundle import write_bundle
-from deploy.check.run import run_check
+from deploy import limits
 from deploy.errors import UserError
 from deploy.files import (
     locked,
-    locked_folder,
     read_arrays,
     read_json,
-    remove_abandoned,
+    remove_leftovers,
     replacing,
-    temporary_file,
-    temporary_folder,
     write_arrays,
     write_json,
 )
-from tests.deploy.networks import random_checks, small_spec
+from tests.command import environment
 
 
 def test_round_trips(tmp_path):
@@ -140,129 +133,41 @@ def test_a_zip_of_something_else(tmp_path):
         read_arrays(tmp_path / "a.npz", "")
 
 
-def test_what_a_killed_process_left_goes_with_the_next_writing(tmp_path):
-    """Also if the process was killed a moment ago."""
-    abandoned = [tmp_path / ".a.json.abcd_123", tmp_path / ".bundle.abcdefgh"]
-    abandoned[0].write_text("half")
-    abandoned[1].mkdir()
-    (abandoned[1] / "weights.npz").write_text("half")
-    others = [tmp_path / name for name in (".b.json.abcdefgh", ".a.json.partial", ".a.json.new")]
-    for other in others:
-        other.write_text("mine")
-    write_json(tmp_path / "a.json", {})
-    assert not abandoned[0].exists()
-    assert all(other.exists() for other in others)
-    spec = small_spec()
-    write_bundle(tmp_path / "bundle", spec, random_checks(spec, 3))
-    assert not abandoned[1].exists()
+def test_leftovers_of_killed_processes_are_removed(tmp_path):
+    """A process that is killed while it writes leaves its temporary file and folder."""
+    (tmp_path / "cnn").mkdir()
+    code = (
+        "import os, signal, sys, tempfile\n"
+        "from deploy.files import TEMPORARY, replacing\n"
+        "tempfile.mkdtemp(TEMPORARY, '.bundle.', sys.argv[1])\n"
+        "with replacing(sys.argv[1] + '/cnn/weights.npz') as file:\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    killed = subprocess.run([sys.executable, "-c", code, str(tmp_path)], env=environment())
+    assert killed.returncode == -9
+    assert len(list(tmp_path.rglob(".*.tmp"))) == 2
+    (tmp_path / ".lock").touch()
+    remove_leftovers(tmp_path)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == [".lock", "cnn"]
 
 
-@pytest.mark.parametrize("make", [temporary_file, temporary_folder])
-@pytest.mark.parametrize("removed", [True, False])
-def test_what_another_process_takes_before_it_is_locked_is_made_again(
-    make, removed, tmp_path, monkeypatch
-):
-    """The other process has removed it, or has locked it and is about to remove it."""
-    flock, taken, locks = fcntl.flock, [], contextlib.ExitStack()
-
-    def raced(handle, how):
-        monkeypatch.setattr(fcntl, "flock", flock)
-        taken.extend(tmp_path.iterdir())
-        if removed:
-            remove_abandoned(tmp_path, ".a.")
-        else:
-            other = os.open(taken[0], os.O_RDONLY)
-            locks.callback(os.close, other)
-            flock(other, how)
-        flock(handle, how)
-
-    monkeypatch.setattr(fcntl, "flock", raced)
-    with locks:
-        handle, path = make(tmp_path, ".a.")
-    assert Path(path) not in taken
-    assert os.path.samestat(os.fstat(handle), os.stat(path))
-    remove_abandoned(tmp_path, ".a.")
-    assert os.path.exists(path)
-    os.close(handle)
-    remove_abandoned(tmp_path, ".a.")
-    assert not os.path.exists(path)
+def test_a_lock_has_one_owner(tmp_path):
+    with locked(tmp_path / ".lock", "taken") as file:
+        file.write(b"kept")
+        with pytest.raises(UserError, match="taken"), locked(tmp_path / ".lock", "taken"):
+            pass
+    with locked(tmp_path / ".lock", "taken"):
+        assert (tmp_path / ".lock").read_bytes() == b"kept"
 
 
-def test_a_folder_that_another_process_removes_before_it_is_opened_is_made_again(
-    tmp_path, monkeypatch
-):
-    mkdtemp, made = tempfile.mkdtemp, []
-
-    def raced(**where):
-        made.append(mkdtemp(**where))
-        if len(made) == 1:
-            remove_abandoned(tmp_path, ".a.")
-        return made[-1]
-
-    monkeypatch.setattr(tempfile, "mkdtemp", raced)
-    handle, path = temporary_folder(tmp_path, ".a.")
-    assert made[1:] == [path]
-    os.close(handle)
-
-
-@pytest.mark.parametrize("make", [temporary_file, temporary_folder])
-def test_a_folder_where_nothing_can_be_created(make):
-    """Linux says of it that there is no such file."""
-    with pytest.raises(FileNotFoundError):
-        make("/proc", ".a.")
-
-
-@pytest.fixture
-def no_locks(monkeypatch):
-    def refused(handle, how):
-        raise OSError(errno.ENOLCK, "No locks available")
-
-    monkeypatch.setattr(fcntl, "flock", refused)
-
-
-@pytest.mark.parametrize("make", [temporary_file, temporary_folder])
-def test_temporary_files_where_there_are_no_locks(make, tmp_path, no_locks):
-    handles, paths = zip(*[make(tmp_path, ".a.") for _ in range(2)], strict=True)
-    assert all(map(os.path.exists, paths))
-    for handle in handles:
-        os.close(handle)
-
-
-def test_files_and_folders_are_used_without_a_lock_where_there_are_none(tmp_path, no_locks):
-    with locked(tmp_path / "a.partial", "taken") as file:
-        file.write(b"1")
-    assert (tmp_path / "a.partial").read_bytes() == b"1"
-    with locked_folder(tmp_path / "run", "taken"):
-        write_json(tmp_path / "run" / "a.json", {})
-    assert [path.name for path in (tmp_path / "run").iterdir()] == ["a.json"]
-
-
-def test_what_is_being_written_is_nobody_elses(tmp_path):
-    with replacing(tmp_path / "a.json") as file:
-        write_json(tmp_path / "a.json", {"written": "meanwhile"})
-        file.write(b'{"written": "last"}')
-    assert read_json(tmp_path / "a.json", "") == {"written": "last"}
-    assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
-
-
-def test_a_locked_folder_that_was_deleted_is_not_made_again_by_what_is_written(tmp_path):
-    """What is written then would be half of what was there, and the lock is no lock any more."""
-    run = tmp_path / "run"
-    spec = small_spec()
-    bundle = write_bundle(tmp_path / "bundle", spec, random_checks(spec, 3))
-    with locked_folder(run, "taken"):
-        write_json(run / "cnn" / "a.json", {})
-        shutil.rmtree(run)
-        for write in (
-            lambda: write_json(run / "cnn" / "a.json", {}),
-            lambda: write_bundle(run / "bundle", spec, bundle.checks),
-            lambda: run_check(bundle, "fast", run / "checks" / "fast.json"),
-        ):
-            with pytest.raises(UserError, match=f"^{run}: "):
-                write()
-            assert not run.exists()
-        run.mkdir()
-        (run / ".lock").touch()  # another one's
-        with pytest.raises(UserError, match=f"^{run}: "):
-            write_json(run / "cnn" / "a.json", {})
-    write_json(run / "cnn" / "a.json", {})
+@pytest.mark.parametrize("size", [limits.ARRAY_BYTES + 1, 2**40])
+def test_an_npz_that_declares_too_much_is_not_read(tmp_path, size):
+    """The archive's directory declares the size; the few bytes of the array do not have it."""
+    write_arrays(tmp_path / "a.npz", compress=False, x=np.arange(3))
+    content = (tmp_path / "a.npz").read_bytes()
+    actual = struct.pack("<II", *[zipfile.ZipFile(tmp_path / "a.npz").infolist()[0].file_size] * 2)
+    at = content.rindex(actual)
+    declared = struct.pack("<II", *[min(size, 2**32 - 2)] * 2)
+    (tmp_path / "a.npz").write_bytes(content[:at] + declared + content[at + 8 :])
+    with pytest.raises(UserError, match=r"more than .* MB; the remedy"):
+        read_arrays(tmp_path / "a.npz", "the remedy")

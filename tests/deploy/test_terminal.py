@@ -1,7 +1,6 @@
 """What is printed: escaped, in any encoding, to streams that may be closed or full."""
 
 import ast
-import contextlib
 import io
 import os
 import subprocess
@@ -79,46 +78,6 @@ def run(*arguments, closed=(), **options):
     )
 
 
-@pytest.fixture
-def pair(tmp_path):
-    """Two results that can be compared."""
-    from tests.deploy.check.test_results import result
-
-    write_json(tmp_path / "a.json", result())
-    write_json(tmp_path / "b.json", result((0, 2, 2, 1), target="fast"))
-    return tmp_path / "a.json", tmp_path / "b.json"
-
-
-@pytest.mark.parametrize("closed", [(1,), (2,), (0, 1, 2)])
-def test_closed_streams(pair, closed):
-    done = run("check", "compare", *pair, "--max-disagreements", 1, closed=closed)
-    assert done.returncode == 1
-    assert b"Traceback" not in done.stderr
-
-
-def test_closed_streams_do_not_make_a_command_fail(pair):
-    assert run("check", "compare", *pair, closed=(0, 1, 2)).returncode == 0
-
-
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
-def test_full_streams(pair):
-    with open("/dev/full", "wb") as full:
-        limit = ["--max-disagreements", 1]
-        assert run("check", "compare", *pair, *limit, stderr=full).returncode == 1
-        assert run("check", "compare", *pair, "--x", stderr=full, stdout=full).returncode == 2
-
-
-def test_a_file_is_never_opened_as_a_standard_stream(tmp_path):
-    """With standard error closed, the first file of a run would get its number."""
-    code = (
-        "import os; os.close(1); os.close(2)\n"
-        "from deploy.terminal import prepare; prepare()\n"
-        f"file = open({str(tmp_path / 'a')!r}, 'w')\n"
-        "os._exit(0 if file.fileno() > 2 else 1)"
-    )
-    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
-
-
 def test_names_that_the_terminal_cannot_write(tmp_path):
     members = {
         name.replace("data_submission/3/", "data_submission/\u4e2d\u6587/"): content
@@ -134,16 +93,6 @@ def test_names_that_the_terminal_cannot_write(tmp_path):
     done = run("data", "import", tmp_path / "\u4e2d\u6587.zip", env=plain)
     assert done.returncode == 2
     assert rb"\u4e2d\u6587.zip: " in done.stderr
-
-
-@pytest.mark.parametrize("width", ["0", "-1", "999999999", "x", "\u0661\u0661"])
-def test_widths_that_no_terminal_has(monkeypatch, capsys, width):
-    monkeypatch.setenv("COLUMNS", width)
-    with contextlib.suppress(SystemExit):
-        call("check", "compare", "--help")
-    out = capsys.readouterr().out
-    assert "--max-disagreements" in out
-    assert len(out) < 10_000
 
 
 def test_nothing_is_printed_past_the_escaping():

@@ -49,7 +49,7 @@ def test_the_folder_of_a_benchmark_does_not_become_a_run(tmp_path, capsys, resul
     (tmp_path / result).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / result).write_text("{}")
     write_settings(tmp_path / "experiment.toml", Settings())
-    for command in ("convert", "train", "status", "report", "check run --target fast", "live"):
+    for command in ("convert", "train", "status", "check run --target fast", "live"):
         assert call(*command.split(), tmp_path) == 2
         said = capsys.readouterr().err
         assert missing(said, tmp_path, result.split("/")[0], "benchmark") == []

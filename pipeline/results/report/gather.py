@@ -47,6 +47,9 @@ def gather(folder: RunFolder, jobs: int = 1, say=print) -> Inputs:
     bundle = read_bundle(folder.bundle)
     stages = [stage for stage in ladder_stages(settings.network) if folder.check(stage).exists()]
     results = [read_result(folder.check(stage)) for stage in stages]
+    for stage, result in zip(stages, results, strict=True):
+        if result["target"] != stage or not {*result["spikes"]} <= {*bundle.spec.spiking_layers}:
+            raise UserError(f"{folder.check(stage)}: is of another target or network; {REMEDY}")
     results = [result for result in results if result["bundle"] == bundle.id]
     if not results:
         raise UserError(

@@ -166,7 +166,7 @@ def test_nor_those_of_another_target(bundle, whole, tmp_path):
 
 def test_responses_from_a_host_with_another_python_are_kept(bundle, whole, tmp_path, monkeypatch):
     """An hour on a board was lost when the job was submitted again where Python is another."""
-    out, said = tmp_path / "emulator.json", []
+    out = tmp_path / "emulator.json"
     with monkeypatch.context() as other:
         before = {**versions(), "python": "3.8.10"}
         other.setattr("deploy.check.run.versions", lambda: before)
@@ -177,16 +177,12 @@ def test_responses_from_a_host_with_another_python_are_kept(bundle, whole, tmp_p
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):  # at its first stream
-        run_check(bundle, "emulator", out, advance=stop, say=said.append)
+        run_check(bundle, "emulator", out, advance=stop)
     assert saved.read_bytes().startswith(begun)
-    (line,) = said
-    assert "3.8.10" in line
-    assert "numpy" not in line
     with monkeypatch.context() as other:  # the first host again
         other.setattr("deploy.check.run.versions", lambda: before)
         with open_check(bundle, "emulator", out) as check:
             assert 0 not in [part.start for part in check.left]
-            assert check.note is not None  # of the stream that was added meanwhile
     same_answers(run_check(bundle, "emulator", out), whole)
     assert not saved.exists()
 
