@@ -10,9 +10,9 @@ import numpy as np
 import scipy.linalg.cython_blas  # noqa: F401  (Numba's products call it; its threads are limited)
 from threadpoolctl import threadpool_limits
 
-from experiments.frames import bin_events
 from experiments.slayer_network import SlayerNetwork, SpikeResponse
 from models.architecture import parse
+from pipeline.data.events import Recordings
 from pipeline.paper import DURATION_S
 from pipeline.training.checkpoint import Checkpoint, train_epochs
 
@@ -101,7 +101,7 @@ def train_slayer(
     ----------
     settings : Slayer
     frames : ndarray of uint8, shape (n_samples, bins, rows, columns, 2)
-        See :func:`experiments.frames.bin_events`.
+        See :func:`bin_events`.
     labels : ndarray of int, shape (n_samples,)
     train, test : ndarray of int
         Indices of samples.
@@ -222,6 +222,42 @@ class Adam:
             square += (gradient**2 - square) * np.float32(1 - self.BETA_2)
             np.maximum(largest, square, out=largest)
             array -= np.float32(rate) * mean / (np.sqrt(largest) + np.float32(self.EPSILON))
+
+
+def bin_events(recordings: Recordings, bins: int = 200) -> np.ndarray:
+    """Frames that mark the events of each polarity in each bin (paper, Section 3.2.3).
+
+    The bins divide a recording's duration evenly: of two seconds, 200 bins are 10 ms each.
+    Several events of one taxel and polarity in one bin count as one spike.  The result is therefore
+    the same whether or not the decoder's repeated columns were merged before.  Events
+    after the duration are left out.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    bins : int
+
+    Returns
+    -------
+    ndarray of uint8, shape (n_samples, bins, rows, columns, 2)
+        1 or 0 for each sample, bin, row and column of the tactile image, and polarity: first ON,
+        then OFF, which is empty for a sensor that has only ON events.
+    """
+    events, taxels, sensor = recordings.events, recordings.taxels, recordings.sensor
+    shape = (len(recordings), bins, sensor.rows, sensor.columns, 2)
+    frames = np.zeros(shape, np.uint8)
+    duration_ns = sensor.duration_s * 1e9
+    time = (events.time_ns * bins / duration_ns).astype(np.int64)
+    inside = (time >= 0) & (time < bins)
+    taxel = events.taxel[inside]
+    frames[
+        recordings.sample_of_event[inside],
+        time[inside],
+        taxels.row[taxel],
+        taxels.column[taxel],
+        (events.polarity[inside] < 0).astype(np.int64),
+    ] = 1
+    return frames
 
 
 def predictions_of(dataset, index, seed: int, conv_scale: float, checkpoint: Path) -> tuple:

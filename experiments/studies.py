@@ -20,10 +20,10 @@ import typer
 from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.tables import aligned
+from experiments.variants import VARIANTS, varied
 from pipeline.artifacts import Library
 from pipeline.commands import options
 from pipeline.data.library import recordings_of
-from pipeline.data.variants import VARIANTS
 from pipeline.paper import TABLE2
 from pipeline.results import study
 from pipeline.results.study import Case
@@ -49,7 +49,7 @@ class Line:
     input : str
         ``input.kind`` of its network.
     alter : str
-        One of :data:`pipeline.data.variants.VARIANTS`.
+        One of :data:`experiments.variants.VARIANTS`.
     on_request : bool
         True if the row is only measured if ``--only`` names it.
     """
@@ -59,7 +59,7 @@ class Line:
     stage: str
     changes: dict = field(default_factory=dict)
     input: str = "image"
-    alter: str = "as-is"
+    alter: str = ""
     on_request: bool = False
 
 
@@ -237,6 +237,27 @@ EXPERIMENTS = (
         note=EMULATED_NOTE,
     ),
     Experiment(
+        "real-touch",
+        "Recordings of real sensors (--data)",
+        "10 min a seed",
+        (
+            Line("counts", "logistic regression on event counts", "counts"),
+            Line("cnn", "CNN on images", "cnn"),
+            Line("rate-lif", "rate-based LIF on images", "rate-lif"),
+            Line("chip", "SNN on images, emulated Loihi, readout on host", "fast", OWN),
+            Line("trained", "SNN on events", "trained", **ON_EVENTS),
+            Line(
+                "events-chip", "SNN on events, emulated Loihi, readout on host", "fast", **ON_EVENTS
+            ),
+        ),
+        (
+            *(("chip", "rate-lif"), ("events-chip", "trained"), ("chip", "counts")),
+            *(("events-chip", "counts"), ("events-chip", "chip")),
+        ),
+        seeds=5,
+        note=EMULATED_NOTE,
+    ),
+    Experiment(
         "difficulty",
         "The paper's CNN with the paper's protocol",
         "5 min",
@@ -249,9 +270,11 @@ EXPERIMENTS = (
 
 def measure(case: Case, networks: Library) -> dict:
     """As :func:`pipeline.results.study.measure`, also for stages that only experiments have."""
-    if case.stage not in ("cnn-matched", "slayer", "slayer-small"):
-        return study.measure(case, networks)
     dataset, settings = study.dataset_of(case), case.resolved
+    if case.alter:
+        dataset = varied(dataset, case.alter, case.seed)
+    if case.stage not in ("cnn-matched", "slayer", "slayer-small"):
+        return study.measure(case, networks, dataset)
     index = getattr(dataset.split, case.part)
     if case.stage == "cnn-matched":
         from pipeline.training import networks as training  # TensorFlow, where it is needed
@@ -359,22 +382,31 @@ def cells(experiment: Experiment, found: dict, split: str) -> list:
     """The rows of a table as lists of text, the heads first; the paper's only on random splits."""
     titles = {line.name: line.title for line in experiment.lines}
     paper = experiment.name == "table2" and split == "random"
+    early = any("share" in row.get("costs", {}) for row in found["rows"])
     heads = ["accuracy (SD)", "95 % interval", "splits", "operations / CNN", "/ dense", "updates"]
+    heads += ["early after", "early accuracy"] if early else []
     lines = [[f"{split} splits", *heads, *(["paper, real data"] if paper else [])]]
     for row in found["rows"]:
         if row["split"] != split:
             continue
         sd = "" if row["sd"] is None else f" ({row['sd']:.3f})"
-        costs = row.get("costs", {})
-        ratios = [f"{costs[key]:.2f}" if key in costs else "" for key in ("per_cnn", "per_dense")]
-        cost = [*ratios, f"{costs['updates']:,.0f}" if "updates" in costs else ""]
         interval = study.interval_text([min(max(b, 0.0), 1.0) for b in row["ci95"] or ()])
         line = [titles[row["name"]], f"{row['mean']:.3f}{sd}", interval, str(len(row["seeds"]))]
-        lines.append([*line, *cost])
+        costs, shown = row.get("costs", {}), COSTS if early else COSTS[:3]
+        line += [layout.format(costs[name]) if name in costs else "" for name, layout in shown]
         if paper:
             known = TABLE2.get(row["name"])
-            lines[-1].append("{:.2f} ({:.2f})".format(*known) if known else "")
+            line.append("{:.2f} ({:.2f})".format(*known) if known else "")
+        lines.append(line)
     return lines
+
+
+COSTS = (
+    *(("per_cnn", "{:.2f}"), ("per_dense", "{:.2f}"), ("updates", "{:,.0f}")),
+    *(("share", "{:.0%}"), ("early", "{:.3f}")),
+)
+"""Costs in a table, and their formats; the last two are the share of a recording until the early
+decision and its accuracy."""
 
 
 def text(experiment: Experiment, found: dict) -> str:

@@ -96,6 +96,10 @@ class Origin:
         kept = {name: value for name, value in self.settings.items() if name not in names}
         return replace(self, settings=kept)
 
+    def with_content(self, name: str, value: str) -> Origin:
+        """The origin with another content."""
+        return replace(self, contents={**self.contents, name: value})
+
     def view(self, settings: Settings) -> Settings:
         """The settings restricted to those that may be read to make the artifact."""
         return settings.only(self.settings)

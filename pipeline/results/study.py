@@ -26,7 +26,7 @@ import numpy as np
 from deploy import __version__
 from deploy.check.intervals import mcnemar, wilson_interval
 from deploy.errors import CheckFailed, UserError
-from deploy.files import read_json, write_json
+from deploy.files import read_arrays, read_json, write_json
 from deploy.network.decision import share_of_time
 from deploy.network.operations import multiply_accumulates
 from deploy.network.stimulus import last_steps
@@ -35,9 +35,8 @@ from deploy.tables import p_text
 from deploy.targets.registry import TARGETS
 from deploy.targets.registry import answer as answer_on_target
 from pipeline import stages
-from pipeline.artifacts import DELETE_IT, Library, Origin
+from pipeline.artifacts import DELETE_IT, Library
 from pipeline.data.dataset import Dataset
-from pipeline.data.variants import durations_ns, vary
 from pipeline.jobs import Failure, attempt, run_jobs
 from pipeline.paper import CNN_MACS
 from pipeline.progress import hidden, progress
@@ -84,7 +83,7 @@ class Case:
     part : str
         ``"test"``, or ``"validation"``; then the test samples are not used at all.
     alter : str
-        Change of the recordings, one of :data:`pipeline.data.variants.VARIANTS`.
+        How the recordings are changed, for a function that measures; :func:`measure` does not.
     """
 
     name: str
@@ -93,7 +92,7 @@ class Case:
     seed: int = 0
     split: str = "random"
     part: str = "test"
-    alter: str = "as-is"
+    alter: str = ""
 
     @property
     def resolved(self) -> Settings:
@@ -214,20 +213,22 @@ def _kept(folder, case, recordings, row):
     return row
 
 
-def measure(case: Case, networks: Library) -> dict:
+def measure(case: Case, networks: Library, dataset: Dataset | None = None) -> dict:
     """Train what a case needs, unless a library has it, and test it.
 
     Parameters
     ----------
     case : Case
     networks : Library
+    dataset : Dataset, optional
+        Default: :func:`dataset_of` the case.
 
     Returns
     -------
     dict
         See :func:`row_of`; of a target also its ``costs``, see :func:`costs_of`.
     """
-    dataset = dataset_of(case)
+    dataset = dataset or dataset_of(case)
     inputs, _ = dataset.part(case.part)
     index = getattr(dataset.split, case.part)
     with hidden():
@@ -254,6 +255,13 @@ def reference(case: Case, dataset: Dataset, networks: Library, inputs) -> np.nda
         stages.train("cnn", networks, settings, dataset, _silent)
         weights = stages.weights_of("cnn", networks, settings, dataset.origin)
         return TrainedCNN(settings, weights).logits(inputs).argmax(1)
+    if case.stage == "counts":
+        stages.train("counts", networks, settings, dataset, _silent)
+        folder = stages.network_artifact("counts", networks, settings, dataset.origin).folder
+        scores = read_arrays(folder / "scores.npz", DELETE_IT)
+        by_id = dict(zip(scores["ids"].tolist(), scores["scores"], strict=True))
+        ids = [dataset.recordings.ids[i] for i in getattr(dataset.split, case.part)]
+        return np.argmax([by_id[name] for name in ids], axis=1)
     stages.train_all(networks, settings, dataset, _silent)
     name = "events" if settings.on_events else "rate-lif"
     weights = stages.weights_of(name, networks, settings, dataset.origin)
@@ -271,7 +279,7 @@ def reference(case: Case, dataset: Dataset, networks: Library, inputs) -> np.nda
 
 
 def dataset_of(case: Case) -> Dataset:
-    """The samples of a case, with its split and changed events.
+    """The samples of a case, with its split.
 
     Raises
     ------
@@ -279,25 +287,16 @@ def dataset_of(case: Case) -> Dataset:
         There are too few samples for the part.
     """
     dataset = Dataset.of(case.resolved)
-    if case.alter != "as-is":
-        # Recordings that are reduced to counts last as long as the median training sample.
-        lasts = float(np.median(durations_ns(dataset.recordings)[dataset.split.train]))
-        varied = vary(dataset.recordings, case.alter, case.seed, lasts)
-        origin = _with(dataset.origin, "variant", case.alter)
-        dataset = Dataset(varied, dataset.split, origin, dataset.settings)
     if case.part == "validation":
         if not len(dataset.split.validation):
             raise UserError(
                 f"{case.settings.data.source}: too few samples for a validation part; give more"
             )
         split = replace(dataset.split, test=dataset.split.test[:0])
-        origin = _with(dataset.origin, "samples", "without the test split")
-        dataset = replace(dataset, split=split, origin=origin)
+        dataset = replace(
+            dataset, split=split, origin=dataset.origin.with_content("samples", "no test split")
+        )
     return dataset
-
-
-def _with(origin, name, value) -> Origin:
-    return replace(origin, contents={**origin.contents, name: value})
 
 
 def row_of(case: Case, dataset: Dataset, index, predictions, **more) -> dict:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from experiments.frames import bin_events
+from experiments.slayer import bin_events
 from pipeline.data.events import Events, Source, TaxelMap, collect, expand_bursts
 
 SOURCE = Source("made by hand", "0" * 64, simulated=True)

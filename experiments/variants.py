@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.data.dataset import Dataset
 from pipeline.data.events import EVENT_DTYPES, Events, Recordings
 
 VARIANTS = {
@@ -45,6 +46,17 @@ def vary(recordings: Recordings, variant: str, seed: int, lasts_ns: float) -> Re
     if variant == "as-is":
         return recordings
     raise ValueError(f"no variant {variant!r}")
+
+
+def varied(dataset: Dataset, variant: str, seed: int) -> Dataset:
+    """A data set with changed events; see :func:`vary`.
+
+    Recordings that are reduced to counts last as long as the median training sample.
+    """
+    lasts = float(np.median(durations_ns(dataset.recordings)[dataset.split.train]))
+    recordings = vary(dataset.recordings, variant, seed, lasts)
+    origin = dataset.origin.with_content("variant", variant)
+    return Dataset(recordings, dataset.split, origin, dataset.settings)
 
 
 def durations_ns(recordings: Recordings) -> np.ndarray:
