@@ -268,14 +268,15 @@ class Architecture:
             for array, shape in layer.weight_shapes(before).items()
         }
 
-    @property
-    def event_weight_shapes(self) -> dict:
+    def event_weight_shapes(self, parts: int = 1) -> dict:
         """Shapes of the trained arrays of a spiking network on events (:mod:`models.spiking`).
 
         In addition to `weight_shapes`, each layer with neurons has two time constants; the output
-        has no bias.
+        has no bias, and weights for each part of a sample.
         """
         shapes = {n: s for n, s in self.weight_shapes.items() if n != "output.bias"}
+        inputs, outputs = shapes["output.kernel"]
+        shapes["output.kernel"] = parts * inputs, outputs
         for name in self.names[:-1]:
             shapes |= {f"{name}.tau_u": (), f"{name}.tau_v": ()}
         return shapes

@@ -36,7 +36,10 @@ fast sigmoid of Zenke and Ganguli 2018); the reset is not differentiated (Zenke 
 
 The output accumulates its weights K over the spikes of the last layer, from the sample's start:
 
-    y(t) = sum over t' <= t of K s(t').
+    y(t) = sum over t' <= t of K(t') s(t').
+
+K may differ between consecutive parts of the sample: the readout is on the host, which knows the
+step.
 """
 
 from __future__ import annotations
@@ -109,6 +112,8 @@ class SpikingNetwork(tf.Module):
     neuron : Neuron
     seed : int
         Seed of the initial weights, which are normal with a variance of one over the fan-in.
+    starts : tuple of int
+        First step of each part of a sample that has output weights of its own.
 
     Raises
     ------
@@ -116,10 +121,17 @@ class SpikingNetwork(tf.Module):
         The architecture has pooling, or no layer with neurons.
     """
 
-    def __init__(self, architecture: Architecture, neuron: Neuron | None = None, seed: int = 0):
+    def __init__(
+        self,
+        architecture: Architecture,
+        neuron: Neuron | None = None,
+        seed: int = 0,
+        starts: tuple = (0,),
+    ):
         super().__init__()
         quiet_compiler()
         self.architecture, self.neuron = architecture, neuron or Neuron()
+        self.starts = tuple(starts)
         kinds = [layer.kind for layer in architecture.layers]
         if "pool" in kinds:
             raise ValueError(f"{architecture}: spikes are not pooled; use a stride")
@@ -132,7 +144,7 @@ class SpikingNetwork(tf.Module):
             shape = architecture.weight_shapes[f"{name}.kernel"]
             kernel = rng.normal(0, 1 / np.sqrt(np.prod(shape[:-1])), shape)
             if name == "output":
-                self._add("output.kernel", kernel)
+                self._add("output.kernel", np.tile(kernel, (len(self.starts), 1)))
                 continue
             self._add(f"{name}.kernel", kernel)
             self._add(f"{name}.bias", np.zeros(shape[-1]))
@@ -152,8 +164,9 @@ class SpikingNetwork(tf.Module):
     def get_weights(self) -> dict:
         """Trained arrays by name: ``"conv1.kernel"``, ``.bias``, ``.tau_u`` and ``.tau_v`` (steps).
 
-        The output's kernel holds the contribution of a spike to each output; kernels and biases of
-        neurons are in units of their threshold.
+        The output's kernel holds the contribution of a spike to each output, in the first part of
+        the sample, then in the second, and so on: its shape is (parts * neurons, outputs).  Kernels
+        and biases of neurons are in units of their threshold.
         """
         return self.named(variable.numpy() for variable in self.variables_in_order)
 
@@ -219,8 +232,13 @@ class SpikingNetwork(tf.Module):
             signal = spikes[-1] if keep is None else spikes[-1] * keep[index]
             signal = tf.reshape(signal, (steps, samples, *layer.shape(before)))
         kernel = tf.cast(values["output.kernel"], dtype) * OUTPUT_SCALE
-        added = tf.matmul(tf.reshape(signal, (-1, kernel.shape[0])), kernel)
-        return tf.cumsum(tf.reshape(added, (steps, samples, kernel.shape[1]))), spikes
+        parts = tf.split(kernel, len(self.starts))
+        added = [
+            tf.matmul(tf.reshape(signal[first:end], (-1, part.shape[0])), part)
+            for first, end, part in zip(self.starts, (*self.starts[1:], None), parts, strict=True)
+        ]
+        added = tf.reshape(tf.concat(added, 0), (steps, samples, kernel.shape[1]))
+        return tf.cumsum(added), spikes
 
     def _on_chip(self, name, values, dtype):
         """The chip's integers as tensors, with gradients to the trained variables."""

@@ -95,6 +95,7 @@ EPOCHS, BATCH = between(1, limits.EPOCHS), between(1, limits.BATCH)
 OWN_EPOCHS, OWN_BATCH = between(0, limits.EPOCHS), between(0, limits.BATCH)
 STEPS, STEPS_OR_NONE = between(1, limits.STEPS), between(0, limits.STEPS)
 MOST_DOWNSAMPLED = 64
+MOST_PARTS = 64
 SAMPLES, SAMPLES_OR_ALL = between(1, limits.SAMPLES), between(0, limits.SAMPLES)
 TAU = between(1e-6, limits.SECONDS, " seconds")
 TAU_OR_NONE = between(0, limits.SECONDS, " seconds")
@@ -269,10 +270,18 @@ class EventTraining(Section):
 
     architecture: str = "10x10x2-24c4s3-64-10o"
     """Notation as for the CNN, with a channel for each polarity, a hidden layer and no pooling."""
-    epochs: Annotated[int, EPOCHS] = 80
-    """Passes over the training samples."""
+    parts: Annotated[int, between(0, MOST_PARTS)] = 0
+    """Consecutive parts of a recording that have readout weights of their own; 0: of the recipe,
+    which is one for handwriting."""
+    part: Annotated[float, between(0, 1e6, " milliseconds")] = 0.0
+    """Length of each part in milliseconds, the last one is open; 0: the time of the longest
+    recording, divided among the parts."""
+    epochs: Annotated[int, OWN_EPOCHS] = 0
+    """Passes over the training samples; 0: of the recipe, which fixes the number of updates."""
     batch_size: Annotated[int, BATCH] = 32
     """Samples per training step."""
+    dropout: Annotated[float, FROM_0_BELOW_1] = 0.1
+    """Share of a layer's neurons whose spikes are left out of a training sample."""
     learning_rate: Annotated[float, ABOVE_0] = 0.003
     """Initial learning rate of Adam; it falls to 0 along a half cosine."""
     early: Annotated[float, AT_LEAST_0] = 1.0
@@ -403,6 +412,15 @@ class Settings(Section):
         if not self.on_events:
             return Presentation.steps
         return min(round(1000 * paper.DURATION_S / self.input.step), limits.STEPS)
+
+    @property
+    def part_starts(self) -> tuple:
+        """First step of each part of a sample that has readout weights of its own."""
+        if self.nir.file:
+            return (0,)
+        parts = self.events.parts or 1
+        part = (self.events.part or 1000 * paper.DURATION_S / parts) / self.input.step
+        return tuple(sorted({round(k * part) for k in range(parts)}))
 
     @property
     def on_events(self) -> bool:

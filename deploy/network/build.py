@@ -79,8 +79,9 @@ class Built:
     network : nengo.Network
     feed : Feed
     output : nengo.Probe
-        The readout at each step: decoded values on the host, or spikes of output
-        neurons on the chip.
+        The readout at each step: decoded values on the host, those of all parts of the
+        presentation (:func:`deploy.network.responses.decoded`), or spikes of output neurons on the
+        chip.
     spikes : dict of str to nengo.Probe
         Spikes of each spiking layer, in order.
     """
@@ -119,7 +120,7 @@ def build(spec: NetworkSpec, seed: int = 0) -> Built:
         spikes["input"] = nengo.Probe(source)
         for layer in spec.layers:
             if layer.neurons is None:
-                target = nengo.Node(size_in=layer.size, label=layer.name)
+                target = nengo.Node(size_in=layer.parts * layer.size, label=layer.name)
             else:
                 ensemble = _ensemble(layer)
                 network.config[ensemble].on_chip = True
@@ -198,10 +199,10 @@ def _transform(layer: Layer):
     if layer.kind == "dense":
         weights, before = layer.weights, int(np.prod(layer.input_shape))
         if layer.pool > 1:
-            by_place = np.moveaxis(weights.reshape(layer.size, *layer.read_shape), 0, -1)
+            by_place = np.moveaxis(weights.reshape(len(weights), *layer.read_shape), 0, -1)
             by_place = unpooled(by_place, layer.input_shape, layer.pool) / layer.pool**2
-            weights = np.moveaxis(by_place, -1, 0).reshape(layer.size, before)
-        return nengo.Dense((layer.size, before), init=weights), None
+            weights = np.moveaxis(by_place, -1, 0).reshape(-1, before)
+        return nengo.Dense((len(weights), before), init=weights), None
     kernel, input_shape, inputs = layer.weights, layer.input_shape, None
     if layer.pool > 1:
         kernel, input_shape = _pooled_kernel(layer)

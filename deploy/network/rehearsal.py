@@ -1,7 +1,8 @@
 """Responses to some training samples, so that a readout can be refitted without forgetting them.
 
 The readout on the host is linear: its scores are ``weights @ x + bias``, where ``x`` is the mean of
-its input while a sample is read, the low-pass filtered spikes of the last layer of neurons.
+its input while a sample is read, the low-pass filtered spikes of the last layer of neurons.  For a
+readout in parts, ``x`` has the sums of each part, divided by the steps of all of them.
 The bundle has ``x`` for some training samples, with their labels.
 """
 

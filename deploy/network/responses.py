@@ -105,7 +105,8 @@ def respond(spec: NetworkSpec, built, sim, samples) -> Responses:
         hashes.append(spike_hash(np.packbits(rows, axis=1) for rows in shown.spikes.values()))
         outputs.append(shown.output[spec.presentation.gap :])
     counts = {name: np.array(rows) for name, rows in counts.items()}
-    return replace(read_output(spec, np.array(outputs), counts), spike_hashes=np.array(hashes))
+    output = decoded(spec, np.array(outputs))
+    return replace(read_output(spec, output, counts), spike_hashes=np.array(hashes))
 
 
 def spike_hash(packed) -> str:
@@ -122,6 +123,27 @@ def spike_hash(packed) -> str:
     return every_spike.hexdigest()[:16]
 
 
+def decoded(spec: NetworkSpec, output: np.ndarray) -> np.ndarray:
+    """The readout of the part of the presentation that each step belongs to.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    output : ndarray, shape (..., steps, parts * n_classes)
+        The probe of the readout, from the first step of a sample on.
+
+    Returns
+    -------
+    ndarray, shape (..., steps, n_classes)
+    """
+    readout = spec.layers[-1]
+    if readout.parts == 1:
+        return output
+    steps = np.arange(output.shape[-2])
+    by_part = output.reshape(*output.shape[:-1], readout.parts, readout.size)
+    return by_part[..., steps, readout.part_of(steps), :]
+
+
 def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Responses:
     """Convert a target's raw output to scores and decisions.
 
@@ -130,7 +152,7 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
     spec : NetworkSpec
     output : ndarray, shape (n_samples, steps, n_classes)
         The readout at each step of a sample's presentation: decoded on the host, or spikes of the
-        output neurons (``amplitude / dt`` in a step with a spike).
+        output neurons (``amplitude / dt`` in a step with a spike); see :func:`decoded`.
     spikes : dict of str to ndarray of int, shape (n_samples, n_neurons)
         Number of spikes of each neuron of each spiking layer, including the gap before the sample.
 

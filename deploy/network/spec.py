@@ -80,8 +80,9 @@ class Layer:
         Side length of the convolution's filters (0 for dense).
     block_shape : tuple of int or None
         (rows, columns, channels) of the part of the layer on one core; None for the whole layer.
-    weights : ndarray, shape (kernel, kernel, channels_in, filters) or (units, inputs)
-        Weights for the input, after pooling if ``pool`` is above 1.
+    weights : ndarray, shape (kernel, kernel, channels_in, filters) or (parts * units, inputs)
+        Weights for the input, after pooling if ``pool`` is above 1; of a readout in parts, those of
+        the first part come first.
     bias : ndarray, shape (channels,) or (units,)
         Bias current J of each channel's neurons, or the additive bias of a linear readout.
     stride : int
@@ -92,6 +93,9 @@ class Layer:
         Side length of the average pooling windows before the weights; 1 for no pooling.  Values
         outside of complete windows are not read.  The chip cannot average: pooling is folded into
         the weights when the network is built.
+    starts : tuple of int
+        Of a readout on the host: first step, in a sample, of each part of the presentation that has
+        weights of its own.  The host knows the step; all other layers have one part.
     """
 
     name: str
@@ -108,10 +112,11 @@ class Layer:
     stride: int = 1
     padding: str = "valid"
     pool: int = 1
+    starts: Tuple[int, ...] = (0,)
 
     def __post_init__(self):
         where = f"layer {self.name!r}"
-        for name in ("input_shape", "shape", "block_shape"):
+        for name in ("input_shape", "shape", "block_shape", "starts"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, tuple(int(n) for n in getattr(self, name)))
         for name in ("weights", "bias"):
@@ -138,6 +143,11 @@ class Layer:
             value = getattr(self, name)
             _require(type(value) is int and value >= 1, where, f"{name} must be at least 1")
         _require(self.padding in ("valid", "same"), where, "padding is neither 'valid' nor 'same'")
+        rising = all(a < b for a, b in zip(self.starts, self.starts[1:]))
+        _require(self.starts[:1] == (0,) and rising and self.starts[-1] <= limits.STEPS, where,
+                 f"starts must rise from 0, to {limits.STEPS} at most")  # fmt: skip
+        in_host = self.kind == "dense" and self.neurons is None
+        _require(in_host or self.parts == 1, where, "only a readout on the host has parts")
         image = self.kind == "conv" or self.pool > 1
         _require(len(self.input_shape) in ((3,) if image else (1, 3)), where,
                  f"input_shape {self.input_shape} has a wrong number of dimensions")  # fmt: skip
@@ -151,7 +161,7 @@ class Layer:
             _require(min(expected) >= 1, where, "its kernel is larger than its input")
             _require(self.shape == expected, where, f"shape should be {expected}")
         else:
-            weights = (self.shape[0], int(np.prod(read)))
+            weights = (self.parts * self.shape[0], int(np.prod(read)))
         _require(self.weights.shape == weights, where,
                  f"weights have shape {self.weights.shape}, not {weights}")  # fmt: skip
         _require(self.bias.shape == self.shape[-1:], where,
@@ -161,6 +171,26 @@ class Layer:
     def size(self) -> int:
         """Number of neurons or units."""
         return int(np.prod(self.shape))
+
+    @property
+    def parts(self) -> int:
+        """Number of parts of the presentation that have weights of their own."""
+        return len(self.starts)
+
+    def part_of(self, steps) -> np.ndarray:
+        """The part, from 0, to which steps of a sample, also from 0, belong."""
+        return np.searchsorted(self.starts, steps, side="right") - 1
+
+    @property
+    def by_class(self) -> np.ndarray:
+        """Weights of a readout for the inputs of all parts, shape (units, parts * inputs)."""
+        weights = self.weights.reshape(self.parts, self.size, -1)
+        return weights.swapaxes(0, 1).reshape(self.size, -1)
+
+    def with_by_class(self, weights) -> Layer:
+        """The readout with other weights, in the shape of :attr:`by_class`."""
+        parts = np.reshape(weights, (self.size, self.parts, -1)).swapaxes(0, 1)
+        return replace(self, weights=parts.reshape(self.weights.shape))
 
     @property
     def read_shape(self) -> Tuple[int, ...]:
@@ -279,6 +309,7 @@ class NetworkSpec:
             _require(not last or layer.kind == "dense", where, "the last layer is dense")
             _require(last or layer.placement == "chip", where,
                      "only the last layer can be on the host")  # fmt: skip
+            _require(last or layer.parts == 1, where, "only the last layer has parts")
             shape = layer.shape
 
     @property
@@ -366,7 +397,7 @@ class NetworkSpec:
                 provenance=dict(value.get("provenance", {})),
                 estimator=Estimator.from_arrays(arrays, layers[-1].size if layers else 0),
             )
-            inputs, classes = layers[-1].weights.shape[1], layers[-1].size
+            inputs, classes = layers[-1].by_class.shape[1], layers[-1].size
             spec = replace(spec, rehearsal=Rehearsal.from_arrays(arrays, inputs, classes))
             _only(value, {"schema", *spec.to_json()}, "network")
             _only(arrays, spec.arrays(), "weights")

@@ -14,7 +14,7 @@ from scipy.special import softmax
 
 from deploy.check.bundle import Bundle
 from deploy.network.decision import confidence
-from deploy.network.responses import read_output, running_sums, score_unit, settled
+from deploy.network.responses import decoded, read_output, running_sums, score_unit, settled
 from deploy.network.stimulus import EventFrames
 from deploy.targets.fast.emulation import Emulation, compile_spec
 from pipeline.data.events import Events, Sensor, Source, TaxelMap, collect
@@ -183,7 +183,7 @@ class _Fast:
 
         done = self._emulation.run(spec.stimulus.flat(samples)[None], shown.steps, gap, watch)
         counts = {name: done.counts[name][0] for name in spec.spiking_layers}
-        output = done.output[0, :, gap : gap + steps]
+        output = decoded(spec, done.output[0, :, gap : gap + steps])
         scores = read_output(spec, output, counts).scores[0]
         return scores, spikes, running_sums(spec, output)[0]
 

@@ -43,11 +43,11 @@ class Learnt:
     names : tuple of str
         Names of the recordings that were learned from.
     labels : ndarray of int, shape (n,)
-    responses : ndarray, shape (n, 1 + copies, inputs)
+    responses : ndarray, shape (n, 1 + copies, parts * inputs)
         Responses to each recording and to augmented copies of it.
     right : ndarray of bool, shape (n,)
         True if the readout was right before it learned from the digit.
-    weights : ndarray, shape (classes, inputs), or None
+    weights : ndarray, shape (classes, parts * inputs), or None
         The writer's own readout; None while it is not better than the bundle's.
     """
 
@@ -156,7 +156,7 @@ class Learner:
         readout = spec.layers[-1]
         with self._guard:
             known = self._known(writer)
-            weights = readout.weights if known.weights is None else known.weights
+            weights = readout.by_class if known.weights is None else known.weights
             right = int(np.argmax(weights @ own[0] + readout.bias)) == label
             known = known.with_digit(name, label, responses, right)
             self._writers[writer] = self._fitted(known)
@@ -180,7 +180,7 @@ class Learner:
         person = Person(known.responses[:, 0], known.labels, known.responses[:, 1:])
         readout = self._bundle.spec.layers[-1]
         kept, scale = self._bundle.spec.rehearsal, self._responder.scale
-        fit = refit(readout.weights, readout.bias, person, kept, 0, scale)
+        fit = refit(readout.by_class, readout.bias, person, kept, 0, scale)
         return replace(known, weights=fit.weights if fit.helps else None)
 
     def _make_decider(self, writer):
@@ -189,7 +189,7 @@ class Learner:
         if weights is None:
             self._deciders.pop(writer, None)
             return
-        readout = replace(spec.layers[-1], weights=weights)
+        readout = spec.layers[-1].with_by_class(weights)
         own = replace(spec, layers=(*spec.layers[:-1], readout))
         self._deciders[writer] = decider_of(
             replace(self._bundle, spec=own), self._image, self._sensor
@@ -225,11 +225,11 @@ class Learner:
                 str(arrays["bundle"]) == self._bundle.id
                 and names.ndim == labels.ndim == right.ndim == 1
                 and len(names) == len(labels) == len(right)
-                and responses.shape == (len(names), 1 + COPIES, readout.weights.shape[1])
+                and responses.shape == (len(names), 1 + COPIES, readout.by_class.shape[1])
                 and (labels.dtype.kind, right.dtype.kind, names.dtype.kind) == ("i", "b", "U")
                 and np.isin(labels, np.arange(readout.size)).all()
                 and _are_numbers(responses)
-                and (weights is None or weights.shape == readout.weights.shape)
+                and (weights is None or weights.shape == readout.by_class.shape)
                 and (weights is None or _are_numbers(weights))
             )
         except (UserError, KeyError, ValueError, AttributeError, TypeError):

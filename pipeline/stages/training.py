@@ -207,7 +207,8 @@ def _train_on_events(artifact, place, settings, dataset, say):
 
     samples = event_samples(dataset, settings.seed)
     checkpoint = Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
-    recipe, (table, labels, indices, _) = events.EventRecipe.of(settings), samples
+    table, labels, indices, _ = samples
+    recipe = events.EventRecipe.of(settings).for_samples(len(indices))
     arguments = recipe, table, labels, indices, settings.seed
     trained, seconds = _timed(
         "events", recipe.epochs, events.train_events, *arguments, checkpoint=checkpoint
@@ -277,7 +278,8 @@ def read_weights(folder: Path, settings: Settings) -> dict:
     if settings.on_events:
         architecture = settings.events.architecture
         parsed = parse(architecture)
-        shapes = parsed.event_weight_shapes | Estimator.shapes(parsed.outputs)
+        parts = len(settings.part_starts)
+        shapes = parsed.event_weight_shapes(parts) | Estimator.shapes(parsed.outputs)
     else:
         architecture = settings.cnn.architecture
         shapes = parse(architecture).weight_shapes

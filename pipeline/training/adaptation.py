@@ -11,7 +11,7 @@ from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.network.decision import choose_threshold
 from deploy.network.rehearsal import Rehearsal
-from deploy.network.responses import running_sums
+from deploy.network.responses import decoded, running_sums
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, last_steps
 from deploy.targets.fast.emulation import Emulation, compile_spec
@@ -58,7 +58,7 @@ class Responder:
         inputs = readout.weights.shape[1]
         through = replace(
             readout, shape=(inputs,), block_shape=None, weights=np.eye(inputs),
-            bias=np.zeros(inputs),
+            bias=np.zeros(inputs), starts=(0,),
         )  # fmt: skip
         self.spec = spec
         self._emulation = Emulation(
@@ -97,11 +97,21 @@ class Responder:
             yield self._emulation.run(part, steps, gap).output[:, 0, gap:]
 
     def responses(self, samples) -> np.ndarray:
-        """Mean input of the readout while it is read, shape (n_samples, inputs)."""
-        start = self.spec.presentation.readout_start
-        parts = [output[:, start:].mean(axis=1) for output in self.outputs(samples)]
-        inputs = self.spec.layers[-1].weights.shape[1]
-        return np.concatenate(parts) if parts else np.empty((0, inputs))
+        """Mean input of the readout while it is read.
+
+        Returns
+        -------
+        ndarray, shape (n_samples, parts * inputs)
+            See :mod:`deploy.network.rehearsal`.
+        """
+        start, readout = self.spec.presentation.readout_start, self.spec.layers[-1]
+        found = [np.empty((0, readout.by_class.shape[1]))]
+        for output in self.outputs(samples):
+            output = output[:, start:]
+            part = readout.part_of(start + np.arange(output.shape[1]))
+            sums = [output[:, part == k].sum(axis=1) for k in range(readout.parts)]
+            found.append(np.concatenate(sums, axis=1) / output.shape[1])
+        return np.concatenate(found)
 
     def inputs_in_parts(self, recordings: Recordings):
         """:meth:`inputs` of some recordings at a time.
@@ -203,11 +213,11 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
         )
     person = responder.person(recordings, [seed, 0xADA])
     readout = spec.layers[-1]
-    fit = refit(readout.weights, readout.bias, person, spec.rehearsal, seed, responder.scale)
+    fit = refit(readout.by_class, readout.bias, person, spec.rehearsal, seed, responder.scale)
     others = responder.responses(bundle.checks.inputs)
     others_before, others_after = (
         (others @ weights.T + readout.bias).argmax(axis=1) == bundle.checks.labels
-        for weights in (readout.weights, fit.weights)
+        for weights in (readout.by_class, fit.weights)
     )
     if not fit.helps:
         return Adapted(None, fit, others_before, others_before)
@@ -223,7 +233,7 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
     }
     adapted = replace(
         spec,
-        layers=(*spec.layers[:-1], replace(readout, weights=fit.weights)),
+        layers=(*spec.layers[:-1], readout.with_by_class(fit.weights)),
         provenance={**spec.provenance, "adapted": about},
     )
     return Adapted(
@@ -263,7 +273,7 @@ def _with_threshold(spec, responder, recordings):
         return spec
     weights, outputs, last = spec.layers[-1].weights, [], []
     for samples in responder.inputs_in_parts(recordings):
-        outputs += [output @ weights.T for output in responder.outputs(samples)]
+        outputs += [decoded(spec, output @ weights.T) for output in responder.outputs(samples)]
         last.append(last_steps(samples))
     chosen = choose_threshold(
         running_sums(spec, np.concatenate(outputs)),

@@ -13,7 +13,7 @@ batch, keeps the synaptic operations within the budget.
 from __future__ import annotations
 
 import functools
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from pipeline.settings import EventTraining, Input, Settings
 from pipeline.training.checkpoint import Checkpoint, train_epochs
 from pipeline.training.estimator import train_estimator
 from pipeline.training.networks import make_deterministic
+from pipeline.training.recipe import epochs_for
 
 TAIL = 3
 """Number of steps after a sample's last event in which its spikes still reach the outputs."""
@@ -65,7 +66,10 @@ class EventRecipe:
         Initial time constants of current and voltage, in milliseconds of recording time.
     floor, beta : float
         See :class:`models.spiking.Neuron`.
+    starts : tuple of int
+        First step of each part of a sample with readout weights of its own.
     epochs, batch_size : int
+        0 epochs: as many as :func:`pipeline.training.recipe.epochs_for` says.
     learning_rate : float
         Learning rate of Adam after a short warm-up; it then falls to 0 along a half cosine.
     average : float
@@ -86,11 +90,12 @@ class EventRecipe:
     tau_v_ms: tuple = (80.0,)
     floor: float = -2.0
     beta: float = 4.0
+    starts: tuple = (0,)
     epochs: int = EventTraining.epochs
     batch_size: int = EventTraining.batch_size
     learning_rate: float = EventTraining.learning_rate
     average: float = 0.998
-    dropout: float = 0.1
+    dropout: float = EventTraining.dropout
     early: float = EventTraining.early
     price: float = 3.0
     budget: float = EventTraining.budget
@@ -119,7 +124,14 @@ class EventRecipe:
         values = asdict(settings.events)
         how = values.pop("augment")
         how = AUGMENTATIONS["space" if how == "auto" else how]  # auto: not fitted, so simulated
-        return cls(step_ms=shown.step, rest=shown.rest, **values, **asdict(how))
+        values |= {"step_ms": shown.step, "rest": shown.rest, "starts": settings.part_starts}
+        return cls(**{n: v for n, v in values.items() if n not in ("parts", "part")}, **asdict(how))
+
+    def for_samples(self, samples: int) -> EventRecipe:
+        """The recipe with its number of epochs, for some number of training samples."""
+        if self.epochs:
+            return self
+        return replace(self, epochs=epochs_for(samples, self.batch_size, bool(self.turn)))
 
 
 @dataclass(frozen=True)
@@ -257,7 +269,8 @@ def train_events(
     UserError
         The checkpoint is damaged, or there is no training sample with an event.
     """
-    train = np.asarray(train)[np.diff(table.offsets)[train] > 0]
+    recipe, train = recipe.for_samples(len(train)), np.asarray(train)
+    train = train[np.diff(table.offsets)[train] > 0]
     if not len(train):
         raise UserError("no training sample has an event; give other recordings")
     trainer = _Trainer(recipe, table, np.asarray(labels), train, seed, start)
@@ -306,7 +319,7 @@ def answer_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> A
 
 def network_of(recipe: EventRecipe, weights: dict) -> SpikingNetwork:
     """The network of a recipe with trained weights."""
-    network = SpikingNetwork(parse(recipe.architecture), _neuron(recipe))
+    network = SpikingNetwork(parse(recipe.architecture), _neuron(recipe), starts=recipe.starts)
     network.set_weights(weights)
     return network
 
@@ -334,13 +347,13 @@ def _neuron(recipe):
 
 def _compiled(recipe, dtype):
     """``run(frames, values)``: outputs, operations per sample, spikes per neuron."""
-    return _compiled_network(recipe.architecture, _neuron(recipe), dtype)
+    return _compiled_network(recipe.architecture, _neuron(recipe), recipe.starts, dtype)
 
 
 @functools.lru_cache(maxsize=8)
-def _compiled_network(architecture, neuron, dtype):
+def _compiled_network(architecture, neuron, starts, dtype):
     # For any weights: networks of the same shape share one compilation, which takes seconds.
-    network = SpikingNetwork(parse(architecture), neuron)
+    network = SpikingNetwork(parse(architecture), neuron, starts=starts)
     variables = {
         name: tf.TensorSpec(v.shape, v.dtype) for name, v in network.variables_by_name.items()
     }
@@ -371,7 +384,9 @@ class _Trainer:
         make_deterministic(seed)
         self.recipe, self.table, self.labels, self.seed = recipe, table, labels, seed
         self.train = train
-        self.network = SpikingNetwork(parse(recipe.architecture), _neuron(recipe), seed)
+        self.network = SpikingNetwork(
+            parse(recipe.architecture), _neuron(recipe), seed, recipe.starts
+        )
         self.variables = self.network.variables_in_order
         self.batches = -(-len(train) // recipe.batch_size)
         self.optimizer = tf.keras.optimizers.Adam(

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...errors import UserError
 from ...network.build import build
-from ...network.responses import Responses, read_output, spike_hash
+from ...network.responses import Responses, decoded, read_output, spike_hash
 from ...network.spec import DT
 from . import kernel_numpy
 from .arrays import OVERFLOWS, State
@@ -218,7 +218,7 @@ def run_fast(spec, streams, seed=0, kernel=None, threads=1, memory=MEMORY) -> It
             overflows += recording.overflows
             for index, output in enumerate(recording.output):
                 counts = {name: recording.counts[name][index] for name in spec.spiking_layers}
-                answer = read_output(spec, output[:, gap:], counts)
+                answer = read_output(spec, decoded(spec, output[:, gap:]), counts)
                 yield replace(answer, spike_hashes=hashes[index])
     finally:
         _warn_of(overflows, network.layers)

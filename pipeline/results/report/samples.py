@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deploy.check.bundle import Bundle
-from deploy.network.responses import running_sums
+from deploy.network.responses import decoded, running_sums
 from deploy.network.stream import streams_of
 from deploy.targets.fast.emulation import Emulation, compile_spec
 
@@ -86,7 +86,7 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
         samples = spec.stimulus.flat(bundle.checks.inputs[part.start : here[-1] + 1])
         samples = np.asarray(samples)[None]
         output = emulation.run(samples, shown.steps, shown.gap, packed.append).output[0]
-        sums = running_sums(spec, output[:, shown.gap :])
+        sums = running_sums(spec, decoded(spec, output[:, shown.gap :]))
         if spec.stimulus.static:
             sums = sums / np.arange(1, sums.shape[1] + 1)[:, None]
         chances = softmax(sums)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.network.responses import Responses, read_output, seconds_per_sample
+from deploy.network.responses import Responses, decoded, read_output, seconds_per_sample
 from deploy.network.stimulus import Feed
 from deploy.network.stream import streams_of
 from tests.deploy.networks import events_spec, small_spec
@@ -38,6 +38,23 @@ def test_scores_and_decisions_by_hand():
     means = [np.eye(10)[3] * 3, np.eye(10)[3] * 1.5 + np.eye(10)[5] * 4, expected - bias]
     assert responses.decisions[0].tolist() == [-1, *(int(np.argmax(m + bias)) for m in means)]
     assert responses.predictions.tolist() == responses.decisions[:, -1].tolist()
+
+
+def test_each_step_is_read_with_the_weights_of_its_part():
+    spec = small_spec(steps=5, readout_start=0)
+    readout = spec.layers[-1]
+    weights = np.concatenate([readout.weights, 10 * readout.weights, 100 * readout.weights])
+    in_parts = replace(readout, weights=weights, starts=(0, 1, 3))
+    assert in_parts.part_of(np.arange(5)).tolist() == [0, 1, 1, 2, 2]
+    spec = replace(spec, layers=(*spec.layers[:-1], in_parts))
+    spikes = np.random.default_rng(0).normal(size=(2, 5, weights.shape[1]))
+    shown = decoded(spec, spikes @ weights.T)
+    scale = np.array([1, 10, 10, 100, 100])[:, None]
+    np.testing.assert_allclose(shown, scale * (spikes @ readout.weights.T))
+    # A readout is as linear in parts: the sums of each part times its weights.
+    sums = np.concatenate([spikes[:, a:b].sum(1) for a, b in ((0, 1), (1, 3), (3, 5))], axis=1)
+    np.testing.assert_allclose(sums @ in_parts.by_class.T, shown.sum(1))
+    np.testing.assert_array_equal(in_parts.with_by_class(in_parts.by_class).weights, weights)
 
 
 def test_the_readout_on_the_chip_has_no_bias_to_add():
