@@ -45,9 +45,15 @@ def nir_graph(spec: NetworkSpec):
     Raises
     ------
     UserError
-        The package ``nir`` is not installed.
+        The package ``nir`` is not installed, or the readout has several parts: NIR does not know
+        the step of a presentation.
     """
     nir = _nir()
+    if spec.layers[-1].parts > 1:
+        raise UserError(
+            f"NIR cannot represent a readout with weights for {spec.layers[-1].parts} parts of the "
+            "presentation; train with --set events.parts=1 to export"
+        )
     rows, columns, channels = spec.input_shape
     nodes = {"input": nir.Input({"input": np.array([channels, rows, columns])})}
     area = 1.0
