@@ -56,7 +56,7 @@ class Link:
         ``"conv"`` or ``"dense"``.
     input_shape, shape : tuple of int
         (rows, columns, channels), or (values,); ``input_shape`` is that before averaging.
-    weights : ndarray, shape (rows, columns, channels in, filters) or (inputs, units)
+    weights : ndarray, shape (rows, columns, channels in, filters) or (parts * inputs, units)
         Of sums over averages; for neurons in units of their threshold.
     bias : ndarray, shape (filters,) or (units,)
     neuron : Neurons, Decays or None
@@ -71,6 +71,8 @@ class Link:
         Side length of the windows that are averaged before the map; 1 for none.
     sources : tuple of str
         Names of the nodes of an imported graph that the link represents, for messages.
+    starts : tuple of int
+        See :class:`deploy.network.spec.Layer`.
     """
 
     name: str
@@ -85,6 +87,7 @@ class Link:
     padding: str = "valid"
     pool: int = 1
     sources: tuple = ()
+    starts: tuple = (0,)
 
     def __str__(self):
         nodes = f" (nodes {', '.join(self.sources)})" if self.sources else ""
@@ -209,7 +212,9 @@ def from_rates(
     return (*chain, output)
 
 
-def from_integers(architecture: Architecture, weights: dict, integers: dict) -> tuple:
+def from_integers(
+    architecture: Architecture, weights: dict, integers: dict, starts: tuple = (0,)
+) -> tuple:
     """The chain of a network trained in the chip's integers, with a linear readout.
 
     Parameters
@@ -219,6 +224,9 @@ def from_integers(architecture: Architecture, weights: dict, integers: dict) -> 
         With ``"output.kernel"``; the output has no bias.
     integers : dict of str to models.integers.Integers
         The integers of each layer of neurons, by its name.
+    starts : tuple of int
+        First step of each part of a sample that has readout weights of its own, in the trained
+        network, where spikes reach the readout at once.
 
     Returns
     -------
@@ -227,6 +235,9 @@ def from_integers(architecture: Architecture, weights: dict, integers: dict) -> 
     from models.integers import on_loihi
 
     *hidden, output = links_of(architecture, {"output.kernel": weights["output.kernel"]})
+    # On the chip, the relay and each layer of neurons take a step.
+    arrive = (0, *(first + len(hidden) + 1 for first in starts[1:]))
+    output = replace(output, starts=arrive)
     return (*(on_loihi(link, integers[link.name]) for link in hidden), output)
 
 
@@ -263,6 +274,9 @@ def deployed(
 
 def _layer(link):
     is_conv = link.kind == "conv"
+    if not is_conv:
+        by_part = link.weights.reshape(len(link.starts), -1, link.size).swapaxes(1, 2)
+        by_part = by_part.reshape(-1, by_part.shape[2])
     return Layer(
         name=link.name,
         kind=link.kind,
@@ -273,11 +287,12 @@ def _layer(link):
         synapse=link.tau_syn,
         kernel=len(link.weights) if is_conv else 0,
         block_shape=None,
-        weights=link.weights if is_conv else link.weights.T,
+        weights=link.weights if is_conv else by_part,
         bias=link.bias,
         stride=link.stride,
         padding=link.padding,
         pool=link.pool,
+        starts=link.starts,
     )
 
 

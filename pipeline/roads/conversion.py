@@ -91,7 +91,8 @@ def spec_of_events(
     from pipeline.training.events import network_of  # imports TensorFlow
 
     architecture = parse(recipe.architecture)
-    links = chain.from_integers(architecture, weights, network_of(recipe, weights).integers())
+    integers = network_of(recipe, weights).integers()
+    links = chain.from_integers(architecture, weights, integers, recipe.starts)
     estimator = Estimator.from_arrays(weights, architecture.outputs)
     stimulus = EventFrames(recipe.step_ms / 1000, recipe.rest)
     return chain.deployed(links, stimulus, presentation, provenance, estimator)
