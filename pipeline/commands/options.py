@@ -217,19 +217,19 @@ def fit_recordings(jobs: int, until: str):
     def fit(folder, settings):
         from pipeline.data.library import recordings_of
         from pipeline.progress import stages
-        from pipeline.roads.fitting import chosen_text, fitted, new_run_text, split_text
+        from pipeline.roads.fitting import fitted, new_run_text, split_text
         from pipeline.stages import bars
 
         if settings.data.source == SIMULATED:
             return fitted(settings, jobs)
         with stages(bars(settings, until)):
             recordings = recordings_of(settings, jobs)  # files that are left out are reported later
-        is_new = not folder.experiment.exists()
+        is_new, lines = not folder.experiment.exists(), []
         try:
             # Of other recordings, the user decides: networks of a run would be replaced.
             rechoose = settings.data.source == folder.resolve_settings(None, {}).data.source
             options = {"check": until != "train", "rechoose": rechoose}
-            chosen = fitted(settings, jobs, None, recordings, **options)
+            chosen = fitted(settings, jobs, lines.append, recordings, **options)
         except SeveralErrors as error:
             if not is_new:
                 raise
@@ -239,7 +239,7 @@ def fit_recordings(jobs: int, until: str):
             say(new_run_text(folder.path, recordings, settings))
         elif text := split_text(recordings, settings):
             say(f"{folder.path}: {text}")
-        for line in chosen_text(settings, chosen, recordings):
+        for line in lines:
             say(line)
         return chosen
 

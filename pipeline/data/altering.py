@@ -42,9 +42,14 @@ AUGMENTATIONS = {
 
 
 def augmentation_for(recordings: Recordings) -> str:
-    """The augmentation that suits recordings: ``space`` for handwriting, otherwise ``time``.
+    """The augmentation that suits recordings: ``space`` for handwriting, otherwise ``time``."""
+    return "space" if is_handwriting(recordings) else "time"
 
-    Handwriting is what was simulated, what people wrote on the simulated skin, and recordings in
+
+def is_handwriting(recordings: Recordings) -> bool:
+    """True for handwriting on the skin.
+
+    This is what was simulated, what people wrote on the simulated skin, and recordings in
     ST-MNIST's format of digits on its array.
     """
     source, sensor = recordings.source, recordings.sensor
@@ -53,7 +58,7 @@ def augmentation_for(recordings: Recordings) -> str:
         and (sensor.rows, sensor.columns) == (GRID, GRID)
         and sensor.classes == DIGITS
     )
-    return "space" if source.simulated or source.written or is_st_mnist else "time"
+    return bool(source.simulated or source.written or is_st_mnist)
 
 
 def alter(how: Alteration, rng, samples: int, sample, step, row, column, polarity, size=(10, 10)):

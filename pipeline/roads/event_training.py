@@ -37,19 +37,26 @@ class EventSamples(NamedTuple):
 def event_samples(dataset: Dataset, seed: int) -> EventSamples:
     """Hold out the validation samples or, if there are none, some of the training samples.
 
+    Without validation samples, no training samples are held out if these would be too few to choose
+    a confidence on: the network learns from all of them and decides at the end.
+
     Parameters
     ----------
     dataset : Dataset
     seed : int
         Seed of :meth:`pipeline.data.splits.Split.held_out`.
     """
-    table = EventTable.of(dataset.recordings)
-    return EventSamples(table, dataset.labels, *dataset.split.held_out(seed))
+    table, (train, held_out) = EventTable.of(dataset.recordings), dataset.split.held_out(seed)
+    if not len(dataset.split.validation) and len(held_out) < FEWEST:
+        train, held_out = dataset.split.train, held_out[:0]
+    return EventSamples(table, dataset.labels, train, held_out)
 
 
 def choose(settings: Settings, samples: EventSamples, trained, seed: int) -> Threshold:
     """Choose the confidence for early decisions on the held-out samples; see :func:`trusted`."""
     table, labels, _, held_out = samples
+    if not len(held_out):
+        return Threshold(1.0, 0.0, 1.0)
     chosen = trained.threshold(table, labels, held_out, settings.steps, seed)
     return trusted(chosen, len(held_out))
 

@@ -16,7 +16,7 @@ import numpy as np
 from deploy.errors import SeveralErrors, UserError
 from models.architecture import NotationError, parse
 from models.nir_graph import read_nir
-from pipeline.data.altering import augmentation_for
+from pipeline.data.altering import augmentation_for, is_handwriting
 from pipeline.data.dataset import NO_SPLIT, TOO_SMALL
 from pipeline.data.events import Recordings, Sensor
 from pipeline.data.library import recordings_of
@@ -28,6 +28,7 @@ from pipeline.roads.chip_fit import chip_problems
 from pipeline.roads.given_networks import is_file
 from pipeline.roads.nir_import import require_fit
 from pipeline.settings import SIMULATED, Settings, check_fits
+from pipeline.training.recipe import WIDE, dropout_for, hidden_for, reading_for
 
 LARGEST_MAP = 14
 """Rows and columns of the first convolution's output on images, at most, on average."""
@@ -39,9 +40,9 @@ FEWEST_STEPS, MOST_STEPS = 50, 400
 """Minimum and maximum number of steps of a presentation of events; longer recordings get longer
 steps."""
 
-OPERATIONS_AN_EVENT = 1.5
+OPERATIONS_AN_EVENT = 4
 """Synaptic operations that a network on events may take, in multiples of what its first layer takes
-to receive the events.  Of the default network on the built-in recordings it is about 1.3."""
+to receive the events: with many classes, the readout takes as many as the first layer."""
 
 
 def fitted(
@@ -87,7 +88,7 @@ def fitted(
         return settings
     if recordings is None:
         recordings = recordings_of(settings, jobs, say)
-    problems, changes = [], {}
+    problems, changes, reading = [], {}, None
     if len(recordings.sensor.classes) < 2:  # there is no network to choose
         raise SeveralErrors([f"{settings.data.source}: {split_problem(recordings)}"])
     _architecture(settings, recordings, rechoose, changes, problems)
@@ -95,6 +96,8 @@ def fitted(
         _presentation(settings, recordings, changes)
         if settings.events.augment == "auto":
             changes.setdefault("events", {})["augment"] = augmentation_for(recordings)
+        if not settings.nir.file and not is_handwriting(recordings):
+            reading = _recipe(settings, recordings, changes)
     n_test = _test_samples(settings, recordings, problems)
     if check and 0 < n_test < settings.check.drawn(n_test):
         problems.append(
@@ -113,6 +116,8 @@ def fitted(
     if say is not None:
         for line in chosen_text(settings, result, recordings):
             say(line)
+        if reading is not None:
+            say(reading.text(result.input.step))
     return result
 
 
@@ -129,6 +134,11 @@ def chosen_text(before: Settings, after: Settings, recordings: Recordings) -> li
         lines.append(
             f"augmentation in {after.events.augment} "
             "(another: --set events.augment=time, space or none)"
+        )
+    if after.on_events and after.events.dropout != before.events.dropout:
+        lines.append(
+            f"dropout of {after.events.dropout:g}, for few recordings "
+            "(another: --set events.dropout=...)"
         )
     if after.presentation != before.presentation:
         shown, longest = after.steps * after.input.step, _longest_ms(recordings)
@@ -159,7 +169,7 @@ def split_text(recordings: Recordings, settings: Settings) -> str:
     return "random split instead of the published one" if recordings.is_split else ""
 
 
-def architecture_for(sensor: Sensor, on_events: bool) -> str:
+def architecture_for(sensor: Sensor, on_events: bool, hidden: int = 64) -> str:
     """An architecture for a sensor and its classes, in the paper's notation.
 
     These are the paper's layers if they fit.  For larger sensors the first convolution has a
@@ -171,6 +181,8 @@ def architecture_for(sensor: Sensor, on_events: bool) -> str:
     sensor : Sensor
     on_events : bool
         For events, with a channel for each polarity.
+    hidden : int
+        Neurons of the hidden layer of a network on events.
     """
     rows, columns, classes = sensor.rows, sensor.columns, len(sensor.classes)
     side, smallest = math.sqrt(rows * columns), min(rows, columns)
@@ -178,7 +190,7 @@ def architecture_for(sensor: Sensor, on_events: bool) -> str:
     if on_events:
         stride = max(3, math.floor(side / EVENT_MAP))
         first = f"24c{stride + 1}s{stride}"
-        middle = [first, "64"] if smallest > stride else ["64"]
+        middle = [first, f"{hidden}"] if smallest > stride else [f"{hidden}"]
     elif side <= LARGEST_MAP + 3:
         middle = ["6c4", "24c3"] if smallest >= 6 else ["64"]
     else:
@@ -199,7 +211,10 @@ def _architecture(settings, recordings, rechoose, changes, problems):
     sensor = recordings.sensor
     if _is_for(before.architecture, sensor, 2 if settings.on_events else 1):
         return
-    chosen = architecture_for(sensor, settings.on_events)
+    hidden = 64
+    if section == "events" and not is_handwriting(recordings):
+        hidden = hidden_for(len(_training(settings, recordings)), len(sensor.classes))
+    chosen = architecture_for(sensor, settings.on_events, hidden)
     changes[section] = {"architecture": chosen}
     if section == "events" and before.budget == Settings().events.budget:
         budget = OPERATIONS_AN_EVENT * _operations_of_input(chosen, recordings) / CNN_MACS
@@ -221,7 +236,9 @@ def _was_chosen(section, settings):
     rows, columns, _ = parsed.input_shape
     classes = tuple(map(str, range(parsed.outputs)))
     sensor = Sensor(rows=rows, columns=columns, classes=classes)
-    return section.architecture == architecture_for(sensor, settings.on_events)
+    return section.architecture in [
+        architecture_for(sensor, settings.on_events, hidden) for hidden in (64, WIDE)
+    ]
 
 
 def _is_for(architecture, sensor, channels) -> bool:
@@ -251,6 +268,35 @@ def _presentation(settings, recordings, changes):
     changes["presentation"] = {"steps": steps}
     if step != settings.input.step:
         changes["input"] = {"step": step, "refractory": step}
+
+
+def _recipe(settings, recordings, changes):
+    """Choose how a network for other recordings than handwriting reads and learns them."""
+    default, train = Settings(), _training(settings, recordings)
+    events = changes.setdefault("events", {})
+    if settings.events.dropout == default.events.dropout:
+        events["dropout"] = dropout_for(len(train), default.events.dropout)
+    shown = settings.with_values(changes, settings.data.source)
+    if settings.events.parts:
+        return None
+    table, step = EventTable.of(recordings), shown.input.step
+    reading = reading_for(table, recordings.labels, train, step, shown.steps)
+    if settings.input.refractory == default.input.refractory:
+        changes["input"] = {"step": step, "refractory": reading.rest * step}
+    else:
+        reading = reading._replace(rest=shown.input.rest, lost=table.lost(step, shown.input.rest))
+    events |= {"parts": reading.parts, "part": shown.steps * step / reading.parts}
+    return reading
+
+
+def _training(settings, recordings):
+    """Indices of the training samples; none if there can be no split."""
+    shares = settings.split
+    fractions = shares.test_fraction, shares.validation_fraction
+    try:
+        return split_of(recordings, settings.seed, *fractions, shares.kind).train
+    except ValueError:
+        return np.empty(0, int)
 
 
 def _longest_ms(recordings):

@@ -209,6 +209,8 @@ def _train_on_events(artifact, place, settings, dataset, say):
     checkpoint = Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
     table, labels, indices, _ = samples
     recipe = events.EventRecipe.of(settings).for_samples(len(indices))
+    updates = recipe.epochs * -(-len(indices) // recipe.batch_size)
+    say(f"events: {recipe.epochs} epochs, {updates:,} updates, on {len(indices):,} samples")
     arguments = recipe, table, labels, indices, settings.seed
     trained, seconds = _timed(
         "events", recipe.epochs, events.train_events, *arguments, checkpoint=checkpoint

@@ -1,15 +1,27 @@
 """How a network on events is trained, and what it reads, by rules on the recordings.
 
 For handwriting on the skin the defaults of the settings are the recipe.  They were chosen on
-thousands of recordings of ten classes, whose events are few.  For all other recordings
-:func:`recipe_for` chooses what suits their number, their classes and their events, as it was
-cross-validated within the training parts of two sets of real recordings of touch: objects in a
-robot's hand and Braille letters.
+thousands of recordings of ten classes with few events.  For all other recordings :func:`recipe_for`
+chooses what suits their number, their classes and their events.  The rules were cross-validated
+within the training parts of two sets of real recordings of touch, objects in a robot's hand and
+Braille letters.
+
+The refractory period of the input compresses large counts of events, as a square root does, and
+saves operations, but it loses events.  Readout weights for parts of a recording tell when something
+happened, but there are more of them to learn.  What suits some recordings is estimated in seconds
+by a linear classifier on the spikes that the network would receive: ridge regression of the classes
+on the spikes of each taxel, polarity and part, each training recording predicted from all others.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from pipeline.data.steps import EventTable
 
 UPDATES = 1440
 """Minimum number of updates of the weights in a training on events."""
@@ -19,6 +31,57 @@ UPDATES_BY_ROOT = 60
 
 HANDWRITING_EPOCHS = 80
 """Minimum number of passes over the training samples for handwriting."""
+
+FEW, FEW_DROPOUT = 2000, 0.3
+"""Number of training samples below which spikes are left out of training with this probability."""
+
+WIDE, MANY_CLASSES = 128, 10
+"""Neurons of the hidden layer for few samples or more than this many classes."""
+
+RESTS, PARTS = (0, 1, 3, 7), (1, 4, 8)
+"""Refractory periods, in steps, and numbers of parts of a recording, among which is chosen."""
+
+NEARLY = 0.005
+"""Difference of accuracies that does not matter."""
+
+RIDGES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+"""Strengths of the regularisation of the linear classifier, among which the best is taken."""
+
+MOST_COMPARED = 800
+"""Maximum number of training samples that the linear classifier is fitted to."""
+
+
+class Reading(NamedTuple):
+    """How the events of recordings are read.
+
+    Attributes
+    ----------
+    rest : int
+        Refractory period of a taxel and polarity, in steps.
+    parts : int
+        Parts of a recording with readout weights of their own.
+    lost : float
+        Share of the events that are merged in a step or ignored in the refractory period.
+    accuracy, complete : float
+        Cross-validated accuracy of the linear classifier with this refractory period, and without
+        any, on average over all numbers of parts.
+    """
+
+    rest: int
+    parts: int
+    lost: float
+    accuracy: float
+    complete: float
+
+    def text(self, step_ms: float) -> str:
+        """The choice and its reason in a line."""
+        how = f"each of {self.parts} parts" if self.parts > 1 else "the whole"
+        return (
+            f"refractory period of {self.rest * step_ms:g} ms and readout weights for {how} of a "
+            f"recording: {self.lost:.0%} of the events are merged or ignored; a linear classifier, "
+            f"cross-validated on the training samples, has {self.accuracy:.3f} (without the period "
+            f"{self.complete:.3f})"
+        )
 
 
 def epochs_for(samples: int, batch_size: int, handwriting: bool) -> int:
@@ -36,3 +99,94 @@ def epochs_for(samples: int, batch_size: int, handwriting: bool) -> int:
     batches = -(-max(samples, 1) // batch_size)
     updates = max(UPDATES, UPDATES_BY_ROOT * math.sqrt(samples))
     return max(round(updates / batches), HANDWRITING_EPOCHS if handwriting else 1)
+
+
+def hidden_for(samples: int, classes: int) -> int:
+    """Neurons of the hidden layer for touch that is not handwriting."""
+    return WIDE if samples < FEW or classes > MANY_CLASSES else 64
+
+
+def dropout_for(samples: int, default: float) -> float:
+    """Dropout for touch that is not handwriting."""
+    return FEW_DROPOUT if samples < FEW else default
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def reading_for(table: EventTable, labels, train, step_ms: float, steps: int) -> Reading:
+    """Choose the refractory period and the number of parts on the training samples.
+
+    The refractory period is the longest of those with nearly the highest accuracy of the linear
+    classifier, on average over all numbers of parts: a longer one saves operations.  There are more parts only if they gain more than a standard error.
+
+    Parameters
+    ----------
+    table : EventTable
+    labels : ndarray of int, shape (n_samples,)
+    train : ndarray of int
+        Indices of the training samples.
+    step_ms : float
+        Milliseconds of a step.
+    steps : int
+        Steps of a presentation.
+    """
+    some = np.asarray(train)[np.diff(table.offsets)[train] > 0]
+    some = np.random.default_rng(0x9EAD).permutation(some)[:MOST_COMPARED]
+    if len(some) < 2:
+        return Reading(0, 1, 0.0, 0.0, 0.0)
+    target, accuracy = np.asarray(labels)[some], {}
+    for rest in RESTS:
+        spikes = _spikes(table, some, step_ms, steps, rest)
+        for parts in PARTS:
+            merged = spikes.reshape(len(some), parts, PARTS[-1] // parts, -1).sum(2)
+            accuracy[rest, parts] = left_out_accuracy(merged.reshape(len(some), -1), target)
+    mean = {rest: float(np.mean([accuracy[rest, parts] for parts in PARTS])) for rest in RESTS}
+    rest = max(rest for rest in RESTS if mean[rest] >= max(mean.values()) - NEARLY)
+    chosen = PARTS[0]
+    for parts in PARTS[1:]:
+        share = accuracy[rest, chosen]
+        if accuracy[rest, parts] > share + math.sqrt(share * (1 - share) / len(some)):
+            chosen = parts
+    return Reading(rest, chosen, table.lost(step_ms, rest), mean[rest], mean[0])
+
+
+def _spikes(table, indices, step_ms, steps, rest):
+    """Spikes of each sample, finest part, taxel and polarity."""
+    part, counts = np.arange(steps) * PARTS[-1] // steps, []
+    for start in range(0, len(indices), 64):
+        frames = table.frames(indices[start : start + 64], step_ms, steps, rest)
+        frames = frames.reshape(*frames.shape[:2], -1)
+        counts.append([frames[part == k].sum(0, dtype=np.float32) for k in range(PARTS[-1])])
+    return np.concatenate([np.stack(some, 1) for some in counts])
+
+
+def left_out_accuracy(inputs, labels) -> float:
+    """Accuracy of ridge regression of the classes, each sample predicted from all others.
+
+    With K the products of the inputs with each other and Y the classes, the fit is H Y with
+    H = K (K + ridge)^-1, and a sample that is left out is predicted by y - (y - (H Y)) / (1 - h),
+    where h is its entry in the diagonal of H (Golub, Heath and Wahba 1979).
+
+    Parameters
+    ----------
+    inputs : ndarray, shape (n_samples, n_inputs)
+    labels : ndarray of int, shape (n_samples,)
+
+    Returns
+    -------
+    float
+        With the best of the `RIDGES`.
+    """
+    inputs = inputs - inputs.mean(0)
+    products = (inputs @ inputs.T).astype(float)
+    products /= max(np.trace(products) / len(inputs), 1e-12)
+    products += 1  # an offset for each class
+    values, vectors = np.linalg.eigh(products)
+    classes = (np.asarray(labels)[:, None] == np.unique(labels)).astype(float)
+    inside, best = vectors.T @ classes, 0.0
+    for ridge in RIDGES:
+        kept = np.maximum(values, 0) / (np.maximum(values, 0) + ridge)
+        fit, own = vectors @ (kept[:, None] * inside), (vectors**2) @ kept
+        left_out = classes - (classes - fit) / np.maximum(1 - own, 1e-12)[:, None]
+        right = classes[np.arange(len(classes)), left_out.argmax(1)]
+        best = max(best, float(right.mean()))
+    return best

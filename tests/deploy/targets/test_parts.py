@@ -10,7 +10,9 @@ from deploy.network.nir import nir_graph
 from deploy.network.spec import NetworkSpec
 from deploy.targets.registry import answer
 from pipeline.training.adaptation import Responder
-from tests.deploy.networks import images_for, small_spec
+from tests.deploy.networks import small_spec
+
+IMAGES = np.random.default_rng(1).random((4, 6, 6, 1))
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +27,7 @@ def spec():
 
 
 def test_all_targets_read_the_same(spec):
-    images = images_for(spec, 4)
+    images = IMAGES
     expected = answer(spec, images, "emulator")
     fast = answer(spec, images, "fast")
     np.testing.assert_allclose(fast.scores, expected.scores)
@@ -41,7 +43,7 @@ def test_all_targets_read_the_same(spec):
 
 def test_the_readout_of_responses_gives_the_scores(spec):
     spec = spec.with_presentation(stream_length=1)
-    images, readout = images_for(spec, 4), spec.layers[-1]
+    images, readout = IMAGES, spec.layers[-1]
     responses = Responder(spec).responses(images)
     scores = responses @ readout.by_class.T + readout.bias
     np.testing.assert_allclose(scores, answer(spec, images, "fast").scores, atol=1e-6)
