@@ -41,6 +41,9 @@ WIDE, MANY_CLASSES = 128, 10
 RESTS, PARTS = (0, 1, 3, 7), (1, 4, 8)
 """Refractory periods, in steps, and numbers of parts of a recording, among which is chosen."""
 
+LONGEST_MS = 1000
+"""Maximum refractory period in milliseconds."""
+
 NEARLY = 0.005
 """Difference of accuracies that does not matter."""
 
@@ -116,7 +119,8 @@ def reading_for(table: EventTable, labels, train, step_ms: float, steps: int) ->
     """Choose the refractory period and the number of parts on the training samples.
 
     The refractory period is the longest of those with nearly the highest accuracy of the linear
-    classifier, on average over all numbers of parts: a longer one saves operations.  There are more parts only if they gain more than a standard error.
+    classifier, on average over all numbers of parts: a longer one saves operations.  There are more
+    parts only if they gain more than a standard error.
 
     Parameters
     ----------
@@ -134,13 +138,14 @@ def reading_for(table: EventTable, labels, train, step_ms: float, steps: int) ->
     if len(some) < 2:
         return Reading(0, 1, 0.0, 0.0, 0.0)
     target, accuracy = np.asarray(labels)[some], {}
-    for rest in RESTS:
+    rests = [rest for rest in RESTS if rest * step_ms <= LONGEST_MS]
+    for rest in rests:
         spikes = _spikes(table, some, step_ms, steps, rest)
         for parts in PARTS:
             merged = spikes.reshape(len(some), parts, PARTS[-1] // parts, -1).sum(2)
             accuracy[rest, parts] = left_out_accuracy(merged.reshape(len(some), -1), target)
-    mean = {rest: float(np.mean([accuracy[rest, parts] for parts in PARTS])) for rest in RESTS}
-    rest = max(rest for rest in RESTS if mean[rest] >= max(mean.values()) - NEARLY)
+    mean = {rest: float(np.mean([accuracy[rest, parts] for parts in PARTS])) for rest in rests}
+    rest = max(rest for rest in rests if mean[rest] >= max(mean.values()) - NEARLY)
     chosen = PARTS[0]
     for parts in PARTS[1:]:
         share = accuracy[rest, chosen]

@@ -33,13 +33,21 @@ def chosen_on(changes):
     return dataset.split, samples, event_training.choose(settings, samples, network, 3)
 
 
-def test_without_validation_some_training_samples_are_held_out(choice):
+def test_few_samples_are_all_trained_on(choice):
     split, samples, chosen = chosen_on({})
-    assert not len(split.validation)
+    assert len(split.validation) == len(samples.held_out) == 0
+    assert choice == {}
+    assert (chosen.confidence, chosen.share) == (1, 1)  # waits for the end
+    np.testing.assert_array_equal(samples.train, split.train)
+
+
+def test_without_validation_some_training_samples_are_held_out(choice, monkeypatch):
+    monkeypatch.setattr(event_training, "FEWEST", 3)
+    split, samples, chosen = chosen_on({})
     assert choice["steps"] == 16
     np.testing.assert_array_equal(choice["held_out"], samples.held_out)
-    assert 0 < len(samples.held_out) < event_training.FEWEST
-    assert (chosen.confidence, chosen.share) == (1, 1)  # waits for the end
+    assert 3 <= len(samples.held_out) < 10
+    assert chosen.confidence == 0.9
     both = np.concatenate([samples.train, samples.held_out])
     np.testing.assert_array_equal(np.sort(both), split.train)
 
