@@ -30,14 +30,8 @@ recordings would be shorter is excluded."""
 MIXED = 100
 """Factor between durations above which their units differ; units differ by a factor of 1,000."""
 
-SIZE_GAP = 1.8
-"""Factor by which recordings of a larger sensor reach further than those of a smaller one."""
-
 SMALLEST_SENSOR = 6
 """Number of rows or columns below which the largest coordinates do not identify a sensor."""
-
-FILLED = 0.8
-"""Share of the rows and columns up to which a recording fills its sensor."""
 
 GIVE_UNIT = "--time-unit of 'stmnist data', else --set data.time_unit=..."
 GIVE_SIZE = (
@@ -286,13 +280,6 @@ def _of_other_sensors(path, recordings, parts, reading):
             if recording.size and recording.size != usual:
                 found, most = ("x".join(map(str, size)) for size in (recording.size, usual))
                 refused.setdefault(index, f"is of a sensor of {found}, most others are of {most}")
-    elif not (reading.rows and reading.columns):
-        for index in _larger(extents):
-            refused.setdefault(
-                index,
-                "has events far outside the rows and columns of the others; remove it if it is of "
-                f"another sensor, or give the sensor's size ({GIVE_SIZE})",
-            )
     return refused
 
 
@@ -354,35 +341,6 @@ def _size_of(path, recordings, side, reading):
             f"data.downsample={needed}"
         )
     return size
-
-
-def _larger(extents):
-    """Indices of recordings with far larger coordinates than the others in both directions.
-
-    If recordings of one sensor are sorted by their largest coordinate, no gap is wide.  Half of the
-    recordings or more are returned only if each recording fills one of the two sizes.
-    """
-    if len(extents) < 4:
-        return []
-    for axis in (0, 1):
-        order = np.sort(extents[:, axis])
-        gaps = order[1:] / order[:-1]
-        at = int(np.argmax(gaps))
-        if gaps[at] < SIZE_GAP or order[at] < SMALLEST_SENSOR:
-            continue
-        large = extents[:, axis] > order[at]
-        is_half = 2 * large.sum() >= len(order)
-        if is_half and not (_filled(extents[large]) and _filled(extents[~large])):
-            continue
-        others = extents[~large].max(axis=0)
-        if (extents[large] >= SIZE_GAP * others).all():
-            return np.flatnonzero(large).tolist()
-    return []
-
-
-def _filled(extents):
-    """True if each recording has events up to the last rows and columns, or nearly."""
-    return bool((extents >= FILLED * extents.max(axis=0)).all())
 
 
 # Times.

@@ -12,7 +12,7 @@ from deploy.files import open_regular
 from deploy.tables import in_blocks
 from deploy.terminal import printable
 from pipeline.data.eventfiles import UNITS, EventRecording
-from pipeline.data.events import DIGITS, Recordings, Sensor, expand_bursts
+from pipeline.data.events import DIGITS, TICK_NS, Recordings, Sensor
 from pipeline.data.matfile import LATEST_S, BadRecording, read_limited
 from pipeline.data.sensor import UNIT_NAMES, recognised, to_ns
 from pipeline.data.source import read_file
@@ -135,39 +135,31 @@ def facts_of_file(path: Path, time_unit: str = "") -> dict:
             f"{path}: {error}; expected a recording as ST-MNIST has them, or a file of events "
             "x, y, t, p"
         ) from error
-    events, found = recording.events, {}
+    facts = {"simulated": recording.simulated, "columns": len(recording), "events": len(recording)}
     if isinstance(recording, EventRecording):
         unit = time_unit or recording.unit or recognised([recording.time])
         if not unit:
             raise UserError(f"{path}: no unit fits its times; give --time-unit")
         time_ns = to_ns(recording.time, unit, recording.time[-1] * UNITS[unit] > LATEST_S)
-        events = events(int(recording.y.max()) + 1, time_ns)
-        # Not those of the events, whose numbers end at the taxels of the largest input.
-        taxels = len(np.unique(recording.x << 16 | recording.y))
+        first, last = time_ns[[0, -1]]
+        taxels, polarity = recording.x << 16 | recording.y, recording.polarity
         rows, columns = recording.size or (recording.y.max() + 1, recording.x.max() + 1)
-        found = {"sensor": {"rows": int(rows), "columns": int(columns)}, "time_unit": unit}
+        facts |= {"sensor": {"rows": int(rows), "columns": int(columns)}, "time_unit": unit}
     else:
-        taxels = len(np.unique(events.taxel))
-    times, _, _ = expand_bursts(events)
-    facts = {
-        "simulated": recording.simulated,
-        "columns": len(times),
-        "events": len(events),
-        "on": int((events.polarity == 1).sum()),
-        "off": int((events.polarity == -1).sum()),
-        "t_first_s": float(times[0] * 1e-9),
-        "t_last_s": float(times[-1] * 1e-9),
-        "taxels": taxels,
-        **found,
-    }
-    if getattr(recording, "written", None) is None:
-        return facts
+        events = recording.events
+        first, last = events.time_ns[0], events.time_ns[-1] + TICK_NS * (events.columns[-1] - 1)
+        taxels, polarity = events.taxel, events.polarity
+        facts["columns"] = int(events.columns.sum(dtype=np.int64))
+        if written := recording.written:
+            person = {"writer": recording.writer, "handedness": written.handedness or None}
+            facts |= {"source": "written", "time": written.time, **person}
     return {
         **facts,
-        "source": "written",
-        "time": recording.written.time,
-        "writer": recording.writer,
-        "handedness": recording.written.handedness or None,
+        "on": int((polarity == 1).sum()),
+        "off": int((polarity == -1).sum()),
+        "t_first_s": float(first * 1e-9),
+        "t_last_s": float(last * 1e-9),
+        "taxels": len(np.unique(taxels)),
     }
 
 
@@ -176,19 +168,18 @@ def file_text(name: str, facts: dict) -> str:
     kind = " (simulated)" if facts["simulated"] else ""
     if facts.get("source") == "written":
         kind = f" (written by hand on the simulated skin, {printable(facts['time'])})"
+    text = f"{printable(name)}{kind}: "
+    if facts["columns"] != facts["events"]:
+        text += f"{facts['columns']} columns, {facts['events']} physical events "
+    else:
+        text += f"{facts['events']} events "
+    text += f"({facts['on']} ON, {facts['off']} OFF) of {facts['taxels']} taxels"
+    if "sensor" in facts:
+        text += f" in {facts['sensor']['rows']} rows x {facts['sensor']['columns']} columns"
+    text += f", {facts['t_first_s']:.4f} s to {facts['t_last_s']:.4f} s"
     if "time_unit" in facts:
-        sensor = facts["sensor"]
-        return (
-            f"{printable(name)}{kind}: {facts['events']} events ({facts['on']} ON, "
-            f"{facts['off']} OFF), {sensor['rows']} rows x {sensor['columns']} columns, "
-            f"{facts['t_first_s']:.4f} s to {facts['t_last_s']:.4f} s, times read as "
-            f"{UNIT_NAMES[facts['time_unit']]}"
-        )
-    return (
-        f"{printable(name)}{kind}: {facts['columns']} columns, {facts['events']} physical events "
-        f"({facts['on']} ON, {facts['off']} OFF) of {facts['taxels']} taxels, "
-        f"{facts['t_first_s']:.4f} s to {facts['t_last_s']:.4f} s"
-    )
+        text += f", times read as {UNIT_NAMES[facts['time_unit']]}"
+    return text
 
 
 # The paper's Table 1.

@@ -21,6 +21,7 @@ from deploy.files import replacing, write_json
 from deploy.tables import in_blocks
 from pipeline.data.dataset import require_recordings_fit
 from pipeline.data.library import recordings_of
+from pipeline.data.splits import kind_of
 from pipeline.paper import CNN_MACS
 from pipeline.results.study import Case, Workers, fitted_to_inputs, study
 from pipeline.run import RunFolder
@@ -139,6 +140,7 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     fraction = settings.split.validation_fraction or VALIDATION
     settings = fitted_to_inputs(settings, (kind,), recordings, say)[kind]
     base = settings.with_values({"split": {"validation_fraction": fraction}}, "sweep")
+    split = kind_of(base.split.kind, recordings)
     points = points_of(base, grid or (EVENTS_GRID if base.on_events else DEFAULT_GRID))
     stages = STAGES[1:] if base.on_events else (STAGES[0], STAGES[2])
     cases = []
@@ -146,7 +148,7 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
         require_recordings_fit(recordings, of_point)
         for stage in stages:
             name = f"point-{number}-{stage}"
-            cases.append(Case(name, of_point, stage, base.seed, part="validation"))
+            cases.append(Case(name, of_point, stage, base.seed, split, part="validation"))
     folder.save_settings(base)
     rows, failed = study(cases, folder.path, recordings.source.sha256, workers, say)
     summary = summarise([changes for changes, _ in points], rows)

@@ -146,8 +146,9 @@ def _notes_on_published(settings, recordings, n_test):
     if pairs := in_both_parts(recordings):
         train, test = pairs[0]
         yield (
-            f"{WARNING}{source}: {len(pairs)} recordings of the test part are also in the training "
-            f"part, such as {test} ({train}); the accuracy on them says little about others"
+            f"{WARNING}{source}: {len(pairs)} of {n_test} recordings of the test part are also in "
+            f"the training part, such as {test} ({train}); the accuracy on them says little about "
+            "others"
         )
     if n_test < settings.check.samples:
         yield (

@@ -106,26 +106,6 @@ def test_coordinates_from_1(tmp_path):
     assert aggregate(taken)[:, 0].sum() == 0
 
 
-def test_sensors_of_different_sizes(tmp_path):
-    members, (x, y, t, p) = own(), gestures(1)[0][0]
-    other = {f"{CLASSES[0]}/other{i}.npz": npz(x=3 * x, y=3 * y, t=t * 1e6, p=p) for i in (0, 1)}
-    (line,) = refused(tmp_path, {**members, **other})
-    assert missing(line, "2 of 18 ", "other0.npz", "--rows") == []
-    assert len(read_source(tmp_path / "own.zip", jobs=1, reading=Reading(27, 36))) == 18
-
-
-def test_as_many_recordings_of_a_larger_sensor(tmp_path):
-    filled = {"t": np.arange(4) / 10, "p": [1, 0, 1, 0]}
-    small = npz(x=[0, 11, 0, 11], y=[0, 8, 8, 0], **filled)
-    large = npz(x=[0, 23, 0, 23], y=[0, 17, 17, 0], **filled)
-    members = {f"{name}/{i}.npz": c for name in "ab" for i, c in enumerate([small, large] * 4)}
-    (line,) = refused(tmp_path, members)
-    assert missing(line, "8 of 16 ", "--rows") == []
-    partly = npz(x=[0, 4, 0, 4], y=[0, 8, 8, 0], **filled)  # a short touch on the large sensor
-    archive(tmp_path / "one.zip", {**members, "a/0.npz": partly})
-    assert len(read_source(tmp_path / "one.zip", jobs=1)) == 16
-
-
 def test_a_sensor_with_too_many_pixels_is_downsampled(tmp_path):
     members = own(x=lambda x: 100 * x, y=lambda y: 40 * y)
     (line,) = refused(tmp_path, members)
