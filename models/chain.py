@@ -69,6 +69,9 @@ class Link:
         ``"valid"`` or ``"same"``.
     pool : int
         Side length of the windows that are averaged before the map; 1 for none.
+    loop : ndarray, shape (units, units), or None
+        Weights of a dense link's own spikes, by sending and receiving unit; they arrive with the
+        input of the next step.
     sources : tuple of str
         Names of the nodes of an imported graph that the link represents, for messages.
     starts : tuple of int
@@ -86,6 +89,7 @@ class Link:
     stride: int = 1
     padding: str = "valid"
     pool: int = 1
+    loop: np.ndarray | None = field(default=None, repr=False)
     sources: tuple = ()
     starts: tuple = (0,)
 
@@ -293,6 +297,7 @@ def _layer(link):
         padding=link.padding,
         pool=link.pool,
         starts=link.starts,
+        recurrent=None if link.loop is None else link.loop.T,
     )
 
 

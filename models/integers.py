@@ -68,6 +68,8 @@ class Integers:
         Remaining share of current and voltage after a step, in 4096ths.
     exponent : int
         0 or less: a weight of 1 adds ``WEIGHT_UNIT`` times 2 to this power.
+    loop : ndarray of int32, shape (units, units), or None
+        Weights of the layer's own spikes of the step before.
     """
 
     weights: np.ndarray
@@ -77,6 +79,7 @@ class Integers:
     keep_u: int
     keep_v: int
     exponent: int = 0
+    loop: np.ndarray | None = None
 
 
 def on_loihi(link: Link, layer: Integers, height: float = 1.0) -> Link:
@@ -110,9 +113,11 @@ def on_loihi(link: Link, layer: Integers, height: float = 1.0) -> Link:
     share_u, share_v = (decay_u + 1) / (DECAY_UNIT - 1), decay_v / (DECAY_UNIT - 1)
     per_unit = 255 / WEIGHT_LEVELS * THRESHOLD_UNIT * sum_u * sum_v / layer.threshold
     tau_rc = float(-dt / np.log1p(-share_v))
+    per_unit *= 2.0**layer.exponent
     return replace(
         link,
-        weights=layer.weights * (per_unit * 2.0**layer.exponent) * (link.pool**2 / height),
+        weights=layer.weights * per_unit * (link.pool**2 / height),
+        loop=None if layer.loop is None else layer.loop * per_unit,
         bias=layer.bias * (sum_v / layer.threshold),
         neuron=Neurons(dt, tau_rc, 0.0, layer.floor / layer.threshold),
         tau_syn=None if share_u == 1 else float(-dt / np.log1p(-share_u)),
@@ -187,12 +192,14 @@ def fired(link: Link, spikes, integers: Integers | None = None) -> np.ndarray:
     """
     spikes = np.asarray(spikes, float)
     if integers is None:
-        added, bias = currents(link, link.weights / link.pool**2, spikes), link.bias
+        added = currents(link, link.weights / link.pool**2, spikes)
+        bias, loop = link.bias, link.loop
         keep_u, keep_v = link.neuron.keep_u, link.neuron.keep_v
         threshold, floor = 1.0, -np.inf
     else:
         added, bias = currents(link, integers.weights.astype(float), spikes), integers.bias
-        added = added * (WEIGHT_UNIT * 2.0**integers.exponent)
+        unit = WEIGHT_UNIT * 2.0**integers.exponent
+        added, loop = added * unit, None if integers.loop is None else integers.loop * unit
         keep_u, keep_v = integers.keep_u / DECAY_UNIT, integers.keep_v / DECAY_UNIT
         threshold, floor = integers.threshold, integers.floor
     cut = (lambda x: x) if integers is None else np.trunc
@@ -201,6 +208,8 @@ def fired(link: Link, spikes, integers: Integers | None = None) -> np.ndarray:
     result = np.empty(added.shape, bool)
     for t in range(added.shape[1]):
         u = cut(u * keep_u) + added[:, t]
+        if loop is not None and t:
+            u = u + result[:, t - 1].astype(float) @ loop
         v = np.maximum(cut(v * keep_v) + u + bias, floor)
         result[:, t] = v > threshold
         v = np.where(result[:, t], 0.0, v)
@@ -251,16 +260,22 @@ def chosen(link: Link, spikes) -> Integers:
     spikes : ndarray
         Input on training samples, as for :func:`fired`.
     """
-    wanted = fired(link, spikes).sum(1, dtype=float)
-    tried = []
+    spiked = fired(link, spikes)
+    wanted, tried = spiked.sum(1, dtype=float), []
     ways = [None]
     if math.prod(link.weights.shape[:-1]) <= MOST_MOMENTS:
-        ways.append(moments_of(link, spikes))
+        ways.append(moments_of(link, spikes if link.loop is None else _with_own(spikes, spiked)))
     for clip, moments in itertools.product(CLIPS, ways):
         integers = rounded(link, clip, moments)
         error = fired(link, spikes, integers).sum(1, dtype=float) - wanted
         tried.append((float(np.square(error).mean()), -clip, integers))
     return min(tried, key=lambda entry: entry[:2])[2]
+
+
+def _with_own(spikes, own):
+    """Inputs of a recurrent link: those from before, then its own spikes of the step before."""
+    late = np.pad(own[:, :-1], ((0, 0), (1, 0), (0, 0)))
+    return np.concatenate([spikes, late], 2)
 
 
 def rounded(link: Link, clip: float = 1.0, moments=None) -> Integers:
@@ -273,7 +288,8 @@ def rounded(link: Link, clip: float = 1.0, moments=None) -> Integers:
         Share of the largest weight that becomes 127.
     moments : ndarray, shape (inputs, inputs), optional
         From :func:`moments_of`: the rounding error of a weight is then compensated by the
-        following weights, if their inputs are active together.
+        following weights, if their inputs are active together.  The inputs of a recurrent link
+        include its own spikes, last.
 
     Returns
     -------
@@ -286,6 +302,8 @@ def rounded(link: Link, clip: float = 1.0, moments=None) -> Integers:
     """
     decays = link.neuron.keep_u, link.neuron.keep_v
     real = link.weights / link.pool**2  # the link's weights are those of averages
+    if link.loop is not None:
+        real = np.concatenate([real, link.loop])
     if not all(np.isfinite(part).all() for part in (real, link.bias, *decays)):
         raise UserError(
             f"{link}: its weights or biases become infinite when divided by its threshold; "
@@ -324,9 +342,10 @@ def rounded(link: Link, clip: float = 1.0, moments=None) -> Integers:
             "its biases too large; scale weights and threshold in training, or use shorter time "
             "constants"
         )
-    return Integers(
-        weights.astype(np.int32), _twelve_bits(bias), threshold, FLOOR, keep_u, keep_v, -lowered
-    )
+    weights, own = np.split(weights.astype(np.int32), [len(link.weights)])
+    loop = None if link.loop is None else own
+    bias = _twelve_bits(bias)
+    return Integers(weights, bias, threshold, FLOOR, keep_u, keep_v, -lowered, loop)
 
 
 def _compensated(real, moments) -> np.ndarray:
@@ -370,7 +389,7 @@ def moments_of(link: Link, spikes) -> np.ndarray:
     seen = np.stack(left, 1)
     if link.kind == "conv":
         seen = np.moveaxis(_seen(link, seen), 3, 5)  # channels last, as in the weights
-    inputs = math.prod(link.weights.shape[:-1])
+    inputs = math.prod(seen.shape[3:]) if link.kind == "conv" else seen.shape[2]
     seen = seen.reshape(-1, inputs)
     moments = seen.T @ seen / len(seen)
     return moments + np.eye(inputs) * max(DAMPING * np.trace(moments) / inputs, 1e-12)

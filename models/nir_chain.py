@@ -84,9 +84,6 @@ def from_nir(
         A node cannot be on the chip; the message names it and an alternative.
     """
     check_step(network, step)
-    for node in network.nodes:
-        if node.loop is not None:
-            raise NirError(f"{node}: is connected to itself; no target runs recurrent layers")
     groups, run = [], []
     for node in network.nodes:
         run.append(node)
@@ -146,10 +143,17 @@ def _link(nodes, step, method, before, place, is_image, last, read) -> Link:
         keep_u = keep
         if neuron is not None:
             gain = gain * (1 - keep)
+    loop = neuron.loop if neuron is not None else None
+    if loop is not None and keeps:
+        raise NirError(
+            f"{keeps[-1][1]}: a filter before a layer that is connected to itself filters only a "
+            "part of its input, and the chip filters all of it; use CubaLIF neurons"
+        )
     settled = [_settled(node) for node in between]
     zero = np.zeros((1, *before))
     offset = _through(settled, zero)[0]
-    bias = (bias + _constant_gain(neuron, shape, step, method) * offset).ravel()
+    constant = offset if loop is None else offset + loop["bias"].reshape(shape)
+    bias = (bias + _constant_gain(neuron, shape, step, method) * constant).ravel()
     common = {
         "name": "",
         "neuron": None if neuron is None else Decays(keep_u, keep_v),
@@ -163,7 +167,7 @@ def _link(nodes, step, method, before, place, is_image, last, read) -> Link:
         at_start = np.broadcast_to(keeps[-1][1]["v_leak"], (1, *keeps[-1][1].shape))
         fading = bias - _through(settled[last_filter + 1 :], at_start)[0].ravel()
         bias = bias - fading * np.mean(keep_u ** (np.array(read) + 1))
-    dense = last or not is_image or len(shape) != 3
+    dense = last or loop is not None or not is_image or len(shape) != 3
     window = None if dense else _window(between, before)
     if window is not None:
         fitted = _fitted(window, gain, bias.reshape(shape), before, shape)
@@ -178,9 +182,11 @@ def _link(nodes, step, method, before, place, is_image, last, read) -> Link:
         )
     matrix = _matrix(settled, before, offset) * gain.reshape(-1)  # (inputs, outputs)
     matrix = matrix[_to_places(before)]
-    if not last:
-        neurons = _to_places(shape)
-        matrix, bias = matrix[:, neurons], bias[neurons]
+    neurons = np.arange(outputs) if last else _to_places(shape)
+    matrix, bias = matrix[:, neurons], bias[neurons]
+    if loop is not None:
+        own = loop["weight"].T * gain.reshape(-1)
+        common["loop"] = own[np.ix_(neurons, neurons)]
     return Link(
         kind="dense", input_shape=place, shape=(outputs,), weights=matrix, bias=bias, **common
     )

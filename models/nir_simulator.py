@@ -24,7 +24,8 @@ NIR does not define how time is divided into steps, and networks are trained wit
     and snnTorch.
 
 Spikes are detected at the ends of steps, and have a height of 1 for one step.  Neurons begin at
-rest, v = v_leak and I = 0 (IF: v = v_reset).
+rest, v = v_leak and I = 0 (IF: v = v_reset).  A layer that is connected to itself receives its
+spikes of the step before; NIR leaves this open.
 
 NIR resets to v_reset, and so does the chip.  Some packages train with a reset by subtraction, which
 a graph does not record; the effect can be measured with :data:`RESETS`.
@@ -184,12 +185,15 @@ def _over_time(node, signal, step, method, reset):
         raise ValueError(f"method {method!r} is not one of {', '.join(METHODS)}")
     if reset not in RESETS:
         raise ValueError(f"reset {reset!r} is not one of {', '.join(RESETS)}")
-    move = _moved(node, step, method)
+    move, fired = _moved(node, step, method), np.zeros((len(signal), *node.shape), bool)
     rest = node["v_reset"] if node.kind == "IF" else node["v_leak"]
     state = [np.broadcast_to(rest, (len(signal), *node.shape)).copy(), np.zeros(())]
     result = np.empty((*signal.shape[:2], *node.shape))
     for t in range(signal.shape[1]):
-        voltage, state[1] = move(*state, signal[:, t].reshape(len(signal), *node.shape))
+        total = signal[:, t].reshape(len(signal), *node.shape)
+        if node.loop is not None:
+            total = total + apply(node.loop, fired).reshape(total.shape)
+        voltage, state[1] = move(*state, total)
         if node.kind in SPIKING:
             fired = voltage > node["v_threshold"]
             voltage = np.where(fired, _after_spike(node, voltage, step, method, reset), voltage)

@@ -68,13 +68,14 @@ def scaled_by_block(layers) -> List[str]:
         sizes = np.abs(layer.weights)
         outputs = -1 if layer.kind == "conv" else 0
         largest = np.moveaxis(sizes, outputs, 0).reshape(layer.shape[-1], -1).max(1)
+        if layer.recurrent is not None:
+            largest = np.maximum(largest, np.abs(layer.recurrent).max(1))
         parts = parts_of(layer.shape[-1], shapes[layer.name][-1])
         if any(largest[first:last].max() < largest.max() for first, last in parts):
             found.append(layer.name)
     return found
 
 
-@functools.lru_cache(maxsize=256)
 def default_block(layer, after=None, after_block=None) -> Tuple[int, ...]:
     """Choose the block of a layer; see the module's docstring.
 
@@ -91,6 +92,12 @@ def default_block(layer, after=None, after_block=None) -> Tuple[int, ...]:
     tuple of int
         If nothing fits, the best block whose compartments fit a core.
     """
+    return _default_block(layer, layer.recurrent is not None, after, after_block)
+
+
+@functools.lru_cache(maxsize=256)
+def _default_block(layer, recurrent, after, after_block):
+    """As `default_block`; layers of the same shapes are equal, whether recurrent or not."""
     limit, cutting = LOIHI.limits["compartments"], _Cutting(layer)
     receiver = after and _Receiver(after, after_block)
     if layer.size <= limit and cutting.fits(layer.shape, receiver):
@@ -152,6 +159,8 @@ class _Cutting:
         self.is_conv = layer.kind == "conv"
         self.lines = _lines(layer) if self.is_conv else []
         self.n_inputs = int(np.prod(layer.input_shape))
+        if layer.recurrent is not None:
+            self.n_inputs += layer.size
 
     def count(self, block) -> int:
         """Number of blocks."""
@@ -174,7 +183,10 @@ class _Cutting:
             axons, words = self.needs(parts)
             if axons > limits["input axons"] or words > limits["synapse words"]:
                 return False
-            if receiver is not None and receiver.axons_from(parts) > limits["output axons"]:
+            sent = 0 if receiver is None else receiver.axons_from(parts)
+            if self.layer.recurrent is not None:
+                sent += (parts[0][1] - parts[0][0]) * self.count(block)
+            if sent > limits["output axons"]:
                 return False
         return True
 

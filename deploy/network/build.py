@@ -135,6 +135,12 @@ def build(spec: NetworkSpec, seed: int = 0) -> Built:
                 transform=transform,
                 synapse=layer.synapse,
             )
+            if layer.recurrent is not None:
+                # Without a filter Nengo needs one of no duration, which takes the step that a
+                # spike takes on the chip.
+                synapse = nengo.Lowpass(0) if layer.synapse is None else layer.synapse
+                back = nengo.Dense(layer.recurrent.shape, init=layer.recurrent)
+                nengo.Connection(target, target, transform=back, synapse=synapse)
             output = nengo.Probe(target)
             if layer.neurons is not None:
                 spikes[layer.name] = output

@@ -56,7 +56,7 @@ def nir_graph(spec: NetworkSpec):
         )
     rows, columns, channels = spec.input_shape
     nodes = {"input": nir.Input({"input": np.array([channels, rows, columns])})}
-    area = 1.0
+    area, loops = 1.0, {}
     for layer in spec.layers:
         if layer.pool > 1:
             size = np.array([layer.pool, layer.pool])
@@ -81,11 +81,19 @@ def nir_graph(spec: NetworkSpec):
             )
         for name, node in _neurons(nir, layer):
             nodes[name] = node
+        if layer.recurrent is not None:
+            own = layer.neurons.amplitude / DT
+            loops[name] = nir.Linear(weight=layer.recurrent * own)
         if layer.neurons is not None:
             area = layer.neurons.amplitude / DT
     nodes["output"] = nir.Output({"output": _channels_first(spec.layers[-1].shape)})
     names = list(nodes)
-    return nir.NIRGraph(nodes, list(zip(names[:-1], names[1:])), metadata=_metadata(spec))
+    edges = list(zip(names[:-1], names[1:]))
+    for name, loop in loops.items():
+        back = name.replace("_neurons", "_recurrent")
+        nodes[back] = loop
+        edges += [(name, back), (back, name)]
+    return nir.NIRGraph(nodes, edges, metadata=_metadata(spec))
 
 
 def write_nir(path, spec: NetworkSpec):
@@ -134,9 +142,7 @@ def _nir():
     try:
         import nir
     except ImportError:
-        raise UserError(
-            "export to NIR needs the package nir: pip install nir"
-        ) from None
+        raise UserError("export to NIR needs the package nir: pip install nir") from None
     return nir
 
 

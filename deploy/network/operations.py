@@ -38,6 +38,7 @@ def multiply_accumulates(spec: NetworkSpec) -> Dict[str, int]:
     """
     return {
         layer.name: int(layer.read_fan_out.sum())
+        + (0 if layer.recurrent is None else layer.size**2)
         + (int(np.prod(layer.read_shape)) * layer.pool**2 if layer.pool > 1 else 0)
         for layer in spec.layers
     }
@@ -57,6 +58,11 @@ def synaptic_operations(spec: NetworkSpec, spikes: Dict[str, np.ndarray]) -> Dic
     dict of str to ndarray, shape (...)
     """
     senders = ["input", *(layer.name for layer in spec.layers[:-1])]
-    return {
+    operations = {
         layer.name: spikes[sender] @ fan_out(layer) for sender, layer in zip(senders, spec.layers)
     }
+    for layer in spec.layers:
+        if layer.recurrent is not None:
+            own = np.asarray(spikes[layer.name]).sum(-1)
+            operations[layer.name] = operations[layer.name] + own * layer.size
+    return operations

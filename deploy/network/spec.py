@@ -96,6 +96,9 @@ class Layer:
     starts : tuple of int
         Of a readout on the host: first step, in a sample, of each part of the presentation that has
         weights of its own.  The host knows the step; all other layers have one part.
+    recurrent : ndarray, shape (units, units), or None
+        Weights of a dense layer's own spikes, by receiving and sending unit; a spike arrives one
+        step later.
     """
 
     name: str
@@ -113,13 +116,14 @@ class Layer:
     padding: str = "valid"
     pool: int = 1
     starts: Tuple[int, ...] = (0,)
+    recurrent: Optional[np.ndarray] = field(default=None, repr=False, compare=False)
 
     def __post_init__(self):
         where = f"layer {self.name!r}"
         for name in ("input_shape", "shape", "block_shape", "starts"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, tuple(int(n) for n in getattr(self, name)))
-        for name in ("weights", "bias"):
+        for name in self.arrays:
             array = np.asarray(getattr(self, name))
             _require(array.dtype.kind in "fiu", where, f"{name} are not real numbers")
             array = np.asarray(array, float)
@@ -166,6 +170,16 @@ class Layer:
                  f"weights have shape {self.weights.shape}, not {weights}")  # fmt: skip
         _require(self.bias.shape == self.shape[-1:], where,
                  f"bias has shape {self.bias.shape}, not {self.shape[-1:]}")  # fmt: skip
+        if self.recurrent is not None:
+            _require(self.kind == "dense" and self.neurons is not None, where,
+                     "only a dense layer of neurons can be recurrent")  # fmt: skip
+            _require(self.recurrent.shape == self.shape * 2, where,
+                     f"its recurrent weights have shape {self.recurrent.shape}")  # fmt: skip
+
+    @property
+    def arrays(self) -> Tuple[str, ...]:
+        """Names of the attributes that are arrays."""
+        return ("weights", "bias", *(() if self.recurrent is None else ("recurrent",)))
 
     @property
     def size(self) -> int:
@@ -342,7 +356,8 @@ class NetworkSpec:
         layers = []
         for layer in self.layers:
             plain = asdict(layer)
-            layers.append({k: v for k, v in plain.items() if k not in ("weights", "bias")})
+            arrays = ("weights", "bias", "recurrent")
+            layers.append({k: v for k, v in plain.items() if k not in arrays})
         return {
             "architecture": self.architecture,
             "dt": DT,
@@ -358,7 +373,7 @@ class NetworkSpec:
         arrays = {
             f"{layer.name}.{name}": getattr(layer, name)
             for layer in self.layers
-            for name in ("weights", "bias")
+            for name in layer.arrays
         }
         for more in (self.estimator, self.rehearsal):
             if more is not None:
@@ -386,6 +401,7 @@ class NetworkSpec:
                     neurons=None if neurons is None else _build(Neurons, neurons),
                     weights=arrays[f"{name}.weights"],
                     bias=arrays[f"{name}.bias"],
+                    recurrent=arrays.get(f"{name}.recurrent"),
                 )
                 layers.append(_build(Layer, own))
             spec = cls(

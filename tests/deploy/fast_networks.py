@@ -27,8 +27,11 @@ def random_neurons(rng):
     )
 
 
-def random_spec(seed):
-    """Any network that a bundle can describe, but small."""
+def random_spec(seed, recurrent=False):
+    """Any network that a bundle can describe, but small.
+
+    With ``recurrent`` its hidden dense layers are.
+    """
     rng = np.random.default_rng(seed)
     input_shape = shape = (*(int(n) for n in rng.integers(3, 9, 2)), int(rng.integers(1, 3)))
     layers = []
@@ -39,7 +42,7 @@ def random_spec(seed):
         layers.append(_convolution(rng, f"conv{index + 1}", shape, size))
         shape = layers[-1].shape
     for index in range(rng.integers(0 if n_convs else 1, 3)):
-        layers.append(_dense(rng, f"dense{index + 1}", shape, size))
+        layers.append(_dense(rng, f"dense{index + 1}", shape, size, recurrent))
         shape = layers[-1].shape
     layers.append(_output(rng, shape, size))
     steps = 40 if size == LOUD else int(rng.integers(6, 30))
@@ -89,7 +92,7 @@ def _convolution(rng, name, before, size):
     )
 
 
-def _dense(rng, name, before, size):
+def _dense(rng, name, before, size, recurrent):
     pool = int(rng.choice([1, 2])) if len(before) == 3 and min(before[:2]) >= 2 else 1
     read = pooled_shape(before, pool) if pool > 1 else before
     units = int(rng.integers(2, 9))
@@ -106,6 +109,7 @@ def _dense(rng, name, before, size):
         weights=_weights(rng, size, (units, int(np.prod(read)))),
         bias=rng.normal(1.2, 1, units),
         pool=pool,
+        recurrent=_weights(rng, size, (units, units)) if recurrent else None,
     )
 
 

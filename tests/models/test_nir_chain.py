@@ -1,6 +1,7 @@
 """Graphs become layers of the chip: real numbers against the reference, integers against both."""
 
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,9 +11,9 @@ from hypothesis import strategies as st
 from deploy.errors import UserError
 from models.integers import chosen, currents, fired, moments_of, rounded
 from models.nir_chain import from_nir
-from models.nir_graph import NirError
+from models.nir_graph import NirError, read_nir
 from models.nir_simulator import METHODS, simulate
-from tests.models.nir_graphs import affine, conv, cuba_lif, lif, network_of, spikes
+from tests.models.nir_graphs import Graph, affine, conv, cuba_lif, lif, network_of, spikes, tree_of
 
 
 def in_places(values):
@@ -81,6 +82,25 @@ def test_every_kind_of_neuron_is_the_references(kind, method):
         assert got.sum() == pytest.approx(wanted.sum(), rel=0.05)
         return
     compare(network, inputs, method=method)
+
+
+@pytest.mark.parametrize(
+    "neuron",
+    [lif(0.013, 3.0), cuba_lif(0.005, 0.02, 6.0), ("IF", {"r": 300.0, "v_threshold": 1.0})],
+)
+def test_a_recurrent_layer_is_the_references(neuron):
+    rng = np.random.default_rng(1)
+    tree = tree_of((12,), affine(rng, 9, 12), neuron, affine(rng, 4, 9, bias=0.5))
+    tree["nodes"]["back"] = {"type": "Linear", "weight": rng.normal(0, 0.5, (9, 9))}
+    tree["edges"] += [("n1", "back"), ("back", "n1")]
+    network, inputs = read_nir(Graph(tree)), spikes(rng, 3, 200, (12,))
+    found = compare(network, inputs, method="euler")
+    without = simulate(network_without_loop(network), inputs, 0.001, "euler").spikes["n1"]
+    assert (found[0] != without).any()
+
+
+def network_without_loop(network):
+    return replace(network, nodes=tuple(replace(node, loop=None) for node in network.nodes))
 
 
 @pytest.mark.parametrize("method", METHODS)

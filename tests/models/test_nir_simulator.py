@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from models.nir_graph import NirError
+from models.nir_graph import NirError, read_nir
 from models.nir_simulator import RESETS, run_node, simulate
-from tests.models.nir_graphs import affine, conv, cuba_lif, lif, network_of
+from tests.models.nir_graphs import Graph, affine, conv, cuba_lif, lif, network_of, tree_of
 
 H = 0.002
 
@@ -142,3 +142,17 @@ def test_a_step_longer_than_a_time_constant_is_refused():
     network = network_of((1,), lif(0.001))
     with pytest.raises(NirError, match=r"'n0' \(LIF\): .*tau .* 0.001 s .* 0.002 s"):
         simulate(network, np.ones((1, 2, 1)), H)
+
+
+@pytest.mark.parametrize("kind", ["Linear", "Affine"])
+def test_a_loop_by_hand(kind):
+    """Each step adds 0.4; a spike of the step before adds -0.3 (and the Affine's bias 0.1)."""
+    tree = tree_of((1,), ("IF", {"r": 1 / H, "v_threshold": 1.0}))
+    tree["nodes"]["back"] = {"type": kind, "weight": [[-0.3]], "bias": [0.1]}
+    tree["edges"] += [("n0", "back"), ("back", "n0")]
+    if kind == "Linear":
+        del tree["nodes"]["back"]["bias"]
+    found = simulate(read_nir(Graph(tree)), np.full((1, 8, 1), 0.4), H).outputs[0, :, 0]
+    # Linear: 0.4, 0.8, 1.2; 0.1, 0.5, 0.9, 1.3; 0.1.  Affine: 0.5, 1, 1.5; 0.2, 0.7, 1.2; 0.2, 0.7
+    wanted = {"Linear": [0, 0, 1, 0, 0, 0, 1, 0], "Affine": [0, 0, 1, 0, 0, 1, 0, 0]}[kind]
+    assert found.tolist() == wanted

@@ -1,0 +1,114 @@
+"""Recurrent layers: the same spikes on the emulator and on fastloihi's, and what they cost."""
+
+import warnings
+from dataclasses import replace
+
+import nengo
+import numpy as np
+import pytest
+from hypothesis import Phase, given, reject, settings
+from hypothesis import strategies as st
+
+from deploy.errors import UserError
+from deploy.network.blocks import block_shapes
+from deploy.network.build import build
+from deploy.network.loihi_import import nengo_loihi
+from deploy.network.operations import multiply_accumulates, synaptic_operations
+from deploy.network.spec import NetworkSpec, Presentation
+from deploy.network.stimulus import EventFrames
+from deploy.network.stream import show
+from deploy.preflight.plan import make_plan
+from deploy.targets.registry import answer
+from fastloihi import FastSimulator
+from tests.deploy.fast_networks import images_for, random_spec
+from tests.deploy.networks import dense, readout
+
+
+def recurrent_spec(units=12, seed=0, strength=1.0, **presentation):
+    """Events into a recurrent layer."""
+    rng = np.random.default_rng(seed)
+    layer = dense("dense1", (3, 4, 2), units, rng)
+    own = strength * rng.normal(size=(units, units)) / np.sqrt(units)
+    object.__setattr__(layer, "recurrent", own)
+    shown = {"steps": 40, "gap": 5, "readout_start": 0, "stream_length": 2, **presentation}
+    layers = (layer, readout((units,), rng))
+    return NetworkSpec("3x4x2-12-10o", (3, 4, 2), EventFrames(), layers, Presentation(**shown))
+
+
+def frames_of(count=4, steps=40, seed=0):
+    return (np.random.default_rng(seed).random((count, steps, 3, 4, 2)) < 0.2).astype(np.uint8)
+
+
+@settings(
+    max_examples=15,
+    deadline=None,
+    phases=[Phase.explicit, Phase.reuse, Phase.generate],  # a seed's network has no simpler one
+)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_every_spike_of_random_recurrent_networks_is_the_emulators(seed):
+    spec = random_spec(seed, recurrent=True)
+    samples = images_for(spec, spec.presentation.stream_length, seed)
+    spikes = []
+    for simulator in (nengo_loihi.Simulator, FastSimulator):
+        built = build(spec)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                running = simulator(built.network, precompute=True, progress_bar=False)
+            except (nengo.exceptions.BuildError, AssertionError, UserError):
+                reject()  # NengoLoihi cannot build it
+            with running:
+                spikes.append([dict(one.spikes) for one in show(built, running, samples)])
+    for emulated, fast in zip(*spikes, strict=True):
+        for name, expected in emulated.items():
+            np.testing.assert_array_equal(fast[name], expected)
+
+
+def test_description_and_arrays_are_read_back():
+    spec = recurrent_spec()
+    again = NetworkSpec.from_json(spec.to_json(), spec.arrays())
+    np.testing.assert_array_equal(again.layers[0].recurrent, spec.layers[0].recurrent)
+    with pytest.raises(UserError, match="recurrent"):
+        NetworkSpec.from_json(
+            spec.to_json(), {**spec.arrays(), "dense1.recurrent": np.ones((12, 11))}
+        )
+
+
+@pytest.mark.parametrize("target", ["nengo", "simreal", "emulator"])
+def test_spikes_come_back_one_step_later(target):
+    """A spike that brings the neuron past its threshold again keeps it going to the end."""
+    spikes = {}
+    for weight in (0.0, 1.0):
+        spec = recurrent_spec(units=1, gap=0, stream_length=1)
+        changes = {"weights": np.ones((1, 24)), "bias": np.zeros(1), "synapse": None}
+        neurons = replace(spec.layers[0].neurons, tau_ref=0.0)
+        recurrent = np.full((1, 1), 10 * weight)
+        layer = replace(spec.layers[0], neurons=neurons, recurrent=recurrent, **changes)
+        frames = np.zeros((1, 40, 3, 4, 2), np.uint8)
+        frames[0, 10] = 1
+        one = answer(replace(spec, layers=(layer, spec.layers[1])), frames, target)
+        spikes[weight] = int(one.spikes["dense1"].sum())
+    assert spikes[0.0] == 1
+    assert 28 <= spikes[1.0] <= 30
+
+
+def test_operations_and_the_plan_count_the_loop():
+    spec = recurrent_spec()
+    spikes = {"input": np.ones((1, 24)), "dense1": np.ones((1, 12))}
+    counted = synaptic_operations(spec, spikes)
+    assert counted["dense1"].tolist() == [24 * 12 + 12 * 12]
+    assert multiply_accumulates(spec)["dense1"] == 24 * 12 + 12 * 12
+    plan = make_plan(spec)
+    assert plan.problems == []
+    (core,) = [core for core in plan.cores if core.layer == "dense1"]
+    assert core.used["input axons"] == 24 + 12
+    assert core.used["output axons"] >= 12
+
+
+def test_a_layer_too_large_for_a_core_with_its_loop_is_divided():
+    spec = recurrent_spec(units=500)
+    (units,) = block_shapes(spec.layers)["dense1"]
+    assert units < 500
+    assert make_plan(spec).problems == []
+    found = answer(spec, frames_of(2), "emulator")
+    assert found.spikes["dense1"].sum() > 0
