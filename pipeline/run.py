@@ -167,8 +167,8 @@ LOCK = ".lock"
 DEEPEST = 3
 """Most folders from a file or bundle of a run up to the run: ``checks/whole/emulator.json``."""
 
-OF_RESULTS = ("splits", "points", "networks", "table2.json", "sweep.json", "*-[0-9]*.json")
-"""Names of files and folders that benchmarks and sweeps write, and that runs do not have."""
+OF_RESULTS = ("rows", "networks", "sweep.json")
+"""Names of files and folders that experiments and sweeps write, and that runs do not have."""
 
 
 def run_around(path) -> Path | None:

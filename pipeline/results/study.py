@@ -13,6 +13,7 @@ n_train) s^2.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import time
@@ -286,7 +287,9 @@ def dataset_of(case: Case) -> Dataset:
     UserError
         There are too few samples for the part.
     """
-    dataset = Dataset.of(case.resolved)
+    settings = case.resolved
+    kept = {name: getattr(settings, name) for name in ("seed", "data", "skin", "split")}
+    dataset = _split_recordings(replace(Settings(), **kept)).seen_by(settings)
     if case.part == "validation":
         if not len(dataset.split.validation):
             raise UserError(
@@ -297,6 +300,12 @@ def dataset_of(case: Case) -> Dataset:
             dataset, split=split, origin=dataset.origin.with_content("samples", "no test split")
         )
     return dataset
+
+
+@functools.lru_cache(maxsize=1)
+def _split_recordings(settings):
+    """The recordings and their split, which the cases of a group share."""
+    return Dataset.of(settings)
 
 
 def row_of(case: Case, dataset: Dataset, index, predictions, **more) -> dict:

@@ -42,7 +42,7 @@ def test_a_run_does_not_become_the_folder_of_a_benchmark(tmp_path, capsys, comma
 
 
 @pytest.mark.parametrize(
-    "result", ["splits/random-00/cnn.json", "points/0a.json", "networks/cnn/0a/x", "split-07.json"]
+    "result", ["rows/cnn-random-00-0a.json", "networks/cnn/0a/x", "sweep.json"]
 )
 def test_the_folder_of_a_benchmark_does_not_become_a_run(tmp_path, capsys, result):
     """A benchmark that was interrupted could not continue there."""
