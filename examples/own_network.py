@@ -53,5 +53,6 @@ with run.locked():
         stages.settings_of_model(run.path / "model.keras", retrain=True)
     )
     chosen = ("cnn", "rate-lif", "nengo", "fast")  # the last two from the bundle, as a chip would
-    ladder = measure_ladder(run, settings, dataset=dataset, asked=chosen)
+    opened = stages.open_run(run, settings, dataset=dataset)
+    ladder = measure_ladder(opened, asked=chosen)
 print(ladder_text(ladder))

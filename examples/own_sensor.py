@@ -16,6 +16,7 @@ from stmnist import (
     measure_ladder,
     read_runs,
     runs_text,
+    stages,
     write_recordings,
     write_report,
 )
@@ -52,7 +53,7 @@ for kind in ("image", "events"):
         {"data": {"source": str(data.absolute())}, "input": {"kind": kind}}
     )
     with run.locked():
-        ladder = measure_ladder(run, settings)
+        ladder = measure_ladder(stages.open_run(run, settings))
     print(ladder_text(ladder))
 
 # %% Both side by side, and a page of each with all results

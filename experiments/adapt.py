@@ -23,7 +23,6 @@ from deploy.files import sha256_of, write_json
 from deploy.tables import aligned
 from experiments import handwriting
 from experiments.studies import RESULTS, Store
-from pipeline import stages
 from pipeline.commands import options
 from pipeline.data.dataset import Dataset, dataset_origin, split_of
 from pipeline.data.library import simulated
@@ -32,6 +31,7 @@ from pipeline.progress import hidden
 from pipeline.results.study import Case, interval_text, study
 from pipeline.settings import SIMULATED
 from pipeline.skin import parameters, unipen
+from pipeline.stages import opened_in
 from pipeline.training.adaptation import Responder, require_fit, with_rehearsal
 from pipeline.training.readout import Person, refit
 
@@ -78,8 +78,9 @@ def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:
     split = split_of(training, case.seed, *shares)
     dataset = Dataset(training, split, dataset_origin(settings, training.source.sha256), settings)
     with hidden():
-        stages.train_all(networks, settings, dataset, lambda line: None)
-    spec = stages.spec_of(networks, settings, dataset, {})
+        opened = opened_in(networks, settings, dataset, lambda line: None)
+        opened.make_all()
+    spec = opened.spec()
     spec = with_rehearsal(spec, dataset.inputs, dataset.labels, split.train, case.seed)
     counts = np.bincount([trace.digit for trace in people.traces], minlength=10)
     own = simulated(seed, counts, 1, parameters=people.parameters, traces=people.traces)
@@ -213,7 +214,7 @@ def main(
     as_json: options.Json = False,
 ):
     """Measure the gain of fitting a network to one person, as a mean over people."""
-    with options.opened(out, given) as (folder, settings):
+    with options.resolved(out, given, of_results=True) as (folder, settings):
         if settings.data.source != SIMULATED:
             raise UserError("the networks are trained on simulated recordings; omit data.source")
         pen, name = pen.absolute(), f"adapt-{settings.input.kind}"

@@ -458,7 +458,7 @@ def command_of(experiment: Experiment) -> Callable:
         workers: options.Workers,
         as_json: options.Json = False,
     ):
-        with options.opened(out, given) as (folder, settings):
+        with options.resolved(out, given, of_results=True) as (folder, settings):
             found, failed = run(experiment, folder, settings, seeds, only, workers, options.say)
         if store and not failed:
             write_json(RESULTS / f"{store}.json", found)

@@ -18,7 +18,6 @@ from rich.progress import (
 console = Console(stderr=True)
 
 _hidden = False
-_stages: tuple = ()
 
 
 @contextlib.contextmanager
@@ -30,30 +29,6 @@ def hidden():
         yield
     finally:
         _hidden = before
-
-
-@contextlib.contextmanager
-def stages(names):
-    """Inside the block each bar has the number of its stage, such as "2 of 4".
-
-    Parameters
-    ----------
-    names : sequence of str
-        In order; a bar belongs to the stage whose name is the beginning of its label.
-    """
-    global _stages
-    before, _stages = _stages, tuple(names)
-    try:
-        yield
-    finally:
-        _stages = before
-
-
-def stage_of(label: str) -> str:
-    """Number of a bar's stage, such as ``"2 of 4 "``; empty outside of :func:`stages`."""
-    numbers = (n for n, name in enumerate(_stages, 1) if f"{label} ".startswith(f"{name} "))
-    number = next(numbers, None)
-    return f"{number} of {len(_stages)} " if number else ""
 
 
 @contextlib.contextmanager
@@ -79,7 +54,6 @@ def progress(label: str, total: int):
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    label = stage_of(label) + label
     drawn = not _hidden and can_draw()
     with Progress(*columns, console=console, disable=not drawn) as bar:
         task = bar.add_task(label, total=total)

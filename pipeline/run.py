@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import difflib
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from deploy.errors import UserError
 from deploy.files import locked, refuse_linked_folder, refuse_linked_folders, remove_leftovers
 from pipeline.artifacts import Origin
-from pipeline.settings import Settings, read_settings, write_settings
+from pipeline.settings import Settings, read_own_settings, write_settings
 
 FILES = {
     *(".keras", ".h5", ".hdf5", ".zip", ".mat", ".json", ".npz", ".toml", ".html", ".csv"),
@@ -69,8 +68,6 @@ class RunFolder:
     dataset = _inside("dataset.json", "The description of the recordings.")
     cnn = _inside("cnn", "The folder of the CNN: weights, history and metrics.")
     snn = _inside("snn", "The folder of the network that becomes the bundle, as that of the CNN.")
-    counts = _inside("counts", "The folder of the classifier of event counts: scores, metrics.")
-    nir = _inside("nir", "The folder of a NIR graph that was trained further, and its metrics.")
     bundle = _inside("bundle", "The folder of the bundle.")
     ladder = _inside("ladder.json", "The file of the loss ladder.")
     whole_ladder = _inside("ladder-whole.json", "The loss ladder on the whole test split.")
@@ -80,19 +77,19 @@ class RunFolder:
         folder = self.path / "checks"
         return (folder / "whole" if whole else folder) / f"{stage}.json"
 
-    def folder(self, name: str, origin: Origin) -> Path:
-        """The folder of a network or classifier, or of a network's ``"threshold"``.
+    def folder(self, name: str, origin: Origin | None = None) -> Path:
+        """The folder of a part, such as ``"cnn"``, ``"snn"`` or its ``"threshold"``.
 
         A run has only one of each, independently of the origin, unlike a
         :class:`pipeline.artifacts.Library`.
         """
-        return {"cnn": self.cnn, "counts": self.counts, "nir": self.nir}.get(name, self.snn)
+        return self.path / {"threshold": "snn"}.get(name, name)
 
     def resolve_settings(self, base: Path | None, changes: dict) -> Settings:
-        """Settings of this run, from its folder or from a file, with changes.
+        """What the user has set, in this run's folder or in a file, with changes.
 
-        If the input or the length of its steps changes, the run's own number of steps is not kept:
-        it was chosen for the other input.
+        Values that were chosen for the recordings have their defaults, so that they are chosen
+        again.
 
         Parameters
         ----------
@@ -106,31 +103,20 @@ class RunFolder:
         UserError
             A file or value is invalid.
         """
-        if base is not None:
-            settings = read_settings(base)
-        elif self.experiment.exists():
-            settings = read_settings(self.experiment)
-        else:
-            settings = Settings()
-        changed = settings.with_values(changes, "command line")
-        is_same = (settings.input.kind, settings.input.step) == (
-            changed.input.kind,
-            changed.input.step,
-        )
-        if is_same or base is not None or "steps" in changes.get("presentation", {}):
-            return changed
-        return replace(changed, presentation=replace(changed.presentation, steps=0))
+        settings = Settings()
+        if base is not None or self.experiment.exists():
+            settings = read_own_settings(base or self.experiment)
+        return settings.with_values(changes, "command line")
 
-    def save_settings(self, settings: Settings):
-        """Save the settings for later commands, unless they are saved already.
+    def save_settings(self, settings: Settings, own: Settings | None = None):
+        """Save the settings for later commands; ``own`` is what the user has set of them.
 
         Raises
         ------
         UserError
             The folder cannot be written.
         """
-        if not self.experiment.exists() or read_settings(self.experiment) != settings:
-            write_settings(self.experiment, settings)
+        write_settings(self.experiment, settings, own)
 
     @contextlib.contextmanager
     def locked(self):
@@ -257,12 +243,3 @@ def nothing_left_of_a_failure(path: Path):
             for folder in made:
                 folder.rmdir()  # an OSError if something is in it
         raise
-
-
-def similar_run(path: Path) -> Path | None:
-    """An existing run with a similar name, which may be the one that the user meant."""
-    if path.exists() or not path.parent.is_dir():
-        return None
-    names = [entry.parent.name for entry in path.parent.glob("*/experiment.toml")]
-    found = difflib.get_close_matches(path.name, names, n=1, cutoff=0.75)
-    return path.parent / found[0] if found else None

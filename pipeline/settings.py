@@ -427,13 +427,6 @@ class Settings(Section):
         """True if the input of the chip is events, not images."""
         return self.input.kind == "events"
 
-    @property
-    def network(self) -> str:
-        """The origin of the network for the chip: ``"nir"`` or the kind of the input."""
-        if self.nir.file:
-            return "nir"
-        return self.input.kind
-
     def value(self, name: str):
         """The value of a setting by its dotted name, such as ``"cnn.epochs"``."""
         return functools.reduce(getattr, name.split("."), self)
@@ -457,28 +450,37 @@ class Settings(Section):
         """Values by their dotted names, as ``--set`` takes them."""
         return {name: getattr(section, entry) for name, section, entry in _entries(self)}
 
-    def relevant(self) -> dict:
-        """The settings of :meth:`flat` that such a run reads."""
-        if self.on_events:
-            unread = ("cnn.", "snn.", "image.", "deployment.", "presentation.readout_start")
-        else:
-            unread = ("events.", "input.step", "input.refractory")
-        if self.data.source == SIMULATED:
-            unread += ("data.skip_bad", "data.time_unit", "data.downsample")
-        else:
-            unread += ("data.simulation_seed", "data.samples_per_digit")
-        values = {k: v for k, v in self.flat().items() if not k.startswith(unread)}
-        return values
-
 
 def read_settings(path) -> Settings:
-    """Read ``experiment.toml``.
+    """Read ``experiment.toml``: every setting, also those that were chosen for the recordings.
 
     Raises
     ------
     UserError
         It cannot be read, is not TOML, or has an unknown or wrong setting.
     """
+    values, _ = _read(path)
+    return Settings().with_values(values, str(path))
+
+
+def read_own_settings(path) -> Settings:
+    """Read ``experiment.toml`` without what was chosen for the recordings: what the user has set.
+
+    Raises
+    ------
+    UserError
+        As :func:`read_settings`.
+    """
+    values, chosen = _read(path)
+    for name in chosen:
+        *sections, last = name.split(".")
+        section = functools.reduce(lambda part, key: part.get(key, {}), sections, values)
+        section.pop(last, None)
+    return Settings().with_values(values, str(path))
+
+
+def _read(path):
+    """The values in a file of settings, and the names of those that were chosen."""
     try:
         with open_regular(path) as file:
             content = file.read(limits.SETTINGS_BYTES + 1)
@@ -489,13 +491,30 @@ def read_settings(path) -> Settings:
         raise UserError(f"{path}: cannot read ({error.strerror}); check the path") from error
     except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: not valid TOML ({error}); correct or delete it") from error
-    return Settings().with_values(values, str(path))
+    chosen = values.pop("chosen", [])
+    if not isinstance(chosen, list) or not set(map(str, chosen)) <= Settings().flat().keys():
+        raise UserError(f"{path}: 'chosen' is not a list of names of settings; correct it")
+    return values, chosen
 
 
-def write_settings(path, settings: Settings):
-    """Write every setting, resolved; inverse of :func:`read_settings`."""
-    sections = settings.to_json()
+def write_settings(path, settings: Settings, own: Settings | None = None):
+    """Write every setting, resolved; inverse of :func:`read_settings`.
+
+    Parameters
+    ----------
+    path : path-like
+    settings : Settings
+    own : Settings, optional
+        What the user has set; the names of the others, which were chosen for the recordings, are
+        marked in the file.
+    """
+    sections, flat = settings.to_json(), settings.flat()
+    before = flat if own is None else own.flat()
+    chosen = [name for name, value in flat.items() if value != before[name]]
     lines = ["# Every setting of this experiment; 'stmnist settings' lists their meanings."]
+    if chosen:
+        lines += ["# Chosen for the recordings, and chosen again if these change:"]
+        lines += [f"chosen = {_toml(chosen)}", ""]
     lines += [f"{k} = {_toml(v)}" for k, v in sections.items() if not isinstance(v, dict)]
     for name, section in sections.items():
         if isinstance(section, dict):
@@ -731,51 +750,16 @@ def _validate(s: Settings, origin):
          f"from 0 to below presentation.steps ({s.steps}), not {s.presentation.readout_start}; "
          "with so few steps give it too, such as "
          f"--set presentation.readout_start={s.steps // 5}")  # fmt: skip
-    on_events = _parsed(s.events.architecture, "events.architecture", origin)
-    need(len(on_events.layers) > 1 and all(layer.kind != "pool" for layer in on_events.layers),
+    layers = _parsed(s.events.architecture, "events.architecture", origin).layers
+    need(len(layers) > 1 and all(layer.kind != "pool" for layer in layers),
          "events.architecture", "a network with a hidden layer and without pooling")  # fmt: skip
     architecture = _parsed(s.cnn.architecture, "cnn.architecture", origin)
-    if s.data.source == SIMULATED:  # other recordings must be read first to know their sensor
-        rows, columns = s.skin.rows or paper.ROWS, s.skin.columns or paper.COLUMNS
-        check_fits(s, rows, columns, paper.CLASSES, origin)
     n_spiking = len(architecture.spiking)
     need(n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output")
     need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3, "snn.max_rates",
          f"1 to {n_spiking} rates above 0, one per layer of neurons")  # fmt: skip
     need(max(s.snn.max_rates) * s.snn.tau_ref < 1, "snn.max_rates",
          f"below 1 / snn.tau_ref = {1 / s.snn.tau_ref:g} spikes per second")  # fmt: skip
-
-
-def check_fits(s: Settings, rows: int, columns: int, classes: int, origin: str):
-    """Refuse an architecture that does not fit the size of the input and the number of classes.
-
-    Raises
-    ------
-    UserError
-        The architecture does not fit; the message suggests one that does.
-    """
-    if s.nir.file:  # a graph is compared with the recordings when it is read
-        return
-    if s.on_events:
-        name, text, size = "events.architecture", s.events.architecture, f"{rows}x{columns}x2"
-        what, shape = f"events of {rows}x{columns} taxels", (rows, columns, 2)
-    else:
-        name, text, size = "cnn.architecture", s.cnn.architecture, f"{rows}x{columns}"
-        what, shape = f"a tactile image of {size}", (rows, columns, 1)
-    architecture = parse(text)
-    if architecture.input_shape != shape or architecture.outputs != classes:
-        if s.cnn.model and not s.on_events:
-            found = "x".join(map(str, architecture.input_shape))
-            raise UserError(
-                f"{s.cnn.model}: for an input of {found} and {architecture.outputs} classes; the "
-                f"tactile images have {rows}x{columns}x1 and {classes} classes: train one for "
-                "those, or give the recordings that it is for (--data)"
-            )
-        like = "-".join([size, *map(str, architecture.layers[:-1]), f"{classes}o"])
-        raise UserError(
-            f"{origin}: {name!r} must be for {what} and {classes} classes, such as {like}, "
-            f"not {text}"
-        )
 
 
 def _parsed(architecture, name, origin):

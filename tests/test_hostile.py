@@ -15,9 +15,9 @@ from deploy.errors import UserError
 from deploy.files import read_json, write_json
 from pipeline.artifacts import Artifact, Origin
 from pipeline.data.library import cache_folder
+from pipeline.roads.events import confidence_of
 from pipeline.run import RunFolder
 from pipeline.settings import read_settings
-from pipeline.stages.bundling import _confidence
 
 from .command import call, environment
 from .pipeline.handmade import archive, good_members, mat5, spiketrain
@@ -128,7 +128,7 @@ def test_a_threshold_that_is_none(tmp_path, value):
     artifact = Artifact("threshold", tmp_path / "metrics.json", Origin())
     artifact.write({"decides_by_itself": value})
     with pytest.raises(UserError, match=r"metrics\.json"):
-        _confidence(artifact)
+        confidence_of(artifact)
 
 
 def test_text_where_operations_belong(refused, run):

@@ -22,7 +22,7 @@ from deploy.targets.registry import TARGETS, options_for
 from pipeline.commands import options, signatures
 from pipeline.commands.completion import data_sets
 from pipeline.progress import progress
-from pipeline.roads.answers import REFERENCES, compared_with
+from pipeline.roads import ROADS, compared_with
 from pipeline.run import checks_beside
 
 
@@ -148,7 +148,8 @@ def _checked(bundle, path, target, seed, chosen):
 
 def _loss(bundle, result):
     """The loss relative to the network that the bundle was made from, if its answers exist."""
-    for stage in dict.fromkeys(map(compared_with, REFERENCES.values())):
+    for road in ROADS:
+        stage = compared_with(road.references)
         with contextlib.suppress(UserError):  # missing or damaged: no comparison
             reference = read_result(checks_beside(bundle.path) / f"{stage}.json")
             if reference["bundle"] == bundle.id:

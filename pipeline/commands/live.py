@@ -8,12 +8,11 @@ from typing import Annotated, Optional
 import typer
 
 from deploy.errors import UserError
-from pipeline import stages
 from pipeline.commands import options
 from pipeline.live.network import RECORD, SHIPPED, network_of_bundle, network_of_run
 from pipeline.live.serving import PORT, serve
-from pipeline.progress import stages as numbered
 from pipeline.run import RunFolder
+from pipeline.stages import convert
 
 DEFAULT_RUN = Path("runs/default")
 
@@ -75,10 +74,7 @@ def _network(run, given, jobs):
     folder = RunFolder(run)
     if not asked and (found := network_of_run(folder)):
         return found
-    fit = options.fit_recordings(jobs, until="bundle")
-    with options.opened(run, given, fit=fit) as (folder, resolved):
-        if not folder.bundle.exists():
-            options.say(f"live: {run} has no network yet; training it first, about a minute")
-        with numbered(stages.bars(resolved, "bundle")):
-            _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
-    return bundle, resolved.image
+    if not folder.bundle.exists():
+        options.say(f"live: {run} has no network yet; training it first, about a minute")
+    with options.opened(run, given, jobs) as opened:
+        return convert(opened), opened.settings.image

@@ -12,7 +12,7 @@ from typing import Annotated, Optional
 
 import typer
 
-from deploy.errors import CheckFailed, SeveralErrors, UserError
+from deploy.errors import CheckFailed, UserError
 from deploy.terminal import remark, show
 from pipeline.commands.completion import data_sets
 from pipeline.commands.signatures import group
@@ -21,7 +21,6 @@ from pipeline.run import (
     nothing_left_of_a_failure,
     refuse_other_folders,
     refuse_results,
-    similar_run,
 )
 from pipeline.settings import SIMULATED, parse_assignments, put
 
@@ -170,7 +169,7 @@ WithoutDataGiven = group(Given, seed=Seed, input=Input, **_CHANGES)
 
 
 @contextlib.contextmanager
-def opened(path: Path, given: Given, changes: dict | None = None, fit=None):
+def resolved(path: Path, given: Given, changes: dict | None = None, of_results: bool = False):
     """Lock a folder and resolve its settings with the options that were given.
 
     Parameters
@@ -179,13 +178,13 @@ def opened(path: Path, given: Given, changes: dict | None = None, fit=None):
     given : Given
     changes : dict, optional
         Changed settings; the options have precedence.
-    fit : callable, optional
-        Adapts settings with default values to the recordings; see
-        :func:`pipeline.roads.fitting.fitted`.
+    of_results : bool
+        True for the folder of a sweep or experiment, False for a run.
 
     Yields
     ------
     RunFolder, Settings
+        What the user has set.
 
     Raises
     ------
@@ -193,73 +192,49 @@ def opened(path: Path, given: Given, changes: dict | None = None, fit=None):
         A file or value is wrong, or another process is working in the folder.
     """
     folder = RunFolder(path)
-    refuse_other_folders(path, of_results=fit is None)
-    if fit is not None:
-        _ask_about_a_similar_name(path, given.data)
+    refuse_other_folders(path, of_results)
     with nothing_left_of_a_failure(path), folder.locked():
-        resolved = folder.resolve_settings(given.settings, merged(changes or {}, given.changes()))
-        if fit is not None:
-            resolved = fit(folder, resolved)
-        yield folder, resolved
+        changes = merged(changes or {}, given.changes())
+        yield folder, folder.resolve_settings(given.settings, changes)
 
 
-def fit_recordings(jobs: int, until: str):
-    """The ``fit`` of :func:`opened`, which also announces the data of a new run.
+@contextlib.contextmanager
+def opened(
+    path: Path,
+    given: Given,
+    jobs: int,
+    changes: dict | None = None,
+    check: bool = True,
+    examine=None,
+):
+    """Lock a run, load its recordings, and choose what the settings leave open.
 
     Parameters
     ----------
+    path, given, changes
+        As in :func:`resolved`.
     jobs : int
         Number of processes for recordings that are not in the cache.
-    until : str
-        How far the command goes, as in :func:`pipeline.stages.bars`.
-    """
+    check : bool
+        True if the samples of a check will be drawn.
+    examine : callable, optional
+        Called with the settings before the recordings are loaded.
 
-    def fit(folder, settings):
-        from pipeline.data.library import recordings_of
-        from pipeline.progress import stages
-        from pipeline.roads.fitting import fitted, new_run_text, split_text
-        from pipeline.stages import bars
-
-        if settings.data.source == SIMULATED:
-            return fitted(settings, jobs)
-        with stages(bars(settings, until)):
-            recordings = recordings_of(settings, jobs)  # files that are left out are reported later
-        is_new, lines = not folder.experiment.exists(), []
-        try:
-            # Of other recordings, the user decides: networks of a run would be replaced.
-            rechoose = settings.data.source == folder.resolve_settings(None, {}).data.source
-            options = {"check": until != "train", "rechoose": rechoose}
-            chosen = fitted(settings, jobs, lines.append, recordings, **options)
-        except SeveralErrors as error:
-            if not is_new:
-                raise
-            remedy = "; nothing was kept: name the data (--data) in the next command too"
-            raise SeveralErrors([*error.lines[:-1], error.lines[-1] + remedy]) from error
-        if is_new:
-            say(new_run_text(folder.path, recordings, settings))
-        elif text := split_text(recordings, settings):
-            say(f"{folder.path}: {text}")
-        for line in lines:
-            say(line)
-        return chosen
-
-    return fit
-
-
-def _ask_about_a_similar_name(path, data):
-    """Ask at a terminal whether a new run is meant, if its name is similar to another run's.
+    Yields
+    ------
+    pipeline.stages.Opened
 
     Raises
     ------
     UserError
-        It is not.
+        As :func:`resolved` and :func:`pipeline.stages.open_run`.
     """
-    if data is not None or not (sys.stdin.isatty() and sys.stderr.isatty()):
-        return
-    meant = similar_run(path)
-    question = f"{path}: no such run; begin a new one on simulated recordings (and not {meant})?"
-    if meant is not None and not typer.confirm(question, err=True):
-        raise UserError(f"{path}: no such run; give {meant}")
+    from pipeline.stages import open_run  # imports all that a run is made with
+
+    with resolved(path, given, changes) as (folder, settings):
+        if examine is not None:
+            examine(settings)
+        yield open_run(folder, settings, jobs, say, check)
 
 
 def bundle_in(path: Path) -> Path:

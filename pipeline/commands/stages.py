@@ -8,11 +8,8 @@ from typing import Annotated, Optional
 import typer
 
 from deploy.errors import UserError
-from pipeline import stages
 from pipeline.commands import options
-from pipeline.progress import stages as numbered
-from pipeline.results.ladder import ladder_text, measure_ladder
-from pipeline.roads.answers import LADDER_ONLY, REFERENCES
+from pipeline.roads import road_of
 from pipeline.run import RunFolder, refuse_other_folders
 
 
@@ -22,19 +19,13 @@ def train(
     jobs: options.Jobs = 2,
 ):
     """Train the paper's CNN on tactile images, or with --input events the network on events."""
-    fit = options.fit_recordings(jobs, until="train")
-    with (
-        options.opened(run, given, fit=fit) as (folder, resolved),
-        numbered(stages.bars(resolved, "train")),
-    ):
-        if resolved.nir.file:  # refused before the settings are saved
-            raise UserError(
-                f"{run}: its network is the NIR graph {resolved.nir.file}, which is already "
-                "trained; use 'stmnist convert', or train a network in a new folder"
-            )
-        dataset = stages.open_dataset(folder, resolved, jobs, options.say, check=False)
-        for name in ("events", "threshold") if resolved.on_events else ("cnn",):
-            stages.train(name, folder, resolved, dataset, options.say)
+
+    def examine(settings):
+        return road_of(settings).trained  # an error if the network was trained elsewhere
+
+    with options.opened(run, given, jobs, check=False, examine=examine) as opened:
+        for name in opened.road.trained:
+            opened.make(name)
     options.suggest("ladder", run)
 
 
@@ -75,29 +66,27 @@ def convert(
         raise UserError("--model and --nir: a run has one network; give only one of them")
     if step is not None and nir is None:
         raise UserError("--step: needs a NIR graph; give it with --nir FILE")
-    changes = stages.settings_of_model(model, retrain) if model else {}
+    from pipeline import stages
+
+    changes, examine = {}, None
+    if model is not None:
+        changes, examine = stages.settings_of_model(model, retrain), _require_model
     if nir is not None:
         refuse_other_folders(run)
-        changes = stages.settings_of_nir(
-            nir, step, given.input, RunFolder(run).resolve_settings(given.settings, {})
-        )
-    fit = options.fit_recordings(jobs, until="convert")
-    with (
-        options.opened(run, given, changes, fit) as (folder, resolved),
-        numbered(stages.bars(resolved, "convert")),
-    ):
-        if model is not None and resolved.on_events:
-            raise UserError(
-                "--model: Keras models receive tactile images; leave out --input events"
-            )
-        if nir is not None:
-            stages.refuse_early(resolved)
-        _, bundle = stages.make_bundle(folder, resolved, jobs, options.say)
-        for stage in REFERENCES[resolved.network]:
-            if stage in LADDER_ONLY:
-                continue
-            stages.answer(folder, resolved, bundle, stage, options.say)
+        before = RunFolder(run).resolve_settings(given.settings, {})
+        changes = stages.settings_of_nir(nir, step, given.input, before)
+        examine = stages.refuse_early
+    with options.opened(run, given, jobs, changes, examine=examine) as opened:
+        bundle, road = stages.convert(opened), opened.road
+        for stage, reference in road.references.items():
+            if road.is_deployed(reference.part):
+                stages.answer(opened, bundle, stage)
     options.suggest("ladder", run)
+
+
+def _require_model(settings):
+    if road_of(settings).imported is None:
+        raise UserError("--model: Keras models receive tactile images; leave out --input events")
 
 
 def ladder(
@@ -125,9 +114,10 @@ def ladder(
         raise UserError(f"--limit {limit:g}: must be from -100 to 100 points")
     if slow and not whole:
         raise UserError("--slow: is for the complete test split; add --whole")
-    fit = options.fit_recordings(jobs, until="ladder")
-    with options.opened(run, given, fit=fit) as (folder, resolved):
-        table = measure_ladder(folder, resolved, jobs, whole, slow, options.say)
+    from pipeline.results.ladder import ladder_text, measure_ladder
+
+    with options.opened(run, given, jobs) as opened:
+        table = measure_ladder(opened, jobs, whole, slow)
     most = limit if limit is not None else 1.0 if whole else 3.0
     asked = limit is not None
     options.tell(table, lambda ladder: "\n" + ladder_text(ladder, most, asked), as_json)

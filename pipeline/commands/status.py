@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pipeline.commands import options
 from pipeline.results.status import status_of, status_text
-from pipeline.roads.given_networks import changed_note
+from pipeline.roads import road_of
 from pipeline.run import RunFolder
 from pipeline.settings import read_settings
 
@@ -21,5 +21,6 @@ def status(run: options.Run, as_json: options.Json = False):
         lambda _: status_text(folder, found),
         as_json,
     )
-    if (note := changed_note(read_settings(folder.experiment))) is not None:
+    imported = road_of(read_settings(folder.experiment)).imported
+    if imported is not None and (note := imported.changed_note()) is not None:
         options.say(note)

@@ -31,7 +31,7 @@ def sweep(
 
     Writes sweep.json, sweep.csv and pareto.png.  Existing points are not computed again.
     """
-    with options.opened(out, given) as (folder, resolved):
+    with options.resolved(out, given, of_results=True) as (folder, resolved):
         summary, failed = measure_sweep(folder, resolved, grid, workers, options.say)
         if summary["points"]:
             from pipeline.results.report import figures  # imports Matplotlib

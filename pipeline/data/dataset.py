@@ -17,7 +17,7 @@ from pipeline.data.images import tactile_images
 from pipeline.data.library import recordings_of
 from pipeline.data.splits import Split, split_of, split_problem
 from pipeline.data.steps import EventTable
-from pipeline.settings import SIMULATED, Image, Settings, check_fits
+from pipeline.settings import SIMULATED, Image, Settings
 
 AT_ONCE = 500
 """Recordings whose frames of events are made at once, which bounds the memory."""
@@ -63,7 +63,14 @@ class Dataset:
     _made: dict = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
-    def of(cls, settings: Settings, jobs: int = 1, warn=None, kind: str = "") -> Dataset:
+    def of(
+        cls,
+        settings: Settings,
+        jobs: int = 1,
+        warn=None,
+        kind: str = "",
+        recordings: Recordings | None = None,
+    ) -> Dataset:
         """The recordings named in the settings, split with the seed of the settings.
 
         Parameters
@@ -75,6 +82,8 @@ class Dataset:
             Called with one line for each file that was left out.
         kind : str
             Kind of the split instead of setting ``split.kind``.
+        recordings : Recordings, optional
+            The recordings that the settings name, if they were loaded before.
 
         Raises
         ------
@@ -82,7 +91,8 @@ class Dataset:
             The source cannot be read, is too small for the split, or has a class with a single
             recording.
         """
-        recordings = recordings_of(settings, jobs, warn)
+        if recordings is None:
+            recordings = recordings_of(settings, jobs, warn)
         split = _checked_split(recordings, settings, kind)
         origin = dataset_origin(settings, recordings.source.sha256, split.kind)
         return cls(recordings, split, origin, settings)
@@ -229,19 +239,6 @@ def require_images_fit(images: np.ndarray, settings: Settings):
             f"'image.normalisation' {settings.image.normalisation!r}: {problem}; "
             "choose another, or a lower deployment.input_rate"
         )
-
-
-def require_recordings_fit(recordings: Recordings, settings: Settings):
-    """Make sure that the architecture fits the recordings' sensor and classes.
-
-    Raises
-    ------
-    UserError
-        The architecture does not fit.
-    """
-    sensor = recordings.sensor
-    classes = len(sensor.classes)
-    check_fits(settings, sensor.rows, sensor.columns, classes, settings.data.source)
 
 
 def _checked_split(recordings, settings, kind=""):

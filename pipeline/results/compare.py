@@ -26,16 +26,14 @@ from pipeline.data.words import is_written, shortened
 from pipeline.paper import CNN_MACS
 from pipeline.results.elsewhere import FOLDER as OTHERS
 from pipeline.results.status import outdated, remedy_text, status_of
-from pipeline.roads.answers import REFERENCES
+from pipeline.roads import REFERENCES
 from pipeline.run import RunFolder
 from pipeline.settings import Settings, read_settings
+from pipeline.stages import settings_read
 
 SCHEMA = "stmnist-runs/1"
 
-NETWORKS = tuple(dict.fromkeys(stage for stages in REFERENCES.values() for stage in stages))
-"""Stages before the bundle, for both kinds of input."""
-
-ORDER = (*NETWORKS, *TARGETS)
+ORDER = (*REFERENCES, *TARGETS)
 """Order of the stages in a comparison."""
 
 COUNTED = ("emulator", "fast", "simreal", "nengo", "loihi")
@@ -216,13 +214,13 @@ def compare_runs(runs) -> dict:
 
 def _different_settings(runs):
     """Settings that at least two runs read and that differ; None for runs that do not read them."""
-    # A run whose steps are the default, 0, may have as many as one with a number.
-    read = [{**run.settings.relevant(), "presentation.steps": run.settings.steps} for run in runs]
-    contents = {run.spec.provenance.get("source_sha256") for run in runs}
+    read = [settings_read(run.spec) for run in runs]
+    names = dict.fromkeys(name for settings in read for name in settings)
     different = []
-    for name in runs[0].settings.flat():
-        if name == "data.source" and len(contents) == 1 and None not in contents:
-            continue  # the same recordings in another place
+    contents = {run.spec.provenance.get("source_sha256") for run in runs}
+    if len(contents) > 1:  # not the same recordings in another place
+        different.append({"name": "data.source", "values": [r.settings.data.source for r in runs]})
+    for name in names:
         values = [settings.get(name) for settings in read]
         if len({repr(value) for value in values if value is not None}) > 1:
             different.append({"name": name, "values": values})

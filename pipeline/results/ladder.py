@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
+import json
 
 import numpy as np
 
-from deploy.check.bundle import Bundle
-from deploy.check.rates import firing_rates
 from deploy.check.results import compare_results, loss_text, read_result
 from deploy.files import reporting_damage
 from deploy.tables import SIGNIFICANCE, aligned, p_text, star
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
-from pipeline import stages
-from pipeline.artifacts import DELETE_IT, Artifact
+from pipeline.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.progress import progress
-from pipeline.progress import stages as numbered
-from pipeline.roads.answers import LADDER_ONLY, REFERENCES, compared_with, event_rates
-from pipeline.roads.diagnosis import layers_json, layers_text, least_faithful, rate_points
-from pipeline.roads.fitting import fitted
-from pipeline.roads.origins import ladder_origin
+from pipeline.roads import Road, compared_with
+from pipeline.roads.diagnosis import layers_text, least_faithful
 from pipeline.run import RunFolder
-from pipeline.settings import Settings
+from pipeline.stages import Opened, answer_all, convert, on_test_split
 
 BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
 """Targets whose existing results are included, but which the ladder does not run."""
@@ -34,43 +30,31 @@ TRAINED = ("rate-lif", "trained")
 """The network from which the bundle is made; later losses are caused by the conversion."""
 
 
-def ladder_stages(kind: str, whole: bool = False) -> list:
-    """Stages of the ladder for a kind of input, in order.
+def ladder_stages(road: Road, whole: bool = False) -> list:
+    """Stages of the ladder of a road, in order.
 
     ``fast`` is bit-identical to ``emulator``: the ladder has ``emulator`` on the check's samples,
     and ``fast``, without a board's result, on the whole test split.
     """
     left_out = ("emulator", *BOARDS) if whole else ("fast",)
-    return [*REFERENCES[kind], *(name for name in TARGETS if name not in left_out)]
+    return [*road.references, *(name for name in TARGETS if name not in left_out)]
 
 
 def measure_ladder(
-    run: RunFolder,
-    settings: Settings,
-    jobs: int = 1,
-    whole: bool = False,
-    slow: bool = False,
-    say=print,
-    dataset=None,
-    asked=None,
+    opened: Opened, jobs: int = 1, whole: bool = False, slow: bool = False, asked=None
 ) -> dict:
     """Make the missing artifacts of a run up to the emulator, and compare the stages.
 
     Parameters
     ----------
-    run : RunFolder
-        Locked.
-    settings : Settings
+    opened : pipeline.stages.Opened
+        Of a run, which is locked.
     jobs : int
-        Number of processes for simulating recordings and running targets.
+        Number of processes for targets.
     whole : bool
         Use the whole test split, not the check's samples.
     slow : bool
         With ``whole``: include the stages of :data:`SLOW`.
-    say : callable
-        Called with a line about each stage.
-    dataset : pipeline.data.dataset.Dataset, optional
-        Dataset of the same settings, used instead of their recordings.
     asked : sequence of str, optional
         Stages of the ladder; default: :func:`ladder_stages`.
 
@@ -79,59 +63,42 @@ def measure_ladder(
     dict
         See :func:`ladder_json`.
     """
-    left_out = SLOW if whole and not slow else ()
-    with numbered(stages.bars(settings, "ladder")):
-        settings = fitted(settings, jobs, say, dataset and dataset.recordings)
-        dataset, bundle = stages.make_bundle(run, settings, jobs, say, dataset)
-        if whole:
-            bundle = stages.on_test_split(settings, dataset, bundle)
-        asked = asked or ladder_stages(settings.network, whole)
-        asked = [stage for stage in asked if stage not in (*left_out, *BOARDS)]
-        for stage in (stage for stage in asked if stage in LADDER_ONLY):
-            stages.train(stage, run, settings, dataset, say)
-        results = stages.answer_all(run, settings, bundle, asked, jobs, say, whole)
-        # A board's result is included if it exists and belongs to this bundle.
-        for board in () if whole else map(run.check, BOARDS):
-            if board.exists() and (result := read_result(board))["bundle"] == bundle.id:
-                results.append(result)
-        artifact = ladder_artifact(run, results, whole)
-        state = artifact.state()
-        if state.is_current:
-            with reporting_damage(artifact.record, DELETE_IT):
-                ladder_text(state.record, limit=-100.0, by_chance=True)  # an error if damaged
-            return state.record
-        layers, points = _layers(run, settings, bundle)
-        table = ladder_json(results, layers, left_out, dataset.recordings.sensor.classes)
-        return artifact.write({**table, "rates": points})
+    run, left_out = opened.place, SLOW if whole and not slow else ()
+    bundle = convert(opened)
+    if whole:
+        bundle = on_test_split(opened, bundle)
+    asked = asked or ladder_stages(opened.road, whole)
+    asked = [stage for stage in asked if stage not in (*left_out, *BOARDS)]
+    results = answer_all(opened, bundle, asked, jobs, whole)
+    # A board's result is included if it exists and belongs to this bundle.
+    for board in () if whole else map(run.check, BOARDS):
+        if board.exists() and (result := read_result(board))["bundle"] == bundle.id:
+            results.append(result)
+    artifact = ladder_artifact(run, results, whole)
+    state = artifact.state()
+    if state.is_current:
+        with reporting_damage(artifact.record, DELETE_IT):
+            ladder_text(state.record, limit=-100.0, by_chance=True)  # an error if damaged
+        return state.record
+    seen = opened.restricted(bundle.spec.provenance["made_from"]["settings"])
+    with progress("compare layers", len(bundle.checks)) as advance:
+        layers, points = seen.road.rates(seen, bundle, advance)
+    table = ladder_json(results, layers, left_out, opened.dataset.recordings.sensor.classes)
+    return artifact.write({**table, "rates": points})
 
 
 def ladder_artifact(run: RunFolder, results, whole: bool = False) -> Artifact:
     """The loss ladder of check results, on the check's samples or on the whole test split."""
     name, path = ("ladder-whole", run.whole_ladder) if whole else ("ladder", run.ladder)
-    return Artifact(name, path, ladder_origin(results))
+    contents = {
+        f"checks/{result['target']}": _hash_of([result["bundle"], result["samples"]])
+        for result in results
+    }
+    return Artifact(name, path, Origin(contents=contents))
 
 
-def _layers(run: RunFolder, settings: Settings, bundle: Bundle) -> tuple:
-    """Fidelity of each layer on the bundle's samples, and its rates in both networks.
-
-    Without a rate-based network the fidelity is None; for a NIR graph both are None.
-    """
-    if settings.network == "nir":
-        return None, {}
-    spec, inputs = bundle.spec, bundle.checks.inputs
-    start = spec.presentation.readout_start
-    weights = stages.read_weights(run.snn, settings)
-    with progress("compare layers", len(inputs)) as advance:
-        rates = firing_rates(spec, inputs, settings.seed, start, advance)
-        if settings.on_events:
-            trained = event_rates(settings, weights, bundle)
-            return None, rate_points(trained, rates)
-        from pipeline.training.networks import TrainedRates  # imports TensorFlow only if needed
-
-        activations = TrainedRates(settings, weights).activations(inputs)
-    fastest = {layer.name: 1 / layer.neurons.amplitude for layer in spec.layers if layer.neurons}
-    trained = {name: values * fastest[name] for name, values in activations.items()}
-    return layers_json(spec, rates, activations), rate_points(trained, rates)
+def _hash_of(value):
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
 def ladder_rows(results) -> list:

@@ -19,13 +19,10 @@ from pipeline.data.dataset import ARRAYS, SPLIT_READS, dataset_origin
 from pipeline.data.library import identity_of
 from pipeline.data.splits import RANDOM
 from pipeline.results.ladder import BOARDS, SLOW, ladder_artifact, ladder_stages
-from pipeline.roads.origins import check_origin
+from pipeline.roads import road_of
 from pipeline.run import RunFolder, refuse_other_folders, refuse_results, run_around
 from pipeline.settings import Settings, read_settings
-from pipeline.stages.answering import check_artifact
-from pipeline.stages.bundling import bundle_artifact
-from pipeline.stages.opening import dataset_artifact
-from pipeline.stages.training import ARTIFACTS, network_artifact
+from pipeline.stages import bundle_artifact, check_artifact, dataset_artifact
 
 WIDTH = 80
 """Width of the text in columns."""
@@ -85,13 +82,14 @@ def status_of(run: RunFolder, settings: Settings | None = None) -> list:
         )
     settings = settings or read_settings(run.experiment)
     dataset = _dataset_origin(run, settings)
-    found = [Status(dataset_artifact(run, dataset).state())]
-    found += _networks(run, settings, dataset)
-    bundle = bundle_artifact(run, settings, dataset).state()
-    found.append(Status(bundle))
+    road = road_of(settings)
+    states = [Status(dataset_artifact(run, dataset).state())]
+    states += _parts(run, road, dataset)
+    bundle = bundle_artifact(run, road, dataset).state()
+    states.append(Status(bundle))
     for whole in (False, True):
-        found += _answers(run, settings, bundle, whole)
-    return found
+        states += _answers(run, road, dataset, bundle, whole)
+    return states
 
 
 def outdated(found) -> dict:
@@ -219,19 +217,19 @@ def _dataset_origin(run, settings):
     return dataset_origin(settings, content, kind)
 
 
-def _networks(run, settings, dataset):
-    """The states of trained networks, with accuracies and durations from their records."""
-    found = []
-    for name in ARTIFACTS[settings.network]:
-        artifact = network_artifact(name, run, settings, dataset)
+def _parts(run, road, dataset):
+    """The states of a road's parts, with accuracies and durations from their records."""
+    statuses = {}
+    for part in road.parts:
+        artifact = road.artifact(part.name, run, dataset)
         state = artifact.state()
         with reporting_damage(artifact.record, DELETE_IT):
             accuracy = _number(state.record.get("accuracy", {}).get("test"))
             seconds = _number(state.record.get("seconds"))
-        if name == "threshold":  # its record has the duration of the training
-            state, seconds = _follows(state, found[-1].state), None
-        found.append(Status(state, accuracy, seconds))
-    return found
+        for used in part.uses:
+            state = _follows(state, statuses[used].state)
+        statuses[part.name] = Status(state, accuracy, seconds)
+    return list(statuses.values())
 
 
 def _number(value):
@@ -241,14 +239,14 @@ def _number(value):
     raise ValueError(f"{str(value)[:40]!r} is no number")
 
 
-def _answers(run, settings, bundle, whole):
+def _answers(run, road, dataset, bundle, whole):
     """Checks and ladder, of the bundle's samples or of the whole test split."""
-    expected = ladder_stages(settings.network, whole)
+    expected = ladder_stages(road, whole)
     there = bundle.state != MISSING
-    origin = check_origin(settings, sha256_of(run.bundle / "MANIFEST.json") if there else "")
+    bundle_id = sha256_of(run.bundle / "MANIFEST.json") if there else ""
     found, results = [], {}
     for stage in dict.fromkeys([*expected, *TARGETS]):
-        artifact = check_artifact(run, stage, origin, whole)
+        artifact = check_artifact(run, stage, road, dataset, bundle_id, whole)
         if not artifact.record.exists():
             # Not every run needs every target or the whole test split: a result that was never
             # requested is not reported as missing.

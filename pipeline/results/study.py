@@ -35,14 +35,14 @@ from deploy.preflight.plan import make_plan
 from deploy.tables import p_text
 from deploy.targets.registry import TARGETS
 from deploy.targets.registry import answer as answer_on_target
-from pipeline import stages
 from pipeline.artifacts import DELETE_IT, Library
 from pipeline.data.dataset import Dataset
 from pipeline.jobs import Failure, attempt, run_jobs
 from pipeline.paper import CNN_MACS
 from pipeline.progress import hidden, progress
 from pipeline.roads.fitting import fitted
-from pipeline.settings import SIMULATED, Settings
+from pipeline.settings import Settings
+from pipeline.stages import opened_in
 
 SCHEMA = "stmnist-row/1"
 FEWEST = 3
@@ -233,10 +233,11 @@ def measure(case: Case, networks: Library, dataset: Dataset | None = None) -> di
     inputs, _ = dataset.part(case.part)
     index = getattr(dataset.split, case.part)
     with hidden():
+        opened = opened_in(networks, case.resolved, dataset, _silent)
         if case.stage not in TARGETS:
-            return row_of(case, dataset, index, reference(case, dataset, networks, inputs))
-        stages.train_all(networks, case.resolved, dataset, _silent)
-        spec = stages.spec_of(networks, case.resolved, dataset, {})
+            return row_of(case, dataset, index, reference(case, opened, inputs))
+        opened.make_all()
+        spec = opened.spec()
     found = answer_on_target(spec, inputs, case.stage, case.seed)
     costs = costs_of(spec, found)
     if found.stopped_at is not None:
@@ -247,26 +248,25 @@ def measure(case: Case, networks: Library, dataset: Dataset | None = None) -> di
     return row_of(case, dataset, index, found.predictions, costs=costs)
 
 
-def reference(case: Case, dataset: Dataset, networks: Library, inputs) -> np.ndarray:
+def reference(case: Case, opened, inputs) -> np.ndarray:
     """Predictions of a stage before the chip, shape (n_samples,)."""
     settings = case.resolved
+    part = opened.road.references[case.stage].part
+    for used in opened.road.part(part).uses:
+        opened.make(used)
+    opened.make(part)
+    if case.stage == "counts":
+        scores = read_arrays(opened.artifact(part).folder / "scores.npz", DELETE_IT)
+        by_id = dict(zip(scores["ids"].tolist(), scores["scores"], strict=True))
+        dataset = opened.dataset
+        ids = [dataset.recordings.ids[i] for i in getattr(dataset.split, case.part)]
+        return np.argmax([by_id[name] for name in ids], axis=1)
+    weights = opened.weights(part)
     if case.stage == "cnn":
         from pipeline.training.networks import TrainedCNN  # TensorFlow, where it is needed
 
-        stages.train("cnn", networks, settings, dataset, _silent)
-        weights = stages.weights_of("cnn", networks, settings, dataset.origin)
         return TrainedCNN(settings, weights).logits(inputs).argmax(1)
-    if case.stage == "counts":
-        stages.train("counts", networks, settings, dataset, _silent)
-        folder = stages.network_artifact("counts", networks, settings, dataset.origin).folder
-        scores = read_arrays(folder / "scores.npz", DELETE_IT)
-        by_id = dict(zip(scores["ids"].tolist(), scores["scores"], strict=True))
-        ids = [dataset.recordings.ids[i] for i in getattr(dataset.split, case.part)]
-        return np.argmax([by_id[name] for name in ids], axis=1)
-    stages.train_all(networks, settings, dataset, _silent)
-    name = "events" if settings.on_events else "rate-lif"
-    weights = stages.weights_of(name, networks, settings, dataset.origin)
-    if settings.on_events:
+    if case.stage == "trained":
         from pipeline.training.events import TrainedOnEvents
 
         return TrainedOnEvents.of(settings, weights).logits(inputs).argmax(1)
@@ -503,7 +503,7 @@ def comparisons_cells(found: dict) -> list:
 
 
 def fitted_to_inputs(settings: Settings, kinds, recordings, say: Callable) -> dict:
-    """Adapt settings to recordings that are not simulated, for each kind of input.
+    """Choose what the settings leave open, for each kind of input.
 
     Parameters
     ----------
@@ -519,12 +519,11 @@ def fitted_to_inputs(settings: Settings, kinds, recordings, say: Callable) -> di
     -------
     dict of str to Settings
     """
-    kinds = {kind: replace(settings, input=replace(settings.input, kind=kind)) for kind in kinds}
-    if settings.data.source == SIMULATED:
-        return kinds
-    return {
-        kind: fitted(of_kind, say=say, recordings=recordings) for kind, of_kind in kinds.items()
-    }
+    by_kind = {}
+    for kind in kinds:
+        of_kind = replace(settings, input=replace(settings.input, kind=kind))
+        by_kind[kind] = fitted(of_kind, recordings, say=say)
+    return by_kind
 
 
 def _silent(line):

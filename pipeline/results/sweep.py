@@ -19,28 +19,18 @@ from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.files import replacing, write_json
 from deploy.tables import in_blocks
-from pipeline.data.dataset import require_recordings_fit
+from deploy.targets.registry import TARGETS
 from pipeline.data.library import recordings_of
 from pipeline.data.splits import kind_of
 from pipeline.paper import CNN_MACS
 from pipeline.results.study import Case, Workers, fitted_to_inputs, study
+from pipeline.roads import road_of
 from pipeline.run import RunFolder
 from pipeline.settings import Settings, parse_assignments, put
 
 SCHEMA = "stmnist-sweep/3"
 VALIDATION = 0.15
 """Share of the training samples held out for the evaluation, if the settings have none."""
-
-DEFAULT_GRID = (
-    "presentation.steps=50,100",
-    "deployment.synapse=0.005,0.01",
-    "snn.max_rates=100,150",
-    "snn.spike_penalty=0,0.05",
-)
-"""16 points from four trainings, of images."""
-
-EVENTS_GRID = ("events.budget=0.6,0.9", "events.early=0.3,1")
-"""Four points from four trainings, on events."""
 
 STAGES = ("rate-lif", "trained", "fast")
 """Stages of a point: the trained network of either input, and the chip's integers."""
@@ -70,11 +60,7 @@ def points_of(base: Settings, grid) -> list:
         An entry cannot be read, names no setting or one that changes the samples, or a combination
         is out of range.
     """
-    if base.nir.file:
-        raise UserError(
-            f"{base.nir.file}: a NIR graph cannot be swept, because it is not trained; convert "
-            "it with each of the settings in a run of its own, and use 'stmnist compare'"
-        )
+    _ = road_of(base).trained  # an error if the network is not trained here
     axes = [_axis(entry, base) for entry in grid]
     names = [axis[0][0] for axis in axes]
     if len(set(names)) < len(names):
@@ -138,18 +124,18 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     """
     recordings, kind = recordings_of(settings, workers.processes, say), settings.input.kind
     fraction = settings.split.validation_fraction or VALIDATION
-    settings = fitted_to_inputs(settings, (kind,), recordings, say)[kind]
-    base = settings.with_values({"split": {"validation_fraction": fraction}}, "sweep")
-    split = kind_of(base.split.kind, recordings)
-    points = points_of(base, grid or (EVENTS_GRID if base.on_events else DEFAULT_GRID))
-    stages = STAGES[1:] if base.on_events else (STAGES[0], STAGES[2])
+    chosen = fitted_to_inputs(settings, (kind,), recordings, say)[kind]
+    base = chosen.with_values({"split": {"validation_fraction": fraction}}, "sweep")
+    split, road = kind_of(base.split.kind, recordings), road_of(base)
+    points = points_of(base, grid or road.grid)
+    stages = [stage for stage in STAGES if stage in road.references or stage in TARGETS]
     cases = []
     for number, (_, of_point) in enumerate(points):
-        require_recordings_fit(recordings, of_point)
+        road_of(of_point).require_fit(recordings)
         for stage in stages:
             name = f"point-{number}-{stage}"
             cases.append(Case(name, of_point, stage, base.seed, split, part="validation"))
-    folder.save_settings(base)
+    folder.save_settings(base, settings)
     rows, failed = study(cases, folder.path, recordings.source.sha256, workers, say)
     summary = summarise([changes for changes, _ in points], rows)
     summary["failed"] = [

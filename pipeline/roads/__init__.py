@@ -1,1 +1,32 @@
-"""What depends on the kind of network: on images, on events, or from a NIR graph."""
+"""Roads: all that depends on the kind of network, each in one module; see :mod:`.road`."""
+
+from __future__ import annotations
+
+from pipeline.roads.events import EventRoad
+from pipeline.roads.image import ImageRoad
+from pipeline.roads.nir import NirRoad
+from pipeline.roads.road import Road
+from pipeline.settings import Settings
+
+ROADS = (ImageRoad, EventRoad, NirRoad)
+
+REFERENCES = {stage: texts for road in ROADS for stage, texts in road.references.items()}
+"""Title and note of the reference stages of all roads."""
+
+
+def compared_with(stages) -> str:
+    """The stage that the stages after it are compared with: the first that is a network.
+
+    Parameters
+    ----------
+    stages : sequence of str
+        Stages in the order of the ladder.
+    """
+    return next(stage for stage in stages if stage != "counts")
+
+
+def road_of(settings: Settings) -> Road:
+    """The road of a run's network; the only place that decides it."""
+    if settings.nir.file:
+        return NirRoad(settings)
+    return EventRoad(settings) if settings.on_events else ImageRoad(settings)

@@ -24,8 +24,8 @@ from pipeline import paper
 from pipeline.data.dataset import Dataset
 from pipeline.data.splits import Split
 from pipeline.progress import progress
-from pipeline.roads.event_training import trusted
-from pipeline.roads.given_networks import imported_file, is_file
+from pipeline.roads.events import trusted
+from pipeline.roads.imported import imported_file, is_file
 from pipeline.roads.nir_answers import NUMPY, outputs_of, predictions_of
 from pipeline.roads.nir_settings import GRAPH, Stepped, give_again
 from pipeline.settings import SIMULATED, Settings

@@ -11,13 +11,18 @@ from deploy.errors import UserError
 from deploy.files import sha256_of
 from models.keras_model import read_keras
 from pipeline.data.dataset import Dataset
-from pipeline.roads.given_networks import GIVE_MODEL_AGAIN, imported_file
+from pipeline.roads.imported import imported_file
 from pipeline.settings import Settings
 
 LEAST_KNOWN = 0.15
 """Minimum accuracy of a user's model, as a share of the range from chance to 1.  The best of 30
 networks of three layers with Keras's initial weights had 0.06 by chance, on ten classes."""
 
+
+GIVE_MODEL_AGAIN = (
+    "give it again with 'stmnist convert RUN --model FILE' (--retrain too if you gave it)"
+)
+"""The remedy for a model that has changed since it was imported."""
 
 SPREAD = (1e-3, 1e4)
 """Limits of the difference between the largest and smallest logit of a sample."""

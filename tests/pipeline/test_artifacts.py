@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from deploy.files import read_json, write_json
 from pipeline.artifacts import Artifact, Library, Origin
 from pipeline.data.dataset import dataset_origin
-from pipeline.roads import origins
+from pipeline.roads import road_of
 from pipeline.settings import PATHS, Settings, UndeclaredSetting
 
 SETTINGS = Settings()
@@ -111,9 +111,8 @@ def test_a_view_holds_the_declared_settings_and_paths(names):
 def test_no_path_is_part_of_an_origin():
     here = changed("data.source", "/here/x.zip").with_values({"cnn": {"model": "/here/m.keras"}})
     there = changed("data.source", "/there/x.zip").with_values({"cnn": {"model": "/there/m.keras"}})
-    for make in (origins.bundle_origin, origins.trained_origin):
-        one, two = (make(s, dataset_origin(s, "ab")) for s in (here, there))
-        assert one == two
+    one, two = (road_of(s).bundle_origin(dataset_origin(s, "ab")) for s in (here, there))
+    assert one == two
 
 
 def test_variants_lie_side_by_side(tmp_path):
@@ -123,20 +122,28 @@ def test_variants_lie_side_by_side(tmp_path):
     assert library.folder("cnn", one) == library.folder("cnn", one)
 
 
+IMAGE_DATA, EVENT_DATA = "dataset cnn rate-lif bundle", "dataset events threshold bundle"
+
 DEPENDS = {
     # setting: what is made again, of a run on images and of one on events
-    ("cnn.epochs", 3): ("cnn rates bundle", ""),
-    ("snn.noise", 0.2): ("rates bundle", ""),
+    ("cnn.epochs", 3): ("cnn rate-lif bundle", ""),
+    ("snn.noise", 0.2): ("rate-lif bundle", ""),
     ("deployment.synapse", 0.01): ("bundle", ""),
     ("presentation.steps", 60): ("bundle", "threshold bundle"),
     ("presentation.gap", 3): ("bundle", "bundle"),
     ("check.samples", 50): ("bundle", "bundle"),
     ("input.refractory", 20.0): ("", "events threshold bundle"),
     ("events.epochs", 3): ("", "events threshold bundle"),
-    ("image.aggregation", "signed"): ("cnn rates bundle", "bundle"),
-    ("split.test_fraction", 0.3): ("dataset cnn rates bundle", "dataset events threshold bundle"),
-    ("data.samples_per_digit", 9): ("dataset cnn rates bundle", "dataset events threshold bundle"),
-    ("seed", 1): ("dataset cnn rates bundle", "dataset events threshold bundle"),
+    ("image.aggregation", "signed"): ("cnn rate-lif bundle", "bundle"),
+    ("split.test_fraction", 0.3): (
+        "dataset cnn rate-lif bundle",
+        "dataset events threshold bundle",
+    ),
+    ("data.samples_per_digit", 9): (
+        "dataset cnn rate-lif bundle",
+        "dataset events threshold bundle",
+    ),
+    ("seed", 1): (IMAGE_DATA, EVENT_DATA),
 }
 
 
@@ -148,13 +155,10 @@ def test_a_setting_remakes_what_depends_on_it_and_nothing_else(setting, remade):
         for settings in (SETTINGS, changed(name, value)):
             settings = replace(settings, input=replace(settings.input, kind=kind))
             dataset = dataset_origin(settings, "ab")
-            made = {"dataset": dataset, "bundle": origins.bundle_origin(settings, dataset)}
-            if kind == "image":
-                made["cnn"] = origins.cnn_origin(settings, dataset)
-                made["rates"] = origins.rates_origin(settings, dataset)
-            else:
-                made["events"] = origins.events_origin(settings, dataset)
-                made["threshold"] = origins.threshold_origin(settings, dataset)
+            road = road_of(settings)
+            made = {"dataset": dataset, "bundle": road.bundle_origin(dataset)}
+            made |= {part.name: road.origin(part.name, dataset) for part in road.parts}
+            del made["counts"]  # which depends on the dataset alone
             found.append(made)
         one, two = found
         assert {name for name in one if one[name] != two[name]} == set(expected.split())

@@ -32,19 +32,3 @@ def test_elsewhere_it_is_silent_and_counts_all_the_same(monkeypatch):
     with progress.progress("train", 2) as advance:
         advance(2, "all")
     assert said.getvalue() == ""
-
-
-def test_a_bar_says_which_of_the_stages_it_is(monkeypatch):
-    said = io.StringIO()
-    console = Console(file=said, force_terminal=True, width=100)
-    monkeypatch.setattr(progress, "console", console)
-    with progress.stages(["train cnn", "train rate-lif", "check"]):
-        for label in ("train rate-lif", "check nengo", "checked", "other"):
-            with progress.progress(label, 1) as advance:
-                advance(1)
-    with progress.progress("train cnn", 1):
-        pass
-    assert "2 of 3 train rate-lif" in said.getvalue()
-    assert "3 of 3 check nengo" in said.getvalue()
-    for label in ("checked", "other", "train cnn"):
-        assert f"of 3 {label}" not in said.getvalue()

@@ -2,8 +2,9 @@
 
 import pytest
 
-from pipeline.run import RunFolder, checks_beside, similar_run
-from pipeline.settings import Settings, write_settings
+from deploy.errors import UserError
+from pipeline.run import RunFolder, checks_beside
+from pipeline.settings import Settings, read_settings, write_settings
 from tests.command import call, missing
 
 
@@ -85,16 +86,6 @@ def test_a_failed_command_leaves_no_folder(tmp_path, monkeypatch, arguments):
     assert list((tmp_path / "empty").iterdir()) == []
 
 
-def test_a_similar_name(tmp_path):
-    (tmp_path / "default").mkdir()
-    assert similar_run(tmp_path / "defualt") is None
-    (tmp_path / "default" / "experiment.toml").write_text("")
-    assert similar_run(tmp_path / "defualt") == tmp_path / "default"
-    assert similar_run(tmp_path / "default") is None
-    assert similar_run(tmp_path / "gestures") is None
-    assert similar_run(tmp_path / "nowhere" / "default") is None
-
-
 def test_results_of_bundles_side_by_side_do_not_replace_each_other(tmp_path):
     names = ("bundle", "adapted/7", "adapted/8")
     folders = [checks_beside(tmp_path / name) for name in names]
@@ -102,14 +93,14 @@ def test_results_of_bundles_side_by_side_do_not_replace_each_other(tmp_path):
     assert len(set(folders)) == 3
 
 
-def test_steps_that_were_chosen_for_another_input_are_not_kept(tmp_path):
-    run = RunFolder(tmp_path)
-    events = {"input": {"kind": "events"}, "presentation": {"steps": 171}}
-    run.save_settings(Settings().with_values(events, "test"))
-
-    def steps(**changes):
-        return run.resolve_settings(None, changes).presentation.steps
-
-    assert steps() == steps(input={"kind": "events"}) == 171
-    assert steps(input={"kind": "image"}) == steps(input={"step": 20.0}) == 0
-    assert steps(input={"kind": "image"}, presentation={"steps": 60}) == 60
+def test_what_was_chosen_is_no_setting_of_the_user(tmp_path):
+    run, own = RunFolder(tmp_path), Settings().with_values({"seed": 3})
+    chosen = {"input": {"step": 20.0, "refractory": 20.0}, "presentation": {"steps": 171}}
+    run.save_settings(own.with_values(chosen), own)
+    assert read_settings(run.experiment) == own.with_values(chosen)
+    assert run.resolve_settings(None, {}) == own
+    changed = run.resolve_settings(None, {"input": {"step": 5.0}})
+    assert changed == own.with_values({"input": {"step": 5.0}})
+    run.experiment.write_text('chosen = ["no.such"]\n')
+    with pytest.raises(UserError, match="chosen"):
+        run.resolve_settings(None, {})

@@ -93,9 +93,7 @@ BAD = [
     ({"check": {"samples": 0}}, 1),
     ({"check": {"samples": 10**12}}, 1000000),
     ({"cnn": {"architecture": "10x10-6p2-10o"}}, "6p2"),
-    ({"cnn": {"architecture": "12x12-6c4-10o"}}, "10x10"),
     ({"cnn": {"architecture": "10x10-10o"}},),
-    ({"cnn": {"architecture": "10x10-6c4-9o"}}, "10 classes"),
 ]
 
 

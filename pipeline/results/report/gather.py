@@ -13,10 +13,10 @@ from pipeline.data.library import recordings_of
 from pipeline.progress import progress
 from pipeline.results.elsewhere import FOLDER as OTHERS
 from pipeline.results.ladder import ladder_stages
-from pipeline.results.report.page import Inputs, title_of
+from pipeline.results.report.page import Inputs
 from pipeline.results.report.samples import choose_samples, replay
 from pipeline.results.status import outdated, status_of
-from pipeline.roads.answers import REFERENCES
+from pipeline.roads import road_of
 from pipeline.run import RunFolder
 from pipeline.settings import read_settings
 from pipeline.training.history import read_history
@@ -45,7 +45,8 @@ def gather(folder: RunFolder, jobs: int = 1, say=print) -> Inputs:
     """
     settings = read_settings(folder.experiment)
     bundle = read_bundle(folder.bundle)
-    stages = [stage for stage in ladder_stages(settings.network) if folder.check(stage).exists()]
+    road = road_of(settings)
+    stages = [stage for stage in ladder_stages(road) if folder.check(stage).exists()]
     results = [read_result(folder.check(stage)) for stage in stages]
     for stage, result in zip(stages, results, strict=True):
         if result["target"] != stage or not {*result["spikes"]} <= {*bundle.spec.spiking_layers}:
@@ -59,10 +60,10 @@ def gather(folder: RunFolder, jobs: int = 1, say=print) -> Inputs:
     chosen = choose_samples(results[-1])
     with progress("replay samples", len(chosen)) as advance:
         replays = replay(bundle, chosen, settings.seed, advance)
-    networks = {"snn": title_of(REFERENCES[settings.network][:2][-1])}
-    if settings.network == "image":
-        networks = {"cnn": title_of("cnn"), **networks}
-    files = {title: folder.path / name for name, title in networks.items()}
+    titles = {}
+    for reference in road.references.values():
+        titles.setdefault(folder.folder(road.part(reference.part).folder), reference.title)
+    files = {title: path for path, title in titles.items()}
     return Inputs(
         name=str(folder.path),
         settings=settings,

@@ -24,10 +24,11 @@ from pipeline.data.events import Recordings
 from pipeline.results.ladder import confusion_matrix, ladder_rows
 from pipeline.results.report import charts
 from pipeline.results.report.samples import final_probabilities
-from pipeline.roads.answers import NETWORKS
-from pipeline.settings import Settings
+from pipeline.roads import REFERENCES
+from pipeline.settings import PATHS, Settings
+from pipeline.stages import settings_read
 
-REFERENCES = ("cnn-matched", "trained", "nir", "rate-lif", "cnn")
+COMPARED_WITH = ("cnn-matched", "trained", "nir", "rate-lif", "cnn")
 """The stages that a deployed network is compared with, the first that the ladder has."""
 
 MOST_IN_A_MATRIX = 40
@@ -118,7 +119,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         source_sha256=provenance["source_sha256"],
         simulated=provenance["simulated"],
         recordings=inputs.recordings,
-        settings=inputs.settings.relevant(),
+        settings=_settings(inputs),
         seed=inputs.settings.seed,
         classes=inputs.classes,
         bundle=inputs.bundle,
@@ -140,9 +141,15 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
     )
 
 
+def _settings(inputs):
+    """The settings that the bundle was made with, and the files that it was made from."""
+    files = {name: path for name in PATHS if (path := inputs.settings.value(name))}
+    return files | settings_read(inputs.bundle.spec)
+
+
 def title_of(stage: str) -> str:
     """The title of a network or target."""
-    return NETWORKS[stage][0] if stage in NETWORKS else TARGETS[stage].title
+    return REFERENCES[stage].title if stage in REFERENCES else TARGETS[stage].title
 
 
 def verdict(results: list, bundle: Bundle, plan: dict) -> dict:
@@ -165,7 +172,7 @@ def verdict(results: list, bundle: Bundle, plan: dict) -> dict:
     """
     deployed = results[-1]
     by_stage = {result["target"]: result for result in results[:-1]}
-    wanted = [name for name in REFERENCES if name in by_stage][:1]
+    wanted = [name for name in COMPARED_WITH if name in by_stage][:1]
     wanted += [name for name in ("counts",) if name in by_stage]
     against = []
     for name in wanted:

@@ -12,7 +12,7 @@ from pipeline.data.library import identity_of, recordings_of
 from pipeline.data.splits import random_split, split_of, writer_split
 from pipeline.run import RunFolder
 from pipeline.settings import SIMULATED, Settings, UndeclaredSetting
-from pipeline.stages import open_dataset
+from pipeline.stages import open_run
 from tests.own_sensor import write_folder
 from tests.pipeline.handmade import archive, good_members, recordings
 
@@ -161,13 +161,14 @@ def test_a_run_refuses_arrays_of_other_settings(tmp_path):
     dataset = Dataset.of_arrays(*arrays(40), OWN)
     run = RunFolder(tmp_path)
     few = OWN.with_values({"check": {"samples": 4}})
-    with pytest.raises(UserError, match=r"mine: 'cnn\.architecture' .* 4x6-6c4-.*-2o"):
-        open_dataset(run, few, dataset=dataset)
+    wrong = few.with_values({"cnn": {"architecture": "10x10-6c4-2o"}})
+    with pytest.raises(UserError, match=r"mine: 'cnn\.architecture' .* 4x6-6c4-2o"):
+        open_run(run, wrong, dataset=dataset)
     small = few.with_values({"cnn": {"architecture": "4x6-3c2-2o"}, "snn": {"max_rates": [150.0]}})
     with pytest.raises(UserError, match=r"data\.source"):
-        open_dataset(run, small.with_values({"data": {"source": "x"}}), dataset=dataset)
+        open_run(run, small.with_values({"data": {"source": "x"}}), dataset=dataset)
     assert not run.experiment.exists()
-    assert open_dataset(run, small, dataset=dataset) is dataset
+    assert open_run(run, small, dataset=dataset).dataset.recordings is dataset.recordings
     assert run.experiment.exists()
 
 
@@ -181,7 +182,7 @@ def test_a_check_that_is_too_large_for_a_bundle_is_refused_before_the_training(
     run = RunFolder(tmp_path)
     monkeypatch.setattr(limits, "ARRAY_BYTES", HEADERS + 5 * one - 1)
     with pytest.raises(UserError, match=r"5 samples .* check\.samples"):
-        open_dataset(run, settings)
+        open_run(run, settings)
     assert not run.experiment.exists()
     monkeypatch.setattr(limits, "ARRAY_BYTES", HEADERS + 5 * one)
-    open_dataset(run, settings)
+    open_run(run, settings)

@@ -3,13 +3,16 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 
 import pytest
 
 from deploy.check.intervals import fisher, wilson_interval
 from deploy.errors import UserError
+from pipeline.data.dataset import dataset_origin
 from pipeline.data.source import write_zip
 from pipeline.results.compare import ORDER, Run, compare_runs, difference, read_runs, runs_text
+from pipeline.roads import road_of
 from pipeline.settings import Settings
 from pipeline.skin.simulate import simulate
 from tests.command import call, missing
@@ -38,6 +41,8 @@ def run(name, results, spec=None, changes=None, cores=2, source="s" * 64, **more
     spec = spec or small_spec()
     spec.provenance["source_sha256"] = source
     settings = Settings().with_values(changes or {}, "here")
+    origin = road_of(settings).bundle_origin(dataset_origin(settings, source))
+    spec.provenance["made_from"] = origin.to_json()
     return Run(name, settings, spec, cores, 1, {r["target"]: r for r in results}, **more)
 
 
@@ -98,16 +103,18 @@ def test_settings_that_differ_and_no_others():
     compared = compare_runs([a, b])
     assert compared["settings"] == [
         {"name": "seed", "values": [3, 0]},
-        {"name": "snn.max_rates", "values": [(150.0,), (100.0,)]},
+        {"name": "snn.max_rates", "values": [[150.0], [100.0]]},
     ]
     assert compare_runs([a, a])["settings"] == []
     assert "seed" not in runs_text(compare_runs([a, a]))
 
 
 def test_the_default_number_of_steps_is_that_number():
+    spec = small_spec().with_presentation(steps=Settings().steps)
     steps = ({"presentation": {"steps": number}} for number in (0, Settings().steps, 40))
     a, b, c = (
-        run(name, [result("fast", ALL)], changes=s) for name, s in zip("abc", steps, strict=True)
+        run(name, [result("fast", ALL)], replace(spec, provenance={}), changes)
+        for name, changes in zip("abc", steps, strict=True)
     )
     assert compare_runs([a, b])["settings"] == []
     (found,) = compare_runs([a, c])["settings"]

@@ -10,7 +10,7 @@ from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.files import read_json
 from pipeline.data.dataset import Dataset
-from pipeline.roads.answers import responses_of
+from pipeline.roads.road import responses_of
 from pipeline.settings import Presentation, read_settings
 from tests.command import call, missing
 

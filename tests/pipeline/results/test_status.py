@@ -14,7 +14,7 @@ from pipeline.run import RunFolder
 from tests.command import call, missing
 
 ON_IMAGES = [
-    *("dataset", "cnn", "rate-lif", "bundle"),
+    *("dataset", "counts", "cnn", "rate-lif", "bundle"),
     *(
         f"checks/{s}"
         for s in ("counts", "cnn", "rate-lif", "spiking-lif", "nengo", "simreal", "emulator")
@@ -48,7 +48,7 @@ def test_a_trained_cnn_makes_what_was_made_from_another_outdated(run, capsys):
     assert re.search(CHANGED, capsys.readouterr().err)
     found = states(run, capsys)
     assert (found["dataset"]["state"], found["cnn"]["state"]) == ("current", "current")
-    for name in ON_IMAGES[2:]:
+    for name in ON_IMAGES[3:]:
         assert found[name]["state"] == "outdated", name
         assert found[name]["because"] == ["cnn.epochs: 3 -> 1"], name
     capsys.readouterr()
@@ -58,7 +58,7 @@ def test_a_trained_cnn_makes_what_was_made_from_another_outdated(run, capsys):
     assert re.search(CHANGED, " ".join(capsys.readouterr().out.split()))
     assert call("compare", run, other, "--json") == 0
     first = json.loads(capsys.readouterr().out)["runs"][0]
-    assert set(first["outdated"]) == set(ON_IMAGES[2:])
+    assert set(first["outdated"]) == set(ON_IMAGES[3:])
     assert call("check", "run", run / "bundle", "--target", "fast") == 0
     assert re.search(CHANGED, capsys.readouterr().err)
     for deploy in (

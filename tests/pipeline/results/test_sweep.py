@@ -15,6 +15,7 @@ from matplotlib.image import imread
 from deploy.errors import UserError
 from deploy.files import read_json
 from pipeline.results import sweep
+from pipeline.roads import EventRoad, ImageRoad
 from pipeline.run import refuse_results
 from pipeline.settings import Settings, read_settings
 from tests.command import call, missing
@@ -67,8 +68,8 @@ def test_a_section_given_a_value_is_refused(grid):
 
 
 def test_the_default_grids_are_grids():
-    assert len(sweep.points_of(SMALL, sweep.DEFAULT_GRID)) == 16
-    assert len(sweep.points_of(SMALL, sweep.EVENTS_GRID)) == 4
+    assert len(sweep.points_of(SMALL, ImageRoad.grid)) == 16
+    assert len(sweep.points_of(SMALL, EventRoad.grid)) == 4
 
 
 def test_pareto_front_by_hand():

@@ -11,12 +11,21 @@ from models.architecture import parse
 from pipeline.data.eventfiles import write_recordings
 from pipeline.data.events import Sensor
 from pipeline.data.library import load_recordings
-from pipeline.roads.chip_fit import chip_problems, untrained
-from pipeline.roads.fitting import architecture_for, fitted
+from pipeline.roads import road_of
+from pipeline.roads.architectures import architecture_for, untrained
+from pipeline.roads.fitting import fitted
+from pipeline.run import RunFolder
 from pipeline.settings import Settings
 from tests.command import missing
 from tests.deploy.networks import paper_spec
 from tests.own_sensor import CLASSES, gestures, write_folder
+
+
+def said_of(settings):
+    lines = []
+    fitted(settings, say=lines.append)
+    return lines
+
 
 SIZES = [
     (1, 2), (1, 12), (2, 2), (3, 64), (5, 5), (6, 6), (9, 12), (12, 9), (16, 16), (18, 18),
@@ -51,8 +60,7 @@ def own(tmp_path_factory):
 
 
 def test_images_of_a_sensor_of_one_s_own(own):
-    said = []
-    chosen = fitted(settings_of(own), say=said.append)
+    chosen, said = fitted(settings_of(own)), said_of(settings_of(own))
     assert chosen.cnn.architecture == "9x12-6c4-24c3-4o"
     assert chosen.check == Settings().check  # not chosen: the recordings may grow
     assert chosen.check.drawn(12) == 12  # a fifth of sixty
@@ -61,21 +69,38 @@ def test_images_of_a_sensor_of_one_s_own(own):
 
 
 @pytest.mark.parametrize(("kind", "section"), [("image", "cnn"), ("events", "events")])
-def test_what_was_chosen_for_other_classes_is_chosen_again(tmp_path, kind, section):
-    """A week later there is a fifth gesture, and later only three."""
+def test_an_architecture_is_chosen_again_for_other_classes(tmp_path, kind, section):
+    """Also for fewer of them; the one that the user has chosen is kept."""
     items = gestures(12)
-    path = write_recordings(tmp_path / "own.zip", items, CLASSES)
-    first = fitted(settings_of(path, input={"kind": kind}))
-    more = [(events, "more") for events, label in items if label == 0]
-    write_recordings(path, [(e, CLASSES[label]) for e, label in items] + more)
-    assert getattr(fitted(first), section).architecture.endswith("-5o")
-    with pytest.raises(SeveralErrors):  # for other recordings, the user decides
-        fitted(first, rechoose=False)
-    write_recordings(path, [item for item in items if item[1] < 3], CLASSES[:3])
-    assert getattr(fitted(first), section).architecture.endswith("-3o")
-    mine = getattr(first, section).architecture.replace("-", "-7c2-", 1)
-    with pytest.raises(SeveralErrors):
-        fitted(first.with_values({section: {"architecture": mine}}, ""))
+    path = tmp_path / "own.zip"
+    run, own = RunFolder(tmp_path / "run"), settings_of(path, input={"kind": kind})
+    for classes in (4, 5, 3):
+        some = [(e, CLASSES[label]) for e, label in items if label < classes]
+        more = [(e, "more") for e, label in items if label == 0 and classes == 5]
+        path.unlink(missing_ok=True)
+        write_recordings(path, some + more)
+        chosen = fitted(own)
+        assert getattr(chosen, section).architecture.endswith(f"-{classes}o")
+        run.path.mkdir(exist_ok=True)
+        run.save_settings(chosen, own)
+        own = run.resolve_settings(None, {})
+    mine = getattr(chosen, section).architecture.replace("3o", "4o")
+    with pytest.raises(SeveralErrors, match="3 classes"):
+        fitted(own.with_values({section: {"architecture": mine}}, ""))
+
+
+def test_what_is_chosen_does_not_depend_on_earlier_choices(tmp_path):
+    """A refractory period that was chosen for long steps outlived them."""
+    slow = [((x, y, 20 * t, p), label) for (x, y, t, p), label in gestures(4)]
+    path = write_recordings(tmp_path / "slow.zip", slow, CLASSES)
+    run, own = RunFolder(tmp_path / "run"), settings_of(path, input={"kind": "events"})
+    run.path.mkdir()
+    chosen = fitted(own)
+    assert chosen.input.step > 10
+    run.save_settings(chosen, own)
+    changes = {"input": {"step": 25.0}}
+    again = fitted(run.resolve_settings(None, changes))
+    assert again == fitted(own.with_values(changes))
 
 
 def test_a_budget_of_the_user_s_is_kept(tmp_path):
@@ -126,10 +151,9 @@ def test_a_presentation_that_is_too_short_is_called_so(tmp_path):
     """The user has chosen the step, of which there may be 400."""
     slow = [((x, y, 2 * t, p), label) for (x, y, t, p), label in gestures(4)]
     source = write_recordings(tmp_path / "slow.zip", slow, CLASSES)
-    said = []
-    chosen = fitted(settings_of(source, input={"kind": "events", "step": 1.0}), say=said.append)
-    assert chosen.steps == 400
-    (line,) = [line for line in said if "400 steps of 1 ms" in line]
+    settings = settings_of(source, input={"kind": "events", "step": 1.0})
+    assert fitted(settings).steps == 400
+    (line,) = [line for line in said_of(settings) if "400 steps of 1 ms" in line]
     assert "first 0.4 s" in line
 
 
@@ -146,8 +170,8 @@ def test_what_was_chosen_stays_and_is_held_against_the_recordings(own):
 
 
 def test_simulated_recordings_need_nothing():
-    settings = Settings()
-    assert fitted(settings) is settings
+    settings = Settings().with_values({"data": {"samples_per_digit": 5}, "check": {"samples": 10}})
+    assert fitted(settings) == settings
 
 
 @pytest.mark.parametrize(
@@ -160,7 +184,7 @@ def test_simulated_recordings_need_nothing():
 def test_what_no_core_can_hold_is_told_before_training(kind, architecture, resource):
     section = "cnn" if kind == "image" else "events"
     changes = {"input": {"kind": kind}, section: {"architecture": architecture}}
-    problems = chip_problems(settings_of("own", **changes))
+    problems = road_of(settings_of("own", **changes)).chip_problems()
     assert all(line.startswith(f"{architecture}: ") for line in problems)
     assert all("layer dense1" in line for line in problems)
     assert any(not missing(line, resource, 4096) for line in problems)
@@ -177,7 +201,7 @@ def test_the_chosen_architectures_fit_the_chip(size, kind):
         section = "cnn" if kind == "image" else "events"
         architecture = architecture_for(sensor, kind == "events")
         changes = {"input": {"kind": kind}, section: {"architecture": architecture}}
-        assert chip_problems(settings_of("own", **changes)) == []
+        assert road_of(settings_of("own", **changes)).chip_problems() == ()
 
 
 def test_an_untrained_network_needs_what_the_trained_one_needs():
@@ -197,8 +221,10 @@ def test_the_sensor_s_and_the_chip_s_problems_come_together(own):
 
 
 def test_the_network_on_simulated_recordings_must_fit_the_chip_too():
+    data, cnn = {"samples_per_digit": 5}, {"architecture": "10x10-100c4-40-10o"}
+    settings = Settings().with_values({"data": data, "cnn": cnn, "check": {"samples": 10}})
     with pytest.raises(SeveralErrors, match=r"layer dense1 .* 4900 input axons"):
-        fitted(Settings().with_values({"cnn": {"architecture": "10x10-100c4-40-10o"}}))
+        fitted(settings)
 
 
 def test_one_class_is_told_as_such(tmp_path):

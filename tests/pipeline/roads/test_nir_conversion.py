@@ -23,7 +23,7 @@ from pipeline.data.splits import Split
 from pipeline.data.steps import EventTable
 from pipeline.live.deciding import decider_of
 from pipeline.roads.conversion import spec_of_nir
-from pipeline.roads.event_training import FEWEST, trusted
+from pipeline.roads.events import FEWEST, trusted
 from pipeline.roads.nir_import import decided_on, notes
 from pipeline.roads.nir_settings import Stepped, settings_of_nir
 from pipeline.settings import Image, Settings

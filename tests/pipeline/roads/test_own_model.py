@@ -8,8 +8,10 @@ import pytest
 from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.files import read_json
+from models.architecture import parse
 from pipeline import stages
 from pipeline.data.dataset import Dataset
+from pipeline.roads.road import read_weights
 from pipeline.run import RunFolder
 from pipeline.settings import Settings, read_settings
 from tests.command import call, missing
@@ -73,13 +75,17 @@ def run(tmp_path_factory, files):
     return folder
 
 
+def weights_in(run, folder, settings):
+    return read_weights(run / folder, parse(settings.cnn.architecture).weight_shapes)
+
+
 def test_the_cnn_of_the_run_answers_as_the_model_does(run, files, dataset):
     from pipeline.training.networks import TrainedCNN
 
     settings = read_settings(run / "experiment.toml")
     assert settings.cnn.architecture == ARCHITECTURE
     assert settings.snn.recipe == "as-is"
-    weights = stages.read_weights(run / "cnn", settings)
+    weights = weights_in(run, "cnn", settings)
     logits = TrainedCNN(settings, weights).logits(dataset.inputs)
     expected = np.load(files / "probabilities.npy")
     scores = np.exp(logits - logits.max(1, keepdims=True))
@@ -93,7 +99,7 @@ def test_without_retraining_the_weights_are_only_fitted(run, dataset):
     from pipeline.training.networks import TrainedCNN, TrainedRates, scale_to_unit
 
     settings = read_settings(run / "experiment.toml")
-    cnn, snn = (stages.read_weights(run / name, settings) for name in ("cnn", "snn"))
+    cnn, snn = (weights_in(run, name, settings) for name in ("cnn", "snn"))
     for name, array in cnn.items():
         factor = np.sum(array * snn[name]) / np.sum(array * array)
         if name.endswith("kernel"):
@@ -124,7 +130,9 @@ def test_the_report_says_that_nothing_was_trained(run, files, tmp_path):
     """It has no learning curves, which no training has written."""
     out = tmp_path / "report.html"
     assert call("report", run, "--out", out) == 0
-    training = out.read_text().partition('<section id="training">')[2].partition("</section>")[0]
+    page = out.read_text()
+    training = page.partition('<section id="training">')[2].partition("</section>")[0]
+    assert str(files / "good.keras") in page
     assert "<figure>" not in training
 
 
@@ -214,7 +222,7 @@ def test_a_file_that_is_no_model(tmp_path, capsys):
 
 @pytest.mark.parametrize("how", [("--input", "events"), ("--set", "input.kind=events")])
 def test_events_are_not_for_a_model_of_images(files, tmp_path, capsys, monkeypatch, how):
-    monkeypatch.setattr(stages, "make_bundle", lambda *_: pytest.fail("trained on events"))
+    monkeypatch.setattr(stages, "convert", lambda *_: pytest.fail("trained on events"))
     folder = tmp_path / "run"
     assert call("convert", folder, "--model", files / "good.keras", *SMALL, *how) == 2
     error = capsys.readouterr().err
@@ -232,7 +240,7 @@ def test_a_file_that_has_changed_since(files, tmp_path, capsys):
     from deploy.errors import UserError
 
     with pytest.raises(UserError, match=r"model\.keras: .*--model"):
-        stages.train("cnn", RunFolder(folder), settings, Dataset.of(settings), lambda line: None)
+        stages.opened_in(RunFolder(folder), settings, Dataset.of(settings)).make("cnn")
 
 
 @pytest.mark.parametrize(

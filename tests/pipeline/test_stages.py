@@ -2,15 +2,17 @@
 
 import fcntl
 import json
+from types import SimpleNamespace
 
 import pytest
 
 from deploy.check.results import read_result
 from deploy.check.run import OpenCheck, open_check, run_check
 from deploy.errors import UserError
+from pipeline.artifacts import Origin
 from pipeline.run import RunFolder
 from pipeline.settings import Settings
-from pipeline.stages import answer_all
+from pipeline.stages import answer_all, opened_in
 from tests.deploy.checks import interrupted, partial, same_answers
 from tests.deploy.networks import bundle_at
 
@@ -23,8 +25,10 @@ def bundle(tmp_path_factory):
     return bundle_at(tmp_path_factory.mktemp("bundle") / "bundle")
 
 
-def answered(folder, bundle, targets=TARGETS, **given):
-    return answer_all(RunFolder(folder), Settings(), bundle, targets, jobs=2, **given)
+def answered(folder, bundle, targets=TARGETS):
+    no_data = SimpleNamespace(origin=Origin())
+    opened = opened_in(RunFolder(folder), Settings(), no_data, lambda line: None)
+    return answer_all(opened, bundle, targets, jobs=2)
 
 
 def check_of(folder, target):

@@ -5,7 +5,8 @@ import pytest
 
 from deploy.network.decision import Threshold
 from pipeline.data.dataset import Dataset
-from pipeline.roads import event_training
+from pipeline.roads import events
+from pipeline.roads.events import choose, event_samples
 from pipeline.settings import Settings
 from pipeline.training.events import TrainedOnEvents
 
@@ -28,9 +29,9 @@ def choice(monkeypatch):
 def chosen_on(changes):
     settings = Settings().with_values({**EVENTS, **changes}, "here")
     dataset = Dataset.of(settings)
-    samples = event_training.event_samples(dataset, 3)
-    network = TrainedOnEvents.of(settings, {})
-    return dataset.split, samples, event_training.choose(settings, samples, network, 3)
+    samples = event_samples(dataset, 3)
+    chosen = choose(settings, samples, TrainedOnEvents.of(settings, {}), 3)
+    return dataset.split, samples, chosen
 
 
 def test_few_samples_are_all_trained_on(choice):
@@ -42,7 +43,7 @@ def test_few_samples_are_all_trained_on(choice):
 
 
 def test_without_validation_some_training_samples_are_held_out(choice, monkeypatch):
-    monkeypatch.setattr(event_training, "FEWEST", 3)
+    monkeypatch.setattr(events, "FEWEST", 3)
     split, samples, chosen = chosen_on({})
     assert choice["steps"] == 16
     np.testing.assert_array_equal(choice["held_out"], samples.held_out)

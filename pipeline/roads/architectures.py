@@ -1,0 +1,161 @@
+"""Architectures: the choice of one for a sensor, and whether the chip can hold it."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from deploy.network.spec import NetworkSpec, Neurons, Presentation
+from deploy.network.stimulus import EventFrames, ImageSpikes
+from models.architecture import parse
+from models.chain import deployed, links_of
+from pipeline.data.events import Sensor
+from pipeline.data.statistics import size_text
+from pipeline.settings import Deployment
+
+
+def remedy(resource: str, is_conv: bool, on_events: bool) -> str:
+    """How a layer can need less of a resource.
+
+    Parameters
+    ----------
+    resource : str
+        One of :data:`deploy.preflight.resources.LIMITS`.
+    is_conv : bool
+        Whether the layer is a convolution, not dense.
+    on_events : bool
+        Whether the network's input is events, which no averaging may pass.
+    """
+    averaging = "" if on_events else ", or an averaging such as 4a,"
+    fewer_inputs = (
+        f"let the layer have fewer inputs: a convolution with a stride{averaging} before it"
+    )
+    size = "filters" if is_conv else "neurons"
+    outgoing = f"choose fewer {size}, or fewer neurons in the layer after it"
+    return {
+        "compartments": f"choose fewer {size}",
+        "input axons": fewer_inputs,
+        "output axons": outgoing,
+        "AxonCfg registers": outgoing,
+        "synapse words": "choose fewer filters, or a smaller kernel"
+        if is_conv
+        else f"choose fewer neurons, or {fewer_inputs}",
+    }[resource]
+
+
+LARGEST_MAP = 14
+"""Rows and columns of the first convolution's output on images, at most, on average."""
+
+EVENT_MAP = 5
+"""The same for a network on events, as in the first layer of the default network."""
+
+
+def architecture_for(sensor: Sensor, on_events: bool, hidden: int = 64) -> str:
+    """An architecture for a sensor and its classes, in the paper's notation.
+
+    These are the paper's layers if they fit.  For larger sensors the first convolution has a
+    stride, and for sensors with too few rows or columns for a convolution there is a hidden dense
+    layer.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    on_events : bool
+        For events, with a channel for each polarity.
+    hidden : int
+        Neurons of the hidden layer of a network on events.
+    """
+    rows, columns, classes = sensor.rows, sensor.columns, len(sensor.classes)
+    side, smallest = math.sqrt(rows * columns), min(rows, columns)
+    size, end = f"{rows}x{columns}{'x2' if on_events else ''}", f"{classes}o"
+    if on_events:
+        stride = max(3, math.floor(side / EVENT_MAP))
+        first = f"24c{stride + 1}s{stride}"
+        middle = [first, f"{hidden}"] if smallest > stride else [f"{hidden}"]
+    elif side <= LARGEST_MAP + 3:
+        middle = ["6c4", "24c3"] if smallest >= 6 else ["64"]
+    else:
+        stride = math.ceil((side - 4) / (LARGEST_MAP - 2))
+        first = f"6c{stride + 2}s{stride}"
+        middle = [first, "24c3"] if smallest >= stride + 2 + 2 * stride else ["64"]
+    return "-".join([size, *middle, end])
+
+
+def chosen_text(section: str, architecture: str, sensor: Sensor) -> str:
+    """A line about the choice of an architecture."""
+    return (
+        f"{architecture}: chosen for {size_text(sensor)} and {len(sensor.classes)} classes "
+        f"(another: --set {section}.architecture=...)"
+    )
+
+
+def is_for(architecture: str, sensor: Sensor, channels: int) -> bool:
+    """True if an architecture has the sensor's input size and as many outputs as classes."""
+    parsed, shape = parse(architecture), (sensor.rows, sensor.columns, channels)
+    return parsed.input_shape == shape and parsed.outputs == len(sensor.classes)
+
+
+def operations_of_input(architecture: str) -> float:
+    """Synaptic operations of the first layer that an event causes, on average."""
+    parsed = parse(architecture)
+    return float(np.mean(parsed.layers[0].fan_out(parsed.input_shape)))
+
+
+@functools.lru_cache(maxsize=8)
+def chip_problems(architecture: str, on_events: bool, deployment: Deployment) -> tuple:
+    """Reasons why a network of an architecture does not fit the cores of the chip.
+
+    NengoLoihi's builder makes the blocks of an untrained network of the same architecture; the
+    resources that it needs do not depend on the values of the weights.
+
+    Parameters
+    ----------
+    architecture : str
+    on_events : bool
+        Whether its input is events, not images.
+    deployment : pipeline.settings.Deployment
+
+    Returns
+    -------
+    tuple of str
+        One line for each layer and limit, with the excess and a remedy.
+    """
+    from deploy.preflight.plan import excesses  # imports NengoLoihi, which takes seconds
+
+    layers = parse(architecture).spiking
+    convolutions = {name for name, layer in layers.items() if layer.kind == "conv"}
+    return tuple(
+        f"{architecture}: layer {excess.layer} needs {excess.used} {excess.resource} on "
+        f"{excess.cores} of its {excess.of_cores} "
+        f"core{'' if excess.of_cores == 1 else 's'}, a core "
+        f"has {excess.limit}; {remedy(excess.resource, excess.layer in convolutions, on_events)}"
+        for excess in excesses(untrained(architecture, on_events, deployment))
+    )
+
+
+def untrained(text: str, on_events: bool, deployment: Deployment) -> NetworkSpec:
+    """A network with random weights.
+
+    Parameters
+    ----------
+    text : str
+        Its architecture.
+    on_events : bool
+        Whether its input is events, not images.
+    deployment : pipeline.settings.Deployment
+    """
+    rng, links = np.random.default_rng(0), links_of(parse(text))
+    on_host = on_events or deployment.readout == "host"
+    chain = [
+        replace(
+            link,
+            weights=rng.uniform(0.5, 1.0, link.weights.shape),
+            neuron=None if on_host and link is links[-1] else Neurons(0.01),
+            tau_syn=deployment.synapse or None,
+        )
+        for link in links
+    ]
+    return deployed(chain, EventFrames() if on_events else ImageSpikes(), Presentation())

@@ -1,0 +1,344 @@
+"""The road of spiking networks that are trained on the sensor's events."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from deploy.check.rates import firing_rates
+from deploy.files import reporting_damage
+from deploy.network.decision import Estimator, Threshold
+from deploy.network.responses import read_output
+from models.architecture import parse
+from pipeline.artifacts import DELETE_IT
+from pipeline.data.altering import augmentation_for, is_handwriting
+from pipeline.data.dataset import Dataset, event_warnings
+from pipeline.data.events import Sensor
+from pipeline.data.splits import split_of
+from pipeline.data.steps import EventTable
+from pipeline.paper import CNN_MACS
+from pipeline.roads import counts
+from pipeline.roads.architectures import (
+    architecture_for,
+    chosen_text,
+    is_for,
+    operations_of_input,
+)
+from pipeline.roads.conversion import deployed_on_events
+from pipeline.roads.diagnosis import rate_points
+from pipeline.roads.image import training_versions
+from pipeline.roads.road import (
+    Part,
+    Reference,
+    Road,
+    accuracy_text,
+    metrics_of,
+    timed,
+    write_network,
+)
+from pipeline.run import DELETE_ITS_FOLDER
+from pipeline.settings import Settings
+from pipeline.training.checkpoint import Checkpoint
+from pipeline.training.recipe import dropout_for, hidden_for, reading_for
+
+FEWEST = 100
+"""Minimum number of samples for choosing a confidence; with fewer, the allowed loss, half a
+percentage point, is less than half a sample."""
+
+FEWEST_STEPS, MOST_STEPS = 50, 400
+"""Minimum and maximum number of steps of a presentation of events; longer recordings get longer
+steps."""
+
+OPERATIONS_AN_EVENT = 4
+"""Synaptic operations that a network on events may take, in multiples of what its first layer takes
+to receive the events: with many classes, the readout takes as many as the first layer."""
+
+CHECKPOINT = "checkpoint.npz"
+"""State of a training that is not complete."""
+
+
+class EventSamples(NamedTuple):
+    """Training samples, and held-out samples for choosing the confidence.
+
+    Attributes
+    ----------
+    table : EventTable
+        Events of all samples of the dataset.
+    labels : ndarray of int, shape (n_samples,)
+    train, held_out : ndarray of int
+        Indices.
+    """
+
+    table: EventTable
+    labels: np.ndarray
+    train: np.ndarray
+    held_out: np.ndarray
+
+
+def _respond(stage, opened, bundle, advance):
+    """Each sample from rest, delayed as on the chip."""
+    from pipeline.training.events import TrainedOnEvents, arriving
+
+    network = TrainedOnEvents.of(opened.settings, opened.weights("events"))
+    frames = bundle.checks.inputs.astype(np.uint8)
+    answers = network.answers(frames, advance)
+    arrived = frames.reshape(*frames.shape[:2], -1).sum(1, dtype=np.int64)
+    output = np.diff(arriving(answers.outputs, network.recipe).astype(float), axis=1, prepend=0)
+    return read_output(bundle.spec, output, {"input": arrived, **answers.spikes})
+
+
+class EventRoad(Road):
+    """A spiking network trained on events in the chip's integers."""
+
+    kind = "events"
+    references = {  # noqa: RUF012 - declared as a class variable in the base
+        "counts": counts.REFERENCE,
+        "trained": Reference(
+            "Trained on events",
+            "the spiking network as trained, with each sample from rest",
+            "events",
+            _respond,
+            training_versions,
+        ),
+    }
+    deployed = "threshold"
+    section = "events"
+    channels = 2
+    grid = ("events.budget=0.6,0.9", "events.early=0.3,1")
+
+    @property
+    def parts(self):
+        training = ("training.json", "weights.npz")
+        reads = ("input", "events")
+        steps = ("presentation.steps",)
+        return (
+            counts.PART,
+            Part("events", "snn", training, reads, self._train, temporary=(CHECKPOINT,)),
+            # The confidence depends on the length of the presentation, unlike the training.
+            Part("threshold", "threshold", ("metrics.json",), steps, self._choose,
+                 uses=("events",), action="choosing"),
+        )  # fmt: skip
+
+    @property
+    def trained(self):
+        return ("events", "threshold")
+
+    def shapes(self, name):
+        parsed = parse(self.settings.events.architecture)
+        parts = len(self.settings.part_starts)
+        return parsed.event_weight_shapes(parts) | Estimator.shapes(parsed.outputs)
+
+    @staticmethod
+    def _train(opened, artifact):
+        """Train the network; an interrupted training continues after its last epoch."""
+        from pipeline.training import events  # TensorFlow takes seconds to import
+
+        settings, dataset = opened.settings, opened.dataset
+        table, labels, indices, _ = event_samples(dataset, settings.seed)
+        recipe = events.EventRecipe.of(settings).for_samples(len(indices))
+        updates = recipe.epochs * -(-len(indices) // recipe.batch_size)
+        opened.say(
+            f"events: {recipe.epochs} epochs, {updates:,} updates, on {len(indices):,} samples"
+        )
+        checkpoint = Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
+        arguments = recipe, table, labels, indices, settings.seed
+        trained, seconds = timed(
+            "events", recipe.epochs, events.train_events, *arguments, checkpoint=checkpoint
+        )
+        write_network(artifact.folder, trained, dataset)
+        epochs = len(trained.history)
+        return {"epochs": epochs, "seconds": seconds, "versions": training_versions()}
+
+    @staticmethod
+    def _choose(opened, artifact):
+        """Choose the confidence for early decisions of the network; measure its accuracy."""
+        from pipeline.training.events import TrainedOnEvents
+
+        settings, dataset = opened.settings, opened.dataset
+        trained = TrainedOnEvents.of(settings, opened.weights("events"))
+        samples = event_samples(dataset, settings.seed)
+        held_out = samples.held_out
+        chosen = choose(settings, samples, trained, settings.seed)
+        training = opened.artifact("events")
+        with reporting_damage(training.record, DELETE_ITS_FOLDER):
+            record = training.state().record
+            seconds, epochs = float(record["seconds"]), int(record["epochs"])
+        metrics = metrics_of(trained, dataset, seconds, training_versions())
+        metrics["epochs"] = epochs
+        metrics["decides_by_itself"] = {**chosen._asdict(), "samples": len(held_out)}
+        opened.say(accuracy_text("events", metrics))
+        opened.say(f"threshold: {_decision_text(chosen, len(held_out))}")
+        return metrics
+
+    def spec(self, opened, provenance):
+        confidence = confidence_of(opened.artifact("threshold"))
+        return deployed_on_events(self.settings, opened.weights("events"), confidence, provenance)
+
+    def rates(self, opened, bundle, advance=None):
+        from pipeline.training.events import TrainedOnEvents
+
+        spec, inputs = bundle.spec, bundle.checks.inputs
+        start = spec.presentation.readout_start
+        chip = firing_rates(spec, inputs, self.settings.seed, start, advance)
+        frames = inputs.astype(np.uint8)
+        spikes = TrainedOnEvents.of(self.settings, opened.weights("events")).answers(frames).spikes
+        seconds = frames.shape[1] * spec.stimulus.step_seconds
+        trained = {name: counts / seconds for name, counts in spikes.items()}
+        return None, rate_points(trained, chip)
+
+    def choices(self, recordings):
+        settings, default = self.settings, Settings().events
+        changes, lines = presentation_choices(settings, recordings)
+        now, sensor, chosen = settings.events, recordings.sensor, {}
+        train = None if is_handwriting(recordings) else _training(settings, recordings)
+        is_default = now.architecture == default.architecture
+        if is_default and not is_for(now.architecture, sensor, self.channels):
+            hidden = 64 if train is None else hidden_for(len(train), len(sensor.classes))
+            chosen["architecture"] = architecture_for(sensor, on_events=True, hidden=hidden)
+            lines.insert(0, chosen_text("events", chosen["architecture"], sensor))
+            if now.budget == default.budget:
+                events = len(recordings.events) / max(len(recordings), 1)
+                received = events * operations_of_input(chosen["architecture"])
+                budget = OPERATIONS_AN_EVENT * received / CNN_MACS
+                if budget > now.budget:
+                    chosen["budget"] = float(min(round(budget, 1), 1000.0))
+        if now.augment == default.augment:
+            chosen["augment"] = how = augmentation_for(recordings)
+            lines.append(
+                f"augmentation in {how} (another: --set events.augment=time, space or none)"
+            )
+        if train is not None:
+            dropout = dropout_for(len(train), default.dropout)
+            if now.dropout == default.dropout != dropout:
+                chosen["dropout"] = dropout
+                lines.append(
+                    f"dropout of {dropout:g}, for few recordings (another: --set "
+                    "events.dropout=...)"
+                )
+            if not now.parts:
+                shown = settings.with_values(changes, settings.data.source)
+                reading = _reading(settings, shown, recordings, train)
+                step = shown.input.step
+                if settings.input.refractory == Settings().input.refractory:
+                    changes["input"] = {"step": step, "refractory": reading.rest * step}
+                part = shown.steps * step / reading.parts
+                chosen |= {"parts": reading.parts, "part": part}
+                lines.append(reading.text(step))
+        return ({**changes, "events": chosen} if chosen else changes), lines
+
+    def notes(self, recordings):
+        return event_warnings(self.settings, recordings)
+
+
+def event_samples(dataset: Dataset, seed: int) -> EventSamples:
+    """Hold out the validation samples or, if there are none, some of the training samples.
+
+    Without validation samples, no training samples are held out if these would be too few to choose
+    a confidence on: the network learns from all of them and decides at the end.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    seed : int
+        Seed of :meth:`pipeline.data.splits.Split.held_out`.
+    """
+    table, (train, held_out) = EventTable.of(dataset.recordings), dataset.split.held_out(seed)
+    if not len(dataset.split.validation) and len(held_out) < FEWEST:
+        train, held_out = dataset.split.train, held_out[:0]
+    return EventSamples(table, dataset.labels, train, held_out)
+
+
+def choose(settings: Settings, samples: EventSamples, trained, seed: int) -> Threshold:
+    """Choose the confidence for early decisions on the held-out samples; see :func:`trusted`."""
+    table, labels, _, held_out = samples
+    if not len(held_out):
+        return Threshold(1.0, 0.0, 1.0)
+    chosen = trained.threshold(table, labels, held_out, settings.steps, seed)
+    return trusted(chosen, len(held_out))
+
+
+def trusted(chosen: Threshold, samples: int) -> Threshold:
+    """A confidence for early decisions, or 1 if it was chosen on fewer samples than `FEWEST`.
+
+    With a confidence of 1 the network decides at the end of each recording.
+    """
+    return chosen if samples >= FEWEST else chosen._replace(confidence=1.0, share=1.0)
+
+
+def confidence_of(artifact) -> float | None:
+    """The confidence for early decisions in a network's record, or None."""
+    with reporting_damage(artifact.record, DELETE_IT):
+        chosen = artifact.state().record["decides_by_itself"]
+        if chosen is not None and not 0 <= chosen["confidence"] <= 1:
+            raise ValueError("a confidence that is not from 0 to 1")
+        return chosen and float(chosen["confidence"])
+
+
+def presentation_choices(settings: Settings, recordings) -> tuple:
+    """Present events for as long as the recordings last, with a suitable length of steps.
+
+    Returns
+    -------
+    dict, list of str
+        As :meth:`EventRoad.choices`.
+    """
+    default = Settings()
+    if settings.presentation.steps or recordings.sensor.duration_s == Sensor().duration_s:
+        return {}, []  # as long as the published recordings: the default fits
+    longest, step = longest_ms(recordings), settings.input.step
+    is_free = replace(settings.input, kind=default.input.kind) == default.input
+    while is_free and longest >= step * MOST_STEPS:
+        step *= 2
+    steps = min(max(math.floor(longest / step) + 1, FEWEST_STEPS), MOST_STEPS)
+    changes = {"presentation": {"steps": steps}}
+    if step != settings.input.step:
+        changes["input"] = {"step": step, "refractory": step}
+    part = "as long as the recordings last"
+    if longest >= steps * step:
+        part = (
+            f"the first {steps * step / 1000:g} s of recordings of up to {longest / 1000:.4g} s "
+            "(more: a longer --set input.step=..., or --steps)"
+        )
+    return changes, [f"{steps} steps of {step:g} ms: {part}"]
+
+
+def _training(settings, recordings):
+    """Indices of the training samples; none if there can be no split."""
+    shares = settings.split
+    fractions = shares.test_fraction, shares.validation_fraction
+    try:
+        return split_of(recordings, settings.seed, *fractions, shares.kind).train
+    except ValueError:
+        return np.empty(0, int)
+
+
+def _reading(settings, shown, recordings, train):
+    """How the events are read, with the user's refractory period if there is one."""
+    table, step = EventTable.of(recordings), shown.input.step
+    reading = reading_for(table, recordings.labels, train, step, shown.steps)
+    if settings.input.refractory == Settings().input.refractory:
+        return reading
+    return reading._replace(rest=shown.input.rest, lost=table.lost(step, shown.input.rest))
+
+
+def longest_ms(recordings) -> float:
+    """Time of the last event of all recordings in milliseconds."""
+    return float(EventTable.of(recordings).duration_ms.max(initial=0))
+
+
+def _decision_text(chosen, samples):
+    if chosen.confidence < 1:
+        return (
+            f"early decision at a confidence of {chosen.confidence:.4f}, after "
+            f"{chosen.share:.0%} of a recording on {samples} held-out samples"
+        )
+    why = ""
+    if samples < FEWEST:
+        why = (
+            f", since {samples} held-out samples are fewer than the {FEWEST} on which a confidence "
+            "may be chosen (more: split.validation_fraction)"
+        )
+    return f"no early decisions, the network decides at the end of each recording{why}"

@@ -1,0 +1,419 @@
+"""What the roads have in common.
+
+A *road* is all that depends on the kind of network: the artifacts from which its bundle is made,
+the deployed network, the reference stages of the ladder, and the settings that are chosen for the
+recordings.  Nothing outside of this package asks what kind of network a run has.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from deploy.check.bundle import Bundle
+from deploy.check.intervals import wilson_interval
+from deploy.errors import UserError
+from deploy.files import read_arrays, write_arrays
+from deploy.network.responses import Responses
+from deploy.network.spec import NetworkSpec
+from models.architecture import parse
+from pipeline.artifacts import Artifact, Origin
+from pipeline.data.dataset import Dataset
+from pipeline.data.events import Recordings
+from pipeline.progress import progress
+from pipeline.roads.architectures import chip_problems, is_for
+from pipeline.roads.imported import Imported
+from pipeline.run import DELETE_ITS_FOLDER
+from pipeline.settings import Settings
+from pipeline.training.history import write_history
+
+MOST_WATCHED = 500
+"""Maximum number of test samples for the learning curve."""
+
+
+class Part(NamedTuple):
+    """An artifact from which a bundle or a reference stage is made, such as a trained network.
+
+    Attributes
+    ----------
+    name : str
+    folder : str
+        Name of its folder; see :meth:`pipeline.run.RunFolder.folder`.
+    files : tuple of str
+        The record first, which is written last.
+    reads : tuple of str
+        Settings and sections that are read to make it, besides those of the parts that it uses.
+    make : callable
+        ``make(opened, artifact)`` makes the files and returns the content of the record;
+        ``opened`` is a :class:`pipeline.stages.Opened` in which only these settings can be read.
+    uses : tuple of str
+        Names of the parts from which it is made; without one it is made from the recordings.
+    action : str
+        What the user is told: ``"training"``, ``"choosing"`` or ``"reading"``.
+    temporary : tuple of str
+        Files that are deleted when the part is complete.
+    """
+
+    name: str
+    folder: str
+    files: tuple
+    reads: tuple
+    make: Callable
+    uses: tuple = ()
+    action: str = "training"
+    temporary: tuple = ()
+
+    @property
+    def is_trained(self) -> bool:
+        """True if the part is a network that is trained, which takes long."""
+        return self.action == "training"
+
+
+class Reference(NamedTuple):
+    """A stage of the ladder before the bundle, with which those of the targets are compared.
+
+    Attributes
+    ----------
+    title : str
+    note : str
+        What it is, in a few words.
+    part : str
+        Name of the part that answers.
+    respond : callable
+        ``respond(stage, opened, bundle, advance)``: the responses to the samples of a bundle, as
+        :class:`deploy.network.responses.Responses`; ``advance`` is called with the number of
+        samples done since the last call.
+    versions : callable
+        Versions of the packages that compute it.
+    """
+
+    title: str
+    note: str
+    part: str
+    respond: Callable
+    versions: Callable
+
+
+class Road:
+    """What depends on the kind of network; a subclass is a kind.
+
+    Parameters
+    ----------
+    settings : Settings
+    """
+
+    kind: ClassVar[str]
+    """Name of the road."""
+    references: ClassVar[dict] = {}
+    """The :class:`Reference` stages of the ladder by their names, in order."""
+    deployed: ClassVar[str]
+    """Name of the part from which the bundle is made."""
+    placement: ClassVar[tuple] = ()
+    """Settings of the deployed network that the bundle depends on, besides the presentation."""
+    section: ClassVar[str] = ""
+    """Section of the settings that has its architecture; empty if the network has its own."""
+    channels: ClassVar[int]
+    """Channels of its input."""
+    grid: ClassVar[tuple] = ()
+    """Values of settings that a sweep tries unless the user names others."""
+
+    def __init__(self, settings: Settings):
+        self.settings = settings
+
+    @property
+    def architecture(self) -> str:
+        """The architecture of the network in the notation; empty if it has its own."""
+        return getattr(self.settings, self.section).architecture if self.section else ""
+
+    @property
+    def parts(self) -> tuple:
+        """The :class:`Part` of each artifact before the bundle, in the order of their making."""
+        raise NotImplementedError
+
+    @property
+    def trained(self) -> tuple:
+        """Names of the parts that ``stmnist train`` makes.
+
+        Raises
+        ------
+        UserError
+            The network was trained elsewhere.
+        """
+        raise NotImplementedError
+
+    @property
+    def recipe(self) -> str:
+        """How the network was made, for the bundle's provenance."""
+        return self.kind
+
+    @property
+    def is_trained_in_integers(self) -> bool:
+        """True if the chip's integers are those of the trained network."""
+        return True
+
+    @property
+    def imported(self) -> Imported | None:
+        """The user's file that the network is read from, if there is one."""
+        return None
+
+    def part(self, name: str) -> Part:
+        """The part with a name."""
+        return next(part for part in self.parts if part.name == name)
+
+    def origin(self, name: str, dataset: Origin) -> Origin:
+        """The origin of a part, from that of the dataset."""
+        part = self.part(name)
+        uses = [self.origin(used, dataset) for used in part.uses] or [dataset]
+        return Origin.of(self.settings, part.reads, uses)
+
+    def is_deployed(self, name: str) -> bool:
+        """True if the bundle is made from a part, directly or through others."""
+        uses = [self.deployed]
+        for part in uses:
+            uses += self.part(part).uses
+        return name in uses
+
+    def artifact(self, name: str, place, dataset: Origin) -> Artifact:
+        """A part in a run's folder or in a library."""
+        part, origin = self.part(name), self.origin(name, dataset)
+        folder = place.folder(part.folder, origin)
+        record, *files = (folder / file for file in part.files)
+        return Artifact(name, record, origin, tuple(files))
+
+    def bundle_origin(self, dataset: Origin) -> Origin:
+        """The origin of the bundle."""
+        # The settings of images matter for every network: the live page displays the image.
+        reads = [*self.placement, "presentation", "check", "image"]
+        return Origin.of(self.settings, reads, [self.origin(self.deployed, dataset)])
+
+    def shapes(self, name: str) -> dict:
+        """The shapes of the arrays that a part has, by their names."""
+        raise NotImplementedError
+
+    def spec(self, opened, provenance: dict) -> NetworkSpec:
+        """The deployed network.
+
+        Parameters
+        ----------
+        opened : pipeline.stages.Opened
+            With the parts.
+        provenance : dict
+            Stored in the bundle.
+        """
+        raise NotImplementedError
+
+    def rates(self, opened, bundle: Bundle, advance=None) -> tuple:
+        """Compare the firing rates on the chip with those of the trained network.
+
+        Returns
+        -------
+        layers : list of dict or None
+            See :func:`pipeline.roads.diagnosis.layers_json`; None without a network with rates.
+        points : dict of str to list
+            See :func:`pipeline.roads.diagnosis.rate_points`.
+        """
+        return None, {}
+
+    def choices(self, recordings: Recordings) -> tuple:
+        """Choose settings that have their defaults, for the recordings.
+
+        Returns
+        -------
+        changes : dict
+            As :meth:`pipeline.settings.Settings.with_values` takes them.
+        lines : list of str
+            A line about each choice.
+
+        Raises
+        ------
+        UserError
+            The user's other settings do not fit what is chosen.
+        """
+        return {}, []
+
+    def require_fit(self, recordings: Recordings):
+        """Refuse recordings of another sensor or with other classes than the network is for.
+
+        Raises
+        ------
+        UserError
+        """
+        sensor, classes = recordings.sensor, len(recordings.sensor.classes)
+        if is_for(self.architecture, sensor, self.channels):
+            return
+        channels = "" if self.channels == 1 else f"x{self.channels}"
+        size = f"{sensor.rows}x{sensor.columns}{channels}"
+        parsed = parse(self.architecture)
+        if self.imported is not None:
+            has = "x".join(map(str, parsed.input_shape))
+            gives = f"{sensor.rows}x{sensor.columns}x{self.channels}"
+            raise UserError(
+                f"{self.imported.file}: for an input of {has} and {parsed.outputs} classes; the "
+                f"recordings give {gives} and {classes} classes: train one for those, or give the "
+                "recordings that it is for (--data)"
+            )
+        like = "-".join([size, *map(str, parsed.layers[:-1]), f"{classes}o"])
+        raise UserError(
+            f"{self.settings.data.source}: '{self.section}.architecture' must be for an input of "
+            f"{size} and {classes} classes, such as {like}, not {self.architecture}"
+        )
+
+    def chip_problems(self) -> tuple:
+        """Reasons why the network does not fit the cores of the chip, a line each.
+
+        A user's network is examined when it is read.
+        """
+        usual = type(self)(Settings())
+        if not self.section or (self.architecture, self.settings.deployment) == (
+            usual.architecture,
+            usual.settings.deployment,
+        ):
+            return ()
+        return chip_problems(self.architecture, self.channels == 2, self.settings.deployment)
+
+    def require_presentable(self, dataset: Dataset):
+        """Refuse samples that cannot be presented to the chip.
+
+        Raises
+        ------
+        UserError
+        """
+
+    def require_usable(self, opened):
+        """Refuse a user's network that cannot be used, before anything is written.
+
+        Raises
+        ------
+        UserError
+        """
+
+    def notes(self, recordings: Recordings) -> list:
+        """Lines for the user about the presentation of the recordings."""
+        return []
+
+
+def responses_of(logits: np.ndarray, presentation) -> Responses:
+    """Compute scores and decisions from logits.
+
+    Parameters
+    ----------
+    logits : ndarray, shape (n_samples, steps, classes)
+        Logits at each step; one step for a network without time.
+    presentation : pipeline.settings.PresentationSettings
+        In networks with time, the score at a step is the mean from ``readout_start`` to it.
+    """
+    start = presentation.readout_start if logits.shape[1] > 1 else 0
+    window = logits[:, start:]
+    scores = np.cumsum(window, axis=1) / np.arange(1, window.shape[1] + 1)[:, None]
+    decisions = np.full(logits.shape[:2], -1)
+    decisions[:, start:] = np.argmax(scores, axis=2)
+    return Responses(scores[:, -1], decisions, {}, {})
+
+
+def timed(name: str, epochs: int, function, *arguments, **more) -> tuple:
+    """Run a training with a progress bar; return the network and the seconds that it took."""
+    with progress(f"train {name}", epochs) as advance:
+        begun = time.perf_counter()
+        trained = function(*arguments, advance=advance, **more)
+        return trained, time.perf_counter() - begun
+
+
+def watched(dataset: Dataset):
+    """Samples for the learning curve: validation samples or, without these, some test samples.
+
+    No result depends on them.
+    """
+    if (validation := dataset.part("validation")) is not None:
+        return validation
+    index = dataset.split.test
+    index = index[:: max(1, -(-len(index) // MOST_WATCHED))]
+    return (dataset.inputs[index], dataset.labels[index]) if len(index) else None
+
+
+def write_network(folder: Path, trained, dataset: Dataset):
+    """Write weights and history; delete the records first, because they mark them as complete."""
+    for record in ("metrics.json", "training.json"):
+        (folder / record).unlink(missing_ok=True)
+    write_arrays(folder / "weights.npz", **trained.weights)
+    history = trained.history
+    if not len(dataset.split.validation):  # the learning curve is of test samples
+        history = [{k.replace("val_", "test_"): v for k, v in row.items()} for row in history]
+    write_history(folder / "history.csv", history)
+
+
+def read_weights(folder: Path, shapes: dict) -> dict:
+    """The trained arrays in a network's folder.
+
+    Parameters
+    ----------
+    folder : Path
+    shapes : dict of str to tuple of int
+        The shape of each array.
+
+    Raises
+    ------
+    UserError
+        The arrays are missing, damaged, or of other shapes.
+    """
+    path = folder / "weights.npz"
+    weights = read_arrays(path, DELETE_ITS_FOLDER)
+    if {name: array.shape for name, array in weights.items()} != shapes:
+        raise UserError(
+            f"{path}: not the weights of the architecture in the settings; {DELETE_ITS_FOLDER}"
+        )
+    return weights
+
+
+def metrics_of(trained, dataset: Dataset, seconds: float, versions: dict) -> dict:
+    """The record of a network: its accuracy on each part of the split.
+
+    Parameters
+    ----------
+    trained
+        With ``logits`` and ``history``.
+    dataset : Dataset
+    seconds : float
+        Time of the training.
+    versions : dict
+    """
+    right = np.argmax(trained.logits(dataset.inputs), axis=1) == dataset.labels
+    return {
+        **accuracies(right, dataset),
+        "epochs": len(trained.history),
+        "seconds": seconds,
+        "versions": versions,
+    }
+
+
+def accuracies(right, dataset: Dataset) -> dict:
+    """Accuracy on each part of the split, and the interval of the last one.
+
+    Parameters
+    ----------
+    right : ndarray of bool, shape (n_samples,)
+        Whether the answer to each sample of the dataset is right.
+    dataset : Dataset
+    """
+    parts = {part: getattr(dataset.split, part) for part in ("train", "validation", "test")}
+    accuracy = {part: float(right[index].mean()) for part, index in parts.items() if len(index)}
+    part = list(accuracy)[-1]  # the validation samples if there is no test split, as in a sweep
+    n_samples = len(parts[part])
+    return {
+        "simulated": dataset.recordings.source.simulated,
+        "accuracy": accuracy,
+        f"{part}_accuracy_ci95": list(wilson_interval(int(right[parts[part]].sum()), n_samples)),
+        f"n_{part}": n_samples,
+    }
+
+
+def accuracy_text(name: str, metrics: dict) -> str:
+    """A line about the accuracy of a network."""
+    part = list(metrics["accuracy"])[-1]
+    return (
+        f"{name}: {part} accuracy {metrics['accuracy'][part]:.3f} on {metrics[f'n_{part}']} "
+        f"samples, {metrics['seconds']:.0f} s"
+    )

@@ -1,0 +1,511 @@
+"""The stages of a run: each reads the artifacts of the previous one, and is made only if outdated.
+
+:func:`open_run` loads the recordings and chooses what the settings leave open; the others take what
+it returns: :meth:`Opened.make` trains a network, :func:`convert` writes the bundle, :func:`answer`
+answers its samples with a network or target.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+
+from deploy import __version__
+from deploy.check.bundle import (
+    Bundle,
+    CheckSet,
+    read_bundle,
+    require_replaceable,
+    require_room,
+    write_bundle,
+)
+from deploy.check.results import read_result, result_of
+from deploy.check.run import answered, open_check, records_of, run_check
+from deploy.errors import UserError
+from deploy.files import write_json
+from deploy.network.blocks import scaled_by_block
+from deploy.network.spec import NetworkSpec
+from deploy.targets.registry import TARGETS
+from deploy.terminal import WARNING
+from pipeline.artifacts import DELETE_IT, Artifact, Library, Origin
+from pipeline.data.dataset import Dataset
+from pipeline.data.library import recordings_of
+from pipeline.data.splits import PUBLISHED, in_both_parts
+from pipeline.data.statistics import facts_of
+from pipeline.jobs import Failure, run_jobs
+from pipeline.progress import hidden, progress
+from pipeline.roads import Road, road_of
+from pipeline.roads.fitting import fitted, new_run_text, split_text
+from pipeline.roads.nir_import import refuse_early
+from pipeline.roads.nir_settings import settings_of_nir
+from pipeline.roads.own_model import settings_of_model
+from pipeline.roads.road import read_weights
+from pipeline.run import RunFolder
+from pipeline.settings import SIMULATED, Settings, read_settings
+from pipeline.training.adaptation import with_rehearsal
+
+__all__ = [
+    "Opened",
+    "answer",
+    "answer_all",
+    "convert",
+    "on_test_split",
+    "open_run",
+    "opened_in",
+    "refuse_early",
+    "settings_of_model",
+    "settings_of_nir",
+]
+
+
+@dataclass(frozen=True)
+class Opened:
+    """Settings, recordings and folder of a run or experiment, opened once and passed on.
+
+    Attributes
+    ----------
+    place : RunFolder or Library
+        Has the artifacts.
+    settings : Settings
+        With all that was chosen for the recordings.
+    dataset : Dataset
+    road : Road
+        What depends on the kind of network.
+    say : callable
+        Called with a line about each stage.
+    """
+
+    place: RunFolder | Library
+    settings: Settings
+    dataset: Dataset
+    road: Road
+    say: Callable = print
+
+    def artifact(self, name: str) -> Artifact:
+        """One of the :attr:`pipeline.roads.road.Road.parts`."""
+        return self.road.artifact(name, self.place, self.dataset.origin)
+
+    def restricted(self, names) -> Opened:
+        """The same with the named settings only; reading others is an error."""
+        view = self.settings.only(names)
+        return replace(
+            self,
+            settings=view,
+            dataset=self.dataset.seen_by(view),
+            road=type(self.road)(view),
+        )
+
+    def make(self, name: str) -> dict:
+        """Make a part, unless it is current; return its record.
+
+        A trained network's record has its ``accuracy`` on each part of the split, the number of
+        ``epochs`` and the ``seconds`` of the training.
+        """
+        part, artifact, imported = self.road.part(name), self.artifact(name), self.road.imported
+        state = artifact.state()
+        if state.is_current:
+            self.say(f"{name}: up to date ({artifact.folder})")
+            return state.record
+        lines = [state.announcement(part.action)]
+        if imported is not None and imported.part == name:
+            lines.append(imported.split_note(state))
+        for line in filter(None, lines):
+            self.say(line)
+        opened = self.restricted(artifact.origin.settings)
+        record = artifact.write(part.make(opened, artifact))
+        for file in part.temporary:
+            (artifact.folder / file).unlink(missing_ok=True)
+        return record
+
+    def make_all(self) -> dict:
+        """Make all that the bundle is made from; return the record of the deployed network."""
+        for part in self.road.parts:
+            if self.road.is_deployed(part.name):
+                self.make(part.name)
+        return self.artifact(self.road.deployed).state().record
+
+    def weights(self, name: str) -> dict:
+        """The trained arrays of a part; see :func:`pipeline.roads.road.read_weights`."""
+        return read_weights(self.artifact(name).folder, self.road.shapes(name))
+
+    def spec(self, provenance: dict | None = None) -> NetworkSpec:
+        """The deployed network, made from the trained one."""
+        return self.road.spec(self, provenance or {})
+
+
+def opened_in(place, settings: Settings, dataset: Dataset, say=print) -> Opened:
+    """What an experiment opens: the settings are complete, the dataset is loaded.
+
+    Parameters
+    ----------
+    place : RunFolder or Library
+    settings : Settings
+        All, or only those that an origin declares.
+    dataset : Dataset
+    say : callable
+    """
+    return Opened(place, settings, dataset, road_of(settings), say)
+
+
+def open_run(
+    run: RunFolder,
+    settings: Settings,
+    jobs: int = 2,
+    say=print,
+    check: bool = True,
+    dataset: Dataset | None = None,
+) -> Opened:
+    """Load the recordings of a run, choose what the settings leave open, and save both.
+
+    Nothing is saved if the recordings, settings or a user's network are insufficient.
+
+    Parameters
+    ----------
+    run : RunFolder
+        Locked.
+    settings : Settings
+        What the user has set; values with their defaults are chosen for the recordings.
+    jobs : int
+        Number of processes for recordings that are not in the cache.
+    say : callable
+        Called with each note and warning.
+    check : bool
+        True if the samples of a check will be drawn; a training needs none.
+    dataset : Dataset, optional
+        Used instead of the recordings; see :meth:`Dataset.of_arrays`.
+
+    Raises
+    ------
+    UserError
+        The source cannot be read, is too small for the split or the check, or cannot be presented;
+        the check's samples are too large for a bundle; the bundle's folder has other files; or the
+        user's network cannot be used.  All problems with the settings are reported together.
+    """
+    lines = []
+    if dataset is None:
+        recordings = recordings_of(settings, jobs, say)
+        chosen = fitted(settings, recordings, check, lines.append)
+        dataset = Dataset.of(chosen, jobs, recordings=recordings)
+    else:
+        recordings = dataset.recordings
+        if dataset.is_of_arrays and recordings.source.name != settings.data.source:
+            raise UserError(
+                f"{settings.data.source}: differs from the settings of the arrays; use "
+                f"'data.source' {recordings.source.name!r}"
+            )
+        chosen = fitted(settings, recordings, check, lines.append)
+        dataset = dataset.seen_by(chosen)
+    opened = opened_in(run, chosen, dataset, say)
+    if check:
+        require_replaceable(run.bundle)
+        sensor, stimulus = recordings.sensor, chosen.stimulus
+        shape = (sensor.rows, sensor.columns, opened.road.channels)
+        samples = chosen.check.drawn(len(dataset.split.test))
+        require_room(samples, stimulus.sample_shape(shape, chosen.steps), stimulus)
+        opened.road.require_presentable(dataset)
+    opened.road.require_usable(opened)
+    for line in _notes(opened, lines):
+        say(line)
+    run.save_settings(chosen, settings)
+    artifact = dataset_artifact(run, dataset.origin)
+    if not artifact.state().is_current:
+        parts = ("train", "validation", "test")
+        sizes = {part: len(getattr(dataset.split, part)) for part in parts}
+        hashes, split = recordings.hashes(), dataset.split
+        trained_on = sorted(hashes[i] for i in (*split.train, *split.validation))
+        record = {**facts_of(recordings), **sizes, "split": split.kind}
+        artifact.write({**record, "training_recordings": trained_on})
+    return opened
+
+
+def dataset_artifact(run: RunFolder, origin: Origin) -> Artifact:
+    """The description of a run's recordings."""
+    return Artifact("dataset", run.dataset, origin)
+
+
+def _notes(opened, choices):
+    """What the user should know of the recordings and of what was chosen for them."""
+    run, recordings, road = opened.place, opened.dataset.recordings, opened.road
+    if run.experiment.exists():
+        was = road_of(read_settings(run.experiment))
+        if was.kind != road.kind:
+            yield (
+                f"{WARNING}{run.path}: was a run of the kind {was.kind!r}; its network and bundle "
+                "are replaced (name another folder to keep both)"
+            )
+    elif opened.settings.data.source == SIMULATED:
+        yield f"{run.path}: a new run, on simulated recordings (others: --data)"
+    else:
+        yield new_run_text(run.path, recordings, opened.settings)
+    if run.experiment.exists() and (text := split_text(recordings, opened.settings)):
+        yield f"{run.path}: {text}"
+    yield from choices
+    yield from road.notes(recordings)
+    if road.imported is not None and (note := road.imported.changed_note()) is not None:
+        yield note
+    if opened.dataset.split.kind == PUBLISHED:
+        yield from _notes_on_published(opened)
+    classes = recordings.sensor.classes
+    missing = sorted(set(range(len(classes))) - set(recordings.labels.tolist()))
+    if missing:
+        names = ", ".join(classes[label] for label in missing)
+        problem = f"no recordings of {names}; their outputs learn nothing"
+        yield f"{WARNING}{recordings.source.name}: {problem}"
+
+
+def _notes_on_published(opened):
+    """Lines on a published split whose parts are not independent, or which is small."""
+    source, n_test = opened.settings.data.source, len(opened.dataset.split.test)
+    if pairs := in_both_parts(opened.dataset.recordings):
+        train, test = pairs[0]
+        yield (
+            f"{WARNING}{source}: {len(pairs)} of {n_test} recordings of the test part are also in "
+            f"the training part, such as {test} ({train}); the accuracy on them says little about "
+            "others"
+        )
+    if n_test < (samples := opened.settings.check.samples):
+        yield (
+            f"{source}: the test part has {n_test} recordings, fewer than the {samples} of a "
+            "check; the check uses all of them"
+        )
+
+
+def convert(opened: Opened) -> Bundle:
+    """Make all that the bundle is made from, and write it, unless it is current."""
+    opened.make_all()
+    run, say = opened.place, opened.say
+    artifact = bundle_artifact(run, opened.road, opened.dataset.origin)
+    state, origin = artifact.state(), artifact.origin
+    if state.is_current:
+        say(f"bundle: up to date ({run.bundle})")
+        return read_bundle(run.bundle)
+    if (line := state.announcement("writing")) is not None:
+        say(line)
+    seen = opened.restricted(origin.settings)
+    view, dataset, source = seen.settings, seen.dataset, seen.dataset.recordings.source
+    test = dataset.split.test
+    chosen = dataset.split.check_samples(view.check.drawn(len(test)), view.seed)
+    provenance = {
+        "made_from": origin.to_json(),
+        "source": source.name,
+        "source_sha256": source.sha256,
+        "simulated": source.simulated,
+        "polarities": dataset.recordings.sensor.polarities,
+        "classes": list(dataset.recordings.sensor.classes),
+        "seed": view.seed,
+        "recipe": seen.road.recipe,
+        "image": asdict(view.image),
+        "package": __version__,
+        **({"time_unit": source.time_unit} if source.time_unit else {}),
+        **_downsample(view, dataset),
+    }
+    spec = seen.spec(provenance)
+    spec = with_rehearsal(spec, dataset.inputs, dataset.labels, dataset.split.train, view.seed)
+    bundle = write_bundle(run.bundle, spec, _check_set(dataset, chosen, view.seed))
+    say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
+    for name in scaled_by_block(spec.layers) if seen.road.is_trained_in_integers else ():
+        say(
+            f"{WARNING}{name}: is divided among cores by its outputs, and NengoLoihi scales the "
+            "weights of each core separately, so that its integers differ slightly from those of "
+            "training; compare the predictions of 'stmnist ladder', or use fewer neurons"
+        )
+    return bundle
+
+
+def _downsample(settings, dataset):
+    """The downsampling of files, which other recordings of the sensor need too."""
+    if dataset.is_of_arrays or settings.data.source == SIMULATED:
+        return {}
+    n = settings.data.downsample
+    return {"downsample": n} if n > 1 else {}
+
+
+def bundle_artifact(run: RunFolder, road: Road, dataset: Origin) -> Artifact:
+    """The bundle of a run."""
+    network, manifest = run.bundle / "network.json", run.bundle / "MANIFEST.json"
+    return Artifact(
+        "bundle", network, road.bundle_origin(dataset), (manifest,), _recorded_in_bundle
+    )
+
+
+def _recorded_in_bundle(network):
+    provenance = network.get("provenance")
+    return provenance.get("made_from") if isinstance(provenance, dict) else None
+
+
+def settings_read(spec: NetworkSpec) -> dict:
+    """The settings that a bundle's network was made with, by their dotted names.
+
+    Settings that have no effect on it are not among them.
+    """
+    settings = spec.provenance["made_from"]["settings"]
+    # A run whose steps are the default, 0, may have as many as one with a number.
+    steps = settings.get("presentation.steps") or spec.presentation.steps
+    return {**settings, "presentation.steps": steps}
+
+
+def on_test_split(opened: Opened, bundle: Bundle) -> Bundle:
+    """The bundle with the whole test split as its check, in random order like the check's."""
+    dataset, seed = opened.dataset, opened.settings.seed
+    everything = dataset.split.check_samples(len(dataset.split.test), seed)
+    return replace(bundle, checks=_check_set(dataset, everything, seed))
+
+
+def _check_set(dataset, chosen, seed):
+    recordings = dataset.recordings
+    ids = tuple(recordings.ids[i] for i in chosen)
+    return CheckSet(dataset.inputs[chosen], recordings.labels[chosen], ids, seed)
+
+
+def answer(opened: Opened, bundle: Bundle, stage: str, whole: bool = False) -> dict:
+    """The check result of a reference stage or target, made unless it is current.
+
+    Parameters
+    ----------
+    opened : Opened
+        Of a run.
+    bundle : Bundle
+        The run's own bundle, or :func:`on_test_split` of it.
+    stage : str
+        One of the road's reference stages, or a target.
+    whole : bool
+        Use the samples of :func:`on_test_split`.
+    """
+    artifact = _answer_artifact(opened, bundle, stage, whole)
+    path, state = artifact.record, artifact.state()
+    if state.is_current:
+        opened.say(f"{stage}: up to date ({path})")
+        return read_result(path, DELETE_IT)
+    if (line := state.announcement("answering")) is not None:
+        opened.say(line)
+    if stage in TARGETS:
+        with progress(f"check {stage}", len(bundle.checks)) as advance:
+            return run_check(bundle, stage, path, opened.settings.seed, advance)
+    reference = opened.road.references[stage]
+    part = reference.part
+    if not opened.road.is_deployed(part):
+        opened.make(part)
+    origin, made_from = opened.artifact(part).origin, bundle.spec.provenance["made_from"]
+    seen = opened.restricted(made_from["settings"].keys() | origin.settings.keys())
+    begun = time.perf_counter()
+    with progress(f"check {stage}", len(bundle.checks)) as advance:
+        responses = reference.respond(stage, seen, bundle, advance)
+    seconds = time.perf_counter() - begun
+    extra = {"versions": reference.versions()}
+    if not opened.road.is_deployed(part):
+        extra["network"] = origin.key
+    samples = records_of(bundle.checks, responses)
+    result = result_of(bundle, stage, opened.settings.seed, samples, seconds, extra)
+    write_json(path, result)
+    return result
+
+
+def answer_all(opened: Opened, bundle: Bundle, stages, jobs: int = 1, whole: bool = False) -> list:
+    """Run :func:`answer` for several stages: targets in processes, networks in this process.
+
+    Processes share single streams, not targets, so that no core is idle during the last target.
+
+    Parameters
+    ----------
+    opened, bundle, whole
+        As in :func:`answer`.
+    stages : sequence of str
+    jobs : int
+        Number of processes.
+
+    Returns
+    -------
+    list of dict
+        The results in the order of ``stages``.
+
+    Raises
+    ------
+    UserError
+        A target failed; the results of the others are saved.
+    """
+    artifacts = {stage: _answer_artifact(opened, bundle, stage, whole) for stage in stages}
+    states = {stage: artifact.state() for stage, artifact in artifacts.items()}
+    results = {}
+    targets = [stage for stage in stages if stage in TARGETS and not states[stage].is_current]
+    if jobs > 1 and any(TARGETS[name].slow for name in targets):
+        here = [stage for stage in stages if stage not in targets]
+        with progress("check", len(stages) * len(bundle.checks)) as advance:
+
+            def answer_here():
+                for stage in here:
+                    with hidden():
+                        results[stage] = answer(opened, bundle, stage, whole)
+                    advance(len(bundle.checks), stage)
+
+            for name in targets:
+                if (line := states[name].announcement("answering")) is not None:
+                    opened.say(line)
+            paths = {name: artifacts[name].record for name in targets}
+            seed = opened.settings.seed
+            results |= _shared(bundle, paths, seed, jobs, advance, answer_here)
+    for stage in stages:
+        if stage not in results:
+            results[stage] = answer(opened, bundle, stage, whole)
+    return [results[stage] for stage in stages]
+
+
+def _shared(bundle, paths, seed, jobs, advance, meanwhile):
+    """Results of targets by name; each remaining stream is a job if any of the targets is slow."""
+    checks, failures = {}, {}
+    with contextlib.ExitStack() as stack:
+        for name, path in paths.items():
+            report = partial(advance, note=name)
+            checks[name] = stack.enter_context(open_check(bundle, name, path, seed, report))
+        work = [job for check in checks.values() for job in _work(check)]
+        for job, records in run_jobs(_answered, work, jobs, meanwhile=meanwhile):
+            if isinstance(records, Failure):
+                failures.setdefault(job.target, records)
+            else:
+                for record in records:
+                    checks[job.target].take(record)
+        results = {name: checks[name].finish() for name in checks if name not in failures}
+    for name, failure in failures.items():
+        failure.raise_again(f"target {name}")
+    return results
+
+
+def _work(check):
+    parts = [[part] for part in check.left] if check.target.slow else [check.left]
+    return [check.work(streams) for streams in parts if streams]
+
+
+def _answered(work):
+    return list(answered(work))
+
+
+def _answer_artifact(opened, bundle, stage, whole):
+    """The artifact of a check's result; one that is damaged is refused and not replaced."""
+    origin = opened.dataset.origin
+    artifact = check_artifact(opened.place, stage, opened.road, origin, bundle.id, whole)
+    if artifact.record.exists():
+        read_result(artifact.record, DELETE_IT)
+    return artifact
+
+
+def check_artifact(
+    run: RunFolder, stage: str, road: Road, dataset: Origin, bundle_id: str, whole: bool = False
+) -> Artifact:
+    """The result of a stage on a bundle's samples, or on the whole test split.
+
+    It depends on the bundle, which may have been copied to another machine; the result of a network
+    from which the bundle is not made depends on that network too.
+    """
+    name = f"checks/whole/{stage}" if whole else f"checks/{stage}"
+    contents = {"bundle": bundle_id}
+    if stage in road.references and not road.is_deployed(part := road.references[stage].part):
+        contents["network"] = road.origin(part, dataset).key
+    origin = Origin({"seed": road.settings.seed}, contents)
+    return Artifact(name, run.check(stage, whole), origin, made_from=_recorded_in_check)
+
+
+def _recorded_in_check(result):
+    contents = {name: result[name] for name in ("bundle", "network") if name in result}
+    return Origin({"seed": result.get("seed")}, contents).to_json()
